@@ -13,9 +13,14 @@ from jaxtyping import Bool, Float64
 
 from gsrain_engine.appearance import output_folder
 from gsrain_engine.appearance.base import ClearView, RainyView, SkippedCounts, TransferSettings
-from gsrain_engine.appearance.capture_views import capture_views
-from gsrain_engine.appearance.finetune.settings import FinetuningSettings, finetuning_names, load_finetuning
-from gsrain_engine.appearance.finetune.task import FinetuneResult, FinetuneTask
+from gsrain_engine.appearance.capture_views import CaptureViews
+from gsrain_engine.appearance.finetune.settings import (
+    FinetuneResult,
+    FinetuneTask,
+    FinetuningSettings,
+    finetuning_names,
+    load_finetuning,
+)
 from gsrain_engine.appearance.registry import find_method, open_transfer
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
@@ -215,7 +220,7 @@ def source_views(source: str, choice: ViewChoice, capture: Path | None) -> Sourc
         raise ValueError(f"--capture: {source} is a capture itself")
     max_px = choice.width_px or OWN_WIDTH_PX
     opened = chosen_views(open_capture(Path(source)), choice)
-    views, width_px = capture_views(opened, max_px), max(min(max_px, view.camera.width) for view in opened)
+    views, width_px = CaptureViews(opened, max_px), max(min(max_px, view.camera.width) for view in opened)
     return SourceViews(opened.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
 
 

@@ -21,13 +21,12 @@ import torch
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from gsrain_engine.appearance.base import ClearView, RainyView
-from gsrain_engine.appearance.capture_views import capture_views
-from gsrain_engine.appearance.covisibility import rank_neighbors
-from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import chunked_attention
+from gsrain_engine.appearance.capture_views import CaptureViews
+from gsrain_engine.appearance.correspondence import rank_neighbors
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import CrossViewAttention, chunked_attention
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, TurboArchitecture, build_random_model, tiny
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
-from gsrain_engine.appearance.cyclegan_turbo.settings import CrossViewAttention, RunSettings
-from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
+from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer, RunSettings
 from gsrain_engine.datasets.street import capture_street
 from gsrain_engine.evaluation.consistency import agreements, pool_errors
 from gsrain_engine.scene.camera import Camera, look_at
@@ -48,7 +47,7 @@ def street(width: int) -> tuple[list[ClearView], list[ClearView]]:
     trained = [camera(random.uniform(0, 60), random.uniform(-1.2, 1.2), 192) for _ in range(TRAINED_ON)]
     names = [*HEADINGS, *(f"{i:02}" for i in range(TRAINED_ON))]
     capture = capture_street(measured + trained, [0.0] * len(names), STREET, names=names)
-    views = [replace(view, sensor=view.name) for view in capture_views(capture, width)]
+    views = [replace(view, sensor=view.name) for view in CaptureViews(capture, width)]
     return views[: len(HEADINGS)], views[len(HEADINGS) :]
 
 
@@ -143,17 +142,17 @@ def rows(model: CycleGanTurbo, views: Sequence[ClearView], settings: RunSettings
         }  # fmt: skip
 
 
-def layer_cost(kernel: str, views: int, most_scores: int) -> dict[str, Any]:
+def layer_cost(kernel: str, views: int, max_scores: int) -> dict[str, Any]:
     """Cost of attention in SD-Turbo's finest layer at 512 x 512 px: 5 heads of 64, 4096 queries, keys of some views."""
     query, key = (torch.randn(1, 5, tokens, 64) for tokens in (4096, views * 4096))
     chosen = SDPBackend.MATH if kernel == "math" else SDPBackend.FLASH_ATTENTION
     before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     with torch.inference_mode(), sdpa_kernel([chosen]):
-        chunked_attention(query, key, key, 0.125, most_scores)
+        chunked_attention(query, key, key, 0.125, max_scores)
     took = time.process_time() - started
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     return {
-        "kernel": kernel, "views": views, "most_scores": most_scores, "peak_mb": round(peak / 1024),
+        "kernel": kernel, "views": views, "max_scores": max_scores, "peak_mb": round(peak / 1024),
         "processor_seconds": round(took, 2),
     }  # fmt: skip
 
@@ -167,12 +166,12 @@ def main() -> None:
     parser.add_argument("--strengths", type=float, nargs="+", default=(1.0, 40.0, 400.0), help="of its self-attention")
     parser.add_argument("--layer", choices=("flash", "math"), help="measure one layer with this kernel, nothing else")
     parser.add_argument("--views", type=int, default=3, help="whose keys the layer looks at")
-    parser.add_argument("--most-scores", type=int, default=CrossViewAttention().most_scores)
+    parser.add_argument("--max-scores", type=int, default=CrossViewAttention().max_scores)
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     if arguments.layer:
-        print(json.dumps(layer_cost(arguments.layer, arguments.views, arguments.most_scores)))
+        print(json.dumps(layer_cost(arguments.layer, arguments.views, arguments.max_scores)))
         return
     views, to_train_on = street(arguments.width)
     if arguments.weights:

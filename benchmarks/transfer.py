@@ -13,7 +13,12 @@ from typing import Any
 
 import torch
 
-from gsrain_engine.appearance.cyclegan_turbo.model import ARCHITECTURES, CycleGanTurbo, build_random_model
+from gsrain_engine.appearance.cyclegan_turbo.model import (
+    ARCHITECTURES,
+    CycleGanTurbo,
+    build_random_model,
+    decode_latents,
+)
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
 from gsrain_engine.appearance.cyclegan_turbo.translator import estimated_seconds, measured_speed
 
@@ -36,7 +41,7 @@ def stages(model: CycleGanTurbo, pictures: torch.Tensor, guides: torch.Tensor) -
     with torch.inference_mode():
         (latents, skips), took["encode"] = timed(lambda: model.encode(pictures, guides))
         latents, took["unet"] = timed(lambda: model.denoise(latents))
-        made, took["decode"] = timed(lambda: model.decode(latents, skips))
+        made, took["decode"] = timed(lambda: decode_latents(model.vae, latents, skips))
     return made, took
 
 

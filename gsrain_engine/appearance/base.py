@@ -12,6 +12,9 @@ from msgspec import Meta, Struct
 
 from ..scene.camera import Camera
 
+Image = Float32[np.ndarray, "h w 3"]
+Plane = Float32[np.ndarray, "h w"]
+
 # Views. World frame (meters, z up).
 
 
@@ -23,32 +26,30 @@ class ClearView:
     camera: Camera
     """World frame; no lens distortion; same size as the image."""
     time_s: float
-    image: Float32[np.ndarray, "h w 3"]
+    image: Image
     """Display color (sRGB), 0..1."""
-    depth: Float32[np.ndarray, "h w"]
+    depth: Plane
     """Meters along the view axis at pixel centers; 0 in the sky and at unknown pixels."""
-    normals: Float32[np.ndarray, "h w 3"]
+    normals: Image
     """Unit surface normals in the world, towards the eye; 0 at unknown pixels."""
-    sky: Float32[np.ndarray, "h w"]
+    sky: Plane
     """Share of sky, 0..1."""
-    vehicles: Float32[np.ndarray, "h w"]
+    vehicles: Plane
     """Share of vehicles, 0..1; 0 at unknown pixels."""
     sensor: str = ""
     """Camera name within a rig; empty for a single camera."""
     has_pose: bool = True
     """True if the camera pose is known; other views can only be matched to this one with a pose."""
-
     known_share: float = 1.0
     """Share of the image below the sky whose depth was measured or rendered; the rest of the depth is estimated."""
 
     @property
     def has_surfaces(self) -> bool:
-        """True if enough depth is known to tell road, cars and walls apart."""
-        return self.known_share >= _MIN_KNOWN and self.has_depth
+        """True if enough depth is known to distinguish road, cars and walls.
 
-    @property
-    def has_depth(self) -> bool:
-        return bool((self.depth > 0).any())
+        Lidar reaches a share of 0.7 and more, a few thousand triangulated points 0.2 to 0.4.
+        """
+        return self.known_share >= 0.5 and bool((self.depth > 0).any())
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
@@ -62,9 +63,9 @@ class RainyView:
     """Result of a transfer for one view."""
 
     clear: ClearView
-    image: Float32[np.ndarray, "h w 3"]
+    image: Image
     """Display color (sRGB), 0..1, same size as the clear image."""
-    film: Float32[np.ndarray, "h w"] | None = None
+    film: Plane | None = None
     """Share of water reflection, 0..1; it depends on the view, so other views need not agree on these pixels."""
     left_out: str = ""
     """Steps the transfer skipped for this view, with the reason, as the end of a sentence; empty if none."""
@@ -78,8 +79,7 @@ class SkippedCounts:
 
     def add(self, view: RainyView) -> None:
         self._views += 1
-        if view.left_out:
-            self._reasons[view.left_out] += 1
+        self._reasons.update(filter(None, [view.left_out]))
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -107,8 +107,17 @@ class Transfer(Protocol):
         ...
 
 
-_MIN_KNOWN = 0.5
-"""Share of the depth below the sky: lidar reaches 0.7 and more, a few thousand triangulated points 0.2 to 0.4."""
+_Side = Annotated[
+    int,
+    Meta(ge=64, le=4096, title="Side", description="A learned method sees pictures brought to this shorter side.",
+         extra={"unit": "px", "none": "as they are"}),
+]  # fmt: skip
+_Tile = Annotated[
+    int,
+    Meta(ge=64, le=4096, multiple_of=64, title="Tile",
+         description="Larger pictures go through it in overlapping tiles of this side.",
+         extra={"unit": "px", "none": "in one piece", "usual": 512}),
+]  # fmt: skip
 
 
 class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -146,33 +155,8 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     neighbours: Annotated[
         int, Meta(ge=0, le=16, title="Neighbours", description="So many other views each one attends to.")
     ] = 2
-    side_px: (
-        Annotated[
-            int,
-            Meta(
-                ge=64,
-                le=4096,
-                title="Side",
-                description="A learned method sees pictures brought to this shorter side.",
-                extra={"unit": "px", "none": "as they are"},
-            ),
-        ]
-        | None
-    ) = 512
-    tile_px: (
-        Annotated[
-            int,
-            Meta(
-                ge=64,
-                le=4096,
-                multiple_of=64,
-                title="Tile",
-                description="Larger pictures go through it in overlapping tiles of this side.",
-                extra={"unit": "px", "none": "in one piece", "usual": 512},
-            ),
-        ]
-        | None
-    ) = None
+    side_px: _Side | None = 512
+    tile_px: _Tile | None = None
     device: Annotated[
         Literal["auto", "cpu", "cuda"], Meta(title="Device", description="Where a learned method runs.")
     ] = "auto"

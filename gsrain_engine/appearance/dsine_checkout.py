@@ -1,7 +1,5 @@
 """DSINE's network, built from a local checkout of its code, on any device and without downloads."""
 
-from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,9 +25,8 @@ def check_checkout(named_by: str | Path, normals: str, checkout: Path | str | No
 def dsine_module(checkout: Path, estimates_uncertainty: bool = False) -> Any:
     """Return DSINE without weights, as `torch.nn.Module`, from either layout of its repository.
 
-    Raises:
-        ValueError: If the folder is not DSINE's code or `geffnet` is not installed.
-        UntrustedCodeError: If a file named the folder and the user has not allowed its content.
+    Raises ValueError if the folder is not DSINE's code or `geffnet` is not installed, and `UntrustedCodeError` if a
+    file named the folder and the user has not allowed its content.
     """
     if not any((checkout / "models" / file).is_file() for file in ("dsine.py", "dsine/v02.py")):
         raise ValueError(f"{checkout}: not DSINE's program: it has neither models/dsine/v02.py nor models/dsine.py")
@@ -42,6 +39,14 @@ def dsine_module(checkout: Path, estimates_uncertainty: bool = False) -> Any:
             raise ValueError(f"DSINE in {checkout} needs {error.name}: pip install {error.name}") from None
 
 
+_PUBLISHED = SimpleNamespace(
+    NNET_encoder_B=5, NNET_decoder_NF=2048, NNET_decoder_BN=False, NNET_decoder_down=8, NNET_learned_upsampling=True,
+    NNET_output_dim=3, NNET_feature_dim=64, NNET_hidden_dim=64, NRN_prop_ps=5, NRN_num_iter_train=5,
+    NRN_num_iter_test=5, NRN_ray_relu=True,
+)  # fmt: skip
+"""Settings of its published weights (experiments exp001_cvpr2024 and exp002_kappa)."""
+
+
 def _built(checkout: Path, estimates_uncertainty: bool) -> Any:
     if not (checkout / "models" / "dsine" / "v02.py").is_file():
         _without_pretrained_encoder(import_module("models.submodules"))
@@ -50,47 +55,25 @@ def _built(checkout: Path, estimates_uncertainty: bool) -> Any:
     program: Any = import_module(f"models.dsine.{name}")
     coordinates = program.get_pixel_coords
 
-    def unmoved(h: int, w: int) -> _Unmoved:
-        return _Unmoved(coordinates(h=h, w=w))
+    def unmoved(h: int, w: int) -> SimpleNamespace:
+        """Coordinates that ignore `to`: DSINE would move them to the first GPU, which may not exist."""
+        tensor = coordinates(h=h, w=w)
+
+        def to(device: object) -> Any:
+            return tensor
+
+        return SimpleNamespace(to=to)
 
     program.get_pixel_coords = unmoved
     _without_pretrained_encoder(import_module("models.conv_encoder_decoder.submodules"))
-    return getattr(program, f"DSINE_{name}")(_published_settings())
-
-
-@dataclass(frozen=True, slots=True)
-class _Unmoved:
-    """Tensor that ignores `to`: DSINE would move it to the first GPU, which may not exist."""
-
-    tensor: Any
-
-    def to(self, device: object) -> Any:
-        return self.tensor
-
-
-def _published_settings() -> SimpleNamespace:
-    """Settings of its published weights (experiments exp001_cvpr2024 and exp002_kappa)."""
-    return SimpleNamespace(
-        NNET_encoder_B=5,
-        NNET_decoder_NF=2048,
-        NNET_decoder_BN=False,
-        NNET_decoder_down=8,
-        NNET_learned_upsampling=True,
-        NNET_output_dim=3,
-        NNET_feature_dim=64,
-        NNET_hidden_dim=64,
-        NRN_prop_ps=5,
-        NRN_num_iter_train=5,
-        NRN_num_iter_test=5,
-        NRN_ray_relu=True,
-    )
+    return getattr(program, f"DSINE_{name}")(_PUBLISHED)
 
 
 def _without_pretrained_encoder(program: Any) -> None:
     """Keep the encoder from downloading ImageNet weights, which the user's weights replace anyway."""
     create = program.geffnet.create_model
-    program.geffnet = SimpleNamespace(create_model=partial(_created, create))
 
+    def without_download(name: str, pretrained: bool = True) -> Any:
+        return create(name, pretrained=False)
 
-def _created(create: Any, name: str, pretrained: bool = True) -> Any:
-    return create(name, pretrained=False)
+    program.geffnet = SimpleNamespace(create_model=without_download)

@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 
 from ..safe_io.limits import open_file
 from ..scene.camera import Camera
+from .base import Image
 from .dsine_checkout import dsine_module
 
 torch: Any = import_module("torch")
-SIDE_PX = 32
-"""Input width and height must be multiples of this."""
-
+SIDE_PX = 32  # input width and height must be multiples of this
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # ImageNet statistics of display color, 0..1
 
 
@@ -33,7 +32,7 @@ class DsineNormals:
     module: Any
     device: str = "cpu"
 
-    def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+    def normals(self, image: Image, camera: Camera) -> Image:
         """Return unit world normals (z up) towards the eye, from a display image (0..1)."""
         height, width = image.shape[:2]
         left, top = -width % SIDE_PX // 2, -height % SIDE_PX // 2
@@ -46,8 +45,8 @@ class DsineNormals:
         cx, cy = camera.cx - 0.5 + left, camera.cy - 0.5 + top
         intrinsics = torch.tensor([[[camera.fx, 0, cx], [0, camera.fy, cy], [0, 0, 1]]], device=self.device)
         with torch.inference_mode():
-            seen = self.module((padded - mean) / deviation, intrins=intrinsics)[-1]
-        found = seen[0, :3, top : top + height, left : left + width].permute(1, 2, 0).double().cpu().numpy()
+            output = self.module((padded - mean) / deviation, intrins=intrinsics)[-1]
+        found = output[0, :3, top : top + height, left : left + width].permute(1, 2, 0).double().cpu().numpy()
         unit = found / np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-9)
         return from_right_down_outward(unit, camera)
 
@@ -84,7 +83,7 @@ class MarigoldNormals:
     pipeline: Any
     seed: int = 0
 
-    def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+    def normals(self, image: Image, camera: Camera) -> Image:
         """Return unit world normals (z up) towards the eye, from a display image (0..1)."""
         noise = torch.Generator(device="cpu").manual_seed(self.seed)
         self.pipeline.set_progress_bar_config(disable=True)
@@ -104,12 +103,12 @@ def open_marigold(folder: Path, device: str = "cpu") -> MarigoldNormals:
 # Axis conventions of the models. World normals point towards the eye.
 
 
-def from_right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+def from_right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Image:
     """Turn normals in camera axes (x right, y down, z forward) away from the eye into world normals towards it."""
     return (-(normals @ camera.world_to_camera[:3, :3])).astype(np.float32)
 
 
-def from_right_up_backward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+def from_right_up_backward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Image:
     """Turn normals with x right, y up, z towards the eye, which point towards the eye, into world normals.
 
     Marigold's convention (Ke et al. 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).

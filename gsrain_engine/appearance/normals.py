@@ -3,15 +3,15 @@
 World axes are z up, camera axes OpenCV.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float
 
 from ..scene.camera import Camera
+from .base import Image, Plane
 
 _SMOOTHING_PX = 2.0  # scale at which slopes are averaged, because the expected depth of splats is bumpy
 _EDGE_RATIO, _NOISE_SHARE = 3.0, 0.01
@@ -25,12 +25,18 @@ def view_rays(camera: Camera) -> Float[np.ndarray, "h w 3"]:
     return rays @ camera.world_to_camera[:3, :3]
 
 
-def world_points(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float[np.ndarray, "h w 3"]:
+def view_directions(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+    """Unit world directions through the pixel centers."""
+    rays = view_rays(camera)
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def world_points(depth: Plane, camera: Camera) -> Float[np.ndarray, "h w 3"]:
     """World position of each pixel's surface, in meters; `depth` along the view axis in meters."""
     return camera.position + depth[..., None].astype(np.float64) * view_rays(camera)
 
 
-def normals_from_depth(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+def normals_from_depth(depth: Plane, camera: Camera) -> Image:
     """Unit world normals towards the eye; zero where depth is 0.
 
     For a plane n . point = 1 (camera axes), inverse depth is linear in the image with gradient (n_x / fx, n_y / fy),
@@ -68,7 +74,7 @@ def _averaged(values: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) 
     return scipy.ndimage.gaussian_filter(values * known, _SMOOTHING_PX, mode="nearest") / np.maximum(weight, 1e-6)
 
 
-def right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+def right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Image:
     """Turn world normals towards the eye into camera axes (x right, y down, z forward) away from the eye.
 
     DSINE's convention (Bae and Davison 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
@@ -82,9 +88,7 @@ GuideKind = Literal["up", "luma"]
 _LUMA = np.array([0.299, 0.587, 0.114])  # Rec. 601, as in Pillow's mode L.
 
 
-def normals_to_gray(
-    normals: Float[np.ndarray, "h w 3"], camera: Camera, kind: GuideKind = "up"
-) -> Float32[np.ndarray, "h w"]:
+def normals_to_gray(normals: Float[np.ndarray, "h w 3"], camera: Camera, kind: GuideKind = "up") -> Plane:
     """Return the guide of unit world normals (z up) towards the eye; 0 where normals are 0 (unknown or sky).
 
     `up` is their upward part: 1 on level ground, 0 on walls, for any camera orientation. `luma` is the luma of a normal
@@ -103,29 +107,13 @@ def normals_to_gray(
 class NormalEstimator(Protocol):
     """Model that estimates surface normals from an image."""
 
-    def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+    def normals(self, image: Image, camera: Camera) -> Image:
         """Return unit world normals (z up) towards the eye, from a display image (0..1); results are deterministic.
 
         `camera` has no lens distortion and the image's size.
         """
         ...
 
-
-def _dsine(weights: Path, checkout: Path | None, device: str) -> NormalEstimator:
-    from .normal_models import open_dsine
-
-    if checkout is None:
-        raise ValueError("dsine needs a folder with its program: git clone https://github.com/baegwangbin/DSINE")
-    return open_dsine(checkout, weights, device)
-
-
-def _marigold(weights: Path, checkout: Path | None, device: str) -> NormalEstimator:
-    from .normal_models import open_marigold
-
-    return open_marigold(weights, device)
-
-
-ESTIMATORS: dict[str, Callable[[Path, Path | None, str], NormalEstimator]] = {"dsine": _dsine, "marigold": _marigold}
 
 WEIGHTS = {
     "dsine": "dsine.pt (https://huggingface.co/camenduru/DSINE), for non-commercial use only",
@@ -137,15 +125,21 @@ WEIGHTS = {
 def open_estimator(
     name: str, weights: Path | str | None, checkout: Path | str | None = None, device: str = "cpu"
 ) -> NormalEstimator:
-    """Open an estimator by its name in `ESTIMATORS`, with weights from disk.
+    """Open an estimator by its name in `WEIGHTS`, with weights from disk.
 
     Raises ValueError for an unknown name, a missing path or a file that the estimator can't read.
     """
-    if name not in ESTIMATORS:
-        raise ValueError(f"no normal estimator {name!r}; there are {', '.join(ESTIMATORS)}")
+    if name not in WEIGHTS:
+        raise ValueError(f"no normal estimator {name!r}; there are {', '.join(WEIGHTS)}")
     if weights is None:
         raise ValueError(f"{name} needs weights: {WEIGHTS[name]}")
     for path in (weights, checkout):
         if path is not None and not Path(path).exists():
             raise ValueError(f"{path}: no such file or folder; {name} needs {WEIGHTS[name]}")
-    return ESTIMATORS[name](Path(weights), None if checkout is None else Path(checkout), device)
+    from .normal_models import open_dsine, open_marigold  # loads torch
+
+    if name == "marigold":
+        return open_marigold(Path(weights), device)
+    if checkout is None:
+        raise ValueError("dsine needs a folder with its program: git clone https://github.com/baegwangbin/DSINE")
+    return open_dsine(Path(checkout), Path(weights), device)

@@ -19,9 +19,10 @@ from ..datasets.image_override import find_images, flat_name, sized_image
 from ..datasets.io.images import read_color, read_labels
 from ..safe_io.text_files import json_values, printable_line, read_whole
 from ..scene.files import shortened, whole_folder
-from .base import ClearView, RainyView, SkippedCounts
+from .base import ClearView, Plane, RainyView, SkippedCounts
 
 logger = logging.getLogger("gsrain")
+Bytes = UInt8[np.ndarray, "h w ..."]
 
 
 class PrecomputedTransfer:
@@ -64,8 +65,11 @@ class PrecomputedTransfer:
 # clear image; NAME.film.png, the share of water reflection; NAME.sky_share.png and NAME.vehicles.png, shares of 255;
 # and transfer.json, the `TransferRecord`. Cameras, depth and normals have the units and axes of their source.
 
+TRANSFER = "transfer.json"
 _CLEAR = "clear"
 _OLD_NAME_BYTES = 200
+_VERSION = 1
+_LARGEST = 1e9  # bound of a transform: meters per unit, and meters to the origin
 
 
 def check_transferred_folder(folder: Path) -> None:
@@ -76,12 +80,9 @@ def check_transferred_folder(folder: Path) -> None:
         raise ValueError(f"{folder}: holds other things; expected a new folder, or one of a transfer to replace")
 
 
-# Transfer record (transfer.json)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TransferRecord:
-    """Method, source and settings of a transfer."""
+    """Method, source and settings of a transfer, in its transfer.json."""
 
     method: str
     made_of: str
@@ -108,40 +109,35 @@ def write_transferred(
     """Write rainy views one by one, and yield each once it is on disk.
 
     The folder appears once all views are written, and then replaces an older transfer; an interrupted run leaves the
-    old state. Names of views become file names, with _ for each /.
+    old state. Names of views become file names, with _ for each /. Skipped steps are added to the record's notes.
+    `mask` returns the pixels of a view that are valid for training, by its name; None means all.
 
-    Args:
-        folder: Target folder; see `check_transferred_folder`.
-        views: Rainy views in the world.
-        record: Record to write; skipped steps are added to its notes.
-        mask: Mask of the pixels valid for training, by name of a view; None means all.
-
-    Raises:
-        ValueError: If the folder holds something else, or two views have the same file name.
+    Raises ValueError if the folder holds something else, or two views have the same file name.
     """
     check_transferred_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    names: set[str] = set()
-    rows: list[dict[str, Any]] = []
-    left_out, has_poses = SkippedCounts(), False
-    with whole_folder(folder) as beside:
-        (beside / _CLEAR).mkdir()
+    rows: dict[str, dict[str, Any]] = {}
+    skipped, has_poses = SkippedCounts(), False
+    old = folder.with_name(f".{shortened(folder.name, _OLD_NAME_BYTES)}.old")
+    with whole_folder(folder) as new_folder:
+        (new_folder / _CLEAR).mkdir()
         for rainy in views:
-            view = _view(rainy, record, mask(rainy.clear.name))
-            if view.name in names:
+            view = _capture_frame(rainy, record, mask(rainy.clear.name))
+            if view.name in rows:
                 raise ValueError(f"{folder}: two views would have the file name {view.name}.png")
-            names.add(view.name)
-            rows.append(write_view(beside, view))
-            _write_shares(beside, view.name, rainy)
-            left_out.add(rainy)
+            rows[view.name] = write_view(new_folder, view)
+            _write_shares(new_folder, view.name, rainy)
+            skipped.add(rainy)
             has_poses |= rainy.clear.has_pose
             yield rainy
         if not rows:
             raise ValueError(f"{folder}: there is no view to write")
-        write_cameras(beside, rows)
-        write_record(beside, replace(record, notes=left_out.sentences), has_poses=has_poses)
-        replaced = _set_aside(folder)
-    shutil.rmtree(replaced, ignore_errors=True)
+        write_cameras(new_folder, list(rows.values()))
+        write_record(new_folder, replace(record, notes=skipped.sentences), has_poses=has_poses)
+        shutil.rmtree(old, ignore_errors=True)
+        if folder.is_dir():
+            folder.rename(old)  # removed once the new folder is complete
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def is_transferred_folder(folder: Path) -> bool:
@@ -170,27 +166,27 @@ class TransferredViews(Sequence[RainyView]):
     def __getitem__(self, index: int | slice) -> RainyView | Sequence[RainyView]:
         if isinstance(index, slice):
             return TransferredViews(self._folder, self.record, replace(self._capture, views=self._capture.views[index]))
-        view, turn = self._capture[index], self.record.to_world[:3, :3] / self.record.metres_per_unit
+        view, to_world, scale = self._capture[index], self.record.to_world, self.record.metres_per_unit
+        turn = (to_world[:3, :3] / scale).T
         nothing = np.zeros((view.camera.height, view.camera.width), np.float32)
         depth, normals = view.depth, view.normals
+        shares = (self._share(view.name, kind) for kind in ("sky_share", "vehicles"))
+        sky, vehicles = (nothing if each is None else each for each in shares)
         clear = ClearView(
-            view.name,
-            view.camera.moved(self.record.to_world),
-            view.time_s,
-            read_color(self._folder / _CLEAR / f"{view.name}.png").astype(np.float32) / np.float32(255),
-            nothing if depth is None else depth * np.float32(self.record.metres_per_unit),
-            np.dstack([nothing] * 3) if normals is None else (normals @ turn.T).astype(np.float32),
-            _share(self._folder / f"{view.name}.sky_share.png", nothing),
-            _share(self._folder / f"{view.name}.vehicles.png", nothing),
-            view.sensor,
-            has_pose=self._capture.has_poses,
-        )
-        film = self._folder / f"{view.name}.film.png"
-        image = view.image.astype(np.float32) / np.float32(255)
-        return RainyView(clear, image, _share(film, nothing) if film.is_file() else None)
+            view.name, view.camera.moved(to_world), view.time_s,
+            _to_unit(read_color(self._folder / _CLEAR / f"{view.name}.png")),
+            nothing if depth is None else depth * np.float32(scale),
+            np.dstack([nothing] * 3) if normals is None else (normals @ turn).astype(np.float32),
+            sky, vehicles, view.sensor, has_pose=self._capture.has_poses,
+        )  # fmt: skip
+        return RainyView(clear, _to_unit(view.image), self._share(view.name, "film"))
+
+    def _share(self, name: str, kind: str) -> Plane | None:
+        file = self._folder / f"{name}.{kind}.png"
+        return _to_unit(read_labels(file)) if file.is_file() else None
 
 
-def _view(rainy: RainyView, record: TransferRecord, mask: Bool[np.ndarray, "h w"] | None) -> CaptureFrame:
+def _capture_frame(rainy: RainyView, record: TransferRecord, mask: Bool[np.ndarray, "h w"] | None) -> CaptureFrame:
     """Rainy image as a view in the units and axes of the scene or capture."""
     clear, scale = rainy.clear, record.metres_per_unit
     from_world = np.linalg.inv(record.to_world)
@@ -210,38 +206,21 @@ def _write_shares(folder: Path, name: str, rainy: RainyView) -> None:
             Image.fromarray(_bytes(share)).save(folder / f"{name}.{kind}.png")
 
 
-def _set_aside(folder: Path) -> Path:
-    """Rename an older transfer, to be removed once the new one is complete."""
-    aside = folder.with_name(f".{shortened(folder.name, _OLD_NAME_BYTES)}.old")
-    shutil.rmtree(aside, ignore_errors=True)
-    if folder.is_dir():
-        folder.rename(aside)
-    return aside
-
-
-def _bytes(values: Float32[np.ndarray, "h w ..."]) -> UInt8[np.ndarray, "h w ..."]:
+def _bytes(values: Float32[np.ndarray, "h w ..."]) -> Bytes:
     return np.rint(np.clip(values, 0, 1) * np.float32(255)).astype(np.uint8)
 
 
-def _share(file: Path, otherwise: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    return read_labels(file).astype(np.float32) / np.float32(255) if file.is_file() else otherwise
-
-
-TRANSFER = "transfer.json"
-_VERSION = 1
-_LARGEST = 1e9  # bound of a transform: meters per unit, and meters to the origin
+def _to_unit(values: Bytes) -> Float32[np.ndarray, "h w ..."]:
+    """Shares or display color, 0..1, of 8-bit values."""
+    return values.astype(np.float32) / np.float32(255)
 
 
 def write_record(folder: Path, record: TransferRecord, *, has_poses: bool = True) -> None:
     """Write the record, and a world file if z is not up, the unit is not the meter, or poses are unknown."""
     values = {
-        "version": _VERSION,
-        "method": record.method,
-        "made_of": record.made_of,
-        "settings": dict(record.settings),
-        "to_world": record.to_world.tolist(),
-        "notes": list(record.notes),
-    }
+        "version": _VERSION, "method": record.method, "made_of": record.made_of, "settings": dict(record.settings),
+        "to_world": record.to_world.tolist(), "notes": list(record.notes),
+    }  # fmt: skip
     (folder / TRANSFER).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
     x, y, z = (record.to_world[2, :3] / record.metres_per_unit).tolist()
     is_metric = bool(np.isclose(record.metres_per_unit, 1, atol=1e-9))
@@ -273,18 +252,18 @@ def read_record(folder: Path) -> TransferRecord:
 # Contact sheet
 
 _MARGIN_PX, _LINE_PX = 8, 16
-_PAPER, _INK = (24, 26, 28), (220, 222, 224)
+_BACKGROUND, _TEXT = (24, 26, 28), (220, 222, 224)
 
 
 class ContactSheet:
     """Image that shows evenly chosen views before and after a transfer: one row each, clear on the left."""
 
     def __init__(self, count: int, at_most: int = 6, width_px: int = 640) -> None:
-        """Take the number of views to come, the most views to show, and the width of each image."""
+        """Take the number of views to come, the largest number to show, and the width of each image."""
         self._chosen = set(np.linspace(0, count - 1, min(at_most, count)).round().astype(int).tolist())
         self._width = width_px
         self._added = 0
-        self._rows: list[tuple[str, list[UInt8[np.ndarray, "_ _ 3"]]]] = []
+        self._rows: list[tuple[str, list[Image.Image]]] = []
 
     def add(self, view: RainyView) -> None:
         if self._added in self._chosen:
@@ -292,18 +271,18 @@ class ContactSheet:
         self._added += 1
 
     def picture(self) -> Image.Image:
-        heights = [_LINE_PX + max(each.shape[0] for each in pictures) + _MARGIN_PX for _, pictures in self._rows]
-        sheet = Image.new("RGB", (2 * self._width + 3 * _MARGIN_PX, sum(heights) + _MARGIN_PX), _PAPER)
+        heights = [_LINE_PX + max(each.height for each in images) + _MARGIN_PX for _, images in self._rows]
+        sheet = Image.new("RGB", (2 * self._width + 3 * _MARGIN_PX, sum(heights) + _MARGIN_PX), _BACKGROUND)
         pen, top = ImageDraw.Draw(sheet), _MARGIN_PX
-        for (name, pictures), height in zip(self._rows, heights, strict=True):
-            pen.text((_MARGIN_PX, top), name, fill=_INK)
-            for i, pixels in enumerate(pictures):
-                sheet.paste(Image.fromarray(pixels), (_MARGIN_PX + i * (self._width + _MARGIN_PX), top + _LINE_PX))
+        for (name, images), height in zip(self._rows, heights, strict=True):
+            pen.text((_MARGIN_PX, top), name, fill=_TEXT)
+            for i, image in enumerate(images):
+                sheet.paste(image, (_MARGIN_PX + i * (self._width + _MARGIN_PX), top + _LINE_PX))
             top += height
         return sheet
 
-    def _sized(self, picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-        scale = self._width / picture.shape[1]
-        size = (self._width, max(round(picture.shape[0] * scale), 1))
-        resized = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
-        return np.rint(np.clip(resized, 0, 1) * np.float32(255)).astype(np.uint8)
+    def _sized(self, image: Float32[np.ndarray, "h w 3"]) -> Image.Image:
+        scale = self._width / image.shape[1]
+        size = (self._width, max(round(image.shape[0] * scale), 1))
+        resized = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+        return Image.fromarray(_bytes(resized))

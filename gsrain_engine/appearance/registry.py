@@ -27,15 +27,9 @@ class TransferMethod:
 
 
 def open_transfer(name: str, settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
-    """Open a transfer method.
+    """Open a transfer method; `surroundings` are the source of reflections for the wet look.
 
-    Args:
-        name: One of `METHODS`.
-        settings: User settings.
-        surroundings: Source of reflections for the wet look.
-
-    Raises:
-        ValueError: For an unknown name or a missing required setting.
+    Raises ValueError for an unknown name or a missing required setting.
     """
     method = find_method(name)
     if method.needs is not None and getattr(settings, method.needs) is None:
@@ -46,13 +40,11 @@ def open_transfer(name: str, settings: TransferSettings, surroundings: "Reflecti
 def find_method(name: str) -> TransferMethod:
     """Find a method by its name.
 
-    Raises:
-        ValueError: For an unknown name; the message lists the methods.
-        ExtensionError: For an unusable method of an installed package; a `ValueError`.
+    Raises ValueError for an unknown name; the message lists the methods. For an unusable method of an installed
+    package it is an `ExtensionError`.
     """
-    for each in METHODS:
-        if each.name == name:
-            return each
+    if (own := next((each for each in METHODS if each.name == name), None)) is not None:
+        return own
     if (installed := find_extension(TRANSFERS, name)) is not None:
         return _installed(installed)
     raise ValueError(f"no transfer method {name!r}, only {', '.join(method_names())}")

@@ -1,12 +1,12 @@
 """Clear views of a scene, rendered on the CPU, and the cameras to take them from."""
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, NamedTuple, overload
+from functools import lru_cache
+from typing import Annotated, Literal, overload
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float, Float64
 from msgspec import Meta, Struct
 
 from ..datasets.capture import Capture
@@ -14,13 +14,13 @@ from ..datasets.geometry import scaled_camera
 from ..datasets.undistort import undistort_frame
 from ..render.cpu.compositing import color_operator, expected
 from ..scene.camera import Camera, look_at
-from ..scene.camera_path import CameraPath
 from ..scene.objects import is_vehicle
 from ..scene.scene import Actor, DrawItem, Layer, Scene
-from .base import ClearView
+from .base import ClearView, Image, Plane
 from .normals import normals_from_depth, view_rays
 
-_SOLID = 0.3  # least share of non-sky in a pixel with depth
+Classes = Bool[np.ndarray, " n"]
+_SOLID = 0.3  # smallest share of non-sky in a pixel with depth
 _THERE = (0.1, 0.3)  # alpha below which a pixel shows nothing of the scene, and from which it shows only the scene
 _SHADOW_M = 0.08  # height over the road below which a vehicle's Gaussians are its shadow
 _OPEN_SKY = np.array([0.72, 0.80, 0.90], np.float32)
@@ -57,10 +57,11 @@ def scene_views(scene: Scene, placed: Sequence[PlacedCamera], width_px: int | No
 
 
 def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
-    camera, shown = placed.camera, _visible_items(scene, placed.time_s)
-    view = color_operator(shown.parts, camera)
+    camera = placed.camera
+    items, is_sky, is_vehicle = _visible_items(scene, placed.time_s)
+    view = color_operator(items, camera)
     own, colors = view.splats.indices, view.splats.colors
-    sky, vehicle = shown.is_sky[own].astype(np.float32), shown.is_vehicle[own].astype(np.float32)
+    sky, vehicle = is_sky[own].astype(np.float32), is_vehicle[own].astype(np.float32)
     painted = view.blend(np.concatenate([colors[:, :3], ((1 - sky) * colors[:, 3])[:, None]], axis=1))
     kinds = view.blend(np.stack([1 - sky, sky, vehicle], axis=1))
     solid, alpha = np.ascontiguousarray(kinds[..., 0]), kinds[..., 0] + kinds[..., 1]
@@ -68,7 +69,7 @@ def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
     depth[solid <= _SOLID * alpha] = 0
     image = np.stack([expected(np.ascontiguousarray(painted[..., c]), alpha) for c in range(3)], axis=-1)
     sky_share, vehicles = (expected(np.ascontiguousarray(kinds[..., k]), alpha) for k in (1, 2))
-    if not shown.has_sky:
+    if not is_sky.any():
         image, sky_share, depth = _under_open_sky(image, alpha, depth, camera)
     return ClearView(
         placed.name, camera, placed.time_s, np.clip(image, 0, 1), depth, normals_from_depth(depth, camera),
@@ -76,41 +77,23 @@ def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
     )  # fmt: skip
 
 
-class _VisibleItems(NamedTuple):
-    """Visible parts at a time, and the class of each of their Gaussians."""
-
-    parts: list[DrawItem]
-    is_sky: Bool[np.ndarray, " n"]
-    is_vehicle: Bool[np.ndarray, " n"]
-    has_sky: bool
-
-
-def _visible_items(scene: Scene, time_s: float) -> _VisibleItems:
-    parts: list[DrawItem] = []
+def _visible_items(scene: Scene, time_s: float) -> tuple[list[DrawItem], Classes, Classes]:
+    """Visible parts at a time, and masks of their Gaussians in the sky and on bodies of vehicles."""
+    items: list[DrawItem] = []
     sky, vehicle = [np.zeros(0, np.bool_)], [np.zeros(0, np.bool_)]
     for member in scene.members:
-        part = scene.part(member, time_s) if member.visible else None
-        if part is not None:
-            parts.append(part._replace(colors=None))
+        item = scene.part(member, time_s) if member.visible else None
+        if item is not None:
+            items.append(item._replace(colors=None))
             sky.append(np.full(len(member.gaussians), isinstance(member, Layer) and member.kind == "sky"))
-            vehicle.append(_is_body(member, scene.metres_per_unit))
-    is_sky = np.concatenate(sky)
-    return _VisibleItems(parts, is_sky, np.concatenate(vehicle), bool(is_sky.any()))
+            body = np.zeros(len(member.gaussians), np.bool_)
+            if isinstance(member, Actor) and is_vehicle(member.class_name):
+                body = member.gaussians.means[:, 2] * scene.metres_per_unit > _SHADOW_M
+            vehicle.append(body)
+    return items, np.concatenate(sky), np.concatenate(vehicle)
 
 
-def _is_body(member: Layer | Actor, metres_per_unit: float) -> Bool[np.ndarray, " n"]:
-    """Mask of a member's Gaussians that belong to a vehicle's body."""
-    if isinstance(member, Layer) or not is_vehicle(member.class_name):
-        return np.zeros(len(member.gaussians), np.bool_)
-    return np.asarray(member.gaussians.means[:, 2] * metres_per_unit > _SHADOW_M)
-
-
-def _under_open_sky(
-    image: Float32[np.ndarray, "h w 3"],
-    alpha: Float32[np.ndarray, "h w"],
-    depth: Float32[np.ndarray, "h w"],
-    camera: Camera,
-) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+def _under_open_sky(image: Image, alpha: Plane, depth: Plane, camera: Camera) -> tuple[Image, Plane, Plane]:
     """Fill empty pixels above the horizon with sky; below it, they stay empty.
 
     A partly covered pixel becomes fully covered: colors are solved for from it, and the scene may have no sky there.
@@ -118,10 +101,9 @@ def _under_open_sky(
     low, high = _THERE
     t = np.clip((alpha - low) / (high - low), 0, 1)
     there = t * t * (3 - 2 * t)
-    rises = view_rays(camera)[..., 2] > 0
-    sky = np.where(rises, 1 - there, 0).astype(np.float32)
-    shown = image * there[..., None] + _OPEN_SKY * sky[..., None]
-    return shown, sky, np.where(there > 0.5, depth, np.float32(0))
+    sky = np.where(view_rays(camera)[..., 2] > 0, 1 - there, 0).astype(np.float32)
+    filled = image * there[..., None] + _OPEN_SKY * sky[..., None]
+    return filled, sky, np.where(there > 0.5, depth, np.float32(0))
 
 
 # View choice: from the recording, along a path, or around the scene
@@ -129,14 +111,21 @@ def _under_open_sky(
 Source = Literal["auto", "recorded", "rig", "path", "around"]
 DEFAULT_COUNT = 24
 """Default number of views: enough for a street of 100 m."""
-
 DEFAULT_PIXELS = 480 * 320
 """Default number of pixels of a quick preview, for any aspect ratio."""
-
 OWN_WIDTH_PX = 960
 """Largest default width of images in commands; narrower images keep their width."""
-
-_PATH_PX = (960, 640)  # width and height of views along a camera path, which has no images of its own
+_PLAIN_PX = (960, 640)  # width and height of views that have no images of their own
+_Count = Annotated[
+    int,
+    Meta(ge=1, le=100_000, title="Number of views", extra={"none": "as many as fit", "usual": 24},
+         description="Evenly over all there are."),
+]  # fmt: skip
+_Width = Annotated[
+    int,
+    Meta(ge=16, le=16384, title="Width of pictures", extra={"unit": "px", "none": "as 480 x 320", "usual": 480},
+         description="Each picture keeps its proportions."),
+]  # fmt: skip
 
 
 class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -144,39 +133,13 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     source: Annotated[
         Source,
-        Meta(
-            title="Views",
-            description="recorded: the cameras of a capture; rig: the scene's own, along the ego's way; path: its "
-            "camera path; around: outwards from its middle and inwards from a ring; auto: the first there is.",
-        ),
-    ] = "auto"
-    count: (
-        Annotated[
-            int,
-            Meta(
-                ge=1,
-                le=100_000,
-                title="Number of views",
-                extra={"none": "as many as fit", "usual": 24},
-                description="Evenly over all there are.",
-            ),
-        ]
-        | None
-    ) = None
+        Meta(title="Views", description="recorded: the cameras of a capture; rig: the scene's own, along the ego's "
+             "way; path: its camera path; around: outwards from its middle and inwards from a ring; auto: the first "
+             "there is."),
+    ] = "auto"  # fmt: skip
+    count: _Count | None = None
     """None is all views of a recording, and 24 otherwise."""
-    width_px: (
-        Annotated[
-            int,
-            Meta(
-                ge=16,
-                le=16384,
-                title="Width of pictures",
-                extra={"unit": "px", "none": "as 480 x 320", "usual": 480},
-                description="Each picture keeps its proportions.",
-            ),
-        ]
-        | None
-    ) = None
+    width_px: _Width | None = None
     """None gives images as many pixels as 480 x 320, at most their own."""
     sensors: Annotated[
         tuple[str, ...], Meta(title="Cameras", description="Only these of the rig or the recording; empty for all.")
@@ -186,38 +149,24 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 def chosen_cameras(
     scene: Scene, choice: ViewChoice, capture: Capture | None = None, own_width_px: int | None = None
 ) -> list[PlacedCamera]:
-    """Place cameras in a scene as chosen; names are unique.
+    """Place cameras in a scene as chosen; names are unique. Raises ValueError if the scene has no such views.
 
-    Args:
-        scene: Scene to view.
-        choice: Choice of views.
-        capture: Recording of the scene; its world has the scene's own units and axes.
-        own_width_px: Without a chosen width, images have their cameras' width, up to this; None makes them small
-            instead (`ViewChoice.width_px`).
-
-    Raises:
-        ValueError: If the scene has no such views.
+    `capture` is the recording of the scene; its world has the scene's own units and axes. Without a chosen width,
+    images have their cameras' width, up to `own_width_px`; None makes them small instead (`ViewChoice.width_px`).
     """
-    source = choice.source if choice.source != "auto" else _best(scene, capture)
-    if source == "recorded":
+    source, count = choice.source, choice.count or DEFAULT_COUNT
+    has_rig = scene.ego is not None and scene.ego.valid.any() and any(scene.rigs.values())
+    if source == "recorded" or (source == "auto" and capture is not None):
         placed = _recorded(scene, choice, capture)
-    elif source == "rig":
-        placed = views_along_drive(scene, choice.count or DEFAULT_COUNT, choice.sensors)
-    elif source == "path":
-        placed = _on_the_path(scene, choice.count or DEFAULT_COUNT)
+    elif source == "rig" or (source == "auto" and has_rig):
+        placed = views_along_drive(scene, count, choice.sensors)
+    elif source == "path" or (source == "auto" and scene.path is not None):
+        placed = _on_the_path(scene, count)
     else:
-        placed = views_around_center(scene, choice.count or DEFAULT_COUNT)
+        placed = views_around_center(scene, count)
     if choice.width_px is None and own_width_px is not None:
         return [each.at_width(min(own_width_px, each.camera.width)) for each in placed]
     return [each.at_width(choice.width_px or _default_width(each)) for each in placed]
-
-
-def _best(scene: Scene, capture: Capture | None) -> Source:
-    if capture is not None:
-        return "recorded"
-    if scene.ego is not None and scene.ego.valid.any() and any(scene.rigs.values()):
-        return "rig"
-    return "around" if scene.path is None else "path"
 
 
 def chosen_views(capture: Capture, choice: ViewChoice) -> Capture:
@@ -245,16 +194,12 @@ def _on_the_path(scene: Scene, count: int) -> list[PlacedCamera]:
     path = scene.path
     if path is None:
         raise ValueError(f"scene {scene.name!r} has no camera path")
-    times = _evenly_timed(path, count)
-    cameras = [path.camera(t, *_PATH_PX).moved(scene.scene_to_world) for t in times]
-    return [PlacedCamera(f"path_{i:03d}", camera, t) for i, (camera, t) in enumerate(zip(cameras, times, strict=True))]
-
-
-def _evenly_timed(path: CameraPath, count: int) -> list[float]:
-    """Evenly spaced times along a path; a loop's end is left out, since it repeats the start."""
-    if path.duration_s == 0:
-        return [path.start_s]
-    return np.linspace(path.start_s, path.end_s, count, endpoint=not path.loop).tolist()
+    # Evenly spaced times; a loop's end is left out, since it repeats the start.
+    times: list[float] = np.linspace(path.start_s, path.end_s, count, endpoint=not path.loop).tolist()
+    return [
+        PlacedCamera(f"path_{i:03d}", path.camera(t, *_PLAIN_PX).moved(scene.scene_to_world), t)
+        for i, t in enumerate(times if path.duration_s else [path.start_s])
+    ]
 
 
 def evenly_spaced_indices(there: int, count: int | None) -> Sequence[int]:
@@ -276,13 +221,8 @@ def _default_width(placed: PlacedCamera) -> int:
 def views_along_drive(scene: Scene, count: int, sensors: Sequence[str] = ()) -> list[PlacedCamera]:
     """Spread views evenly over the driven distance; every second one looks forward, the other cameras take turns.
 
-    Args:
-        scene: Scene with an ego vehicle and a rig.
-        count: Number of views; those at times without an ego vehicle are skipped.
-        sensors: Cameras of the rig to use; empty for all.
-
-    Raises:
-        ValueError: If there is no rig or ego trajectory, or no such camera.
+    Of `count` views, those at times without an ego vehicle are skipped. `sensors` are the cameras to use, empty for
+    all. Raises ValueError if there is no rig or ego trajectory, or no such camera.
     """
     rig = next((cameras for cameras in scene.rigs.values() if cameras), ())
     if scene.ego is None or not scene.ego.valid.any() or not rig:
@@ -296,8 +236,7 @@ def views_along_drive(scene: Scene, count: int, sensors: Sequence[str] = ()) -> 
     placed: list[PlacedCamera] = []
     for i, time_s in enumerate(_evenly_driven(scene.ego.times, scene.ego.positions, count)):
         mounted = front if i % 2 == 0 else others[i // 2 % len(others)]
-        ego_to_world = scene.ego_to_world(time_s)
-        if ego_to_world is not None:
+        if (ego_to_world := scene.ego_to_world(time_s)) is not None:
             camera = mounted.camera(ego_to_world)
             placed.append(PlacedCamera(f"{mounted.name}_{i:03d}", camera, time_s, mounted.name))
     return placed
@@ -308,14 +247,12 @@ def _evenly_driven(times: Float64[np.ndarray, " t"], positions: Float64[np.ndarr
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     if driven[-1] <= 0:
         driven = times - times[0]
-    shares = (np.arange(count) + 0.5) / count
-    return [float(t) for t in np.interp(shares * driven[-1], driven, times)]
+    return np.interp((np.arange(count) + 0.5) / count * driven[-1], driven, times).tolist()
 
 
 # Views around a scene of Gaussians alone. World frame (meters, z up).
 
 EYE_HEIGHT_M = 1.6
-_FIELD_OF_VIEW_DEG = 60.0
 _RING = 2.2  # radius of the ring of cameras, in half diagonals of the scene
 
 
@@ -329,7 +266,7 @@ def views_around_center(scene: Scene, count: int) -> list[PlacedCamera]:
         ring = middle + _RING * reach * outward + np.array([0, 0, 0.3 * reach])
         eye, target = (middle, middle + outward) if i % 2 else (ring, middle)
         pose = look_at(eye, target, np.array([0.0, 0.0, 1.0]))
-        placed.append(PlacedCamera(f"around_{i:03d}", Camera.from_fov(960, 640, _FIELD_OF_VIEW_DEG, pose)))
+        placed.append(PlacedCamera(f"around_{i:03d}", Camera.from_fov(*_PLAIN_PX, 60.0, pose)))
     return placed
 
 
@@ -361,9 +298,8 @@ CACHED_VIEWS = 6
 class CachedViews(Sequence[ClearView]):
     """Sequence of views, each made by a function of its index; the most recently used ones are cached."""
 
-    def __init__(self, count: int, make: Callable[[int], ClearView], kept: int = CACHED_VIEWS) -> None:
-        self._count, self._make, self._room = count, make, kept
-        self._kept: OrderedDict[int, ClearView] = OrderedDict()
+    def __init__(self, count: int, make: Callable[[int], ClearView], max_cached: int = CACHED_VIEWS) -> None:
+        self._count, self._view_at = count, lru_cache(max_cached)(make)
 
     def __len__(self) -> int:
         return self._count
@@ -376,9 +312,4 @@ class CachedViews(Sequence[ClearView]):
         if isinstance(index, slice):
             chosen = range(self._count)[index]
             return CachedViews(len(chosen), lambda i: self[chosen[i]], 0)  # `self` caches already
-        index = range(self._count)[index]
-        view = self._kept.pop(index, None) or self._make(index)
-        self._kept[index] = view
-        while len(self._kept) > self._room:
-            self._kept.popitem(last=False)
-        return view
+        return self._view_at(range(self._count)[index])

@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from ..appearance.finetune.settings import code_of, load_finetuning
-from ..appearance.finetune.task import FinetuneTask
+from ..appearance.finetune.settings import FinetuneTask, code_of, load_finetuning
 from ..safe_io.text_files import printable_line
 from ..trusted_code import UntrustedCodeError, trust_permanently
 from .jobs.job import Job

@@ -201,10 +201,10 @@ class MatchableViews:
 
     def __init__(self, capture: Capture, scene: Scene | None) -> None:
         """`scene` is the scene that shares the capture's units and axes, if there is one."""
-        from ..appearance.capture_views import capture_views  # SciPy loads slowly
+        from ..appearance.capture_views import CaptureViews  # SciPy loads slowly
 
         self.capture, self.scene = capture, scene
-        self._recorded = capture_views(capture, _WIDTH_PX)
+        self._recorded = CaptureViews(capture, _WIDTH_PX)
         self._straight = [undistort_frame(view, min(_WIDTH_PX, view.camera.width)) for view in capture]
         self._scene_views: Sequence[ClearView] | None = None
         if scene is not None:

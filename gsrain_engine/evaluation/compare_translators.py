@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..appearance import output_folder
 from ..appearance.base import ClearView, RainyView, Transfer
-from ..appearance.capture_views import capture_views
+from ..appearance.capture_views import CaptureViews
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, open_images
 from ..appearance.normals import WEIGHTS
@@ -245,7 +245,7 @@ def _is_reusable(folder: Path, record: TransferRecord) -> bool:
 
 def capture_source(capture: Capture, width_px: int, source_stamp: str) -> ComparedSource:
     """Use the images of a capture; wider ones are downscaled to `width_px`."""
-    views = capture_views(capture, width_px)
+    views = CaptureViews(capture, width_px)
     return ComparedSource(
         capture.name, views, ImageEnvironment(), views.to_world, views.mask, capture.has_poses, source_stamp
     )

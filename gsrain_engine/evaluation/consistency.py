@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..appearance.base import RainyView
-from ..appearance.correspondence import Correspondence, correspondence, warped
-from ..appearance.covisibility import rank_neighbors
+from ..appearance.correspondence import Correspondence, correspondence, rank_neighbors, warped
 from ..appearance.output_folder import is_transferred_folder, read_transferred
 from ..appearance.scene_views import CachedViews
 from .image_metrics import Image, ImageDistance, Mask
@@ -72,10 +71,10 @@ def open_view_folder(folder: Path, width_px: int | None = None) -> ViewFolder:
         transferred = read_transferred(folder)
         record, views = transferred.record, _LazyViews(len(transferred), transferred.__getitem__)
         return ViewFolder(folder, views, True, record.method, dict(record.settings))
-    from ..appearance.capture_views import capture_views
+    from ..appearance.capture_views import CaptureViews
     from ..datasets.open_capture import open_capture  # loads every reader
 
-    clear = capture_views(open_capture(folder), width_px or _DEFAULT_WIDTH_PX)
+    clear = CaptureViews(open_capture(folder), width_px or _DEFAULT_WIDTH_PX)
     return ViewFolder(folder, _LazyViews(len(clear), lambda i: RainyView(clear[i], clear[i].image)), False)
 
 

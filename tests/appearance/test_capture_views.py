@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.capture_views import capture_views
-from gsrain_engine.appearance.guess_geometry import color_guided_filter
+from gsrain_engine.appearance.capture_views import CaptureViews, color_guided_filter
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_views
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, Lens
 from gsrain_engine.datasets.capture_folder import camera_without_calibration
@@ -18,7 +17,7 @@ Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 def test_lidar_becomes_dense_depth_and_normals_and_the_sky_is_found():
     capture = drive_capture()
-    view = capture_views(capture, WIDTH)[2]
+    view = CaptureViews(capture, WIDTH)[2]
     truth = world_depth(capture[2].camera)
     finite = np.isfinite(truth)
     assert view.sky[:8].min() == 1
@@ -34,20 +33,20 @@ def test_lidar_becomes_dense_depth_and_normals_and_the_sky_is_found():
 
 def test_wider_pictures_are_made_smaller_and_never_larger():
     capture = drive_capture(2)
-    assert capture_views(capture, 48)[0].image.shape == (32, 48, 3)
-    assert capture_views(capture, 4800)[0].image.shape == (HEIGHT, WIDTH, 3)
+    assert CaptureViews(capture, 48)[0].image.shape == (32, 48, 3)
+    assert CaptureViews(capture, 4800)[0].image.shape == (HEIGHT, WIDTH, 3)
 
 
 def test_boxes_of_vehicles_are_their_pixels_without_the_road_under_them():
     car, walker = box("car", (12.0, 0.0), 0.0), box("man", (12.0, 6.0), 0.0, label="Pedestrian")
     capture = drive_capture(3, boxes=(car, walker), sweeps=())
-    view = capture_views(capture, WIDTH)[0]
+    view = CaptureViews(capture, WIDTH)[0]
     flagged = view.vehicles > 0
     assert flagged.any()
     assert not flagged[:, : WIDTH // 3].any()
-    seen = capture_views(replace(capture, boxes=(walker,)), WIDTH)[0]
+    seen = CaptureViews(replace(capture, boxes=(walker,)), WIDTH)[0]
     assert not seen.vehicles.any()
-    with_lidar = capture_views(replace(capture, sweeps=drive_capture(3).sweeps), WIDTH)[0]
+    with_lidar = CaptureViews(replace(capture, sweeps=drive_capture(3).sweeps), WIDTH)[0]
     road_before_it = with_lidar.vehicles[-10:]  # the scan went through where the box is: all road
     assert not road_before_it.any()
 
@@ -65,7 +64,7 @@ def test_what_a_capture_knows_is_taken_as_it_is():
         )
         for view, depth in zip(plain, truth, strict=True)
     )
-    view = capture_views(replace(plain, views=known, sweeps=()), WIDTH)[1]
+    view = CaptureViews(replace(plain, views=known, sweeps=()), WIDTH)[1]
     np.testing.assert_array_equal(view.depth, known[1].depth)
     np.testing.assert_array_equal(view.sky > 0.5, known[1].sky)
     np.testing.assert_array_equal(view.normals[..., 2], 1)
@@ -83,7 +82,7 @@ def test_a_capture_in_other_units_and_axes_comes_into_the_world():
         is_metric=False,
         up=tuple(Y_UP[:3, 2]),
     )
-    views = capture_views(capture, WIDTH)
+    views = CaptureViews(capture, WIDTH)
     scale = EGO_HEIGHT_M / -ROAD_Z
     rows = slice(HEIGHT // 2 + 6, HEIGHT)
     np.testing.assert_allclose(views[1].depth[rows], scale * world_depth(metric[1].camera)[rows], rtol=0.1)
@@ -94,7 +93,7 @@ def test_a_capture_in_other_units_and_axes_comes_into_the_world():
 def test_where_nothing_was_measured_nothing_is_taken_for_road():
     capture = drive_capture(1)
     bare = replace(capture, sweeps=(), views=(replace(capture[0], image_source=_gray_road()),))
-    view = capture_views(bare, WIDTH)[0]
+    view = CaptureViews(bare, WIDTH)[0]
     assert not view.depth.any() and not view.normals.any()
     assert not view.has_surfaces
     assert view.sky[: HEIGHT // 2 - 4].min() > 0.9
@@ -103,26 +102,26 @@ def test_where_nothing_was_measured_nothing_is_taken_for_road():
 
 def test_a_few_points_say_nothing_of_surfaces_and_a_lidar_does():
     capture = drive_capture(2)
-    assert capture_views(capture, WIDTH)[0].has_surfaces
+    assert CaptureViews(capture, WIDTH)[0].has_surfaces
     points = np.concatenate([sweep.points_m for sweep in capture.sweeps]).astype(np.float64)
     some = np.random.default_rng(0).choice(len(points), 60, replace=False)
     sparse = replace(capture, sweeps=(), points_m=points[some])
-    view = capture_views(sparse, WIDTH)[0]
-    assert view.has_depth and not view.has_surfaces  # good enough to match views, not to tell cars from the road
+    view = CaptureViews(sparse, WIDTH)[0]
+    assert view.depth.any() and not view.has_surfaces  # good enough to match views, not to tell cars from the road
     partly = replace(capture[1], depth_source=np.full((HEIGHT, WIDTH), 5, np.float32))
-    views = capture_views(replace(capture, sweeps=(), views=(capture[0], partly)), WIDTH)
+    views = CaptureViews(replace(capture, sweeps=(), views=(capture[0], partly)), WIDTH)
     assert [view.has_surfaces for view in views] == [False, True]
 
 
 def test_poses_that_are_all_the_same_are_none():
     plain = replace(drive_capture(2), sweeps=())
-    assert all(view.has_pose for view in capture_views(plain, WIDTH))
+    assert all(view.has_pose for view in CaptureViews(plain, WIDTH))
     still = tuple(replace(view, camera=plain[0].camera) for view in plain)
-    assert not any(view.has_pose for view in capture_views(replace(plain, views=still), WIDTH))
+    assert not any(view.has_pose for view in CaptureViews(replace(plain, views=still), WIDTH))
     at_rest = tuple(replace(view, camera=plain[0].camera) for view in drive_capture(2))
     measured = replace(drive_capture(2), views=at_rest)  # a tripod with a lidar
-    assert all(view.has_pose for view in capture_views(measured, WIDTH))
-    assert not any(view.has_pose for view in capture_views(replace(plain, has_poses=False), WIDTH))
+    assert all(view.has_pose for view in CaptureViews(measured, WIDTH))
+    assert not any(view.has_pose for view in CaptureViews(replace(plain, has_poses=False), WIDTH))
 
 
 def _gray_road() -> np.ndarray:
@@ -140,7 +139,7 @@ def test_the_edge_of_the_sky_follows_the_picture():
     image[40:] = 90
     image[20:40, 40:80] = (40, 35, 30)  # a tree
     view = replace(drive_capture(1)[0], camera=camera_without_calibration(120, 80), image_source=image)
-    sky = capture_views(Capture("p", (view,), is_metric=False, has_poses=False), 120)[0].sky
+    sky = CaptureViews(Capture("p", (view,), is_metric=False, has_poses=False), 120)[0].sky
     assert sky[5:15].min() > 0.95
     assert sky[22:34, 20:38].min() > 0.9
     assert sky[22:36, 44:48].max() < 0.2
@@ -162,17 +161,17 @@ def test_what_is_guessed_goes_along_the_pictures_edges():
 def test_only_what_the_lens_saw_is_learned_from():
     capture = drive_capture(1)
     bent = replace(capture, views=(replace(capture[0], lens=Lens("opencv", (0.3, 0.0, 0.0, 0.0))),))
-    views = capture_views(bent, WIDTH)
+    views = CaptureViews(bent, WIDTH)
     mask = views.mask("0")
     assert mask is not None
     assert not mask.all()
     assert mask[HEIGHT // 2, WIDTH // 2]
-    assert capture_views(capture, WIDTH).mask("0") is None
+    assert CaptureViews(capture, WIDTH).mask("0") is None
 
 
 def test_a_real_drive_has_road_sky_and_cars(test_data):
     capture = chosen_views(open_capture(test_data / "driving" / "dgp" / "scene_02"), ViewChoice(sensors=("CAMERA_09",)))
-    view = capture_views(chosen_views(capture, ViewChoice(count=1)), 160)[0]
+    view = CaptureViews(chosen_views(capture, ViewChoice(count=1)), 160)[0]
     assert 0.05 < view.sky.mean() < 0.4
     assert view.vehicles.sum() > 10
     middle = view.depth[70:80, 70:90]

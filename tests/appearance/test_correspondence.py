@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appearance.street_views import made_view, street_views
-from gsrain_engine.appearance.correspondence import MatchOutcome, Tolerance, correspondence, warped
+from gsrain_engine.appearance.correspondence import MatchOutcome, correspondence, warped
 from gsrain_engine.scene.camera import Camera
 
 
@@ -71,7 +71,7 @@ def test_there_and_back_leads_home():
 
 def test_a_view_matches_itself_to_the_last_bit():
     view = street_views()["first"]
-    found = correspondence(view, view, Tolerance(edges=False))
+    found = correspondence(view, view, skips_edges=False)
     assert found.valid.all()
     np.testing.assert_array_equal(warped(view.image, found), view.image)
 
@@ -168,7 +168,7 @@ def test_maps_of_features_are_warped_as_plain_averages_say():
 def test_grid_sample_of_a_view_onto_itself_changes_nothing():
     torch = pytest.importorskip("torch")
     view = street_views()["first"]
-    grid, valid = correspondence(view, view, Tolerance(edges=False)).at(30, 45)
+    grid, valid = correspondence(view, view, skips_edges=False).at(30, 45)
     assert valid.all()
     features = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 8, 30, 45)).astype(np.float32))
     same = torch.nn.functional.grid_sample(features, torch.from_numpy(grid)[None], align_corners=False)

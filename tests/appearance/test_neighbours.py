@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from appearance.street_views import made_view, street_camera, street_views
-from gsrain_engine.appearance.covisibility import rank_neighbors
+from gsrain_engine.appearance.correspondence import rank_neighbors
 
 
 def test_the_nearest_on_the_way_come_first_and_another_camera_has_a_place():

@@ -8,8 +8,7 @@ import pytest
 
 from gsrain_engine import trusted_code
 from gsrain_engine.appearance.base import TransferSettings
-from gsrain_engine.appearance.finetune.settings import FinetuningSettings
-from gsrain_engine.appearance.finetune.task import FinetuneTask
+from gsrain_engine.appearance.finetune.settings import FinetuneTask, FinetuningSettings
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
 from gsrain_engine.editor.editor import Editor

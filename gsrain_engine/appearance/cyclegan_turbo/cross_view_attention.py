@@ -1,23 +1,82 @@
 """Cross-view attention (mutual self-attention, eq. 16-19): view order, feature exchange, and attention processors."""
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from importlib import import_module
 from itertools import chain
-from typing import Any, Protocol, overload, runtime_checkable
+from typing import Any, Literal
 
 from jaxtyping import Bool, Float32
 from numpy import ndarray
 
 from ..base import ClearView
-from ..correspondence import Correspondence
-from ..covisibility import rank_neighbors
-from .settings import CrossViewAttention, TileWindow
+from ..correspondence import Correspondence, rank_neighbors
+from ..scene_views import CachedViews
 
 torch: Any = import_module("torch")
+diffusers_attention: Any = import_module("diffusers.models.attention_processor")
 Tensor = Any
+Grid = tuple[Float32[ndarray, "_ _ 2"], Bool[ndarray, "_ _"]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrossViewAttention:
+    """Choice of neighbors that views attend to (eq. 16-19), and of the network's layers."""
+
+    neighbours: int = 2
+    """Number of other views that each one attends to."""
+    among: Literal["all", "cameras", "time"] = "all"
+    """cameras: views of the same moment; time: of the same camera; all: both."""
+    order: Literal["outward", "together"] = "outward"
+    """outward: an anchor view first, then each attends to earlier ones; together: the views of a group attend to each
+    other."""
+    group: int = 3
+    """Number of views that pass the network at once when together."""
+    layers: tuple[str, ...] = ("*",)
+    """Names of self-attention layers with wildcards, like "up_blocks.*"."""
+    px_per_token: tuple[int, ...] = (8, 16, 32)
+    """Width of tokens of the chosen layers. SD-Turbo has 8 to 64; at 64 px a token covers more than an object, so
+    correspondences mean little."""
+    max_scores: int = 2**26
+    """Attention scores in memory at once, 256 MB in float32; queries come in chunks below it."""
+
+
+@dataclass(frozen=True, slots=True)
+class TileWindow:
+    """Rectangle of an image in pixels; the whole image if it isn't cut into tiles."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+    frame: tuple[int, int]
+    """Height and width of the whole image."""
+
+    @classmethod
+    def whole(cls, height: int, width: int) -> "TileWindow":
+        return cls(0, 0, height, width, (height, width))
+
+    @property
+    def is_whole(self) -> bool:
+        return (self.height, self.width) == self.frame
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns of the image."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+
+    def in_tokens(self, height: int, width: int) -> "TileWindow":
+        """Return the window in tokens, for a map whose part for this window has `height` x `width` tokens.
+
+        Raises ValueError if the window doesn't start at a token or tokens don't divide the image evenly.
+        """
+        tall = [value * height / self.height for value in (self.top, self.frame[0])]
+        wide = [value * width / self.width for value in (self.left, self.frame[1])]
+        if any(value != int(value) for value in (*tall, *wide)):
+            raise ValueError(f"{self} does not fall on whole tokens of a map of {height} x {width}")
+        return TileWindow(int(tall[0]), int(wide[0]), height, width, (int(tall[1]), int(wide[1])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +99,7 @@ class CrossViewExchange:
         self.maps = FeatureMaps()
         self._elements: tuple[BatchElement, ...] = ()
         self._latent: tuple[int, int] = (0, 0)
-        self._grids: dict[tuple[int, int, int, int], tuple[Float32[ndarray, "_ _ 2"], Bool[ndarray, "_ _"]]] = {}
+        self._grids: dict[tuple[int, int, int, int], Grid] = {}
 
     @contextmanager
     def batch(self, elements: Sequence[BatchElement]) -> Generator[None]:
@@ -79,20 +138,13 @@ class CrossViewExchange:
     def _sources(self, layer: str, element: BatchElement, window: TileWindow) -> Tensor | None:
         found: list[Tensor] = []
         for source, correspondence in element.sources:
-            grid, valid = self._grid(element.view, source, correspondence, window)
+            key = (element.view, source, *window.frame)
+            if key not in self._grids:
+                self._grids[key] = correspondence.at(*window.frame)
+            grid, valid = (each[window.slices] for each in self._grids[key])
             if valid.any() and (features := self.maps.warped(source, layer, grid, valid)) is not None:
                 found.append(features)
         return torch.cat(found) if found else None
-
-    def _grid(
-        self, view: int, source: int, correspondence: Correspondence, window: TileWindow
-    ) -> tuple[Float32[ndarray, "h w 2"], Bool[ndarray, "h w"]]:
-        key = (view, source, *window.frame)
-        if key not in self._grids:
-            self._grids[key] = correspondence.at(*window.frame)
-        grid, valid = self._grids[key]
-        rows, columns = slice(window.top, window.top + window.height), slice(window.left, window.left + window.width)
-        return grid[rows, columns], valid[rows, columns]
 
     def _tokens(self, count: int) -> tuple[int, int] | None:
         """Rows and columns of a layer's tokens; None for resolutions without cross-view attention."""
@@ -116,7 +168,7 @@ def cross_view_attention(unet: Any, settings: CrossViewAttention) -> Generator[C
     before = dict(unet.attn_processors)
     layers = {name: name.removesuffix(".processor") for name in before}
     chosen = {
-        name: MutualSelfAttention(layer, exchange, settings.most_scores)
+        name: MutualSelfAttention(layer, exchange.looked_at, settings.max_scores)
         for name, layer in layers.items()
         if layer.endswith("attn1") and any(fnmatchcase(layer, pattern) for pattern in settings.layers)
     }
@@ -148,9 +200,8 @@ class FeatureMaps:
         if key not in self._sums:
             self._sums[key] = part.new_zeros((part.shape[0], *window.frame))
             self._weights[key] = part.new_zeros(window.frame)
-        rows, columns = slice(window.top, window.top + window.height), slice(window.left, window.left + window.width)
-        self._sums[key][:, rows, columns] += part
-        self._weights[key][rows, columns] += 1
+        self._sums[key][:, *window.slices] += part
+        self._weights[key][window.slices] += 1
 
     def warped(
         self, view: int, layer: str, grid: Float32[ndarray, "h w 2"], valid: Bool[ndarray, "h w"]
@@ -200,35 +251,29 @@ class AttentionPlan:
 
     def last_use(self) -> dict[int, int]:
         """Return for each source view the last step that uses it; its features can be freed afterwards."""
-        return {
-            source: number for number, step in enumerate(self.steps) for source in chain.from_iterable(step.sources)
-        }
+        return {source: number for number, step in enumerate(self.steps) for source in chain(*step.sources)}
 
 
-def plan_separately(count: int) -> AttentionPlan:
-    """Return one step per view, without cross-view attention."""
-    return AttentionPlan(tuple(AttentionStep((view,), ((),)) for view in range(count)))
+def attention_plan(views: Sequence[ClearView], settings: CrossViewAttention | None) -> AttentionPlan:
+    """Return the plan for views by their covisibility; without settings or neighbors, each view is on its own."""
+    if settings is None or not settings.neighbours or len(views) < 2:
+        return AttentionPlan(tuple(AttentionStep((view,), ((),)) for view in range(len(views))))
+    ranked = _ranked(views, settings)
+    if settings.order == "outward":
+        return plan_outward(ranked, settings.neighbours)
+    sizes = [(view.camera.width, view.camera.height) for view in views]
+    return plan_outward(ranked, settings.neighbours, settings.group, sizes)
 
 
-def plan_outward(ranked: Sequence[Sequence[int]], neighbours: int) -> AttentionPlan:
-    """Start at the view that most others rank, then take the best connected one; each attends to earlier views.
+def plan_outward(
+    ranked: Sequence[Sequence[int]], neighbours: int, group: int = 1, sizes: Sequence[object] = ()
+) -> AttentionPlan:
+    """Start at the view that others rank highest, continue with the best connected one; each attends to earlier ones.
 
     `ranked` holds for each view its neighbors, best first. A view without a connection to earlier ones becomes a new
-    anchor. Ties go to the lower index, so the plan is deterministic.
+    anchor. Ties go to the lower index, so the plan is deterministic. Up to `group` consecutive views of one size pass
+    together and also attend to each other.
     """
-    steps: list[AttentionStep] = []
-    done: set[int] = set()
-    for view in _outward_order(ranked):
-        sources = tuple(other for other in _connected(ranked, view) if other in done)[:neighbours]
-        steps.append(AttentionStep((view,), (sources,)))
-        done.add(view)
-    return AttentionPlan(tuple(steps))
-
-
-def plan_in_groups(
-    ranked: Sequence[Sequence[int]], neighbours: int, group: int, sizes: Sequence[object]
-) -> AttentionPlan:
-    """Cut the outward order into groups of views of one size; each attends to its own group and to earlier ones."""
     groups: list[list[int]] = []
     for view in _outward_order(ranked):
         if not groups or len(groups[-1]) == group or sizes[groups[-1][0]] != sizes[view]:
@@ -243,68 +288,35 @@ def plan_in_groups(
     return AttentionPlan(tuple(steps))
 
 
-def attention_plan(views: Sequence[ClearView], settings: CrossViewAttention | None) -> AttentionPlan:
-    """Return the plan for views by their covisibility; without settings or neighbors, each view is on its own."""
-    if settings is None or not settings.neighbours or len(views) < 2:
-        return plan_separately(len(views))
-    ranked = _ranked(views, settings)
-    if settings.order == "outward":
-        return plan_outward(ranked, settings.neighbours)
-    sizes = [(view.camera.width, view.camera.height) for view in views]
-    return plan_in_groups(ranked, settings.neighbours, settings.group, sizes)
-
-
 def _ranked(views: Sequence[ClearView], settings: CrossViewAttention) -> list[tuple[int, ...]]:
     """Neighbors of each view, best first; some spare ones, since not all of them come earlier in the plan."""
     count = settings.neighbours + _SPARE
     if settings.among == "all":
         return rank_neighbors(views, count)
-    taken = [(view.time_s, view.sensor) for view in views]
-    sets = _moments(taken) if settings.among == "cameras" else _cameras(taken)
+    triggers = [(view.time_s, view.sensor) for view in views]
+    sets = _moments(triggers)
+    if settings.among == "time":
+        sensors = dict.fromkeys(sensor for _, sensor in triggers)
+        sets = [[i for i, (_, sensor) in enumerate(triggers) if sensor == each] for each in sensors]
     ranked: list[tuple[int, ...]] = [()] * len(views)
     for members in sets:
-        for index, others in zip(members, rank_neighbors(_ViewSubset(views, members), count), strict=True):
+        subset = CachedViews(len(members), lambda i, members=members: views[members[i]], 0)
+        for index, others in zip(members, rank_neighbors(subset, count), strict=True):
             ranked[index] = tuple(members[other] for other in others)
     return ranked
 
 
-def _cameras(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
-    sets: dict[str, list[int]] = {}
-    for index, (_, sensor) in enumerate(taken):
-        sets.setdefault(sensor, []).append(index)
-    return list(sets.values())
-
-
-def _moments(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
+def _moments(triggers: Sequence[tuple[float, str]]) -> list[list[int]]:
     """Group views by time. Rigs trigger their cameras one after the other, but none twice per group."""
     sets: list[list[int]] = []
-    for index in sorted(range(len(taken)), key=lambda i: (taken[i][0], i)):
-        time_s, sensor = taken[index]
-        start_s = taken[sets[-1][0]][0] if sets else time_s
-        is_later = time_s > start_s and any(taken[other][1] == sensor for other in sets[-1])
+    for index in sorted(range(len(triggers)), key=lambda i: (triggers[i][0], i)):
+        time_s, sensor = triggers[index]
+        start_s = triggers[sets[-1][0]][0] if sets else time_s
+        is_later = time_s > start_s and any(triggers[other][1] == sensor for other in sets[-1])
         if not sets or is_later or time_s > start_s + _LONGEST_MOMENT_S:
             sets.append([])
         sets[-1].append(index)
     return sets
-
-
-class _ViewSubset(Sequence[ClearView]):
-    """Subset of the views, still computed lazily."""
-
-    def __init__(self, views: Sequence[ClearView], indices: Sequence[int]) -> None:
-        self._views, self._indices = views, indices
-
-    @overload
-    def __getitem__(self, index: int) -> ClearView: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[ClearView]: ...
-    def __getitem__(self, index: int | slice) -> ClearView | Sequence[ClearView]:
-        if isinstance(index, slice):
-            return _ViewSubset(self._views, self._indices[index])
-        return self._views[self._indices[index]]
-
-    def __len__(self) -> int:
-        return len(self._indices)
 
 
 def _connected(ranked: Sequence[Sequence[int]], view: int) -> list[int]:
@@ -335,17 +347,6 @@ def _outward_order(ranked: Sequence[Sequence[int]]) -> list[int]:
 
 # Attention processor for diffusers' `Attention`
 
-diffusers_attention: Any = import_module("diffusers.models.attention_processor")
-
-
-@runtime_checkable
-class AttentionContext(Protocol):
-    """Source of features of other views for a layer."""
-
-    def looked_at(self, layer: str, features: Tensor) -> list[Tensor | None]:
-        """Return for each entry of (b, tokens, channels) features of other views, (more tokens, channels), or None."""
-        ...
-
 
 class MutualSelfAttention:
     """Mutual self-attention, eq. (16)-(19): queries attend to a view's own and to warped neighbors' keys and values.
@@ -354,8 +355,11 @@ class MutualSelfAttention:
     masking with minus infinity; warped zeros would have weight e^0. Entries without neighbors get plain attention.
     """
 
-    def __init__(self, layer: str, around: AttentionContext, most_scores: int) -> None:
-        self.layer, self.around, self.most_scores = layer, around, most_scores
+    def __init__(
+        self, layer: str, looked_at: Callable[[str, Tensor], Sequence[Tensor | None]], max_scores: int
+    ) -> None:
+        """Take the layer's name, and `CrossViewExchange.looked_at` as the source of other views' features."""
+        self._layer, self._looked_at, self._max_scores = layer, looked_at, max_scores
         self._plain = diffusers_attention.AttnProcessor2_0()
 
     def __call__(
@@ -386,19 +390,20 @@ class MutualSelfAttention:
         return found / attn.rescale_output_factor
 
     def _attended(self, attn: Any, features: Tensor) -> Tensor:
-        others = self.around.looked_at(self.layer, features)
+        others = self._looked_at(self._layer, features)
         query = _heads(attn, attn.to_q(features), attn.norm_q)
         key, value = _keys(attn, features)
         if all(other is None for other in others):
-            return _joined(chunked_attention(query, key, value, attn.scale, self.most_scores))
+            found = chunked_attention(query, key, value, attn.scale, self._max_scores)
+            return found.transpose(1, 2).flatten(2)
         outputs: list[Tensor] = []
         for i, other in enumerate(others):
             q, k, v = query[i : i + 1], key[i : i + 1], value[i : i + 1]
             if other is not None:
                 other_k, other_v = _keys(attn, other[None])
                 k, v = torch.cat([other_k, k], dim=2), torch.cat([other_v, v], dim=2)
-            outputs.append(chunked_attention(q, k, v, attn.scale, self.most_scores))
-        return _joined(torch.cat(outputs))
+            outputs.append(chunked_attention(q, k, v, attn.scale, self._max_scores))
+        return torch.cat(outputs).transpose(1, 2).flatten(2)
 
 
 def _keys(attn: Any, features: Tensor) -> tuple[Tensor, Tensor]:
@@ -412,19 +417,14 @@ def _heads(attn: Any, projected: Tensor, norm: Any) -> Tensor:
     return split if norm is None else norm(split)
 
 
-def _joined(found: Tensor) -> Tensor:
-    """Reshape (b, heads, tokens, d) to (b, tokens, heads x d)."""
-    return found.transpose(1, 2).flatten(2)
-
-
-def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, most_scores: int) -> Tensor:
+def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, max_scores: int) -> Tensor:
     """Return softmax(scale query key^T) value of (b, heads, tokens, d) tensors.
 
-    The number of keys may differ from that of queries. Queries are chunked so that at most `most_scores` scores
+    The number of keys may differ from that of queries. Queries are chunked so that at most `max_scores` scores
     (b x heads x queries x keys) exist at once for any kernel of torch, unless those of one query exceed it.
     """
     scores_per_query = query.shape[0] * query.shape[1] * key.shape[2]
-    chunk = max(most_scores // max(scores_per_query, 1), 1)
+    chunk = max(max_scores // max(scores_per_query, 1), 1)
     parts = [
         torch.nn.functional.scaled_dot_product_attention(part, key, value, scale=scale)
         for part in query.split(chunk, dim=2)

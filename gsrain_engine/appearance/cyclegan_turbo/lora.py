@@ -25,7 +25,6 @@ VAE_LAYERS = (
 UNET_ADAPTERS = ("default_encoder", "default_decoder", "default_others")
 VAE_ADAPTER = "vae_skip"
 """Names of peft adapters, as in img2img-turbo."""
-
 VAE_ALPHA = 8
 """peft's default, as in img2img-turbo: at rank 4 the autoencoder's LoRA is scaled by 2."""
 
@@ -51,12 +50,10 @@ class LowRank:
     def check(self, shape: tuple[int, ...]) -> None:
         """Raise ValueError if the factors don't fit a weight of this shape."""
         down, up = tuple(self.down.shape), tuple(self.up.shape)
-        kernel = shape[2:]
-        ones = (1,) * len(kernel)
-        if up != (shape[0], down[0], *ones) or down[1:] != shape[1:]:
+        if up != (shape[0], down[0], *(1,) * len(shape[2:])) or down[1:] != shape[1:]:
             raise ValueError(f"factors {up} and {down} don't fit a weight {shape}")
 
-    def added(self, weight: Tensor) -> Tensor:
+    def added_to(self, weight: Tensor) -> Tensor:
         """Return the merged weight, computed in float32."""
         down, up = self.down.to(weight.device, torch.float32), self.up.to(weight.device, torch.float32)
         product = (up.flatten(1) @ down.flatten(1)).view_as(weight)
@@ -65,9 +62,7 @@ class LowRank:
 
 def unet_targets(unet: Module) -> tuple[list[str], list[str], list[str]]:
     """Full names of the UNet's adapted layers: those of its encoder, of its decoder, and the others."""
-    encoder: list[str] = []
-    decoder: list[str] = []
-    others: list[str] = []
+    encoder, decoder, others = list[str](), list[str](), list[str]()
     for name, _ in unet.named_parameters():
         if "bias" in name or "norm" in name or not any(part in name for part in UNET_LAYERS):
             continue
@@ -88,16 +83,17 @@ def add_adapters(unet: Module, vae: Module, ranks: LoraRanks) -> None:
         peft: Any = import_module("peft")
     except ModuleNotFoundError as error:
         raise ValueError("training additions takes peft: pip install 'gsrain[diffusion]'") from error
+
+    def add(module: Module, adapter: str, rank: int, alpha: int, layers: list[str]) -> None:
+        config = peft.LoraConfig(r=rank, lora_alpha=alpha, init_lora_weights="gaussian", target_modules=layers)
+        module.add_adapter(config, adapter_name=adapter)
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Already found a `peft_config`")  # three adapters are intended
         for adapter, names in zip(UNET_ADAPTERS, unet_targets(unet), strict=True):
-            unet.add_adapter(_config(peft, ranks.unet, ranks.unet, names), adapter_name=adapter)
+            add(unet, adapter, ranks.unet, ranks.unet, names)
     unet.set_adapter(list(UNET_ADAPTERS))
-    vae.add_adapter(_config(peft, ranks.vae, VAE_ALPHA, list(VAE_LAYERS)), adapter_name=VAE_ADAPTER)
-
-
-def _config(peft: Any, rank: int, alpha: int, layers: list[str]) -> Any:
-    return peft.LoraConfig(r=rank, lora_alpha=alpha, init_lora_weights="gaussian", target_modules=layers)
+    add(vae, VAE_ADAPTER, ranks.vae, VAE_ALPHA, list(VAE_LAYERS))
 
 
 def adapted_layers(module: Module) -> Iterator[tuple[str, Module]]:
@@ -111,8 +107,3 @@ def addition_of(layer: Module) -> LowRank:
     """LoRA of a layer that peft has wrapped, as references to its parameters; each layer has one adapter."""
     (adapter,) = layer.lora_A.keys()
     return LowRank(layer.lora_A[adapter].weight, layer.lora_B[adapter].weight, layer.scaling[adapter])
-
-
-def plain_name(name: str) -> str:
-    """Name of a parameter before peft wrapped its layer."""
-    return name.replace(".base_layer.", ".")

@@ -97,29 +97,26 @@ class CycleGanTurbo(torch.nn.Module):
 
     def check_captions(self, a2b: Tensor, b2a: Tensor) -> None:
         """Raise ValueError for shapes that don't fit the UNet."""
-        wanted = self.architecture.caption_shape
+        expected = self.architecture.caption_shape
         for name, caption in (("a2b", a2b), ("b2a", b2a)):
-            if tuple(caption.shape) != wanted:
-                raise ValueError(f"caption {name} is {tuple(caption.shape)}; this UNet takes {wanted}")
+            if tuple(caption.shape) != expected:
+                raise ValueError(f"caption {name} is {tuple(caption.shape)}; this UNet takes {expected}")
 
     def translate(self, pictures: Tensor, guides: Tensor | None = None, direction: Direction = "a2b") -> Tensor:
         """Return images (b, 3, h, w) in [-1, 1] in the other domain; the result is deterministic.
 
-        Args:
-            pictures: In [-1, 1]; h and w multiples of `architecture.side_multiple`.
-            guides: (b, 1, h, w) in [-1, 1], the fourth channel; None gives zeros if the encoders have one.
-            direction: Usually "a2b", from clear to rainy.
-
-        Raises ValueError for other sizes, and for guides without a fourth channel.
+        h and w are multiples of `architecture.side_multiple`. `guides` (b, 1, h, w) in [-1, 1] are the fourth channel;
+        None gives zeros if the encoders have one. Raises ValueError for other sizes, and for guides without a channel.
         """
         if torch.is_grad_enabled():
             latents, skips = self.encode(pictures, guides, direction)
-            return self.decode(self.denoise(latents, direction), skips, direction)
+            return decode_latents(self.autoencoder(direction), self.denoise(latents, direction), skips)
         # One by one, since the autoencoder needs most of the memory, and images only interact in the UNet.
-        halves = [self.encode(*each, direction) for each in _singles(pictures, guides)]
+        singles: list[Tensor | None] = [None] * len(pictures) if guides is None else list(guides.split(1))
+        halves = [self.encode(*each, direction) for each in zip(pictures.split(1), singles, strict=True)]
         clean = self.denoise(torch.cat([latents for latents, _ in halves]), direction)
-        made = [self.decode(clean[i : i + 1], skips, direction) for i, (_, skips) in enumerate(halves)]
-        return torch.cat(made)
+        vae = self.autoencoder(direction)
+        return torch.cat([decode_latents(vae, clean[i : i + 1], skips) for i, (_, skips) in enumerate(halves)])
 
     def encode(
         self, pictures: Tensor, guides: Tensor | None = None, direction: Direction = "a2b"
@@ -142,9 +139,6 @@ class CycleGanTurbo(torch.nn.Module):
         noise = self.unet(latents, steps, encoder_hidden_states=caption).sample
         return self.step.clean(latents, noise)
 
-    def decode(self, latents: Tensor, skips: list[Tensor], direction: Direction = "a2b") -> Tensor:
-        return decode_latents(self.autoencoder(direction), latents, skips)
-
     def autoencoder(self, direction: Direction) -> Any:
         return self.vae if direction == "a2b" else self.vae_b2a
 
@@ -152,13 +146,9 @@ class CycleGanTurbo(torch.nn.Module):
 def build_random_model(
     architecture: TurboArchitecture, normals: bool = True, lora: LoraRanks | None = None, seed: int = 0
 ) -> CycleGanTurbo:
-    """Build a model with random weights and captions, for tests and benchmarks.
+    """Build a model with random weights and captions, for tests and benchmarks; see `assemble_model`.
 
-    Args:
-        architecture: `tiny()`, or the real one (866 M and twice 84 M parameters).
-        normals: Add a fourth channel to the encoders, which has no effect before training.
-        lora: Ranks of trainable peft adapters; None for inference.
-        seed: Seed of the weights, which don't depend on `normals` and `lora`.
+    `architecture` is `tiny()`, or the real one (866 M and twice 84 M parameters). The weights depend on the seed alone.
     """
     diffusers: Any = import_module("diffusers")
     with torch.random.fork_rng(devices=[]):
@@ -172,17 +162,12 @@ def build_random_model(
 
 
 def assemble_model(
-    architecture: TurboArchitecture,
-    unet: Any,
-    vae: Any,
-    captions: Tensor,
-    *,
-    normals: bool,
-    lora: LoraRanks | None = None,
+    architecture: TurboArchitecture, unet: Any, vae: Any, captions: Tensor, *, normals: bool, lora: LoraRanks | None
 ) -> CycleGanTurbo:
     """Assemble the model from SD-Turbo's parts, which it takes over and modifies.
 
-    All parameters except the LoRAs, if any, are frozen.
+    `normals` adds a fourth channel to the encoders, which has no effect before training; `lora` are ranks of trainable
+    peft adapters, None for inference. All other parameters are frozen.
     """
     add_skips(vae)
     if normals:
@@ -196,52 +181,30 @@ def assemble_model(
     return model.eval()
 
 
-def _singles(pictures: Tensor, guides: Tensor | None) -> list[tuple[Tensor, Tensor | None]]:
-    parts: list[Tensor | None] = [None] * len(pictures) if guides is None else list(guides.split(1))
-    return list(zip(pictures.split(1), parts, strict=True))
-
-
 def sd_turbo() -> TurboArchitecture:
     """Architecture of stabilityai/sd-turbo, which equals Stable Diffusion 2.1 (base)."""
     unet = {
-        "attention_head_dim": [5, 10, 20, 20],
-        "block_out_channels": [320, 640, 1280, 1280],
-        "cross_attention_dim": 1024,
-        "sample_size": 64,
-        "use_linear_projection": True,
-    }
+        "attention_head_dim": [5, 10, 20, 20], "block_out_channels": [320, 640, 1280, 1280],
+        "cross_attention_dim": 1024, "sample_size": 64, "use_linear_projection": True,
+    }  # fmt: skip
     vae = _vae([128, 256, 512, 512], layers=2, groups=32) | {"sample_size": 768}
     text = {
-        "vocab_size": 49408,
-        "hidden_size": 1024,
-        "intermediate_size": 4096,
-        "num_hidden_layers": 23,
-        "num_attention_heads": 16,
-        "max_position_embeddings": 77,
-        "hidden_act": "gelu",
-    }
+        "vocab_size": 49408, "hidden_size": 1024, "intermediate_size": 4096, "num_hidden_layers": 23,
+        "num_attention_heads": 16, "max_position_embeddings": 77, "hidden_act": "gelu",
+    }  # fmt: skip
     return TurboArchitecture("sd-turbo", unet, vae, text)
 
 
 def tiny() -> TurboArchitecture:
     """Tiny variant with the same classes, blocks and layer names: a forward pass takes a fraction of a second."""
     unet = {
-        "attention_head_dim": [2, 2, 4, 4],
-        "block_out_channels": [8, 8, 16, 16],
-        "cross_attention_dim": 16,
-        "norm_num_groups": 4,
-        "sample_size": 8,
-        "use_linear_projection": True,
-    }
+        "attention_head_dim": [2, 2, 4, 4], "block_out_channels": [8, 8, 16, 16], "cross_attention_dim": 16,
+        "norm_num_groups": 4, "sample_size": 8, "use_linear_projection": True,
+    }  # fmt: skip
     text = {
-        "vocab_size": 64,
-        "hidden_size": 16,
-        "intermediate_size": 32,
-        "num_hidden_layers": 2,
-        "num_attention_heads": 2,
-        "max_position_embeddings": 77,
-        "hidden_act": "gelu",
-    }
+        "vocab_size": 64, "hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 2,
+        "num_attention_heads": 2, "max_position_embeddings": 77, "hidden_act": "gelu",
+    }  # fmt: skip
     return TurboArchitecture("tiny", unet, _vae([8, 8, 16, 16], layers=1, groups=4), text)
 
 
@@ -253,19 +216,16 @@ def check_base(folder: Path, architecture: TurboArchitecture) -> None:
 
     Only written fields are compared; a missing field means the class's default.
     """
-    for part, wanted in (("unet", architecture.unet), ("vae", architecture.vae)):
-        _check(folder / part / "config.json", dict(wanted))
     schedule = {
-        "prediction_type": "epsilon",
-        "beta_schedule": "scaled_linear",
-        "beta_start": architecture.betas[0],
-        "beta_end": architecture.betas[1],
-        "num_train_timesteps": architecture.noise_steps,
-    }
+        "prediction_type": "epsilon", "beta_schedule": "scaled_linear", "beta_start": architecture.betas[0],
+        "beta_end": architecture.betas[1], "num_train_timesteps": architecture.noise_steps,
+    }  # fmt: skip
+    _check(folder / "unet" / "config.json", architecture.unet)
+    _check(folder / "vae" / "config.json", architecture.vae)
     _check(folder / "scheduler" / "scheduler_config.json", schedule)
 
 
-def _check(file: Path, wanted: Mapping[str, Any]) -> None:
+def _check(file: Path, expected: Mapping[str, Any]) -> None:
     try:
         found: Any = json.loads(read_file(file, MAX_BYTES).decode("utf-8"))
     except OSError as error:
@@ -274,21 +234,17 @@ def _check(file: Path, wanted: Mapping[str, Any]) -> None:
         raise ValueError(f"{file}: not readable JSON: {error}") from error
     if not isinstance(found, dict):
         raise ValueError(f"{file}: a JSON object is wanted here")
-    for key, value in wanted.items():
-        if key not in ("sample_size",) and key in found and found[key] != value:
+    for key, value in expected.items():
+        if key != "sample_size" and key in found and found[key] != value:
             raise ValueError(f"{file}: {key} is {found[key]!r}, but CycleGAN-Turbo builds on SD-Turbo with {value!r}")
 
 
 def _vae(channels: list[int], *, layers: int, groups: int) -> dict[str, Any]:
     return {
-        "block_out_channels": channels,
-        "down_block_types": ["DownEncoderBlock2D"] * len(channels),
-        "up_block_types": ["UpDecoderBlock2D"] * len(channels),
-        "layers_per_block": layers,
-        "norm_num_groups": groups,
-        "latent_channels": 4,
-        "scaling_factor": 0.18215,
-    }
+        "block_out_channels": channels, "down_block_types": ["DownEncoderBlock2D"] * len(channels),
+        "up_block_types": ["UpDecoderBlock2D"] * len(channels), "layers_per_block": layers,
+        "norm_num_groups": groups, "latent_channels": 4, "scaling_factor": 0.18215,
+    }  # fmt: skip
 
 
 # One-step diffusion of SD-Turbo
@@ -310,8 +266,8 @@ class OneStep:
         """Compute the shares from the noise schedule (Ho et al. 2020, eq. 4; betas "scaled linear")."""
         first, last = architecture.betas
         betas = np.linspace(first**0.5, last**0.5, architecture.noise_steps) ** 2
-        kept = float(np.prod(1 - betas))
-        return cls(architecture.noise_steps - 1, kept**0.5, (1 - kept) ** 0.5)
+        signal = float(np.prod(1 - betas))
+        return cls(architecture.noise_steps - 1, signal**0.5, (1 - signal) ** 0.5)
 
     def clean(self, latents: Tensor, noise: Tensor) -> Tensor:
         """Subtract the noise predicted by the UNet from latents, as DDPM's step does (Ho et al. 2020, eq. 15).
@@ -320,8 +276,7 @@ class OneStep:
         rounding is amplified too: for a small random one, bfloat16 is 1.2 % off and float16 0.15 %, which gives 17 %
         and 2 % of a latent's standard deviation.
         """
-        clean = (latents.float() - self.noise * noise.float()) / self.signal
-        return clean.to(latents.dtype)
+        return ((latents.float() - self.noise * noise.float()) / self.signal).to(latents.dtype)
 
 
 # SD-Turbo's autoencoder with skip connections from encoder to decoder, and a fourth channel besides RGB
@@ -339,10 +294,10 @@ SKIP_START = 1e-5
 def add_skips(vae: Autoencoder) -> None:
     """Add 1x1 convolutions from the input of each down block to the up block of the same size."""
     channels = list(vae.config.block_out_channels)
-    taken = [channels[0], *channels[:-1]]
-    given = [channels[-1], *reversed(channels[1:])]
+    sources = [*reversed(channels[:-1]), channels[0]]
+    targets = [channels[-1], *reversed(channels[1:])]
     like = vae.decoder.conv_in.weight
-    for i, (source, target) in enumerate(zip(reversed(taken), given, strict=True)):
+    for i, (source, target) in enumerate(zip(sources, targets, strict=True)):
         skip = torch.nn.Conv2d(source, target, 1, bias=False, device=like.device, dtype=like.dtype)
         torch.nn.init.constant_(skip.weight, SKIP_START)
         setattr(vae.decoder, f"skip_conv_{i + 1}", skip)
@@ -356,14 +311,9 @@ def add_guide_channel(vae: Autoencoder) -> None:
     """
     narrow = vae.encoder.conv_in
     wide = torch.nn.Conv2d(
-        narrow.in_channels + 1,
-        narrow.out_channels,
-        narrow.kernel_size,
-        narrow.stride,
-        narrow.padding,
-        device=narrow.weight.device,
-        dtype=narrow.weight.dtype,
-    )
+        narrow.in_channels + 1, narrow.out_channels, narrow.kernel_size, narrow.stride, narrow.padding,
+        device=narrow.weight.device, dtype=narrow.weight.dtype,
+    )  # fmt: skip
     with torch.no_grad():
         wide.weight.copy_(widen_kernel(narrow.weight, wide.in_channels))
         wide.bias.copy_(narrow.bias)
@@ -379,13 +329,10 @@ def widen_kernel(weight: Tensor, channels: int) -> Tensor:
 
 
 def encode_images(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tensor]]:
-    """Scaled latents (b, 4, h / 8, w / 8), and the input of each down block, from fine to deep.
+    """Scaled latents (b, 4, h / 8, w / 8) of images (b, 3 or 4, h, w) in [-1, 1], and the input of each down block.
 
-    Args:
-        vae: Autoencoder with skips.
-        pictures: (b, 3 or 4, h, w) in [-1, 1].
-
-    Latents are the mode of the distribution, not a sample, so that neighboring views don't differ randomly.
+    The inputs are from fine to deep. Latents are the mode of the distribution, not a sample, so that neighboring views
+    don't differ randomly.
     """
     encoder = vae.encoder
     flow = encoder.conv_in(pictures)

@@ -8,99 +8,14 @@ from typing import Any
 
 from ...safe_io.limits import check_file
 from ...scene.files import whole_file
+from . import model as turbo
 from .lora import LoraRanks
-from .model import (
-    ARCHITECTURES,
-    CAPTIONS,
-    CycleGanTurbo,
-    TurboArchitecture,
-    assemble_model,
-    build_random_model,
-    check_base,
-    sd_turbo,
-)
+from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, TurboArchitecture, sd_turbo
 from .weight_paths import base_model_instructions, captions_file, find_base_model, text_encoder_folder
-from .weights import apply_adapter_weights, open_weights
+from .weights import apply_adapter_weights, first_of, open_weights
 
 torch: Any = import_module("torch")
 Tensor = Any
-
-
-def caption_embeddings(
-    texts: Sequence[str], base: Path, architecture: TurboArchitecture, cache: Path | None = None
-) -> list[Tensor]:
-    """Embeddings (1, tokens, features) of captions, from the cache or from the text encoder.
-
-    Args:
-        texts: Captions.
-        base: Folder of SD-Turbo, whose `text_encoder` and `tokenizer` encode captions that are not cached.
-        architecture: Architecture that defines the shape.
-        cache: Cache file; None for the user's own.
-
-    Raises FileNotFoundError with the first missing caption and the missing files, and ValueError for embeddings of
-    another shape.
-    """
-    cache = captions_file() if cache is None else cache
-    kept = _read(cache)
-    missing = [text for text in dict.fromkeys(texts) if text not in kept]
-    if missing:
-        folder = text_encoder_folder(base)
-        if folder is None:
-            raise FileNotFoundError(
-                f"no text encoder at {base} (text_encoder, tokenizer), and no caption {missing[0]!r} in {cache}: "
-                "copy the folders of SD-Turbo there, or that file from a machine that has made a view rainy"
-            )
-        kept |= dict(zip(missing, encoded_captions(missing, base), strict=True))
-        _write(cache, kept)
-    for text in texts:
-        if tuple(kept[text].shape) != architecture.caption_shape:
-            shape = tuple(kept[text].shape)
-            raise ValueError(f"{cache}: caption {text!r} is {shape}, the UNet takes {architecture.caption_shape}")
-    return [kept[text] for text in texts]
-
-
-def encoded_captions(texts: Sequence[str], base: Path) -> list[Tensor]:
-    """Run the text encoder of a folder; raises ValueError if it can't be read or lacks weights."""
-    transformers: Any = import_module("transformers")
-    try:
-        tokenizer: Any = transformers.AutoTokenizer.from_pretrained(base / "tokenizer", local_files_only=True)
-        encoder, found = transformers.CLIPTextModel.from_pretrained(
-            base / "text_encoder", local_files_only=True, use_safetensors=True, output_loading_info=True
-        )
-    except Exception as error:  # transformers raises many types
-        first = str(error).split("\n")[0]
-        raise ValueError(f"{base}: its text encoder can't be read, perhaps not wholly downloaded: {first}") from error
-    if found["missing_keys"]:
-        first = min(found["missing_keys"])
-        raise ValueError(f"{base / 'text_encoder'}: {first!r} and perhaps more weights are missing")
-    longest = encoder.config.max_position_embeddings
-    length = min(tokenizer.model_max_length, longest)
-    tokens = tokenizer(list(texts), max_length=length, padding="max_length", truncation=True, return_tensors="pt")
-    with torch.no_grad():
-        states = encoder.eval().float()(input_ids=tokens.input_ids).last_hidden_state
-    return [state.clone() for state in states.split(1)]
-
-
-def _read(cache: Path) -> dict[str, Tensor]:
-    if not cache.is_file():
-        return {}
-    load: Any = import_module("safetensors.torch").load_file
-    try:
-        check_file(cache)
-        return dict(load(cache))
-    except Exception as error:  # safetensors' error class is not public
-        raise ValueError(f"{cache}: not a readable file of captions: {error}") from error
-
-
-def _write(cache: Path, captions: dict[str, Tensor]) -> None:
-    save: Any = import_module("safetensors.torch").save_file
-    cache.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(cache) as beside:
-        save({text: each.contiguous() for text, each in captions.items()}, beside)
-
-
-# Model loading
-
 log = logging.getLogger(__name__)
 
 
@@ -128,7 +43,7 @@ def open_model(
     normals = normals or (file is not None and file.takes_guides)
     if file is not None and file.random_base_seed is not None:
         log.warning("%s: trained upon random weights, for a test: the pictures will mean nothing", weights)
-        model = build_random_model(ARCHITECTURES[file.architecture](), normals, lora, file.random_base_seed)
+        model = turbo.build_random_model(ARCHITECTURES[file.architecture](), normals, lora, file.random_base_seed)
     else:
         architecture = sd_turbo() if file is None else ARCHITECTURES[file.architecture]()
         texts = CAPTIONS if file is None else file.texts(weather)
@@ -140,7 +55,7 @@ def open_model(
 
 def read_base(
     folder: Path,
-    architecture: TurboArchitecture | None = None,
+    architecture: TurboArchitecture,
     *,
     normals: bool = True,
     lora: LoraRanks | None = None,
@@ -151,8 +66,7 @@ def read_base(
     `texts` are the captions for a2b and b2a; None if the transfer weights include their embeddings.
     Raises FileNotFoundError and ValueError with the file and the fault.
     """
-    architecture = sd_turbo() if architecture is None else architecture
-    check_base(folder, architecture)
+    turbo.check_base(folder, architecture)
     diffusers: Any = import_module("diffusers")
     unet = _part(diffusers.UNet2DConditionModel, folder / "unet")
     vae = _part(diffusers.AutoencoderKL, folder / "vae")
@@ -160,7 +74,7 @@ def read_base(
         captions = torch.zeros(2, *architecture.caption_shape)
     else:
         captions = torch.stack(caption_embeddings(texts, folder, architecture))
-    model = assemble_model(architecture, unet, vae, captions, normals=normals, lora=lora)
+    model = turbo.assemble_model(architecture, unet, vae, captions, normals=normals, lora=lora)
     model.texts = CAPTIONS if texts is None else texts
     return model
 
@@ -183,6 +97,63 @@ def _part(kind: Any, folder: Path) -> Any:
         raise ValueError(f"{folder}: weights that can't be read, perhaps not wholly downloaded: {first}") from error
     for fault, names in (("missing", found["missing_keys"]), ("unknown", found["unexpected_keys"])):
         if names:
-            others = f" and {len(names) - 1} more are" if len(names) > 1 else " is"
-            raise ValueError(f"{folder}: {min(names)!r}{others} {fault}")
+            raise ValueError(f"{folder}: {first_of(names)} {fault}")
     return part
+
+
+# Caption embeddings
+
+
+def caption_embeddings(texts: Sequence[str], base: Path, architecture: TurboArchitecture) -> list[Tensor]:
+    """Embeddings (1, tokens, features) of captions, from the user's cache or from the text encoder.
+
+    `base` is the folder of SD-Turbo, whose `text_encoder` and `tokenizer` encode captions that are not cached. Raises
+    FileNotFoundError with the first missing caption and the missing files, and ValueError for embeddings of another
+    shape.
+    """
+    cache = captions_file()
+    safetensors: Any = import_module("safetensors.torch")
+    found: dict[str, Tensor] = {}
+    if cache.is_file():
+        try:
+            check_file(cache)
+            found = dict(safetensors.load_file(cache))
+        except Exception as error:  # safetensors' error class is not public
+            raise ValueError(f"{cache}: not a readable file of captions: {error}") from error
+    missing = [text for text in dict.fromkeys(texts) if text not in found]
+    if missing:
+        if text_encoder_folder(base) is None:
+            raise FileNotFoundError(
+                f"no text encoder at {base} (text_encoder, tokenizer), and no caption {missing[0]!r} in {cache}: "
+                "copy the folders of SD-Turbo there, or that file from a machine that has made a view rainy"
+            )
+        found |= dict(zip(missing, encoded_captions(missing, base), strict=True))
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(cache) as temporary:
+            safetensors.save_file({text: each.contiguous() for text, each in found.items()}, temporary)
+    for text in texts:
+        if (shape := tuple(found[text].shape)) != architecture.caption_shape:
+            raise ValueError(f"{cache}: caption {text!r} is {shape}, the UNet takes {architecture.caption_shape}")
+    return [found[text] for text in texts]
+
+
+def encoded_captions(texts: Sequence[str], base: Path) -> list[Tensor]:
+    """Run the text encoder of a folder; raises ValueError if it can't be read or lacks weights."""
+    transformers: Any = import_module("transformers")
+    try:
+        tokenizer: Any = transformers.AutoTokenizer.from_pretrained(base / "tokenizer", local_files_only=True)
+        encoder, found = transformers.CLIPTextModel.from_pretrained(
+            base / "text_encoder", local_files_only=True, use_safetensors=True, output_loading_info=True
+        )
+    except Exception as error:  # transformers raises many types
+        first = str(error).split("\n")[0]
+        raise ValueError(f"{base}: its text encoder can't be read, perhaps not wholly downloaded: {first}") from error
+    if found["missing_keys"]:
+        first = min(found["missing_keys"])
+        raise ValueError(f"{base / 'text_encoder'}: {first!r} and perhaps more weights are missing")
+    longest = encoder.config.max_position_embeddings
+    length = min(tokenizer.model_max_length, longest)
+    tokens = tokenizer(list(texts), max_length=length, padding="max_length", truncation=True, return_tensors="pt")
+    with torch.no_grad():
+        states = encoder.eval().float()(input_ids=tokens.input_ids).last_hidden_state
+    return [state.clone() for state in states.split(1)]

@@ -5,32 +5,22 @@ import math
 import time
 from collections.abc import Container, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from ..base import ClearView, RainyView
+from ..base import ClearView, RainyView, TransferSettings
 from ..correspondence import correspondence
-from ..normals import NormalEstimator, normals_to_gray, open_estimator
-from .cross_view_attention import (
-    AttentionPlan,
-    AttentionStep,
-    BatchElement,
-    CrossViewExchange,
-    attention_plan,
-    cross_view_attention,
-)
+from ..normals import GuideKind, NormalEstimator, normals_to_gray, open_estimator
+from . import cross_view_attention as attention
+from .cross_view_attention import AttentionStep, BatchElement, CrossViewAttention, CrossViewExchange, TileWindow
 from .model import CycleGanTurbo
 from .pretrained import open_model
-from .settings import CrossViewAttention, RunSettings, TileWindow
 from .weight_paths import find_transfer_weights
-
-if TYPE_CHECKING:
-    from ..base import TransferSettings
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -41,10 +31,26 @@ NO_OVERLAP = "no attention between views: no other one is known to show the same
 """Notes on skipped attention, for views without neighbors."""
 
 log = logging.getLogger(__name__)
-
-# Transfer
-
 Image = Float32[np.ndarray, "_ _ c"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSettings:
+    """Sizes, guides and neighbors of an inference run."""
+
+    side_px: int | None = 512
+    """Shorter side of images for the network, none enlarged; None leaves them as they are. The paper trains at 512."""
+    tile_px: int | None = None
+    """Side of the overlapping tiles that larger images pass in; None passes them whole."""
+    overlap_px: int = 128
+    """Minimum overlap of neighboring tiles."""
+    detail: bool = True
+    """Add the fine detail of the clear image where the network's input is smaller."""
+    normals: Literal["depth", "dsine", "marigold", "none"] = "depth"
+    """Source of the surface normals: the views' depth, or a network."""
+    guide: GuideKind = "up"
+    mutual: CrossViewAttention | None = field(default_factory=CrossViewAttention)
+    """None lets no view attend to others."""
 
 
 class CycleGanTurboTransfer:
@@ -55,12 +61,9 @@ class CycleGanTurboTransfer:
     def __init__(
         self, model: CycleGanTurbo, settings: RunSettings | None = None, estimator: NormalEstimator | None = None
     ) -> None:
-        """Take a model with its weights.
+        """Take a model with its weights, on its final device and in its final precision.
 
-        Args:
-            model: Model on its final device and in its final precision.
-            settings: Sizes, guides and neighbors.
-            estimator: Normal estimator if `settings.normals` is neither "depth" nor "none".
+        The estimator is needed if `settings.normals` is neither "depth" nor "none".
         """
         self.model, self.settings, self.estimator = model, settings or RunSettings(), estimator
         weight = model.unet.conv_out.weight
@@ -71,98 +74,74 @@ class CycleGanTurboTransfer:
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Yield rainy views in the plan's order; see `Transfer`. Holds only views that later ones attend to."""
         mutual, self._count = self.settings.mutual, len(views)
-        plan = attention_plan(views, mutual)
-        if mutual is None or not plan.last_use():
-            yield from self._steps(views, plan, None)
-            return
-        with cross_view_attention(self.model.unet, mutual) as talk:
-            yield from self._steps(views, plan, talk)
-
-    def _steps(
-        self, views: Sequence[ClearView], plan: AttentionPlan, talk: CrossViewExchange | None
-    ) -> Iterator[RainyView]:
+        plan = attention.attention_plan(views, mutual)
         last_use = plan.last_use()
         held: dict[int, ClearView] = {}
-        for number, step in enumerate(plan.steps):
-            held.update({index: views[index] for index in step.views})
-            if not number:
-                self._tell_duration(held[step.views[0]], len(views))
-            yield from self._step(held, step, last_use, talk)
-            over = {index for index in held if last_use.get(index, -1) <= number}
-            for index in over:
-                del held[index]
-            if talk is not None:
-                talk.maps.forget(over)
+        uses = mutual if last_use else None
+        with nullcontext() if uses is None else attention.cross_view_attention(self.model.unet, uses) as exchange:
+            for number, step in enumerate(plan.steps):
+                held.update({index: views[index] for index in step.views})
+                if not number:
+                    self._log_duration(held[step.views[0]], len(views))
+                yield from self._step(held, step, last_use, exchange)
+                over = {index for index in held if last_use.get(index, -1) <= number}
+                for index in over:
+                    del held[index]
+                if exchange is not None:
+                    exchange.maps.forget(over)
 
-    def seconds_per_view(self, width: int, height: int) -> float:
-        """Estimate the time for a clear image of this size in pixels; see `estimated_seconds`."""
-        windows = self._windows(width, height)
-        one = estimated_seconds(
-            windows[0].width, windows[0].height, str(self._device), self._dtype, self.settings.mutual is not None
-        )
-        return len(windows) * one
-
-    def _tell_duration(self, view: ClearView, count: int) -> None:
-        if self.model.architecture.name != "tiny":
-            seconds = count * self.seconds_per_view(view.camera.width, view.camera.height)
-            log.info("%s: %d views will take about %.0f s on %s", self.name, count, seconds, self._device)
+    def _log_duration(self, view: ClearView, count: int) -> None:
+        if self.model.architecture.name == "tiny":
+            return
+        windows, mutual = self._windows(view), self.settings.mutual is not None
+        one = estimated_seconds(windows[0].width, windows[0].height, str(self._device), self._dtype, mutual)
+        seconds = count * len(windows) * one
+        log.info("%s: %d views will take about %.0f s on %s", self.name, count, seconds, self._device)
 
     def _step(
-        self, held: dict[int, ClearView], step: AttentionStep, is_source: Container[int], talk: CrossViewExchange | None
+        self, held: dict[int, ClearView], step: AttentionStep, used: Container[int], exchange: CrossViewExchange | None
     ) -> Iterator[RainyView]:
-        frames = [self._frame(held[index]) for index in step.views]
+        mutual = self.settings.mutual
         entries: list[_Entry] = []
-        looks: dict[int, bool] = {}
-        for index, sources, frame in zip(step.views, step.sources, frames, strict=True):
-            found = ((source, correspondence(held[index], held[source])) for source in sources)
+        inputs: list[tuple[ClearView, Image, tuple[TileWindow, ...], str]] = []
+        for index, sources in zip(step.views, step.sources, strict=True):
+            view = held[index]
+            windows = self._windows(view)
+            picture, guide = resized(view.image, *windows[0].frame), self._guide(view, *windows[0].frame)
+            found = ((source, correspondence(view, held[source])) for source in sources)
             places = tuple(each for each in found if each[1].valid.mean() >= _MIN_MATCHED)
-            looks[index] = bool(places) or index in is_source
-            entries += [
-                _Entry(frame, window, BatchElement(index, window, places, index in is_source))
-                for window in frame.windows
-            ]
+            left_out = ""
+            if mutual is not None and mutual.neighbours and self._count > 1 and not places and index not in used:
+                left_out = NO_OVERLAP if view.has_pose else WITHOUT_POSE
+            inputs.append((view, picture, windows, left_out))
+            for window in windows:
+                element = BatchElement(index, window, places, index in used)
+                part = None if guide is None else guide[window.slices]
+                entries.append(_Entry(picture[window.slices], part, element))
         # Views of one step may attend to each other in every layer; tiles of one view never do.
         size = len(entries) if len(step.views) > 1 else 1
         made: list[Image] = []
         for start in range(0, len(entries), size):
-            made += self._made(entries[start : start + size], talk)
-        for index, frame in zip(step.views, frames, strict=True):
-            parts, made = made[: len(frame.windows)], made[len(frame.windows) :]
-            small = blend_tiles(parts, frame.windows, self.settings.overlap_px)
-            clear = held[index]
-            image = restore_size(small, frame.picture, clear.image, self.settings.detail)
-            yield RainyView(clear, image, left_out="" if looks[index] else self._why_alone(clear))
+            made += self._made(entries[start : start + size], exchange)
+        for view, picture, windows, left_out in inputs:
+            parts, made = made[: len(windows)], made[len(windows) :]
+            small = blend_tiles(parts, windows, self.settings.overlap_px)
+            yield RainyView(view, restore_size(small, picture, view.image, self.settings.detail), left_out=left_out)
 
-    def _why_alone(self, view: ClearView) -> str:
-        """Return why a view has no cross-view attention; empty if none was requested."""
-        mutual = self.settings.mutual
-        if mutual is None or not mutual.neighbours or self._count < 2:
-            return ""
-        return NO_OVERLAP if view.has_pose else WITHOUT_POSE
-
-    def _made(self, entries: Sequence["_Entry"], talk: CrossViewExchange | None) -> list[Image]:
+    def _made(self, entries: Sequence["_Entry"], exchange: CrossViewExchange | None) -> list[Image]:
         """Run entries of one size through the network as a batch; display color, 0..1."""
-        pictures = torch.stack([self._tensor(2 * _part(e.frame.picture, e.window) - 1) for e in entries])
-        guided = self.model.takes_guides and all(e.frame.guide is not None for e in entries)
-        guides = torch.stack([self._tensor(_part(e.frame.guide, e.window)) for e in entries]) if guided else None
-        announced = nullcontext() if talk is None else talk.batch([e.element for e in entries])
+        pictures = torch.stack([self._tensor(2 * each.picture - 1) for each in entries])
+        known = [each.guide for each in entries if each.guide is not None]
+        guides = torch.stack([self._tensor(each) for each in known]) if len(known) == len(entries) else None
+        announced = nullcontext() if exchange is None else exchange.batch([each.element for each in entries])
         with announced, torch.inference_mode():
             found = self.model.translate(pictures, guides, "a2b").float().permute(0, 2, 3, 1).cpu().numpy()
         return [np.clip((each + 1) / 2, 0, 1).astype(np.float32) for each in found]
 
-    def _frame(self, view: ClearView) -> "_Frame":
-        windows = self._windows(view.camera.width, view.camera.height)
-        height, width = windows[0].frame
-        guide = self._guide(view)
-        return _Frame(
-            resized(view.image, height, width),
-            None if guide is None else np.clip(resized(guide[..., None], height, width), -1, 1),
-            windows,
-        )
-
-    def _windows(self, width: int, height: int) -> tuple[TileWindow, ...]:
-        """Windows of a clear image of this size for the network: one piece or tiles."""
+    def _windows(self, view: ClearView) -> tuple[TileWindow, ...]:
+        """Windows of a clear image for the network: one piece or tiles."""
         settings, multiple = self.settings, self.model.architecture.side_multiple
+        height, width = view.camera.height, view.camera.width
         frame = frame_size(height, width, settings.side_px, multiple)
         if settings.tile_px is None or max(frame) <= settings.tile_px:
             return (TileWindow.whole(*frame),)
@@ -170,69 +149,48 @@ class CycleGanTurboTransfer:
         frame = frame_size(height, width, settings.side_px, multiple)
         return split_into_tiles(*frame, settings.tile_px, settings.overlap_px, multiple)
 
-    def _guide(self, view: ClearView) -> Float32[np.ndarray, "h w"] | None:
+    def _guide(self, view: ClearView, height: int, width: int) -> Float32[np.ndarray, "h w 1"] | None:
         if self.settings.normals == "none" or not self.model.takes_guides:
             return None
         normals = view.normals if self.estimator is None else self.estimator.normals(view.image, view.camera)
         if not normals.any() and not self._has_warned:
             log.warning("%s: nothing tells its normals; a network can (normals: dsine, marigold)", view.name)
             self._has_warned = True
-        return normals_to_gray(normals, view.camera, self.settings.guide)
+        gray = normals_to_gray(normals, view.camera, self.settings.guide)
+        return np.clip(resized(gray[..., None], height, width), -1, 1)
 
     def _tensor(self, values: Image) -> Tensor:
         channels = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1), np.float32))
         return channels.to(self._device, self._dtype)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
+class _Entry(NamedTuple):
     picture: Image
-    guide: Float32[np.ndarray, "h w 1"] | None
-    windows: tuple[TileWindow, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Entry:
-    frame: _Frame
-    window: TileWindow
+    guide: Image | None
     element: BatchElement
 
 
-def _part(values: Image | None, window: TileWindow) -> Image:
-    assert values is not None
-    return values[window.top : window.top + window.height, window.left : window.left + window.width]
-
-
-# Setup from transfer settings
-
-
-def open_cyclegan_turbo(settings: "TransferSettings") -> CycleGanTurboTransfer:
+def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
     """Load SD-Turbo with transfer weights from disk, and the normal estimator if one is needed.
 
     Raises FileNotFoundError with download instructions, and ValueError for files and settings that don't fit each
     other.
     """
     weights = settings.weights or find_transfer_weights()
-    wants_normals = settings.normals != "none"
-    model = open_model(weights, settings.base, normals=wants_normals)
-    if wants_normals and model.guide == "mask":
+    uses_normals = settings.normals != "none"
+    model = open_model(weights, settings.base, normals=uses_normals)
+    if uses_normals and model.guide == "mask":
         raise ValueError(f"{weights}: its fourth channel takes a mask of classes, not normals: run it without normals")
-    if wants_normals and not model.guide:
+    if uses_normals and not model.guide:
         log.info("%s: trained without normals, which are left out", weights)
-    from_network = settings.normals in ("dsine", "marigold") and bool(model.guide)
-    device = chosen_device(settings.device)
-    estimator = (
-        open_estimator(settings.normals, settings.normals_weights, settings.normals_checkout, device)
-        if from_network
-        else None
-    )
+    device, estimator = chosen_device(settings.device), None
+    if model.guide and settings.normals in ("dsine", "marigold"):
+        estimator = open_estimator(settings.normals, settings.normals_weights, settings.normals_checkout, device)
     run = RunSettings(
-        side_px=settings.side_px,
-        tile_px=settings.tile_px,
+        side_px=settings.side_px, tile_px=settings.tile_px, guide=settings.guide,
         normals=settings.normals if model.guide else "none",
-        guide=settings.guide,
         mutual=CrossViewAttention(neighbours=settings.neighbours) if settings.mutual_attention else None,
-    )
+    )  # fmt: skip
     model = model.to(device, getattr(torch, settings.precision))
     return CycleGanTurboTransfer(model, run, estimator)
 
@@ -251,7 +209,6 @@ def chosen_device(name: str) -> str:
 _LINEAR, _QUADRATIC = 4.278e12, 0.190e12
 """Floating-point operations of SD-Turbo at 512 x 512 px: the part linear in pixels (convolutions), and the quadratic
 one (attention). Counted by torch's FlopCounterMode at 512 and 1024 px."""
-
 _PROBE_CHANNELS, _PROBE_SIDE_PX = 128, 192  # size of the probe, a convolution like those that dominate the autoencoder
 _SHARE_OF_PROBE = {"cpu": 0.75, "cuda": 0.6}  # speed of the whole network relative to the probe
 
@@ -302,16 +259,16 @@ def resized(image: Image, height: int, width: int) -> Image:
     return found.reshape(height, width, image.shape[2]).astype(np.float32)
 
 
-def restore_size(made: Image, seen: Image, clear: Image, detail: bool) -> Image:
-    """Resize the network's output to the size of the clear image; `seen` is the network's input; display, 0..1.
+def restore_size(made: Image, small: Image, clear: Image, detail: bool) -> Image:
+    """Resize the network's output to the size of the clear image; `small` is the network's input; display, 0..1.
 
-    With `detail`, the detail that `seen` lacks is added from the clear image: the top band of a Laplacian pyramid (Burt
-    and Adelson 1983), since the transfer mostly changes low frequencies.
+    With `detail`, the detail that `small` lacks is added from the clear image: the top band of a Laplacian pyramid
+    (Burt and Adelson 1983), since the transfer mostly changes low frequencies.
     """
     height, width = clear.shape[:2]
     large = resized(made, height, width)
     if detail and made.shape != clear.shape:
-        large = large + clear - resized(seen, height, width)
+        large = large + clear - resized(small, height, width)
     return np.clip(large, 0, 1)
 
 
@@ -331,9 +288,8 @@ def blend_tiles(parts: Sequence[Image], windows: Sequence[TileWindow], overlap_p
     weights = np.zeros((*frame, 1))
     for part, window in zip(parts, windows, strict=True):
         weight = _fade(window.height, overlap_px)[:, None, None] * _fade(window.width, overlap_px)[None, :, None]
-        rows, columns = slice(window.top, window.top + window.height), slice(window.left, window.left + window.width)
-        total[rows, columns] += weight * part
-        weights[rows, columns] += weight
+        total[window.slices] += weight * part
+        weights[window.slices] += weight
     return (total / weights).astype(np.float32)
 
 

@@ -9,11 +9,9 @@ from ...safe_io.limits import read_file
 
 BASE_VARIABLE = "GSRAIN_SD_TURBO"
 """Environment variable with a folder of SD-Turbo in diffusers' layout."""
-
 WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
 PUBLISHED_URL = "https://www.cs.cmu.edu/~img2img-turbo/models/clear2rainy.pkl"
 _HUB_NAME = "stabilityai/sd-turbo"
-_MAX_NAME_BYTES = 1 << 10
 _PARTS = ("unet", "vae")
 _SUFFIXES = (".safetensors", ".pkl", ".pt", ".pth")
 
@@ -64,26 +62,19 @@ def base_model_instructions() -> str:
     )
 
 
-def transfer_weight_paths() -> tuple[Path, ...]:
-    """Paths to search for transfer weights: the file of GSRAIN_TRANSFER_WEIGHTS, else a folder of such files."""
-    own = os.environ.get(WEIGHTS_VARIABLE)
-    return (Path(own),) if own else (data_folder() / "transfer",)
-
-
 def find_transfer_weights() -> Path:
-    """Find the file with transfer weights: clear2rainy.pkl, else the first by name.
+    """Find transfer weights: the file or folder of GSRAIN_TRANSFER_WEIGHTS, else a folder of the user's.
 
-    Raises FileNotFoundError with the paths searched and download instructions.
+    In a folder it is clear2rainy.pkl, else the first by name. Raises FileNotFoundError with download instructions.
     """
-    for place in transfer_weight_paths():
-        if place.is_file():
-            return place
-        files = sorted(file for file in place.glob("*") if file.suffix in _SUFFIXES)
-        if files:
-            return min(files, key=lambda file: file.name != "clear2rainy.pkl")
-    looked = " and ".join(map(str, transfer_weight_paths()))
+    place = Path(os.environ.get(WEIGHTS_VARIABLE) or data_folder() / "transfer")
+    if place.is_file():
+        return place
+    files = sorted(file for file in place.glob("*") if file.suffix in _SUFFIXES)
+    if files:
+        return min(files, key=lambda file: file.name != "clear2rainy.pkl")
     raise FileNotFoundError(
-        f"no transfer weights at {looked}: put {PUBLISHED_URL} there, or name a file by --weights or {WEIGHTS_VARIABLE}"
+        f"no transfer weights at {place}: put {PUBLISHED_URL} there, or name a file by --weights or {WEIGHTS_VARIABLE}"
     )
 
 
@@ -101,7 +92,7 @@ def captions_file() -> Path:
 def hub_snapshots(name: str) -> list[Path]:
     """Snapshots of a model in Hugging Face's cache, that of "main" first."""
     main = _hub_cache(name) / "refs" / "main"
-    named = read_file(main, _MAX_NAME_BYTES).decode("utf-8").strip() if main.is_file() else ""
+    named = read_file(main, 1 << 10).decode("utf-8").strip() if main.is_file() else ""
     return sorted((_hub_cache(name) / "snapshots").glob("*"), key=lambda folder: (folder.name != named, folder.name))
 
 

@@ -2,16 +2,18 @@
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from ...safe_io.limits import check_file, open_file
 from ...safe_io.text_files import printable_line
 from ...scene.files import whole_file
-from .lora import VAE_ADAPTER, VAE_ALPHA, LoraRanks, LowRank, adapted_layers, addition_of, match_targets, plain_name
+from . import lora
+from .lora import LowRank, adapted_layers, addition_of
 from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widen_kernel
 
 torch: Any = import_module("torch")
@@ -34,13 +36,6 @@ class AdapterWeights:
     captions: tuple[Tensor, Tensor] | None = None
     """Embeddings for a2b and b2a; None keeps the model's own."""
     texts: tuple[str, str] | None = None
-
-    @property
-    def ranks(self) -> LoraRanks:
-        """Largest ranks of the UNet's and the autoencoders' LoRAs; 0 without any."""
-        unet = [each.down.shape[0] for name, each in self.additions.items() if name.startswith("unet.")]
-        vae = [each.down.shape[0] for name, each in self.additions.items() if not name.startswith("unet.")]
-        return LoraRanks(max(unet, default=0), max(vae, default=0))
 
     @property
     def takes_guides(self) -> bool:
@@ -77,31 +72,35 @@ class WeightsFile:
         kernels = [state[name] for name in ends if isinstance(state, Mapping) and name in state]
         return any(len(shape) > 1 and shape[1] > 3 for shape in (getattr(each, "shape", ()) for each in kernels))
 
+    @property
+    def is_own(self) -> bool:
+        """True for a file of our format."""
+        return self.metadata.get("format") == FORMAT
+
     def texts(self, weather: str = "rainy") -> tuple[str, str] | None:
         """Captions for a2b and b2a that the text encoder has to encode; None if the file has their embeddings."""
-        return None if is_own(self.metadata) else published_texts(self.state, weather)
+        return None if self.is_own else published_texts(self.state, weather)
 
     def delta(self, model: CycleGanTurbo, weather: str = "rainy") -> AdapterWeights:
         """Weights relative to SD-Turbo; raises ValueError with the first bad key if they don't fit this model."""
+        source = str(self.path)
         try:
-            return self._delta(model, weather)
+            if self.is_own:
+                return read_own(self.state, self.metadata, model, source)
+            if "sd_vae_enc" in self.state or "rank_unet" in self.state:
+                return read_published(self.state, model, source, weather)
+            if any(name.startswith((_PREFIX, _FLAT_PREFIX)) and _ENDING.search(name) for name in self.state):
+                return read_diffusers_lora(self.state, self.metadata, model, source)
+            some = ", ".join(repr(name) for name in sorted(self.state)[:3])
+            raise ValueError(
+                f"{source}: neither img2img-turbo's, WeatherEdit's, a LoRA nor our own weights: has {some}"
+            )
         except ValueError as error:
             raise ValueError(printable_line(error)) from None
         except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError) as error:
             # Damaged files may hold a value in place of a tensor, or a tensor in place of a number.
             words = printable_line(str(error).split("\n")[0])
             raise ValueError(f"{self.path}: its weights are damaged: {words or type(error).__name__}") from None
-
-    def _delta(self, model: CycleGanTurbo, weather: str) -> AdapterWeights:
-        source = str(self.path)
-        if is_own(self.metadata):
-            return read_own(self.state, self.metadata, model, source)
-        if is_published(self.state):
-            return read_published(self.state, model, source, weather)
-        if is_diffusers_lora(self.state):
-            return read_diffusers_lora(self.state, self.metadata, model, source)
-        some = ", ".join(repr(name) for name in sorted(self.state)[:3])
-        raise ValueError(f"{source}: neither img2img-turbo's, WeatherEdit's, a LoRA nor our own weights: has {some}")
 
 
 def open_weights(path: Path) -> WeightsFile:
@@ -112,10 +111,10 @@ def open_weights(path: Path) -> WeightsFile:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of weights")
     if path.suffix == ".safetensors":
-        state, metadata = _safetensors(path)
-        if is_own(metadata):
-            check_header(metadata, str(path))
-        return WeightsFile(path, state, metadata)
+        file = WeightsFile(path, *_read_safetensors(path))
+        if file.is_own:
+            _check_header(file.metadata, str(path))
+        return file
     try:
         with open_file(path) as stream:
             state = torch.load(stream, map_location="cpu", weights_only=True)
@@ -127,17 +126,7 @@ def open_weights(path: Path) -> WeightsFile:
     return WeightsFile(path, dict(state.items()), {})
 
 
-def save_weights(model: CycleGanTurbo, path: Path) -> None:
-    """Write all weights that a model adds to SD-Turbo to a .safetensors file: LoRAs, first convolutions, captions.
-
-    Raises ValueError for another suffix, and for plain SD-Turbo.
-    """
-    if path.suffix != ".safetensors":
-        raise ValueError(f"{path}: weights are written as .safetensors")
-    write_own(model, path)
-
-
-def _safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     try:
         safetensors: Any = import_module("safetensors")
     except ModuleNotFoundError as error:
@@ -156,7 +145,7 @@ _ENCODER_INPUTS = ("vae.encoder.conv_in", "vae_b2a.encoder.conv_in")
 
 def plain_tensors(model: CycleGanTurbo) -> dict[str, Tensor]:
     """Weights of a model without LoRAs, by their names without peft."""
-    return {plain_name(name): each for name, each in model.named_parameters() if ".lora_" not in name}
+    return {name.replace(".base_layer.", "."): each for name, each in model.named_parameters() if ".lora_" not in name}
 
 
 def plain_layers(model: CycleGanTurbo) -> list[str]:
@@ -181,7 +170,7 @@ def apply_adapter_weights(model: CycleGanTurbo, delta: AdapterWeights) -> None:
             tensors[name].copy_(value)
         for layer, addition in delta.additions.items() if not model.adapted else ():
             weight = tensors[f"{layer}.weight"]
-            weight.copy_(addition.added(weight))
+            weight.copy_(addition.added_to(weight))
     if delta.captions is not None:
         model.set_captions(*delta.captions)
     model.texts = delta.texts or model.texts
@@ -209,16 +198,18 @@ def extract_adapter_weights(model: CycleGanTurbo) -> AdapterWeights:
     return AdapterWeights("the model", additions, whole, guide, captions, model.texts)
 
 
-def check_names(found: Iterable[str], wanted: Iterable[str], where: str) -> None:
+def check_names(found: Iterable[str], expected: Iterable[str], where: str) -> None:
     """Raise ValueError with the first of each if keys are missing or unknown."""
-    have, need = set(found), set(wanted)
-    faults = [f"{_first(need - have)} missing"] if need - have else []
-    faults += [f"{_first(have - need)} unknown"] if have - need else []
+    have, need = set(found), set(expected)
+    faults = [
+        f"{first_of(names)} {fault}" for names, fault in ((need - have, "missing"), (have - need, "unknown")) if names
+    ]
     if faults:
         raise ValueError(f"{where}: {', and '.join(faults)}")
 
 
-def _first(names: set[str]) -> str:
+def first_of(names: Collection[str]) -> str:
+    """Beginning of a sentence on names: the first, and the number of others."""
     others = f" and {len(names) - 1} more are" if len(names) > 1 else " is"
     return f"{min(names)!r}{others}"
 
@@ -248,12 +239,10 @@ def _fitted(delta: AdapterWeights, tensors: Mapping[str, Tensor]) -> AdapterWeig
         if value.shape != tensors[name].shape:
             shapes = f"{tuple(value.shape)}, but the model has {tuple(tensors[name].shape)}"
             raise ValueError(f"{delta.source}: {name!r} is {shapes}")
-    replaced = {name: value for name, value in replaced.items() if not _equal(value, tensors[name])}
+    for name, value in list(replaced.items()):
+        if value.dtype == tensors[name].dtype and torch.equal(value, tensors[name].to(value.device)):
+            del replaced[name]
     return replace(delta, additions=additions, replaced=replaced)
-
-
-def _equal(a: Tensor, b: Tensor) -> bool:
-    return a.dtype == b.dtype and torch.equal(a, b.to(a.device))
 
 
 def _into_adapters(model: CycleGanTurbo, delta: AdapterWeights) -> None:
@@ -279,54 +268,56 @@ _VERSION = "1"
 _FACTORS = ("lora_A.weight", "lora_B.weight", "alpha")
 _PROBE = "unet.conv_out.bias"
 """Untrained tensor of the base, stored to check that weights are applied to the right base."""
-
 _PROBE_TOLERANCE = 2e-2  # tolerance relative to the largest value, so that half-precision copies of the base pass
 
 
-def is_own(metadata: Mapping[str, str]) -> bool:
-    """True if the header of a .safetensors file is of our format."""
-    return metadata.get("format") == FORMAT
+def save_weights(model: CycleGanTurbo, path: Path) -> None:
+    """Write all weights that a model adds to SD-Turbo to a .safetensors file: LoRAs, first convolutions, captions.
 
-
-def write_own(model: CycleGanTurbo, path: Path) -> None:
-    """Write all weights that a model adds to SD-Turbo; raises ValueError if there are none."""
+    Raises ValueError for another suffix, and for plain SD-Turbo.
+    """
+    if path.suffix != ".safetensors":
+        raise ValueError(f"{path}: weights are written as .safetensors")
     delta = extract_adapter_weights(model)
     tensors: dict[str, Tensor] = {f"base.{_PROBE}": plain_tensors(model)[_PROBE]}
+    ranks = {"unet": 0, "vae": 0}
     for name, addition in delta.additions.items():
-        alpha = addition.down.new_tensor(addition.scale * addition.down.shape[0])
+        rank, part = addition.down.shape[0], "unet" if name.startswith("unet.") else "vae"
+        ranks[part] = max(ranks[part], rank)
+        alpha = addition.down.new_tensor(addition.scale * rank)
         tensors |= dict(zip((f"{name}.{f}" for f in _FACTORS), (addition.down, addition.up, alpha), strict=True))
     tensors |= delta.replaced
     assert delta.captions is not None and delta.texts is not None
     tensors |= {"captions.a2b": delta.captions[0], "captions.b2a": delta.captions[1]}
     header = {
-        "format": FORMAT,
-        "version": _VERSION,
-        "architecture": model.architecture.name,
-        "guide": delta.guide,
-        "rank_unet": str(delta.ranks.unet),
-        "rank_vae": str(delta.ranks.vae),
-        "caption_a2b": delta.texts[0],
-        "caption_b2a": delta.texts[1],
-    }
+        "format": FORMAT, "version": _VERSION, "architecture": model.architecture.name, "guide": delta.guide,
+        "rank_unet": str(ranks["unet"]), "rank_vae": str(ranks["vae"]),
+        "caption_a2b": delta.texts[0], "caption_b2a": delta.texts[1],
+    }  # fmt: skip
     if model.seed is not None:
         header["random_base_seed"] = str(model.seed)
     header["tensors"] = json.dumps(sorted(tensors))
     save: Any = import_module("safetensors.torch").save_file
     plain = {name: each.detach().cpu().contiguous() for name, each in tensors.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        save(plain, beside, metadata=header)
-        sort_header(beside)
+    with whole_file(path) as temporary:
+        save(plain, temporary, metadata=header)
+        _sort_header(temporary)
 
 
 def read_own(
     tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
 ) -> AdapterWeights:
     """Read our format; raises ValueError for another version, architecture or base, and for unknown keys."""
-    check_header(metadata, source)
+    _check_header(metadata, source)
     if metadata["architecture"] != model.architecture.name:
         raise ValueError(f"{source}: made for {metadata['architecture']}, not for {model.architecture.name}")
-    _check_base(tensors, model, source)
+    probe = tensors.get(f"base.{_PROBE}")
+    own = plain_tensors(model)[_PROBE].float().cpu()
+    if probe is None or probe.shape != own.shape:
+        raise ValueError(f"{source}: 'base.{_PROBE}' is missing or of another shape")
+    if float((probe.float() - own).abs().max()) > _PROBE_TOLERANCE * float(own.abs().max()):
+        raise ValueError(f"{source}: made upon another base than this one; SD-Turbo of Stability AI is wanted")
     ends = tuple(f".{factor}" for factor in _FACTORS)
     layers = {name.removesuffix(end) for name in tensors for end in ends if name.endswith(end)}
     others = {"captions.a2b", "captions.b2a", f"base.{_PROBE}"}
@@ -348,7 +339,7 @@ def read_own(
     )
 
 
-def check_header(metadata: Mapping[str, str], source: str) -> None:
+def _check_header(metadata: Mapping[str, str], source: str) -> None:
     """Raise ValueError if the header of our file lacks a field, or has another version or architecture."""
     for field in ("version", "architecture", "guide", "caption_a2b", "caption_b2a", "tensors"):
         if field not in metadata:
@@ -361,35 +352,19 @@ def check_header(metadata: Mapping[str, str], source: str) -> None:
         raise ValueError(f"{source}: random_base_seed in its header is no number")
 
 
-def _check_base(tensors: Mapping[str, Tensor], model: CycleGanTurbo, source: str) -> None:
-    probe = tensors.get(f"base.{_PROBE}")
-    mine = plain_tensors(model)[_PROBE].float().cpu()
-    if probe is None or probe.shape != mine.shape:
-        raise ValueError(f"{source}: 'base.{_PROBE}' is missing or of another shape")
-    if float((probe.float() - mine).abs().max()) > _PROBE_TOLERANCE * float(mine.abs().max()):
-        raise ValueError(f"{source}: made upon another base than this one; SD-Turbo of Stability AI is wanted")
-
-
 # Published checkpoints of img2img-turbo (clear2rainy.pkl and others) and of WeatherEdit
 
-_UNET_PARTS = (
-    ("sd_encoder", "l_target_modules_encoder"),
-    ("sd_decoder", "l_target_modules_decoder"),
-    ("sd_other", "l_modules_others"),
-)
-"""Keys of the UNet's LoRAs and of the names of their layers."""
-
+_UNET_PARTS = {
+    "encoder": "l_target_modules_encoder",
+    "decoder": "l_target_modules_decoder",
+    "other": "l_modules_others",
+}
+"""Parts of the UNet, and keys of the names of their layers."""
 _OTHERS = ("rank_unet", "rank_vae", "vae_lora_target_modules", "sd_vae_enc", "sd_vae_dec")
 _VAES = ("vae.", "vae_b2a.")
 WEATHERS = ("rainy", "snowy", "foggy")
 """Weathers in one checkpoint of WeatherEdit, which share an autoencoder."""
-
 WEATHEREDIT_CAPTION = "Picture of a {} weather scene"
-
-
-def is_published(state: Mapping[str, Any]) -> bool:
-    """True if a loaded file looks like a checkpoint of img2img-turbo or WeatherEdit."""
-    return "sd_vae_enc" in state or "rank_unet" in state
 
 
 def published_texts(state: Mapping[str, Any], weather: str) -> tuple[str, str]:
@@ -401,48 +376,33 @@ def published_texts(state: Mapping[str, Any], weather: str) -> tuple[str, str]:
 def read_published(
     state: Mapping[str, Any], model: CycleGanTurbo, source: str, weather: str = "rainy"
 ) -> AdapterWeights:
-    """Read the weights of a checkpoint.
+    """Read the weights of a checkpoint; of a file with several weathers, the LoRAs of `weather`.
 
-    Args:
-        state: Content of the file.
-        model: Model that defines the layers.
-        source: File name, for messages.
-        weather: LoRAs to take if there are several.
-
-    Raises ValueError for missing and unknown keys and other shapes, naming the first.
+    Raises ValueError with the `source` for missing and unknown keys and other shapes, naming the first.
     """
     several = [each for each in WEATHERS if f"sd_{each}_encoder" in state]
     if several and weather not in several:
         raise ValueError(f"{source}: holds {', '.join(several)}, not {weather!r}")
-    parts = [(key.replace("sd_", f"sd_{weather}_") if several else key, names) for key, names in _UNET_PARTS]
-    _check_top(state, [key for pair in parts for key in pair], source, several)
-    additions: dict[str, LowRank] = {}
-    for key, names in parts:
-        additions |= _unet_additions(state[key], state[names], f"{source}: {key}", int(state["rank_unet"]))
-    vae_additions, replaced = _autoencoders(state, model, source)
-    fourth = replaced["vae.encoder.conv_in.weight"].shape[1] > 3
-    return AdapterWeights(
-        source, additions | vae_additions, replaced, "mask" if fourth else "", texts=published_texts(state, weather)
-    )
-
-
-def _check_top(state: Mapping[str, Any], keys: list[str], source: str, several: list[str]) -> None:
-    wanted = {*keys, *_OTHERS}
-    allowed = {f"sd_{each}_{part}" for each in several for part in ("encoder", "decoder", "other")}
+    parts = {f"sd_{weather}_{part}" if several else f"sd_{part}": names for part, names in _UNET_PARTS.items()}
+    expected = {*parts, *parts.values(), *_OTHERS}
+    allowed = {f"sd_{each}_{part}" for each in several for part in _UNET_PARTS}
     # Unknown plain values are training metadata; unknown tensors would be weights lost silently.
     heavy = {key for key, value in state.items() if isinstance(value, Mapping) or hasattr(value, "shape")}
-    check_names((set(state) & wanted) | (heavy - allowed), wanted, source)
-
-
-def _unet_additions(state: Mapping[str, Any], layers: list[str], where: str, rank: int) -> dict[str, LowRank]:
-    check_names(state, [f"{layer}.lora_{factor}.weight" for layer in layers for factor in "AB"], where)
+    check_names((set(state) & expected) | (heavy - allowed), expected, source)
     additions: dict[str, LowRank] = {}
-    for layer in layers:
-        down, up = state[f"{layer}.lora_A.weight"], state[f"{layer}.lora_B.weight"]
-        if down.shape[0] != rank:
-            raise ValueError(f"{where}: {layer!r} has rank {down.shape[0]}, not rank_unet, which is {rank}")
-        additions[f"unet.{layer}"] = LowRank(down, up, 1.0)
-    return additions
+    rank = int(state["rank_unet"])
+    for key, names in parts.items():
+        where, layers = f"{source}: {key}", state[names]
+        check_names(state[key], [f"{layer}.lora_{factor}.weight" for layer in layers for factor in "AB"], where)
+        for layer in layers:
+            down, up = (state[key][f"{layer}.lora_{factor}.weight"] for factor in "AB")
+            if down.shape[0] != rank:
+                raise ValueError(f"{where}: {layer!r} has rank {down.shape[0]}, not rank_unet, which is {rank}")
+            additions[f"unet.{layer}"] = LowRank(down, up, 1.0)
+    vae_additions, replaced = _autoencoders(state, model, source)
+    guide: Guide = "mask" if replaced["vae.encoder.conv_in.weight"].shape[1] > 3 else ""
+    texts = published_texts(state, weather)
+    return AdapterWeights(source, additions | vae_additions, replaced, guide, texts=texts)
 
 
 def _autoencoders(
@@ -450,34 +410,23 @@ def _autoencoders(
 ) -> tuple[dict[str, LowRank], dict[str, Any]]:
     """LoRAs and whole tensors of both autoencoders; the file holds them twice, and the later copy counts."""
     layers = [name.removeprefix("vae.") for name in plain_layers(model) if name.startswith("vae.")]
-    adapted = match_targets(layers, state["vae_lora_target_modules"])
-    wanted = {prefix + _stored(name, adapted) for prefix in _VAES for name in _vae_tensors(model)}
-    wanted |= {f"{prefix}{layer}.{_factor(f)}" for prefix in _VAES for layer in adapted for f in "AB"}
-    for key in ("sd_vae_enc", "sd_vae_dec"):
-        check_names(state[key], wanted, f"{source}: {key}")
-    found = state["sd_vae_dec"]
-    replaced = {p + name: found[p + _stored(name, adapted)] for p in _VAES for name in _vae_tensors(model)}
-    scale = VAE_ALPHA / int(state["rank_vae"])
-    additions = {
-        p + layer: LowRank(found[f"{p}{layer}.{_factor('A')}"], found[f"{p}{layer}.{_factor('B')}"], scale)
-        for p in _VAES
+    adapted = lora.match_targets(layers, state["vae_lora_target_modules"])
+    tensors = [name.removeprefix("vae.").rpartition(".") for name in plain_tensors(model) if name.startswith("vae.")]
+    stored = {  # names in the file, where peft has wrapped layers, by names in the model
+        f"{prefix}{layer}.{tensor}": f"{prefix}{layer}{'.base_layer' if layer in adapted else ''}.{tensor}"
+        for prefix in _VAES
+        for layer, _, tensor in tensors
+    }
+    factors = {
+        prefix + layer: [f"{prefix}{layer}.lora_{f}.{lora.VAE_ADAPTER}.weight" for f in "AB"]
+        for prefix in _VAES
         for layer in adapted
     }
-    return additions, replaced
-
-
-def _vae_tensors(model: CycleGanTurbo) -> list[str]:
-    return [name.removeprefix("vae.") for name in plain_tensors(model) if name.startswith("vae.")]
-
-
-def _factor(letter: str) -> str:
-    return f"lora_{letter}.{VAE_ADAPTER}.weight"
-
-
-def _stored(name: str, adapted: list[str]) -> str:
-    """Name of a tensor in a layer that peft has wrapped."""
-    layer, _, tensor = name.rpartition(".")
-    return f"{layer}.base_layer.{tensor}" if layer in adapted else name
+    for key in ("sd_vae_enc", "sd_vae_dec"):
+        check_names(state[key], [*stored.values(), *chain(*factors.values())], f"{source}: {key}")
+    found, scale = state["sd_vae_dec"], lora.VAE_ALPHA / int(state["rank_vae"])
+    additions = {layer: LowRank(found[down], found[up], scale) for layer, (down, up) in factors.items()}
+    return additions, {name: found[in_file] for name, in_file in stored.items()}
 
 
 # LoRA files of diffusers (pytorch_lora_weights.safetensors) and of kohya's scripts, for the UNet alone
@@ -494,11 +443,6 @@ _DIFFUSERS_FACTORS = {
 
 _ENDING = re.compile(rf"\.({'|'.join(map(re.escape, _DIFFUSERS_FACTORS))})$")
 _METADATA = "lora_adapter_metadata"  # header field in which diffusers writes peft's settings, in JSON
-
-
-def is_diffusers_lora(names: Mapping[str, Any]) -> bool:
-    """True if the tensors of a file are named like a LoRA's."""
-    return any(name.startswith((_PREFIX, _FLAT_PREFIX)) and _ENDING.search(name) for name in names)
 
 
 def read_diffusers_lora(
@@ -520,10 +464,12 @@ def read_diffusers_lora(
     for layer, factors in found.items():
         for missing in {"down", "up"} - set(factors):
             raise ValueError(f"{source}: {layer!r} lacks its factor {missing!r}")
-        rank = factors["down"].shape[0]
+        down, up = factors["down"], factors["up"]
+        rank = down.shape[0]
         alpha = float(factors["alpha"]) if "alpha" in factors else _alpha(settings, layer, rank)
-        weight = _as_layer(factors, shapes[f"{_PREFIX}{layer}.weight"])
-        additions[_PREFIX + layer] = LowRank(*weight, alpha / rank)
+        if len(shapes[f"{_PREFIX}{layer}.weight"]) == 2:  # files may store linear layers as 1x1 convolutions
+            down, up = down.flatten(1), up.flatten(1)
+        additions[_PREFIX + layer] = LowRank(down, up, alpha / rank)
     return AdapterWeights(source, additions, {})
 
 
@@ -531,22 +477,12 @@ def _named(name: str, layers: set[str], flat: Mapping[str, str], source: str) ->
     ending = _ENDING.search(name)
     stem = name[: ending.start()] if ending else name
     # Before diffusers used peft, attention LoRAs were named after the attention processor.
-    stem = re.sub(r"\.processor\.(to_[qkv]|to_out)_lora$", lambda m: f".{_OUT.get(m[1], m[1])}", stem)
+    stem = re.sub(r"\.processor\.(to_[qkv])_lora$", r".\1", stem)
+    stem = re.sub(r"\.processor\.to_out_lora$", ".to_out.0", stem)
     layer = stem.removeprefix(_PREFIX) if stem.startswith(_PREFIX) else flat.get(stem.removeprefix(_FLAT_PREFIX), "")
     if ending is None or layer not in layers:
         raise ValueError(f"{source}: {name!r} is no addition to a layer of this UNet")
     return layer, _DIFFUSERS_FACTORS[ending[1]]
-
-
-_OUT = {"to_out": "to_out.0"}
-
-
-def _as_layer(factors: Mapping[str, Tensor], shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-    """Reshape factors to the layer's type: files may store linear layers as 1x1 convolutions."""
-    down, up = factors["down"], factors["up"]
-    if len(shape) == 2:
-        return down.flatten(1), up.flatten(1)
-    return down, up
 
 
 def _settings(metadata: Mapping[str, str], source: str) -> Mapping[str, Any]:
@@ -559,19 +495,18 @@ def _settings(metadata: Mapping[str, str], source: str) -> Mapping[str, Any]:
 
 def _alpha(settings: Mapping[str, Any], layer: str, rank: int) -> float:
     pattern: Mapping[str, float] = settings.get("alpha_pattern") or {}
-    for ending, alpha in pattern.items():
-        if layer == ending or layer.endswith(f".{ending}"):
-            return float(alpha)
-    return float(settings.get("lora_alpha", rank))
+    found = (alpha for ending, alpha in pattern.items() if f".{layer}".endswith(f".{ending}"))
+    return float(next(found, settings.get("lora_alpha", rank)))
 
-
-# Deterministic .safetensors headers: the library writes fields in varying order
 
 _LENGTH_BYTES = 8
 
 
-def sort_header(file: Path) -> None:
-    """Sort the header in place, so that equal weights give identical bytes; tensor offsets stay."""
+def _sort_header(file: Path) -> None:
+    """Sort the header of a .safetensors file in place, since the library writes its fields in varying order.
+
+    Equal weights give identical bytes then; tensor offsets stay.
+    """
     with file.open("r+b") as stream:
         length = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
         header: dict[str, Any] = json.loads(stream.read(length))

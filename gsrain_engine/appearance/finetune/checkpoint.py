@@ -40,7 +40,7 @@ class FinetuneCheckpoint:
     """True if LPIPS is one of the losses."""
 
 
-class _FinetuneHeader(msgspec.Struct, frozen=True, kw_only=True):
+class _FinetuneHeader(msgspec.Struct, frozen=True):
     version: int
     step: int
     seconds: float
@@ -53,13 +53,10 @@ def write_finetune_checkpoint(
     file: Path, checkpoint: FinetuneCheckpoint, settings: FinetuningSettings, pictures: str
 ) -> None:
     """Write a checkpoint; the text `pictures` identifies the image set."""
-    head = _FinetuneHeader(
-        version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, perceptual=checkpoint.perceptual,
-        pictures=pictures, settings=settings,
-    )  # fmt: skip
-    with whole_file(file) as beside:
-        text = msgspec.json.encode(head).decode()
-        safetensors_torch.save_file(dict(checkpoint.tensors), str(beside), metadata={_HEAD: text})
+    state = (checkpoint.step, checkpoint.seconds, checkpoint.perceptual)
+    head = msgspec.json.encode(_FinetuneHeader(_VERSION, *state, pictures, settings)).decode()
+    with whole_file(file) as temporary:
+        safetensors_torch.save_file(dict(checkpoint.tensors), str(temporary), metadata={_HEAD: head})
 
 
 def read_finetune_checkpoint(
@@ -87,10 +84,8 @@ def read_finetune_checkpoint(
             f"{file}: made from other pictures ({printable_line(head.pictures)}), now they are {pictures}"
         )
     if head.perceptual != perceptual:
-        missing = (
-            "without LPIPS, whose weights are there now" if perceptual else "with LPIPS, whose weights are missing"
-        )
-        raise FinetuningCheckpointError(f"{file}: trained so far {missing}; give it the same again")
+        change = "without LPIPS, whose weights are there now" if perceptual else "with LPIPS, whose weights are missing"
+        raise FinetuningCheckpointError(f"{file}: trained so far {change}; give it the same again")
     for name in settings.__struct_fields__:
         before, now = getattr(head.settings, name), getattr(settings, name)
         if before != now and name not in _FREE:

@@ -1,14 +1,14 @@
 """Image sets for fine-tuning: sources, weather labels, guides, and the split into training and test."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int8
 from msgspec import Meta, Struct
 from PIL import Image
 
@@ -19,7 +19,7 @@ from ...datasets.rainsense import RAIN
 from ...datasets.undistort import undistort_frame
 from ...safe_io.limits import open_file
 from ...scene.files import whole_file
-from ..normals import NormalEstimator, normals_from_depth, normals_to_gray
+from ..normals import NormalEstimator, normals_from_depth, normals_to_gray, open_estimator
 
 _Guide = Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None]
 
@@ -37,7 +37,7 @@ class DatasetImage:
     width: int
     height: int
     framing: Framing = "stretch"
-    guide: Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None] | None = None
+    guide: _Guide | None = None
     """Function that computes the guide of an undistorted view; None trains without one."""
 
     def read(self) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"] | None]:
@@ -78,11 +78,6 @@ class ImageSplit:
     table: tuple[tuple[str, str, int, int], ...]
     """One row per source: its path, clear or rainy, number of images, and number of test images."""
     problems: tuple[str, ...] = ()
-
-    def counted(self) -> Iterator[str]:
-        """Yield one line per source for the log."""
-        for path, look, count, tested in self.table:
-            yield f"{path}: {count} {look} pictures, {tested} of them for testing"
 
 
 # Image settings, part of the training's YAML file
@@ -141,7 +136,11 @@ def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSpli
     Each source is split separately, so that training and test have the same mix. Broken images are skipped and listed.
     Raises `CaptureError` if a source can't be read, or has no or too few images of the requested weather.
     """
-    guide = _guides(settings, cache)
+    guide = None
+    if settings.guide != "none":
+        paths = (settings.normals_weights, settings.normals_checkout)
+        estimator = None if settings.normals == "none" else open_estimator(settings.normals, *paths)
+        guide = ConditioningImages(settings.guide, estimator, settings.normals, cache)
     rows: list[tuple[str, str, int, int]] = []
     problems: list[str] = []
     parts: dict[str, tuple[list[DatasetImage], list[DatasetImage]]] = {}
@@ -162,19 +161,6 @@ def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSpli
     train = UnpairedImages(tuple(parts["clear"][0]), tuple(parts["rainy"][0]))
     test = UnpairedImages(tuple(parts["clear"][1]), tuple(parts["rainy"][1]))
     return ImageSplit(train, test, tuple(rows), tuple(problems))
-
-
-def _guides(settings: ImageSettings, cache: Path | None) -> _Guide | None:
-    if settings.guide == "none":
-        return None
-    if settings.normals == "none":
-        return ConditioningImages(settings.guide)
-    from ..normals import open_estimator  # loads torch
-
-    weights = None if settings.normals_weights is None else Path(settings.normals_weights)
-    checkout = None if settings.normals_checkout is None else Path(settings.normals_checkout)
-    estimator = open_estimator(settings.normals, weights=weights, checkout=checkout)
-    return ConditioningImages(settings.guide, estimator, settings.normals, cache)
 
 
 def _chosen(source: ImageSource, problems: list[str]) -> list[CaptureFrame]:
@@ -259,47 +245,36 @@ class ConditioningImages:
 
     def __call__(self, view: CaptureFrame) -> Float32[np.ndarray, "_ _"] | None:
         """Return the guide of an undistorted view, -1..1 per pixel, or None."""
-        normals = self._known(view)
-        if normals is not None:
-            return normals_to_gray(normals, view.camera, self.kind)
-        if self.estimator is None:
-            return None
-        return self._estimated(view, self.estimator)
-
-    def _known(self, view: CaptureFrame) -> Float32[np.ndarray, "_ _ 3"] | None:
         if (normals := view.normals) is not None:
-            return normals.astype(np.float32)
-        depth = view.depth
-        return None if depth is None else normals_from_depth(depth, view.camera)
+            return normals_to_gray(normals.astype(np.float32), view.camera, self.kind)
+        if (depth := view.depth) is not None:
+            return normals_to_gray(normals_from_depth(depth, view.camera), view.camera, self.kind)
+        return None if self.estimator is None else self._estimated(view, self.estimator)
 
     def _estimated(self, view: CaptureFrame, estimator: NormalEstimator) -> Float32[np.ndarray, "_ _"]:
         image, camera = view.image, view.camera
-        asked = f"{self.estimator_name} {self.kind} {camera.fx} {camera.fy} {camera.cx} {camera.cy} {image.shape}"
-        file = None
+        request = f"{self.estimator_name} {self.kind} {camera.fx} {camera.fy} {camera.cx} {camera.cy} {image.shape}"
+        file, steps = None, None
         if self.folder is not None:
-            key = hashlib.sha256(asked.encode() + image.tobytes()).hexdigest()[:24]
+            key = hashlib.sha256(request.encode() + image.tobytes()).hexdigest()[:24]
             file = self.folder / f"{key}.npy"
-            if (kept := _read(file, image.shape[:2])) is not None:
-                return kept
-        guide = normals_to_gray(
-            estimator.normals(image.astype(np.float32) / np.float32(255), camera), camera, self.kind
-        )
-        # Quantized to 8 bits even on first use, so that cached and new guides are equal.
-        steps = np.round(guide * 127).astype(np.int8)
-        if file is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(file) as beside, beside.open("wb") as stream:
-                np.save(stream, steps, allow_pickle=False)
+            steps = _read_steps(file, image.shape[:2])
+        if steps is None:
+            normals = estimator.normals(image.astype(np.float32) / np.float32(255), camera)
+            # Quantized to 8 bits even on first use, so that cached and new guides are equal.
+            steps = np.round(normals_to_gray(normals, camera, self.kind) * 127).astype(np.int8)
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                with whole_file(file) as temporary, temporary.open("wb") as stream:
+                    np.save(stream, steps, allow_pickle=False)
         return steps.astype(np.float32) / np.float32(127)
 
 
-def _read(file: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "_ _"] | None:
-    """Return a cached guide; None if it is missing or damaged."""
+def _read_steps(file: Path, shape: tuple[int, ...]) -> Int8[np.ndarray, "_ _"] | None:
+    """Return a cached guide, quantized; None if it is missing or damaged."""
     try:
         with open_file(file) as stream:
             steps = np.load(stream, allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return None
-    if steps.shape != shape or steps.dtype != np.int8:
-        return None
-    return steps.astype(np.float32) / np.float32(127)
+    return steps if steps.shape == shape and steps.dtype == np.int8 else None

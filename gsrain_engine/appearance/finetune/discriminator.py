@@ -32,16 +32,16 @@ class ClipFeatures(torch.nn.Module):
 
     @classmethod
     def read(cls, folder: Path | None) -> "ClipFeatures":
-        """Load the model from a folder (None: the first of `clip_places`).
+        """Load the model from a folder, or if None, from that of `find_clip`.
 
         Raises FileNotFoundError with download instructions if there is none, ValueError if weights are missing.
         """
         place = find_clip(folder)
-        vision, told = _loaded(place)
+        vision, loading = _loaded(place)
         # The text model of a full CLIP is not needed; a vision weight missing here would be random.
-        lacking = sorted({*told["missing_keys"], *(name for name, *_ in told["mismatched_keys"])})
-        if lacking:
-            raise ValueError(f"{place}: {len(lacking)} weights of CLIP's vision model are missing, first {lacking[0]}")
+        missing = sorted({*loading["missing_keys"], *(name for name, *_ in loading["mismatched_keys"])})
+        if missing:
+            raise ValueError(f"{place}: {len(missing)} weights of CLIP's vision model are missing, first {missing[0]}")
         return cls(vision)
 
     @classmethod
@@ -59,9 +59,9 @@ class ClipFeatures(torch.nn.Module):
 
     def forward(self, pictures: Tensor) -> list[Tensor]:
         """Return two maps (b, c, rows, columns) and one vector (b, d) of images (b, 3, h, w) in -1..1."""
-        shown = area_resized(pictures * 0.5 + 0.5, self._side_px)
-        seen = self.vision(pixel_values=(shown - self.mean) / self.deviation, output_hidden_states=True)
-        return [*(_as_map(seen.hidden_states[tap]) for tap in self.taps), seen.image_embeds]
+        resized = area_resized(pictures * 0.5 + 0.5, self._side_px)
+        features = self.vision(pixel_values=(resized - self.mean) / self.deviation, output_hidden_states=True)
+        return [*(_as_map(features.hidden_states[tap]) for tap in self.taps), features.image_embeds]
 
 
 class Discriminator(torch.nn.Module):
@@ -125,7 +125,7 @@ def _area_weights(of: int, to: int) -> Tensor:
 def _loaded(place: Path) -> tuple[Any, Any]:
     """Load the vision model of a folder and its loading info, without the log messages on the unused text model."""
     log = transformers.logging
-    said, shown = log.get_verbosity(), log.is_progress_bar_enabled()
+    verbosity, has_bar = log.get_verbosity(), log.is_progress_bar_enabled()
     log.set_verbosity_error()
     log.disable_progress_bar()
     try:
@@ -133,8 +133,8 @@ def _loaded(place: Path) -> tuple[Any, Any]:
             place, local_files_only=True, output_loading_info=True, ignore_mismatched_sizes=True, dtype=torch.float32
         )
     finally:
-        log.set_verbosity(said)
-        if shown:
+        log.set_verbosity(verbosity)
+        if has_bar:
             log.enable_progress_bar()
 
 
@@ -157,9 +157,9 @@ def augment_images(pictures: Tensor, kinds: Sequence[str], generator: Any) -> Te
     `kinds` are "color", "translation" and "cutout", applied in this order. `generator` is torch's, on the CPU, so that
     a seed gives the same draws on every device. Uncovered borders and holes are 0, the middle gray.
     """
-    for kind in ("color", "translation", "cutout"):
+    for kind, augment in _KINDS.items():
         if kind in kinds:
-            pictures = _KINDS[kind](pictures, generator)
+            pictures = augment(pictures, generator)
     return pictures
 
 

@@ -27,16 +27,16 @@ class LossLog:
 
     def __init__(self, folder: Path, begins_at: int = 0) -> None:
         """Start a log, or continue one after `begins_at` iterations; later rows are dropped and will be repeated."""
-        self._file = folder / FILE
-        self.kept = [row for row in read_losses(self._file) if row[_STEP] <= begins_at] if begins_at else []
-        if self.kept:
-            with whole_file(self._file) as beside, beside.open("w", newline="", encoding="utf-8") as stream:
-                _write_rows(stream, self.kept)
-        self._stream = self._file.open("a" if self.kept else "w", newline="", encoding="utf-8")
-        self._rows = csv.DictWriter(self._stream, list(self.kept[0])) if self.kept else None
+        file = folder / FILE
+        self.earlier_rows = [row for row in read_losses(file) if row[_STEP] <= begins_at] if begins_at else []
+        if self.earlier_rows:
+            with whole_file(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+                _write_rows(stream, self.earlier_rows)
+        self._stream = file.open("a" if self.earlier_rows else "w", newline="", encoding="utf-8")
+        self._writer = csv.DictWriter(self._stream, list(self.earlier_rows[0])) if self.earlier_rows else None
         self._board: Any = None
         if find_spec("tensorboard") is None:
-            logger.info("TensorBoard is not installed: losses go to %s only", self._file)
+            logger.info("TensorBoard is not installed: losses go to %s only", file)
         else:
             writer: Any = import_module("torch.utils.tensorboard").SummaryWriter
             self._board = writer(str(folder / "tensorboard"), purge_step=begins_at + 1 if begins_at else None)
@@ -51,7 +51,11 @@ class LossLog:
 
     def add(self, step: int, losses: Mapping[str, float]) -> None:
         """Append the losses of an iteration, counted from 1."""
-        self._write({_STEP: float(step), **losses})
+        row = {_STEP: float(step), **losses}
+        if self._writer is None:
+            self._writer = _write_rows(self._stream, [row])
+        else:
+            self._writer.writerow(_texts(row))
         if self._board is not None:
             for name, value in losses.items():
                 self._board.add_scalar(name.replace("_", "/", 1), value, step)
@@ -65,21 +69,15 @@ class LossLog:
         if self._board is not None:
             self._board.flush()
 
-    def _write(self, row: Mapping[str, float]) -> None:
-        if self._rows is None:
-            self._rows = _write_rows(self._stream, [row])
-        else:
-            self._rows.writerow(_in_words(row))
-
 
 def _write_rows(stream: TextIO, rows: Sequence[Mapping[str, float]]) -> "csv.DictWriter[str]":
     writer = csv.DictWriter(stream, list(rows[0]))
     writer.writeheader()
-    writer.writerows(_in_words(row) for row in rows)
+    writer.writerows(_texts(row) for row in rows)
     return writer
 
 
-def _in_words(row: Mapping[str, float]) -> dict[str, str]:
+def _texts(row: Mapping[str, float]) -> dict[str, str]:
     return {name: f"{value:.9g}" for name, value in row.items()}
 
 
@@ -101,8 +99,6 @@ def read_losses(file: Path) -> list[dict[str, float]]:
 
 CHANCE = float(3 * np.log(2))
 """Adversarial loss of three levels if generated and real images are indistinguishable."""
-
-_COUNTED = 64  # images per look used to measure the distance
 _RANKS = 256
 _STUCK = 0.25  # share of the distance below which a model only reconstructs
 _WON = 0.1  # share of the chance loss below which a discriminator has won, so that nothing is learned from it
@@ -148,23 +144,21 @@ class CollapseMonitor:
         if not self._recent:
             return CollapseVerdict(0.0, 0.0, None)
         mean = {name: sum(each[name] for each in self._recent) / len(self._recent) for name in self._recent[-1]}
-        change = mean["change"]
-        share = change / self.distance
-        if step < self._warned_after:
-            return CollapseVerdict(change, share, None)
-        return CollapseVerdict(change, share, self._warning(step, mean, share))
+        share = mean["change"] / self.distance
+        warning = None if step < self._warned_after else self._warning(step, mean, share)
+        return CollapseVerdict(mean["change"], share, warning)
 
     def _warning(self, step: int, mean: Mapping[str, float], share: float) -> str | None:
-        judged = [self._of_chance(mean, look) for look in ("rainy", "clear")] if self._gan_weight else []
+        # Each of the two losses has half the weight, so chance level is the weight times `CHANCE`.
+        sums = [mean[f"judge_{look}_made"] + mean[f"judge_{look}_real"] for look in ("rainy", "clear")]
+        judged = [each / (self._gan_weight * CHANCE) for each in sums] if self._gan_weight else []
         won = bool(judged) and min(judged) < _WON
         if share < _STUCK:
-            why = (
-                "the discriminators tell everything apart and teach nothing: lower their rate"
-                if won
-                else "there is no adversarial loss: set losses.gan"
-                if not judged
-                else "raise losses.gan or the rate, lower the losses of LPIPS, and train in float32"
-            )
+            why = "raise losses.gan or the rate, lower the losses of LPIPS, and train in float32"
+            if won:
+                why = "the discriminators tell everything apart and teach nothing: lower their rate"
+            elif not judged:
+                why = "there is no adversarial loss: set losses.gan"
             return (
                 f"after {step:,} steps the model only reconstructs: it changes pictures by {mean['change']:.1%} of the "
                 f"range, {share:.0%} of what lies between the two looks; {why}"
@@ -173,14 +167,10 @@ class CollapseMonitor:
             return f"after {step:,} steps a discriminator's loss is {min(judged):.0%} of chance: lower its rate"
         return None
 
-    def _of_chance(self, mean: Mapping[str, float], look: str) -> float:
-        # Each of the two losses has half the weight, so chance level is the weight times `CHANCE`.
-        return (mean[f"judge_{look}_made"] + mean[f"judge_{look}_real"]) / (self._gan_weight * CHANCE)
 
-
-def distance_sample(pictures: Sequence[object]) -> list[int]:
-    """Indices of the images used to measure the distance: evenly spread, at most 64."""
-    return np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), _COUNTED)).round().astype(int)).tolist()
+def distance_sample(pictures: Sequence[object], limit: int = 64) -> list[int]:
+    """Indices of the images used to measure the distance: evenly spread, at most `limit`."""
+    return np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), limit)).round().astype(int)).tolist()
 
 
 def _ranked(pictures: Iterable[Float32[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "_ 3"]:

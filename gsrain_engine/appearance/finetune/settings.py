@@ -1,10 +1,10 @@
-"""Settings of a fine-tuning of CycleGAN-Turbo, their YAML files and command-line help, and the path of CLIP."""
+"""Settings, task and result of a fine-tuning of CycleGAN-Turbo, settings files, and the path of CLIP."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import msgspec
 from msgspec import Meta, Struct
 
 from ...presets import load_values, shipped_config_names
@@ -70,10 +70,9 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = None
     clip: Annotated[
         str | None,
-        Meta(
-            title="CLIP", description="Folder of CLIP ViT-B/32, by which discriminators see; none: found like SD-Turbo."
-        ),
-    ] = None
+        Meta(title="CLIP",
+             description="Folder of CLIP ViT-B/32, by which discriminators see; none: found like SD-Turbo."),
+    ] = None  # fmt: skip
     lpips: Annotated[
         str | None, Meta(title="LPIPS", description="File of LPIPS's VGG weights; none: those of this machine, if any.")
     ] = None
@@ -96,12 +95,9 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = False
     precision: Annotated[
         Literal["float32", "bfloat16"],
-        Meta(
-            title="Precision",
-            description="bfloat16 halves memory, but is known to end in models that only reconstruct: their first "
-            "changes are smaller than its steps.",
-        ),
-    ] = "float32"
+        Meta(title="Precision", description="bfloat16 halves memory, but is known to end in models that only "
+             "reconstruct: their first changes are smaller than its steps."),
+    ] = "float32"  # fmt: skip
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
     device: Annotated[
         Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it is there.")
@@ -118,6 +114,92 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     warned_after: Annotated[
         int, Meta(ge=1, title="Warned after", description="Steps after which a model that only reconstructs is named.")
     ] = 500
+
+
+# Task and result, as plain values
+
+
+class FinetuneTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fine-tuning job; picklable for a worker process."""
+
+    settings: FinetuningSettings
+    output: Path
+    resume: bool = False
+    """Continue from the folder's checkpoint."""
+    code: dict[str, str] = {}
+    """Digests of Python code that the settings name and the user has allowed, by path."""
+
+    @property
+    def weights(self) -> Path:
+        """Path of the weights for `gsrain transfer --weights`; written with each checkpoint."""
+        return self.output / "weights.safetensors"
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.output / "checkpoint.safetensors"
+
+    @property
+    def config(self) -> Path:
+        return self.output / "config.yaml"
+
+    @property
+    def losses(self) -> Path:
+        """Path of the loss log; `loss_log.read_losses` can read it during training."""
+        return self.output / "losses.csv"
+
+    @property
+    def samples(self) -> Path:
+        """Folder of sample grids, `step_000250.png` and so on."""
+        return self.output / "samples"
+
+    @property
+    def images_cache(self) -> Path:
+        """Cache folder for estimated guides."""
+        return self.output / "guides"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinetuneResult:
+    """Files and statistics of a finished fine-tuning."""
+
+    weights: Path
+    grid: Path
+    steps: int
+    seconds: float
+    losses: dict[str, float]
+    """Means over the last hundred iterations."""
+    share: float
+    """Change by the translation as a share of the distance between the looks."""
+    warning: str | None
+    perceptual: bool
+    """True if LPIPS was one of the losses."""
+    table: tuple[tuple[str, str, int, int], ...]
+    """One row per source: path, clear or rainy, number of images, number of test images."""
+    problems: tuple[str, ...]
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        pictures = [
+            {"path": path, "look": look, "count": count, "tested": tested} for path, look, count, tested in self.table
+        ]
+        return {
+            "steps": self.steps, "seconds": self.seconds, "losses": self.losses, "share_of_distance": self.share,
+            "warning": self.warning, "lpips": self.perceptual, "weights": str(self.weights),
+            "pictures": pictures, "problems": list(self.problems),
+        }  # fmt: skip
+
+
+_WARNING = ". Warning: "
+
+
+def with_warning(message: str, warning: str | None) -> str:
+    """Append a warning, if any, to a progress message."""
+    return message if warning is None else f"{message}{_WARNING}{warning}"
+
+
+def warning_in(message: str) -> str | None:
+    """Warning of a message, if any; the inverse of `with_warning`."""
+    return message.partition(_WARNING)[2] or None
 
 
 # Settings files: shipped ones by name, the user's by path, with changes applied on top
@@ -159,31 +241,21 @@ def finetuning_names() -> list[str]:
     return shipped_config_names(_FOLDER)
 
 
-def write_finetuning(file: Path, settings: FinetuningSettings) -> None:
-    file.write_bytes(msgspec.yaml.encode(settings))
-
-
 # Path of CLIP's vision model for the discriminators. Needs no torch.
 
 PLACE = "GSRAIN_CLIP"
 """Environment variable with the folder of CLIP ViT-B/32 in the layout of transformers."""
-
 _HUB_NAME = "openai/clip-vit-base-patch32"
 _OWN = "clip-vit-base-patch32"
 
 
-def clip_places() -> tuple[Path, ...]:
-    """Folders to search for CLIP: that of GSRAIN_CLIP if set, else the data folder and Hugging Face's cache."""
-    own = os.environ.get(PLACE)
-    return (Path(own),) if own else (data_folder() / _OWN, *hub_snapshots(_HUB_NAME))
-
-
 def find_clip(folder: Path | None = None) -> Path:
-    """Find CLIP's folder: the given one, or the first of `clip_places` that has it.
+    """Find CLIP's folder: `folder`, else that of GSRAIN_CLIP, else in the data folder or Hugging Face's cache.
 
     Raises FileNotFoundError with the folders searched and download instructions.
     """
-    places = clip_places() if folder is None else (folder,)
+    named = folder or os.environ.get(PLACE)
+    places = (Path(named),) if named else (data_folder() / _OWN, *hub_snapshots(_HUB_NAME))
     for place in places:
         if (place / "config.json").is_file():
             return place

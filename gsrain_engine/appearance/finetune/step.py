@@ -3,21 +3,20 @@
 import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from ..cyclegan_turbo.model import Direction
 from .dataset import DatasetImage, UnpairedImages
 from .discriminator import Discriminator
 from .settings import FinetuningSettings, OptimizerSettings
 
 torch: Any = import_module("torch")
 Tensor = Any
-Direction = Literal["a2b", "b2a"]
-"""a is clear, b is rainy."""
 
 _GENERATOR, _DISCRIMINATORS = "generator", "discriminators"
 
@@ -120,11 +119,8 @@ class FinetuneTrainer:
         self._settings, self._perceptual = settings, perceptual
         optimizer = settings.optimizer
         self._generator = NamedOptimizer(optimizer, optimizer.rate, *trained_parameters(model))
-        own = {
-            f"{kind}.{name}": parameter
-            for kind, judge in (("rainy", self.rainy_judge), ("clear", self.clear_judge))
-            for name, parameter in judge.named_parameters()
-        }
+        own = {f"rainy.{name}": parameter for name, parameter in self.rainy_judge.named_parameters()}
+        own |= {f"clear.{name}": parameter for name, parameter in self.clear_judge.named_parameters()}
         rate = optimizer.rate if optimizer.discriminator_rate is None else optimizer.discriminator_rate
         self._judges = NamedOptimizer(optimizer, rate, own)
         if settings.gradient_checkpointing:
@@ -134,39 +130,54 @@ class FinetuneTrainer:
     def iterate(self, number: int) -> FinetuneStepResult:
         """Train on one pair of images. Raises `DivergedError` if a gradient is not finite."""
         pair, random = self.order.pair(number), self.order.generator(number)
-        frozen_parameters((self.rainy_judge, self.clear_judge), True)
+        for judge in (self.rainy_judge, self.clear_judge):
+            judge.requires_grad_(False)  # gradients still reach the images
         losses = self._learn(number, self._cycle_losses(pair))
         made: list[Tensor] = []
         losses |= self._learn(number, self._adversarial_losses(pair, random, made))
         losses |= self._learn(number, self._identity_losses(pair))
         made_rainy, made_clear = (each.detach() for each in made)
-        frozen_parameters((self.rainy_judge, self.clear_judge), False)
+        for judge in (self.rainy_judge, self.clear_judge):
+            judge.requires_grad_(True)
         losses |= self._learn_to_judge(pair, made_rainy, made_clear, number, random)
         losses["change"] = float((made_rainy - pair.clear).abs().mean()) / 2
         return FinetuneStepResult(losses, pair.clear, made_rainy)
 
     def translated(self, pictures: Tensor, guides: Tensor | None, direction: Direction) -> Tensor:
         """Translate without training."""
-        with torch.no_grad(), self._precision():
-            return self.model.translate(pictures, guides, direction).float()
+        with torch.no_grad():
+            return self._translate(pictures, guides, direction)
 
     def state(self) -> dict[str, Any]:
         """Return the complete training state, as tensors by name."""
-        arrays = _under(f"{_GENERATOR}:weights", state_of(self._generator.parameters))
-        arrays |= _under(f"{_GENERATOR}:moments", self._generator.state())
-        arrays |= _under(f"{_DISCRIMINATORS}:moments", self._judges.state())
-        for kind, judge in (("rainy", self.rainy_judge), ("clear", self.clear_judge)):
-            weights = {name: tensor.detach().cpu().clone() for name, tensor in judge.state_dict().items()}
-            arrays |= _under(f"{_DISCRIMINATORS}:{kind}", weights)
+        weights = {
+            f"{_GENERATOR}:weights": self._generator.parameters,
+            f"{_DISCRIMINATORS}:rainy": self.rainy_judge.state_dict(),
+            f"{_DISCRIMINATORS}:clear": self.clear_judge.state_dict(),
+        }
+        arrays = {
+            f"{kind}:{name}": tensor.detach().cpu().clone()
+            for kind, tensors in weights.items()
+            for name, tensor in tensors.items()
+        }
+        for kind, optimizer in ((_GENERATOR, self._generator), (_DISCRIMINATORS, self._judges)):
+            arrays |= {f"{kind}:moments:{name}": moment for name, moment in optimizer.state().items()}
         return arrays
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Restore the result of `state`; raises KeyError or RuntimeError for missing or unfitting tensors."""
-        restore(self._generator.parameters, _of(arrays, f"{_GENERATOR}:weights"))
-        self._generator.restore(_of(arrays, f"{_GENERATOR}:moments"))
-        self._judges.restore(_of(arrays, f"{_DISCRIMINATORS}:moments"))
-        self.rainy_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:rainy"))
-        self.clear_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:clear"))
+
+        def part(kind: str) -> dict[str, Any]:
+            return {name.removeprefix(f"{kind}:"): each for name, each in arrays.items() if name.startswith(f"{kind}:")}
+
+        weights = part(f"{_GENERATOR}:weights")
+        with torch.no_grad():
+            for name, parameter in self._generator.parameters.items():
+                parameter.copy_(weights[name])
+        self._generator.restore(part(f"{_GENERATOR}:moments"))
+        self._judges.restore(part(f"{_DISCRIMINATORS}:moments"))
+        self.rainy_judge.load_state_dict(part(f"{_DISCRIMINATORS}:rainy"))
+        self.clear_judge.load_state_dict(part(f"{_DISCRIMINATORS}:clear"))
 
     def _learn(self, number: int, losses: Iterable[tuple[str, Tensor]]) -> dict[str, float]:
         """Take one step of the generator on losses, each of which is freed before the next one is computed."""
@@ -221,30 +232,16 @@ class FinetuneTrainer:
         return losses
 
     def _translate(self, pictures: Tensor, guides: Tensor | None, direction: str) -> Tensor:
-        with self._precision():
+        is_half = self._settings.precision == "bfloat16"
+        with torch.autocast(pictures.device.type, torch.bfloat16) if is_half else nullcontext():
             translated = self.model.translate(pictures, guides, direction)
         return translated.float()
-
-    def _precision(self) -> AbstractContextManager[Any]:
-        if self._settings.precision == "float32":
-            return nullcontext()
-        device = next(iter(self._generator.parameters.values())).device.type
-        return torch.autocast(device, torch.bfloat16)
 
 
 def _learn_from(loss: Tensor) -> float:
     """Accumulate the gradients of a loss and free its graph."""
     loss.backward()
     return float(loss.detach())
-
-
-def _under(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
-    return {f"{kind}:{name}": array for name, array in arrays.items()}
-
-
-def _of(arrays: Mapping[str, Any], kind: str) -> dict[str, Any]:
-    prefix = f"{kind}:"
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def adversarial(logits: Sequence[Tensor], real: bool) -> Tensor:
@@ -257,12 +254,12 @@ def adversarial(logits: Sequence[Tensor], real: bool) -> Tensor:
 
 
 def difference(
-    shown: Tensor, truth: Tensor, weight: float, perceptual_weight: float, perceptual: Perceptual | None
+    found: Tensor, truth: Tensor, weight: float, perceptual_weight: float, perceptual: Perceptual | None
 ) -> Tensor:
     """Weighted mean absolute difference of images in -1..1, plus the weighted perceptual one, if any."""
-    loss = weight * (shown - truth).abs().mean()
+    loss = weight * (found - truth).abs().mean()
     if perceptual is not None and perceptual_weight > 0:
-        loss = loss + perceptual_weight * perceptual(shown, truth)
+        loss = loss + perceptual_weight * perceptual(found, truth)
     return loss
 
 
@@ -300,23 +297,11 @@ def trained_parameters(model: Any) -> tuple[dict[str, Parameter], dict[str, Para
         elif _ENCODER_INPUT.match(name) and parameter.shape[1] > _COLORS:
             held[name] = parameter
             parameter.requires_grad_(True).register_hook(_only_guide)
-    if not any(_LORA.search(name) for name in decaying):
+    if not any(map(_LORA.search, decaying)):
         raise ValueError("the model has no LoRA layers: build it with LoRA ranks to train it")
     for parameter in (*decaying.values(), *held.values()):
         parameter.requires_grad_(True)
     return decaying, held
-
-
-def state_of(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Copies of parameters on the CPU, by name."""
-    return {name: parameter.detach().cpu().clone() for name, parameter in parameters.items()}
-
-
-def restore(parameters: Mapping[str, Parameter], arrays: Mapping[str, Any]) -> None:
-    """Restore the result of `state_of`; raises KeyError for a missing name."""
-    with torch.no_grad():
-        for name, parameter in parameters.items():
-            parameter.copy_(arrays[name])
 
 
 def _only_guide(gradient: Any) -> Any:
@@ -396,9 +381,3 @@ class NamedOptimizer:
             moments = {moment: arrays[f"{moment}:{name}"].to(parameter.device) for moment in _MOMENTS}
             moments |= {moment: moments[moment].to(parameter) for moment in _MOMENTS[1:]}  # and its precision
             self._adam.state[parameter] = {moment: value.clone() for moment, value in moments.items()}
-
-
-def frozen_parameters(modules: Iterable[Any], still: bool) -> None:
-    """Disable or enable gradients of modules' parameters; gradients pass through either way."""
-    for module in modules:
-        module.requires_grad_(not still)

@@ -5,7 +5,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float64
 
 from ...scene.flags import BitMask, SelectionFlags
 from ...scene.geometry import matrices_from_quaternions
@@ -35,11 +35,9 @@ class ReflectionEnvironment(Protocol):
 
 MIRROR_SCALE = 0.5
 """Resolution of the mirror image relative to the view's; water on a road is never smooth enough for more."""
-
 _SOLID = 0.5  # least opacity of Gaussians used to find the ground
 _FLAT, _MIN_FLAT = 0.5, 0.02
 """Largest height-to-width ratio of a flat Gaussian, and least share of flat ones to find the ground by them alone."""
-
 _MAX_SCENE_POINTS = 400_000
 _BAND_M = 0.3
 _UPON_M = 0.03  # gaussians of any shape up to this height over the ground count as ground
@@ -52,15 +50,12 @@ class SceneEnvironment:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._recent_ground = lru_cache(maxsize=2)(self._ground)
-
-    def ground(self, view: ClearView) -> VisibleGround | None:
-        return self._recent_ground(view)
+        self.ground = lru_cache(maxsize=2)(self._ground)
 
     def _ground(self, view: ClearView) -> VisibleGround | None:
-        if self._start is None or self._heights is None:
+        if self._plane is None or self._heights is None:
             return None
-        return find_visible_ground(view, self._heights, self._start)
+        return find_visible_ground(view, self._heights, self._plane)
 
     def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
         """Use screen-space reflection where it hits, and elsewhere render the scene for the mirrored camera.
@@ -71,14 +66,15 @@ class SceneEnvironment:
         camera = mirror_camera(view.camera, ground.plane, MIRROR_SCALE)
         placed = PlacedCamera(f"{view.name} mirrored", camera, view.time_s, view.sensor)
         beyond = fill_reflection_holes(scene_view(self._above(ground.plane), placed), ground.plane)
-        again = screen_space_reflection(view, ground, camera)
-        known = again.found.astype(np.float32)
-        return PlanarReflection(beyond, again.places, known, np.where(again.found, again.depth, beyond.depth))
+        hits = screen_space_reflection(view, ground, camera)
+        known = hits.found.astype(np.float32)
+        return PlanarReflection(beyond, hits.places, known, np.where(hits.found, hits.depth, beyond.depth))
 
     @cached_property
     def _layers(self) -> list["_LayerSurfaces"]:
         """Visible layers, without actors and sky."""
-        return [_standing(self._scene, layer) for layer in self._scene.layers if layer.visible and layer.kind != "sky"]
+        layers = [layer for layer in self._scene.layers if layer.visible and layer.kind != "sky"]
+        return [_layer_surfaces(self._scene, layer) for layer in layers]
 
     @cached_property
     def _points(self) -> Float64[np.ndarray, "n 3"]:
@@ -89,7 +85,8 @@ class SceneEnvironment:
         return points[:: max(1, len(points) // _MAX_SCENE_POINTS)]
 
     @cached_property
-    def _start(self) -> GroundPlane | None:
+    def _plane(self) -> GroundPlane | None:
+        """Approximate plane of the ground, from which its heights are fitted."""
         if len(self._points) < 3:
             return None
         if self._scene.ground_m is not None:
@@ -98,10 +95,13 @@ class SceneEnvironment:
 
     @cached_property
     def _heights(self) -> GroundHeights | None:
-        if self._start is None:
+        if self._plane is None:
             return None
-        found = ground_heights(self._points, self._start)
-        return found if len(self._ego_path) < 2 else found.with_ruts(self._ego_path)
+        found = ground_heights(self._points, self._plane)
+        ego, to_world = self._scene.ego, self._scene.scene_to_world
+        if ego is None or np.count_nonzero(ego.valid) < 2:
+            return found
+        return found.with_ruts((ego.positions[ego.valid] @ to_world[:3, :3].T + to_world[:3, 3])[:, :2])
 
     @cached_property
     def _lying(self) -> list[Bool[np.ndarray, " n"]]:
@@ -112,13 +112,6 @@ class SceneEnvironment:
             (above < _UPON_M) | ((above < _THICKNESS_M) & each.flat)
             for above, each in zip(over, self._layers, strict=True)
         ]
-
-    @property
-    def _ego_path(self) -> Float64[np.ndarray, "n 2"]:
-        """Path of the ego vehicle, x and y in the world."""
-        ego, to_world = self._scene.ego, self._scene.scene_to_world
-        places = np.zeros((0, 3)) if ego is None else ego.positions[ego.valid]
-        return (places @ to_world[:3, :3].T + to_world[:3, 3])[:, :2]
 
     def _above(self, plane: GroundPlane) -> Scene:
         """Return the scene without its ground and without Gaussians below the mirror plane."""
@@ -143,7 +136,7 @@ class _LayerSurfaces(NamedTuple):
     """Mask of Gaussians that are wider than high."""
 
 
-def _standing(scene: Scene, layer: Layer) -> _LayerSurfaces:
+def _layer_surfaces(scene: Scene, layer: Layer) -> _LayerSurfaces:
     part = scene.part(layer)
     assert part is not None  # layers exist at all times
     g, to_world = part.gaussians, part.to_world
@@ -159,7 +152,6 @@ def _standing(scene: Scene, layer: Layer) -> _LayerSurfaces:
 
 # Image environment: the view's own image and depth, for views without a scene
 
-_SCALE = 0.5
 _MIN_UP = 0.7
 _FARTHEST_M = 60.0
 _MAX_IMAGE_POINTS = 60_000
@@ -167,7 +159,6 @@ _IMAGE_BAND_M = 0.1
 _UPRIGHT = 0.5
 """Cosine between the image's down and the world's below which no ground is searched: images are upright, so the
 world's up is wrong then, and its ground may be a wall."""
-
 _FADE = 0.25  # angle in radians over which objects at the image's border are extended beyond it
 
 
@@ -178,33 +169,33 @@ class ImageEnvironment:
     """
 
     def __init__(self) -> None:
-        self._recent_ground = lru_cache(maxsize=2)(_ground)
-
-    def ground(self, view: ClearView) -> VisibleGround | None:
-        return self._recent_ground(view)
+        self.ground = lru_cache(maxsize=2)(_ground)
 
     def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
         """Trace mirrored rays through the view's depth.
 
         Where rays leave the image, objects at its border are extended a little, so that they don't end abruptly.
         """
-        camera = mirror_camera(view.camera, ground.plane, _SCALE)
-        again = screen_space_reflection(view, ground, camera)
+        camera = mirror_camera(view.camera, ground.plane, MIRROR_SCALE)
+        hits = screen_space_reflection(view, ground, camera)
         size = (camera.height, camera.width)
         sky, nothing = np.ones(size, np.float32), np.zeros(size, np.float32)
-        mean = np.broadcast_to(_mean_sky(view), (*size, 3)).copy()
+        weights = view.sky[..., None] + np.float32(1e-3)
+        mean_sky = (np.sum(weights * view.image, axis=(0, 1)) / weights.sum()).astype(np.float32)
         beyond = ClearView(
-            f"{view.name} mirrored", camera, view.time_s, mean, nothing, np.zeros((*size, 3), np.float32), sky,
-            nothing, view.sensor,
+            f"{view.name} mirrored", camera, view.time_s, np.broadcast_to(mean_sky, (*size, 3)).copy(), nothing,
+            np.zeros((*size, 3), np.float32), sky, nothing, view.sensor,
         )  # fmt: skip
-        rays = view_rays(camera)
-        rows, columns = (np.clip(again.places[..., k].astype(int), 0, limit - 1) for k, limit in
-                         ((1, view.camera.height), (0, view.camera.width)))  # fmt: skip
-        lent = np.where(again.left, 1 - view.sky[rows, columns], 0) * _near_edge(rays, view, rows, columns)
-        again = again.with_hidden_filled()
-        known = np.where(again.found, 1, lent).astype(np.float32)
-        depth = np.where(again.found, again.depth, np.where(lent > 0.5, view.depth[rows, columns], 0))
-        return PlanarReflection(beyond, again.places, known, depth.astype(np.float32))
+        columns, rows = (np.clip(hits.places[..., k].astype(int), 0, view.depth.shape[1 - k] - 1) for k in (0, 1))
+        # The object at the border where a ray leaves fades out within an angle of `_FADE`.
+        rays, at_edge = view_rays(camera), view_rays(view.camera)[rows, columns]
+        cosine = np.sum(rays * at_edge, axis=-1) / (np.linalg.norm(rays, axis=-1) * np.linalg.norm(at_edge, axis=-1))
+        near_edge = 1 - smoothstep(0.0, _FADE, np.arccos(np.clip(cosine, -1, 1)))
+        extended = np.where(hits.left, 1 - view.sky[rows, columns], 0) * near_edge
+        hits = hits.with_hidden_filled()
+        known = np.where(hits.found, 1, extended).astype(np.float32)
+        depth = np.where(hits.found, hits.depth, np.where(extended > 0.5, view.depth[rows, columns], 0))
+        return PlanarReflection(beyond, hits.places, known, depth.astype(np.float32))
 
 
 def _ground(view: ClearView) -> VisibleGround | None:
@@ -218,18 +209,4 @@ def _ground(view: ClearView) -> VisibleGround | None:
     if start is None:
         return None
     found = find_visible_ground(view, ground_heights(points, start), start)
-    return None if found is None else found.evened()
-
-
-def _mean_sky(view: ClearView) -> Float32[np.ndarray, "3"]:
-    weights = view.sky[..., None] + np.float32(1e-3)
-    return (np.sum(weights * view.image, axis=(0, 1)) / weights.sum()).astype(np.float32)
-
-
-def _near_edge(
-    rays: Float64[np.ndarray, "h w 3"], view: ClearView, rows: np.ndarray, columns: np.ndarray
-) -> Float32[np.ndarray, "h w"]:
-    """Weight of 1 for directions at the given border pixel, falling to 0 at `_FADE` from it."""
-    at_edge = view_rays(view.camera)[rows, columns]
-    cosine = np.sum(rays * at_edge, axis=-1) / (np.linalg.norm(rays, axis=-1) * np.linalg.norm(at_edge, axis=-1))
-    return 1 - smoothstep(0.0, _FADE, np.arccos(np.clip(cosine, -1, 1)))
+    return None if found is None else replace(found, sunk_m=np.zeros_like(found.sunk_m))

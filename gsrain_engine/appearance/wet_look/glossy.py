@@ -5,10 +5,11 @@ from typing import NamedTuple, no_type_check
 import cv2
 import numba
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
+from ..base import Image, Plane
 from .materials import WATER_INDEX, reflectance, unshadowed
-from .reflections import PlanarReflection
+from .reflections import PlanarReflection, focal_and_center
 
 _WIDEST = 2.2  # largest facet tilt that is integrated, in standard deviations
 _FAR_M = 1000.0  # distance of the sky
@@ -20,17 +21,17 @@ _SPECK_PX = 5  # width of the median filter that removes single pixels
 class GlossyReflection(NamedTuple):
     """Light that the water surface reflects towards the eye."""
 
-    color: Float32[np.ndarray, "h w 3"]
+    color: Image
     """Linear light, multiplied by its share."""
-    share: Float32[np.ndarray, "h w"]
+    share: Plane
     """Share of light reflected towards the eye, 0..1."""
 
 
-# Ripmap: an image blurred by powers of two, separately across and down, because rough reflections are stretched
-
-
 class Ripmap(NamedTuple):
-    """Images of halving sizes, stored consecutively (a "ripmap", McReynolds et al. 1998)."""
+    """Images of halving sizes, stored consecutively (a "ripmap", McReynolds et al. 1998).
+
+    They are blurred by powers of two, separately across and down, because rough reflections are stretched.
+    """
 
     values: Float32[np.ndarray, " n"]
     """All images, as rows of three channels."""
@@ -43,8 +44,8 @@ def glossy_reflection(
     picture: Ripmap,
     eye: Float64[np.ndarray, "3"],
     points_m: Float64[np.ndarray, "h w 3"],
-    normals: Float32[np.ndarray, "h w 3"],
-    slopes: Float32[np.ndarray, "h w"],
+    normals: Image,
+    slopes: Plane,
     facets: int,
 ) -> GlossyReflection:
     """Integrate the light that the facets of a rough water surface reflect towards the eye.
@@ -57,21 +58,17 @@ def glossy_reflection(
     """
     size = slopes.shape
     color, share = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)
-    camera = mirrored.camera
-    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+    camera = mirrored.beyond.camera
     _integrate(
-        points_m, normals, slopes, eye, camera.world_to_camera, lens, mirrored.depth, picture.values, picture.table,
-        facets, color, share,
+        points_m, normals, slopes, eye, camera.world_to_camera, focal_and_center(camera), mirrored.depth,
+        picture.values, picture.table, facets, color, share,
     )  # fmt: skip
-    mean = _without_specks(color / np.maximum(share, np.float32(1e-6))[..., None], slopes >= 0)
-    return GlossyReflection(share[..., None] * mean, share)
-
-
-def _without_specks(mean: Float32[np.ndarray, "h w 3"], told: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
-    """Remove single pixels at object edges whose rays hit another object than their neighbors' rays."""
+    mean = color / np.maximum(share, np.float32(1e-6))[..., None]
+    # Remove single pixels at object edges whose rays hit another object than their neighbors' rays.
     window = np.ones((_SPECK_PX, _SPECK_PX), np.uint8)
-    inner = cv2.erode(told.astype(np.uint8), window, borderValue=1)
-    return np.where(inner[..., None] > 0, cv2.medianBlur(mean, _SPECK_PX), mean)
+    inner = cv2.erode((slopes >= 0).astype(np.uint8), window, borderValue=1)
+    mean = np.where(inner[..., None] > 0, cv2.medianBlur(mean, _SPECK_PX), mean)
+    return GlossyReflection(share[..., None] * mean, share)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -175,20 +172,19 @@ def _looked_up(values, table, x, y, down_px, across_px):
     return red, green, blue
 
 
-_SAMPLES_ACROSS, _DOWN = 5, 8
+_SAMPLES_DOWN, _SAMPLES_ACROSS = 8, 5
 
 
-def build_ripmap(image: Float32[np.ndarray, "h w 3"]) -> Ripmap:
+def build_ripmap(image: Image) -> Ripmap:
     """Repeatedly halve an image (linear light) down and across."""
-    pieces, rows = list[Float32[np.ndarray, " n"]](), list[list[tuple[int, int, int]]]()
+    pieces, table = list[Float32[np.ndarray, " n"]](), np.zeros((_SAMPLES_DOWN, _SAMPLES_ACROSS, 3), np.int64)
     start, tall = 0, np.ascontiguousarray(image)
-    for _ in range(_DOWN):
-        wide, line = tall, list[tuple[int, int, int]]()
-        for _ in range(_SAMPLES_ACROSS):
-            line.append((start, wide.shape[0], wide.shape[1]))
+    for down in range(_SAMPLES_DOWN):
+        wide = tall
+        for across in range(_SAMPLES_ACROSS):
+            table[down, across] = start, wide.shape[0], wide.shape[1]
             pieces.append(wide.ravel())
             start += wide.size
             wide = cv2.resize(wide, (max(wide.shape[1] // 2, 1), wide.shape[0]), interpolation=cv2.INTER_AREA)
-        rows.append(line)
         tall = cv2.resize(tall, (tall.shape[1], max(tall.shape[0] // 2, 1)), interpolation=cv2.INTER_AREA)
-    return Ripmap(np.concatenate(pieces), np.array(rows, np.int64))
+    return Ripmap(np.concatenate(pieces), table)

@@ -15,7 +15,6 @@ _TRIPLES, _VOTERS = 400, 4000
 _NEAR_PLANE_M = 0.08  # points this close to a plane vote for it
 _BELOW_COUNTS = 2.0
 """Weight of a vote against a plane, by a point below it, relative to a vote for it: nothing is under the ground."""
-
 _ROUNDS = 6
 
 
@@ -45,8 +44,7 @@ class GroundPlane:
         A reflection makes a right-handed camera left-handed, so the image's rows are flipped: the reflection at (u, v)
         of the eye's image is at (u, height - v) of the mirrored camera's. Mirroring twice gives the original camera.
         """
-        rows_turned = np.diag([1.0, -1.0, 1.0, 1.0])
-        pose = rows_turned @ camera.world_to_camera @ self.reflection
+        pose = np.diag([1.0, -1.0, 1.0, 1.0]) @ camera.world_to_camera @ self.reflection
         return replace(camera, cy=camera.height - camera.cy, world_to_camera=pose)
 
 
@@ -101,13 +99,10 @@ _WITHIN = (0.005, 0.995)  # quantiles of the points that bound the map
 _MARGIN_M = 4.0
 _ABOVE_COUNTS = 0.2
 """Weight of a point over the surface relative to one under it, since many objects are over the ground."""
-
 _MANY = 4
 """Points in a cell above which more points add little: nearby objects have more points but are no likelier ground."""
-
 _PASSES = ((8.0, 1.0, 6), (4.0, 0.5, 4), (2.0, 0.25, 3), (1.0, 0.12, 3), (0.5, 0.08, 2))
 """Smoothing in meters, band in meters, number of iterations: from terrain down to lanes."""
-
 _MIN_BAND = 2.0  # least width of a band, as a multiple of the points' scatter about the ground
 _SCATTER_WITHIN_M = 0.5
 _ENOUGH = 0.02  # smoothed weight of points per cell at which they move the surface half-way
@@ -115,7 +110,6 @@ _SMOOTH_M = 1.2  # scale of the slopes used for reflections; finer ones are most
 _DIP_M = 1.2  # scale of the mean height from which the depth of a dip is measured
 _MAX_DIP_M, _DIP_SHARE = 0.03, 0.12
 """Deepest dip that is accepted, and the share of it that counts: captures are uncertain by as much."""
-
 _RUT_M, _RUT_WIDTH_M, _HALF_TRACK_M = 0.005, 0.25, 0.78
 """Depth and half width of wheel ruts in a lane, and their distance from its center line."""
 
@@ -149,15 +143,13 @@ class GroundHeights:
         ]  # fmt: skip
         return np.concatenate(pieces or [np.zeros((1, 0), np.float32)], axis=1).reshape(x.shape)
 
-    def with_ruts(self, way_m: Float64[np.ndarray, "n 2"]) -> "GroundHeights":
-        """Return a copy with the ruts of a lane whose center line is `way_m` (x and y)."""
-        rows, columns = self.fine_m.shape
-        beside = np.full((rows, columns), 255, np.uint8)
-        cells = np.rint((way_m - self.corner_m) / self.cell_m * 16).astype(np.int32)  # four fractional bits
-        cv2.polylines(beside, [cells.reshape(-1, 1, 2)], False, 0, 1, cv2.LINE_8, 4)
-        away: Any = ndimage.distance_transform_edt(beside)
-        distance = away * self.cell_m
-        ruts = _RUT_M * np.exp(-0.5 * ((distance - _HALF_TRACK_M) / _RUT_WIDTH_M) ** 2)
+    def with_ruts(self, path_m: Float64[np.ndarray, "n 2"]) -> "GroundHeights":
+        """Return a copy with the ruts of a lane whose center line is `path_m` (x and y)."""
+        off_path = np.full(self.fine_m.shape, 255, np.uint8)
+        cells = np.rint((path_m - self.corner_m) / self.cell_m * 16).astype(np.int32)  # four fractional bits
+        cv2.polylines(off_path, [cells.reshape(-1, 1, 2)], False, 0, 1, cv2.LINE_8, 4)
+        distance: Any = ndimage.distance_transform_edt(off_path)
+        ruts = _RUT_M * np.exp(-0.5 * ((distance * self.cell_m - _HALF_TRACK_M) / _RUT_WIDTH_M) ** 2)
         return replace(self, sunk_m=(self.sunk_m + ruts).astype(np.float32))
 
     def normals(self, points: Float[np.ndarray, "*n 3"]) -> Float32[np.ndarray, "*n 3"]:
@@ -195,17 +187,13 @@ def ground_heights(points: Float64[np.ndarray, "n 3"], start: GroundPlane) -> Gr
             sums = (np.bincount(cells, each, rows * columns) for each in (weights * above, weights))
             moved, weight = (_smoothed(each.reshape(rows, columns), scale_m / cell) for each in sums)
             height = height + (moved / (weight + _ENOUGH * min(1.0, band))).ravel()
-        scatter = _scatter(z - height[cells])
+        above = z - height[cells]
+        near = above[np.abs(above) < _SCATTER_WITHIN_M]
+        scatter = 1.4826 * float(np.median(np.abs(near - np.median(near)))) if len(near) else 0.0
     fine = height.reshape(rows, columns)
     sunk = _DIP_SHARE * np.clip(_smoothed(fine, _DIP_M / cell) - fine, -_MAX_DIP_M, _MAX_DIP_M)
-    single = [each.astype(np.float32) for each in (fine, _smoothed(fine, _SMOOTH_M / cell), sunk)]
-    return GroundHeights((float(low[0]), float(low[1])), cell, single[0], single[1], single[2], scatter)
-
-
-def _scatter(above: Float64[np.ndarray, " n"]) -> float:
-    """Robust standard deviation of the points near the ground."""
-    near = above[np.abs(above) < _SCATTER_WITHIN_M]
-    return 1.4826 * float(np.median(np.abs(near - np.median(near)))) if len(near) else 0.0
+    fine, smooth, sunk = (each.astype(np.float32) for each in (fine, _smoothed(fine, _SMOOTH_M / cell), sunk))
+    return GroundHeights((float(low[0]), float(low[1])), cell, fine, smooth, sunk, scatter)
 
 
 def _smoothed(grid: Float64[np.ndarray, "rows columns"], sigma: float) -> Float64[np.ndarray, "rows columns"]:

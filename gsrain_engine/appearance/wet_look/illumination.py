@@ -9,26 +9,26 @@ from jaxtyping import Float, Float32
 from msgspec.structs import replace as replace_fields
 
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
-from ..base import ClearView
-from ..normals import view_rays
+from ..base import ClearView, Image, Plane
+from ..normals import view_directions, view_rays
 from .masks import SurfaceShares, smoothstep
-from .noise import SmoothNoise, guided_filter
+from .noise import guided_filter, smooth_noise_at
 from .settings import WetSettings
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 """Luminance weights of linear sRGB (IEC 61966-2-1)."""
-
 DARKEST_EV = -10.0
 """Stops below white at which a pixel counts as black."""
-
 MAX_CONTRAST_EV = 3.0
 """Largest contrast of sun plus clear sky over sky alone: seven or eight to one. Darker pixels are dark materials."""
-
 _VIEWS, _STRIDE = 8, 4  # number of views sampled, spread evenly, and pixel stride in both directions
 _GRAY_ALBEDO = 0.35  # largest saturation (spread over maximum, linear) of ground used for the estimate
 _NEAR_M, _FAR_M = 1.5, 60.0
 _BINS = 80
-_UNTOLD_EV = -3.0  # default for scenes without visible ground: a gray of 0.125
+_UNKNOWN_EV = -3.0  # default for scenes without visible ground: a gray of 0.125
+Samples = Float[np.ndarray, " n"]
+ColorSamples = Float[np.ndarray, "n 3"]
+Tint = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +42,8 @@ class IlluminationEstimate:
     """Mean brightness of both; equal if there is only one kind."""
     level_ev: float
     """Mean brightness of all ground."""
-    shadow_tint_ev: tuple[float, float, float]
-    sunlit_tint_ev: tuple[float, float, float]
+    shadow_tint_ev: Tint
+    sunlit_tint_ev: Tint
     """Color of both: stops of red, green and blue over their luminance."""
 
 
@@ -54,25 +54,23 @@ def estimate_illumination(views: Sequence[ClearView]) -> IlluminationEstimate:
     colors = np.concatenate([np.zeros((0, 3), np.float32), *(each[0] for each in samples)])
     weights = np.concatenate([np.zeros(0, np.float32), *(each[1] for each in samples)])
     if len(colors) < 100:
-        return IlluminationEstimate(0.0, _UNTOLD_EV, _UNTOLD_EV, _UNTOLD_EV, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        return IlluminationEstimate(0.0, _UNKNOWN_EV, _UNKNOWN_EV, _UNKNOWN_EV, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     levels = np.log2(np.maximum(colors @ LUMINANCE, 2**DARKEST_EV))
     return _two_kinds(colors, levels, weights)
 
 
-def _ground_samples(view: ClearView) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+def _ground_samples(view: ClearView) -> tuple[ColorSamples, Samples]:
     """Colors (linear) of level gray ground, weighted by the area of each sample."""
     every = (slice(None, None, _STRIDE), slice(None, None, _STRIDE))
     light = srgb_to_linear(view.image[every])
     depth, brightest = view.depth[every], light.max(axis=-1)
-    is_grey = light.max(axis=-1) - light.min(axis=-1) <= _GRAY_ALBEDO * np.maximum(brightest, 1e-4)
+    is_gray = brightest - light.min(axis=-1) <= _GRAY_ALBEDO * np.maximum(brightest, 1e-4)
     is_free = (view.sky[every] < 0.05) & (view.vehicles[every] < 0.1)
-    is_ground = (view.normals[every][..., 2] > 0.7) & (depth > _NEAR_M) & (depth < _FAR_M) & is_grey & is_free
+    is_ground = (view.normals[every][..., 2] > 0.7) & (depth > _NEAR_M) & (depth < _FAR_M) & is_gray & is_free
     return light[is_ground].astype(np.float32), (depth[is_ground] ** 2).astype(np.float32)
 
 
-def _two_kinds(
-    colors: Float[np.ndarray, "n 3"], levels: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]
-) -> IlluminationEstimate:
+def _two_kinds(colors: ColorSamples, levels: Samples, weights: Samples) -> IlluminationEstimate:
     """Split brightness into two classes of maximal between-class variance (Otsu 1979)."""
     counts, edges = np.histogram(levels, _BINS, (DARKEST_EV, 0.0), weights=weights)
     share = counts / counts.sum()
@@ -82,32 +80,27 @@ def _two_kinds(
     between = np.where(spread > 1e-6, (mean * below - np.cumsum(share * middle)) ** 2 / spread, 0)
     cut = int(np.argmax(between))
     is_sunlit = levels > edges[cut + 1]
-    parts = [_mean(colors, levels, weights * which) for which in (~is_sunlit, is_sunlit)]
-    (dark, dark_tint), (bright, bright_tint) = parts
+    dark, dark_color = _mean(colors, levels, weights * ~is_sunlit)
+    bright, bright_color = _mean(colors, levels, weights * is_sunlit)
     rarer = min(float(below[cut]), 1 - float(below[cut]))
     dark = max(dark, bright - MAX_CONTRAST_EV)
     sun = _ramp(0.8, 1.6, bright - dark) * _ramp(0.01, 0.04, rarer)
-    _, tint = _mean(colors, levels, weights)
-    dark_tint, bright_tint = (_between(tint, each, sun) for each in (dark_tint, bright_tint))
-    return IlluminationEstimate(
-        sun, mean + sun * (dark - mean), mean + sun * (bright - mean), mean, dark_tint, bright_tint
-    )
+    _, color = _mean(colors, levels, weights)
+
+    def tint(of: Tint) -> Tint:
+        red, green, blue = ((1 - sun) * a + sun * b for a, b in zip(color, of, strict=True))
+        return red, green, blue
+
+    shadow_ev, sunlit_ev = (mean + sun * (each - mean) for each in (dark, bright))
+    return IlluminationEstimate(sun, shadow_ev, sunlit_ev, mean, tint(dark_color), tint(bright_color))
 
 
-def _mean(
-    colors: Float[np.ndarray, "n 3"], levels: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]
-) -> tuple[float, tuple[float, float, float]]:
+def _mean(colors: ColorSamples, levels: Samples, weights: Samples) -> tuple[float, Tint]:
+    """Weighted mean brightness, and color in stops of red, green and blue over their luminance."""
     total = max(float(weights.sum()), 1e-9)
     color = np.maximum(weights @ colors / total, 2**DARKEST_EV)
     red, green, blue = (float(each) for each in np.log2(color / (color @ LUMINANCE)))
     return float(weights @ levels) / total, (red, green, blue)
-
-
-def _between(
-    start: tuple[float, float, float], end: tuple[float, float, float], share: float
-) -> tuple[float, float, float]:
-    red, green, blue = ((1 - share) * a + share * b for a, b in zip(start, end, strict=True))
-    return red, green, blue
 
 
 def _ramp(low: float, high: float, value: float) -> float:
@@ -116,58 +109,41 @@ def _ramp(low: float, high: float, value: float) -> float:
 
 # Overcast relighting: shadows lifted, sunlight dimmed, its warmth removed
 
-Image = Float32[np.ndarray, "h w 3"]
-Plane = Float32[np.ndarray, "h w"]
 DRY_GROUND_EV = -2.7
 """Target brightness of level dry ground under cloud: half of a camera's middle gray, under an almost white sky."""
-
 _EXPOSURE_SHARE, _EXPOSURE_EV = 0.75, 1.5
 """Share of the difference to the target that exposure corrects, and its limit in stops."""
-
 _FLATTENED_WALLS, _FLATTENED_PLANTS = 0.7, 0.4
 """Flattening relative to the ground's, since the brightness of walls and leaves also depends on their own color."""
-
 _PIVOT, _PIVOT_PLANTS = 0.5, 0.2
 """Sunlit share at which brightness is unchanged; lower for leaves, which are dark themselves and so are lifted less."""
-
 _SOFT_EDGE, _WIDE_EDGE = 0.3, 0.7
 """Half width of the ramp between shadow and sun, as a share of their contrast: on the ground, and elsewhere."""
-
 _SPECK_SHARE, _EDGE_SHARE, _EDGE_EV2 = 0.012, 0.006, 0.05
 """Median size and guided filter radius of the sunlit share, as shares of the image width, and the filter's variance."""
-
 _TINT_EV, _TINT_SHARE = 0.2, 0.7
 """Largest correction of a channel towards neutral light in stops, and the share of it that is applied."""
-
 CLOUD_TINT_EV = np.array([-0.05, 0.0, 0.07], np.float32)
 _SATURATION, _SHADOW_DULLING = 0.9, 0.6
 """Color that surfaces other than plants keep, and the blue of the clear sky that shadowed ground loses."""
-
 _BLUE = (-0.05, 0.1)  # blue minus red, as a share of luminance, over which ground turns from neutral to blue
 _WHITE, _WHITE_WALL = 0.85, 0.55
 """Albedo of the whitest materials, and share of light that an upright one gets from cloudy sky and dark ground."""
-
 _LOST_EV, _GRAIN_M, _CLIPPED = 0.3, 12.0, (0.88, 0.98)
 """Grain added to clipped ground in stops, period of its noise, and display values over which ground is clipped."""
-
 _DAYLIGHT = (0.08, 0.22)
 """Median display brightness below the sky up to which an image is of the night, and from which it is of the day."""
-
 _IMAGE_EV, _FLATTENED_IMAGE, _IMAGE_SATURATION = -0.35, 0.2, 0.75
 """Overcast look without known surfaces: stops, share of contrast that is removed, saturation that is kept."""
-
 _IMAGE_WHITE_EV = (-1.2, 0.0)
 """Brightness over which contrast is kept, so that white areas that may be sky end up as bright as the clouds."""
-
 _CONTACT_SHADE, _CONTACT_SHARE = 0.5, 0.02
 
 
 def composite_over_cloud(view: ClearView, surface: Image, settings: WetSettings) -> Image:
     """Composite surfaces (linear) over the overcast sky, in display color, as renderers and cameras mix edges."""
-    rays = view_rays(view.camera)
-    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     share = view.sky[..., None]
-    cloud = linear_to_srgb(overcast_sky(directions, settings))
+    cloud = linear_to_srgb(overcast_sky(view_directions(view.camera), settings))
     mixed = share * cloud + (1 - share) * linear_to_srgb(surface)
     return np.where(share > 0, srgb_to_linear(mixed), surface).astype(np.float32)
 
@@ -177,28 +153,31 @@ def overcast_surfaces(
 ) -> Image:
     """Surfaces under overcast light, dry and without the sky; linear light."""
     color = srgb_to_linear(remove_sky_color(view)).astype(np.float32)
-    grey = (color @ LUMINANCE)[..., None]
-    level = np.log2(np.maximum(grey[..., 0], 2**DARKEST_EV)).astype(np.float32)
+    gray = (color @ LUMINANCE)[..., None]
+    level = np.log2(np.maximum(gray[..., 0], 2**DARKEST_EV)).astype(np.float32)
     sunlit = sunlit_share(level, light, surfaces.ground)
     flattening = _FLATTENED_WALLS + (1 - _FLATTENED_WALLS) * surfaces.ground
     flattening += surfaces.plants * (_FLATTENED_PLANTS - flattening)
-    contrast = light.sunlit_ev - light.shadow_ev
-    shift = (
-        settings.sun_removal
-        * light.sun
-        * contrast
-        * flattening
-        * (_PIVOT + surfaces.plants * (_PIVOT_PLANTS - _PIVOT) - sunlit)
-    )
-    tints = [_tint(tint, settings) for tint in (light.shadow_tint_ev, light.sunlit_tint_ev)]
-    tint = tints[0] + sunlit[..., None] * (tints[1] - tints[0])
-    shift += _LOST_EV * _clipped_ground(view, surfaces) * _grain(surfaces, settings.seed)
-    gain = np.exp2(shift + exposure_ev(light, settings)) * (1 - _contact_shade(view, surfaces))
-    blue = smoothstep(*_BLUE, (color[..., 2] - color[..., 0]) / np.maximum(grey[..., 0], 1e-3))
+    contrast = settings.sun_removal * light.sun * (light.sunlit_ev - light.shadow_ev)
+    shift = contrast * flattening * (_PIVOT + surfaces.plants * (_PIVOT_PLANTS - _PIVOT) - sunlit)
+    in_shadow, in_sun = (_tint(tint, settings) for tint in (light.shadow_tint_ev, light.sunlit_tint_ev))
+    tint = in_shadow + sunlit[..., None] * (in_sun - in_shadow)
+    # Ground overexposed by the sun would be as even as plastic when it is dimmed.
+    clipped = smoothstep(*_CLIPPED, view.image.min(axis=-1)) * surfaces.ground
+    x, y = (surfaces.points[..., i] / _GRAIN_M for i in (0, 1))
+    shift += _LOST_EV * clipped * smooth_noise_at(x, y, settings.seed + 2, 1.1)
+    # Ambient occlusion of the ground next to vehicles.
+    near = cv2.GaussianBlur(view.vehicles, (0, 0), max(1.0, _CONTACT_SHARE * view.camera.width))
+    shade = (_CONTACT_SHADE * np.minimum(2 * near, 1) * surfaces.ground).astype(np.float32)
+    gain = np.exp2(shift + exposure_ev(light, settings)) * (1 - shade)
+    blue = smoothstep(*_BLUE, (color[..., 2] - color[..., 0]) / np.maximum(gray[..., 0], 1e-3))
     colorful = _SATURATION * (1 - light.sun * _SHADOW_DULLING * blue * (1 - sunlit) * surfaces.ground)
     colorful = (colorful + (1 - colorful) * surfaces.plants)[..., None]
-    moved = np.maximum((grey + colorful * (color - grey)) * np.exp2(tint), 0) * gain[..., None]
-    return _no_brighter_than_cloud(moved, surfaces, settings)
+    lit = np.maximum((gray + colorful * (color - gray)) * np.exp2(tint), 0) * gain[..., None]
+    # Compress brightness to that of the clouds: a level white surface is as bright as the sky, a wall half.
+    brightest = srgb_to_linear(np.array(settings.sky_brightness))
+    over = (lit @ LUMINANCE) / (_WHITE * (brightest * (_WHITE_WALL + (1 - _WHITE_WALL) * surfaces.up_facing)))
+    return (lit / np.sqrt(1 + over**2)[..., None]).astype(np.float32)
 
 
 def daylight(view: ClearView) -> float:
@@ -215,21 +194,14 @@ def overcast_image(view: ClearView, settings: WetSettings) -> Image:
     """
     day = daylight(view)
     color = srgb_to_linear(remove_sky_color(view)).astype(np.float32)
-    grey = (color @ LUMINANCE)[..., None]
-    level = np.log2(np.maximum(grey, 2**DARKEST_EV)).astype(np.float32)
+    gray = (color @ LUMINANCE)[..., None]
+    level = np.log2(np.maximum(gray, 2**DARKEST_EV)).astype(np.float32)
     lower = level[view.sky < 0.1]
     middle = float(np.median(lower)) if lower.size else 0.0
     flattened = settings.sun_removal * _FLATTENED_IMAGE * (1 - smoothstep(*_IMAGE_WHITE_EV, level))
     shift = day * (_IMAGE_EV - flattened * (level - middle)) + settings.exposure_ev
     tint = np.exp2(settings.coolness * CLOUD_TINT_EV)
-    return np.maximum((grey + _IMAGE_SATURATION * (color - grey)) * tint * np.exp2(shift), 0).astype(np.float32)
-
-
-def _no_brighter_than_cloud(light: Image, surfaces: SurfaceShares, settings: WetSettings) -> Image:
-    """Compress brightness to what clouds can light: a level white surface is as bright as the sky, a wall half."""
-    most = srgb_to_linear(np.array(settings.sky_brightness)) * (_WHITE_WALL + (1 - _WHITE_WALL) * surfaces.up_facing)
-    over = (light @ LUMINANCE) / (_WHITE * most)
-    return (light / np.sqrt(1 + over**2)[..., None]).astype(np.float32)
+    return np.maximum((gray + _IMAGE_SATURATION * (color - gray)) * tint * np.exp2(shift), 0).astype(np.float32)
 
 
 def exposure_ev(light: IlluminationEstimate, settings: WetSettings) -> float:
@@ -251,31 +223,15 @@ def sunlit_share(level_ev: Plane, light: IlluminationEstimate, ground: Plane) ->
     )
     width = level_ev.shape[1]
     size = 2 * max(1, round(_SPECK_SHARE * width / 2)) + 1
-    told = cv2.medianBlur(np.round(sharp * 255).astype(np.uint8), size).astype(np.float32) / 255
-    told = wide + ground * (told - wide)
-    return np.clip(guided_filter(told, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2), 0, 1)
+    share = cv2.medianBlur(np.round(sharp * 255).astype(np.uint8), size).astype(np.float32) / 255
+    share = wide + ground * (share - wide)
+    return np.clip(guided_filter(share, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2), 0, 1)
 
 
-def _tint(tint_ev: tuple[float, float, float], settings: WetSettings) -> Float32[np.ndarray, "3"]:
+def _tint(tint_ev: Tint, settings: WetSettings) -> Float32[np.ndarray, "3"]:
     """Stops per channel that turn the light's color into that of clouds."""
     away = np.clip(-np.array(tint_ev, np.float32), -_TINT_EV, _TINT_EV)
     return (_TINT_SHARE * away + settings.coolness * CLOUD_TINT_EV).astype(np.float32)
-
-
-def _contact_shade(view: ClearView, surfaces: SurfaceShares) -> Plane:
-    """Ambient occlusion of the ground next to vehicles under a cloudy sky."""
-    near = cv2.GaussianBlur(view.vehicles, (0, 0), max(1.0, _CONTACT_SHARE * view.camera.width))
-    return (_CONTACT_SHADE * np.minimum(2 * near, 1) * surfaces.ground).astype(np.float32)
-
-
-def _clipped_ground(view: ClearView, surfaces: SurfaceShares) -> Plane:
-    """Share of ground overexposed by the sun: when dimmed, it would be as even as plastic."""
-    return smoothstep(*_CLIPPED, view.image.min(axis=-1)) * surfaces.ground
-
-
-def _grain(surfaces: SurfaceShares, seed: int) -> Plane:
-    noise = SmoothNoise(seed + 2, 1.1)
-    return noise.at(surfaces.points[..., 0] / _GRAIN_M, surfaces.points[..., 1] / _GRAIN_M)
 
 
 # Overcast sky: light by world direction, and its sky mask
@@ -283,10 +239,8 @@ def _grain(surfaces: SurfaceShares, seed: int) -> Plane:
 HORIZON_TO_ZENITH = 0.86
 """Display brightness of the zenith relative to the horizon. CIE's overcast sky (ISO 15469) is brighter at the zenith,
 but rain-laden air is brighter along longer lines of sight."""
-
 TINT = np.array([-0.045, 0.0, 0.04], np.float32)
 """Display color of clouds relative to gray: 7000 K for a camera balanced for 5500 K, attenuated."""
-
 _CLOUD_HEIGHT_PERIODS = 5.0  # period of the cloud deck, in units of its height above the eye
 _CLOUD_CONTRAST = 0.06
 _FLAT = 0.12  # added to the rise of a direction, so that clouds don't shrink without limit towards the horizon
@@ -294,7 +248,6 @@ _LOCAL_SHARE = 0.012  # scale over which the clear sky's color is averaged, as a
 _MIN_COVER = 0.05
 _LIKE, _AMIDST = (0.04, 0.12), (0.3, 0.6)
 """Ramps of the sky mask: color difference (display) from sky to other, and share of sky around a pixel."""
-
 _NEAR_SKY, _ROUNDS, _MIN_GROWTH = (0.01, 0.06), 10, 2e-4
 """Ramp of the share of sky around a pixel of unknown depth; most growth rounds, and least growth per round."""
 
@@ -303,10 +256,10 @@ def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) 
     """Light of the cloud deck by unit world direction (z up), linear. Below the horizon it is the horizon's."""
     rise = np.clip(directions[..., 2], 0, 1).astype(np.float32)
     over = _CLOUD_HEIGHT_PERIODS * (rise + _FLAT)
-    clouds = SmoothNoise(settings.seed).at(directions[..., 0] / over, directions[..., 1] / over)
-    grey = settings.sky_brightness * (1 - (1 - HORIZON_TO_ZENITH) * rise**0.7)
-    grey *= 1 + settings.clouds * _CLOUD_CONTRAST * clouds * np.minimum(1, 4 * rise + 0.3)
-    display = np.minimum(grey[..., None] + settings.coolness * TINT, 1)
+    clouds = smooth_noise_at(directions[..., 0] / over, directions[..., 1] / over, settings.seed)
+    gray = settings.sky_brightness * (1 - (1 - HORIZON_TO_ZENITH) * rise**0.7)
+    gray *= 1 + settings.clouds * _CLOUD_CONTRAST * clouds * np.minimum(1, 4 * rise + 0.3)
+    display = np.minimum(gray[..., None] + settings.coolness * TINT, 1)
     return srgb_to_linear(display.astype(np.float32)).astype(np.float32)
 
 
@@ -354,7 +307,7 @@ def remove_sky_color(view: ClearView) -> Image:
     return np.clip((view.image - share * behind) / rest, 0, 1).astype(np.float32)
 
 
-def _local_sky(image: Image, share: Float32[np.ndarray, "h w"]) -> tuple[Image, Float32[np.ndarray, "h w"]]:
+def _local_sky(image: Image, share: Plane) -> tuple[Image, Plane]:
     """Color of the clear sky around each pixel (display), and the share of pure sky pixels there."""
     weight = (share > 0.9).astype(np.float32)
     sigma = max(1.0, _LOCAL_SHARE * share.shape[1])

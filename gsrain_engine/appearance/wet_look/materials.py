@@ -6,32 +6,25 @@ from typing import no_type_check
 import cv2
 import numba
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 
 from ...scene.geometry import srgb_to_linear
-from ..base import ClearView
+from ..base import ClearView, Image, Plane
 from .illumination import LUMINANCE, overcast_sky
 from .masks import SurfaceShares, smoothstep
-from .noise import SmoothNoise, guided_filter
+from .noise import guided_filter, smooth_noise_at
 from .settings import WetSettings
 
-Image = Float32[np.ndarray, "h w 3"]
-Plane = Float32[np.ndarray, "h w"]
 WATER_REFLECTANCE = 0.02
 """Reflectance of water at normal incidence (refractive index 1.33)."""
-
 INTERNAL_REFLECTION = 0.55
 """Share of diffuse light that the water's surface reflects back down: 1 - (1 - 0.07) / 1.33^2, rounded up."""
-
 WHITE = 0.9
 """Albedo of white pixels."""
-
 SOAKING_OF_GROUND, SOAKING_OF_PLANTS, SOAKING_OF_WALLS, SOAKING_OF_VEHICLES = 1.0, 0.35, 0.3, 0.0
 """Share of the change of porous ground per class; leaves and paint hold water on them, not in them."""
-
 PLANT_SATURATION = 0.25
 """Increase in saturation of leaves and grass: a water film scatters less white light than their wax and dust."""
-
 _STREAK_WIDTH_M, _STREAK_HEIGHT_M = 24.0, 260.0
 """Periods of the noise on walls, across and down: a streak is a hundredth of it."""
 
@@ -47,8 +40,7 @@ def wet_albedo(albedo: Image) -> Image:
 
 def wet_surfaces_color(surface: Image, surfaces: SurfaceShares, settings: WetSettings) -> Image:
     """Wet the surfaces of a view, linear light in and out."""
-    albedo = np.clip(WHITE * surface, 0, 0.95)
-    wet = wet_albedo(albedo) / WHITE
+    wet = wet_albedo(np.clip(WHITE * surface, 0, 0.95)) / WHITE
     share = settings.darkening * porosity_wetness(surfaces, settings)[..., None]
     soaked = surface + share * (np.minimum(wet, surface) - surface)
     grey = (soaked @ LUMINANCE)[..., None]
@@ -68,7 +60,7 @@ def _streaks(surfaces: SurfaceShares, seed: int) -> Plane:
     """Pattern of water running down walls: noise that is fine across and long downwards, -1 to 1."""
     x, y, z = (surfaces.points[..., i] for i in range(3))
     along = (0.8 * x + 0.6 * y) / _STREAK_WIDTH_M + 0.618 * (0.8 * y - 0.6 * x) / _STREAK_WIDTH_M
-    noise = SmoothNoise(seed + 1, 0.9).at(along, z / _STREAK_HEIGHT_M)
+    noise = smooth_noise_at(along, z / _STREAK_HEIGHT_M, seed + 1, 0.9)
     return (2 * smoothstep(-1.0, 1.6, noise) - 1) * (1 - surfaces.up_facing)
 
 
@@ -82,21 +74,17 @@ def add_clear_coat(
 ) -> Image:
     """Add reflections of wet vehicles, by Schlick's (1994) form of Fresnel's law. Linear light in and out.
 
-    Args:
-        surface: View without the reflections.
-        surfaces: Classes and normals.
-        directions: View directions from the eye, unit, in the world.
-        settings: Gloss and sky.
+    `directions` are unit view directions from the eye, in the world.
     """
     if not surfaces.vehicles.any():
         return surface
     facing = np.clip(-np.sum(directions * surfaces.normals, axis=-1), 0, 1)
     mirrored = directions + 2 * facing[..., None] * surfaces.normals
     fresnel = WATER_REFLECTANCE + (1 - WATER_REFLECTANCE) * (1 - facing) ** 5
-    sees_sky = _OF_GROUND + (1 - _OF_GROUND) * smoothstep(-0.1, 0.25, mirrored[..., 2])
-    seen = overcast_sky(mirrored, settings) * sees_sky[..., None]
+    brightness = _OF_GROUND + (1 - _OF_GROUND) * smoothstep(-0.1, 0.25, mirrored[..., 2])
+    reflection = overcast_sky(mirrored, settings) * brightness[..., None]
     share = (settings.gloss * surfaces.vehicles * np.minimum(fresnel, 0.6))[..., None]
-    return ((1 - share) * surface + share * seen).astype(np.float32)
+    return ((1 - share) * surface + share * reflection).astype(np.float32)
 
 
 # Fresnel reflectance
@@ -140,7 +128,6 @@ def unshadowed(cosine, slope):
 _AROUND_SHARE = 0.025  # window as a share of the image width; a lamp is small, so it outshines the mean over it
 _GLOW_SHARES, _GLOW_STRENGTHS = (0.004, 0.014), (0.25, 0.12)
 """Spread of the glow's core and skirt as shares of the image width, and their strengths."""
-
 BRIGHTENING = 2.0
 """Brightness of lamps relative to the clear view: exposure rises under cloud, and lamps don't dim."""
 
@@ -183,7 +170,6 @@ def add_emissive_lights(surface: Image, view: ClearView, share: Plane, glow: flo
 _FILL_SHARE, _EDGE_SHARE, _EDGE2 = 0.02, 0.012, 0.002
 """Smoothing scales as shares of the image width: to fill unknown distances, and to align distances with image edges;
 variance of display brightness from which the image has an edge."""
-
 _ENCLOSED = 0.5
 """Share of known distances around a gap from which it is filled; at the border of unknown areas, distance is open."""
 
@@ -196,14 +182,7 @@ def apply_fog(surface: Image, view: ClearView, rays: Float[np.ndarray, "h w 3"],
     if settings.mist_km == 0:
         return surface
     through = np.exp(-settings.mist_km / 1000 * view.depth * np.linalg.norm(rays, axis=-1)).astype(np.float32)
-    left = _even(through, view)[..., None]
-    level = rays * (1, 1, 0)
-    level /= np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), 1e-9)
-    return (left * surface + (1 - left) * overcast_sky(level, settings)).astype(np.float32)
-
-
-def _even(through: Plane, view: ClearView) -> Plane:
-    """Fill unknown pixels from their surroundings, and allow steps only at edges of the image."""
+    # Fill unknown pixels from their surroundings, and allow steps only at edges of the image.
     width = view.camera.width
     known = (view.depth > 0).astype(np.float32)
     sigma = max(1.0, _FILL_SHARE * width)
@@ -211,4 +190,7 @@ def _even(through: Plane, view: ClearView) -> Plane:
     mean = cv2.GaussianBlur(known * through, (0, 0), sigma) / np.maximum(around, 1e-6)
     filled = np.where(known > 0, through, np.where((around > _ENCLOSED) & (view.sky < 1), mean, 1)).astype(np.float32)
     guide = np.ascontiguousarray(view.image.mean(axis=-1))
-    return np.clip(guided_filter(filled, guide, max(1, round(_EDGE_SHARE * width)), _EDGE2), 0, 1)
+    even = np.clip(guided_filter(filled, guide, max(1, round(_EDGE_SHARE * width)), _EDGE2), 0, 1)[..., None]
+    level = rays * (1, 1, 0)
+    level /= np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), 1e-9)
+    return (even * surface + (1 - even) * overcast_sky(level, settings)).astype(np.float32)

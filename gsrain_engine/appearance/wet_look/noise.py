@@ -6,19 +6,16 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from ..base import Image, Plane
+
 _SIZE = 512
 
 
-class SmoothNoise:
-    """Gaussian noise of mean 0 and variance 1 with a power spectrum of f^-(2 slope) and period 1."""
-
-    def __init__(self, seed: int, slope: float = 1.6) -> None:
-        self._values = _texture(seed, slope)
-
-    def at(self, x: Float[np.ndarray, "h w"], y: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-        """Values at positions given in periods."""
-        columns, rows = ((_SIZE * (each - np.floor(each))).astype(np.float32) for each in (x, y))
-        return cv2.remap(self._values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).astype(np.float32)
+def smooth_noise_at(x: Float[np.ndarray, "h w"], y: Float[np.ndarray, "h w"], seed: int, slope: float = 1.6) -> Plane:
+    """Gaussian noise of mean 0, variance 1, a power spectrum of f^-(2 slope) and period 1; x and y are in periods."""
+    columns, rows = ((_SIZE * (each - np.floor(each))).astype(np.float32) for each in (x, y))
+    values = _texture(seed, slope)
+    return cv2.remap(values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).astype(np.float32)
 
 
 @lru_cache(maxsize=8)
@@ -36,10 +33,8 @@ _TEXTURE = 512  # bumps per side until they repeat
 _BLENDED = 0.85  # standard deviation of independent random heights after cubic interpolation
 
 
-def lattice_noise_at(
-    points_m: Float[np.ndarray, "h w 3"], size_m: float, turn: float, seed: int
-) -> Float32[np.ndarray, "h w"]:
-    """Smooth noise of mean 0 and variance 1 on a rotated lattice of the given pitch."""
+def lattice_noise_at(points_m: Float[np.ndarray, "h w 3"], size_m: float, turn: float, seed: int) -> Plane:
+    """Smooth noise of mean 0 and variance 1 on a rotated lattice with a pitch of `size_m`."""
     c, s = np.cos(turn) / size_m, np.sin(turn) / size_m
     x, y = points_m[..., 0], points_m[..., 1]
     across, along = c * x + s * y, c * y - s * x
@@ -61,46 +56,31 @@ _SIZES_M = (0.45, 0.17, 0.07)
 _VISIBLE_SHARE = 0.5  # largest pixel length that still resolves a bump, as a share of the bump's size
 
 
-def water_slopes(
-    points_m: Float64[np.ndarray, "h w 3"], footprint_m: Float32[np.ndarray, "h w"], seed: int
-) -> Float32[np.ndarray, "h w 2"]:
+def water_slopes(points_m: Float64[np.ndarray, "h w 3"], footprint_m: Plane, seed: int) -> Float32[np.ndarray, "h w 2"]:
     """Random slopes along the world's x and y, with a standard deviation of 1.
 
     `footprint_m` is a pixel's length on the ground; bumps smaller than it are left out.
     """
     slopes = np.zeros((*footprint_m.shape, 2), np.float32)
     for k, size in enumerate(_SIZES_M):
-        share = np.float32(len(_SIZES_M) ** -0.5) / (
-            1 + np.square(np.minimum(footprint_m / (_VISIBLE_SHARE * size), 1e3))
-        )
+        coarseness = np.minimum(footprint_m / (_VISIBLE_SHARE * size), 1e3)
+        share = np.float32(len(_SIZES_M) ** -0.5) / (1 + np.square(coarseness))
         for axis in range(2):
-            slopes[..., axis] += share * lattice_noise_at(
-                points_m, size, 1.3 * k + axis, 977 * (seed + 1) + 2 * k + axis
-            )
+            bumps = lattice_noise_at(points_m, size, 1.3 * k + axis, 977 * (seed + 1) + 2 * k + axis)
+            slopes[..., axis] += share * bumps
     return slopes
 
 
-def tilt_normals(
-    normals: Float32[np.ndarray, "h w 3"], slopes: Float32[np.ndarray, "h w 2"], by: float
-) -> Float32[np.ndarray, "h w 3"]:
+def tilt_normals(normals: Image, slopes: Float32[np.ndarray, "h w 2"], by: float) -> Image:
     """Tilt upward unit normals by slopes times a number."""
     tilts = np.concatenate([np.float32(by) * slopes, np.zeros_like(slopes[..., :1])], axis=-1)
     return (normals + tilts) / np.sqrt(1 + np.sum(tilts * tilts, axis=-1, keepdims=True))
 
 
-# Guided filter
-
-Plane = Float32[np.ndarray, "h w"]
-
-
 def guided_filter(values: Plane, guide: Plane, radius: int, variance: float) -> Plane:
     """Smooth `values` along the edges of `guide`, as a local linear function of it (He, Sun and Tang 2013).
 
-    Args:
-        values: Values to smooth.
-        guide: Image whose edges are kept.
-        radius: Window radius in pixels.
-        variance: Variance of the guide from which it has an edge.
+    `radius` is that of the window in pixels, `variance` that of the guide from which it has an edge.
     """
     size = (2 * radius + 1, 2 * radius + 1)
     mean, mean_guide = cv2.blur(values, size), cv2.blur(guide, size)

@@ -10,14 +10,13 @@ from jaxtyping import Bool, Float32
 from scipy import ndimage
 
 from ...scene.camera import Camera
-from ..base import ClearView
+from ..base import ClearView, Image, Plane
 from ..normals import view_rays
 from .ground_plane import GroundPlane
 from .masks import VisibleGround
 
 _BELOW_HORIZON, _MARGIN_SHARES = 0.02, 0.08
 """Margins of the mirror image, as parts of its height and width: rough water reflects from beyond its borders."""
-
 _ABOVE = 0.35  # tangent by which the mirror image extends higher than a flat mirror's
 
 
@@ -29,22 +28,16 @@ class PlanarReflection:
     """Environment outside the view; sky where it is empty."""
     places: Float32[np.ndarray, "h w 2"]
     """Columns and rows in the view (pixel centers at halves) of the reflected points."""
-    known: Float32[np.ndarray, "h w"]
-    """Share of each pixel taken from the view, 0..1; the rest is `beyond`."""
-    depth: Float32[np.ndarray, "h w"]
+    known: Plane
+    """Share of each pixel that is from the view, 0..1; the rest is `beyond`."""
+    depth: Plane
     """Meters along the mirror camera's axis; 0 for sky."""
 
-    @property
-    def camera(self) -> Camera:
-        return self.beyond.camera
-
-    def picture(
-        self, seen: Float32[np.ndarray, "_ _ 3"], beyond: Float32[np.ndarray, "h w 3"]
-    ) -> Float32[np.ndarray, "h w 3"]:
+    def picture(self, view: Float32[np.ndarray, "_ _ 3"], beyond: Image) -> Image:
         """Combine the rainy image of the view and that of `beyond`."""
         columns, rows = (np.ascontiguousarray(self.places[..., k]) - np.float32(0.5) for k in (0, 1))
-        taken = cv2.remap(seen, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return beyond + self.known[..., None] * (taken - beyond)
+        mirrored = cv2.remap(view, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return beyond + self.known[..., None] * (mirrored - beyond)
 
 
 def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
@@ -58,9 +51,8 @@ def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
     up = turn @ plane.normal  # in camera axes (x right, y down, z forward)
     left, right = (-turned.cx / turned.fx, (turned.width - turned.cx) / turned.fx)
     top, bottom = (-turned.cy / turned.fy, (turned.height - turned.cy) / turned.fy)
-    corners = np.array([[x, y, 1.0] for x in (left, right) for y in (top, bottom)])
     # The horizon is where up . (x, y, 1) = 0; rows grow downwards, so up[1] < 0 for an upright camera.
-    horizon = max(-(up[0] * x + up[2]) / up[1] for x in (left, right)) if up[1] < -0.2 else float(corners[:, 1].max())
+    horizon = max(-(up[0] * x + up[2]) / up[1] for x in (left, right)) if up[1] < -0.2 else bottom
     height = bottom - top
     low = min(horizon + _BELOW_HORIZON * height, bottom + _BELOW_HORIZON * height)
     high = top - _ABOVE
@@ -75,7 +67,6 @@ def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
 _GROUND = 0.5
 _FIRST_M, _GROWTH, _STEPS = 0.03, 1.12, 84
 """Length of the first step, growth factor of steps, and their number: about 400 m in all."""
-
 _HALVINGS = 6
 _THICK_M, _THICK_SHARE = 0.2, 0.03
 """Assumed thickness of surfaces: a ray farther behind one is occluded and has not hit it."""
@@ -86,7 +77,7 @@ class SsrHits(NamedTuple):
 
     places: Float32[np.ndarray, "h w 2"]
     """Columns and rows in the view (pixel centers at halves); without a hit, where the ray left the view."""
-    depth: Float32[np.ndarray, "h w"]
+    depth: Plane
     """Along the mirror camera's axis in meters; 0 for sky."""
     found: Bool[np.ndarray, "h w"]
     left: Bool[np.ndarray, "h w"]
@@ -110,15 +101,14 @@ def screen_space_reflection(view: ClearView, ground: VisibleGround, mirror: Came
     places, depth = np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
     found, left = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
     solid = np.where((ground.share > _GROUND) | (view.depth <= 0), np.float32(np.inf), view.depth)
-    is_sky = view.depth <= 0
     _follow(
-        solid, is_sky, view.camera.world_to_camera, _intrinsics(view.camera), mirror.camera_to_world,
-        _intrinsics(mirror), ground.plane.normal, ground.plane.offset_m, places, depth, found, left,
+        solid, view.depth <= 0, view.camera.world_to_camera, focal_and_center(view.camera), mirror.camera_to_world,
+        focal_and_center(mirror), ground.plane.normal, ground.plane.offset_m, places, depth, found, left,
     )  # fmt: skip
     return SsrHits(places, depth, found, left)
 
 
-def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
+def focal_and_center(camera: Camera) -> tuple[float, float, float, float]:
     return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
 
 
@@ -208,6 +198,6 @@ def fill_reflection_holes(view: ClearView, plane: GroundPlane) -> ClearView:
     above = np.maximum.accumulate(np.where(gap, -1, np.where(view.depth > 0, rows, -1)), axis=0)
     filled = gap & (above >= 0)
     source, columns = np.where(filled, above, rows), np.arange(gap.shape[1])[None]
-    taken = {name: getattr(view, name)[source, columns] for name in ("image", "depth", "normals", "sky", "vehicles")}
-    taken["sky"] = np.where(taken["depth"] > 0, taken["sky"], np.float32(1))
-    return replace(view, **taken)
+    maps = {name: getattr(view, name)[source, columns] for name in ("image", "depth", "normals", "sky", "vehicles")}
+    maps["sky"] = np.where(maps["depth"] > 0, maps["sky"], np.float32(1))
+    return replace(view, **maps)

@@ -3,28 +3,18 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float32
 
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
-from ..base import ClearView, RainyView
+from ..base import ClearView, Image, RainyView
 from ..normals import view_rays
+from . import illumination
 from .environment import ReflectionEnvironment
-from .illumination import (
-    IlluminationEstimate,
-    composite_over_cloud,
-    daylight,
-    estimate_illumination,
-    extend_sky_mask,
-    match_sky_brightness,
-    overcast_image,
-    overcast_surfaces,
-)
+from .illumination import IlluminationEstimate, composite_over_cloud, estimate_illumination, extend_sky_mask
 from .masks import VisibleGround, surfaces_of
 from .materials import add_clear_coat, add_emissive_lights, apply_fog, emissive_share, wet_surfaces_color
 from .settings import WetSettings
 from .water import water_layer_of
 
-Image = Float32[np.ndarray, "h w 3"]
 LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is not known, so nothing is made wet"
 """Skipped steps of views without surfaces."""
 
@@ -32,14 +22,12 @@ LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is
 class WetTransfer:
     """Overcast light, wet materials, water, lamps and mist; consistent across views, since all come from the scene."""
 
+    name = "wet"
+
     def __init__(
         self, settings: WetSettings, surroundings: ReflectionEnvironment, light: IlluminationEstimate | None = None
     ) -> None:
         self._settings, self._surroundings, self._light = settings, surroundings, light
-
-    @property
-    def name(self) -> str:
-        return "wet"
 
     def light_of(self, views: Sequence[ClearView]) -> IlluminationEstimate:
         """Illumination of the clear views: the given one, or an estimate."""
@@ -56,19 +44,18 @@ class WetTransfer:
         if settings.wetness == 0:
             return RainyView(view, view.image, np.zeros_like(view.sky))
 
-        if not view.has_surfaces:
-            dull = np.clip(linear_to_srgb(rainy_image(view, settings)), 0, 1).astype(np.float32)
-            return RainyView(view, dull, np.zeros_like(view.sky), LIGHT_AND_SKY)
-
         def look(each: ClearView) -> Image:
             return rainy_light(each, light, settings, self._surroundings.ground(each))
 
-        shown, film = look(view), np.zeros_like(view.sky)
-        water = water_layer_of(view, shown, self._surroundings, look, settings.wetness, settings.seed)
-        if water is not None:
-            left = ((1 - water.share) * water.through)[..., None]
-            shown, film = left * shown + water.color, water.share
-        return RainyView(view, np.clip(linear_to_srgb(shown), 0, 1).astype(np.float32), film)
+        has_surfaces = view.has_surfaces
+        rainy, film = look(view) if has_surfaces else rainy_image(view, settings), np.zeros_like(view.sky)
+        if has_surfaces:
+            water = water_layer_of(view, rainy, self._surroundings, look, settings.wetness, settings.seed)
+            if water is not None:
+                remaining = ((1 - water.share) * water.through)[..., None]
+                rainy, film = remaining * rainy + water.color, water.share
+        image = np.clip(linear_to_srgb(rainy), 0, 1).astype(np.float32)
+        return RainyView(view, image, film, "" if has_surfaces else LIGHT_AND_SKY)
 
 
 def rainy_image(view: ClearView, settings: WetSettings) -> Image:
@@ -78,9 +65,8 @@ def rainy_image(view: ClearView, settings: WetSettings) -> Image:
     """
     clear = srgb_to_linear(view.image).astype(np.float32)
     view = extend_sky_mask(view)
-    rainy = composite_over_cloud(
-        view, overcast_image(view, settings), match_sky_brightness(view, settings, daylight(view))
-    )
+    cloud = illumination.match_sky_brightness(view, settings, illumination.daylight(view))
+    rainy = composite_over_cloud(view, illumination.overcast_image(view, settings), cloud)
     return ((1 - settings.wetness) * clear + settings.wetness * rainy).astype(np.float32)
 
 
@@ -93,7 +79,8 @@ def rainy_light(
     rays = view_rays(view.camera)
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     surfaces = surfaces_of(view, ground)
-    surface = wet_surfaces_color(overcast_surfaces(view, light, settings, surfaces), surfaces, settings)
+    surface = illumination.overcast_surfaces(view, light, settings, surfaces)
+    surface = wet_surfaces_color(surface, surfaces, settings)
     surface = add_clear_coat(surface, surfaces, directions, settings)
     surface = add_emissive_lights(surface, view, emissive_share(view, surfaces, settings.tail_lamps), settings.lamps)
     rainy = composite_over_cloud(view, apply_fog(surface, view, rays, settings), settings)

@@ -1,34 +1,30 @@
 """Water on the ground: a film with rough reflections, puddles with clear ones. Linear light."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float64
 from scipy.special import ndtri
 
 from ...scene.camera import Camera
-from ..base import ClearView
+from ..base import ClearView, Image, Plane
 from .environment import ReflectionEnvironment
 from .glossy import GlossyReflection, Ripmap, build_ripmap, glossy_reflection
 from .masks import VisibleGround, smoothstep
 from .noise import lattice_noise_at, tilt_normals, water_slopes
 from .reflections import PlanarReflection
 
-WaterAppearance = Callable[[ClearView], Float32[np.ndarray, "h w 3"]]
 _FILM_SLOPE, _FILM_SMOOTHING = 0.09, 0.6
 """Slope deviation of a thin film over asphalt, and the share by which a thick film is smoother."""
-
 _PUDDLE_SLOPE = 0.022  # slope deviation of standing water in rain: rings a few millimeters high, decimeters long
 _TEXTURE_TILT, _RIPPLE_TILT = 0.016, 0.006
 """Slope deviation of the bumps that an image resolves, in the film and in puddles."""
-
 _FILM_COVER = (0.7, 1.0)  # share of the road that a thin and a thick film cover: stones stick out of it
 _FACETS, _PUDDLE_FACETS = 11, 5
 _MIN_SHARE = 0.01
 _UNDER_WATER = 0.72
 """Share of a soaked road's light that leaves standing water; light reflected back into the water is absorbed."""
-
 _UNDER_RIM = 0.88
 
 
@@ -36,31 +32,26 @@ _UNDER_RIM = 0.88
 class WaterLayer:
     """Effect of water on an image: (1 - share) * through * surface + color. Linear light."""
 
-    color: Float32[np.ndarray, "h w 3"]
+    color: Image
     """Reflected light, multiplied by its share."""
-    share: Float32[np.ndarray, "h w"]
+    share: Plane
     """Share of reflected light, 0..1."""
-    through: Float32[np.ndarray, "h w"]
+    through: Plane
     """Share of the ground's own light that passes the water, 0..1; 1 without water."""
 
 
 def water_layer_of(
     view: ClearView,
-    surface: Float32[np.ndarray, "h w 3"],
+    surface: Image,
     surroundings: ReflectionEnvironment,
-    look: WaterAppearance,
+    look: Callable[[ClearView], Image],
     wetness: float,
     seed: int,
 ) -> WaterLayer | None:
-    """Compute the water on the ground of a view; None if there is none.
+    """Compute the water on the ground of a view, for a wetness of 0 (none) to 1; None if there is none.
 
-    Args:
-        view: Clear view.
-        surface: View on the rainy day without the water, linear light; source of screen-space reflections.
-        surroundings: Source of the ground and of reflections from outside the view.
-        look: Function that makes any view look like `surface`; applied to the reflected environment.
-        wetness: 0 (none) to 1.
-        seed: Seed of the puddles.
+    `surface` is the view on the rainy day without the water, in linear light: the source of screen-space reflections.
+    `surroundings` provide the ground and reflections from outside the view, to which `look` gives the same weather.
     """
     ground = surroundings.ground(view) if wetness > 0 else None
     if ground is None:
@@ -71,7 +62,8 @@ def water_layer_of(
     mirrored = surroundings.mirrored(view, ground)
     picture = build_ripmap(mirrored.picture(surface, look(mirrored.beyond)))
     rows = slice(int(wet_rows[0]), int(wet_rows[-1]) + 1)
-    part = _water(ground.of_rows(rows), view.camera, mirrored, picture, wetness, seed)
+    maps = {name: getattr(ground, name)[rows] for name in ("share", "above_m", "points_m", "normals", "sunk_m")}
+    part = _water(replace(ground, **maps), view.camera, mirrored, picture, wetness, seed)
     size = view.depth.shape
     whole = WaterLayer(np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.ones(size, np.float32))
     whole.color[rows], whole.share[rows], whole.through[rows] = part.color, part.share, part.through
@@ -81,19 +73,24 @@ def water_layer_of(
 def _water(
     ground: VisibleGround, camera: Camera, mirrored: PlanarReflection, picture: Ripmap, wetness: float, seed: int
 ) -> WaterLayer:
-    footprint = _footprint(ground, camera)
+    # Length in meters of the ground in each pixel, along the line of sight.
+    away = camera.position - ground.points_m
+    distance = np.linalg.norm(away, axis=-1)
+    flat = np.maximum(np.sum(away * ground.normals, axis=-1) / np.maximum(distance, 1e-6), 0.01)
+    footprint = (distance / (camera.fy * flat)).astype(np.float32)
     standing = standing_water(ground.points_m, footprint, ground.sunk_m, wetness, seed)
     puddle, is_ground = standing.puddle * ground.share, ground.share > _MIN_SHARE
     thick = np.clip(0.6 * standing.patches + 0.5 * standing.rim, 0, 1)
     slopes = water_slopes(ground.points_m, footprint, seed)
 
-    def light(tilt: float, roughness: Float32[np.ndarray, "h w"], facets: int) -> GlossyReflection:
+    def light(tilt: float, chosen: Bool[np.ndarray, "h w"], slope: Plane | float, facets: int) -> GlossyReflection:
         normals = tilt_normals(ground.normals, slopes, tilt)
+        roughness = np.where(chosen, slope, -1).astype(np.float32)
         return glossy_reflection(mirrored, picture, camera.position, ground.points_m, normals, roughness, facets)
 
-    roughness = _FILM_SLOPE * (1 - _FILM_SMOOTHING * wetness * thick)
-    film = light(_TEXTURE_TILT, _where(is_ground & (puddle < 0.995), roughness), _FACETS)
-    pool = light(_RIPPLE_TILT, _where(is_ground & (puddle > 0.005), _PUDDLE_SLOPE), _PUDDLE_FACETS)
+    film_slope = _FILM_SLOPE * (1 - _FILM_SMOOTHING * wetness * thick)
+    film = light(_TEXTURE_TILT, is_ground & (puddle < 0.995), film_slope, _FACETS)
+    pool = light(_RIPPLE_TILT, is_ground & (puddle > 0.005), _PUDDLE_SLOPE, _PUDDLE_FACETS)
     thin, full = _FILM_COVER
     film_part = (ground.share - puddle) * wetness * (thin + (full - thin) * thick)
     pool_part = puddle * min(1.0, 4 * wetness)
@@ -104,52 +101,32 @@ def _water(
     return WaterLayer(color.astype(np.float32), share.astype(np.float32), through.astype(np.float32))
 
 
-def _where(
-    chosen: Bool[np.ndarray, "h w"], roughness: Float32[np.ndarray, "h w"] | float
-) -> Float32[np.ndarray, "h w"]:
-    """Slopes of facets at chosen pixels, and below 0 elsewhere."""
-    return np.where(chosen, roughness, -1).astype(np.float32)
-
-
-def _footprint(ground: VisibleGround, camera: Camera) -> Float32[np.ndarray, "h w"]:
-    """Length in meters of the ground in each pixel, along the line of sight."""
-    away = camera.position - ground.points_m
-    distance = np.linalg.norm(away, axis=-1)
-    flat = np.maximum(np.sum(away * ground.normals, axis=-1) / np.maximum(distance, 1e-6), 0.01)
-    return (distance / (camera.fy * flat)).astype(np.float32)
-
-
 # Standing water by world position, so that all views agree. Meters.
 
 _OCTAVES = ((4.3, 0.8), (2.1, 0.9), (1.0, 0.5), (0.47, 0.25), (0.23, 0.13), (0.11, 0.07))
 """Size of bumps in meters, and height relative to the first; the finest ones fray the shores."""
-
 _PATCHES = (0.0, 1.0, 1.0, 0.9, 0.6, 0.6)  # strength of each octave in the film's thickness
 _TURN = 2.39996  # rotation in radians between octaves (the golden angle), so that no direction repeats
 _HEIGHT_M = 0.006  # standard deviation of unevenness that captures don't resolve: a road of medium quality
 _STANDING = 0.12  # share of an even, soaked road under standing water
 _SHORE, _RIM = 0.35, 1.3  # widths of the shore and of the damp rim around it, in standard deviations of height
-_UNSEEN = 3.4  # width of the smooth step closest to a normal distribution, in its standard deviations
+_BLUR = 3.4  # width of the smooth step closest to a normal distribution, in its standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandingWater:
     """Standing water on the ground; each map is 0..1."""
 
-    puddle: Float32[np.ndarray, "h w"]
+    puddle: Plane
     """Share of each pixel under standing water."""
-    rim: Float32[np.ndarray, "h w"]
+    rim: Plane
     """Proximity to a puddle: 1 in it, falling to 0."""
-    patches: Float32[np.ndarray, "h w"]
+    patches: Plane
     """Relative thickness of the film: 0.5 on average."""
 
 
 def standing_water(
-    points_m: Float64[np.ndarray, "h w 3"],
-    footprint_m: Float32[np.ndarray, "h w"],
-    sunk_m: Float32[np.ndarray, "h w"],
-    wetness: float,
-    seed: int,
+    points_m: Float64[np.ndarray, "h w 3"], footprint_m: Plane, sunk_m: Plane, wetness: float, seed: int
 ) -> StandingWater:
     """Compute the extent of puddles.
 
@@ -158,9 +135,7 @@ def standing_water(
     wetness. Bumps smaller than a pixel's `footprint_m` are not drawn but replaced by the share of the pixel under
     water, so that distant water doesn't flicker.
     """
-    low = np.zeros(points_m.shape[:-1], np.float32)
-    hidden = np.zeros_like(low)
-    patches = np.zeros_like(low)
+    low, hidden, patches = (np.zeros(points_m.shape[:-1], np.float32) for _ in range(3))
     total = float(np.sum([height**2 for _, height in _OCTAVES]))
     for k, (size, height) in enumerate(_OCTAVES):
         share = 1 / (1 + np.square(np.square(np.minimum(footprint_m / (0.6 * size), 1e3))))
@@ -169,9 +144,6 @@ def standing_water(
         hidden += np.float32(height**2 / total) * (1 - share**2)
         patches += np.float32(_PATCHES[k]) * height_there
     low += sunk_m / np.float32(_HEIGHT_M)
-    level = ndtri(1 - _STANDING * wetness)
-    depth = low - np.float32(level)
-    blur = _SHORE + _UNSEEN * np.sqrt(hidden)
-    return StandingWater(
-        smoothstep(-0.5, 0.5, depth / blur), smoothstep(-_RIM, 0.1, depth), smoothstep(-2.6, 2.6, patches)
-    )
+    depth = low - np.float32(ndtri(1 - _STANDING * wetness))
+    puddle = smoothstep(-0.5, 0.5, depth / (_SHORE + _BLUR * np.sqrt(hidden)))
+    return StandingWater(puddle, smoothstep(-_RIM, 0.1, depth), smoothstep(-2.6, 2.6, patches))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...appearance.finetune.loss_log import read_losses
-from ...appearance.finetune.task import FinetuneTask
+from ...appearance.finetune.settings import FinetuneTask
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
 from ...evaluation.report import write_report
@@ -28,7 +28,7 @@ from ..viewport_state import ViewportState
 from .job import Job, new_report, scene_job, write_copy
 
 if TYPE_CHECKING:
-    from ...appearance.finetune.task import FinetuneResult
+    from ...appearance.finetune.settings import FinetuneResult
 
 # Job "Train the transfer": fine-tuning, with LPIPS if weights are available
 

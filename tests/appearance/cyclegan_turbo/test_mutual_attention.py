@@ -14,11 +14,9 @@ from gsrain_engine.appearance.correspondence import (  # noqa: E402
 )
 from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (  # noqa: E402
     BatchElement,
-    cross_view_attention,
-)
-from gsrain_engine.appearance.cyclegan_turbo.settings import (  # noqa: E402
     CrossViewAttention,
     TileWindow,
+    cross_view_attention,
 )
 
 PX, LATENT = 64, 8

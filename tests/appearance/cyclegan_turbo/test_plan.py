@@ -7,12 +7,10 @@ import pytest
 
 from gsrain_engine.appearance.base import ClearView
 from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (
+    CrossViewAttention,
     attention_plan,
-    plan_in_groups,
     plan_outward,
-    plan_separately,
 )
-from gsrain_engine.appearance.cyclegan_turbo.settings import CrossViewAttention
 from gsrain_engine.scene.camera import Camera, look_at
 
 ROW = [(1, 2), (0, 2), (1, 3), (2, 4), (3, 2)]
@@ -54,11 +52,10 @@ def test_features_go_after_their_last_use():
     numbers = {view: number for number, step in enumerate(plan.steps) for view in step.views}
     for view, last in plan.last_use().items():
         assert last == max(numbers[other] for other, looked_at in sources(plan).items() if view in looked_at)
-    assert not plan_separately(4).last_use()
 
 
 def test_together_groups_look_both_ways():
-    plan = plan_in_groups(ROW, 2, 3, ["s"] * 5)
+    plan = plan_outward(ROW, 2, 3, ["s"] * 5)
     assert [len(step.views) for step in plan.steps] == [3, 2]
     first = plan.steps[0]
     both = [(a, b) for a, sa in zip(first.views, first.sources, strict=True) for b in sa if a in sources(plan)[b]]
@@ -68,7 +65,7 @@ def test_together_groups_look_both_ways():
 
 def test_together_never_mixes_sizes():
     sizes = ["s", "l", "s", "l", "s"]
-    plan = plan_in_groups(ROW, 2, 3, sizes)
+    plan = plan_outward(ROW, 2, 3, sizes)
     assert all(len({sizes[view] for view in step.views}) == 1 for step in plan.steps)
     assert sorted(view for step in plan.steps for view in step.views) == list(range(5))
 

@@ -6,6 +6,7 @@ torch = pytest.importorskip("torch")
 attention = pytest.importorskip("diffusers.models.attention_processor")
 
 from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (  # noqa: E402
+    CrossViewAttention,
     MutualSelfAttention,
     chunked_attention,
 )
@@ -15,7 +16,7 @@ class Others:
     def __init__(self, *features):
         self.features = list(features)
 
-    def looked_at(self, layer, features):
+    def __call__(self, layer, features):
         return self.features
 
 
@@ -58,8 +59,8 @@ def test_it_is_the_formula_with_a_mask():
 
 
 @torch.inference_mode()
-@pytest.mark.parametrize("most_scores", [10**9, 800, 61, 1])
-def test_never_more_scores_at_once_than_asked_for(monkeypatch, most_scores):
+@pytest.mark.parametrize("max_scores", [10**9, 800, 61, 1])
+def test_never_more_scores_at_once_than_asked_for(monkeypatch, max_scores):
     attn, own, neighbour = layer(), torch.randn(2, 20, 12), torch.randn(7, 12)
     whole = MutualSelfAttention("x", Others(None, neighbour), 10**9)(attn, own)
     counted, of_one_query = [], 3 * 27
@@ -70,16 +71,14 @@ def test_never_more_scores_at_once_than_asked_for(monkeypatch, most_scores):
         return original(query, key, value, **options)
 
     monkeypatch.setattr(torch.nn.functional, "scaled_dot_product_attention", counting)
-    found = MutualSelfAttention("x", Others(None, neighbour), most_scores)(attn, own)
-    assert max(counted) <= max(most_scores, of_one_query)
+    found = MutualSelfAttention("x", Others(None, neighbour), max_scores)(attn, own)
+    assert max(counted) <= max(max_scores, of_one_query)
     assert sum(counted) == 3 * 20 * 20 + 3 * 20 * 27
     torch.testing.assert_close(found, whole)
 
 
 @torch.inference_mode()
 def test_chunks_of_three_large_views_stay_below_the_default(monkeypatch):
-    from gsrain_engine.appearance.cyclegan_turbo.settings import CrossViewAttention
-
     # SD-Turbo's finest layer at 512 px: 5 heads, 4096 tokens, two neighbours. Only shapes are computed.
     query, key = (torch.empty(1, 5, n, 64, device="meta") for n in (4096, 3 * 4096))
     counted = []
@@ -89,6 +88,6 @@ def test_chunks_of_three_large_views_stay_below_the_default(monkeypatch):
         return query
 
     monkeypatch.setattr(torch.nn.functional, "scaled_dot_product_attention", counting)
-    chunked_attention(query, key, key, 0.125, CrossViewAttention().most_scores)
+    chunked_attention(query, key, key, 0.125, CrossViewAttention().max_scores)
     assert sum(counted) == 5 * 4096 * 3 * 4096
     assert 4 * max(counted) <= 256 * 2**20

@@ -15,15 +15,17 @@ from gsrain_engine.appearance.base import (  # noqa: E402
     ClearView,
     Transfer,
 )
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import CrossViewAttention  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
     build_random_model,
     tiny,
 )
-from gsrain_engine.appearance.cyclegan_turbo.settings import (  # noqa: E402
-    CrossViewAttention,
+from gsrain_engine.appearance.cyclegan_turbo.translator import (  # noqa: E402
+    NO_OVERLAP,
+    WITHOUT_POSE,
+    CycleGanTurboTransfer,
     RunSettings,
 )
-from gsrain_engine.appearance.cyclegan_turbo.translator import NO_OVERLAP, WITHOUT_POSE, CycleGanTurboTransfer  # noqa: E402
 from gsrain_engine.scene.camera import (  # noqa: E402
     Camera,
     look_at,
@@ -208,9 +210,7 @@ def test_tiles_look_at_other_views_as_whole_pictures_do(model):
 
 
 def replace_mutual(settings: RunSettings, **choice) -> RunSettings:
-    import msgspec
-
-    return msgspec.structs.replace(settings, mutual=CrossViewAttention(px_per_token=(8, 16, 32, 64), **choice))
+    return replace(settings, mutual=CrossViewAttention(px_per_token=(8, 16, 32, 64), **choice))
 
 
 def test_views_without_poses_and_without_overlap_stay_alone_and_say_so(model, views):

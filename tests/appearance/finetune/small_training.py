@@ -11,9 +11,8 @@ from PIL import Image
 from gsrain_engine.appearance.cyclegan_turbo.model import TurboArchitecture, tiny
 from gsrain_engine.appearance.finetune.dataset import open_images
 from gsrain_engine.appearance.finetune.run import finetune, start_finetuning
-from gsrain_engine.appearance.finetune.settings import FinetuningSettings, load_finetuning
+from gsrain_engine.appearance.finetune.settings import FinetuneResult, FinetuneTask, FinetuningSettings, load_finetuning
 from gsrain_engine.appearance.finetune.step import FinetuneTrainer
-from gsrain_engine.appearance.finetune.task import FinetuneResult, FinetuneTask
 from gsrain_engine.scene.progress import Progress
 
 SIDE_PX = 16

@@ -12,7 +12,6 @@ from gsrain_engine.appearance.finetune.settings import (
     FinetuningSettings,
     finetuning_names,
     load_finetuning,
-    write_finetuning,
 )
 
 
@@ -30,7 +29,7 @@ def test_shipped_settings_are_whole() -> None:
 
 def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
     settings = load_finetuning("tiny", steps=7, clear=[{"path": "a"}, {"path": "b", "count": 3}])
-    write_finetuning(tmp_path / "own.yaml", settings)
+    (tmp_path / "own.yaml").write_bytes(msgspec.yaml.encode(settings))
     assert load_finetuning(tmp_path / "own.yaml") == settings
     assert [source.path for source in settings.pictures.clear] == ["a", "b"]
 
@@ -66,7 +65,7 @@ def test_losses_after_a_checkpoint_are_forgotten(tmp_path: Path) -> None:
         for step in (1, 2, 3):
             log.add(step, {"cycle_clear": step / 3, "change": 0.5})
     with LossLog(tmp_path, begins_at=2) as log:
-        assert [row["step"] for row in log.kept] == [1, 2]
+        assert [row["step"] for row in log.earlier_rows] == [1, 2]
         log.add(3, {"cycle_clear": 9.0, "change": 0.5})
         log.show(3, np.zeros((8, 8, 3), np.uint8))
     rows = read_losses(tmp_path / "losses.csv")

@@ -13,9 +13,11 @@ from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model  # 
 from gsrain_engine.appearance.finetune.checkpoint import FinetuningCheckpointError  # noqa: E402
 from gsrain_engine.appearance.finetune.loss_log import read_losses  # noqa: E402
 from gsrain_engine.appearance.finetune.run import finetune  # noqa: E402
-from gsrain_engine.appearance.finetune.settings import load_finetuning  # noqa: E402
+from gsrain_engine.appearance.finetune.settings import (  # noqa: E402
+    FinetuneTask,
+    load_finetuning,
+)
 from gsrain_engine.appearance.finetune.step import FinetuneTrainer  # noqa: E402
-from gsrain_engine.appearance.finetune.task import FinetuneTask  # noqa: E402
 
 from .small_training import run, small, small_settings, small_start  # noqa: E402
 
