@@ -277,7 +277,7 @@ def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, 
     for each in checks:
         console.print(f"{each.verdict}: {each.told}")
     if checked and not checks and summary.has_poses:
-        console.print("poses: nothing to check them by (no lidar, and no neighbouring views that share enough)")
+        console.print("poses: nothing to check them by (no lidar, and no neighboring views that share enough)")
     for problem in summary.problems:
         console.print(f"problem: {problem}")
 
@@ -337,7 +337,7 @@ def convert(
         scene = _driven(scene, drive, speed)
     if wetness is not None:
         if all(each.wet_sh is None for each in scene.members):
-            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colours; gsrain recolor makes them")
+            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colors; gsrain recolor makes them")
         scene = with_wetness_baked(scene, wetness)
     write_scene(scene, target)
     if names_scene_folder(target):

@@ -201,5 +201,5 @@ def _print_recolor(run: Any, images: Capture) -> None:
         figures = [f"{each:.2f}" for each in (view.psnr_clear_db, view.psnr_mapped_db, view.psnr_db)]
         table.add_row(view.name, *figures, "held out" if view.is_held_out else f"{view.trust:.2f}")
     console.print(table)
-    comparison = "({psnr_before_db:.2f} dB clear, {psnr_mapped_db:.2f} dB after the colour map), in {seconds:.1f} s"
+    comparison = "({psnr_before_db:.2f} dB clear, {psnr_mapped_db:.2f} dB after the color map), in {seconds:.1f} s"
     _print_held_out(console, run.numbers, comparison)

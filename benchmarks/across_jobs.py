@@ -171,7 +171,7 @@ def recorded(folder: Path, name: str) -> tuple[float, float]:
 
 
 def recolored(folder: Path) -> tuple[float, float]:
-    """Solve for the street's colours in eight views of another look, 480 x 320."""
+    """Solve for the street's colors in eight views of another look, 480 x 320."""
     import numpy as np
 
     from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras, scene_views

@@ -1,4 +1,4 @@
-"""Does mutual self-attention make neighbouring views agree, and what does a layer of it cost? Prints JSON.
+"""Does mutual self-attention make neighboring views agree, and what does a layer of it cost? Prints JSON.
 
 With --weights it is SD-Turbo and a transfer's weights. Without, it is a small network that is trained here, briefly, to
 tone views of the street. So little training leaves next to nothing to self-attention, so it is also measured with what
@@ -117,7 +117,7 @@ def strengthened(model: CycleGanTurbo, factor: float) -> CycleGanTurbo:
 
 
 def rows(model: CycleGanTurbo, views: Sequence[ClearView], settings: RunSettings) -> Iterator[dict[str, Any]]:
-    """Measure each way to attend on the same pairs of neighbours."""
+    """Measure each way to attend on the same pairs of neighbors."""
     tokens = CrossViewAttention().px_per_token if settings.side_px else (2, 4, 8, 16, 32)
     ways: dict[str, CrossViewAttention | None] = {
         "none": None,

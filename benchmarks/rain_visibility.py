@@ -105,7 +105,7 @@ def changed_share(rainy: np.ndarray, clear: np.ndarray) -> float:
 
 
 def mean_levels(rainy: np.ndarray, clear: np.ndarray) -> float:
-    """Mean absolute difference in grey levels of 255."""
+    """Mean absolute difference in gray levels of 255."""
     return float(np.abs(rainy - clear)[..., :3].mean() * 255)
 
 

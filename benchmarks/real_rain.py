@@ -32,10 +32,10 @@ def main(numbers: Path, picture: Path) -> None:
             rises(column[2], each["by_background"], style)
         column[0].set(title=f"{row['labelled_mm_h']:g} mm/h", xlabel="length, px", yscale="log")
         column[1].set(xlabel="angle from the vertical, degrees", xlim=(-45, 45))
-        column[2].set(xlabel="grey of the background", ylim=(0, 20))
+        column[2].set(xlabel="gray of the background", ylim=(0, 20))
     axes[0, 0].set_ylabel("per megapixel and 10 px")
     axes[1, 0].set_ylabel("share in each 5 degrees")
-    axes[2, 0].set_ylabel("median rise, grey levels")
+    axes[2, 0].set_ylabel("median rise, gray levels")
     axes[0, -1].legend(frameon=False, fontsize=8)
     figure.savefig(picture, dpi=100)
 

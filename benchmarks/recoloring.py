@@ -1,4 +1,4 @@
-"""How fast does recolouring reach the colours of pictures, compared with Adam? Prints JSON, and draws a figure."""
+"""How fast does recoloring reach the colors of pictures, compared with Adam? Prints JSON, and draws a figure."""
 
 import argparse
 import json
@@ -127,7 +127,7 @@ def finished_with(steps: Generator[Any, None, Result]) -> Result:
 def solved(
     scene: Scene, targets: list[TargetView], held_out: list[TargetView], settings: RecolorSettings
 ) -> tuple[Curve, ProblemInputs]:
-    """Recolour; the clock stands while held-out views are measured."""
+    """Recolor; the clock stands while held-out views are measured."""
     started = time.process_time()
     setup = finished_with(prepare_problem(scene, targets, held_out, settings))
     problem = setup.problem
@@ -145,7 +145,7 @@ def solved(
 def adam(scene: Scene, setup: ProblemInputs, rate: float, steps: int, *, mapped: bool = False) -> Curve:
     """Optimize the same harmonics by Adam, one view a step, each rasterized anew.
 
-    Squared error; the rate falls to a tenth. Starts at the clear colours, or at the mapped ones as the solver does.
+    Squared error; the rate falls to a tenth. Starts at the clear colors, or at the mapped ones as the solver does.
     """
     import torch
 

@@ -1,6 +1,6 @@
 """How long does it take to save and to keep an edited scene, and does the window wait for it? Prints JSON.
 
-A session does what a person does: saves a scene of random Gaussians, deletes some by marks, gives all another colour.
+A session does what a person does: saves a scene of random Gaussians, deletes some by marks, gives all another color.
 After each change the document is saved, and kept as an autosave. The main thread meanwhile does what it does each
 frame, `update`, and nothing else: the longest time between two calls is what a window would stall for beyond drawing.
 """
@@ -63,7 +63,7 @@ def main() -> None:
         chosen = np.random.default_rng(0).random(len(gaussians)) < 0.3
         changes = {
             "marks": {"marks": SelectionFlags(deleted=BitMask.of(chosen))},
-            "colours": {"gaussians": gaussians.with_sh((gaussians.sh * np.float32(0.8)).astype(np.float32))},
+            "colors": {"gaussians": gaussians.with_sh((gaussians.sh * np.float32(0.8)).astype(np.float32))},
         }
         for name, fields in changes.items():
             session.set_scene(name, session.scene.with_member(session.scene.members[0].key, **fields))

@@ -89,7 +89,7 @@ def tools(scene: Scene, shot: RenderView) -> dict[str, Callable[[], Mapping[str,
         "rectangle front-most": by_shape(rectangle, DepthMode("front-most")),
         "sphere": lambda: in_volume(scene, 0.0, Sphere(center, 4.0)),
         "box": lambda: in_volume(scene, 0.0, CropBox(center, (6.0, 4.0, 3.0), 30.0)),
-        "colour pick": lambda: select_similar_colors(scene, 0.0, color, TOLERANCE),
+        "color pick": lambda: select_similar_colors(scene, 0.0, color, TOLERANCE),
         "flood": lambda: flood_select(scene, 0.0, picked.key, picked.gaussian, TOLERANCE, REACH),
     }
     for name in ATTRIBUTES:

@@ -1,8 +1,8 @@
 """Does the picture stall when other Gaussians take a scene's place? Prints JSON, then a line.
 
 A scene of random Gaussians is drawn frame by frame by a turning camera that sees a small part of it. Meanwhile its
-Gaussians are swapped as jobs do it: for as many in other colours, for a number of others, and back by undo; then they
-get wet colours. A frame is what a window would wait for: the session's update, drawing, and the picture in its texture.
+Gaussians are swapped as jobs do it: for as many in other colors, for a number of others, and back by undo; then they
+get wet colors. A frame is what a window would wait for: the session's update, drawing, and the picture in its texture.
 Beside its wall time stands the processor's time of all threads, which other programs on the same cores disturb less.
 """
 
@@ -118,10 +118,10 @@ def measured(
     colors = g.with_sh((g.sh * np.float32(0.8)).astype(np.float32))
     fewer = g.take(np.flatnonzero(np.arange(len(g)) % 10))
     swaps: list[tuple[str, dict[str, Any] | None]] = [
-        ("other colours", {"gaussians": colors}),
+        ("other colors", {"gaussians": colors}),
         ("other count", {"gaussians": fewer}),
         ("undo", None),
-        ("wet colours", {"wet_sh": g.sh * np.float32(0.5)}),
+        ("wet colors", {"wet_sh": g.sh * np.float32(0.5)}),
     ]
     rows: list[dict[str, object]] = []
     try:

@@ -72,7 +72,7 @@ class Photographer:
             self.ctx.yield_()
 
     def rest(self) -> None:
-        """Let the frames go by that still change the picture: drops take the colour of a sky that is new."""
+        """Let the frames go by that still change the picture: drops take the color of a sky that is new."""
         assert self.window.workspace is not None
         for _ in range(_MOST_FRAMES):
             if not self.window.workspace.view.is_catching_up:

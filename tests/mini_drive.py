@@ -54,7 +54,7 @@ class MiniDrive:
         return turned(YAW, (x + ahead * np.cos(YAW), y + ahead * np.sin(YAW), z))
 
     def box_to_vehicle(self, sample: int) -> np.ndarray:
-        """Box, with its centre, to the vehicle's frame."""
+        """Box, with its center, to the vehicle's frame."""
         return turned(np.radians(20.0), (12.0 - sample * STEP_M, 2.0, BOX_LWH[2] / 2 + self.road_m))
 
     def box_to_world(self) -> np.ndarray:
@@ -76,7 +76,7 @@ class MiniDrive:
         return stream.getvalue()
 
     def check(self, capture: Capture, *, views: int | None = None, has_boxes: bool = True) -> None:
-        """Assert that a capture has this geometry, in its own world: level, metres, origin at the ego's first place."""
+        """Assert that a capture has this geometry, in its own world: level, meters, origin at the ego's first place."""
         assert len(capture) == (self.samples if views is None else views)
         assert capture.is_metric
         turn = turned(YAW, (0.0, 0.0, 0.0))[:3, :3]

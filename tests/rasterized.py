@@ -13,7 +13,7 @@ from gsrain_engine.scene.scene import DrawItem
 
 
 def rasterize(parts: Sequence[DrawItem], camera: Camera, rain: Sequence[np.ndarray | None] | None = None) -> Frame:
-    """Premultiplied display colour over nothing, and the expected depth (m), where alpha is over 1e-3."""
+    """Premultiplied display color over nothing, and the expected depth (m), where alpha is over 1e-3."""
     splats = project(parts, camera, rain)
     tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
     rgba, weighted_depth = composite(splats.shapes, splats.colors, tiles)

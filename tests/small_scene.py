@@ -26,7 +26,7 @@ def patch(origin, u, v, steps, color):
 
 
 def small_scene(name="small"):
-    """About 1,000 Gaussians, z up, metres; the ego drives 2 m/s for 5 s."""
+    """About 1,000 Gaussians, z up, meters; the ego drives 2 m/s for 5 s."""
     times = np.arange(6.0)
     ego = PoseTrack(times, np.stack([2 * times, np.zeros(6), np.full(6, 1.5)], axis=1),
                 np.tile([1.0, 0, 0, 0], (6, 1)), np.ones(6, bool))  # fmt: skip

@@ -62,7 +62,7 @@ def test_a_scene_format_is_read_and_written(rain_lab, scene, tmp_path, capsys):
     expected, found = read_scene(flat).layers[0].gaussians, again.layers[0].gaussians
     assert again.name == "scan"
     away = found.means - expected.means
-    assert np.abs(away - away.round()).max() < 2e-3  # moved by whole metres, for float32
+    assert np.abs(away - away.round()).max() < 2e-3  # moved by whole meters, for float32
     assert np.abs(found.sh[:, 0] - expected.sh[:, 0]).max() < 0.02
     scan.write_text("3\n1 2 3 0 255 255 255\n")
     assert run(["info", str(scan)]) == BAD_INPUT

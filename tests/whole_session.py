@@ -29,7 +29,7 @@ class Person(Driver):
         self.session = session
 
     def say(self, *words):
-        print("\n", *words, flush=True)  # a line of its own: the test engine colours what it prints
+        print("\n", *words, flush=True)  # a line of its own: the test engine colors what it prints
 
     def type_into(self, dialog, text):
         """Type a file's name into a dialog, and press Enter."""

@@ -80,7 +80,7 @@ def consistency(
                 )
                 advance()
             if not rows:
-                raise ValueError(f"{each.folder}: neighbouring views match in too few pixels to be compared")
+                raise ValueError(f"{each.folder}: neighboring views match in too few pixels to be compared")
             results.append(rows)
     print_agreements(compared, results, Console(file=table_stream(json), width=_COLUMNS))
     inputs = {str(folder): input_fingerprint(folder) for folder in folders}
@@ -179,7 +179,7 @@ def print_agreements(
             table.add_row(bold(mean), "", "", *_cells(everywhere, dry, with_lpips))
     console.print(table)
     console.print(
-        "Errors of the neighbour warped onto the view, in levels of 255; dry: share of the matched pixels that lies "
+        "Errors of the neighbor warped onto the view, in levels of 255; dry: share of the matched pixels that lies "
         "outside the water film, and the errors there."
     )
 
@@ -206,7 +206,7 @@ def _ratio(value: float) -> str:
 # HTML page
 
 _CAPTION = (
-    "Root mean square errors of a neighbour warped onto the view, in levels of 255. ratio: after over before; per "
+    "Root mean square errors of a neighbor warped onto the view, in levels of 255. ratio: after over before; per "
     "contrast: each divided by its picture's contrast first; dry: outside the water film, which moves with the eye."
 )
 
@@ -225,7 +225,7 @@ def consistency_page(
     pairs = tuple((_name(row), row["of"], row["to"], row["matched_share"], *_page_cells(row)) for row in rows)
     made_by = {f"made by, {_name(each)}": str(each["settings"]) for each in means if each["settings"]}
     return RunReport(
-        title="Agreement of neighbouring views",
+        title="Agreement of neighboring views",
         settings={"film share": numbers["film_share"], **settings, **made_by, **provenance_lines(numbers)},
         headlines={f"error after, {_name(each)}": f"{_LEVELS * each['rmse_after']:.2f}" for each in means},
         figures=(ReportFigure("Pairs, warped", sheet, is_photograph=True),),

@@ -546,8 +546,8 @@ def _of_capture(renderer: Renderer, choice: DetectionSource, rain: RainSettings)
     capture = _chosen(open_capture(str(choice.source)), choice)
     if not capture.is_metric and capture.has_poses:
         raise ValueError(
-            f"{capture.name}: its unit of length is unknown, and rain falls in metres; take the folder of its pictures "
-            "alone, or a reconstruction that was scaled to metres with --capture"
+            f"{capture.name}: its unit of length is unknown, and rain falls in meters; take the folder of its pictures "
+            "alone, or a reconstruction that was scaled to meters with --capture"
         )
     world = Scene(capture.name, up=capture.up, ego=capture.ego)
     placed = [_of_view(undistort_frame(view), world, capture, choice.width_px) for view in capture]

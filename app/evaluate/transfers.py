@@ -133,7 +133,7 @@ def transfers_page(
     rows, distance = result.rows, result.rows[0].distance
     caption = (
         f'{distance.metric} with the ends of its 95 % interval; "same" is what it would be of two sets so large of one '
-        "distribution. Errors: neighbouring views warped onto each other, in levels of 255; dry: outside the water."
+        "distribution. Errors: neighboring views warped onto each other, in levels of 255; dry: outside the water."
     )
     notes = [f"{row.name}: {warning}." for row in rows for warning in row.distance.warnings]
     if not result.has_cameras:
@@ -168,7 +168,7 @@ def print_transfers(result: translators.ComparisonResult, console: Console) -> N
         table.add_row(row.name, values["N"], *frechet, values["same"], *kernel_value, *agreement)
     console.print(table)
     console.print(
-        f"Compared with {distance.real_pictures} real pictures by {distance.extractor}. Error: neighbouring views, in "
+        f"Compared with {distance.real_pictures} real pictures by {distance.extractor}. Error: neighboring views, in "
         "levels of 255; ratio: to that before; dry: outside the water film.",
         soft_wrap=True,
     )

@@ -150,7 +150,7 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Meta(title="Guide", description="How normals become the fourth channel: up-ness, or luma as in the paper."),
     ] = "up"
     mutual_attention: Annotated[
-        bool, Meta(title="Mutual attention", description="Let each view attend to its neighbours (eq. 16-19).")
+        bool, Meta(title="Mutual attention", description="Let each view attend to its neighbors (eq. 16-19).")
     ] = True
     neighbours: Annotated[
         int, Meta(ge=0, le=16, title="Neighbours", description="So many other views each one attends to.")

@@ -370,7 +370,7 @@ def _text_points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarr
         except ValueError:
             row = []
         if len(row) != 6 or not all(0 <= color <= 255 for color in row[3:]):
-            expected = "POINT3D_ID X Y Z R G B ERROR TRACK[] with colours within 0..255"
+            expected = "POINT3D_ID X Y Z R G B ERROR TRACK[] with colors within 0..255"
             raise CaptureError(f"{file}, line {number}: expected {expected}")
         rows.append(row)
     table = np.array(rows, np.float64).reshape(-1, 6)

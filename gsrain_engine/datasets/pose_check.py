@@ -72,7 +72,7 @@ def check_by_matches(capture: Capture, sensor: str) -> PoseCheck | None:
     error_px = float(np.median([each.median_px for each in fits])) / smaller
     points = sum(len(pair.found.first) for pair in pairs)
     told = (
-        f"{sensor or 'the camera'}: the poses explain {explained:.0%} of {points} points matched between neighbouring "
+        f"{sensor or 'the camera'}: the poses explain {explained:.0%} of {points} points matched between neighboring "
         f"views (expected over {EXPLAINED:.0%}), median epipolar error {error_px:.1f} px{why}"
     )
     return PoseCheck(sensor, "matches", verdict, explained, EXPLAINED, told)

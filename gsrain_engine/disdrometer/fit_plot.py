@@ -79,15 +79,15 @@ def _draw_spectra(axes: Axes, fitted: FittedCalibration) -> None:
     edges = fitted.diameter_edges_mm
     middles = 0.5 * (edges[:-1] + edges[1:])
     intensities = [each.row.intensity_mm_h for each in fitted.rows]
-    colours, norm = colormaps["viridis_r"], LogNorm(0.6 * intensities[0], 1.1 * intensities[-1])
+    colors, norm = colormaps["viridis_r"], LogNorm(0.6 * intensities[0], 1.1 * intensities[-1])
     d = np.linspace(SMALLEST_MM, LARGEST_MM, 400)
     largest = max(float(np.nanmax(each.spectrum_m3_mm)) for each in rows)
     seen = [middles[each.spectrum_m3_mm > 0].max(initial=1.0) for each in rows]
     for each in rows:
-        colour = colours(norm(each.row.intensity_mm_h))
+        color = colors(norm(each.row.intensity_mm_h))
         measured = each.spectrum_m3_mm > 0
-        axes.plot(middles[measured], each.spectrum_m3_mm[measured], "o", ms=3.5, color=colour)
-        axes.plot(d, _law(each, d), "-", lw=1.4, color=colour, label=f"{each.row.intensity_mm_h:.3g} mm/h")
+        axes.plot(middles[measured], each.spectrum_m3_mm[measured], "o", ms=3.5, color=color)
+        axes.plot(d, _law(each, d), "-", lw=1.4, color=color, label=f"{each.row.intensity_mm_h:.3g} mm/h")
     axes.set(yscale="log", ylim=(1e-6 * largest, 3 * largest), xlim=(0, min(LARGEST_MM, 1.05 * max(seen))))
     axes.set(xlabel="diameter D (mm)", ylabel="N(D) (m$^{-3}$ mm$^{-1}$)")
     axes.set(title="Drop spectra (points) and gamma fits (lines)")
@@ -155,12 +155,12 @@ def _draw_number(axes: Axes, fitted: FittedCalibration) -> None:
 def _draw_sizes(axes: Axes, fitted: FittedCalibration) -> None:
     x = _intensities(fitted)
     scale_axes = axes.twinx()
-    for side, name, colour, symbol in ((axes, "shape", _INK, "µ"), (scale_axes, "scale_mm", _FIT, "θ")):
+    for side, name, color, symbol in ((axes, "shape", _INK, "µ"), (scale_axes, "scale_mm", _FIT, "θ")):
         values = np.array([getattr(each.row, name) for each in fitted.rows])
         moments = np.array([getattr(each, f"moments_{name}") for each in fitted.rows])
         title = name.partition("_")[0]
-        _points(side, x, values, [_of(each, name) for each in fitted.rows], colour, f"{title} {symbol}")
-        side.plot(x, moments, "x", ms=5, color=colour, alpha=0.5, label=f"{title} by moments")
+        _points(side, x, values, [_of(each, name) for each in fitted.rows], color, f"{title} {symbol}")
+        side.plot(x, moments, "x", ms=5, color=color, alpha=0.5, label=f"{title} by moments")
         tops = [limits[1] for limits in (_of(each, name) for each in fitted.rows) if limits is not None]
         side.set_ylim(0, 1.35 * max(float(values.max()), float(moments.max()), *tops))
     _log_intensity(axes, x)
@@ -205,7 +205,7 @@ def _points(
     x: Float64[np.ndarray, " rows"],
     y: Float64[np.ndarray, " rows"],
     limits: list[Interval | None],
-    colour: str,
+    color: str,
     label: str,
 ) -> None:
     whiskers = ", 95 %" if any(limits) else ""
@@ -213,7 +213,7 @@ def _points(
         (0.0, 0.0) if each is None else (max(v - each[0], 0), max(each[1] - v, 0))
         for v, each in zip(y, limits, strict=True)
     ]
-    axes.errorbar(x, y, np.array(bars).T, fmt="o", ms=4, color=colour, elinewidth=1, capsize=2, label=label + whiskers)
+    axes.errorbar(x, y, np.array(bars).T, fmt="o", ms=4, color=color, elinewidth=1, capsize=2, label=label + whiskers)
 
 
 def _log_intensity(axes: Axes, x: Float64[np.ndarray, " rows"]) -> None:

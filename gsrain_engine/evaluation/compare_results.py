@@ -120,7 +120,7 @@ def markdown_table(rows: Sequence[ComparedRow]) -> str:
         lines.append(_line(cells))
     note = (
         f'Compared with {distance.real_pictures} real pictures; features: {distance.extractor}. "same": the distance '
-        "of two sets so large of one distribution. Errors of warped neighbouring views in levels of 255; dry: outside "
+        "of two sets so large of one distribution. Errors of warped neighboring views in levels of 255; dry: outside "
         "water."
     )
     return "\n".join([*lines, "", note, ""])

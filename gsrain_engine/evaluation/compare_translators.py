@@ -113,7 +113,7 @@ def run_comparison(
         name = each.method.name
         yield Progress(_FEATURES + (1 - _FEATURES) * number / len(folders), f"{name}: distances")
         distance = distribution_distance(extractor, sets[0], own, resamples=comparison.resamples, seed=comparison.seed)
-        yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighbouring views")
+        yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighboring views")
         count, everywhere, dry = (0, None, None) if pairs is None else pairs.agreement(each.folder)
         rows.append(
             ComparedRow(name=name, method=each.method.method, distance=distance, pairs=count, everywhere=everywhere,

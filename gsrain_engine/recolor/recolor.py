@@ -120,10 +120,10 @@ def recolor_scene(
     def solving(done: int, step: SolverStep | None) -> Progress:
         share = _CHOSEN_DONE + (_SOLVED_DONE - _CHOSEN_DONE) * done / settings.iterations
         if step is None:
-            return Progress(share, f"Solving colours of {len(problem.rows):,} Gaussians")
+            return Progress(share, f"Solving colors of {len(problem.rows):,} Gaussians")
         lengths.append(step.length)
         picture = problem.views[0].rendered(problem.prior + step.change)
-        return Progress(share, f"Solving colours, step {done} of {settings.iterations}", thumbnail(picture))
+        return Progress(share, f"Solving colors, step {done} of {settings.iterations}", thumbnail(picture))
 
     solution = yield from _followed(problem.solve(settings), solving)
     solved = perf_counter()
@@ -296,7 +296,7 @@ def _run_report(
     plain = msgspec.to_builtins(options)
     settings = plain.pop("colors") | plain
     return RunReport(
-        f"Recolouring of {scene.name} to {capture.name}",
+        f"Recoloring of {scene.name} to {capture.name}",
         settings,
         (ReportCurve("residual", steps, np.array(recolored.lengths, np.float64), is_logarithmic=True),),
         tuple(
@@ -309,7 +309,7 @@ def _run_report(
         {
             "Gaussians": f"{numbers['gaussians']:,}",
             "Clear scene": f"{numbers['psnr_before_db']} dB",
-            "After the colour map": f"{numbers['psnr_mapped_db']} dB",
+            "After the color map": f"{numbers['psnr_mapped_db']} dB",
             "Held-out views" if problem.held_out else "Views": f"{_mean([v.psnr_db for v in recolored.measured])} dB",
         },
         capture.problems + tuple(
@@ -329,7 +329,7 @@ def prepare_problem(
 ) -> Generator[Progress, None, ProblemInputs]:
     """Set up the recoloring of a scene to images; raises ValueError if none shows anything of the scene."""
     if not targets:
-        raise ValueError("recolouring needs at least one picture to recolour to")
+        raise ValueError("recoloring needs at least one picture to recolor to")
     members, ground_m = scene_members(scene), ground_height_m(scene)
     views: list[ViewObservation] = []
     room = settings.memory_mb * 1e6
@@ -338,7 +338,7 @@ def prepare_problem(
         views.append(observe_view(scene, members, target, ground_m, room))
         room -= views[-1].weights.nbytes
     used_mb = settings.memory_mb - room / 1e6
-    yield Progress(_VIEWS_DONE, f"Mapping colours; weights of {len(views)} views take {used_mb:,.0f} MB")
+    yield Progress(_VIEWS_DONE, f"Mapping colors; weights of {len(views)} views take {used_mb:,.0f} MB")
     fitted = views[: len(targets)]
     if not any(len(view.splats) and view.counted.any() for view in fitted):
         raise ValueError(f"none of the {len(fitted)} cameras sees anything of the scene {scene.name!r}")

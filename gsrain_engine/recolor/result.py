@@ -37,7 +37,7 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
     except SceneFormatError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise SceneFormatError(path, f"not a file of recoloured Gaussians: {printable_line(error)}") from None
+        raise SceneFormatError(path, f"not a file of recolored Gaussians: {printable_line(error)}") from None
     for name, sh in colors.items():
         if sh.dtype != np.float32 or sh.ndim != 3 or sh.shape[2] != 3:
             raise SceneFormatError(path, f"harmonics of {name!r} are {sh.dtype} {sh.shape}, expected float32 (n, k, 3)")

@@ -328,10 +328,10 @@ class ColorGrading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         0.0
     )
     contrast: Annotated[
-        float, Meta(ge=0, le=3, title="Contrast", description="Distance from middle grey; 1 changes nothing.")
+        float, Meta(ge=0, le=3, title="Contrast", description="Distance from middle gray; 1 changes nothing.")
     ] = 1.0
     saturation: Annotated[
-        float, Meta(ge=0, le=3, title="Saturation", description="Distance from grey; 1 changes nothing, 0 is grey.")
+        float, Meta(ge=0, le=3, title="Saturation", description="Distance from gray; 1 changes nothing, 0 is gray.")
     ] = 1.0
 
     @property

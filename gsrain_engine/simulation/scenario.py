@@ -31,7 +31,7 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Meta(
             title="Model",
             description="What it looks like: hatchback, saloon, estate, van or truck, with a paint if wanted "
-            "(van/red); actor:ID (one of the scene); or a file of Gaussians (metres, x forward, y left, z up).",
+            "(van/red); actor:ID (one of the scene); or a file of Gaussians (meters, x forward, y left, z up).",
         ),
     ] = "saloon"
     class_name: Annotated[str, Meta(title="Class")] = "car"

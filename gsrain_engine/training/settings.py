@@ -30,11 +30,9 @@ class LearningRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     log_scales: Annotated[Rate, Meta(title="Scales", description="Of the logarithm of the scales.")] = 5e-3
     quaternions: Annotated[Rate, Meta(title="Rotations", description="Of the unnormalized quaternions.")] = 1e-3
     opacity_logits: Annotated[Rate, Meta(title="Opacities", description="Of the opacities' logits.")] = 5e-2
-    sh_dc: Annotated[Rate, Meta(title="Colours", description="Of the harmonics of degree 0.")] = 2.5e-3
-    sh_rest: Annotated[Rate, Meta(title="Directional colours", description="Of the harmonics above degree 0.")] = (
-        1.25e-4
-    )
-    exposure: Annotated[Rate, Meta(title="Exposures", description="Of each picture's affine map of colours.")] = 1e-3
+    sh_dc: Annotated[Rate, Meta(title="Colors", description="Of the harmonics of degree 0.")] = 2.5e-3
+    sh_rest: Annotated[Rate, Meta(title="Directional colors", description="Of the harmonics above degree 0.")] = 1.25e-4
+    exposure: Annotated[Rate, Meta(title="Exposures", description="Of each picture's affine map of colors.")] = 1e-3
 
 
 class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -106,7 +104,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         ),
     ] = 0.1
     exposure: Annotated[
-        Weight, Meta(title="Exposure", description="Pull of each picture's affine map of colours to none; 0: no maps.")
+        Weight, Meta(title="Exposure", description="Pull of each picture's affine map of colors to none; 0: no maps.")
     ] = 0.5
     coarse: Annotated[
         float,

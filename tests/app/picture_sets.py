@@ -7,7 +7,7 @@ from PIL import Image
 
 
 def write_pictures(folder: Path, count: int, seed: int, darker: float = 1.0, noise: float = 0.0) -> Path:
-    """Blocks of random colours; the same seed gives the same blocks, darker or with noise."""
+    """Blocks of random colors; the same seed gives the same blocks, darker or with noise."""
     random, extra = np.random.default_rng(seed), np.random.default_rng(seed + 1000)
     folder.mkdir(parents=True)
     for k in range(count):

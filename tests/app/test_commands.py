@@ -25,7 +25,7 @@ from gsrain_engine.scene.scene import Layer, Scene
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
-    """A file with a coloured wall of 900 Gaussians, 6 m ahead (+z), up is -y."""
+    """A file with a colored wall of 900 Gaussians, 6 m ahead (+z), up is -y."""
     rng = np.random.default_rng(1)
     x, y = np.meshgrid(np.linspace(-4, 4, 30), np.linspace(-3, 3, 30))
     n, f = x.size, np.float32
@@ -340,7 +340,7 @@ def test_doctor_tells_which_lpips_weights_are_of_use(tmp_path, monkeypatch):
         (["calibrate", "{room}", "-o", "{tmp}/a.yaml"], "wall.ply"),  # seen when its bar already stands
         (["nowhere.ply"], "nowhere.ply: there is no such file or folder"),
         (["render", "{room}"], "--output"),
-        (["render", "{room}", "-o", "a.png", "--colour", "red"], "--colour"),
+        (["render", "{room}", "-o", "a.png", "--color", "red"], "--color"),
         (["convert", "{room}", "{tmp}/wall.sog"], "wall.sog"),
         (["info", "{room}", "extra"], "extra"),
         (["rendre", "{room}"], "rendre: no such command, and no such scene; did you mean gsrain render?"),

@@ -228,7 +228,7 @@ def test_a_capture_whose_unit_nobody_knows_says_what_to_do(detector, tmp_path, c
     write_binary(tmp_path / "sparse" / "0")
     write_pictures(tmp_path)
     assert evaluate(tmp_path, detector) == BAD_INPUT
-    assert "its unit of length is unknown, and rain falls in metres; take" in capsys.readouterr().err
+    assert "its unit of length is unknown, and rain falls in meters; take" in capsys.readouterr().err
 
 
 def test_a_reconstruction_is_tried_beside_its_pictures(project, detector, tmp_path):

@@ -60,7 +60,7 @@ def test_pictures_without_cameras_are_matched_by_name_and_can_replace_the_clear_
 
 
 def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path):
-    """Transfer, recolouring and evaluation of what undistortion by one camera a picture makes of a capture."""
+    """Transfer, recoloring and evaluation of what undistortion by one camera a picture makes of a capture."""
     views = cut_rows(open_capture(files / "capture"))
     list(write_views(tmp_path / "photos", views))
     rainy, photos = str(tmp_path / "rainy"), str(tmp_path / "photos")

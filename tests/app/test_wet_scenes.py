@@ -1,4 +1,4 @@
-"""Wet colours on the command line: told by info, baked by convert, blended by render."""
+"""Wet colors on the command line: told by info, baked by convert, blended by render."""
 
 import json
 
@@ -13,7 +13,7 @@ from small_scene import small_scene
 
 
 def darker(scene):
-    """Wet colours for the road and the wall."""
+    """Wet colors for the road and the wall."""
     for each in scene.layers[:2]:
         scene = scene.with_member(each.key, wet_sh=each.gaussians.sh - np.float32(0.6))
     return scene

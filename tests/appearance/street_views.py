@@ -51,7 +51,7 @@ def clear_view(view, sensor=""):
 
 
 def made_view(camera, depth, image=None, sky=None, vehicles=None, time_s=0.0, name="made", sensor=""):
-    """A view of arrays; without an image a grey one."""
+    """A view of arrays; without an image a gray one."""
     depth = np.asarray(depth, np.float32)
     nothing = np.zeros(depth.shape, np.float32)
     return ClearView(

@@ -125,7 +125,7 @@ def test_poses_that_are_all_the_same_are_none():
 
 
 def _gray_road() -> np.ndarray:
-    """Grass, and a grey road that runs to the horizon."""
+    """Grass, and a gray road that runs to the horizon."""
     image = np.full((HEIGHT, WIDTH, 3), (40, 120, 40), np.uint8)
     image[: HEIGHT // 2] = (120, 160, 230)
     for row in range(HEIGHT // 2, HEIGHT):

@@ -53,7 +53,7 @@ def test_there_and_back_with_a_turned_camera():
 
 # Shares of white that Pillow draws for normals away from the eye; away from the left wall is to the left.
 @pytest.mark.parametrize(
-    ("normal", "grey"), [(GROUND, 0.79), (FACING, 0.56), ((0, 1, 0), 0.65), (ON_THE_LEFT, 0.35), (CEILING, 0.21)]
+    ("normal", "gray"), [(GROUND, 0.79), (FACING, 0.56), ((0, 1, 0), 0.65), (ON_THE_LEFT, 0.35), (CEILING, 0.21)]
 )
 def test_luma_is_what_pillow_makes_of_the_picture_of_normals(normal, grey):
     guide = normals_to_gray(everywhere(normal), camera(), "luma")

@@ -35,7 +35,7 @@ def test_real_model_explains_where_its_points_were_seen(real: Capture, test_data
         assert (depths > 0).all()
         errors += np.linalg.norm(pixels - triples[:, :2], axis=1).tolist()
     assert len(errors) > 9000
-    # The model's own figure is 0.82 px; a centre of pixels that is off by a half would add 0.7 px.
+    # The model's own figure is 0.82 px; a center of pixels that is off by a half would add 0.7 px.
     assert np.mean(errors) == pytest.approx(0.82, abs=0.02)
 
 

@@ -20,7 +20,7 @@ def vehicle_to_world(sample: int) -> np.ndarray:
 
 
 def write_sequence(root: Path, number: str = "00", samples: int = 3) -> Path:
-    """A sequence with the pictures of both colour cameras; poses in the axes of the first camera, as KITTI has them."""
+    """A sequence with the pictures of both color cameras; poses in the axes of the first camera, as KITTI has them."""
     folder = root / "sequences" / number
     (root / "poses").mkdir(parents=True, exist_ok=True)
     matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
@@ -59,7 +59,7 @@ def test_reads_a_miniature_exactly(tmp_path: Path) -> None:
     assert capture.sensors == ("image_2", "image_3")
     assert [view.time_s for view in capture][::2] == pytest.approx([0.0, 0.1037, 0.2074])
     left, right = capture[0].camera, capture[1].camera
-    # The first camera is at the origin of its poses; the second colour camera is to the right of the other.
+    # The first camera is at the origin of its poses; the second color camera is to the right of the other.
     np.testing.assert_allclose(left.position, [0.0, 0.06, CAMERA_HEIGHT_M - EGO_HEIGHT_M], atol=1e-5)
     np.testing.assert_allclose(right.position - left.position, [0.0, -BASELINE_M, 0.0], atol=1e-5)
     np.testing.assert_allclose(left.world_to_camera[:3, :3], TO_OPENCV[:3, :3], atol=1e-6)

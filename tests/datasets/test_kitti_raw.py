@@ -163,7 +163,7 @@ def test_refuses_what_it_can_not_place(tmp_path: Path) -> None:
 
 
 def test_the_published_calibration_puts_the_camera_where_the_paper_has_it() -> None:
-    """The numbers of 2011_09_26: the left colour camera is 27 cm before, 6 cm left of and 8 cm below the lidar."""
+    """The numbers of 2011_09_26: the left color camera is 27 cm before, 6 cm left of and 8 cm below the lidar."""
     turn = "7.533745e-03 -9.999714e-01 -6.166020e-04 1.480249e-02 7.280733e-04 -9.998902e-01 9.998621e-01 7.523790e-03"
     rectify = (
         "9.999239e-01 9.837760e-03 -7.445048e-03 -9.869795e-03 9.999421e-01 -4.278459e-03 7.402527e-03 4.351614e-03"

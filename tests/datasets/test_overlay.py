@@ -43,7 +43,7 @@ def test_boxes_are_drawn_in_their_time_with_a_red_front() -> None:
     capture = Capture("c", (view("there"), view("gone", time_s=1.5)), boxes=(box,))
     drawn = overlay(capture, capture[0], 200)
     assert not overlay(capture, capture[1], 200).any()
-    # The back face is 8 m away, 2 m wide and high: 25 px around the centre; the front, 12 m away, is 16.7 px.
+    # The back face is 8 m away, 2 m wide and high: 25 px around the center; the front, 12 m away, is 16.7 px.
     rows, columns = np.nonzero(drawn.any(axis=2))
     np.testing.assert_allclose(
         [columns.min(), columns.max(), rows.min(), rows.max()], [87.5, 112.5, 37.5, 62.5], atol=2

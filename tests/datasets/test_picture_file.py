@@ -71,7 +71,7 @@ def test_only_pictures_are_listed(folder: Path, tmp_path: Path) -> None:
 
 def test_what_is_transparent_lies_over_white(folder: Path) -> None:
     rgba = np.zeros((1, 3, 4), np.uint8)
-    rgba[0] = ((250, 0, 90, 0), (100, 0, 0, 255), (0, 0, 0, 51))  # what nobody can look at has a loud colour
+    rgba[0] = ((250, 0, 90, 0), (100, 0, 0, 255), (0, 0, 0, 51))  # what nobody can look at has a loud color
     Image.fromarray(rgba).save(folder / "clear.png")
     assert read_color(folder / "clear.png")[0].tolist() == [[255, 255, 255], [100, 0, 0], [204, 204, 204]]
     gray = Image.fromarray(np.array([[[0, 0], [80, 255]]], np.uint8), "LA")

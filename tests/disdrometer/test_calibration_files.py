@@ -49,8 +49,8 @@ def test_what_is_not_known_is_not_written(tmp_path):
 def test_an_unknown_field_is_refused(tmp_path):
     path = tmp_path / "wrong.yaml"
     save_calibration(load_calibration("published"), path)
-    path.write_text(path.read_text().replace("shape: 9.705", "shape: 9.705, colour: 3"))
-    with pytest.raises(ValueError, match="wrong.yaml: .*colour.*rows"):
+    path.write_text(path.read_text().replace("shape: 9.705", "shape: 9.705, color: 3"))
+    with pytest.raises(ValueError, match="wrong.yaml: .*color.*rows"):
         load_calibration(str(path))
 
 

@@ -14,7 +14,7 @@ COLORS = ((230, 40, 40), (40, 220, 60), (50, 70, 235), (230, 220, 50))
 
 
 def small_capture(count: int = 4) -> Capture:
-    """Look along +x from places 1 m apart, to the left and the right in turn; each picture has a colour of its own."""
+    """Look along +x from places 1 m apart, to the left and the right in turn; each picture has a color of its own."""
     views: list[CaptureFrame] = []
     for i in range(count):
         eye = np.array([float(i), 0.0, 1.5])

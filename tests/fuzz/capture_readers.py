@@ -155,7 +155,7 @@ def _bdd100k(folder: Path) -> None:
 def _pictures(folder: Path) -> None:
     write_pictures(folder, tuple(f"{suffix}.{suffix}" for suffix in ("png", "jpg", "webp", "bmp", "tif")))
     noise = np.random.default_rng(1).integers(0, 65535, (20, 30)).astype(np.uint16)
-    Image.fromarray(noise).save(folder / "grey.png")
+    Image.fromarray(noise).save(folder / "gray.png")
     Image.fromarray((noise % 4).astype(np.uint8), mode="L").convert("P").save(folder / "palette.png")
     Image.fromarray(noise.astype(np.uint8)).convert("CMYK").save(folder / "cmyk.jpg")
 

@@ -21,7 +21,7 @@ def render_densely(
     camera: Camera,
     world_to_camera: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Render as `differentiable.render_gaussians` does, in float64: colour (h, w, 3), alpha and depth (h, w).
+    """Render as `differentiable.render_gaussians` does, in float64: color (h, w, 3), alpha and depth (h, w).
 
     Every value must be finite. Memory is n times the pixels: for tiny pictures.
     """
@@ -86,7 +86,7 @@ def weights_of(alphas: Tensor) -> Tensor:
 
 
 def display_colors(means: Tensor, colors: Tensor, pose: Tensor) -> Tensor:
-    """Display colours (n, 3) of harmonics seen from a pose, or of display colours themselves; never negative."""
+    """Display colors (n, 3) of harmonics seen from a pose, or of display colors themselves; never negative."""
     if colors.ndim == 2:
         return torch.clamp(colors, min=0)
     offsets = means + torch.linalg.solve(pose[:3, :3], pose[:3, 3])

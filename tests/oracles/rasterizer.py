@@ -28,7 +28,7 @@ class _Splat(NamedTuple):
 def rasterize_slowly(
     parts: Sequence[DrawItem], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
 ) -> Float64[np.ndarray, "h w 5"]:
-    """Render premultiplied colour, alpha and alpha-weighted depth, as 3DGS defines them (Kerbl et al. 2023)."""
+    """Render premultiplied color, alpha and alpha-weighted depth, as 3DGS defines them (Kerbl et al. 2023)."""
     return _blended(_nearest_first(parts, camera, rain), camera)
 
 
@@ -40,7 +40,7 @@ def rasterize_in_linear_light_slowly(
 ) -> Float64[np.ndarray, "h w 5"]:
     """Render as `rasterize_slowly` does, the rain adding its light in linear space; depth is the scene's own.
 
-    enc(min(W_s / A, 1) dec(B) + W_r S) with B and A the clear scene's colour and alpha, see `shares_slowly`.
+    enc(min(W_s / A, 1) dec(B) + W_r S) with B and A the clear scene's color and alpha, see `shares_slowly`.
     """
     splats = _nearest_first(parts, camera, rain)
     image = _blended([splat for splat in splats if not splat.is_rain], camera)

@@ -148,7 +148,7 @@ def _variance(alpha, axis):
 def test_a_streak_before_grey_52_under_a_sky_of_200_rises_as_light_adds(renderer, light, rise):
     """A 1.5 mm drop at 16 ms covers 2 %: 8 levels where light adds, 3 where display values are mixed."""
     drop = {"diameter_mm": 1.5, "distance_m": 0.25, "exposure_s": 0.016, "phase": (0.5, 0.5)}
-    drop |= {"grey": 200 / 255, "rain_light": light}
+    drop |= {"gray": 200 / 255, "rain_light": light}
     alpha = streak_picture(renderer, **drop)[..., 3]
     before = streak_picture(renderer, **drop, parts=[wall(9.0, 52 / 255)], streak_gain=0.0)[..., 0]
     after = streak_picture(renderer, **drop, parts=[wall(9.0, 52 / 255)])[..., 0]

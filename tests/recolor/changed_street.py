@@ -1,4 +1,4 @@
-"""Pictures of the small street in other colours that are known."""
+"""Pictures of the small street in other colors that are known."""
 
 from dataclasses import replace
 

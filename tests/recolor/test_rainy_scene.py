@@ -20,7 +20,7 @@ from training.small_street import small_street
 
 
 class Overcast:
-    """Every view gets the same grey tint: what a transfer does, in one line."""
+    """Every view gets the same gray tint: what a transfer does, in one line."""
 
     name = "overcast"
 

@@ -19,7 +19,7 @@ def test_recolored_files_go_and_come_back_with_any_name(tmp_path):
 def test_other_files_are_refused_with_their_name(tmp_path, content):
     path = tmp_path / "bad.npz"
     path.write_bytes(content)
-    with pytest.raises(SceneFormatError, match=r"bad\.npz: not a file of recoloured Gaussians"):
+    with pytest.raises(SceneFormatError, match=r"bad\.npz: not a file of recolored Gaussians"):
         read_recolored(path)
 
 

@@ -30,7 +30,7 @@ def psnr_db(a: Frame, b: Frame) -> float:
 
 
 def small_scene() -> Scene:
-    """Coloured Gaussians above a floor, solid ones and faint ones, from 2 to 40 m."""
+    """Colored Gaussians above a floor, solid ones and faint ones, from 2 to 40 m."""
     r = np.random.default_rng(5)
     n, floor = 2500, 1500
     means = np.stack([r.uniform(2, 40, n), r.uniform(-12, 12, n), r.uniform(0, 9, n)], axis=1)
@@ -52,7 +52,7 @@ def small_shot() -> RenderView:
 
 @pytest.fixture(params=["small", "golden"])
 def scene_and_shot(request) -> tuple[Scene, RenderView]:
-    """Two scenes; the golden street is in metres, z up."""
+    """Two scenes; the golden street is in meters, z up."""
     if request.param == "small":
         return small_scene(), small_shot()
     golden = request.getfixturevalue("golden")

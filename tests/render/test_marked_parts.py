@@ -1,4 +1,4 @@
-"""Marks, opacity and colours of parts: OpenGL draws what the same Gaussians would be with all that baked in."""
+"""Marks, opacity and colors of parts: OpenGL draws what the same Gaussians would be with all that baked in."""
 
 from dataclasses import replace
 

@@ -78,7 +78,7 @@ def test_camera_scaling_and_turning_the_world_changes_nothing(renderer):
     moved = renderer.read()
     assert np.allclose(moved.rgba, plain.rgba, atol=1e-5)
     assert moved.depth is not None
-    assert moved.depth[24, 34] == pytest.approx(4.0, rel=0.1)  # metres: twice the scene's units
+    assert moved.depth[24, 34] == pytest.approx(4.0, rel=0.1)  # meters: twice the scene's units
 
 
 def test_nearer_covers_farther_whatever_the_order(renderer):
@@ -125,7 +125,7 @@ def wall(grey):
 
 
 def test_streak_adds_its_light_in_linear_space(renderer):
-    """Over grey 52 with a drop of grey 200 and alpha a: enc((1 - a) dec(52) + a dec(200))."""
+    """Over gray 52 with a drop of gray 200 and alpha a: enc((1 - a) dec(52) + a dec(200))."""
     behind, drop, alpha = 52 / 255, 200 / 255, 0.02
     light = float(srgb_to_linear(np.array([drop]))[0])
     falling = gaussians([0, 0, 2.0], 0.5, alpha, (drop,) * 3)

@@ -24,7 +24,7 @@ HERE = Camera.from_fov(96, 64, 50.0, look_at(np.array([0.0, 0, 1.5]), np.array([
 
 
 def darkened(scene):
-    """The scene with other colours: new arrays for every layer."""
+    """The scene with other colors: new arrays for every layer."""
     for each in scene.members:
         g = each.gaussians
         scene = scene.with_member(each.key, gaussians=g.with_sh((g.sh - np.float32(0.5)).astype(np.float32)))

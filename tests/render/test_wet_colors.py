@@ -1,4 +1,4 @@
-"""Wet colours in OpenGL, in the sky, in sequences and in the live view: blended by a number, never uploaded twice."""
+"""Wet colors in OpenGL, in the sky, in sequences and in the live view: blended by a number, never uploaded twice."""
 
 from dataclasses import replace
 
@@ -100,7 +100,7 @@ def test_the_sky_gets_as_dark_as_it_looks():
 
 
 def test_a_sequence_gets_wet_as_its_weather_does():
-    """Frame by frame as the same scene in the colours of that wetness, drops included."""
+    """Frame by frame as the same scene in the colors of that wetness, drops included."""
     keys = (RainKeyframe(time_s=0, intensity_mm_h=0.0), RainKeyframe(time_s=4, intensity_mm_h=12.0))
     rain = RainSimulation.start(RainSettings(seed=3), weather=RainKeyframes(keys=keys))
     scene, renderer = darker(small_scene()), CpuRenderer()
@@ -139,7 +139,7 @@ def rain_at(session, intensity_mm_h, **fields):
 def test_the_slider_moves_the_appearance(context, session):
     view = LiveView(context, session, "opengl")
     clear = picture(view)
-    session.set_scene("Wet colours", darker(session.scene))
+    session.set_scene("Wet colors", darker(session.scene))
     assert np.array_equal(picture(view), clear)
     rain_at(session, 0.0, wetness=1.0)
     soaked = picture(view)
@@ -156,7 +156,7 @@ def test_the_slider_moves_the_appearance(context, session):
 
 def test_drops_take_the_wet_skys_colour(context, session):
     view = LiveView(context, session, "opengl")
-    session.set_scene("Wet colours", darker(session.scene))
+    session.set_scene("Wet colors", darker(session.scene))
     rain_at(session, 1.2)
     picture(view)
     light = session.sky
@@ -199,7 +199,7 @@ def test_wet_colours_that_fit_nothing_are_told(session):
 
 
 def test_the_clear_side_is_dry(context, session):
-    session.set_scene("Wet colours", darker(session.scene))
+    session.set_scene("Wet colors", darker(session.scene))
     rain_at(session, 12.0, wetness=0.9)
     session.view.split = "clear | rainy"
     left, right = LiveView(context, session, "opengl").draw(*SIZE)

@@ -1,4 +1,4 @@
-"""Drawing order: a permutation in levels of falling contribution, neighbours side by side."""
+"""Drawing order: a permutation in levels of falling contribution, neighbors side by side."""
 
 from dataclasses import fields
 

@@ -60,7 +60,7 @@ def scene_with_box():
 
 
 def in_other_units(scene):
-    """Return the same scene in half metres with y up."""
+    """Return the same scene in half meters with y up."""
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     to_scene = np.eye(4)
     to_scene[:3, :3] = 2 * turn

@@ -70,7 +70,7 @@ def test_where_nothing_lies_it_is_below_the_drive():
 
 
 def test_another_unit_and_another_axis_up():
-    """The same slope in half metres, y up."""
+    """The same slope in half meters, y up."""
     meant = slope(0.05)
     axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # world to scene: z becomes y
     to_scene = np.eye(4)

@@ -20,7 +20,7 @@ def capture(test_data):
 
 @pytest.fixture(scope="module")
 def scene(capture):
-    """Every point a ball as large as the gap to its neighbours."""
+    """Every point a ball as large as the gap to its neighbors."""
     points = np.concatenate([sweep.points_m for sweep in capture.sweeps])
     n, f = len(points), np.float32
     size = np.clip(0.004 * np.linalg.norm(points, axis=1), 0.03, 0.3)

@@ -14,7 +14,7 @@ def flat_patch(
     corner: tuple[float, float, float], along: tuple[float, float, float], across: tuple[float, float, float],
     color: tuple[float, float, float], spacing: float, degree: int = 0,
 ) -> Gaussians:  # fmt: skip
-    """Cover a parallelogram with opaque round Gaussians in slightly varying colours."""
+    """Cover a parallelogram with opaque round Gaussians in slightly varying colors."""
     corner, along, across = (np.asarray(each, float) for each in (corner, along, across))
     rows, columns = (max(1, int(np.linalg.norm(each) / spacing)) for each in (along, across))
     a, b = (each.ravel() for each in np.meshgrid(np.arange(rows) / rows, np.arange(columns) / columns))

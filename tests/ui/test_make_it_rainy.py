@@ -73,7 +73,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         middle = compared.shape[1] // 2
         assert np.array_equal(compared[:, : middle - 1], clear[:, : middle - 1])
         assert np.abs(compared[:, middle:] - clear[:, middle:]).mean() > 3
-        assert session.sky != blue_sky  # drops take the colour of the wet one
+        assert session.sky != blue_sky  # drops take the color of the wet one
         driver.click(f"{PANEL}###compare")
         assert session.view.split == "off"
         driver.press(UNDO)
@@ -128,7 +128,7 @@ def test_what_is_missing_is_said_where_it_is_chosen(driver, tmp_path, monkeypatc
         driver.frames()
         assert (rainy.settings.normals, rainy.settings.mutual_attention) == ("dsine", False)
         assert ctx.item_exists("More settings/##normals_checkout")
-        assert not ctx.item_exists("More settings/##neighbours")
+        assert not ctx.item_exists("More settings/##neighbors")
 
         ctx.combo_click("##method/Pictures")
         assert rainy.why_not(session) == "Pictures: choose a folder of pictures first."

@@ -1,4 +1,4 @@
-"""From a capture to Gaussians, and from pictures to their colours, in the real window."""
+"""From a capture to Gaussians, and from pictures to their colors, in the real window."""
 
 import numpy as np
 import pytest

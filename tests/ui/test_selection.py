@@ -226,7 +226,7 @@ def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
         hand.use("Color pick")
         hand.tap(0.5, 0.42, held=(KEY.mod_shift,))
         assert hand.counts() == {"road": 400, "wall": 400, "sky": 0}
-        assert hand.said == "Add 400 by colour"
+        assert hand.said == "Add 400 by color"
 
     hand.run(script)
 

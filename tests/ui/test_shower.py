@@ -1,4 +1,4 @@
-"""Weather, rain regions and the drop colour in the window, driven by hand."""
+"""Weather, rain regions and the drop color in the window, driven by hand."""
 
 import numpy as np
 import pytest

@@ -79,7 +79,7 @@ def test_regions_are_edited_and_drawn(driver):
 
 
 def _region_pixels(screen):
-    """How many pixels have the colour of the streak region's edges, light blue, and of the haze region's, orange."""
+    """How many pixels have the color of the streak region's edges, light blue, and of the haze region's, orange."""
     red, green, blue = np.moveaxis(screen, 2, 0)
     light_blue, orange = (blue > 200) & (red < 160) & (green > 170), (red > 200) & (green > 150) & (blue < 160)
     return np.array([light_blue.sum(), orange.sum()])

@@ -134,7 +134,7 @@ class SkyPickTool(DragTool):
 
     name = PICK_TOOL
     icon = icons_fontawesome_6.ICON_FA_CLOUD_SUN
-    help = "Give drops the colour of the sky you show: click a pixel, or drag a rectangle (mean in linear light)."
+    help = "Give drops the color of the sky you show: click a pixel, or drag a rectangle (mean in linear light)."
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
         """Draw the rectangle, and request its color on release."""
@@ -156,6 +156,6 @@ class SkyPickTool(DragTool):
         inline_text("picked" if own is not None else "from the scene's sky")
         imgui.begin_disabled(own is None)
         if imgui.button("From the sky again"):
-            session.change_rain("Drop colour from the sky", drop_color=None)
+            session.change_rain("Drop color from the sky", drop_color=None)
         imgui.end_disabled()
         imgui.set_item_tooltip("Take the mean of the scene's own sky in linear light, as at first (eq. 3).")

@@ -22,7 +22,7 @@ MODIFIERS = "Shift adds, Ctrl removes, both intersect."
 _DEPTH_HELP = (
     "all through: everything behind the shape as well\n"
     "front-most: only what is seen, not what it hides\n"
-    "to a depth: down to so many metres from the camera"
+    "to a depth: down to so many meters from the camera"
 )
 
 
@@ -63,14 +63,14 @@ class ShapeTool(base.DragTool):
             options.depths = choices[picked]
         if options.depths == "to a depth":
             same_line_if_fits(5.5)
-            help_text = "How deep, in metres from the camera along its view axis."
+            help_text = "How deep, in meters from the camera along its view axis."
             _, options.depth_m = base.drag_number(
                 "##depth_m", options.depth_m, 0.1, (0.2, 2000.0), "%.1f m", help_text, 5.5, flags=0
             )
         same_line_if_fits(6)
         _, options.touching = imgui.checkbox("Touching", options.touching)
         imgui.set_item_tooltip(
-            "Take in Gaussians that the shape touches within one standard deviation, not only those whose centre it "
+            "Take in Gaussians that the shape touches within one standard deviation, not only those whose center it "
             "covers."
         )
 
@@ -213,7 +213,7 @@ class ColorPickTool(base.Tool):
     name = "Color pick"
     icon = icons_fontawesome_6.ICON_FA_EYE_DROPPER
     key = imgui.Key.i
-    help = f"Click on a colour to select it everywhere. {MODIFIERS}"
+    help = f"Click on a color to select it everywhere. {MODIFIERS}"
     by = "colour"
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
@@ -234,7 +234,7 @@ class ColorPickTool(base.Tool):
         mode_options(session)
         same_line_if_fits(9)
         help_text = (
-            "How far red, green and blue may each differ from the colour under the mouse, 0..1.\n"
+            "How far red, green and blue may each differ from the color under the mouse, 0..1.\n"
             "Drag, or double-click to type."
         )
         _, options.tolerance = base.drag_number(

@@ -17,8 +17,8 @@ from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline
 from .select_screen import MODIFIERS, mode_now, mode_options
 
 _FIRST_SIZE_M = (2.0, 2.0, 2.0)
-_CENTER_HELP = "Middle of the box in the world: x, y, z in metres."
-_SIZE_HELP = "Size of the box along its own x, y, z in metres."
+_CENTER_HELP = "Middle of the box in the world: x, y, z in meters."
+_SIZE_HELP = "Size of the box along its own x, y, z in meters."
 _YAW_HELP = "Turn of the box to the left, in degrees."
 
 
@@ -93,7 +93,7 @@ class SphereTool(DragTool):
     name = "Sphere"
     icon = icons_fontawesome_6.ICON_FA_GLOBE
     key = imgui.Key.o
-    help = f"Press on a surface for the centre, drag for the radius; Enter selects what is inside. {MODIFIERS}"
+    help = f"Press on a surface for the center, drag for the radius; Enter selects what is inside. {MODIFIERS}"
     _radius_m = 1.0
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
@@ -107,7 +107,7 @@ class SphereTool(DragTool):
             options.ball = options.ball.reaching(*viewport.ray(*viewport.mouse_px))
             self._radius_m = options.ball.radius_m
         if options.ball is None:
-            draw_hint(viewport, "Press on a surface for the centre, drag for the radius")
+            draw_hint(viewport, "Press on a surface for the center, drag for the radius")
             return True
         for circle in options.ball.circles_m(points=64):
             pixels = [pixel for point in circle if (pixel := viewport.pixel(point)) is not None]
@@ -124,10 +124,10 @@ class SphereTool(DragTool):
         if ball is None:
             return
         same_line_if_fits(13)
-        help_text = "Centre of the sphere in the world: x, y, z in metres."
+        help_text = "Center of the sphere in the world: x, y, z in meters."
         moved, center = drag_vector("##center", ball.center_m, 0.02, -1e5, help_text, 13, flags=0)
         same_line_if_fits(7)
-        help_text, flags = "Radius of the sphere in metres.", CLAMP | imgui.SliderFlags_.logarithmic
+        help_text, flags = "Radius of the sphere in meters.", CLAMP | imgui.SliderFlags_.logarithmic
         sized, radius = drag_number(
             "##radius_m", ball.radius_m, 0.01, (0.01, 1e4), "radius %.2f m", help_text, 7, flags
         )

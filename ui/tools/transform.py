@@ -129,7 +129,7 @@ class LevelTool(Tool):
             session.edit("Level by the ground", level.level_from_ground)
         imgui.same_line()
         inline_text("ground at")
-        help_text = "Height of the ground in the world, in metres: rain falls down to it."
+        help_text = "Height of the ground in the world, in meters: rain falls down to it."
         changed, height = drag_number(
             "##ground height", session.scene.ground_m or 0.0, 0.01, (-1000, 1000), "%.2f m", help_text, 6, flags=0
         )
@@ -191,7 +191,7 @@ class MeasureTool(Tool):
     name = "Measure"
     icon = icons_fontawesome_6.ICON_FA_RULER
     key = imgui.Key.m
-    help = "Click two points: their distance in metres. Type how long it truly is to set the scene's scale."
+    help = "Click two points: their distance in meters. Type how long it truly is to set the scene's scale."
     true_m = 1.0
     _points_m: tuple[Point, ...] = ()
     _scene_to_world: Float64[np.ndarray, "4 4"] | None = None
@@ -221,13 +221,13 @@ class MeasureTool(Tool):
         imgui.begin_disabled(length is None)
         imgui.align_text_to_frame_padding()
         imgui.text(_in_words(length) if length is not None else "- m")
-        imgui.set_item_tooltip("Straight distance of the two points, in metres.")
+        imgui.set_item_tooltip("Straight distance of the two points, in meters.")
         imgui.same_line()
         imgui.text("is truly")
         imgui.same_line()
         imgui.set_next_item_width(6 * imgui.get_font_size())
         _, self.true_m = imgui.input_float("##true length", self.true_m, 0, 0, "%.3f m")
-        imgui.set_item_tooltip("How long it truly is, in metres.")
+        imgui.set_item_tooltip("How long it truly is, in meters.")
         imgui.same_line()
         help_text = "Let the whole scene grow or shrink so that the line is as long as this."
         if help_button("Set scale", help_text) and length is not None:

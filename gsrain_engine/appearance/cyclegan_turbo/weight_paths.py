@@ -57,7 +57,7 @@ def check_base_complete(base: Path) -> None:
 def base_model_instructions() -> str:
     kinds = " ".join(f"--include '{kind}'" for kind in ("*.json", "*.txt", "*model.safetensors"))
     return (
-        f"hf download {_HUB_NAME} {kinds} --local-dir {data_folder() / 'sd-turbo'} (5 GB, under the licence of "
+        f"hf download {_HUB_NAME} {kinds} --local-dir {data_folder() / 'sd-turbo'} (5 GB, under the license of "
         f"Stability AI; older versions of the tool are called huggingface-cli), or set {BASE_VARIABLE} to its folder"
     )
 

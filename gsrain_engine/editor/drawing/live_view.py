@@ -203,7 +203,7 @@ class LiveView:
         if pick is not None:
             background, wetness = session.view.background, session.rainfall.wetness_at(shot.time_s)
             color = mean_color_in_rectangle(self._renderer, session.scene, shot, pick, background, wetness)
-            session.change_rain("Pick drop colour", drop_color=color)
+            session.change_rain("Pick drop color", drop_color=color)
 
     def _draw_pane(self, side: SplitPane, pane: "_PaneImage", shot: RenderView, detail: QualityLevel) -> bool:
         """Draw a pane unless it is up to date; return whether it was drawn."""
@@ -424,7 +424,7 @@ class SkyColorSampler:
             if not to_the_end:
                 return None
         if state and not sky.found:  # a scene that is still loading shows nothing
-            logger.info("The scene shows no sky: drops take the colour of an overcast one")
+            logger.info("The scene shows no sky: drops take the color of an overcast one")
         self._sampled, self.is_exact, self._progress = state, self._is_full, None
         return sky
 

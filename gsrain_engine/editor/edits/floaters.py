@@ -37,7 +37,7 @@ class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         float,
         Meta(
             ge=0, le=1000, title="Isolation above",
-            description="Those farther from their neighbours than so many times the median are floaters; 0 turns the "
+            description="Those farther from their neighbors than so many times the median are floaters; 0 turns the "
             "rule off.",
         ),
     ] = 8.0  # fmt: skip
@@ -75,7 +75,7 @@ class FloaterSearch:
                 flags[there] |= sizes_m > self.rules.size_above_m
             if self.rules.isolation_above > 0 and len(there) > 1:
                 for share, isolated in _isolated(part.gaussians.means[there], self.rules):
-                    yield Progress((done + share * count) / total, f"Looking at the neighbours in {layer.name}")
+                    yield Progress((done + share * count) / total, f"Looking at the neighbors in {layer.name}")
                     if isolated is not None:
                         flags[there] |= isolated
             if shell is not None:

@@ -49,7 +49,7 @@ def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None 
         return scene
     low, high = UNIT_M
     if not low <= metres_per_unit <= high:
-        raise ValueError(f"scale {metres_per_unit:g}: must be within {low:f}..{high:.0f} metres per unit")
+        raise ValueError(f"scale {metres_per_unit:g}: must be within {low:f}..{high:.0f} meters per unit")
     return set_length(scene, scene.metres_per_unit, metres_per_unit)
 
 

@@ -103,7 +103,7 @@ def recolor_job(
     def read(folder: Path) -> Scene:
         return with_colors(scene, read_recolored(folder / COLORS_FILE))
 
-    return scene_job(session, "recolor", f"Recolour to {name}", recolor_scene_copy, inputs, read, report=report)
+    return scene_job(session, "recolor", f"Recolor to {name}", recolor_scene_copy, inputs, read, report=report)
 
 
 def recolor_scene_copy(

@@ -24,7 +24,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         str,
         Meta(
             title="Decoding",
-            description="end_to_end: rows x1 y1 x2 y2 confidence class (YOLOv10, YOLO26). yolo: centre, size and a "
+            description="end_to_end: rows x1 y1 x2 y2 confidence class (YOLOv10, YOLO26). yolo: center, size and a "
             "score a class (YOLOv8, YOLO11). yolo_objectness: those with an objectness before the classes (YOLOv5, "
             "YOLOv6, YOLOX exported with --decode_in_inference). yolox: the same relative to grid cells. nanodet: "
             "class scores and distributions of distances to the four sides. Or a decoder of an installed package.",

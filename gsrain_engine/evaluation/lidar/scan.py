@@ -491,7 +491,7 @@ def capture_turns(
     if not capture.sweeps:
         raise ValueError(f"{capture.name}: has no lidar sweeps")
     if not capture.is_metric or abs(capture.up[2] - 1) > 1e-6:
-        raise ValueError(f"{capture.name}: its world is not in metres with z up, where rain falls")
+        raise ValueError(f"{capture.name}: its world is not in meters with z up, where rain falls")
     for number in evenly_spaced(len(capture.sweeps), count):
         sweep = capture.sweeps[number]
         scale = full_intensity(sweep) if full is None else full

@@ -17,7 +17,7 @@ _MAX_FROM_ABOVE = 8
 _PACKAGES = ("gsrain", "numpy", "scipy", "shapely", "numba")
 
 _OVER_TIME = (
-    "One colour an intensity; a cross is a collision. The acceleration is that over each step. Several seeds: the mean "
+    "One color an intensity; a cross is a collision. The acceleration is that over each step. Several seeds: the mean "
     "over the runs that still go on, with the band of its 95 % bootstrap interval."
 )
 

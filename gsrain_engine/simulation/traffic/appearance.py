@@ -94,7 +94,7 @@ def _read(path: Path, changed_ns: int, size: int) -> VehicleModel:
     length, width, height = (float(side) for side in high - low)
     if not all(_MIN_M <= side <= _MAX_M for side in (length, width, height)):
         raise ValueError(
-            f"{path}: {length:.3g} x {width:.3g} x {height:.3g} m is no road user's size; a model is in metres, each "
+            f"{path}: {length:.3g} x {width:.3g} x {height:.3g} m is no road user's size; a model is in meters, each "
             f"side {_MIN_M:g} to {_MAX_M:g} m"
         )
     foot = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], np.float32)

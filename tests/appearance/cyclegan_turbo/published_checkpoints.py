@@ -81,7 +81,7 @@ def weatheredit(rainy: CycleGanTurbo, snowy: CycleGanTurbo) -> dict[str, Any]:
 
 
 def with_mask_channel() -> CycleGanTurbo:
-    """A model with the fourth channel that WeatherEdit has: at first not zero, but the colours' mean."""
+    """A model with the fourth channel that WeatherEdit has: at first not zero, but the colors' mean."""
     wide = deepcopy(trained_model(normals=True))
     with torch.no_grad():
         for vae in (wide.vae, wide.vae_b2a):

@@ -14,7 +14,7 @@ from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (
 from gsrain_engine.scene.camera import Camera, look_at
 
 ROW = [(1, 2), (0, 2), (1, 3), (2, 4), (3, 2)]
-"""Five views in a row, each naming its neighbours."""
+"""Five views in a row, each naming its neighbors."""
 
 
 def sources(plan):
@@ -79,11 +79,9 @@ def rig():
             eye = np.array([0.5 * moment, 0.3 * (1 - i), 1.5])
             camera = Camera.from_fov(48, 32, 60, look_at(eye, eye + np.array([1.0, 0, 0]), np.array([0.0, 0, 1])))
             plane = np.zeros((32, 48), np.float32)
-            colour = np.zeros((32, 48, 3), np.float32)
+            color = np.zeros((32, 48, 3), np.float32)
             time_s = 0.5 * moment + 0.02 * i
-            views.append(
-                ClearView(f"{sensor}{moment}", camera, time_s, colour, plane + 9, colour, plane, plane, sensor)
-            )
+            views.append(ClearView(f"{sensor}{moment}", camera, time_s, color, plane + 9, color, plane, plane, sensor))
     return views
 
 

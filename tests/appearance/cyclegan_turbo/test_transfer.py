@@ -82,7 +82,7 @@ def model():
 
 @pytest.fixture
 def views():
-    return [wall(name, shift) for name, shift in (("left", -0.5), ("centre", 0.0), ("right", 0.5))]
+    return [wall(name, shift) for name, shift in (("left", -0.5), ("center", 0.0), ("right", 0.5))]
 
 
 def images(model, views, settings):
@@ -118,7 +118,7 @@ def test_views_look_at_neighbours_and_the_anchor_does_not(model, views):
     alone = images(model, views, ALONE)
     mutual = images(model, views, replace_mutual(ALONE, order="outward"))
     changed = {name: not np.array_equal(mutual[name], alone[name]) for name in alone}
-    assert changed == {"left": True, "centre": False, "right": True}
+    assert changed == {"left": True, "center": False, "right": True}
     together = images(model, views, replace_mutual(ALONE, order="together"))
     assert all(not np.array_equal(together[name], alone[name]) for name in alone)
 
@@ -183,7 +183,7 @@ def test_an_estimator_is_asked_in_place_of_the_view(model, views):
 
 def test_three_channels_need_no_guide(views):
     narrow = build_random_model(tiny(), normals=False)
-    assert images(narrow, views, RunSettings(side_px=None)).keys() == {"left", "centre", "right"}
+    assert images(narrow, views, RunSettings(side_px=None)).keys() == {"left", "center", "right"}
 
 
 def test_tiles_come_together_without_a_seam(model):
@@ -222,7 +222,7 @@ def test_views_without_poses_and_without_overlap_stay_alone_and_say_so(model, vi
     for each in made:
         np.testing.assert_array_equal(each.image, alone[each.clear.name])
     partly = list(CycleGanTurboTransfer(model, settings).transferred([*views[:2], blind[2]]))
-    assert {each.clear.name: each.left_out for each in partly} == {"left": "", "centre": "", "right": WITHOUT_POSE}
+    assert {each.clear.name: each.left_out for each in partly} == {"left": "", "center": "", "right": WITHOUT_POSE}
     far = [views[0], replace(wall("far", 500.0), time_s=1.0)]
     assert {each.left_out for each in CycleGanTurboTransfer(model, settings).transferred(far)} == {NO_OVERLAP}
     assert [each.left_out for each in CycleGanTurboTransfer(model, settings).transferred(blind[:1])] == [""]

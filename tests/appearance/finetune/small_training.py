@@ -38,7 +38,7 @@ def small() -> TurboArchitecture:
 
 
 def write_pictures(folder: Path, count: int = 5) -> tuple[Path, Path]:
-    """Write bright colourful pictures, and dark grey ones of other places; returns the two folders."""
+    """Write bright colorful pictures, and dark gray ones of other places; returns the two folders."""
     random = np.random.default_rng(7)
     for look in ("clear", "rainy"):
         (folder / look).mkdir(parents=True)

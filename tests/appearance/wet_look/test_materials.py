@@ -1,4 +1,4 @@
-"""Wet materials: what soaks gets dark and colourful, paint gets gloss, lamps shine, far things fade."""
+"""Wet materials: what soaks gets dark and colorful, paint gets gloss, lamps shine, far things fade."""
 
 from dataclasses import replace
 

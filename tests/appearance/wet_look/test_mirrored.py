@@ -23,7 +23,7 @@ WALL_M = 12.0
 
 
 def room(top_m=4.0):
-    """A wall of the given height behind level ground, and sky above it; grey levels tell rows."""
+    """A wall of the given height behind level ground, and sky above it; gray levels tell rows."""
     rays = view_rays(EYE)
     to_wall = WALL_M / rays[..., 0]
     to_ground = np.where(rays[..., 2] < 0, -1.5 / np.minimum(rays[..., 2], -1e-9), np.inf)

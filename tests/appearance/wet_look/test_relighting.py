@@ -148,7 +148,7 @@ def test_the_sky_is_found_beyond_the_end_of_its_mask():
     assert found[2:8, 74:77].min() > 0.9
     assert found[2:8, 80:86].min() > 0.9
     assert found[2:8, 78:79].max() == 0
-    assert found[20:, :].max() < 0.01  # the wall is not of its colour
+    assert found[20:, :].max() < 0.01  # the wall is not of its color
     depth[:, 74:] = np.where(depth[:, 74:] > 0, depth[:, 74:], 30)
     assert extend_sky_mask(replace(unknown, depth=depth)).sky[2:8, 80:].max() < 0.01  # a blue wall
 

@@ -69,7 +69,7 @@ def without(scene, *names):
 
 
 def seen(scene, time_s=0.0):
-    """All that can be seen, in the world's metres, in an order that does not depend on who is drawn first."""
+    """All that can be seen, in the world's meters, in an order that does not depend on who is drawn first."""
     every = flatten_scene(scene, time_s)
     order = np.lexsort(np.round(every.means.T, 3))
     return every.take(order)

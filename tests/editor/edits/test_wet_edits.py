@@ -1,4 +1,4 @@
-"""Every edit takes wet colors along: seen soaked, an edited scene is the edited scene of its soaked colours alone."""
+"""Every edit takes wet colors along: seen soaked, an edited scene is the edited scene of its soaked colors alone."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def wet_scene(*names):
 
 
 def soaked(scene):
-    """Wet colours as the only ones."""
+    """Wet colors as the only ones."""
     return with_wetness_baked(scene, 1.0)
 
 

@@ -12,7 +12,7 @@ WIDTH, HEIGHT = 96, 64
 
 
 def scattered(count, seed=0, spread=4.0):
-    """Gaussians of every size and colour around the origin."""
+    """Gaussians of every size and color around the origin."""
     r, f = np.random.default_rng(seed), np.float32
     quaternions = r.normal(size=(count, 4))
     return Gaussians(

@@ -1,4 +1,4 @@
-"""The colour of a part of the picture, for drops to take."""
+"""The color of a part of the picture, for drops to take."""
 
 import numpy as np
 import pytest

@@ -56,7 +56,7 @@ def test_half_precision_takes_half_precision(tmp_path: Path):
 
 
 def test_grids_are_suppressed_class_by_class(tmp_path: Path):
-    table = np.zeros((1, 7, 84), np.float32)  # centre, size and three scores a column
+    table = np.zeros((1, 7, 84), np.float32)  # center, size and three scores a column
     table[0, :, 0] = 16, 32, 32, 32, 0.9, 0, 0.1
     table[0, :, 1] = 17, 32, 32, 32, 0.8, 0, 0
     table[0, :, 2] = 16, 32, 32, 32, 0, 0.7, 0

@@ -70,7 +70,7 @@ def test_the_scale_of_intensities_is_guessed():
 def test_captures_without_a_sweep_or_without_metres_are_refused():
     with pytest.raises(ValueError, match="has no lidar sweeps"):
         list(capture_turns(Capture("bare", ()), SENSOR))
-    with pytest.raises(ValueError, match="not in metres"):
+    with pytest.raises(ValueError, match="not in meters"):
         list(capture_turns(Capture("free", (), sweeps=(sweep([[1, 0, 0]]),), is_metric=False), SENSOR))
 
 

@@ -23,7 +23,7 @@ def rasterization(
     packed=True,
     render_mode="RGB",
 ):
-    """One camera, unpacked, colour and accumulated depth: what we train with of gsplat 1.5."""
+    """One camera, unpacked, color and accumulated depth: what we train with of gsplat 1.5."""
     n = len(means)
     assert n > 0
     assert means.shape == scales.shape == (n, 3)

@@ -234,7 +234,7 @@ def test_screen_gradients_are_those_by_the_centre_in_the_image():
     with pytest.raises(RuntimeError, match="after a backward pass"):
         _ = footprint.screen_gradients
     total.backward()
-    step = 1e-5  # to move the principal point is to move every centre
+    step = 1e-5  # to move the principal point is to move every center
     across = (loss(32.1 + step, 24.2)[0] - loss(32.1 - step, 24.2)[0]).item() / (2 * step)
     down = (loss(32.1, 24.2 + step)[0] - loss(32.1, 24.2 - step)[0]).item() / (2 * step)
     assert footprint.screen_gradients.tolist() == pytest.approx([np.hypot(across, down)], rel=1e-6)

@@ -26,7 +26,7 @@ def tensors(count: int, seed: int = 0, degree: int = 3, dtype: torch.dtype = tor
 
 
 def display(values: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """The same Gaussians with display colours, some of them negative."""
+    """The same Gaussians with display colors, some of them negative."""
     return {**values, "colors": (values["colors"][:, 0] + 0.3).detach().requires_grad_()}
 
 
@@ -38,7 +38,7 @@ def with_values(values: dict[str, torch.Tensor], **others: torch.Tensor) -> dict
 
 
 def rendered(values: dict[str, torch.Tensor], view: Camera | None = None) -> tuple[torch.Tensor, ...]:
-    """Colour, alpha and depth from the fast kernels."""
+    """Color, alpha and depth from the fast kernels."""
     r = render_gaussians(*(values[name] for name in NAMES[:5]), view or camera(), world_to_camera=values[NAMES[5]])
     return r.color, r.alpha, r.depth
 

@@ -22,5 +22,5 @@ def random_gaussians(
 
 
 def small_camera(width: int = 75, height: int = 53) -> Camera:
-    """Look along +z with an off-centre principal point; the size is no multiple of a tile."""
+    """Look along +z with an off-center principal point; the size is no multiple of a tile."""
     return Camera(width, height, 60.0, 64.0, 0.42 * width, 0.55 * height)

@@ -39,12 +39,12 @@ def seen(parts, look: RenderMode, camera: Camera | None = None, **more) -> Frame
 
 
 def square_camera() -> Camera:
-    """Its principal point is the centre of the pixel (20, 20)."""
+    """Its principal point is the center of the pixel (20, 20)."""
     return Camera(41, 41, 50.0, 50.0, 20.5, 20.5)
 
 
 def straight(frame: Frame, row: int = 20, column: int = 20) -> np.ndarray:
-    """Colour without its alpha."""
+    """Color without its alpha."""
     return frame.rgba[row, column, :3] / frame.rgba[row, column, 3]
 
 

@@ -1,4 +1,4 @@
-"""Marks, opacity and colours of a part on the processor: as if the Gaussians themselves were so."""
+"""Marks, opacity and colors of a part on the processor: as if the Gaussians themselves were so."""
 
 import re
 from typing import get_args
@@ -35,7 +35,7 @@ def some_of(count: int, share: float = 0.4, seed: int = 0) -> BitMask:
 
 
 def baked(part: DrawItem) -> DrawItem:
-    """The same picture without marks, opacity and colours of the part's own."""
+    """The same picture without marks, opacity and colors of the part's own."""
     g = part.gaussians.take(slice(0, part.drawn_count))
     if part.left_out is not None:
         g = g.take(np.flatnonzero(~part.left_out.flags[: part.drawn_count]))

@@ -1,4 +1,4 @@
-"""Wet colours on the processor and in torch: blends of two sets of harmonics, at both ends the very bytes of either."""
+"""Wet colors on the processor and in torch: blends of two sets of harmonics, at both ends the very bytes of either."""
 
 import numpy as np
 import pytest

@@ -27,7 +27,7 @@ def rasterization(
     eps2d=0.3,
     sh_degree=None,
 ):
-    """One camera, colours of any number of channels, packed results: what our renderer uses of gsplat 1.5."""
+    """One camera, colors of any number of channels, packed results: what our renderer uses of gsplat 1.5."""
     n = len(means)
     assert n > 0
     assert means.shape == scales.shape == (n, 3)

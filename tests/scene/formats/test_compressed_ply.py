@@ -24,7 +24,7 @@ def compressed(count: int, chunks: int, bounds: list[str], sh_rows: int = 0, sh_
         lines += [f"element sh {sh_rows}", *(f"property uchar f_rest_{i}" for i in range(sh_columns))]
     header = "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode()
     body = np.tile(np.array([-1, 1], "<f4"), (chunks, len(bounds))).tobytes()
-    # Largest is y (2), the others 512/1023: 0.0007; colour 51, 102, 255 of 255; opacity 204 of 255.
+    # Largest is y (2), the others 512/1023: 0.0007; color 51, 102, 255 of 255; opacity 204 of 255.
     word = [1024 << 21 | 512 << 11 | 1024, 2 << 30 | 512 << 20 | 512 << 10 | 512, 2047 << 21, 0x3366FFCC]
     body += np.tile(np.array(word, "<u4"), (count, 1)).tobytes()
     return header + body + bytes([0, 255, 128] * (sh_rows * sh_columns // 3))

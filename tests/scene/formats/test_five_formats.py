@@ -33,7 +33,7 @@ def original(test_data: Path) -> Gaussians:
 
 
 def matched(original: Gaussians, other: Gaussians) -> tuple[Gaussians, Gaussians]:
-    """Pairs that are each other's nearest, in place, size, opacity and colour together: some stand on one spot."""
+    """Pairs that are each other's nearest, in place, size, opacity and color together: some stand on one spot."""
 
     def features(g: Gaussians) -> np.ndarray:
         return np.concatenate([g.means * 100, np.log(g.scales), g.opacities[:, None], g.sh[:, 0]], axis=1)

@@ -50,8 +50,8 @@ def encode_section(g: Gaussians, level: int) -> tuple[Gaussians, bytes, bytes]:
     stored = g.means.astype("<f4")
     if level:
         g, centres, lengths, full = into_buckets(g)
-        centre = np.repeat(centres, [BUCKET] * full + lengths, axis=0)
-        stored = np.clip(np.round((g.means - centre) * (32767 / (BLOCK / 2))) + 32767, 0, 65535).astype("<u2")
+        center = np.repeat(centres, [BUCKET] * full + lengths, axis=0)
+        stored = np.clip(np.round((g.means - center) * (32767 / (BLOCK / 2))) + 32767, 0, 65535).astype("<u2")
     number = "<f4" if level == 0 else "<f2"
     color = np.round(np.concatenate([g.sh[:, 0] * SH_C0 + 0.5, g.opacities[:, None]], axis=1) * 255)
     # Degree by degree, and within a degree channel by channel.
@@ -117,7 +117,7 @@ def test_minimal_file(test_data: Path) -> None:
     np.testing.assert_array_equal(g.means, [[-1, 0, -1], [0, 0, -1], [-1, 0, 0], [0, 0, 0]])
     np.testing.assert_allclose(g.scales, 0.1)
     np.testing.assert_allclose(g.opacities, 230 / 255)
-    # Red grows along x, green along z; the first three bytes are the display colour.
+    # Red grows along x, green along z; the first three bytes are the display color.
     np.testing.assert_allclose(g.sh[:, 0, 0] * SH_C0 + 0.5, np.array([0x55, 0xAA, 0x55, 0xAA]) / 255, atol=1e-6)
 
 

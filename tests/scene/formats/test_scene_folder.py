@@ -254,7 +254,7 @@ def test_a_damaged_scene_may_be_replaced(folder: Path) -> None:
 
 
 BAD_VALUES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "unknown field": (lambda v: v.update(colour="red"), "unknown field `colour`"),
+    "unknown field": (lambda v: v.update(color="red"), "unknown field `color`"),
     "no version": (lambda v: v.pop("version"), "required field `version`"),
     "wrong type": (lambda v: v.update(metres_per_unit="3"), "Expected `float`, got `str` - at `$.metres_per_unit`"),
     "out of range": (lambda v: v.update(metres_per_unit=0), "Expected `float` > 0.0 - at `$.metres_per_unit`"),

@@ -83,7 +83,7 @@ def test_round_trip_within_quantization(degree: int, encode, tmp_path: Path) -> 
 
 
 def test_axes_turn_half_about_x() -> None:
-    # What SPZ stores, read as if its axes were ours, is the scene turned half about x: means, shapes and colours alike.
+    # What SPZ stores, read as if its axes were ours, is the scene turned half about x: means, shapes and colors alike.
     before = some_gaussians(300, 3)
     stored = gzip.decompress(encode_spz(before))
     fixed = np.frombuffer(stored, np.uint8, 9 * 300, 16).reshape(300, 3, 3).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Wet colours in scene folders (version 3): kept bit for bit, not written again, linked; what is damaged is named."""
+"""Wet colors in scene folders (version 3): kept bit for bit, not written again, linked; what is damaged is named."""
 
 import json
 from dataclasses import replace

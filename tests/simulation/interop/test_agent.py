@@ -95,7 +95,7 @@ def test_the_client_saw_pictures(whole_drive):
     assert notes[0]["focal"] == pytest.approx(633.2)
     assert notes[0]["semantic"] == [] and notes[0]["depth"] == []
     red, _, blue = notes[0]["first_pixel"]
-    assert red > blue  # a sand-coloured wall
+    assert red > blue  # a sand-colored wall
 
 
 def test_twice_is_the_same(whole_drive, renderer, tmp_path):

@@ -13,7 +13,7 @@ from gsrain_engine.simulation.traffic.base import RoadUser
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Vehicle, VehicleState
 
 angles = st.floats(-3, 3)
-metres = st.floats(-50, 50)
+meters = st.floats(-50, 50)
 ROUTE = Route(np.array([[0.0, 0.0], [100.0, 0.0]]))
 HUGSIM_RIG = Rig(HUGSIM_VEHICLE, hugsim_rig(street_rigs()["nuscenes"]), 1.5)
 OWN_RIG = Rig(Vehicle(), street_rigs()["nuscenes"], 1.5)
@@ -69,7 +69,7 @@ def test_object_heading_is_left_positive_and_written_from_the_models_yaw(heading
     assert -1.5 * np.pi - 1e-9 <= box[6] <= 0.5 * np.pi + 1e-9
 
 
-@given(x=metres, y=metres, yaw=angles, turn=st.floats(-1, 1), distance=st.floats(0.1, 5))
+@given(x=meters, y=meters, yaw=angles, turn=st.floats(-1, 1), distance=st.floats(0.1, 5))
 def test_motion_is_that_of_hugsims_simulator(x, y, yaw, turn, distance):
     """It moves its ego by a += d sin(th), b += d cos(th), x and z of the world, th right positive."""
     world = HugsimWorld.from_observation(HUGSIM_RIG, seen(x, y, yaw))
@@ -81,7 +81,7 @@ def test_motion_is_that_of_hugsims_simulator(x, y, yaw, turn, distance):
     np.testing.assert_allclose(step, (distance * np.sin(th), 0, distance * np.cos(th)), atol=1e-9)
 
 
-@given(x=metres, y=metres, yaw=angles, far=metres, aside=metres)
+@given(x=meters, y=meters, yaw=angles, far=meters, aside=meters)
 def test_a_box_lies_where_the_ego_box_sees_it(x, y, yaw, far, aside):
     """Whatever the world's axes are: difference of two boxes, turned by the ego's yaw, is what our own frame says."""
     observation = seen(x, y, yaw)

@@ -25,7 +25,7 @@ def test_a_vehicle_fills_its_box_and_stands_on_the_ground(model):
 
 
 def color(model):
-    """Mean display colour of the upper half."""
+    """Mean display color of the upper half."""
     look = vehicle_model(model, small_scene())
     upper = look.gaussians.means[:, 2] > 0.5
     return (SH_C0 * look.gaussians.sh[upper, 0] + 0.5).mean(axis=0)
@@ -102,7 +102,7 @@ def test_a_file_gets_a_shadow_and_is_read_again_when_it_changes(tmp_path):
 
 
 @pytest.mark.parametrize(("size", "opacity", "words"), [
-    ((400.0, 180.0, 140.0), 0.9, "is no road user's size; a model is in metres"),
+    ((400.0, 180.0, 140.0), 0.9, "is no road user's size; a model is in meters"),
     ((4.0, 1.8, 1.4), 0.01, "nothing in it can be seen"),
 ])  # fmt: skip
 def test_a_file_that_can_be_no_road_user_is_refused(tmp_path, size, opacity, words):
