@@ -36,14 +36,14 @@ def test_two_sets_are_compared_with_the_real_one(sets, tmp_path, capsys):
     for row, folder, count in ((alike, sets[1], 14), (dark, sets[2], 12)):
         assert (row["metric"], row["real"], row["fake"]) == ("FD-pixels16", str(sets[0]), str(folder))
         assert (row["real_pictures"], row["fake_pictures"], row["features"]) == (14, count, 160)
-        assert row["extractor"] == "color and edges of 4x4 cells, 128x128 px"
+        assert row["extractor"] == "colour and edges of 4x4 cells, 128x128 px"
         assert row["frechet_interval"][0] <= row["frechet"] <= row["frechet_interval"][1]
     assert alike["kernel_interval"][0] < 0 < alike["kernel_interval"][1]
     assert dark["kernel_interval"][0] > 0
     assert alike["frechet"] <= alike["same"]["interval"][1]
     assert dark["frechet"] > dark["same"]["interval"][1]
     shown = capsys.readouterr().out
-    lines = [line for line in shown.splitlines() if "color and edges" in line]
+    lines = [line for line in shown.splitlines() if "colour and edges" in line]
     assert len(lines) == 2
     assert all("FD-pixels16" in line and " 14 " in line for line in lines)
     assert "tells no difference" in shown

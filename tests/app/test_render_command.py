@@ -61,7 +61,7 @@ def test_cameras_passes_and_twin(project, tmp_path, capsys):
         (["--to", "0"], "--to must be above --time (0 s)"),
         (["--duration", "1", "--to", "1"], "--duration and --to exclude each other"),
         (["--cameras", "TOP"], "no camera 'TOP', only one/FRONT"),
-        (["--passes", "color"], "--passes: Invalid enum value 'color', expected alpha, color, depth, labels"),
+        (["--passes", "colr"], "--passes: Invalid enum value 'colr', expected alpha, color, depth, labels"),
         (["--motion-blur", "65"], "--motion-blur: Expected `int` <= 64"),
         (["--codec", "vp9"], "vp9 needs an output that ends in .webm"),
         (["--quality", "64"], "--quality must be within 0..51"),
