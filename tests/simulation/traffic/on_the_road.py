@@ -31,7 +31,8 @@ def moves(behaviour, me, duration_s, *, ego=NOWHERE, others=(), route=STRAIGHT, 
     seen = [now]
     for step in range(round(duration_s / dt_s)):
         around = TrafficState(step * dt_s, ego, tuple(others), route)
-        now = rule.next(now, around, dt_s)
+        me = now or me
+        now = rule.next(me, around, dt_s)
         ego, others = ego.ahead(ego.speed_m_s * dt_s), tuple(each.ahead(each.speed_m_s * dt_s) for each in others)
         seen.append(now)
     return seen
