@@ -15,7 +15,7 @@ from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, 
 from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import Rollout
 from gsrain_engine.simulation.rollout_io import write_rollout
-from gsrain_engine.simulation.route import recorded_route
+from gsrain_engine.simulation.ground import recorded_route
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.video import RolloutVideo, render_rollout_video
 

@@ -10,9 +10,9 @@ from msgspec import Meta
 from ..rain.settings import RainSettings
 from ..scene.scene import Actor, Scene
 from .controller_base import ControllerSettings
+from .geometry import Route
 from .ground import RoadSurface
 from .rollout import BACKGROUND
-from .route import Route
 from .traffic.appearance import vehicle_model
 from .traffic.base import EGO, Behavior, RoadUser, TrafficState
 from .traffic.models import BehaviorSettings

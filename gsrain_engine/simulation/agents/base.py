@@ -9,7 +9,7 @@ from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ...scene.camera import Camera
 from ...scene.scene import RigCamera
-from ..route import Route
+from ..geometry import Route
 from ..traffic.base import RoadUser
 from ..vehicle import Vehicle, VehicleState
 

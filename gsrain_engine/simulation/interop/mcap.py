@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from ...scene.camera import Camera
 from ...scene.files import whole_file
+from ..geometry import Route
 from ..metrics.collisions import gaps_m, times_to_collision_s
 from ..rollout import Rollout, RolloutStep, UserModel, UserRecord, run_setting
-from ..route import Route
 from ..vehicle import Vehicle, VehicleState
 
 _CHUNK_BYTES = 1 << 20

@@ -10,7 +10,9 @@ from xml.etree import ElementTree
 
 import msgspec
 import numpy as np
-from scenariogeneration import xosc
+import shapely
+from jaxtyping import Float64, Int64
+from scenariogeneration import xodr, xosc
 
 from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
@@ -19,16 +21,41 @@ from ...rain.wetness import SOAKING_DEPTH_MM, water_depth_mm
 from ...scene.files import whole_file
 from ...scene.objects import coco_class
 from ...scene.scene import Scene
-from ..ground import road_surface_of
-from ..route import recorded_route
+from ..ground import recorded_route, road_surface_of
 from ..scenario import Scenario, ScenarioUser, Traffic, start_state
 from ..traffic.base import RoadUser, ego_user, gap_between
 from ..traffic.models import Brake, CutIn, Triggered
 from ..vehicle import Vehicle
 from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
 
-_MINOR = 2
+words: Any = xosc
+"""Enumerations: scenariogeneration declares them as another type than its own classes accept."""
+
 _DATE = datetime.datetime(2000, 1, 1)  # fixed date, so that the same scenario gives the same bytes
+
+
+def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
+    """Write OpenSCENARIO XML 1.2 to `path` (.xosc) and the road next to it (.xodr), byte-identical for equal input.
+
+    Positions and headings are in the scene's world frame, meters; the ego vehicle is called Ego. Rain is written as
+    precipitation in mm/h, with its visual range as fog; roads are marked wet, with unchanged friction. Road users use
+    native OpenSCENARIO elements where possible: teleports, speeds, lane changes (cubic instead of quintic),
+    trajectories, triggers by time, gap and time to collision. Car following becomes a controller with its parameters as
+    properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in the recorded drive)
+    are properties named `gsrain.*`.
+
+    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs, and ModuleNotFoundError,
+    with install instructions, without the package scenariogeneration.
+    """
+    if importlib.util.find_spec("scenariogeneration") is None:
+        raise ModuleNotFoundError(
+            "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
+        )
+    road = path.with_suffix(".xodr")
+    written = {road: road_xml(scenario, scene), path: document_xml(scenario, scene, road.name)}
+    for each, text in written.items():
+        with whole_file(each) as partial:
+            partial.write_text(text, encoding="utf-8")
 
 
 def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
@@ -37,7 +64,7 @@ def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
     traffic = Traffic(scenario, scene, route, ground)
     state = start_state(scenario, scene, route)
     ego = ego_user(scenario.vehicle, state)
-    started, sampled = {user.id: user for user in traffic.users}, record_paths(scenario, traffic, ego)
+    started, recorded = {user.id: user for user in traffic.users}, record_paths(scenario, traffic, ego)
 
     entities, init = xosc.Entities(), xosc.Init()
     init.add_global_action(environment_of(scenario.rain))
@@ -49,37 +76,45 @@ def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
     board = xosc.StoryBoard(init, stop)
     own = {user.id: user for user in scenario.road_users}
     for there in traffic.everybody:
-        user, way = own.get(there.id), sampled[there.id]
-        _add(entities, there, user)
-        _begin(init, there.id, way.places[0], there.speed_m_s)
-        gap = gap_between(route, started[there.id], ego) if there.id in started else 0.0
-        does = _does(there.id, user, way, gap)
+        if there.id == EGO:
+            raise ValueError(f"road user {EGO!r}: in OpenSCENARIO files that is the ego vehicle's name")
+        user, path = own.get(there.id), recorded[there.id]
+        kind = "replay" if user is None else str(msgspec.to_builtins(user.behaviour)["kind"])
+        properties = {"kept": "true"} if user is None else {"model": user.model}
+        entity = user_entity(there.class_name, there.size_lwh, properties)
+        follows = controller(user) if user is not None and kind == "idm" else None
+        entities.add_scenario_object(there.id, entity, follows)
+        _begin(init, there.id, path.places[0], there.speed_m_s)
+        if user is None or kind in ("track", "replay"):
+            does = trajectory(there.id, path.times_s, path.places) if len(path.times_s) > 1 else None
+        else:
+            gap = gap_between(route, started[there.id], ego) if there.id in started else 0.0
+            does = maneuver(user, gap)
         if does is not None:
             board.add_maneuver(does, there.id)
-    return _text(scenario, entities, board, road_file)
+
+    values, properties = msgspec.to_builtins(scenario), xosc.Properties()
+    for name in OWN_FIELDS:
+        if values[name] is not None:
+            properties.add_property(PROPERTY + name, str(values[name]))
+    properties.add_property(f"{PROPERTY}seed", str(scenario.rain.seed))
+    whole = xosc.Scenario(
+        scenario.description or scenario.name, "gsrain", xosc.ParameterDeclarations(), entities, board,
+        xosc.RoadNetwork(road_file), xosc.Catalog(), osc_minor_version=2, creation_date=_DATE,
+        header_properties=properties,
+    )  # fmt: skip
+    return _xml(whole.get_element())
 
 
-def _kind(user: ScenarioUser) -> str:
-    return str(msgspec.to_builtins(user.behaviour)["kind"])
-
-
-def _add(entities: xosc.Entities, there: RoadUser, user: ScenarioUser | None) -> None:
-    """Add a road user of the scenario, or an actor of the scene that it keeps."""
-    if there.id == EGO:
-        raise ValueError(f"road user {EGO!r}: in OpenSCENARIO files that is the ego vehicle's name")
-    properties = {"kept": "true"} if user is None else {"model": user.model}
-    entity = user_entity(there.class_name, there.size_lwh, properties)
-    follows = controller(user) if user is not None and _kind(user) == "idm" else None
-    entities.add_scenario_object(there.id, entity, follows)
+def _xml(root: ElementTree.Element) -> str:
+    ElementTree.indent(root, "    ")
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n"
 
 
 # Maneuvers
 
 Place = tuple[float, float, float, float]
 """World x, y, z and heading."""
-
-# Recorded paths
-# Sampled at every step, for trajectories.
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,33 +125,10 @@ class RecordedPath:
     places: list[Place] = field(default_factory=list[Place])
 
 
-def _does(id: str, user: ScenarioUser | None, way: RecordedPath, gap_m: float) -> xosc.Maneuver | None:
-    if user is None or _kind(user) in ("track", "replay"):
-        return trajectory(id, way.times_s, way.places) if len(way.times_s) > 1 else None
-    return maneuver(user, gap_m)
-
-
 def _begin(init: xosc.Init, id: str, place: Place, speed_m_s: float) -> None:
-    at_once = xosc.TransitionDynamics(words.DynamicsShapes.step, words.DynamicsDimension.time, 0)
+    immediate = xosc.TransitionDynamics(words.DynamicsShapes.step, words.DynamicsDimension.time, 0)
     init.add_init_action(id, xosc.TeleportAction(position(place)))
-    init.add_init_action(id, xosc.AbsoluteSpeedAction(speed_m_s, at_once))
-
-
-def _text(scenario: Scenario, entities: xosc.Entities, board: xosc.StoryBoard, road_file: str) -> str:
-    values, properties = msgspec.to_builtins(scenario), xosc.Properties()
-    for name in OWN_FIELDS:
-        if values[name] is not None:
-            value = values[name]
-            properties.add_property(PROPERTY + name, value if isinstance(value, str) else str(value))
-    properties.add_property(f"{PROPERTY}seed", str(scenario.rain.seed))
-    whole = xosc.Scenario(
-        scenario.description or scenario.name, "gsrain", xosc.ParameterDeclarations(), entities, board,
-        xosc.RoadNetwork(road_file), xosc.Catalog(), osc_minor_version=_MINOR, creation_date=_DATE,
-        header_properties=properties,
-    )  # fmt: skip
-    root = whole.get_element()
-    ElementTree.indent(root, "    ")
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n"
+    init.add_init_action(id, xosc.AbsoluteSpeedAction(speed_m_s, immediate))
 
 
 # Entities
@@ -163,35 +175,6 @@ def _box(size_lwh_m: tuple[float, float, float], ahead_m: float) -> xosc.Boundin
     return xosc.BoundingBox(width, length, height, round(ahead_m, 6), 0.0, round(height / 2, 6))
 
 
-# Writing
-
-
-def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
-    """Write OpenSCENARIO XML 1.2 to `path` (.xosc) and the road next to it (.xodr), byte-identical for equal input.
-
-    Positions and headings are in the scene's world frame, meters; the ego vehicle is called Ego. Rain is written as
-    precipitation in mm/h, with its visual range as fog; roads are marked wet, with unchanged friction. Road users use
-    native OpenSCENARIO elements where possible: teleports, speeds, lane changes (cubic instead of quintic),
-    trajectories, triggers by time, gap and time to collision. Car following becomes a controller with its parameters as
-    properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in the recorded drive)
-    are properties named `gsrain.*`.
-
-    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs, and ModuleNotFoundError,
-    with install instructions, without the package scenariogeneration.
-    """
-    if importlib.util.find_spec("scenariogeneration") is None:
-        raise ModuleNotFoundError(
-            "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
-        )
-    from .opendrive import road_xml
-
-    road = path.with_suffix(".xodr")
-    written = {road: road_xml(scenario, scene), path: document_xml(scenario, scene, road.name)}
-    for each, text in written.items():
-        with whole_file(each) as beside:
-            beside.write_text(text, encoding="utf-8")
-
-
 def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
     """Return the maneuver of a triggered road user; None for other behaviors.
 
@@ -208,9 +191,9 @@ def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
 
 def trajectory(id: str, times_s: Sequence[float], places: Sequence[Place]) -> xosc.Maneuver:
     """Return a trajectory that is followed by time from the start."""
-    way = xosc.Trajectory(f"{id} way", False)
-    way.add_shape(xosc.Polyline(list(times_s), [position(place) for place in places]))
-    follow = xosc.FollowTrajectoryAction(way, words.FollowingMode.position, words.ReferenceContext.absolute, 1, 0)
+    path = xosc.Trajectory(f"{id} way", False)
+    path.add_shape(xosc.Polyline(list(times_s), [position(place) for place in places]))
+    follow = xosc.FollowTrajectoryAction(path, words.FollowingMode.position, words.ReferenceContext.absolute, 1, 0)
     return _maneuver(id, [("follow", follow)], _after(id, 0.0))
 
 
@@ -286,9 +269,9 @@ def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[st
     for step in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = step * scenario.step_s
         for user in traffic.users:
-            way = found.setdefault(user.id, RecordedPath())
-            way.times_s.append(time_s)
-            way.places.append((user.x_m, user.y_m, user.z_m, user.yaw_rad))
+            path = found.setdefault(user.id, RecordedPath())
+            path.times_s.append(time_s)
+            path.places.append((user.x_m, user.y_m, user.z_m, user.yaw_rad))
         traffic.advance(time_s, ego, scenario.step_s)
     return found
 
@@ -305,7 +288,10 @@ def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
     intensity = rain.intensity_mm_h
     kind = words.PrecipitationType.rain if intensity > 0 else words.PrecipitationType.dry
     fog = wind = cloud = None
+    wetness = words.Wetness.dry
     if intensity > 0:
+        soaks = water_depth_mm(intensity) >= SOAKING_DEPTH_MM
+        wetness = words.Wetness.wetWithPuddles if soaks else words.Wetness.moist
         cloud = words.FractionalCloudCover.eightOktas
         visibility = rain_properties(rain, load_calibration(rain.calibration)).visibility_m
         fog = None if np.isinf(visibility) else words.Fog(round(visibility, 1))
@@ -313,19 +299,59 @@ def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
     if x or y:
         wind = xosc.Wind(float(np.arctan2(y, x)) % (2 * np.pi), float(np.hypot(x, y)))
     weather = xosc.Weather(cloud, fog=fog, precipitation=xosc.Precipitation(kind, intensity), wind=wind)
-    road = xosc.RoadCondition(1.0, wetness=_wetness(intensity))
+    road = xosc.RoadCondition(1.0, wetness=wetness)
     return xosc.EnvironmentAction(xosc.Environment("weather", weather=weather, roadcondition=road))
 
 
-def _wetness(intensity_mm_h: float) -> Any:
-    if intensity_mm_h == 0:
-        return words.Wetness.dry
-    soaks = water_depth_mm(intensity_mm_h) >= SOAKING_DEPTH_MM
-    return words.Wetness.wetWithPuddles if soaks else words.Wetness.moist
+# OpenDRIVE road
+
+_BEFORE_M, _BEHIND_M = 60.0, 200.0  # straight extension of the road before and after the recorded drive
+_STEP_M = 5.0
+_TOLERANCE_M = 0.01
 
 
-# Enumerations
-# scenariogeneration declares them as another type than its own classes accept.
+def road_xml(scenario: Scenario, scene: Scene) -> str:
+    """Return a road of four lanes as text: the recorded route is the center of lane -2, with right-hand traffic.
 
-words: Any = xosc
-"""`words.Rule.lessOrEqual`, `words.PrecipitationType.rain`, ..."""
+    The route becomes parametric cubics (Hermite) within centimeters of it, with continuous tangents; long ones where it
+    is straight. Height is omitted.
+    """
+    route = recorded_route(scene)
+    alongs = np.arange(-_BEFORE_M, route.length_m + _BEHIND_M + _STEP_M / 2, _STEP_M)
+    points = np.array([route.at(float(each))[:2] for each in alongs])
+    lanes = xodr.Lanes()
+    section = xodr.LaneSection(0, xodr.Lane(lane_type=xodr.LaneType.none))
+    for _ in range(3):
+        section.add_right_lane(xodr.Lane(a=LANE_M))
+    section.add_left_lane(xodr.Lane(a=LANE_M))
+    lanes.add_lanesection(section)
+    lanes.add_laneoffset(xodr.LaneOffset(0, 1.5 * LANE_M))
+    road = xodr.Road(0, _reference_line(points), lanes, name=scenario.name)
+    drive = xodr.OpenDrive(scenario.name)
+    drive.add_road(road)
+    root = drive.get_element()
+    header = root.find("header")
+    assert header is not None
+    header.set("date", str(_DATE))
+    return _xml(root)
+
+
+def _reference_line(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
+    """Return the reference line: a cubic between each pair of points."""
+    chosen = _simplified_points(points)
+    slopes, plan = np.gradient(points, _STEP_M, axis=0)[chosen], xodr.PlanView()
+    for start, end, leave, arrive in zip(points[chosen], points[chosen[1:]], slopes, slopes[1:], strict=False):
+        chord = float(np.linalg.norm(end - start))
+        heading = float(np.arctan2(leave[1], leave[0]))
+        turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+        reach, first, last = turn @ (end - start), chord * turn @ leave, chord * turn @ arrive
+        second, third = 3 * reach - 2 * first - last, first + last - 2 * reach
+        u, v = ((0.0, float(first[k]), float(second[k]), float(third[k])) for k in range(2))
+        plan.add_fixed_geometry(xodr.ParamPoly3(*u, *v), float(start[0]), float(start[1]), heading)
+    return plan
+
+
+def _simplified_points(points: Float64[np.ndarray, "n 2"]) -> Int64[np.ndarray, " m"]:
+    """Return the indices of points that define the shape: all in bends, few where it is straight."""
+    line = np.asarray(shapely.LineString(points).simplify(_TOLERANCE_M).coords)
+    return np.array([int(np.argmin(np.linalg.norm(points - each, axis=1))) for each in line])

@@ -15,9 +15,8 @@ from matplotlib.patches import Polygon
 from ...evaluation.image_metrics import MeanInterval, mean_interval
 from ...safe_io.text_files import figure_words
 from ...scene.files import whole_file
-from ..geometry import PlanarBox
+from ..geometry import PlanarBox, Route
 from ..rollout import Rollout, RolloutStep, run_setting
-from ..route import Route
 from ..vehicle import VehicleState
 from .collisions import LONGEST_S, ego_box, ego_pose, gaps_m, planned_poses, road_user_boxes, times_to_collision_s
 from .comfort import PAPER

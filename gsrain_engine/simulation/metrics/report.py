@@ -8,8 +8,8 @@ import msgspec
 
 from ...evaluation.detection.figures import figure_pixels
 from ...evaluation.report import ReportFigure, ReportTable, RunReport
+from ..geometry import Route
 from ..rollout import Rollout
-from ..route import Route
 from .figures import birds_eye_sheet, kinematics_figure
 from .summary import DriveComparison, ScoredRun, compare_drives, results_table
 

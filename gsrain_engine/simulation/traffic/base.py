@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from ..geometry import PlanarBox
-from ..route import Route
+from ..geometry import PlanarBox, Route
 from ..vehicle import Vehicle, VehicleState, vehicle_box
 
 

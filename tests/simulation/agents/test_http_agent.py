@@ -21,7 +21,7 @@ from gsrain_engine.simulation.agents.base import Agent, CameraView, Observation,
 from gsrain_engine.simulation.agents.http import ClientError, HttpAgent, HttpCalls
 from gsrain_engine.simulation.agents.neuroncap import neuroncap_message
 from gsrain_engine.simulation.agents.registry import AgentOptions, open_agent
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.simulation import Simulation, drive
 from gsrain_engine.simulation.vehicle import Vehicle, VehicleState
 from simulation.interop.road_with_lead import scenario, scene

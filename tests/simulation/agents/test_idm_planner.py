@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gsrain_engine.simulation.agents.base import LanePath
 from gsrain_engine.simulation.agents.idm import IDMPlanner, cruise_speed
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import VehicleAhead
 from gsrain_engine.simulation.vehicle import VehicleState
 

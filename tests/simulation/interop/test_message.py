@@ -15,7 +15,7 @@ from gsrain_engine.simulation.interop.hugsim_protocol import (
     hugsim_rig,
     six_hugsim_cameras,
 )
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import RoadUser
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, VehicleState
 

@@ -18,7 +18,7 @@ from gsrain_engine.simulation.metrics.figures import (
 )
 from gsrain_engine.simulation.metrics.report import drive_report_page, rollout_hash
 from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from small_rollout import approach
 
 

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import Behavior, RoadUser, TrafficState
 from gsrain_engine.simulation.traffic.models import BehaviorSettings
 
