@@ -230,9 +230,8 @@ def write_metrics_csv(path: Path, metrics: Sequence[DriveMetrics]) -> None:
         writer.writeheader()
         for each in metrics:
             values = msgspec.structs.asdict(each)
-            writer.writerow(
-                {key: str(value).lower() if isinstance(value, bool) else value for key, value in values.items()}
-            )
+            flags = {key: str(value).lower() for key, value in values.items() if isinstance(value, bool)}
+            writer.writerow(values | flags)
 
 
 # Results table, as in the paper: one row per scenario, agent and intensity, followed by definitions
@@ -254,9 +253,8 @@ class ResultsTable:
     def markdown(self) -> str:
         rule = ["---" if each in _WORDS else "---:" for each in self.columns]
         lines = [self.columns, rule, *self.rows]
-        table = "\n".join(
-            "| " + " | ".join(escape_invisible(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
-        )
+        cells = [[escape_invisible(cell).replace("|", "\\|") for cell in line] for line in lines]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in cells)
         return table + "\n\n" + "\n".join(f"* {each}" for each in self.definitions) + "\n"
 
     @property
@@ -288,7 +286,7 @@ def results_table(comparisons: Sequence[DriveComparison]) -> ResultsTable:
                 for name in ("point_collision_rate", "frame_collision_rate_hugsim")
             ]
             comfort = [
-                _text(weather.mean(f"comfort_{name}", without_collision=True)) for name in ("planned", "executed")
+                _text(weather.mean(name, without_collision=True)) for name in ("comfort_planned", "comfort_executed")
             ]
             rain = "Clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g}"
             collided = f"{hits} of {len(weather.runs)}" if has_seeds else ("Yes" if hits else "No")
