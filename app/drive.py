@@ -24,12 +24,12 @@ from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.agents.registry import AgentOptions, agent_file, agent_names, default_agent, open_agent
+from gsrain_engine.simulation.ground import recorded_route
 from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
 from gsrain_engine.simulation.obstacles import drivable_of
 from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import BACKGROUND, Rollout
 from gsrain_engine.simulation.rollout_io import write_rollout, write_rollout_parquet
-from gsrain_engine.simulation.route import recorded_route
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation

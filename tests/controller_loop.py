@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, step_bicycle
 
 CAR = Vehicle()

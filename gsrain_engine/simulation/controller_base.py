@@ -1,6 +1,6 @@
 """Controllers: protocol, settings, pure pursuit and preparation of plans for tracking."""
 
-from typing import Annotated, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -17,7 +17,6 @@ class Controller(Protocol):
 
     def reset(self) -> None:
         """Forget the previous drive."""
-        ...
 
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
@@ -26,7 +25,6 @@ class Controller(Protocol):
 
         `plan` is in the vehicle's current frame (x forward, y left, meters), n >= 1.
         """
-        ...
 
 
 # Settings
@@ -99,22 +97,14 @@ class PurePursuit:
 # Reachable plans
 
 
-class ReachablePlan(NamedTuple):
-    """Plan points that full braking can reach without overshoot."""
-
-    points: Float64[np.ndarray, "n 2"]
-    full_braking: bool
-    """True if even the last point is nearer than full braking allows."""
-
-
 def make_reachable(
     plan: Float64[np.ndarray, "n 2"], speed_m_s: float, braking_m_s2: float, spacing_s: float
-) -> ReachablePlan:
+) -> tuple[Float64[np.ndarray, "n 2"], bool]:
     """Move points that are too near forward along the plan's line, and straight on beyond its end.
 
     A tracker turns around toward points that it has already passed, so a plan for an immediate stop would steer the
     vehicle off the road. A plan within 0.1 m of the vehicle is such a stop, with noise. `plan` is in the vehicle's
-    frame (x forward, y left).
+    frame (x forward, y left). Also returns whether even the last point is nearer than full braking allows.
     """
     if np.linalg.norm(plan, axis=1).max() < SHORTEST_M:
         plan = np.zeros_like(plan)
@@ -127,14 +117,16 @@ def make_reachable(
     heading = float(directions(steps)[-1])
     beyond = np.maximum(least - along[-1], 0.0)[:, None] * (np.cos(heading), np.sin(heading))
     moved = np.stack([np.interp(least, along, line[:, axis]) for axis in range(2)], axis=1) + beyond
-    return ReachablePlan(np.where(near[:, None], moved, plan), bool(near[-1]))
+    return np.where(near[:, None], moved, plan), bool(near[-1])
 
 
 # Reference states
 
-HeadingReference = Literal["tangent", "hugsim"]
 SHORTEST_M = 0.1
 """Minimum distance between points that define a direction; closer points are jitter around a stop."""
+
+
+HeadingReference = Literal["tangent", "hugsim"]
 
 
 def tracked_states(plan: Float64[np.ndarray, "n 2"], reference: HeadingReference) -> Float64[np.ndarray, "points 5"]:
@@ -146,7 +138,18 @@ def tracked_states(plan: Float64[np.ndarray, "n 2"], reference: HeadingReference
     states = np.zeros((len(plan) + 1, 5))
     states[1:, :2] = plan
     steps = np.diff(states[:, :2], axis=0)
-    states[1:, 2] = _tangents(steps) if reference == "tangent" else _swapped(steps)
+    if reference == "hugsim":
+        # HUGSIM's published heading: arctan2(forward, right) folded into +-90 degrees, right positive. For a straight
+        # plan it is 90 degrees instead of 0 (fixed by HUGSIM's pull request 57). Its sign is that of the lateral step,
+        # so tiny deviations to the left and right give opposite headings.
+        right = np.arctan2(steps[:, 0], -steps[:, 1])
+        right = np.where(right > np.pi / 2, right - np.pi, right)
+        states[1:, 2] = -np.where(right < -np.pi / 2, right + np.pi, right)
+    else:
+        # Halfway between the adjacent steps; the last extrapolates the turn.
+        found = directions(steps)
+        turns = np.diff(found) if len(found) > 1 else np.zeros(1)
+        states[1:, 2] = found + 0.5 * np.append(turns, turns[-1])[: len(found)]
     return states
 
 
@@ -163,21 +166,3 @@ def directions(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
             before += turn
         found[i] = before
     return found
-
-
-def _tangents(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """Return headings at the points: halfway between the adjacent steps; the last extrapolates the turn."""
-    found = directions(steps)
-    turns = np.diff(found) if len(found) > 1 else np.zeros(1)
-    return found + 0.5 * (np.concatenate([turns, turns[-1:]]) if len(found) > 1 else turns)
-
-
-def _swapped(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """Return HUGSIM's published heading: arctan2(forward, right) folded into +-90 degrees, right positive.
-
-    For a straight plan it is 90 degrees instead of 0 (fixed by HUGSIM's pull request 57). Its sign is that of the
-    lateral step, so tiny deviations to the left and right give opposite headings.
-    """
-    right = np.arctan2(steps[:, 0], -steps[:, 1])
-    right = np.where(right > np.pi / 2, right - np.pi, right)
-    return -np.where(right < -np.pi / 2, right + np.pi, right)

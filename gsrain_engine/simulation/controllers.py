@@ -1,6 +1,5 @@
 """iLQR trajectory tracker and the table of controllers."""
 
-from collections.abc import Callable
 from typing import no_type_check
 
 import numba
@@ -10,8 +9,6 @@ from jaxtyping import Float64
 from .controller_base import Controller, ControllerSettings, PurePursuit, make_reachable, tracked_states
 from .geometry import wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
-
-# iLQR tracker
 
 
 class ILQRTracker:
@@ -38,27 +35,27 @@ class ILQRTracker:
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Control:
         if self._settings.heading_reference == "hugsim":
-            return _first(self.inputs(vehicle, state, plan, spacing_s))
+            return Control(*self.inputs(vehicle, state, plan, spacing_s)[0].tolist())
         braking = float(self._limits(vehicle)[0])
         points, full_braking = make_reachable(plan, state.speed_m_s, braking, spacing_s)
-        control = _first(self.inputs(vehicle, state, points, spacing_s))
-        return Control(-braking, control.steer_rate_rad_s) if full_braking else control
+        acceleration, steer_rate = self.inputs(vehicle, state, points, spacing_s)[0].tolist()
+        return Control(-braking if full_braking else acceleration, steer_rate)
 
     def inputs(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Float64[np.ndarray, "n 2"]:
         """Return accelerations (m/s2) and steering rates (rad/s, left positive) over the plan's whole horizon."""
-        wanted = tracked_states(plan, self._settings.heading_reference)
+        reference = tracked_states(plan, self._settings.heading_reference)
         limits, at = self._limits(vehicle), 0.0 if self._settings.heading_reference == "hugsim" else 0.5
         steer = float(np.clip(state.steer_rad, -limits[3], limits[3]))
         start = np.array([0.0, 0.0, 0.0, state.speed_m_s, steer])
-        inputs = first_inputs(wanted, state.speed_m_s, steer, vehicle.wheelbase_m, spacing_s)
-        states = np.empty((len(wanted), STATES))
+        inputs = first_inputs(reference, state.speed_m_s, steer, vehicle.wheelbase_m, spacing_s)
+        states = np.empty((len(reference), STATES))
         better, offsets = np.empty_like(inputs), np.empty_like(inputs)
         gains = np.empty((len(inputs), INPUTS, STATES))
         roll_out(start, inputs, spacing_s, at, vehicle.wheelbase_m, limits, states)
         for _ in range(self._settings.iterations):
-            solve_lqr_policy(states, inputs, wanted, spacing_s, at, vehicle.wheelbase_m, _WEIGHTS, gains, offsets)
+            solve_lqr_policy(states, inputs, reference, spacing_s, at, vehicle.wheelbase_m, _WEIGHTS, gains, offsets)
             forward_pass(states, inputs, spacing_s, at, vehicle.wheelbase_m, limits, gains, offsets, better)
             change = float(np.sqrt(np.sum((better - inputs) ** 2)))
             inputs, better = better, inputs
@@ -77,14 +74,8 @@ class ILQRTracker:
         ])  # fmt: skip
 
 
-_CONTROLLERS: dict[str, Callable[[ControllerSettings], Controller]] = {
-    "ilqr": ILQRTracker,
-    "pure-pursuit": lambda settings: PurePursuit(),
-}
-
-
 def open_controller(settings: ControllerSettings) -> Controller:
-    return _CONTROLLERS[settings.kind](settings)
+    return ILQRTracker(settings) if settings.kind == "ilqr" else PurePursuit()
 
 
 # iLQR kernels
@@ -97,12 +88,6 @@ _WEIGHTS = np.array([1, 1, 10, 0, 0, 1, 10, *[1] * STATES, *[1] * INPUTS], np.fl
 """Weights of errors of x, y, heading, speed, steering; of acceleration and steering rate; of the trust region."""
 
 _TOLERANCE = 1e-6  # the search ends when the norm of the input change is smaller
-
-
-def _first(inputs: Float64[np.ndarray, "n 2"]) -> Control:
-    return Control(float(inputs[0, 0]), float(inputs[0, 1]))
-
-
 _SLOWEST_M_S = 0.01  # minimum speed for linearization; at standstill steering would have no effect
 
 
@@ -168,7 +153,7 @@ def roll_out(start, controls, dt, at, wheelbase, limits, states):
 
 @numba.njit(cache=True)
 @no_type_check
-def solve_lqr_policy(states, controls, wanted, dt, at, wheelbase, weights, gains, offsets):
+def solve_lqr_policy(states, controls, reference, dt, at, wheelbase, weights, gains, offsets):
     """Write the optimal linear policy for deviations, by dynamic programming backward from the horizon.
 
     `weights`: of state errors (5), inputs (2), deviations of states (5) and of inputs (2) from the current iterate; the
@@ -178,15 +163,14 @@ def solve_lqr_policy(states, controls, wanted, dt, at, wheelbase, weights, gains
     value, slope_of_value = np.zeros((STATES, STATES)), np.zeros(STATES)
     for i in range(STATES):
         value[i, i] = weights[i] + weights[7 + i]
-    _add_error(states[count], wanted[count], weights, slope_of_value)
+    _add_error(states[count], reference[count], weights, slope_of_value)
     slope, effect = np.empty((STATES, STATES)), np.empty((STATES, INPUTS))
     for k in range(count - 1, -1, -1):
         linearize_dynamics(states[k], controls[k], dt, at, wheelbase, slope, effect)
         _answer(value, slope_of_value, slope, effect, controls[k], weights, gains[k], offsets[k])
-        value, slope_of_value = _before(
-            value, slope_of_value, slope, effect, gains[k], offsets[k], controls[k], weights
-        )
-        _add_error(states[k], wanted[k], weights, slope_of_value)
+        gain, offset = gains[k], offsets[k]
+        value, slope_of_value = _before(value, slope_of_value, slope, effect, gain, offset, controls[k], weights)
+        _add_error(states[k], reference[k], weights, slope_of_value)
 
 
 @numba.njit(cache=True)
@@ -206,10 +190,10 @@ def forward_pass(states, controls, dt, at, wheelbase, limits, gains, offsets, be
 
 @numba.njit(cache=True)
 @no_type_check
-def _add_error(state, wanted, weights, slope_of_value):
+def _add_error(state, reference, weights, slope_of_value):
     """Add the gradient of one step's tracking cost."""
     for i in range(STATES):
-        error = state[i] - wanted[i]
+        error = state[i] - reference[i]
         slope_of_value[i] += weights[i] * (wrap_angle_kernel(error) if i == 2 else error)
 
 
@@ -228,14 +212,14 @@ def _product(left, right):
 @no_type_check
 def _answer(value, slope_of_value, slope, effect, control, weights, gain, offset):
     """Minimize one step's cost plus the following value over the inputs."""
-    pulled = _product(effect.T, value)  # (2, 5)
-    square = _product(pulled, effect)
+    projected = _product(effect.T, value)  # (2, 5)
+    square = _product(projected, effect)
     a, b, d = square[0, 0] + weights[5] + weights[12], square[0, 1], square[1, 1] + weights[6] + weights[13]
     determinant = a * d - b * b
-    pulls = _product(pulled, slope)
+    by_state = _product(projected, slope)
     for j in range(STATES):
-        gain[0, j] = -(d * pulls[0, j] - b * pulls[1, j]) / determinant
-        gain[1, j] = -(a * pulls[1, j] - b * pulls[0, j]) / determinant
+        gain[0, j] = -(d * by_state[0, j] - b * by_state[1, j]) / determinant
+        gain[1, j] = -(a * by_state[1, j] - b * by_state[0, j]) / determinant
     u, w = weights[5] * control[0], weights[6] * control[1]
     for i in range(STATES):
         u += effect[i, 0] * slope_of_value[i]
@@ -260,8 +244,8 @@ def _before(value, slope_of_value, slope, effect, gain, offset, control, weights
         for m in range(STATES):
             earlier_slope[i] += closed[m, i] * reached[m]
         for u in range(INPUTS):
-            pull = weights[5 + u] * (control[u] + offset[u]) + weights[12 + u] * offset[u]
-            earlier_slope[i] += gain[u, i] * pull
+            force = weights[5 + u] * (control[u] + offset[u]) + weights[12 + u] * offset[u]
+            earlier_slope[i] += gain[u, i] * force
             for j in range(STATES):
                 earlier[i, j] += (weights[5 + u] + weights[12 + u]) * gain[u, i] * gain[u, j]
     return earlier, earlier_slope
@@ -321,6 +305,6 @@ def _fitted_curvatures(
 
 
 def _regularized_least_squares(
-    matrix: Float64[np.ndarray, "n n"], wanted: Float64[np.ndarray, " n"], penalty: Float64[np.ndarray, "n n"]
+    matrix: Float64[np.ndarray, "n n"], reference: Float64[np.ndarray, " n"], penalty: Float64[np.ndarray, "n n"]
 ) -> Float64[np.ndarray, " n"]:
-    return np.linalg.pinv(matrix.T @ matrix + penalty) @ (matrix.T @ wanted)
+    return np.linalg.pinv(matrix.T @ matrix + penalty) @ (matrix.T @ reference)

@@ -1,7 +1,4 @@
-"""Ground of a scene: height grids, road surface fitting, and small pieces of the solid background.
-
-World frame, meters.
-"""
+"""Ground of a scene: road surface, recorded drive, and small pieces of the solid background. World frame, meters."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 from ..scene.gaussians import Gaussians, scene_cache
 from ..scene.geometry import matrices_from_quaternions
 from ..scene.scene import Scene
+from .geometry import Route
 
 SENSOR_HEIGHT_M = 1.5
 """Height of the rig frame's origin above the road if the scene does not state it (paper, sec. on rain regions)."""
@@ -118,14 +116,12 @@ def find_road_surface(
     parallel to the drive and moves iteratively to the smoothed mean of parts in a band around it, while smoothing and
     band narrow. It thus follows slopes and passes under cars and bushes. Empty areas keep the coarser result.
     """
-    spot = np.array([LATERAL_EXTENT_M, LATERAL_EXTENT_M, 0.0])
-    reach = WorldRegion(
-        drive.min(axis=0) - spot - [0, 0, _DEEPEST_M + 2], drive.max(axis=0) + spot + [0, 0, _HIGHEST_M + 2]
-    )
+    low, high = _around(drive)
+    reach = WorldRegion(low - [0, 0, _DEEPEST_M + 2], high + [0, 0, _HIGHEST_M + 2])
     grid = _followed(drive, reach)
     pieces = gaussian_pieces(scene, reach, _CELL_M)
     if below_m is None:
-        below_m = _depth_below(drive, pieces.places, pieces.top_m2, else_m)
+        below_m = _depth_below(drive, pieces, else_m)
     heights = grid.heights_m - below_m
     rows, columns = heights.shape
     place = np.rint((pieces.places[:, :2] - grid.corner_m) / grid.cell_m).astype(np.int64)
@@ -137,10 +133,10 @@ def find_road_surface(
         for _ in range(times):
             above = z - level[cells]
             weight = share * np.exp(-0.5 * (above / band_m) ** 2) * np.where(above > 0.5 * band_m, _ABOVE_COUNTS, 1.0)
+            sums = [np.bincount(cells, each, rows * columns) for each in (weight * above, weight)]
             moved, known = (
-                _smoothed(_summed(cells, each, (rows, columns)), scale_m / grid.cell_m)
-                for each in (weight * above, weight)
-            )
+                _smoothed(each.astype(np.float64).reshape(rows, columns), scale_m / grid.cell_m) for each in sums
+            )  # bincount gives integers without values
             level = level + (moved / (known + _ENOUGH)).ravel()
     return HeightGrid(grid.corner_m, grid.cell_m, level.reshape(rows, columns)), below_m
 
@@ -173,9 +169,9 @@ def _followed(drive: Float64[np.ndarray, "n 3"], reach: WorldRegion) -> HeightGr
     cell = max(_CELL_M, float((high - low).max()) / _MAX_CELLS)
     columns, rows = (np.ceil((high - low) / cell).astype(int) + 1).tolist()
     y, x = np.mgrid[:rows, :columns] * cell
-    way = _dense(drive)
-    nearest = scipy.spatial.KDTree(way[:, :2]).query(np.stack([x.ravel() + low[0], y.ravel() + low[1]], axis=1))[1]
-    heights = way[np.asarray(nearest), 2].reshape(rows, columns)
+    path = _dense(drive)
+    nearest = scipy.spatial.KDTree(path[:, :2]).query(np.stack([x.ravel() + low[0], y.ravel() + low[1]], axis=1))[1]
+    heights = path[np.asarray(nearest), 2].reshape(rows, columns)
     return HeightGrid((float(low[0]), float(low[1])), cell, _smoothed(heights, 2.0 / cell))
 
 
@@ -186,17 +182,12 @@ def _dense(drive: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
     return np.stack([np.interp(steps, along, drive[:, axis]) for axis in range(3)], axis=1)
 
 
-def _depth_below(
-    drive: Float64[np.ndarray, "n 3"],
-    places: Float64[np.ndarray, "m 3"],
-    top_m2: Float64[np.ndarray, " m"],
-    else_m: float,
-) -> float:
+def _depth_below(drive: Float64[np.ndarray, "n 3"], pieces: "GaussianPieces", else_m: float) -> float:
     """Return the most frequent depth of flat parts below the drive."""
-    way = _dense(drive)
-    away, nearest = scipy.spatial.KDTree(way[:, :2]).query(places[:, :2])
+    path = _dense(drive)
+    away, nearest = scipy.spatial.KDTree(path[:, :2]).query(pieces.places[:, :2])
     under = np.asarray(away) < _UNDER_M
-    depth, area = way[np.asarray(nearest)[under], 2] - places[under, 2], top_m2[under]
+    depth, area = path[np.asarray(nearest)[under], 2] - pieces.places[under, 2], pieces.top_m2[under]
     edges = np.arange(-_HIGHEST_M, _DEEPEST_M + _BIN_M / 2, _BIN_M)
     histogram = np.convolve(np.histogram(depth, edges, weights=area)[0], np.ones(3), mode="same")
     best = int(np.argmax(histogram))
@@ -204,12 +195,6 @@ def _depth_below(
         return else_m
     near = np.abs(depth - (edges[best] + _BIN_M / 2)) < 2 * _BIN_M
     return float(np.average(depth[near], weights=area[near]))
-
-
-def _summed(
-    cells: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"], shape: tuple[int, int]
-) -> Float64[np.ndarray, "rows columns"]:
-    return np.bincount(cells, values, shape[0] * shape[1]).astype(np.float64).reshape(shape)  # int without values
 
 
 def _smoothed(grid: Float64[np.ndarray, "rows columns"], sigma: float) -> Float64[np.ndarray, "rows columns"]:
@@ -234,10 +219,34 @@ def recorded_extent(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.
     Without a drive it surrounds the origin. Heights are those of the drive.
     """
     drive = recorded_ego_positions(scene)
-    if not len(drive):
-        drive = np.zeros((1, 3))
+    return _around(drive if len(drive) else np.zeros((1, 3)))
+
+
+def _around(drive: Float64[np.ndarray, "n 3"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
     spot = np.array([LATERAL_EXTENT_M, LATERAL_EXTENT_M, 0.0])
     return drive.min(axis=0) - spot, drive.max(axis=0) + spot
+
+
+_STEP_M = 0.5  # minimum spacing of a route; closer samples of a recorded drive mostly show noise
+
+
+def recorded_route(scene: Scene) -> Route:
+    """Return the route of the scene's ego vehicle.
+
+    Raises ValueError if the scene has no ego vehicle or it does not move.
+    """
+    if scene.ego is None:
+        raise ValueError(
+            f"scene {scene.name!r} has no drive to follow: it has no ego vehicle; let one drive along a camera path "
+            "(gsrain convert --drive, in the window Ego drives along the path)"
+        )
+    points: list[np.ndarray] = []
+    for place in recorded_ego_positions(scene)[:, :2]:
+        if not points or np.linalg.norm(place - points[-1]) >= _STEP_M:
+            points.append(place)
+    if len(points) < 2:
+        raise ValueError(f"scene {scene.name!r} has no drive to follow: its ego vehicle moves less than {_STEP_M} m")
+    return Route(np.array(points))
 
 
 SOLID = 0.5
@@ -308,13 +317,12 @@ def _strewn(
 ) -> Iterator[GaussianPieces]:
     """Distribute pieces over each Gaussian. A flat one's projected areas along the axes are area times normal."""
     spread = axes @ axes.transpose(0, 2, 1)
-    shadow = [
-        2 * np.pi * opacities * np.sqrt(np.maximum(_minor(spread, *pair), 0)) for pair in ((1, 2), (0, 2), (0, 1))
-    ]
+    minors = [spread[:, i, i] * spread[:, j, j] - spread[:, i, j] ** 2 for i, j in ((1, 2), (0, 2), (0, 1))]
+    shadow = [2 * np.pi * opacities * np.sqrt(np.maximum(minor, 0)) for minor in minors]
     side, top = np.hypot(shadow[0], shadow[1]), shadow[2]
     longest = np.sqrt(np.einsum("nii->ni", spread).max(axis=1, initial=0.0))
-    for count, least, most in _COUNTS:
-        own = np.flatnonzero((longest >= least * cell_m) & (longest < most * cell_m))
+    for count, low, high in _COUNTS:
+        own = np.flatnonzero((longest >= low * cell_m) & (longest < high * cell_m))
         draws = _DRAWS[:count] - _DRAWS[:count].mean(axis=0)
         places = (centers[own, None] + np.einsum("kj,nij->nki", draws, axes[own])).reshape(-1, 3)
         inside = ((places >= reach.low) & (places <= reach.high)).all(axis=1)
@@ -323,7 +331,3 @@ def _strewn(
             inside &= (above > reach.slab.low_m) & (above < reach.slab.high_m)
         sides, tops = (np.repeat(each[own] / count, count)[inside] for each in (side, top))
         yield GaussianPieces(places[inside], sides, tops)
-
-
-def _minor(spread: Float64[np.ndarray, "n 3 3"], i: int, j: int) -> Float64[np.ndarray, " n"]:
-    return spread[:, i, i] * spread[:, j, j] - spread[:, i, j] ** 2

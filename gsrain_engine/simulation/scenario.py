@@ -1,5 +1,6 @@
 """Scenario settings (start, road users, weather, end), initial poses, and traffic."""
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import msgspec
@@ -9,17 +10,16 @@ from msgspec import Meta
 from ..rain.settings import RainSettings
 from ..scene.scene import Actor, Scene
 from .controller_base import ControllerSettings
+from .geometry import Route
 from .ground import RoadSurface
 from .rollout import BACKGROUND
-from .route import Route
-from .traffic.appearance import VehicleModel, vehicle_model
+from .traffic.appearance import vehicle_model
 from .traffic.base import EGO, Behavior, RoadUser, TrafficState
 from .traffic.models import BehaviorSettings
 from .traffic.tracks import RecordedTrack
 from .vehicle import Vehicle, VehicleState
 
 _Side = Annotated[float, Meta(gt=0, le=100)]
-_RESERVED_IDS = (EGO, BACKGROUND)  # ids that roll-outs reserve
 
 
 class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -109,16 +109,15 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     def __post_init__(self) -> None:
         ids = [user.id for user in self.road_users]
-        doubled = next((each for each in ids if ids.count(each) > 1), None)
-        if doubled is not None:
-            raise ValueError(f"two road users are called {doubled!r}")
-        taken = next((each for each in ids if each in _RESERVED_IDS), None)
-        if taken is not None:
-            raise ValueError(f"a road user can't be called {taken!r}: roll-outs mean something else by it")
+        for each in ids:
+            if ids.count(each) > 1:
+                raise ValueError(f"two road users are called {each!r}")
+        for each in ids:
+            if each in (EGO, BACKGROUND):
+                raise ValueError(f"a road user can't be called {each!r}: roll-outs mean something else by it")
 
 
-# Initial poses
-# World frame, meters.
+# Initial poses: world frame, meters
 
 
 def start_along_m(scenario: Scenario, scene: Scene, route: Route) -> float:
@@ -154,51 +153,41 @@ def start_place(user: ScenarioUser, scenario: Scenario, scene: Scene, route: Rou
     return float(x), float(y), heading + float(np.radians(user.turned_deg))
 
 
-# Traffic
-
-
 class Traffic:
     """The scenario's road users and the scene's own actors that it keeps, advanced step by step."""
 
     def __init__(self, scenario: Scenario, scene: Scene, route: Route, ground: RoadSurface) -> None:
         self._scenario, self._scene, self._route, self._ground = scenario, scene, route, ground
-        self.looks: dict[str, VehicleModel] = {
-            user.id: vehicle_model(user.model, scene) for user in scenario.road_users
-        }
+        self.looks = {user.id: vehicle_model(user.model, scene) for user in scenario.road_users}
         """Models of the scenario's own road users, by id."""
-        self._kept = _remaining_actors(scenario, scene)
-        self._rules: dict[str, Behavior] = {}
-        self._present: dict[str, RoadUser | None] = {}
-        self.everybody: tuple[RoadUser, ...] = ()
-        """All road users that ever appeared, each in its first state."""
+        actors = _remaining_actors(scenario, scene)
+        self._recorded = {actor.id: RecordedTrack(scene, actor, scenario.start_s) for actor in actors}
         self.reset()
 
     def reset(self) -> None:
-        self.everybody = ()
-        self._rules, self._present = {}, {}
+        self.everybody: tuple[RoadUser, ...] = ()
+        """All road users that ever appeared, each in its first state."""
+        self._rules: dict[str, Behavior] = {}
+        self._latest: dict[str, RoadUser] = {}
+        present: dict[str, RoadUser | None] = {}
         for user in self._scenario.road_users:
             rule = self._rules[user.id] = user.behaviour.begin(self._scene, self._scenario.start_s)
-            begins = rule.start(self._placed(user))
-            self._present[user.id] = begins if begins is None else self._grounded(begins, user.id)
-        for actor in self._kept:
-            track = RecordedTrack(self._scene, actor, self._scenario.start_s)
-            self._rules[actor.id], self._present[actor.id] = track, track.at(0.0)
-        self._meet()
+            placed = self._latest[user.id] = self._placed(user)
+            present[user.id] = rule.start(placed)
+        self._meet(present, 0.0)
 
     @property
     def users(self) -> tuple[RoadUser, ...]:
         """Road users that are present."""
-        return tuple(user for user in self._present.values() if user is not None)
+        return tuple(self._present.values())
 
     def advance(self, time_s: float, ego: RoadUser, dt_s: float) -> None:
         """Advance all road users simultaneously, each based on the previous states of the others."""
-        before = self._present
-        self._present = {}
+        moved: dict[str, RoadUser | None] = {}
         for id, rule in self._rules.items():
-            others = tuple(user for key, user in before.items() if user is not None and key != id)
-            moved = rule.next(before[id], TrafficState(time_s, ego, others, self._route), dt_s)
-            self._present[id] = moved if moved is None else self._grounded(moved, id)
-        self._meet()
+            others = tuple(user for key, user in self._present.items() if key != id)
+            moved[id] = rule.next(self._latest[id], TrafficState(time_s, ego, others, self._route), dt_s)
+        self._meet(moved, time_s + dt_s)
 
     def _placed(self, user: ScenarioUser) -> RoadUser:
         """Return a road user at its initial place, measured from the ego vehicle's center."""
@@ -206,11 +195,14 @@ class Traffic:
         size = user.size_lwh_m or self.looks[user.id].size_lwh_m
         return RoadUser(user.id, user.class_name, size, x, y, yaw, user.speed_m_s)
 
-    def _grounded(self, user: RoadUser, id: str) -> RoadUser:
-        """Place a road user on the ground; a recorded one keeps its own height."""
-        return user if id not in self.looks else user.moved(z_m=self._ground.height_m(user.x_m, user.y_m))
-
-    def _meet(self) -> None:
+    def _meet(self, moved: dict[str, RoadUser | None], time_s: float) -> None:
+        """Put moved road users on the ground; recorded ones keep their own heights."""
+        grounded = {
+            id: user and replace(user, z_m=self._ground.height_m(user.x_m, user.y_m)) for id, user in moved.items()
+        }
+        everyone = grounded | {id: track.at(time_s) for id, track in self._recorded.items()}
+        self._present = {id: user for id, user in everyone.items() if user is not None}
+        self._latest |= self._present
         known = {user.id for user in self.everybody}
         self.everybody = (*self.everybody, *(user for user in self.users if user.id not in known))
 
@@ -218,13 +210,13 @@ class Traffic:
 def _remaining_actors(scenario: Scenario, scene: Scene) -> tuple[Actor, ...]:
     actors = {actor.id: actor for actor in scene.actors}
     names = tuple(id for id, actor in actors.items() if actor.visible) if scenario.keep == "all" else scenario.keep
-    for name in names:
-        if name not in actors:
-            known = ", ".join(actors) or "none"
-            raise ValueError(
-                f"scenario {scenario.name}: scene {scene.name!r} has no actor {name!r} to keep, only {known}"
-            )
-    taken = next((user.id for user in scenario.road_users if user.id in names), None)
-    if taken is not None:
-        raise ValueError(f"scenario {scenario.name}: road user {taken!r} is called like an actor that it keeps")
+    missing = next((name for name in names if name not in actors), None)
+    if missing is not None:
+        known = ", ".join(actors) or "none"
+        raise ValueError(
+            f"scenario {scenario.name}: scene {scene.name!r} has no actor {missing!r} to keep, only {known}"
+        )
+    double = next((user.id for user in scenario.road_users if user.id in names), None)
+    if double is not None:
+        raise ValueError(f"scenario {scenario.name}: road user {double!r} is called like an actor that it keeps")
     return tuple(actors[name] for name in names)

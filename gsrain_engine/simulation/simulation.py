@@ -28,12 +28,11 @@ from .agents.base import (
 )
 from .agents.registry import AgentOptions, open_agent
 from .controllers import open_controller
-from .geometry import PlanarBox
-from .ground import RoadSurface, road_surface_of
+from .geometry import PlanarBox, Route, RouteCoordinates
+from .ground import RoadSurface, recorded_route, road_surface_of
 from .metrics.summary import ScoredRun
 from .obstacles import OccupiedSpace, drivable_of, occupied_space_of
 from .rollout import BACKGROUND, EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
-from .route import Route, RouteCoordinates, recorded_route
 from .scenario import Scenario, Traffic, start_state
 from .scenario_io import load_scenario
 from .sensors import RigRenderer, camera_of_width, needed_cameras, rig_cameras

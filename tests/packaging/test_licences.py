@@ -47,7 +47,7 @@ def test_what_is_allowed(licences, expression, allowed):
 
 
 @pytest.mark.parametrize(
-    ("header", "text", "license"),
+    ("header", "text", "licence"),
     [
         ("License-Expression: mit", "", "MIT"),
         ("License: 3-Clause BSD License", "", "BSD-3-Clause"),
@@ -59,13 +59,13 @@ def test_what_is_allowed(licences, expression, allowed):
         ("Summary: silent", "Permission is hereby granted, free of charge, to any person obtaining a copy", "MIT"),
     ],
 )
-def test_licences_are_read_from_what_packages_say(licences, tmp_path, header, text, license):
+def test_licences_are_read_from_what_packages_say(licences, tmp_path, header, text, licence):
     folder = tmp_path / "thing-1.0.dist-info"
     folder.mkdir()
     (folder / "METADATA").write_text(f"Metadata-Version: 2.4\nName: thing\nVersion: 1.0\n{header}\n")
     (folder / "LICENSE.txt").write_text(text)
     (folder / "RECORD").write_text("thing-1.0.dist-info/METADATA,,\nthing-1.0.dist-info/LICENSE.txt,,\n")
-    assert licences.licence_of(metadata.Distribution.at(folder)) == license
+    assert licences.licence_of(metadata.Distribution.at(folder)) == licence
 
 
 def test_the_page_names_every_direct_dependency(licences):

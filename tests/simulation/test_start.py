@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from curved_scene import RADIUS_M, curved_scene
-from gsrain_engine.simulation.route import recorded_route
+from gsrain_engine.simulation.ground import recorded_route
 from gsrain_engine.simulation.scenario import Scenario, start_place, start_state
 from gsrain_engine.simulation.simulation import Simulation
 from small_scene import small_scene

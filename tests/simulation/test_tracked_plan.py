@@ -40,26 +40,26 @@ def test_hugsims_heading_is_folded_and_to_the_right():
 def test_what_can_be_kept_is_kept():
     plan = np.cumsum([[4.0, 0.1], [3.5, 0.2], [3.0, 0.3]], axis=0)
     found = make_reachable(plan, 8.0, 3.0, 0.5)
-    assert not found.full_braking
-    np.testing.assert_array_equal(found.points, plan)
+    assert not found[1]
+    np.testing.assert_array_equal(found[0], plan)
 
 
 def test_a_full_stop_is_straight_on_to_the_end_of_full_braking():
     found = make_reachable(STAND, 8.0, 4.0, 0.5)
-    assert found.full_braking
-    np.testing.assert_allclose(found.points[:, 1], 0, atol=1e-12)
-    np.testing.assert_allclose(found.points[:, 0], [3.5, 6.0, 7.5, 8.0, 8.0, 8.0])
+    assert found[1]
+    np.testing.assert_allclose(found[0][:, 1], 0, atol=1e-12)
+    np.testing.assert_allclose(found[0][:, 0], [3.5, 6.0, 7.5, 8.0, 8.0, 8.0])
 
 
 def test_a_stop_round_a_corner_goes_on_behind_the_corner():
     plan = np.array([[1.0, 0], [2.0, 0], [2.0, 1.0], [2.0, 1.0]])
     found = make_reachable(plan, 4.0, 2.0, 0.5)
-    assert found.full_braking
+    assert found[1]
     # 1.75, 3 (at the plan's end), 3.75 and 4 m of way: the last two beyond the end, as it pointed
-    np.testing.assert_allclose(found.points, [[1.75, 0], [2, 1], [2, 1.75], [2, 2]], atol=1e-12)
+    np.testing.assert_allclose(found[0], [[1.75, 0], [2, 1], [2, 1.75], [2, 2]], atol=1e-12)
 
 
 def test_standing_still_nothing_is_moved():
     found = make_reachable(STAND, 0.0, 3.0, 0.5)
-    assert not found.full_braking
-    np.testing.assert_array_equal(found.points, STAND)
+    assert not found[1]
+    np.testing.assert_array_equal(found[0], STAND)

@@ -9,15 +9,12 @@ from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ...scene.camera import Camera
 from ...scene.scene import RigCamera
-from ..route import Route
+from ..geometry import Route
 from ..traffic.base import RoadUser
 from ..vehicle import Vehicle, VehicleState
 
-SPACING_S = 0.5
-"""Time between the points of a plan, and from now to the first point."""
-
-FARTHEST_M = 10_000.0
-"""Maximum reach of a plan; plans with farther points are rejected."""
+SPACING_S = 0.5  # time between the points of a plan, and from now to the first point
+FARTHEST_M = 10_000.0  # maximum reach of a plan; plans with farther points are rejected
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,40 +106,29 @@ class Agent(Protocol):
     @property
     def name(self) -> str:
         """Name in tables and roll-outs."""
-        ...
 
     @property
     def needs(self) -> SensorRequirements:
         """Required sensor data."""
-        ...
 
     def reset(self, seed: int, rig: Rig) -> None:
         """Start a drive and forget the previous one."""
-        ...
 
     def plan(self, observation: Observation) -> Trajectory | None:
         """Return a plan; None ends the drive."""
-        ...
 
     def close(self) -> None:
         """Release resources; the agent is not used again."""
-        ...
 
 
 COMMANDS: tuple[Command, ...] = ("right", "left", "straight")
 """In nuScenes' numbering, which UniAD, HUGSIM and NeuroNCAP share: 0, 1, 2."""
 
-# Virtual lidar frame
-# Camera-only stacks still use it as their reference.
+# Virtual lidar frame: camera-only stacks still use it as their reference
 
 FROM_FRONT_CAMERA_M = (-0.76, -0.02, 0.33)
-"""Position of nuScenes' LIDAR_TOP relative to its CAM_FRONT, in vehicle axes (x forward, y left, z up).
-
-Sample log of 2018-07-24, to a centimeter; HUGSIM's `l2c` of its CAM_FRONT agrees to two centimeters.
-"""
-
-_AXES = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""Rotation from lidar axes (x right, y forward, z up) to rig axes (x forward, y left, z up)."""
+"""Position of nuScenes' LIDAR_TOP relative to its CAM_FRONT, in vehicle axes (x forward, y left, z up):
+sample log of 2018-07-24, to a centimeter; HUGSIM's `l2c` of its CAM_FRONT agrees to two centimeters."""
 
 
 def front_camera(cameras: tuple[RigCamera, ...]) -> RigCamera:
@@ -152,15 +138,14 @@ def front_camera(cameras: tuple[RigCamera, ...]) -> RigCamera:
 
 def lidar_to_rig(front: RigCamera) -> Float64[np.ndarray, "4 4"]:
     """Return the pose of the lidar (x right, y forward, z up) in the rig frame (x forward, y left, z up), meters."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = _AXES
-    matrix[:3, 3] = front.camera_to_ego[:3, 3] + FROM_FRONT_CAMERA_M
-    return matrix
+    pose = np.eye(4)
+    # From lidar axes (x right, y forward, z up) to rig axes (x forward, y left, z up).
+    pose[:3, :3] = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    pose[:3, 3] = front.camera_to_ego[:3, 3] + FROM_FRONT_CAMERA_M
+    return pose
 
 
 # Constant-velocity agent
-
-_POINTS = 6
 
 
 class ConstantVelocityAgent:
@@ -175,30 +160,33 @@ class ConstantVelocityAgent:
     def plan(self, observation: Observation) -> Trajectory:
         state = observation.state
         along = observation.route.nearest(state.x_m, state.y_m).along_m
-        distances = along + state.speed_m_s * SPACING_S * np.arange(1, _POINTS + 1)
+        distances = along + state.speed_m_s * SPACING_S * np.arange(1, 7)
         return Trajectory(state.from_world(np.array([observation.route.at(float(s))[:2] for s in distances])))
 
     def close(self) -> None:
         """Do nothing."""
 
 
-# Lane path
-# Follows the route and returns smoothly to it from a lateral offset. World frame, meters.
+# Lane path: follows the route and returns smoothly to it from a lateral offset; world frame, meters
 
 _SHORTEST_RETURN_M, _RETURN_S = 6.0, 1.5
-"""Decay length of the lateral offset (to 1/e): the larger of a distance and a time at the current speed.
-
-At 10 m/s and an offset of 1 m the lateral acceleration is 0.4 m/s2, which is comfortable.
-"""
+"""Decay length of the lateral offset (to 1/e): the larger of a distance and a time at the current speed. At 10 m/s
+and an offset of 1 m the lateral acceleration is 0.4 m/s2, which is comfortable."""
 
 
 class PathCoordinates(NamedTuple):
-    """Position relative to a path."""
+    """Distance along the route from the vehicle's rear axle, and offset from the path, left positive."""
 
     ahead_m: float
-    """Distance along the route from the vehicle's rear axle."""
     left_m: float
-    """Lateral offset from the path, left positive."""
+
+
+_CLEARANCE_M = 0.25  # lateral clearance of a car; streets with parked cars leave half a meter
+
+
+def half_corridor_m(vehicle: Vehicle) -> float:
+    """Return half the width of the corridor that a vehicle needs."""
+    return vehicle.width_m / 2 + _CLEARANCE_M
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,7 +208,7 @@ class LanePath:
     def points(self, distances_m: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
         """Return the points at given distances in the vehicle's frame (x forward, y left); (0, 0) at distance 0."""
         start = self.route.at(self.along_m, self.left_m)[:2]
-        there = [self.route.at(self.along_m + float(s), self._lateral_normal(float(s)))[:2] for s in distances_m]
+        there = [self.route.at(self.along_m + float(s), self._offset_at(float(s)))[:2] for s in distances_m]
         # In bends a laterally offset point and its nearest route point differ slightly; the vehicle stays the start.
         away = np.array(there).reshape(-1, 2) - start + (self.state.x_m, self.state.y_m)
         return self.state.from_world(away)
@@ -229,20 +217,8 @@ class LanePath:
         """Return the position of a world point relative to the path."""
         on_route = self.route.nearest(x_m, y_m)
         ahead = on_route.along_m - self.along_m
-        return PathCoordinates(ahead, on_route.left_m - self._lateral_normal(max(ahead, 0.0)))
+        return PathCoordinates(ahead, on_route.left_m - self._offset_at(max(ahead, 0.0)))
 
-    def heading(self, ahead_m: float) -> float:
-        """Return the route's world heading in radians at a distance ahead."""
-        return self.route.at(self.along_m + ahead_m)[2]
-
-    def _lateral_normal(self, ahead_m: float) -> float:
+    def _offset_at(self, ahead_m: float) -> float:
         reach = max(_SHORTEST_RETURN_M, _RETURN_S * self.state.speed_m_s)
         return self.left_m * float(np.exp(-ahead_m / reach))
-
-
-def half_corridor_m(vehicle: Vehicle) -> float:
-    """Return half the width of the corridor that a vehicle needs."""
-    return vehicle.width_m / 2 + _CLEARANCE_M
-
-
-_CLEARANCE_M = 0.25  # lateral clearance of a car; streets with parked cars leave half a meter

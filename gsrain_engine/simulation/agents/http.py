@@ -56,20 +56,21 @@ class HttpAgent:
         until = time.monotonic() + self._alive_wait_s
         while True:
             try:
-                self._calls.get("/alive", min(_TRY_S, self._alive_wait_s))
+                self._calls.call("GET", "/alive", None, min(_TRY_S, self._alive_wait_s))
                 break
             except ClientError as problem:
                 if time.monotonic() + _PAUSE_S > until:
                     raise ClientError(f"nobody is there within {self._alive_wait_s:g} s: {problem}") from None
             time.sleep(_PAUSE_S)
-        self._calls.post("/reset", b"{}", self._answer_wait_s)
+        self._calls.call("POST", "/reset", b"{}", self._answer_wait_s)
         self._rig = rig
 
     def plan(self, observation: Observation) -> Trajectory:
         """Return the server's plan. Raises ClientError for a missing or invalid reply."""
         if self._rig is None:
             raise ClientError("there is no drive: reset the agent first")
-        data = self._calls.post("/infer", neuroncap_message(observation, self._rig), self._answer_wait_s)
+        message = neuroncap_message(observation, self._rig)
+        data = self._calls.call("POST", "/infer", message, self._answer_wait_s)
         return read_plan(data, self._calls.url)
 
     def close(self) -> None:
@@ -82,26 +83,17 @@ def read_plan(data: bytes, url: str) -> Trajectory:
         reply = msgspec.json.decode(data, type=_Reply)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as problem:
         raise ClientError(f"{url}/infer answers what is no plan: {printable_line(problem)}") from None
-    return Trajectory(plan_points(reply.trajectory, url), _notes(reply.aux_outputs))
+    found = reply.aux_outputs
+    notes = {}
+    if found is not None and found.objects_in_bev:
+        notes = {name: (value or [])[:_MAX_OBJECTS] for name, value in msgspec.structs.asdict(found).items()}
+    return Trajectory(plan_points(reply.trajectory, url), notes)
 
 
-def _notes(seen: _Objects | None) -> dict[str, Any]:
-    """Return the stack's detections as plain values; empty if there are none."""
-    if seen is None or not seen.objects_in_bev:
-        return {}
-    return {
-        "objects_in_bev": seen.objects_in_bev[:_MAX_OBJECTS],
-        "object_classes": (seen.object_classes or [])[:_MAX_OBJECTS],
-        "object_scores": (seen.object_scores or [])[:_MAX_OBJECTS],
-    }
-
-
-# HTTP calls
-# One deadline and one size limit apply to a whole call.
+# HTTP calls: one deadline and one size limit for a whole call
 
 _MAX_BYTES = 8 << 20  # maximum size of everything that a server sends, including headers
 _PORTS = {"http": 80, "https": 443}
-_OK = 200
 _FAILURE_CHARACTERS = 200
 
 
@@ -123,18 +115,11 @@ class HttpCalls:
         self._host, self._port = host, port or _PORTS[parts.scheme]
         self._named = parts.netloc.rpartition("@")[2]
 
-    def get(self, path: str, within_s: float) -> bytes:
-        """Send a GET request; returns the body of a reply with status 200."""
-        return self._call("GET", path, None, within_s)
-
-    def post(self, path: str, body: bytes, within_s: float) -> bytes:
-        """Send a POST request with JSON; returns the body of a reply with status 200.
+    def call(self, method: str, path: str, body: bytes | None, within_s: float) -> bytes:
+        """Send a request, a body as JSON; returns the body of a reply with status 200.
 
         Raises ClientError for a missing, late, too long or truncated reply, or another status.
         """
-        return self._call("POST", path, body, within_s)
-
-    def _call(self, method: str, path: str, body: bytes | None, within_s: float) -> bytes:
         where = f"{self.url}{path}"
         try:
             reply, data = self._exchange(method, path, body, Deadline(within_s))
@@ -146,7 +131,7 @@ class HttpCalls:
             raise ClientError(f"{where} can't be reached: {problem.strerror or problem}") from None
         except h11.RemoteProtocolError as problem:
             raise ClientError(f"{where} answers what is no whole HTTP: {printable_line(problem)}") from None
-        if reply.status_code != _OK:
+        if reply.status_code != 200:
             words = printable_line(data.decode(errors="replace"), _FAILURE_CHARACTERS)
             reason = printable_line(reply.reason.decode("latin-1"), _FAILURE_CHARACTERS)
             raise ClientError(f"{where} answers {reply.status_code} {reason}: {words}")
@@ -160,9 +145,8 @@ class HttpCalls:
         asked = [http.send(h11.Request(method=method, target=self._path + path, headers=headers))]
         asked += [http.send(h11.Data(data=body))] if body else []
         asked += [http.send(h11.EndOfMessage())]
-        wire = ServerConnection(
-            self._host, self._port, deadline, ByteBudget(_MAX_BYTES, self.url), is_secure=self._secure
-        )
+        budget = ByteBudget(_MAX_BYTES, self.url)
+        wire = ServerConnection(self._host, self._port, deadline, budget, is_secure=self._secure)
         try:
             for part in asked:
                 wire.send(part or b"")
@@ -170,7 +154,9 @@ class HttpCalls:
             for event in _events(http, wire, deadline):
                 if isinstance(event, h11.Response):
                     reply = event
-                    _check_length(reply, self.url)
+                    for header, value in reply.headers:
+                        if header == b"content-length":
+                            ByteBudget(_MAX_BYTES, self.url).spend(int(value))
                 elif isinstance(event, h11.Data):
                     data += event.data
         finally:
@@ -197,21 +183,9 @@ def _events(http: h11.Connection, wire: ServerConnection, deadline: Deadline) ->
             raise h11.RemoteProtocolError("it goes over to another protocol")
 
 
-def _check_length(reply: h11.Response, name: str) -> None:
-    """Raise `TooLargeError` if the announced length exceeds the limit."""
-    for header, value in reply.headers:
-        if header == b"content-length":
-            ByteBudget(_MAX_BYTES, name).spend(int(value))
-
-
-# Errors
-
-
 class ClientError(ValueError):
     """The external agent has ended, does not respond, or returned an invalid plan, so the drive can't continue."""
 
-
-# Plan validation
 
 _MAX_POINTS = 1000
 
@@ -239,9 +213,7 @@ def plan_points(value: Any, who: str) -> Float64[np.ndarray, "n 2"]:
 
 
 def _is_pair(row: Any) -> bool:
-    if isinstance(row, np.ndarray):
-        return row.shape == (2,)
     if not isinstance(row, list):
-        return False
+        return isinstance(row, np.ndarray) and row.shape == (2,)
     pair: list[Any] = row
     return len(pair) == 2 and all(isinstance(each, int | float) and abs(each) < 1e300 for each in pair)

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ...evaluation.detection.detector import Detection
-from ..traffic.base import RoadUser
+from ..traffic.base import RoadUser, VehicleAhead
 from ..vehicle import Vehicle
-from .base import SPACING_S, CameraView, LanePath, Observation, Rig, SensorRequirements, Trajectory, half_corridor_m
-from .lead_tracking import LeadState, LeadTracker, LeadVehicle, road_user_class, sightings
+from .base import SPACING_S, LanePath, Observation, Rig, SensorRequirements, Trajectory, half_corridor_m
+from .lead_tracking import LeadState, LeadTracker, road_user_class, sightings
 
 _POINTS = 6
 _SUBSTEPS = 10
@@ -45,29 +45,25 @@ class IDMPlanner:
     creep_m: float = 1.5
     """Additional gap needed to set off behind a standing vehicle."""
 
-    def points(self, path: LanePath, lead: LeadVehicle | None) -> Float64[np.ndarray, "6 2"]:
-        """Return the positions 0.5 s, 1 s, ..., 3 s from now, in the vehicle's frame (x forward, y left)."""
-        return path.points(self.distances(path.state.speed_m_s, lead))
-
-    def distances(self, speed_m_s: float, lead: LeadVehicle | None) -> Float64[np.ndarray, "6"]:
+    def distances(self, speed_m_s: float, lead: VehicleAhead | None) -> Float64[np.ndarray, "6"]:
         """Return the distances covered 0.5 s, 1 s, ..., 3 s from now, non-decreasing; the lead keeps its speed."""
         step_s = SPACING_S / _SUBSTEPS
-        speed, way = max(speed_m_s, 0.0), 0.0
-        ways: list[float] = []
+        speed, covered = max(speed_m_s, 0.0), 0.0
+        distances: list[float] = []
         for step in range(_POINTS * _SUBSTEPS):
-            there = lead and LeadVehicle(lead.gap_m + lead.speed_m_s * step * step_s - way, lead.speed_m_s)
+            there = lead and VehicleAhead(lead.gap_m + lead.speed_m_s * step * step_s - covered, lead.speed_m_s)
             acceleration = self.acceleration(speed, there)
             if speed + acceleration * step_s <= 0:
-                way += 0.5 * speed * speed / -acceleration if speed > 0 else 0.0
+                covered += 0.5 * speed * speed / -acceleration if speed > 0 else 0.0
                 speed = 0.0
             else:
-                way += (speed + 0.5 * acceleration * step_s) * step_s
+                covered += (speed + 0.5 * acceleration * step_s) * step_s
                 speed += acceleration * step_s
             if (step + 1) % _SUBSTEPS == 0:
-                ways.append(way)
-        return np.array(ways)
+                distances.append(covered)
+        return np.array(distances)
 
-    def acceleration(self, speed_m_s: float, lead: LeadVehicle | None) -> float:
+    def acceleration(self, speed_m_s: float, lead: VehicleAhead | None) -> float:
         """Return the acceleration (m/s2) for a speed and a lead."""
         free = self.acceleration_m_s2 * (1 - (speed_m_s / self.cruise_m_s) ** 4)
         if lead is None:
@@ -77,15 +73,15 @@ class IDMPlanner:
             return -self.max_comfortable_m_s2
         return min(self._follow(speed_m_s, lead, free), -self._hard(speed_m_s, lead))
 
-    def _follow(self, speed_m_s: float, lead: LeadVehicle, free_m_s2: float) -> float:
+    def _follow(self, speed_m_s: float, lead: VehicleAhead, free_m_s2: float) -> float:
         """Return the IDM acceleration; the desired gap grows with the speed and the closing speed."""
         closing = speed_m_s - lead.speed_m_s
         moving = speed_m_s * closing / (2 * np.sqrt(self.acceleration_m_s2 * self.braking_m_s2))
-        wanted = self.standstill_gap_m + max(0.0, speed_m_s * self.time_gap_s + float(moving))
-        share = wanted / max(lead.gap_m, 0.1)
+        desired = self.standstill_gap_m + max(0.0, speed_m_s * self.time_gap_s + float(moving))
+        share = desired / max(lead.gap_m, 0.1)
         return max(free_m_s2 - self.acceleration_m_s2 * share * share, -self.max_comfortable_m_s2)
 
-    def _hard(self, speed_m_s: float, lead: LeadVehicle) -> float:
+    def _hard(self, speed_m_s: float, lead: VehicleAhead) -> float:
         """Return emergency braking; minus infinity without an emergency."""
         closing = speed_m_s - lead.speed_m_s
         if closing <= 0:
@@ -127,12 +123,9 @@ class OracleIDMAgent:
             self._planner = IDMPlanner(cruise, hard_m_s2=self._vehicle.most_braking_m_s2)
         path = LanePath.of(observation.state, observation.route)
         known = find_oracle_lead(observation.road_users, path, self._vehicle)
-        points = self._planner.points(path, known and known.lead)
-        if known is None:
-            return Trajectory(points, {"lead": None})
-        return Trajectory(
-            points, {"lead": {"id": known.id, "gap_m": known.lead.gap_m, "speed_m_s": known.lead.speed_m_s}}
-        )
+        points = path.points(self._planner.distances(path.state.speed_m_s, known and known.lead))
+        lead = known and {"id": known.id, "gap_m": known.lead.gap_m, "speed_m_s": known.lead.speed_m_s}
+        return Trajectory(points, {"lead": lead})
 
     def close(self) -> None:
         """Do nothing."""
@@ -142,7 +135,7 @@ class OracleLead(NamedTuple):
     """Ground-truth lead in the lane."""
 
     id: str
-    lead: LeadVehicle
+    lead: VehicleAhead
 
 
 def find_oracle_lead(users: Sequence[RoadUser], path: LanePath, vehicle: Vehicle) -> OracleLead | None:
@@ -154,27 +147,25 @@ def find_oracle_lead(users: Sequence[RoadUser], path: LanePath, vehicle: Vehicle
     return min(found, key=lambda each: each.lead.gap_m, default=None)
 
 
-def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> LeadVehicle | None:
+def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> VehicleAhead | None:
     corners = [path.place(float(x), float(y)) for x, y in user.box.corners]
     middle = path.place(user.x_m, user.y_m)
     if middle.ahead_m < vehicle.middle_m or max(each.ahead_m for each in corners) < vehicle.front_m:
         return None
-    turned = user.yaw_rad - path.heading(middle.ahead_m)
+    turned = user.yaw_rad - path.route.at(path.along_m + middle.ahead_m)[2]
     half, sideways = half_corridor_m(vehicle), user.speed_m_s * float(np.sin(turned)) * _FORESIGHT_S
     low, high = min(each.left_m for each in corners), max(each.left_m for each in corners)
     if low + min(sideways, 0.0) > half or high + max(sideways, 0.0) < -half:
         return None
     gap = min(each.ahead_m for each in corners) - vehicle.front_m
-    return LeadVehicle(gap, user.speed_m_s * float(np.cos(turned)))
+    return VehicleAhead(gap, user.speed_m_s * float(np.cos(turned)))
 
 
 # Camera agent
 
 _MIN_CONFIDENCE = 0.1
-"""Minimum confidence of detections. Those from here to `lead_tracking.MIN_CONFIDENCE` only extend a known lead.
-
-ByteTrack does the same (Zhang et al. 2022): rain lowers confidence before it hides a car.
-"""
+"""Minimum confidence of detections. Those from here to `lead_tracking.MIN_CONFIDENCE` only extend a known lead, as in
+ByteTrack (Zhang et al. 2022): rain lowers confidence before it hides a car."""
 
 _DIGITS = 3
 
@@ -186,11 +177,9 @@ class ObjectDetector(Protocol):
     @property
     def name(self) -> str:
         """Name in roll-outs."""
-        ...
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
         """Return the detections in an image (RGB)."""
-        ...
 
 
 class CameraIDMAgent:
@@ -224,30 +213,24 @@ class CameraIDMAgent:
             self._planner = IDMPlanner(cruise, hard_m_s2=self._vehicle.most_braking_m_s2)
             self._time_s = observation.time_s
         path = LanePath.of(state, observation.route)
-        view = _front(observation)
+        if len(observation.views) != 1:
+            raise ValueError(f"camera-idm sees by one front camera; it was shown {len(observation.views)} pictures")
+        (view,) = observation.views.values()
         found = [each for each in self._detector.detect(view.image) if each.confidence >= _MIN_CONFIDENCE]
         seen = sightings(found, view.camera, observation.height_m, path, self._vehicle)
         front = path.along_m + self._vehicle.front_m
         watched = self._watch.look(seen, front, state.speed_m_s, observation.time_s - self._time_s)
         self._time_s = observation.time_s
-        points = self._planner.points(path, watched and watched.lead)
-        return Trajectory(points, self._notes(found, watched))
+        points = path.points(self._planner.distances(state.speed_m_s, watched and watched.lead))
+        notes = {
+            "detector": self._detector.name,
+            "detections": [_detection_note(each) for each in found if road_user_class(each) is not None],
+            "lead": watched and _lead_note(watched),
+        }
+        return Trajectory(points, notes)
 
     def close(self) -> None:
         """Do nothing: all resources are released automatically."""
-
-    def _notes(self, found: list[Detection], watched: LeadState | None) -> dict[str, Any]:
-        return {
-            "detector": self._detector.name,
-            "detections": [_detection_note(each) for each in found if road_user_class(each) is not None],
-            "lead": None if watched is None else _lead_note(watched),
-        }
-
-
-def _front(observation: Observation) -> CameraView:
-    if len(observation.views) != 1:
-        raise ValueError(f"camera-idm sees by one front camera; it was shown {len(observation.views)} pictures")
-    return next(iter(observation.views.values()))
 
 
 def _detection_note(detection: Detection) -> dict[str, Any]:

@@ -9,19 +9,9 @@ import numpy as np
 from ...evaluation.detection.detector import Detection
 from ...scene.camera import Camera
 from ...scene.objects import coco_class
+from ..traffic.base import VehicleAhead
 from ..vehicle import Vehicle
-from .base import LanePath, PathCoordinates, half_corridor_m
-
-
-@dataclass(frozen=True, slots=True)
-class LeadVehicle:
-    """State of the lead vehicle in the lane."""
-
-    gap_m: float
-    """Gap from the front bumper to its nearest part, along the route; 0 or less if they touch."""
-    speed_m_s: float
-    """Its speed along the route; negative when oncoming."""
-
+from .base import LanePath, half_corridor_m
 
 # Track of one road user
 
@@ -30,7 +20,7 @@ _GATE = 3.0  # gate in standard deviations; sightings farther from the predictio
 _GATE_M = 1.5  # additional gate width, for detectors with unsteady boxes
 _COAST_S, _NEAR_COAST_S = 1.0, 30.0
 _NEAR_M, _STANDS_M_S = 6.0, 0.5
-"""Distance and speed below which a lost road user is kept for up to half a minute as standing.
+"""Distance and speed below which a lost road user counts as standing for up to half a minute.
 
 Other tracks last one second without sightings, longer than wipers and gusts of rain take. Detectors lose vehicles so
 near that they leave the image at the bottom; one that drives on is detected again, and setting off behind one that
@@ -38,14 +28,10 @@ stays would hit it.
 """
 
 MIN_CONFIDENCE = 0.3
-"""Minimum confidence to start or confirm a track; less confident sightings only extend tracks.
-
-COCO detectors find most objects with few false alarms at 0.25 to 0.4.
-"""
+"""Minimum confidence to start or confirm a track; less confident sightings only extend tracks. COCO detectors find
+most objects with few false alarms at 0.25 to 0.4."""
 
 _SURE = 0.6  # confidence that suffices for one sighting; less confident ones must be seen twice
-
-# Sightings
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +128,11 @@ _DOUBLE_M = 4.0
 
 
 class LeadState(NamedTuple):
-    """The lead and its latest sighting."""
+    """The lead, its track, and its sighting in the current image; None if missed."""
 
-    lead: LeadVehicle
+    lead: VehicleAhead
     track: LeadTrack
     sighting: Sighting | None
-    """Sighting of the current image; None if missed."""
 
 
 class LeadTracker:
@@ -157,16 +142,16 @@ class LeadTracker:
         self._tracks: list[tuple[LeadTrack, Sighting | None]] = []
 
     def look(self, seen: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> LeadState | None:
-        """Update all tracks with the sightings after `dt_s`.
+        """Update all tracks with the sightings after `dt_s`; returns the nearest confirmed one, None in a free lane.
 
-        `front_along_m` is the position of the front bumper along the route. Returns the nearest confirmed track; None
-        if the lane is free.
+        `front_along_m` is the position of the front bumper along the route.
         """
         left = list(seen)
         tracks: list[tuple[LeadTrack, Sighting | None]] = []
         for track, _ in sorted(self._tracks, key=lambda each: each[0].along_m):
             track = track.later(dt_s)
-            sighting = _nearest(track, left, front_along_m)
+            near = [(away, each) for each in left if (away := track.distance(each, front_along_m)) is not None]
+            sighting = min(near, key=lambda each: each[0])[1] if near else None
             if sighting is not None:
                 left.remove(sighting)
                 track = track.updated(sighting, front_along_m)
@@ -182,13 +167,7 @@ class LeadTracker:
         if not sure:
             return None
         track, sighting = min(sure, key=lambda each: each[0].along_m)
-        return LeadState(LeadVehicle(track.along_m - front_along_m, track.speed_m_s), track, sighting)
-
-
-def _nearest(track: LeadTrack, seen: Sequence[Sighting], front_along_m: float) -> Sighting | None:
-    """Return the sighting nearest to a prediction, or None outside the gate."""
-    near = [(away, each) for each in seen if (away := track.distance(each, front_along_m)) is not None]
-    return min(near, key=lambda each: each[0])[1] if near else None
+        return LeadState(VehicleAhead(track.along_m - front_along_m, track.speed_m_s), track, sighting)
 
 
 WIDTHS_M = {"car": 1.8, "truck": 2.5, "bus": 2.5, "train": 2.9, "motorcycle": 0.8, "bicycle": 0.6, "person": 0.5}
@@ -202,10 +181,8 @@ _EDGE = 0.03  # margin as a share of the image; a box that ends closer to the ed
 _BOX_ERROR = 0.002  # standard error of a box edge between images, as a share of the image width (1.6 px in 800)
 _MIN_ERROR_M = 0.3
 _WIDTH_ERROR = 0.1
-"""Relative error of an assumed width; the gap is shortened accordingly.
-
-This avoids hitting cars of unusual width, and cars that fill the image and exceed their boxes.
-"""
+"""Relative error of an assumed width. The gap is shortened by it, to avoid hitting cars of unusual width, and cars
+that fill the image and exceed their boxes."""
 
 _FARTHEST_M = 80.0  # maximum distance; beyond it the lower box edge is closer to the horizon than its error
 
@@ -233,8 +210,9 @@ def _sighting(
         return None
     left, _, right, bottom = detection.box_xyxy
     middle = (left + right) / 2
-    focal, above = camera.fy, float(camera.position[2]) - height_m
-    depth = _depth_of_ground(camera, middle, bottom, above)
+    above = float(camera.position[2]) - height_m
+    down = -float(camera.camera_to_world[2, :3] @ _ray(camera, middle, bottom))
+    depth = above / down if down > 0 else np.inf  # where the ray meets the ground; nowhere above the horizon
     cut_below = bottom > (1 - _EDGE) * camera.height
     overhang, error = OVERHANGS_M.get(name, 0.0), 0.0
     if cut_below:  # the contact point is outside the image, so it is nearer than the edge suggests
@@ -244,28 +222,17 @@ def _sighting(
             depth, overhang = by_width, error
     if not 0 < depth <= _FARTHEST_M:
         return None
-    place = _placed(camera, middle, depth, path)
+    x, y, _ = camera.position + depth * (camera.camera_to_world[:3, :3] @ _ray(camera, middle, camera.cy))
+    place = path.place(float(x), float(y))
     width = min((right - left) * depth / camera.fx, WIDTHS_M[name])
     if (left < _EDGE * camera.width) != (right > (1 - _EDGE) * camera.width):
         # Truncated on one side: its center lies farther out than the box, whose center alone must be in the lane.
         width = 0.0
     if abs(place.left_m) - width / 2 > half_corridor_m(vehicle):
         return None
-    by_edge = _BOX_ERROR * camera.width * depth * depth / (focal * above)
+    by_edge = _BOX_ERROR * camera.width * depth * depth / (camera.fy * above)
     gap = place.ahead_m - overhang - vehicle.front_m
     return Sighting(detection, gap, float(np.hypot(_MIN_ERROR_M, max(error, by_edge))))
-
-
-def _depth_of_ground(camera: Camera, u: float, v: float, above_m: float) -> float:
-    """Return the depth at which the ray through a pixel meets the ground; infinite above the horizon."""
-    down = -float(camera.camera_to_world[2, :3] @ _ray(camera, u, v))
-    return above_m / down if down > 0 else np.inf
-
-
-def _placed(camera: Camera, u: float, depth_m: float, path: LanePath) -> PathCoordinates:
-    """Return the path position of an image column at a depth."""
-    x, y, _ = camera.position + depth_m * (camera.camera_to_world[:3, :3] @ _ray(camera, u, camera.cy))
-    return path.place(float(x), float(y))
 
 
 def _ray(camera: Camera, u: float, v: float) -> np.ndarray:

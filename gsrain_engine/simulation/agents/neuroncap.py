@@ -12,16 +12,8 @@ from jaxtyping import UInt8
 
 from ...scene.scene import RigCamera
 from ..vehicle import yaw_rate
-from .base import (
-    COMMANDS,
-    ConstantVelocityAgent,
-    Observation,
-    Rig,
-    SensorRequirements,
-    Trajectory,
-    front_camera,
-    lidar_to_rig,
-)
+from . import base
+from .base import Observation, Rig, Trajectory
 
 _HALF_WIDTH_M, _START_M, _AHEAD_S = 2.5, 2.0, 2.0
 _STOP = np.zeros((6, 2))
@@ -36,14 +28,13 @@ class NeuroNCAPBaselineAgent:
     """
 
     name = "neuroncap-baseline"
-    needs = SensorRequirements()
+    needs = base.SensorRequirements()
 
     def __init__(self) -> None:
-        self._onward = ConstantVelocityAgent()
+        self._onward = base.ConstantVelocityAgent()
         self._length_m: float | None = None
 
     def reset(self, seed: int, rig: Rig) -> None:
-        self._onward.reset(seed, rig)
         self._length_m = None
 
     def plan(self, observation: Observation) -> Trajectory:
@@ -73,14 +64,14 @@ _GRAVITY_M_S2 = 9.8
 def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
     """Return the `/infer` body: images as base64 tensors, pose, bus signals, microseconds, command, calibration."""
     pictures = {name: base64.b64encode(tensor_file(view.image)).decode() for name, view in observation.views.items()}
-    shown = [each for each in rig.cameras if each.name in observation.views]
+    cameras = [each for each in rig.cameras if each.name in observation.views]
     message = {
         "images": pictures,
         "ego2world": observation.state.rig_to_world(0.0).tolist(),
         "canbus": can_bus(observation, rig),
         "timestamp": round(1e6 * observation.time_s),
-        "command": COMMANDS.index(observation.command),
-        "calibration": _calibration(shown, rig),
+        "command": base.COMMANDS.index(observation.command),
+        "calibration": _calibration(cameras, rig),
     }
     return msgspec.json.encode(message)
 
@@ -89,7 +80,7 @@ def can_bus(observation: Observation, rig: Rig) -> list[float]:
     """Return nuScenes' sixteen bus signals.
 
     Position (m; z is 0 as in NeuroNCAP), orientation (wxyz), acceleration (m/s2, gravity upward), turn rates (rad/s)
-    and     velocity (m/s), the last three in the ego frame.
+    and velocity (m/s), the last three in the ego frame.
     """
     state = observation.state
     turning = yaw_rate(rig.vehicle, state)
@@ -110,7 +101,7 @@ def _calibration(cameras: list[RigCamera], rig: Rig) -> dict[str, Any]:
             each.name: [[each.fx, 0.0, each.cx], [0.0, each.fy, each.cy], [0.0, 0.0, 1.0]] for each in cameras
         },
         "camera2ego": {each.name: (rig_to_ego @ each.camera_to_ego).tolist() for each in cameras},
-        "lidar2ego": (rig_to_ego @ lidar_to_rig(front_camera(rig.cameras))).tolist(),
+        "lidar2ego": (rig_to_ego @ base.lidar_to_rig(base.front_camera(rig.cameras))).tolist(),
     }
 
 

@@ -71,8 +71,8 @@ def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: 
         return agent_in_file(name, options, trusted_only=trusted_only)
     if name in _SHIPPED:
         return _SHIPPED[name](options)
-    if (installed := find_extension(AGENTS, name)) is not None:
-        return _installed(installed, options)
+    if (extension := find_extension(AGENTS, name)) is not None:
+        return _of_package(extension, options)
     raise ValueError(f"agent {name}: there is none of that name, only {', '.join(agent_names())}")
 
 
@@ -92,29 +92,28 @@ def default_agent(options: AgentOptions) -> tuple[str, str | None]:
     return "camera-idm", None
 
 
-_INSTEAD = "oracle-idm drives instead of camera-idm"
-
-
-def _installed(extension: Extension, options: AgentOptions) -> Agent:
+def _of_package(extension: Extension, options: AgentOptions) -> Agent:
     """Create an agent of an installed package; errors name the package."""
     maker = extension.load_callable()
     try:
         agent = maker(options)
     except Exception as error:  # third-party code may raise anything
         raise extension.unfit(error) from error
-    if not isinstance(agent, Agent):
-        raise extension.unfit(
-            f"makes a {type(agent).__name__}, which has not the properties and methods of an agent: name, needs, "
-            "reset, plan, close"
-        )
-    return agent
+    if isinstance(agent, Agent):
+        return agent
+    raise extension.unfit(
+        f"makes a {type(agent).__name__}, which has not the properties and methods of an agent: {_OF_AGENTS}"
+    )
 
 
-# Agents in Python files
-# `my_driver.py`, or `my_driver.py:NAME` to select one of several.
+_INSTEAD = "oracle-idm drives instead of camera-idm"
+
+
+# Agents in Python files: `my_driver.py`, or `my_driver.py:NAME` to select one of several
 
 _SUFFIX = ".py"
 _METHODS = ("reset", "plan", "close")
+_OF_AGENTS = "name, needs, reset, plan, close"
 
 
 def agent_file(name: str) -> Path | None:
@@ -124,10 +123,7 @@ def agent_file(name: str) -> Path | None:
 
 
 def agent_code(name: str) -> Code | None:
-    """Read the file of an agent name with its local imports; None for a registered name.
-
-    Raises ValueError if the file does not exist.
-    """
+    """Read the file of an agent name with its local imports; None for a registered name. Raises ValueError."""
     path = agent_file(name)
     if path is None:
         return None
@@ -145,15 +141,19 @@ def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Age
     """
     path = agent_file(name)
     assert path is not None
-    wanted = name[len(str(path)) + 1 :] if not name.endswith(_SUFFIX) else ""
+    chosen = name[len(str(path)) + 1 :] if not name.endswith(_SUFFIX) else ""
     module = _module(path, name, trusted_only)
-    maker = _named(module, name, wanted) if wanted else _only_class(module, name)
+    maker = getattr(module, chosen, None) if chosen else _only_class(module, name)
+    if not callable(maker):
+        raise ValueError(f"agent {name}: has no class or function {chosen}")
     try:
         agent = maker(options) if _takes_one(maker) else maker()
     except Exception as error:  # third-party code may raise anything
         raise ValueError(f"agent {name}: {error or type(error).__name__}") from error
     if not isinstance(agent, Agent):
-        raise ValueError(f"agent {name}: {_missing(agent)}")
+        absent = ", ".join(each for each in ("name", "needs", *_METHODS) if not hasattr(agent, each))
+        kind = type(agent).__name__
+        raise ValueError(f"agent {name}: is a {kind}, which has no {absent}: an agent has {_OF_AGENTS}")
     return agent
 
 
@@ -193,13 +193,6 @@ def _only_class(module: ModuleType, name: str) -> Any:
     raise ValueError(f"agent {name}: has several agents: say which as {name}:NAME, one of {names}")
 
 
-def _named(module: ModuleType, name: str, wanted: str) -> Any:
-    maker = getattr(module, wanted, None)
-    if not callable(maker):
-        raise ValueError(f"agent {name}: has no class or function {wanted}")
-    return maker
-
-
 def _takes_one(maker: Any) -> bool:
     """Return whether a class or function takes a positional argument."""
     try:
@@ -207,9 +200,3 @@ def _takes_one(maker: Any) -> bool:
     except (TypeError, ValueError):
         return False
     return any(each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD) for each in parameters)
-
-
-def _missing(agent: object) -> str:
-    absent = [each for each in ("name", "needs", *_METHODS) if not hasattr(agent, each)]
-    kind = type(agent).__name__
-    return f"is a {kind}, which has no {', '.join(absent)}: an agent has name, needs, reset, plan, close"

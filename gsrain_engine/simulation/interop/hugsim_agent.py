@@ -13,26 +13,12 @@ from jaxtyping import Float64
 from ...safe_io.limits import open_file
 from ..agents.base import Observation, Rig, SensorRequirements, Trajectory
 from ..agents.http import ClientError
+from . import hugsim_protocol as protocol
 from .hugsim_pickle import old_pickle
-from .hugsim_protocol import (
-    CAMERA_NAMES,
-    MAX_BYTES,
-    OBSERVATIONS,
-    PLANS,
-    ChannelOrder,
-    HugsimWorld,
-    Pipes,
-    Timeouts,
-    camera_params,
-    hugsim_info,
-    hugsim_obs,
-    read_reply,
-    six_hugsim_cameras,
-)
 
 _log = logging.getLogger(__name__)
 FIRST_WAIT_S, LATER_WAIT_S = 120.0, 60.0
-"""Timeouts for the first plan, which includes model loading, and for later ones."""
+"""protocol.Timeouts for the first plan, which includes model loading, and for later ones."""
 
 _LEAVE_WAIT_S = 100.0  # wait for the client, which writes a video, after "Done"; same as in HUGSIM
 _SHORT_S = 2.0  # timeout of "Done" for a client that has failed
@@ -53,7 +39,7 @@ class HugsimAgent:
         self,
         folder: Path,
         client_command: str | None = None,
-        channel_order: ChannelOrder = "rgb",
+        channel_order: protocol.ChannelOrder = "rgb",
         *,
         semantic: bool = False,
         depth: bool = False,
@@ -67,9 +53,9 @@ class HugsimAgent:
         """
         self.folder = folder.absolute()
         self._command, self._semantic, self._depth = client_command, semantic, depth
-        self._channels: ChannelOrder = channel_order
+        self._channels: protocol.ChannelOrder = channel_order
         self._first_wait_s, self._later_wait_s = first_wait_s, later_wait_s
-        self._pipes = Pipes(self.folder)
+        self._pipes = protocol.Pipes(self.folder)
         self._client: ClientProcess | None = None
         self._drive: _HugsimDrive | None = None
 
@@ -78,22 +64,18 @@ class HugsimAgent:
         """All cameras of the rig and the optional outputs."""
         return SensorRequirements(("all",), self._depth, self._semantic)
 
-    @property
-    def invitation(self) -> str:
-        """Message for the user who starts the client."""
-        return f"waiting for a HUGSIM client at {self.folder} ({OBSERVATIONS}, {PLANS})"
-
     def reset(self, seed: int, rig: Rig) -> None:
         """Start a drive with a new client.
 
         Raises ValueError for a rig that is not HUGSIM's, ClientError if the client can't be started.
         """
-        self._finish()
+        self.close()
         self._drive = _HugsimDrive(rig)
         if self._command is not None:
             self._client = ClientProcess(self._command, self.folder)
         else:
-            _log.info("%s", self.invitation)
+            names = f"{protocol.OBSERVATIONS}, {protocol.PLANS}"
+            _log.info("waiting for a HUGSIM client at %s (%s)", self.folder, names)
 
     def plan(self, observation: Observation) -> Trajectory:
         """Return the client's plan; without points if it gives up.
@@ -103,47 +85,40 @@ class HugsimAgent:
         drive = self._drive
         if drive is None:
             raise ClientError("there is no drive: reset the agent first")
-        patience = Timeouts(self._first_wait_s if drive.world is None else self._later_wait_s, self._ended)
+        timeouts = protocol.Timeouts(self._first_wait_s if drive.world is None else self._later_wait_s, self._ended)
         try:
-            self._pipes.send(self._message(drive, observation), patience)
-            points = read_reply(self._pipes.receive(patience, MAX_BYTES))
+            if drive.world is None:
+                drive.world = protocol.HugsimWorld.from_observation(drive.rig, observation)
+            obs = protocol.hugsim_obs(observation.views, drive.cameras, self._channels, self._semantic, self._depth)
+            info = protocol.hugsim_info(observation, drive.rig, drive.world, drive.params)
+            self._pipes.send(old_pickle((obs, info)), timeouts)
+            points = protocol.read_reply(self._pipes.receive(timeouts, protocol.MAX_BYTES))
         except BaseException:  # Ctrl+C too: do not leave a hanging client
             self._break_off()
             raise
         if points is None:
             drive.given_up = True
             return Trajectory(np.zeros((0, 2)), {"problem": "the client gave up: it answered None"})
-        x, y = drive.cameras[CAMERA_NAMES[0]].camera_to_ego[:2, 3]
+        x, y = drive.cameras[protocol.CAMERA_NAMES[0]].camera_to_ego[:2, 3]
         return Trajectory(to_vehicle_frame(points, (float(x), float(y))))
 
     def close(self) -> None:
         """Send "Done", and wait until a client started by this agent has ended."""
-        self._finish()
-
-    def _message(self, drive: "_HugsimDrive", observation: Observation) -> memoryview:
-        if drive.world is None:
-            drive.world = HugsimWorld.from_observation(drive.rig, observation)
-        obs = hugsim_obs(observation.views, drive.cameras, self._channels, self._semantic, self._depth)
-        return old_pickle((obs, hugsim_info(observation, drive.rig, drive.world, drive.params)))
+        drive, self._drive = self._drive, None
+        try:
+            if drive is not None and drive.world is not None and self._say_done(drive) and self._client is not None:
+                self._client.wait(_LEAVE_WAIT_S)
+        finally:
+            self._break_off()
 
     def _ended(self) -> str | None:
         return None if self._client is None else self._client.ended
-
-    def _finish(self) -> None:
-        drive, self._drive = self._drive, None
-        try:
-            if drive is not None and drive.world is not None:
-                leaves = self._say_done(drive)
-                if leaves and self._client is not None:
-                    self._client.wait(_LEAVE_WAIT_S)
-        finally:
-            self._break_off()
 
     def _say_done(self, drive: "_HugsimDrive") -> bool:
         """Send "Done"; returns whether the client is going to end."""
         try:
             wait = _SHORT_S if drive.given_up else self._later_wait_s
-            self._pipes.send(old_pickle("Done"), Timeouts(wait, self._ended))
+            self._pipes.send(old_pickle("Done"), protocol.Timeouts(wait, self._ended))
         except ClientError as problem:
             if not drive.given_up:
                 _log.warning("the drive is over, but %s", problem)
@@ -159,25 +134,18 @@ class HugsimAgent:
 
 
 class _HugsimDrive:
-    """State of one drive."""
-
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.cameras = six_hugsim_cameras(rig.cameras)
-        self.params = camera_params(self.cameras, rig)
-        self.world: HugsimWorld | None = None
-        """Set at the first observation."""
+        self.cameras = protocol.six_hugsim_cameras(rig.cameras)
+        self.params = protocol.camera_params(self.cameras, rig)
+        self.world: protocol.HugsimWorld | None = None  # set at the first observation
         self.given_up = False
 
-
-# Plan conversion
 
 _SAME_PLACE_M = 0.05
 
 
-def to_vehicle_frame(
-    plan: Float64[np.ndarray, "n 2"], front_m: tuple[float, float]
-) -> Float64[np.ndarray, "n 2"]:  # fmt: skip
+def to_vehicle_frame(plan: Float64[np.ndarray, "n 2"], front_m: tuple[float, float]) -> Float64[np.ndarray, "n 2"]:
     """Convert a plan of the front camera (x right, y forward) to one of the rear axle (x forward, y left).
 
     HUGSIM's reference point is the front camera, `front_m` (forward, left) of the rear axle; each plan starts at its
@@ -206,11 +174,7 @@ def to_vehicle_frame(
     return np.array(rear)
 
 
-# Client process
-
-OUTPUT = "output.txt"
-"""Output file of the client, in the folder of the pipes as in HUGSIM."""
-
+OUTPUT = "output.txt"  # output file of the client, in the folder of the pipes as in HUGSIM
 _TAIL_BYTES = 2000
 
 
@@ -245,10 +209,10 @@ class ClientProcess:
         code = self._process.poll()
         if code is None:
             return None
-        how = f"with exit code {code}" if code >= 0 else f"by {_signal_name(-code)}"
+        killed_by = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        how = f"with exit code {code}" if code >= 0 else f"by {killed_by}"
         words = self._last_words()
-        said = f", its last words in {self._output}: {words!r}," if words else ""
-        return f"ended {how}{said}"
+        return f"ended {how}" + (f", its last words in {self._output}: {words!r}," if words else "")
 
     def wait(self, within_s: float) -> bool:
         """Return whether it ended by itself within a time."""
@@ -279,10 +243,3 @@ class ClientProcess:
         except OSError:
             return ""
         return next((line.strip()[-300:] for line in reversed(lines) if line.strip()), "")
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-_PROTOCOL = 4  # pickle protocol of Python 3.4, which all clients support
-
 
 class _OldPickler(pickle.Pickler):
     def reducer_override(self, obj: Any, /) -> Any:
@@ -38,7 +36,7 @@ def old_pickle(value: Any) -> memoryview:
     Raises TypeError for an array of objects.
     """
     stream = io.BytesIO()
-    _OldPickler(stream, _PROTOCOL).dump(value)
+    _OldPickler(stream, 4).dump(value)  # protocol 4 is that of Python 3.4, which all clients support
     return stream.getbuffer()
 
 
@@ -108,32 +106,20 @@ def text(value: Any) -> str:
     return value
 
 
-def _made(shape: Any = (), dtype: Any = "f8", raw: Any = b"") -> PickledArray:
-    return PickledArray(shape, dtype, raw)
-
-
-def _empty(*_: Any) -> PickledArray:
-    return PickledArray()
-
-
-def _scalar(dtype: Any, raw: Any = b"") -> PickledArray:
-    return PickledArray((), dtype, raw)
-
-
-def _from_buffer(raw: Any, dtype: Any, shape: Any, order: Any = "C") -> PickledArray:
-    return PickledArray(shape, dtype, raw, order == "F")
-
-
-NUMPY_NAMES = {
-    ("numpy", "ndarray"): _made,
+NUMPY_NAMES: dict[tuple[str, str], Callable[..., Any]] = {
+    ("numpy", "ndarray"): lambda shape=(), dtype="f8", raw=b"": PickledArray(shape, dtype, raw),
     ("numpy", "dtype"): PickledType,
     **{
         (f"numpy.{core}.{module}", name): make
         for core in ("core", "_core")
         for module, name, make in (
-            ("multiarray", "_reconstruct", _empty),
-            ("multiarray", "scalar", _scalar),
-            ("numeric", "_frombuffer", _from_buffer),
+            ("multiarray", "_reconstruct", lambda *_: PickledArray()),
+            ("multiarray", "scalar", lambda dtype, raw=b"": PickledArray((), dtype, raw)),
+            (
+                "numeric",
+                "_frombuffer",
+                lambda raw, kind, shape, order="C": PickledArray(shape, kind, raw, order == "F"),
+            ),
         )
     },
 }
@@ -157,7 +143,6 @@ class PickledTensor:
     __slots__ = ("_first", "_raw", "_shape", "_steps")
 
     def __init__(self, raw: Any, first: Any = 0, shape: Any = (), steps: Any = (), *_: Any) -> None:
-        """Store the pickle's values; `raw` is the storage file."""
         self._raw, self._first, self._shape, self._steps = raw, first, shape, steps
 
     def real(self) -> np.ndarray:
@@ -195,18 +180,10 @@ def _storage_values(raw: Any) -> np.ndarray:
     return np.frombuffer(values, dtype)
 
 
-def _storage(raw: Any) -> Any:
-    return raw
-
-
-def _hooks(*_: Any) -> None:
-    """Ignore backward hooks."""
-
-
-TORCH_NAMES = {
+TORCH_NAMES: dict[tuple[str, str], Callable[..., Any]] = {
     ("torch._utils", "_rebuild_tensor_v2"): PickledTensor,
-    ("torch.storage", "_load_from_bytes"): _storage,
-    ("collections", "OrderedDict"): _hooks,
+    ("torch.storage", "_load_from_bytes"): lambda raw: raw,
+    ("collections", "OrderedDict"): lambda *_: None,  # backward hooks
 }
 """Names that tensor pickles call, by module and name."""
 
@@ -280,19 +257,14 @@ class _Named:
         raise ValueError("it writes into a name")
 
 
-def _bytes_of(word: Any, *_: Any) -> bytes:
-    """Decode bytes as Python 2's protocols write them: `_codecs.encode(text, "latin1")`."""
-    return text(word).encode("latin1")
-
-
 def _same_bytes(data: Any = b"", *_: Any) -> bytes:
     if not isinstance(data, bytes | bytearray):
         raise ValueError("it makes bytes of something else")
     return bytes(data)
 
 
-_NAMES = {
-    ("_codecs", "encode"): _bytes_of,
+_NAMES: dict[tuple[str, str], Callable[..., Any]] = {
+    ("_codecs", "encode"): lambda word, *_: text(word).encode("latin1"),  # bytes of Python 2's protocols
     ("builtins", "bytearray"): _same_bytes,
     ("builtins", "bytes"): _same_bytes,
     **NUMPY_NAMES,
@@ -302,29 +274,14 @@ _NAMES = {
 _STAND_INS = {name: _Named(make) for name, make in _NAMES.items()}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, depth: int = 0) -> Any:
     """Replace stand-ins by their values, at the top level and in sequences; plans are not nested deeper."""
     if isinstance(value, PickledArray | PickledTensor):
-        return _checked(value)
-    if isinstance(value, list | tuple):
-        return [_row(row) for row in _short(value)]  # pyright: ignore[reportUnknownArgumentType]
-    return value
-
-
-def _row(row: Any) -> Any:
-    if isinstance(row, list | tuple):
-        return [_checked(each) for each in _short(row)]  # pyright: ignore[reportUnknownArgumentType]
-    return _checked(row)
-
-
-def _checked(value: Any) -> Any:
-    if not isinstance(value, PickledArray | PickledTensor):
+        array = value.real()
+        return array.item() if array.ndim == 0 else array
+    if depth == 2 or not isinstance(value, list | tuple):
         return value
-    array = value.real()
-    return array.item() if array.ndim == 0 else array
-
-
-def _short(values: list[Any] | tuple[Any, ...]) -> list[Any] | tuple[Any, ...]:
+    values: list[Any] | tuple[Any, ...] = value
     if len(values) > 10_000:
         raise ValueError(f"it holds a list of {len(values)}")
-    return values
+    return [_plain(each, depth + 1) for each in values]

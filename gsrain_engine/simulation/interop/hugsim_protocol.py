@@ -7,13 +7,14 @@ import errno
 import os
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 
 from ...safe_io.limits import ByteBudget, Deadline, InputError, TooLargeError, open_pipe, read_pipe, write_pipe
 from ...safe_io.text_files import printable_line
@@ -29,7 +30,6 @@ from .hugsim_pickle import read_plain_pickle
 OBSERVATIONS, PLANS = "obs_pipe", "plan_pipe"
 _LONGEST_PAUSE_S = 0.02
 _MOMENTS = 25  # number of polls to wait for a client that closed a pipe to end, so that the error names the reason
-_ROOM_BYTES = 1 << 20
 
 
 class Timeouts:
@@ -80,25 +80,24 @@ class Pipes:
             except OSError as problem:
                 raise ClientError(f"no pipe can be made: {problem}") from None
 
-    def send(self, message: memoryview | bytes, patience: Timeouts) -> None:
+    def send(self, message: memoryview | bytes, timeouts: Timeouts) -> None:
         """Write a message to the client; returns when all but one pipe buffer has been read.
 
         Raises ClientError if the client does not read, stops reading midway, or ends.
         """
-        pipe = self._reached(patience)
+        pipe = self._reached(timeouts)
         try:
             _widen(pipe)
-            write_pipe(pipe, message, patience.deadline, lambda: patience.check("read the observation"))
+            write_pipe(pipe, message, timeouts.deadline, lambda: timeouts.check("read the observation"))
         except TimeoutError:
-            raise patience.late("read the observation") from None
+            raise timeouts.late("read the observation") from None
         except BrokenPipeError:
-            raise patience.failed(
-                "read the observation", "the client closed obs_pipe before it had read the observation"
-            ) from None
+            reason = "the client closed obs_pipe before it had read the observation"
+            raise timeouts.failed("read the observation", reason) from None
         finally:
             os.close(pipe)
 
-    def receive(self, patience: Timeouts, most_bytes: int) -> bytes:
+    def receive(self, timeouts: Timeouts, max_bytes: int) -> bytes:
         """Read the client's reply to its end.
 
         Raises ClientError if no reply comes, if it is too long, or if the client ends.
@@ -108,19 +107,19 @@ class Pipes:
         except OSError as problem:
             raise ClientError(f"the pipe can't be opened: {problem}") from None
         try:
-            budget = ByteBudget(most_bytes, self._plans)
-            reply = read_pipe(pipe, budget, patience.deadline, lambda: patience.check("answered"))
+            budget = ByteBudget(max_bytes, self._plans)
+            reply = read_pipe(pipe, budget, timeouts.deadline, lambda: timeouts.check("answered"))
         except TimeoutError:
-            raise patience.late("answered") from None
+            raise timeouts.late("answered") from None
         except TooLargeError:
-            raise ClientError(f"the client answers more than {most_bytes} bytes") from None
+            raise ClientError(f"the client answers more than {max_bytes} bytes") from None
         finally:
             os.close(pipe)
         if not reply:
-            raise patience.failed("answered", "the client opened plan_pipe and closed it without an answer")
+            raise timeouts.failed("answered", "the client opened plan_pipe and closed it without an answer")
         return reply
 
-    def _reached(self, patience: Timeouts) -> int:
+    def _reached(self, timeouts: Timeouts) -> int:
         """Open for writing once there is a reader, by polling."""
         pause = 0.0005
         while True:
@@ -129,7 +128,7 @@ class Pipes:
             except OSError as problem:
                 if isinstance(problem, InputError) or problem.errno != errno.ENXIO:
                     raise ClientError(f"the pipe can't be opened: {problem}") from None
-            patience.check("opened obs_pipe")
+            timeouts.check("opened obs_pipe")
             time.sleep(pause)
             pause = min(2 * pause, _LONGEST_PAUSE_S)
 
@@ -138,16 +137,12 @@ def _widen(pipe: int) -> None:
     """Enlarge the pipe buffer if supported; a message is megabytes."""
     import fcntl  # not on Windows, where this module must still import
 
-    resize = getattr(fcntl, "F_SETPIPE_SZ", None)
-    if resize is not None:
-        try:
-            fcntl.fcntl(pipe, resize, _ROOM_BYTES)
-        except OSError:
-            return
+    if hasattr(fcntl, "F_SETPIPE_SZ"):
+        with suppress(OSError):
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
 
 
-# Observation messages
-# `(obs, info)`, named and shaped as in HUGSIM's environment.
+# Observation messages: `(obs, info)`, named and shaped as in HUGSIM's environment
 
 ChannelOrder = Literal["rgb", "bgr"]
 _UNKNOWN = 19  # the class after Cityscapes' last; HUGSIM's scenes have twenty
@@ -168,13 +163,15 @@ def hugsim_obs(
     depths: dict[str, np.ndarray] = {}
     for name, camera in cameras.items():
         view, shape = views.get(name), (camera.height, camera.width)
-        rgb[name] = np.zeros((*shape, 3), np.uint8) if view is None else _ordered(view.image, channels)
+        rgb[name] = np.zeros((*shape, 3), np.uint8) if view is None else view.image
+        if channels == "bgr":
+            rgb[name] = np.ascontiguousarray(rgb[name][..., ::-1])
         if semantic:
             ids = None if view is None else view.semantic
             semantics[name] = np.zeros(shape, np.uint8) if ids is None else np.minimum(ids, np.uint8(_UNKNOWN))
         if depth:
-            seen = None if view is None else view.depth_m
-            depths[name] = np.zeros(shape, np.float32) if seen is None else seen
+            depth_m = None if view is None else view.depth_m
+            depths[name] = np.zeros(shape, np.float32) if depth_m is None else depth_m
     return {"rgb": rgb, "semantic": semantics, "depth": depths}
 
 
@@ -201,8 +198,7 @@ class HugsimWorld:
     @classmethod
     def from_observation(cls, rig: Rig, observation: Observation) -> "HugsimWorld":
         """Create the world with its origin at the front camera of an observation."""
-        x, y, z = _front_camera(rig, observation)
-        return cls(x, y, z, observation.state.yaw_rad)
+        return cls(*_front_camera(rig, observation), observation.state.yaw_rad)
 
     def place(self, x_m: float, y_m: float, z_m: float) -> Float64[np.ndarray, "3"]:
         """Transform a position to HUGSIM's world."""
@@ -248,11 +244,10 @@ def hugsim_info(
     every message has `rc` and `collision`, which HUGSIM omits in the first message of a drive.
     """
     state = observation.state
-    yaw = world.yaw(state.yaw_rad)
     along = observation.route.nearest(state.x_m, state.y_m).along_m
     return {
         "ego_pos": [float(each) for each in world.ego_place(rig, observation)],
-        "ego_rot": [0.0, yaw, 0.0],
+        "ego_rot": [0.0, world.yaw(state.yaw_rad), 0.0],
         "ego_velo": float(state.speed_m_s),
         "ego_steer": -float(state.steer_rad),
         "accelerate": float(observation.acceleration_m_s2),
@@ -291,10 +286,6 @@ def camera_params(cameras: Mapping[str, RigCamera], rig: Rig) -> dict[str, dict[
     return params
 
 
-def _ordered(image: UInt8[np.ndarray, "h w 3"], channels: ChannelOrder) -> UInt8[np.ndarray, "h w 3"]:
-    return image if channels == "rgb" else np.ascontiguousarray(image[..., ::-1])
-
-
 # Replies
 
 MAX_BYTES = 1 << 20
@@ -327,8 +318,7 @@ def _forward_left_up(place: Float64[np.ndarray, "3"]) -> tuple[float, float, flo
     return float(place[2]), -float(place[0]), -float(place[1])
 
 
-# HUGSIM rig
-# Six cameras of 800 x 450 with nuScenes' names; the ego box is centered on the front camera.
+# HUGSIM rig: six cameras of 800 x 450 with nuScenes' names; the ego box is centered on the front camera
 
 CAMERA_NAMES = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
 """UniAD's and VAD's clients need all six, LTF's the three front ones."""
@@ -346,7 +336,11 @@ def with_hugsim_rig(scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
     front camera is above the vehicle's reference point, so that plans need no conversion. Raises ValueError if the
     scene has no rig with a front camera.
     """
-    rig = hugsim_rig(_best_rig(scenario.rig, scene))
+    name = scenario.rig
+    if name is not None and name not in scene.rigs:
+        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs) or 'none'}")
+    rigs = list(scene.rigs.values()) if name is None else [scene.rigs[name]]
+    rig = hugsim_rig(max(rigs, key=lambda each: len(_by_name(each)), default=()))
     scenario = msgspec.structs.replace(scenario, vehicle=HUGSIM_VEHICLE, rig=RIG, picture_width_px=WIDTH_PX)
     return scenario, replace(scene, rigs={**scene.rigs, RIG: rig})
 
@@ -361,7 +355,14 @@ def hugsim_rig(cameras: tuple[RigCamera, ...]) -> tuple[RigCamera, ...]:
         names = ", ".join(each.name for each in cameras) or "no cameras"
         raise ValueError(f"a rig for HUGSIM's clients needs a camera CAM_FRONT (or FRONT), not only {names}")
     back = -front_camera(tuple(known.values())).camera_to_ego[:3, 3] * (1, 1, 0)
-    return tuple(_of_size(_moved(known[name], back), name) for name in CAMERA_NAMES if name in known)
+    resized: list[RigCamera] = []
+    for name, camera in known.items():
+        scale = WIDTH_PX / camera.width
+        size = {"width": WIDTH_PX, "height": HEIGHT_PX, "fx": camera.fx * scale, "fy": camera.fy * scale}
+        cut = (camera.height * scale - HEIGHT_PX) / 2
+        centered = replace(_moved(camera, back), name=name, cx=camera.cx * scale, cy=camera.cy * scale - cut, **size)
+        resized.append(centered)
+    return tuple(resized)
 
 
 def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera]:
@@ -378,16 +379,9 @@ def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera
             raise ValueError(
                 f"camera {each.name} is {each.width} x {each.height}: HUGSIM's clients take {WIDTH_PX} x {HEIGHT_PX}"
             )
-    usual = {each.name: each for each in hugsim_rig(street_rigs()["nuscenes"])}
-    shift = own[front].camera_to_ego[:3, 3] - usual[front].camera_to_ego[:3, 3]
-    return {name: own[name] if name in own else _moved(usual[name], shift) for name in CAMERA_NAMES}
-
-
-def _best_rig(name: str | None, scene: Scene) -> tuple[RigCamera, ...]:
-    if name is not None and name not in scene.rigs:
-        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs) or 'none'}")
-    rigs = list(scene.rigs.values()) if name is None else [scene.rigs[name]]
-    return max(rigs, key=lambda rig: len(_by_name(rig)), default=())
+    nuscenes = {each.name: each for each in hugsim_rig(street_rigs()["nuscenes"])}
+    shift = own[front].camera_to_ego[:3, 3] - nuscenes[front].camera_to_ego[:3, 3]
+    return {name: own[name] if name in own else _moved(nuscenes[name], shift) for name in CAMERA_NAMES}
 
 
 def _by_name(cameras: tuple[RigCamera, ...]) -> dict[str, RigCamera]:
@@ -400,12 +394,3 @@ def _moved(camera: RigCamera, by_m: np.ndarray) -> RigCamera:
     pose = camera.camera_to_ego.copy()
     pose[:3, 3] += by_m
     return replace(camera, camera_to_ego=pose)
-
-
-def _of_size(camera: RigCamera, name: str) -> RigCamera:
-    scale = WIDTH_PX / camera.width
-    cut = (camera.height * scale - HEIGHT_PX) / 2
-    return replace(
-        camera, name=name, width=WIDTH_PX, height=HEIGHT_PX, fx=camera.fx * scale, fy=camera.fy * scale,
-        cx=camera.cx * scale, cy=camera.cy * scale - cut,
-    )  # fmt: skip

@@ -62,20 +62,26 @@ def hugsim_scenario(values: object, path: Path) -> Scenario:
     anything else unsupported.
     """
     try:
-        found = convert_checked(values, _HugsimScenario)
+        return _scenario(convert_checked(values, _HugsimScenario), path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _scenario(found: _HugsimScenario, name: str) -> Scenario:
     pitch, right, roll = found.start_euler
     if abs(pitch) > 1 or abs(roll) > 1:
-        raise ValueError(
-            f"{path}: start_euler {list(found.start_euler)}: only a turn about the second axis can be taken"
-        )
+        raise ValueError(f"start_euler {list(found.start_euler)}: only a turn about the second axis can be taken")
     if found.start_steer != 0:
-        raise ValueError(f"{path}: start_steer {found.start_steer:g}: drives begin with the wheels straight, at 0")
-    users = [_user(path, number, row, found) for number, row in enumerate(found.plan_list)]
+        raise ValueError(f"start_steer {found.start_steer:g}: drives begin with the wheels straight, at 0")
+    users: list[ScenarioUser] = []
+    for number, row in enumerate(found.plan_list, start=1):
+        try:
+            users.append(convert_checked(_user(number, row, found), ScenarioUser))
+        except ValueError as error:
+            raise ValueError(f"vehicle {number} of plan_list: {error}") from None
     plain = {
         "name": f"{found.scene_name}-{found.mode}",
-        "description": f"HUGSIM's scenario {path.stem}.",
+        "description": f"HUGSIM's scenario {name}.",
         "scene": found.scene_name,
         "ahead_m": found.start_ab[1],
         "left_m": -found.start_ab[0],
@@ -86,32 +92,24 @@ def hugsim_scenario(values: object, path: Path) -> Scenario:
         "step_s": _STEP_S,
         "duration_s": _MAX_STEPS * _STEP_S,
     }
-    try:
-        return convert_checked(plain, Scenario)
-    except msgspec.ValidationError as error:
-        raise ValueError(f"{path}: {error}") from None
+    return convert_checked(plain, Scenario)
 
 
-def _user(path: Path, number: int, row: _Row, found: _HugsimScenario) -> ScenarioUser:
-    where = f"{path}: vehicle {number + 1} of plan_list"
+def _user(number: int, row: _Row, found: _HugsimScenario) -> dict[str, Any]:
     turned = np.radians(found.start_euler[1])
     right, forward = row.right_m - found.start_ab[0], row.forward_m - found.start_ab[1]
-    plain = {
-        "id": f"vehicle-{number + 1}",
+    return {
+        "id": f"vehicle-{number}",
         "placed": "straight",
         "ahead_m": float(right * np.sin(turned) + forward * np.cos(turned)),
         "left_m": float(-right * np.cos(turned) + forward * np.sin(turned)),
         "turned_deg": wrap_degrees(float(np.degrees(row.yaw_rad + turned))),
         "speed_m_s": row.speed_m_s,
-        "behaviour": _behavior(where, row),
+        "behaviour": _behavior(row),
     }
-    try:
-        return convert_checked(plain, ScenarioUser)
-    except msgspec.ValidationError as error:
-        raise ValueError(f"{where}: {error}") from None
 
 
-def _behavior(where: str, row: _Row) -> dict[str, Any]:
+def _behavior(row: _Row) -> dict[str, Any]:
     if row.planner == "ConstantPlanner":
         return {"kind": "constant-velocity"}
     if row.planner == "UnicyclePlanner":
@@ -120,9 +118,8 @@ def _behavior(where: str, row: _Row) -> dict[str, Any]:
         return {"kind": "idm", **_IDM}
     if row.planner == "AttackPlanner":
         raise ValueError(
-            f"{where}: AttackPlanner chooses among its best paths at random, without a seed: no two of its runs are "
-            "alike; write what it should do as a cut-in or brake behaviour"
+            "AttackPlanner chooses among its best paths at random, without a seed: no two of its runs are alike; write "
+            "what it should do as a cut-in or brake behaviour"
         )
-    raise ValueError(
-        f"{where}: planner {row.planner!r} is not known, only ConstantPlanner, UnicyclePlanner, IDM and AttackPlanner"
-    )
+    known = "ConstantPlanner, UnicyclePlanner, IDM and AttackPlanner"
+    raise ValueError(f"planner {row.planner!r} is not known, only {known}")

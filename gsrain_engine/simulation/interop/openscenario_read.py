@@ -30,41 +30,43 @@ def read_openscenario(path: Path) -> Scenario:
 
     Raises ValueError, naming the file and the element, for unsupported content that matters.
     """
-    root = read_xml(path)
+    data = read_whole(path)
+    try:
+        return _scenario(parse_xml(data), path.stem)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _scenario(root: Element, name: str) -> Scenario:
     objects = {each.get("name", ""): each for each in root.iterfind("Entities/ScenarioObject")}
-    begun = initial_states(path, root)
+    begun = initial_states(root)
     if not objects:
-        raise ValueError(f"{path}: there are no ScenarioObjects in it")
+        raise ValueError("there are no ScenarioObjects in it")
     ego_name = next((name for name in objects if name.lower() in ("ego", "hero")), next(iter(objects)))
     missing = next((name for name in objects if name not in begun), None)
     if missing is not None:
-        raise ValueError(f"{path}: {missing} is not teleported anywhere at the start")
+        raise ValueError(f"{missing} is not teleported anywhere at the start")
     header = root.find("FileHeader")
     own = {} if header is None else properties(header)
-    vehicle = ego_vehicle(path, objects[ego_name])
-    users, kept = list[dict[str, Any]](), list[str]()
-    for name, entity in objects.items():
-        if name == ego_name:
-            continue
-        if own_properties(entity).get(f"{PROPERTY}kept") == "true":
-            kept.append(name)
-        else:
-            users.append(_user(path, root, name, entity, begun, ego_name, vehicle))
+    vehicle = ego_vehicle(objects[ego_name])
+    stop = root.find("Storyboard/StopTrigger")
+    end = None if stop is None else stop.find(".//SimulationTimeCondition")
+    others = {name: entity for name, entity in objects.items() if name != ego_name}
+    kept = [name for name, entity in others.items() if own_properties(entity).get(f"{PROPERTY}kept") == "true"]
     plain = {
-        "name": path.stem,
+        "name": name,
         "description": "" if header is None else header.get("description", ""),
         "speed_m_s": begun[ego_name].speed_m_s,
         "keep": kept,
-        "road_users": users,
-        "rain": _rain(path, root, own),
+        "road_users": [
+            _user(root, name, entity, begun, ego_name, vehicle) for name, entity in others.items() if name not in kept
+        ],
+        "rain": _rain(root, own),
         "vehicle": msgspec.to_builtins(vehicle),
-        **_duration(path, root),
+        **({} if end is None else {"duration_s": number(end, "value")}),
         **{name: own[PROPERTY + name] for name in OWN_FIELDS if PROPERTY + name in own},
     }
-    try:
-        return convert_checked(plain, Scenario, strict=False)
-    except msgspec.ValidationError as error:
-        raise ValueError(f"{path}: {error}") from None
+    return convert_checked(plain, Scenario, strict=False)
 
 
 # Initial states
@@ -80,7 +82,6 @@ class InitialState:
 
 
 def _user(
-    path: Path,
     root: Element,
     name: str,
     entity: Element,
@@ -88,59 +89,51 @@ def _user(
     ego_name: str,
     vehicle: Vehicle,
 ) -> dict[str, Any]:
-    box = box_of(path, entity)
-    where = placed(path, name, begun[name], ego_name, begun[ego_name])
+    box = box_of(entity)
+    where = placed(name, begun[name], ego_name, begun[ego_name])
     # OpenSCENARIO places both by reference points, scenarios by centers.
     turned, ahead = np.radians(where["turned_deg"]), 0.0 if box is None else box[1]
     where["ahead_m"] += ahead * float(np.cos(turned)) - vehicle.middle_m
     where["left_m"] += ahead * float(np.sin(turned))
     where |= {each: round(where[each], 6) for each in ("ahead_m", "left_m")}
-    speed, starts = begun[name].speed_m_s, [world_state(path, begun[each].position) for each in (name, ego_name)]
+    speed, starts = begun[name].speed_m_s, [world_state(begun[each].position) for each in (name, ego_name)]
     actor = EntityContext(name, where["left_m"], speed, starts[0], ego_name, starts[1])
     return {
         "id": name,
-        **model_and_class_of(path, name, entity),
+        **model_and_class_of(name, entity),
         **({} if box is None else {"size_lwh_m": box[0]}),
         **where,
         "speed_m_s": speed,
-        "behaviour": controller_behavior(entity) or behavior_of(path, root, actor),
+        "behaviour": controller_behavior(entity) or behavior_of(root, actor),
     }
 
 
-def _rain(path: Path, root: Element, own: dict[str, str]) -> dict[str, Any]:
+def _rain(root: Element, own: dict[str, str]) -> dict[str, Any]:
     first = root.find("Storyboard/Init/Actions/GlobalAction/EnvironmentAction")
     if any(each is not first or each.find("Environment") is None for each in root.iter("EnvironmentAction")):
-        raise ValueError(f"{path}: weather that changes, or comes from a catalogue: only one Environment at the start")
+        raise ValueError("weather that changes, or comes from a catalogue: only one Environment at the start")
     weather = None if first is None else first.find("Environment/Weather")
     plain: dict[str, Any] = {"seed": own.get(f"{PROPERTY}seed", "0")}
     rain, wind = (None, None) if weather is None else (weather.find("Precipitation"), weather.find("Wind"))
     if rain is not None and rain.get("precipitationType") != "dry":
         if rain.get("precipitationType") != "rain":
-            raise ValueError(f"{path}: it {rain.get('precipitationType')}s: only rain falls here")
+            raise ValueError(f"it {rain.get('precipitationType')}s: only rain falls here")
         if "precipitationIntensity" not in rain.attrib:
-            raise ValueError(f"{path}: precipitation without precipitationIntensity: its share 0..1 says no mm/h")
-        plain["intensity_mm_h"] = number(path, rain, "precipitationIntensity")
+            raise ValueError("precipitation without precipitationIntensity: its share 0..1 says no mm/h")
+        plain["intensity_mm_h"] = number(rain, "precipitationIntensity")
     if wind is not None:
-        speed, direction = number(path, wind, "speed"), number(path, wind, "direction")
+        speed, direction = number(wind, "speed"), number(wind, "direction")
         plain["wind_m_s"] = [round(float(speed * each(direction)), 9) + 0.0 for each in (np.cos, np.sin)]
     return plain
-
-
-def _duration(path: Path, root: Element) -> dict[str, float]:
-    stop = root.find("Storyboard/StopTrigger")
-    end = None if stop is None else stop.find(".//SimulationTimeCondition")
-    return {} if end is None else {"duration_s": number(path, end, "value")}
 
 
 # Behaviors
 
 _IMMEDIATE_M_S2 = 20.0
 
-_LANE_CHANGE, _SPEED, _FOLLOW = (
-    "PrivateAction/LateralAction/LaneChangeAction",
-    "PrivateAction/LongitudinalAction/SpeedAction",
-    "PrivateAction/RoutingAction/FollowTrajectoryAction",
-)
+_LANE_CHANGE = "PrivateAction/LateralAction/LaneChangeAction"
+_SPEED = "PrivateAction/LongitudinalAction/SpeedAction"
+_FOLLOW = "PrivateAction/RoutingAction/FollowTrajectoryAction"
 
 _CONDITIONS = ("SimulationTimeCondition", "RelativeDistanceCondition", "TimeToCollisionCondition")
 
@@ -160,24 +153,20 @@ class EntityContext:
 
 def events_of(root: Element, name: str) -> list[tuple[Element, list[Element]]]:
     """Return the events of an entity, each with the triggers of its act and its own."""
-    found: list[tuple[Element, list[Element]]] = []
-    for act in root.iter("Act"):
-        for group in act.iter("ManeuverGroup"):
-            if name in [each.get("entityRef") for each in group.iterfind("Actors/EntityRef")]:
-                found += [(event, [*act.findall("StartTrigger"), *event.findall("StartTrigger")])
-                          for event in group.iter("Event")]  # fmt: skip
-    return found
+    return [
+        (event, [*act.findall("StartTrigger"), *event.findall("StartTrigger")])
+        for act in root.iter("Act")
+        for group in act.iter("ManeuverGroup")
+        if name in [each.get("entityRef") for each in group.iterfind("Actors/EntityRef")]
+        for event in group.iter("Event")
+    ]
 
 
-def behavior_of(path: Path, root: Element, actor: EntityContext) -> dict[str, Any]:
-    """Return an entity's behavior as plain values.
-
-    Raises ValueError, naming the file, entity and action, for several events or an action without a behavior.
-    """
-    where = f"{path}: {actor.name}"
-    events = events_of(root, actor.name)
+def behavior_of(root: Element, actor: EntityContext) -> dict[str, Any]:
+    """Return an entity's behavior as plain values; raises ValueError for several events or an action without one."""
+    where, events = actor.name, events_of(root, actor.name)
     if not events:
-        return {"kind": "constant-velocity"} if actor.speed_m_s > 0 else {"kind": "stationary"}
+        return {"kind": "constant-velocity" if actor.speed_m_s > 0 else "stationary"}
     if len(events) > 1:
         raise ValueError(f"{where} has {len(events)} events: one each can be taken")
     ((event, triggers),) = events
@@ -190,29 +179,29 @@ def behavior_of(path: Path, root: Element, actor: EntityContext) -> dict[str, An
             "of each, can be taken"
         )
     if follow is not None:
-        return _track(path, follow, actor)
-    trigger = _trigger(path, where, triggers)
-    new = {} if speed is None else _new_speed(path, where, speed, actor)
+        return _track(follow, actor)
+    trigger = _trigger(where, triggers)
+    new = {} if speed is None else _new_speed(where, speed, actor)
     if change is not None:
-        return {"kind": "cut-in", **trigger, **_lane_change(path, where, change, actor), **new}
+        return {"kind": "cut-in", **trigger, **_lane_change(where, change, actor), **new}
     to, rate = new["to_speed_m_s"], new["acceleration_m_s2"]
     if to < actor.speed_m_s:
         return {"kind": "brake", **trigger, "deceleration_m_s2": rate, "to_speed_m_s": to}
     return {"kind": "cut-in", **trigger, "offset_m": 0.0, **new}
 
 
-def _lane_change(path: Path, where: str, change: Element, actor: EntityContext) -> dict[str, Any]:
+def _lane_change(where: str, change: Element, actor: EntityContext) -> dict[str, Any]:
     target, dynamics = change.find("LaneChangeTarget/RelativeTargetLane"), change.find("LaneChangeActionDynamics")
     if target is None or dynamics is None or target.get("entityRef") not in (actor.name, actor.ego_name):
         raise ValueError(
             f"{where}: a lane change needs a RelativeTargetLane of itself or {actor.ego_name}: there is no map"
         )
-    beside = number(path, change, "targetLaneOffset") if "targetLaneOffset" in change.attrib else 0.0
-    to = LANE_M * number(path, target, "value") + beside
+    shift = number(change, "targetLaneOffset", 0.0)
+    to = LANE_M * number(target, "value") + shift
     offset: float | None = to
     if target.get("entityRef") == actor.ego_name:
         offset = None if to == 0 else to - actor.left_m
-    across, value = abs(actor.left_m if offset is None else offset), number(path, dynamics, "value")
+    across, value = abs(actor.left_m if offset is None else offset), number(dynamics, "value")
     kind = dynamics.get("dynamicsDimension")
     durations = {"time": value, "distance": value / max(actor.speed_m_s, 0.1), "rate": across / max(value, 1e-6)}
     if kind not in durations:
@@ -220,11 +209,11 @@ def _lane_change(path: Path, where: str, change: Element, actor: EntityContext) 
     return {"duration_s": durations[kind], "offset_m": offset}
 
 
-def _new_speed(path: Path, where: str, speed: Element, actor: EntityContext) -> dict[str, float]:
+def _new_speed(where: str, speed: Element, actor: EntityContext) -> dict[str, float]:
     target, dynamics = speed.find("SpeedActionTarget/AbsoluteTargetSpeed"), speed.find("SpeedActionDynamics")
     if target is None or dynamics is None:
         raise ValueError(f"{where}: a speed can only be changed to an AbsoluteTargetSpeed")
-    to, value = number(path, target, "value"), number(path, dynamics, "value")
+    to, value = number(target, "value"), number(dynamics, "value")
     by, kind = abs(to - actor.speed_m_s), dynamics.get("dynamicsDimension")
     rate = _IMMEDIATE_M_S2
     if dynamics.get("dynamicsShape") != "step" and value > 0:
@@ -235,20 +224,20 @@ def _new_speed(path: Path, where: str, speed: Element, actor: EntityContext) -> 
     return {"to_speed_m_s": to, "acceleration_m_s2": min(max(rate, 1e-3), _IMMEDIATE_M_S2)}
 
 
-def _trigger(path: Path, where: str, triggers: list[Element]) -> dict[str, float]:
+def _trigger(where: str, triggers: list[Element]) -> dict[str, float]:
     """Return the trigger of an event; times of its act and its own both have to pass."""
     after, others = 0.0, list[dict[str, float]]()
     if any(len(trigger.findall("ConditionGroup")) > 1 for trigger in triggers):
         raise ValueError(f"{where}: waits for one of several groups of conditions: only one group can be taken")
     for condition in (each for trigger in triggers for each in trigger.iter("Condition")):
         kind = next((each for each in condition.iter() if each.tag in _CONDITIONS), condition)
-        late = number(path, condition, "delay") if "delay" in condition.attrib else 0.0
+        late = number(condition, "delay", 0.0)
         if kind.tag == "SimulationTimeCondition":
-            after = max(after, number(path, kind, "value") + late)
+            after = max(after, number(kind, "value") + late)
         elif kind.tag == "TimeToCollisionCondition":
-            others.append({"time_to_collision_s": number(path, kind, "value")})
+            others.append({"time_to_collision_s": number(kind, "value")})
         elif kind.get("relativeDistanceType") == "longitudinal" and kind.get("freespace") == "true":
-            others.append({"gap_m": number(path, kind, "value")})
+            others.append({"gap_m": number(kind, "value")})
         else:
             raise ValueError(
                 f"{where}: waits for {condition.get('name')!r}: only SimulationTimeCondition, TimeToCollisionCondition "
@@ -259,22 +248,22 @@ def _trigger(path: Path, where: str, triggers: list[Element]) -> dict[str, float
     return others[0] if others else {"after_s": after}
 
 
-def _track(path: Path, follow: Element, actor: EntityContext) -> dict[str, Any]:
+def _track(follow: Element, actor: EntityContext) -> dict[str, Any]:
     """Return the points of a trajectory from its entity's start, ahead and left in the ego vehicle's initial axes."""
     points: list[dict[str, float]] = []
     for vertex in follow.iter("Vertex"):
         position = vertex.find("Position/*")
-        there = None if position is None else world_state(path, position)
+        there = None if position is None else world_state(position)
         if there is None or actor.start is None or actor.ego_start is None:
-            raise ValueError(f"{path}: {actor.name}: a trajectory and its beginning must be WorldPositions")
+            raise ValueError(f"{actor.name}: a trajectory and its begins must be WorldPositions")
         step = np.array([[there.x_m - actor.start.x_m, there.y_m - actor.start.y_m]])
         frame = VehicleState(0.0, 0.0, actor.ego_start.yaw_rad)
         ahead, left = frame.from_world(step)[0]
-        time_s = number(path, vertex, "time")
+        time_s = number(vertex, "time")
         if time_s > 0:
             points.append({"time_s": time_s, "ahead_m": float(ahead), "left_m": float(left)})
     if not points:
-        raise ValueError(f"{path}: {actor.name}: its trajectory is no polyline with times: nothing can be followed")
+        raise ValueError(f"{actor.name}: its trajectory is no polyline with times: nothing can be followed")
     return {"kind": "track", "points": points}
 
 
@@ -284,7 +273,7 @@ _MODELS = {"car": "saloon", "van": "van", "truck": "truck", "bus": "truck", "sem
 _CLASSES = {"van": "car", "semitrailer": "truck", "motorbike": "motorcycle"}
 
 
-def model_and_class_of(path: Path, name: str, entity: Element) -> dict[str, str]:
+def model_and_class_of(name: str, entity: Element) -> dict[str, str]:
     """Return model and class of an entity; raises ValueError without a matching model."""
     vehicle = entity.find("Vehicle")
     if vehicle is not None:
@@ -296,7 +285,7 @@ def model_and_class_of(path: Path, name: str, entity: Element) -> dict[str, str]
     model = own_properties(entity).get(f"{PROPERTY}model", _MODELS.get(category))
     if model is None:
         raise ValueError(
-            f'{path}: {name} is a {category}, of which there is no model: name one in its property "{PROPERTY}model"'
+            f'{name} is a {category}, of which there is no model: name one in its property "{PROPERTY}model"'
         )
     return {"model": model, "class_name": _CLASSES.get(category, category)}
 
@@ -312,18 +301,18 @@ def controller_behavior(entity: Element) -> dict[str, Any] | None:
     return dict(values) if "kind" in values else None
 
 
-def box_of(path: Path, entity: Element) -> tuple[tuple[float, float, float], float] | None:
+def box_of(entity: Element) -> tuple[tuple[float, float, float], float] | None:
     """Return length, width and height of an entity, and the forward offset of its center from its reference point."""
     size, middle = entity.find("*/BoundingBox/Dimensions"), entity.find("*/BoundingBox/Center")
     if size is None or middle is None:
         return None
-    length, width, height = (number(path, size, each) for each in ("length", "width", "height"))
-    return (length, width, height), number(path, middle, "x")
+    length, width, height = (number(size, each) for each in ("length", "width", "height"))
+    return (length, width, height), number(middle, "x")
 
 
-def ego_vehicle(path: Path, entity: Element) -> Vehicle:
+def ego_vehicle(entity: Element) -> Vehicle:
     """Return the ego vehicle; missing or implausible values default to a mid-size car's."""
-    box, performance = box_of(path, entity), entity.find("Vehicle/Performance")
+    box, performance = box_of(entity), entity.find("Vehicle/Performance")
     plain: dict[str, Any] = {}
     if box is not None:
         (length, width, height), middle = box
@@ -331,23 +320,20 @@ def ego_vehicle(path: Path, entity: Element) -> Vehicle:
         plain["rear_overhang_m"] = round(length / 2 - middle, 6)
     axles = [entity.find(f"Vehicle/Axles/{name}") for name in ("FrontAxle", "RearAxle")]
     if axles[0] is not None and axles[1] is not None:
-        plain["wheelbase_m"] = number(path, axles[0], "positionX") - number(path, axles[1], "positionX")
-        plain["most_steer_rad"] = min(number(path, axles[0], "maxSteering"), 1.5)
+        plain["wheelbase_m"] = number(axles[0], "positionX") - number(axles[1], "positionX")
+        plain["most_steer_rad"] = min(number(axles[0], "maxSteering"), 1.5)
     if performance is not None:
-        plain["most_acceleration_m_s2"] = min(number(path, performance, "maxAcceleration"), 20.0)
-        plain["most_braking_m_s2"] = min(number(path, performance, "maxDeceleration"), 20.0)
-        plain["top_speed_m_s"] = min(number(path, performance, "maxSpeed"), 100.0)
+        plain["most_acceleration_m_s2"] = min(number(performance, "maxAcceleration"), 20.0)
+        plain["most_braking_m_s2"] = min(number(performance, "maxDeceleration"), 20.0)
+        plain["top_speed_m_s"] = min(number(performance, "maxSpeed"), 100.0)
     try:
         return convert_checked(plain, Vehicle)
     except msgspec.ValidationError as error:
-        raise ValueError(f"{path}: the ego vehicle: {error}") from None
+        raise ValueError(f"the ego vehicle: {error}") from None
 
 
-def initial_states(path: Path, root: Element) -> dict[str, InitialState]:
-    """Return the entities' initial positions and speeds, by name.
-
-    Raises ValueError, naming the file and the entity, for a speed that is not absolute.
-    """
+def initial_states(root: Element) -> dict[str, InitialState]:
+    """Return the entities' initial positions and speeds by name; raises ValueError for relative speeds."""
     found: dict[str, InitialState] = {}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         name = private.get("entityRef", "")
@@ -357,47 +343,39 @@ def initial_states(path: Path, root: Element) -> dict[str, InitialState]:
         action = private.find("PrivateAction/LongitudinalAction/SpeedAction")
         speed = None if action is None else action.find("SpeedActionTarget/AbsoluteTargetSpeed")
         if action is not None and speed is None:
-            raise ValueError(f"{path}: {name} begins at a speed that is no AbsoluteTargetSpeed")
-        found[name] = InitialState(position, 0.0 if speed is None else number(path, speed, "value"))
+            raise ValueError(f"{name} begins at a speed that is no AbsoluteTargetSpeed")
+        found[name] = InitialState(position, 0.0 if speed is None else number(speed, "value"))
     return found
 
 
-def world_state(path: Path, position: Element) -> VehicleState | None:
+def world_state(position: Element) -> VehicleState | None:
     """Return the pose of a WorldPosition; None for other kinds of positions, which need a map."""
     if position.tag != "WorldPosition":
         return None
-    heading = number(path, position, "h") if "h" in position.attrib else 0.0
-    return VehicleState(number(path, position, "x"), number(path, position, "y"), heading)
+    return VehicleState(number(position, "x"), number(position, "y"), number(position, "h", 0.0))
 
 
-def placed(path: Path, name: str, beginning: InitialState, ego_name: str, ego: InitialState) -> dict[str, Any]:
-    """Return the `ScenarioUser` fields for its reference point relative to the ego vehicle's.
-
-    Raises ValueError, naming the file and the entity, for positions that need a map.
-    """
-    position = beginning.position
+def placed(name: str, begins: InitialState, ego_name: str, ego: InitialState) -> dict[str, Any]:
+    """Return its place relative to the ego vehicle; raises ValueError for positions that need a map."""
+    position = begins.position
     if position.tag == "WorldPosition":
-        from_, there = world_state(path, ego.position), world_state(path, position)
+        from_, there = world_state(ego.position), world_state(position)
         if from_ is None or there is None:
-            raise ValueError(
-                f"{path}: {name} has a WorldPosition, {ego_name} a {ego.position.tag}: both must be in the world"
-            )
+            raise ValueError(f"{name} has a WorldPosition, {ego_name} a {ego.position.tag}: both must be in the world")
         ahead, left = from_.from_world(np.array([[there.x_m, there.y_m]]))[0]
         return _fields("straight", float(ahead), float(left), there.yaw_rad - from_.yaw_rad)
     if position.get("entityRef") != ego_name or position.tag not in ("RelativeLanePosition", "RelativeObjectPosition"):
         raise ValueError(
-            f"{path}: {name} begins at a {position.tag}: without a map only WorldPosition, and RelativeLanePosition "
+            f"{name} begins at a {position.tag}: without a map only WorldPosition, and RelativeLanePosition "
             f"and RelativeObjectPosition to {ego_name}, have a place"
         )
     turned = position.find("Orientation")
-    heading = 0.0
-    if turned is not None and turned.get("type", "absolute") == "relative" and "h" in turned.attrib:
-        heading = number(path, turned, "h")
+    is_relative = turned is not None and turned.get("type") == "relative"
+    heading = number(turned, "h", 0.0) if is_relative else 0.0
     if position.tag == "RelativeObjectPosition":
-        return _fields("straight", number(path, position, "dx"), number(path, position, "dy"), heading)
-    offset = number(path, position, "offset") if "offset" in position.attrib else 0.0
-    left = LANE_M * number(path, position, "dLane") + offset
-    return _fields("along-route", number(path, position, "ds"), left, heading)
+        return _fields("straight", number(position, "dx"), number(position, "dy"), heading)
+    left = LANE_M * number(position, "dLane") + number(position, "offset", 0.0)
+    return _fields("along-route", number(position, "ds"), left, heading)
 
 
 def _fields(kind: str, ahead_m: float, left_m: float, turned_rad: float) -> dict[str, Any]:
@@ -405,8 +383,7 @@ def _fields(kind: str, ahead_m: float, left_m: float, turned_rad: float) -> dict
     return {"placed": kind, "ahead_m": ahead_m, "left_m": left_m, "turned_deg": round(degrees, 6)}
 
 
-# XML parsing
-# For untrusted files, with parameters substituted.
+# XML parsing: for untrusted files, with parameters substituted
 
 _MAX_VALUE = 1e9  # maximum of any length, time, speed or angle; keeps products finite
 _PARAMETER = re.compile(r"\$(\w+)")
@@ -417,46 +394,43 @@ class _NoDocumentType(ElementTree.TreeBuilder):
         raise ValueError("a document type: OpenSCENARIO files have none, and entities can be made to blow up")
 
 
-def read_xml(path: Path) -> Element:
-    """Read a file; returns its root `OpenSCENARIO` with all `$parameters` replaced by their declared values.
+def parse_xml(data: bytes) -> Element:
+    """Parse a file; returns its root `OpenSCENARIO` with all `$parameters` replaced by their declared values.
 
-    Files with a document type are rejected, so no entities are expanded and no other files opened. Raises ValueError
-    with the file and the reason.
+    Files with a document type are rejected, so no entities are expanded and no other files opened.
     """
-    data = read_whole(path)
     parser = ElementTree.XMLParser(target=_NoDocumentType())
     try:
         parser.feed(data)
         root: Element = parser.close()
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
-        raise ValueError(f"{path}: {printable_line(error)}") from None
+        raise ValueError(printable_line(error)) from None
     if root.tag != "OpenSCENARIO" or root.find("Storyboard") is None:
-        raise ValueError(f"{path}: not an OpenSCENARIO scenario: there is no Storyboard in it")
+        raise ValueError("not an OpenSCENARIO scenario: there is no Storyboard in it")
     declared = {each.get("name", ""): each.get("value", "") for each in root.iter("ParameterDeclaration")}
     for element in root.iter():
         for name, value in element.attrib.items():
             if value.startswith("$") and element.tag != "ParameterDeclaration":
-                element.set(name, _put_in(path, element, name, value, declared))
+                match = _PARAMETER.fullmatch(value)
+                if match is None or match[1] not in declared:
+                    reason = "only declared parameters are put in, no expressions"
+                    raise ValueError(f'{element.tag}@{name}="{value}": {reason}')
+                element.set(name, declared[match[1]])
     return root
 
 
-def _put_in(path: Path, element: Element, name: str, value: str, declared: dict[str, str]) -> str:
-    match = _PARAMETER.fullmatch(value)
-    if match is None or match[1] not in declared:
-        raise ValueError(f'{path}: {element.tag}@{name}="{value}": only declared parameters are put in, no expressions')
-    return declared[match[1]]
-
-
-def number(path: Path, element: Element, name: str) -> float:
-    """Return an attribute as a number; raises ValueError with the file, the element and the value."""
+def number(element: Element, name: str, default: float | None = None) -> float:
+    """Return an attribute as a number, or the default if it is missing; raises ValueError for anything else."""
     value = element.get(name)
+    if value is None and default is not None:
+        return default
     try:
         found = float(value or "")
     except ValueError:
         found = math.nan
     if not abs(found) <= _MAX_VALUE:
         stands = "is missing" if value is None else f'is "{value}"'
-        raise ValueError(f"{path}: {element.tag}@{name} {stands}: expected a number")
+        raise ValueError(f"{element.tag}@{name} {stands}: expected a number")
     return found
 
 

@@ -1,6 +1,7 @@
 """Export of scenarios as OpenSCENARIO XML with an OpenDRIVE road."""
 
 import datetime
+import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ import msgspec
 import numpy as np
 import shapely
 from jaxtyping import Float64, Int64
+from scenariogeneration import xodr, xosc
 
 from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
@@ -19,28 +21,16 @@ from ...rain.wetness import SOAKING_DEPTH_MM, water_depth_mm
 from ...scene.files import whole_file
 from ...scene.objects import coco_class
 from ...scene.scene import Scene
-from ..ground import road_surface_of
-from ..route import recorded_route
+from ..ground import recorded_route, road_surface_of
 from ..scenario import Scenario, ScenarioUser, Traffic, start_state
 from ..traffic.base import RoadUser, ego_user, gap_between
 from ..traffic.models import Brake, CutIn, Triggered
 from ..vehicle import Vehicle
 from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
 
-try:
-    from scenariogeneration import xodr, xosc
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
-    ) from error
-
 words: Any = xosc
-"""Enumerations such as `words.Rule.lessOrEqual`: scenariogeneration declares them as another type than it accepts."""
+"""Enumerations: scenariogeneration declares them as another type than its own classes accept."""
 
-Place = tuple[float, float, float, float]
-"""World x, y, z and heading."""
-
-_MINOR = 2
 _DATE = datetime.datetime(2000, 1, 1)  # fixed date, so that the same scenario gives the same bytes
 
 
@@ -54,13 +44,18 @@ def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
     properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in the recorded drive)
     are properties named `gsrain.*`.
 
-    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs.
+    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs, and ModuleNotFoundError,
+    with install instructions, without the package scenariogeneration.
     """
+    if importlib.util.find_spec("scenariogeneration") is None:
+        raise ModuleNotFoundError(
+            "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
+        )
     road = path.with_suffix(".xodr")
     written = {road: road_xml(scenario, scene), path: document_xml(scenario, scene, road.name)}
     for each, text in written.items():
-        with whole_file(each) as part:
-            part.write_text(text, encoding="utf-8")
+        with whole_file(each) as partial:
+            partial.write_text(text, encoding="utf-8")
 
 
 def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
@@ -69,7 +64,7 @@ def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
     traffic = Traffic(scenario, scene, route, ground)
     state = start_state(scenario, scene, route)
     ego = ego_user(scenario.vehicle, state)
-    started, paths = {user.id: user for user in traffic.users}, record_paths(scenario, traffic, ego)
+    started, recorded = {user.id: user for user in traffic.users}, record_paths(scenario, traffic, ego)
 
     entities, init = xosc.Entities(), xosc.Init()
     init.add_global_action(environment_of(scenario.rain))
@@ -83,33 +78,21 @@ def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
     for there in traffic.everybody:
         if there.id == EGO:
             raise ValueError(f"road user {EGO!r}: in OpenSCENARIO files that is the ego vehicle's name")
-        user, path = own.get(there.id), paths[there.id]  # without a user it is an actor of the scene that stays
-        entity = user_entity(
-            there.class_name, there.size_lwh, {"kept": "true"} if user is None else {"model": user.model}
-        )
-        follows = controller(user) if user is not None and _kind(user) == "idm" else None
+        user, path = own.get(there.id), recorded[there.id]
+        kind = "replay" if user is None else str(msgspec.to_builtins(user.behaviour)["kind"])
+        properties = {"kept": "true"} if user is None else {"model": user.model}
+        entity = user_entity(there.class_name, there.size_lwh, properties)
+        follows = controller(user) if user is not None and kind == "idm" else None
         entities.add_scenario_object(there.id, entity, follows)
         _begin(init, there.id, path.places[0], there.speed_m_s)
-        if user is not None and _kind(user) not in ("track", "replay"):
-            action = maneuver(user, gap_between(route, started[there.id], ego) if there.id in started else 0.0)
+        if user is None or kind in ("track", "replay"):
+            does = trajectory(there.id, path.times_s, path.places) if len(path.times_s) > 1 else None
         else:
-            action = trajectory(there.id, path.times_s, path.places) if len(path.times_s) > 1 else None
-        if action is not None:
-            board.add_maneuver(action, there.id)
-    return _text(scenario, entities, board, road_file)
+            gap = gap_between(route, started[there.id], ego) if there.id in started else 0.0
+            does = maneuver(user, gap)
+        if does is not None:
+            board.add_maneuver(does, there.id)
 
-
-def _kind(user: ScenarioUser) -> str:
-    return str(msgspec.to_builtins(user.behaviour)["kind"])
-
-
-def _begin(init: xosc.Init, id: str, place: Place, speed_m_s: float) -> None:
-    at_once = xosc.TransitionDynamics(words.DynamicsShapes.step, words.DynamicsDimension.time, 0)
-    init.add_init_action(id, xosc.TeleportAction(position(place)))
-    init.add_init_action(id, xosc.AbsoluteSpeedAction(speed_m_s, at_once))
-
-
-def _text(scenario: Scenario, entities: xosc.Entities, board: xosc.StoryBoard, road_file: str) -> str:
     values, properties = msgspec.to_builtins(scenario), xosc.Properties()
     for name in OWN_FIELDS:
         if values[name] is not None:
@@ -117,7 +100,7 @@ def _text(scenario: Scenario, entities: xosc.Entities, board: xosc.StoryBoard, r
     properties.add_property(f"{PROPERTY}seed", str(scenario.rain.seed))
     whole = xosc.Scenario(
         scenario.description or scenario.name, "gsrain", xosc.ParameterDeclarations(), entities, board,
-        xosc.RoadNetwork(road_file), xosc.Catalog(), osc_minor_version=_MINOR, creation_date=_DATE,
+        xosc.RoadNetwork(road_file), xosc.Catalog(), osc_minor_version=2, creation_date=_DATE,
         header_properties=properties,
     )  # fmt: skip
     return _xml(whole.get_element())
@@ -126,6 +109,26 @@ def _text(scenario: Scenario, entities: xosc.Entities, board: xosc.StoryBoard, r
 def _xml(root: ElementTree.Element) -> str:
     ElementTree.indent(root, "    ")
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n"
+
+
+# Maneuvers
+
+Place = tuple[float, float, float, float]
+"""World x, y, z and heading."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedPath:
+    """Poses of a road user and their times in seconds since the scenario began; the first is where it appears."""
+
+    times_s: list[float] = field(default_factory=list[float])
+    places: list[Place] = field(default_factory=list[Place])
+
+
+def _begin(init: xosc.Init, id: str, place: Place, speed_m_s: float) -> None:
+    immediate = xosc.TransitionDynamics(words.DynamicsShapes.step, words.DynamicsDimension.time, 0)
+    init.add_init_action(id, xosc.TeleportAction(position(place)))
+    init.add_init_action(id, xosc.AbsoluteSpeedAction(speed_m_s, immediate))
 
 
 # Entities
@@ -170,30 +173,6 @@ def user_entity(
 def _box(size_lwh_m: tuple[float, float, float], ahead_m: float) -> xosc.BoundingBox:
     length, width, height = size_lwh_m
     return xosc.BoundingBox(width, length, height, round(ahead_m, 6), 0.0, round(height / 2, 6))
-
-
-# Maneuvers
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedPath:
-    """Poses of a road user and their times in seconds since the scenario began; the first is where it appears."""
-
-    times_s: list[float] = field(default_factory=list[float])
-    places: list[Place] = field(default_factory=list[Place])
-
-
-def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, RecordedPath]:
-    """Simulate all road users around a standing ego vehicle and record their poses."""
-    found: dict[str, RecordedPath] = {}
-    for step in range(round(scenario.duration_s / scenario.step_s) + 1):
-        time_s = step * scenario.step_s
-        for user in traffic.users:
-            path = found.setdefault(user.id, RecordedPath())
-            path.times_s.append(time_s)
-            path.places.append((user.x_m, user.y_m, user.z_m, user.yaw_rad))
-        traffic.advance(time_s, ego, scenario.step_s)
-    return found
 
 
 def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
@@ -284,6 +263,19 @@ def _maneuver(id: str, actions: list[tuple[str, Any]], trigger: Any) -> xosc.Man
     return xosc.Maneuver(f"{id} manoeuvre").add_event(event)
 
 
+def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, RecordedPath]:
+    """Simulate all road users around a standing ego vehicle and record their poses."""
+    found: dict[str, RecordedPath] = {}
+    for step in range(round(scenario.duration_s / scenario.step_s) + 1):
+        time_s = step * scenario.step_s
+        for user in traffic.users:
+            path = found.setdefault(user.id, RecordedPath())
+            path.times_s.append(time_s)
+            path.places.append((user.x_m, user.y_m, user.z_m, user.yaw_rad))
+        traffic.advance(time_s, ego, scenario.step_s)
+    return found
+
+
 # Weather
 
 
@@ -296,7 +288,10 @@ def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
     intensity = rain.intensity_mm_h
     kind = words.PrecipitationType.rain if intensity > 0 else words.PrecipitationType.dry
     fog = wind = cloud = None
+    wetness = words.Wetness.dry
     if intensity > 0:
+        soaks = water_depth_mm(intensity) >= SOAKING_DEPTH_MM
+        wetness = words.Wetness.wetWithPuddles if soaks else words.Wetness.moist
         cloud = words.FractionalCloudCover.eightOktas
         visibility = rain_properties(rain, load_calibration(rain.calibration)).visibility_m
         fog = None if np.isinf(visibility) else words.Fog(round(visibility, 1))
@@ -304,13 +299,11 @@ def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
     if x or y:
         wind = xosc.Wind(float(np.arctan2(y, x)) % (2 * np.pi), float(np.hypot(x, y)))
     weather = xosc.Weather(cloud, fog=fog, precipitation=xosc.Precipitation(kind, intensity), wind=wind)
-    puddles = water_depth_mm(intensity) >= SOAKING_DEPTH_MM
-    wetness = words.Wetness.wetWithPuddles if puddles else words.Wetness.moist
-    road = xosc.RoadCondition(1.0, wetness=wetness if intensity > 0 else words.Wetness.dry)
+    road = xosc.RoadCondition(1.0, wetness=wetness)
     return xosc.EnvironmentAction(xosc.Environment("weather", weather=weather, roadcondition=road))
 
 
-# Road (OpenDRIVE)
+# OpenDRIVE road
 
 _BEFORE_M, _BEHIND_M = 60.0, 200.0  # straight extension of the road before and after the recorded drive
 _STEP_M = 5.0
@@ -327,14 +320,13 @@ def road_xml(scenario: Scenario, scene: Scene) -> str:
     alongs = np.arange(-_BEFORE_M, route.length_m + _BEHIND_M + _STEP_M / 2, _STEP_M)
     points = np.array([route.at(float(each))[:2] for each in alongs])
     lanes = xodr.Lanes()
-    middle = xodr.Lane(lane_type=xodr.LaneType.none)
-    section = xodr.LaneSection(0, middle)
+    section = xodr.LaneSection(0, xodr.Lane(lane_type=xodr.LaneType.none))
     for _ in range(3):
         section.add_right_lane(xodr.Lane(a=LANE_M))
     section.add_left_lane(xodr.Lane(a=LANE_M))
     lanes.add_lanesection(section)
     lanes.add_laneoffset(xodr.LaneOffset(0, 1.5 * LANE_M))
-    road = xodr.Road(0, _plan(points), lanes, name=scenario.name)
+    road = xodr.Road(0, _reference_line(points), lanes, name=scenario.name)
     drive = xodr.OpenDrive(scenario.name)
     drive.add_road(road)
     root = drive.get_element()
@@ -344,11 +336,11 @@ def road_xml(scenario: Scenario, scene: Scene) -> str:
     return _xml(root)
 
 
-def _plan(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
+def _reference_line(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
     """Return the reference line: a cubic between each pair of points."""
-    shape = _simplified_points(points)
-    slopes, plan = np.gradient(points, _STEP_M, axis=0)[shape], xodr.PlanView()
-    for start, end, leave, arrive in zip(points[shape], points[shape[1:]], slopes, slopes[1:], strict=False):
+    chosen = _simplified_points(points)
+    slopes, plan = np.gradient(points, _STEP_M, axis=0)[chosen], xodr.PlanView()
+    for start, end, leave, arrive in zip(points[chosen], points[chosen[1:]], slopes, slopes[1:], strict=False):
         chord = float(np.linalg.norm(end - start))
         heading = float(np.arctan2(leave[1], leave[0]))
         turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])

@@ -31,14 +31,13 @@ def first_collision(rollout: Rollout) -> Collision | None:
     """
     for step in rollout.steps:
         if step.collision is not None:
-            other = next((each for each in step.road_users if each.id == step.collision), None)
-            away = 0.0 if other is None else other.speed_m_s * float(np.cos(other.yaw_rad - step.ego.yaw_rad))
+            others = [each for each in step.road_users if each.id == step.collision]
+            away = sum(each.speed_m_s * float(np.cos(each.yaw_rad - step.ego.yaw_rad)) for each in others)
             return Collision(step.collision, step.time_s, step.ego.speed_m_s, step.ego.speed_m_s - away)
     return None
 
 
-# Planned collisions
-# The paper's rate by planned point, and HUGSIM's by frame.
+# Planned collisions: the paper's rate by planned point, and HUGSIM's by frame
 
 
 @runtime_checkable
@@ -47,7 +46,6 @@ class CollisionSpace(Protocol):
 
     def touches(self, box: PlanarBox) -> bool:
         """Return whether a box on the ground hits an obstacle."""
-        ...
 
 
 class PlannedCollisions(NamedTuple):
@@ -75,9 +73,6 @@ class PlannedCollisions(NamedTuple):
         frames = [any(frame) for frame in self.frames if frame]
         return sum(frames) / len(frames) if frames else None
 
-
-# Planned poses
-# World frame: meters, radians.
 
 PlanReading = Literal["all", "hugsim"]
 """Points of a plan that count. `all`: all of them; the last has the heading of the segment before it. `hugsim`: all
@@ -115,8 +110,7 @@ def future_times_s(rollout: Rollout, step: RolloutStep, count: int, reading: Pla
     return times
 
 
-# Logged traffic
-# World frame, meters.
+_SAME_S = 1e-6
 
 
 class LoggedTraffic:
@@ -124,8 +118,7 @@ class LoggedTraffic:
 
     def __init__(self, rollout: Rollout) -> None:
         self._times = np.array([each.time_s for each in rollout.steps])
-        self._records = [each.road_users for each in rollout.steps]
-        self._users = rollout.users
+        self._records, self._users = [each.road_users for each in rollout.steps], rollout.users
         self._known: dict[float, tuple[PlanarBox, ...]] = {}
 
     def at(self, time_s: float) -> tuple[PlanarBox, ...]:
@@ -140,9 +133,7 @@ class LoggedTraffic:
         return self._known[key]
 
     def _looked_up(self, time_s: float) -> tuple[PlanarBox, ...]:
-        later = int(np.searchsorted(self._times, time_s - _SAME_S))
-        if later == len(self._times):
-            later -= 1
+        later = min(int(np.searchsorted(self._times, time_s - _SAME_S)), len(self._times) - 1)
         if abs(self._times[later] - time_s) <= _SAME_S or later == 0:
             return road_user_boxes(self._records[later], self._users)
         share = (time_s - self._times[later - 1]) / (self._times[later] - self._times[later - 1])
@@ -191,7 +182,17 @@ def planned_poses(step: RolloutStep, reading: PlanReading = "all") -> Float64[np
     """
     start = ego_pose(step.ego)
     points = VehicleState(*start).to_world(np.array(step.plan, np.float64).reshape(-1, 2))
-    poses = _with_next_direction(points) if reading == "hugsim" else _with_directions(points, float(start[2]))
+    steps = np.diff(points, axis=0)
+    if reading == "hugsim":
+        poses = np.column_stack([points[:-1], np.arctan2(steps[:, 1], steps[:, 0])])
+    else:
+        last = steps[-1:] if len(steps) else np.zeros_like(points)
+        heading, headings = float(start[2]), list[float]()
+        for step_m in (*steps, *last):
+            if np.linalg.norm(step_m) >= _APART_M:
+                heading = float(np.arctan2(step_m[1], step_m[0]))
+            headings.append(heading)
+        poses = np.column_stack([points, np.array(headings)])
     if len(poses) and np.linalg.norm(poses[-1, :2] - start[:2]) < STANDING_M:
         poses[:, 2] = start[2]
     return poses
@@ -202,26 +203,7 @@ def with_start(step: RolloutStep, poses: Float64[np.ndarray, "n 3"]) -> Float64[
     return np.concatenate([ego_pose(step.ego)[None], poses])
 
 
-def _with_next_direction(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 3"]:
-    if len(points) < 2:
-        return np.zeros((0, 3))
-    steps = np.diff(points, axis=0)
-    return np.column_stack([points[:-1], np.arctan2(steps[:, 1], steps[:, 0])])
-
-
-def _with_directions(points: Float64[np.ndarray, "n 2"], yaw_rad: float) -> Float64[np.ndarray, "n 3"]:
-    headings: list[float] = []
-    for index in range(len(points)):
-        i = min(index, len(points) - 2)
-        step = points[i + 1] - points[i] if len(points) > 1 else np.zeros(2)
-        if np.linalg.norm(step) >= _APART_M:
-            yaw_rad = float(np.arctan2(step[1], step[0]))
-        headings.append(yaw_rad)
-    return np.column_stack([points, np.array(headings)]) if len(points) else np.zeros((0, 3))
-
-
-# Time to collision and gaps
-# The paper's TTC at every step.
+# Time to collision and gaps: the paper's TTC at every step
 
 LONGEST_S = 10.0
 """Upper limit of the time to collision: the paper's "no collision risk"."""
@@ -279,18 +261,16 @@ def times_to_collision_s(rollout: Rollout, distance: Distance = "bumper") -> Flo
     counts only when it is hit.
     """
     vehicle = run_setting(rollout).vehicle
-    return np.array([_time_s(step, road_users_ahead(rollout, step, vehicle), distance) for step in rollout.steps])
-
-
-def _time_s(step: RolloutStep, leads: list[RoadUserAhead], distance: Distance) -> float:
-    if step.collision is not None or any(lead.gap_m <= 0 for lead in leads):
-        return 0.0
-    times = [LONGEST_S]
-    for lead in leads:
-        closing = step.ego.speed_m_s - lead.speed_m_s
-        if closing > 0:
-            times.append(max(lead.gap_m if distance == "bumper" else lead.center_m, 0.0) / closing)
-    return min(times)
+    times: list[float] = []
+    for step in rollout.steps:
+        leads, soonest = road_users_ahead(rollout, step, vehicle), LONGEST_S
+        for lead in leads:
+            closing = step.ego.speed_m_s - lead.speed_m_s
+            if closing > 0:
+                soonest = min(soonest, max(lead.gap_m if distance == "bumper" else lead.center_m, 0.0) / closing)
+        touches = step.collision is not None or any(lead.gap_m <= 0 for lead in leads)
+        times.append(0.0 if touches else soonest)
+    return np.array(times)
 
 
 def _in_frame_of(own: PlanarBox, other: PlanarBox) -> PlanarBox:
@@ -301,23 +281,13 @@ def _in_frame_of(own: PlanarBox, other: PlanarBox) -> PlanarBox:
     return PlanarBox(x, y, other.yaw_rad - own.yaw_rad, other.length_m, other.width_m)
 
 
-_SAME_S = 1e-6
-
-
 def road_user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) -> tuple[PlanarBox, ...]:
     """Return the ground boxes of road users, in order."""
-    return tuple(
-        PlanarBox(each.x_m, each.y_m, each.yaw_rad, users[each.id].size_lwh_m[0], users[each.id].size_lwh_m[1])
-        for each in records
-    )
+    return tuple(PlanarBox(each.x_m, each.y_m, each.yaw_rad, *users[each.id].size_lwh_m[:2]) for each in records)
 
 
 def _between(before: UserRecord, after: UserRecord, share: float) -> UserRecord:
-    return UserRecord(
-        id=before.id,
-        x_m=before.x_m + share * (after.x_m - before.x_m),
-        y_m=before.y_m + share * (after.y_m - before.y_m),
-        z_m=before.z_m + share * (after.z_m - before.z_m),
-        yaw_rad=before.yaw_rad + share * wrap_angle(after.yaw_rad - before.yaw_rad),
-        speed_m_s=before.speed_m_s + share * (after.speed_m_s - before.speed_m_s),
-    )
+    names = ("x_m", "y_m", "z_m", "speed_m_s")
+    fields = {name: getattr(before, name) + share * (getattr(after, name) - getattr(before, name)) for name in names}
+    yaw = before.yaw_rad + share * wrap_angle(after.yaw_rad - before.yaw_rad)
+    return UserRecord(id=before.id, yaw_rad=yaw, **fields)

@@ -8,19 +8,15 @@ from jaxtyping import Bool, Float64
 from ..rollout import Rollout, planned_frames
 from .collisions import PlanReading, planned_poses, with_start
 
-# Limits
-
 
 class ComfortLimits(NamedTuple):
     """Inclusive upper limits of comfortable motion."""
 
     braking_m_s2: float = -4.05
     acceleration_m_s2: float = 2.40
-    """Acceleration and deceleration are along the heading."""
+    """Acceleration and deceleration are along the heading, as is the jerk; the others count with either sign."""
     jerk_m_s3: float = 8.37
-    """Jerk along the heading, either sign."""
     lateral_m_s2: float = 4.89
-    """Acceleration across the heading, either sign."""
     yaw_rate_rad_s: float = 0.95
     yaw_acceleration_rad_s2: float = 1.93
     whole_jerk_m_s3: float = float("inf")
@@ -70,9 +66,7 @@ def executed_motion(rollout: Rollout) -> Motion:
     lateral = np.array([each.speed_m_s for each in egos], np.float64) * yaw_rate
     jerk = np.full(len(acceleration), np.nan)
     jerk[1:] = np.diff(acceleration) / dt
-    return Motion(
-        acceleration, jerk, lateral[1:], np.diff(lateral) / dt, yaw_rate[1:], np.diff(yaw_rate) / dt
-    )  # fmt: skip
+    return Motion(acceleration, jerk, lateral[1:], np.diff(lateral) / dt, yaw_rate[1:], np.diff(yaw_rate) / dt)
 
 
 def comfort_executed(rollout: Rollout, limits: ComfortLimits = PAPER) -> float | None:
@@ -90,10 +84,7 @@ NUPLAN = ComfortLimits(jerk_m_s3=4.13, whole_jerk_m_s3=8.37)
 """nuPlan's: 8.37 bounds the length of the jerk, 4.13 its part along the heading. (nuPlan also smooths with a
 Savitzky-Golay filter at 10 Hz; plans and steps here are too coarse for that.)"""
 
-# Planned comfort
-# HUGSIM's definition, used in its scores.
-
-_FEWEST = 4  # minimum number of poses for a jerk; shorter plans count as comfortable
+# Planned comfort: HUGSIM's definition, used in its scores
 
 
 def planned_motion(poses: Float64[np.ndarray, "n 3"], spacing_s: float) -> Motion:
@@ -108,16 +99,17 @@ def planned_motion(poses: Float64[np.ndarray, "n 3"], spacing_s: float) -> Motio
     turn = np.where(turn < -np.pi, turn + 2 * np.pi, turn)
     yaw_rate = turn / spacing_s
     acceleration = np.diff(speed) / spacing_s
+    jerk, yaw_acceleration = np.diff(acceleration) / spacing_s, np.diff(yaw_rate) / spacing_s
+    acceleration, jerk, yaw_rate, yaw_acceleration = (
+        np.pad(each, (0, len(poses) - len(each)), "edge") for each in (acceleration, jerk, yaw_rate, yaw_acceleration)
+    )
     zero = np.zeros(len(poses))
-    return Motion(
-        _filled(acceleration, poses), _filled(np.diff(acceleration) / spacing_s, poses), zero, zero,
-        _filled(yaw_rate, poses), _filled(np.diff(yaw_rate) / spacing_s, poses),
-    )  # fmt: skip
+    return Motion(acceleration, jerk, zero, zero, yaw_rate, yaw_acceleration)
 
 
 def is_plan_comfortable(poses: Float64[np.ndarray, "n 3"], spacing_s: float, limits: ComfortLimits = PAPER) -> bool:
     """Return whether a plan stays within the limits; `poses` start with the vehicle's own. True below 4 poses."""
-    return len(poses) < _FEWEST or bool(planned_motion(poses, spacing_s).comfortable(limits).all())
+    return len(poses) < 4 or bool(planned_motion(poses, spacing_s).comfortable(limits).all())
 
 
 def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER, reading: PlanReading = "hugsim") -> float | None:
@@ -132,7 +124,3 @@ def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER, reading: Pl
         if len(poses := planned_poses(step, reading))
     ]
     return sum(fine) / len(fine) if fine else None
-
-
-def _filled(values: Float64[np.ndarray, " m"], poses: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    return np.pad(values, (0, len(poses) - len(values)), "edge")

@@ -15,11 +15,11 @@ from matplotlib.patches import Polygon
 from ...evaluation.image_metrics import MeanInterval, mean_interval
 from ...safe_io.text_files import figure_words
 from ...scene.files import whole_file
-from ..geometry import PlanarBox
+from ..geometry import PlanarBox, Route
 from ..rollout import Rollout, RolloutStep, run_setting
-from ..route import Route
 from ..vehicle import VehicleState
-from .collisions import LONGEST_S, ego_box, ego_pose, gaps_m, planned_poses, road_user_boxes, times_to_collision_s
+from . import collisions
+from .collisions import ego_box, ego_pose, road_user_boxes
 from .comfort import PAPER
 from .summary import DriveComparison, IntensityRuns
 
@@ -51,19 +51,72 @@ def kinematics_figure(comparison: DriveComparison) -> Figure:
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     FigureCanvasAgg(figure)
     panels: list[Axes] = list(figure.subplots(2, 2, sharex=True).ravel())
+    count = len(comparison.weathers)
     colors = rain_colors([each.intensity_mm_h for each in comparison.weathers])
+    # From bottom to top, so that coinciding lines stay visible.
+    widths = np.linspace(_WIDEST, _THINNEST, count) if count > 1 else [_THINNEST]
     for panel, (quantity, title) in zip(panels, _TITLES.items(), strict=True):
-        for weather, width in zip(comparison.weathers, _widths(len(comparison.weathers)), strict=True):
-            _draw(panel, weather, quantity, colors[weather.intensity_mm_h], width)
-        _dress(panel, quantity, title)
+        for weather, width in zip(comparison.weathers, widths, strict=True):
+            _draw(panel, weather, quantity, colors[weather.intensity_mm_h], float(width))
+        panel.set_title(title, loc="left", fontsize=10)
+        _set_limits(panel, quantity)
+        _style(panel, alpha=0.3)
     for panel in panels[2:]:
         panel.set_xlabel("Time (s)")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False, fontsize=9
-    )  # fmt: skip
+    _add_legend(figure, *panels[0].get_legend_handles_labels(), columns=6)
     figure.suptitle(figure_words(comparison.title, 110), fontsize=12, x=0.01, ha="left")
     return figure
+
+
+def _draw(panel: Axes, weather: IntensityRuns, quantity: Quantity, color: Any, width: float) -> None:
+    """Draw the curve of an intensity with its band, and collisions where their run's curve ends."""
+    times, mean, low, high = curve_band(weather, quantity)
+    is_stepped = quantity == "acceleration_m_s2"
+    label = "clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g} mm/h"
+    if len(weather.runs) > 1:
+        label += f" ({len(weather.runs)} seeds)"
+        step = "pre" if is_stepped else None
+        panel.fill_between(times, low, high, color=color, alpha=0.2, linewidth=0, step=step)
+    style = "steps-pre" if is_stepped else "default"
+    panel.plot(times, mean, color=color, linewidth=width, drawstyle=style, label=label)
+    for run in weather.runs:
+        if run.rollout is None or not run.metrics.collision:
+            continue
+        own = curve_band(IntensityRuns(weather.intensity_mm_h, (run,)), quantity)
+        if np.isfinite(own.mean[-1]):
+            panel.plot(
+                own.times_s[-1], own.mean[-1], "X", color=color, markersize=9, markeredgecolor="white", zorder=5,
+                clip_on=False,
+            )  # fmt: skip
+
+
+def _set_limits(panel: Axes, quantity: Quantity) -> None:
+    panel.set_xlim(left=0)
+    if quantity == "acceleration_m_s2":
+        for limit in (PAPER.braking_m_s2, PAPER.acceleration_m_s2):
+            panel.axhline(limit, color=_GRID, linewidth=1, linestyle=(0, (4, 3)), zorder=0)
+        panel.text(
+            0.995, PAPER.acceleration_m_s2, "comfort limits", transform=panel.get_yaxis_transform(), fontsize=7.5,
+            color="#6b7480", ha="right", va="bottom",
+        )  # fmt: skip
+        low, high = panel.get_ylim()
+        panel.set_ylim(min(low, PAPER.braking_m_s2 - 0.5), max(high, PAPER.acceleration_m_s2 + 0.9))
+    elif quantity == "ttc_s":
+        panel.set_ylim(-0.25, collisions.LONGEST_S + 0.4)
+    else:
+        low, high = panel.get_ylim()
+        panel.set_ylim(min(0.0, low), max(1.04 * high, 1.0))
+
+
+def _style(panel: Axes, alpha: float) -> None:
+    panel.grid(alpha=alpha)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.tick_params(labelsize=9)
+
+
+def _add_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[Any], columns: int) -> None:
+    count = min(len(labels), columns)
+    figure.legend(handles, labels, loc="outside lower center", ncols=count, frameon=False, fontsize=9)
 
 
 def rain_colors(intensities_mm_h: list[float]) -> dict[float, tuple[float, ...] | str]:
@@ -83,60 +136,8 @@ def write_figure(path: Path, figure: Figure) -> None:
     if kind not in _WITHOUT_DATE:
         raise ValueError(f"{path}: expected a name that ends with .{', .'.join(_WITHOUT_DATE)}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside, rc_context({"svg.hashsalt": "gsrain"}):
-        figure.savefig(beside, format=kind, dpi=_DPI, metadata=_WITHOUT_DATE[kind])
-
-
-def _widths(count: int) -> list[float]:
-    """Return line widths from bottom to top, so that coinciding lines stay visible."""
-    return [float(each) for each in np.linspace(_WIDEST, _THINNEST, count)] if count > 1 else [_THINNEST]
-
-
-def _draw(panel: Axes, weather: IntensityRuns, quantity: Quantity, color: Any, width: float) -> None:
-    times, mean, low, high = curve_band(weather, quantity)
-    style = "steps-pre" if quantity == "acceleration_m_s2" else "default"
-    rain = "clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g} mm/h"
-    seeds = f" ({len(weather.runs)} seeds)" if len(weather.runs) > 1 else ""
-    if len(weather.runs) > 1:
-        step = "pre" if quantity == "acceleration_m_s2" else None
-        panel.fill_between(times, low, high, color=color, alpha=0.2, linewidth=0, step=step)
-    panel.plot(times, mean, color=color, linewidth=width, drawstyle=style, label=f"{rain}{seeds}")
-    _crosses(panel, weather, quantity, color)
-
-
-def _crosses(panel: Axes, weather: IntensityRuns, quantity: Quantity, color: Any) -> None:
-    """Mark collisions where their run's curve ends."""
-    for run in weather.runs:
-        if run.rollout is None or not run.metrics.collision:
-            continue
-        own = curve_band(IntensityRuns(weather.intensity_mm_h, (run,)), quantity)
-        if np.isfinite(own.mean[-1]):
-            panel.plot(
-                own.times_s[-1], own.mean[-1], "X", color=color, markersize=9, markeredgecolor="white", zorder=5,
-                clip_on=False,
-            )  # fmt: skip
-
-
-def _dress(panel: Axes, quantity: Quantity, title: str) -> None:
-    panel.set_title(title, loc="left", fontsize=10)
-    panel.grid(alpha=0.3)
-    panel.spines[["top", "right"]].set_visible(False)
-    panel.tick_params(labelsize=9)
-    panel.set_xlim(left=0)
-    if quantity == "acceleration_m_s2":
-        for limit in (PAPER.braking_m_s2, PAPER.acceleration_m_s2):
-            panel.axhline(limit, color=_GRID, linewidth=1, linestyle=(0, (4, 3)), zorder=0)
-        panel.text(
-            0.995, PAPER.acceleration_m_s2, "comfort limits", transform=panel.get_yaxis_transform(), fontsize=7.5,
-            color="#6b7480", ha="right", va="bottom",
-        )  # fmt: skip
-        low, high = panel.get_ylim()
-        panel.set_ylim(min(low, PAPER.braking_m_s2 - 0.5), max(high, PAPER.acceleration_m_s2 + 0.9))
-    elif quantity == "ttc_s":
-        panel.set_ylim(-0.25, LONGEST_S + 0.4)
-    else:
-        low, high = panel.get_ylim()
-        panel.set_ylim(min(0.0, low), max(1.04 * high, 1.0))
+    with whole_file(path) as partial, rc_context({"svg.hashsalt": "gsrain"}):
+        figure.savefig(partial, format=kind, dpi=_DPI, metadata=_WITHOUT_DATE[kind])
 
 
 class CurveBand(NamedTuple):
@@ -153,9 +154,9 @@ class CurveBand(NamedTuple):
 def curve_over_time(rollout: Rollout, quantity: Quantity) -> Float64[np.ndarray, " n"]:
     """Return a quantity of a run at its steps, NaN where undefined; the acceleration is that of the previous step."""
     if quantity == "ttc_s":
-        return times_to_collision_s(rollout)
+        return collisions.times_to_collision_s(rollout)
     if quantity == "gap_m":
-        gaps = gaps_m(rollout)
+        gaps = collisions.gaps_m(rollout)
         return np.where(np.isfinite(gaps), gaps, np.nan)
     values = np.array([getattr(each.ego, quantity) for each in rollout.steps], np.float64)
     if quantity == "acceleration_m_s2":
@@ -179,13 +180,10 @@ def curve_band(weather: IntensityRuns, quantity: Quantity) -> CurveBand:
     table = np.full((len(rollouts), len(times)), np.nan)
     for row, rollout in zip(table, rollouts, strict=True):
         row[: len(rollout.steps)] = curve_over_time(rollout, quantity)
-    columns = [_interval(column[np.isfinite(column)].tolist()) for column in table.T]
+    known = [column[np.isfinite(column)].tolist() for column in table.T]
+    columns = [mean_interval(each) if each else MeanInterval(np.nan, np.nan, np.nan) for each in known]
     mean, low, high = (np.array(each) for each in zip(*columns, strict=True))
     return CurveBand(times, mean, low, high)
-
-
-def _interval(values: Sequence[float]) -> MeanInterval:
-    return mean_interval(values) if values else MeanInterval(np.nan, np.nan, np.nan)
 
 
 # Bird's-eye views
@@ -206,36 +204,69 @@ def birds_eye_sheet(rollouts: Sequence[Rollout], route: Route | None = None) -> 
         raise ValueError("no run to be drawn from above")
     views = [_view(each) for each in rollouts]
     low, high = np.min([each[0] for each in views], axis=0), np.max([each[1] for each in views], axis=0)
-    figure = _canvas(high - low, len(rollouts))
+    width, height = high - low
+    panel_in = float(np.clip((_WIDTH_IN - 0.6) * height / width + 0.35, 1.3, _TALLEST_IN))
+    figure = Figure(figsize=(_WIDTH_IN, len(rollouts) * panel_in + 0.7), layout="constrained")
+    FigureCanvasAgg(figure)
     panels: list[Axes] = list(np.atleast_1d(figure.subplots(len(rollouts), 1, sharex=True)))
+    named: dict[str, Any] = {}
     for axes, rollout in zip(panels, rollouts, strict=True):
         _draw_birds_eye(axes, rollout, route)
-        _dress_birds_eye(axes, low, high)
-    panels[-1].set_xlabel("ahead of the start (m)")
-    named: dict[str, Any] = {}
-    for axes in panels:
+        axes.set_aspect("equal")
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        axes.set_ylabel("left (m)")
+        _style(axes, alpha=0.25)
         handles, labels = axes.get_legend_handles_labels()
         named.update(zip(labels, handles, strict=True))
-    figure.legend(
-        list(named.values()), list(named), loc="outside lower center", ncols=len(named), frameon=False, fontsize=9
-    )
+    panels[-1].set_xlabel("ahead of the start (m)")
+    _add_legend(figure, list(named.values()), list(named), columns=len(named))
     return figure
 
 
 def _draw_birds_eye(axes: Axes, rollout: Rollout, route: Route | None) -> None:
     start = VehicleState(*ego_pose(rollout.steps[0].ego))
-    shown = _every_second(rollout)
+    apart = max(round(_EVERY_S / rollout.step_s), 1)
+    steps = list(rollout.steps[::apart])
+    if steps[-1] is not rollout.steps[-1]:
+        steps.append(rollout.steps[-1])
     if route is not None:
         x, y = start.from_world(route.points).T
         axes.plot(x, y, color=_ROUTE, linewidth=1.6, linestyle=(0, (6, 4)), zorder=1, label="route")
-    for place, step in enumerate(shown):
-        _moment(axes, rollout, step, start, 0.25 + 0.75 * (place + 1) / len(shown))
-    way = start.from_world(np.array([(each.ego.x_m, each.ego.y_m) for each in rollout.steps]))
-    axes.plot(*way.T, color=_EGO, linewidth=1.6, zorder=4, label="ego vehicle, rear axle")
-    _tell_times(axes, [(each.time_s, start.from_world(_own_box(rollout, each).corners)) for each in shown])
-    _name_users(axes, rollout, start)
-    title = _title(rollout) + _mark_collision(axes, rollout, start)
-    axes.set_title(title, loc="left", fontsize=10)
+    for place, step in enumerate(steps, start=1):
+        weight = 0.25 + 0.75 * place / len(steps)
+        for box in road_user_boxes(step.road_users, rollout.users):
+            _box(axes, start.from_world(box.corners), _OTHER, weight)
+        _box(axes, start.from_world(_own_box(rollout, step).corners), _EGO, weight)
+        planned = collisions.planned_poses(step)[:, :2]
+        if len(planned):
+            points = start.from_world(np.concatenate([ego_pose(step.ego)[None, :2], planned]))
+            axes.plot(
+                *points.T, "-o", color=_PLAN, linewidth=0.8, alpha=0.7, markersize=2.6, markevery=(1, 1), zorder=5,
+                label="plans, every second",
+            )  # fmt: skip
+    path = start.from_world(np.array([(each.ego.x_m, each.ego.y_m) for each in rollout.steps]))
+    axes.plot(*path.T, color=_EGO, linewidth=1.6, zorder=4, label="ego vehicle, rear axle")
+    last = -np.inf
+    for step in steps:
+        corners = start.from_world(_own_box(rollout, step).corners)
+        x, y = float(corners[:, 0].mean()), float(corners[:, 1].min())
+        if abs(x - last) >= _BETWEEN_TIMES_M:
+            _annotate(axes, f"{step.time_s:g} s", (x, y), -3, "top", _EGO)
+            last = x
+    boxes: dict[str, PlanarBox] = {}
+    for step in rollout.steps:
+        ids = (each.id for each in step.road_users)
+        boxes.update(zip(ids, road_user_boxes(step.road_users, rollout.users), strict=True))
+    for name, box in boxes.items():
+        corners = start.from_world(box.corners)
+        place = float(corners[:, 0].mean()), float(corners[:, 1].max())
+        _annotate(axes, figure_words(name, 24), place, 3, "bottom", _OTHER)
+    axes.set_title(_title(rollout) + _mark_collision(axes, rollout, start), loc="left", fontsize=10)
+
+
+def _annotate(axes: Axes, text: str, place: tuple[float, float], up_pt: float, align: str, color: str) -> None:
+    axes.annotate(text, place, (0, up_pt), textcoords="offset points", ha="center", va=align, fontsize=8, color=color)
 
 
 def _title(rollout: Rollout) -> str:
@@ -249,12 +280,6 @@ def _own_box(rollout: Rollout, step: RolloutStep) -> PlanarBox:
     return ego_box(run_setting(rollout).vehicle, ego_pose(step.ego))
 
 
-def _every_second(rollout: Rollout) -> list[RolloutStep]:
-    apart = max(round(_EVERY_S / rollout.step_s), 1)
-    chosen = list(rollout.steps[::apart])
-    return chosen if chosen[-1] is rollout.steps[-1] else [*chosen, rollout.steps[-1]]
-
-
 def _view(rollout: Rollout) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
     start = VehicleState(*ego_pose(rollout.steps[0].ego))
     boxes = [_own_box(rollout, step) for step in rollout.steps]
@@ -265,61 +290,9 @@ def _view(rollout: Rollout) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarra
     return low, high
 
 
-def _canvas(size_m: Float64[np.ndarray, "2"], panels: int) -> Figure:
-    one = float(np.clip((_WIDTH_IN - 0.6) * size_m[1] / size_m[0] + 0.35, 1.3, _TALLEST_IN))
-    figure = Figure(figsize=(_WIDTH_IN, panels * one + 0.7), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _moment(axes: Axes, rollout: Rollout, step: RolloutStep, start: VehicleState, weight: float) -> None:
-    for box in road_user_boxes(step.road_users, rollout.users):
-        _box(axes, start.from_world(box.corners), _OTHER, weight)
-    _box(axes, start.from_world(_own_box(rollout, step).corners), _EGO, weight)
-    planned = planned_poses(step)[:, :2]
-    if len(planned):
-        points = start.from_world(np.concatenate([ego_pose(step.ego)[None, :2], planned]))
-        axes.plot(
-            *points.T, "-o", color=_PLAN, linewidth=0.8, alpha=0.7, markersize=2.6, markevery=(1, 1), zorder=5,
-            label="plans, every second",
-        )  # fmt: skip
-
-
 def _box(axes: Axes, corners: Float64[np.ndarray, "4 2"], color: str, weight: float) -> None:
     axes.add_patch(Polygon(corners, closed=True, facecolor=color, edgecolor="none", alpha=0.10 * weight, zorder=2))
     axes.add_patch(Polygon(corners, closed=True, fill=False, edgecolor=color, linewidth=0.9, alpha=weight, zorder=3))
-
-
-def _tell_times(axes: Axes, shown: Sequence[tuple[float, Float64[np.ndarray, "4 2"]]]) -> None:
-    """Label the ego vehicle's boxes with times, where there is room."""
-    last = -np.inf
-    for time_s, corners in shown:
-        x, y = float(corners[:, 0].mean()), float(corners[:, 1].min())
-        if abs(x - last) >= _BETWEEN_TIMES_M:
-            axes.annotate(
-                f"{time_s:g} s",
-                (x, y),
-                (0, -3),
-                textcoords="offset points",
-                ha="center",
-                va="top",
-                fontsize=8,
-                color=_EGO,
-            )
-            last = x
-
-
-def _name_users(axes: Axes, rollout: Rollout, start: VehicleState) -> None:
-    last: dict[str, PlanarBox] = {}
-    for step in rollout.steps:
-        boxes = road_user_boxes(step.road_users, rollout.users)
-        last.update({each.id: box for each, box in zip(step.road_users, boxes, strict=True)})
-    for name, box in last.items():
-        corners = start.from_world(box.corners)
-        axes.annotate(
-            figure_words(name, 24), (corners[:, 0].mean(), corners[:, 1].max()), (0, 3), textcoords="offset points",
-            ha="center", va="bottom", fontsize=8, color=_OTHER,
-        )  # fmt: skip
 
 
 def _mark_collision(axes: Axes, rollout: Rollout, start: VehicleState) -> str:
@@ -339,13 +312,3 @@ def _touch(rollout: Rollout, step: RolloutStep) -> Float64[np.ndarray, "2"]:
             middle: Any = own.polygon.intersection(box.polygon).centroid
             return np.array([middle.x, middle.y])
     return own.corners[[0, 3]].mean(axis=0)
-
-
-def _dress_birds_eye(axes: Axes, low: Float64[np.ndarray, "2"], high: Float64[np.ndarray, "2"]) -> None:
-    axes.set_aspect("equal")
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_ylabel("left (m)")
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=9)

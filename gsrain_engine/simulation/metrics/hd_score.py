@@ -14,8 +14,6 @@ from .comfort import is_plan_comfortable
 
 _TTC_WEIGHT, _COMFORT_WEIGHT = 5.0, 2.0
 _LOOK_AHEAD_S = (0.5, 1.0)
-_FEWEST_POINTS = 2
-_WHOLE_ROUTE = 0.9  # route share that counts as complete
 
 
 @runtime_checkable
@@ -24,7 +22,6 @@ class DrivableArea(Protocol):
 
     def share_on_road(self, box: PlanarBox) -> Float64[np.ndarray, "2 2"]:
         """Return the share of each quarter of a box (front and rear by left and right) on the road, 0..1."""
-        ...
 
 
 class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -59,17 +56,15 @@ def hd_score(
     tested as in the simulation, while HUGSIM's scorer tests a slab 1.5 to 3 m above the ground. Without `occupied` the
     background does not count.
     """
-    judge = _HdScorer(rollout, occupied, drivable)
-    rows = [judge.frame(step) for step in planned_frames(rollout)]
+    scorer = _HdScorer(rollout, occupied, drivable)
+    rows = [scorer.frame(step) for step in planned_frames(rollout)]
     scored = np.array([row for row in rows if row is not None]).reshape(-1, 5)
     if not len(scored):
         return None
     nc, dac, ttc, c, pdms = (float(each) for each in scored.mean(axis=0))
-    rc = min(1.0, max(step.route_completion for step in rollout.steps) / _WHOLE_ROUTE)
-    return HdScore(
-        frames=len(scored), nc=nc, dac=None if drivable is None else dac, ttc=ttc, c=c, pdms=pdms, rc=rc,
-        hdscore=pdms * rc,
-    )  # fmt: skip
+    rc = min(1.0, max(step.route_completion for step in rollout.steps) / 0.9)
+    known = None if drivable is None else dac
+    return HdScore(frames=len(scored), nc=nc, dac=known, ttc=ttc, c=c, pdms=pdms, rc=rc, hdscore=pdms * rc)
 
 
 class _HdScorer:
@@ -80,11 +75,15 @@ class _HdScorer:
 
     def frame(self, step: RolloutStep) -> tuple[float, ...] | None:
         planned = planned_poses(step, "hugsim")
-        if len(planned) < _FEWEST_POINTS:
+        if len(planned) < 2:
             return None
         poses = with_start(step, planned)
         nc = 0.0 if self._hits(step, poses) else 1.0
-        dac = self._compliance(poses)
+        dac = 1.0
+        if self._drivable is not None:
+            boxes = [ego_box(self._vehicle, pose) for pose in poses]
+            on_road = min(float(np.mean(self._drivable.share_on_road(box) > 0)) for box in boxes)
+            dac = 0.0 if on_road < 0.3 else 1.0 - 0.5 * (on_road < 0.5)
         ttc = 1.0 if all(not self._hits(step, self._moved_on(poses, each)) for each in _LOOK_AHEAD_S) else 0.0
         c = float(is_plan_comfortable(poses, self._spacing_s))
         pdms = nc * dac * (_TTC_WEIGHT * ttc + _COMFORT_WEIGHT * c) / (_TTC_WEIGHT + _COMFORT_WEIGHT)
@@ -100,12 +99,3 @@ class _HdScorer:
         moved = poses.copy()
         moved[:, :2] += time_s * np.concatenate([velocity[:1], velocity])
         return moved
-
-    def _compliance(self, poses: Float64[np.ndarray, "n 3"]) -> float:
-        if self._drivable is None:
-            return 1.0
-        boxes = [ego_box(self._vehicle, pose) for pose in poses]
-        shares = [float(np.mean(self._drivable.share_on_road(box) > 0)) for box in boxes]
-        if min(shares) < 0.3:
-            return 0.0
-        return 0.5 if min(shares) < 0.5 else 1.0

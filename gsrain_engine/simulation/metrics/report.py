@@ -8,8 +8,8 @@ import msgspec
 
 from ...evaluation.detection.figures import figure_pixels
 from ...evaluation.report import ReportFigure, ReportTable, RunReport
+from ..geometry import Route
 from ..rollout import Rollout
-from ..route import Route
 from .figures import birds_eye_sheet, kinematics_figure
 from .summary import DriveComparison, ScoredRun, compare_drives, results_table
 
@@ -22,6 +22,11 @@ _OVER_TIME = (
 )
 
 _FROM_ABOVE = "In the frame of the start; boxes every second, darker with time; dots are planned points."
+
+
+def rollout_hash(rollout: Rollout) -> str:
+    """Return the SHA-256 of a roll-out, equal for equal runs on every machine."""
+    return hashlib.sha256(msgspec.json.encode(rollout, order="sorted")).hexdigest()
 
 
 def drive_report_page(
@@ -37,23 +42,34 @@ def drive_report_page(
     comparisons = compare_drives(runs)
     table = results_table(comparisons)
     rollouts = [run.rollout for run in runs if run.rollout is not None]
+    versions = {name: metadata.version(name) for name in _PACKAGES}
+    for rollout in rollouts:
+        versions.update(rollout.software)
+    values: dict[str, Iterable[str]] = {
+        "scenes": (run.metrics.scene for run in runs),
+        "scene hashes": (each.scene_hash[:16] for each in rollouts if each.scene_hash),
+        "intensities (mm/h)": (f"{run.metrics.intensity_mm_h:g}" for run in runs),
+        "seeds": (str(run.metrics.seed) for run in runs),
+        "agents": (run.metrics.agent for run in runs),
+        "step (s)": (f"{each.step_s:g}" for each in rollouts),
+        "time between planned points (s)": (f"{each.spacing_s:g}" for each in rollouts),
+        "SHA-256 of the roll-outs": (rollout_hash(each)[:16] for each in rollouts),
+        "versions": (f"{name} {version}" for name, version in versions.items()),
+    }
+    facts = {name: ", ".join(dict.fromkeys(each)) for name, each in values.items()}
     return RunReport(
         title="Driving in rain: " + ", ".join(dict.fromkeys(each.scenario for each in comparisons)),
-        settings={**(settings or {}), **_facts(runs, rollouts)},
+        settings={**(settings or {}), **facts},
         figures=tuple(figure for each in comparisons for figure in _figures(each, (routes or {}).get(each.scene))),
         tables=(ReportTable("Results", table.columns, table.rows, definitions=table.definitions), _runs_table(runs)),
-        headlines=_headlines(runs),
+        headlines={
+            "runs": str(len(runs)),
+            "collisions": str(sum(run.metrics.collision for run in runs)),
+            "least time to collision": f"{min(run.metrics.min_ttc_s for run in runs):.2f} s" if runs else "-",
+        },
         notes=notes,
         held_out=False,
     )
-
-
-def _headlines(runs: Sequence[ScoredRun]) -> dict[str, str]:
-    return {
-        "runs": str(len(runs)),
-        "collisions": str(sum(run.metrics.collision for run in runs)),
-        "least time to collision": f"{min(run.metrics.min_ttc_s for run in runs):.2f} s" if runs else "-",
-    }
 
 
 def _figures(comparison: DriveComparison, route: Route | None) -> list[ReportFigure]:
@@ -77,48 +93,13 @@ _COLUMNS = {
 
 
 def _runs_table(runs: Sequence[ScoredRun]) -> ReportTable:
-    rows = [
-        (
-            run.metrics.scenario,
-            run.metrics.agent,
-            run.metrics.intensity_mm_h,
-            *(_cell(getattr(run.metrics, key), key) for key in _COLUMNS),
-        )
-        for run in runs
-    ]
+    rows: list[tuple[str | float | None, ...]] = []
+    for metrics in (run.metrics for run in runs):
+        values = {key: getattr(metrics, key) for key in _COLUMNS}
+        values["collided_with"] = values["collided_with"] or "-"
+        rows.append((metrics.scenario, metrics.agent, metrics.intensity_mm_h, *values.values()))
     return ReportTable(
         "Every run", ("scenario", "agent", "R (mm/h)", *_COLUMNS.values()), tuple(rows),
         caption="All numbers, those of runs with a collision too. HD-score as in HUGSIM; the drivable area counts "
         "where it is known.",
     )  # fmt: skip
-
-
-def _cell(value: str | float | None, key: str) -> str | float | None:
-    return "-" if value is None and key == "collided_with" else value
-
-
-def _facts(runs: Sequence[ScoredRun], rollouts: Sequence[Rollout]) -> dict[str, object]:
-    """Collect facts of the runs: scenes, seeds, steps, hashes, versions."""
-    versions = {name: metadata.version(name) for name in _PACKAGES}
-    for rollout in rollouts:
-        versions.update(rollout.software)
-    return {
-        "scenes": _words(run.metrics.scene for run in runs),
-        "scene hashes": _words(each.scene_hash[:16] for each in rollouts if each.scene_hash),
-        "intensities (mm/h)": _words(f"{run.metrics.intensity_mm_h:g}" for run in runs),
-        "seeds": _words(str(run.metrics.seed) for run in runs),
-        "agents": _words(run.metrics.agent for run in runs),
-        "step (s)": _words(f"{each.step_s:g}" for each in rollouts),
-        "time between planned points (s)": _words(f"{each.spacing_s:g}" for each in rollouts),
-        "SHA-256 of the roll-outs": _words(rollout_hash(each)[:16] for each in rollouts),
-        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-    }
-
-
-def rollout_hash(rollout: Rollout) -> str:
-    """Return the SHA-256 of a roll-out, equal for equal runs on every machine."""
-    return hashlib.sha256(msgspec.json.encode(rollout, order="sorted")).hexdigest()
-
-
-def _words(values: Iterable[str]) -> str:
-    return ", ".join(dict.fromkeys(values))

@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from ..rollout import Rollout, planned_frames, run_setting
 from ..rollout_io import write_rollout
 from .collisions import CollisionSpace, first_collision, gaps_m, planned_collisions, times_to_collision_s
 from .comfort import NUPLAN, comfort_executed, comfort_planned
-from .hd_score import DrivableArea, HdScore, hd_score
+from .hd_score import DrivableArea, hd_score
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 
@@ -103,7 +103,9 @@ def measure_drive(
     times, gaps = times_to_collision_s(rollout), gaps_m(rollout)
     every, five = planned_collisions(rollout, occupied), planned_collisions(rollout, occupied, "hugsim")
     score = hd_score(rollout, occupied, drivable)
-    distance, duration = _driven_m(rollout), rollout.steps[-1].time_s - rollout.steps[0].time_s
+    places = np.array([(each.ego.x_m, each.ego.y_m) for each in rollout.steps])
+    distance = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    duration = rollout.steps[-1].time_s - rollout.steps[0].time_s
     return DriveMetrics(
         scenario=setting.scenario,
         scene=rollout.scene,
@@ -116,10 +118,10 @@ def measure_drive(
         duration_s=duration,
         end=rollout.end,
         collision=hit is not None,
-        collided_with=None if hit is None else hit.who,
-        collision_time_s=None if hit is None else hit.time_s,
-        collision_speed_m_s=None if hit is None else hit.speed_m_s,
-        collision_closing_speed_m_s=None if hit is None else hit.closing_speed_m_s,
+        collided_with=hit and hit.who,
+        collision_time_s=hit and hit.time_s,
+        collision_speed_m_s=hit and hit.speed_m_s,
+        collision_closing_speed_m_s=hit and hit.closing_speed_m_s,
         min_ttc_s=float(times.min()),
         min_ttc_time_s=rollout.steps[int(times.argmin())].time_s,
         min_ttc_center_s=float(times_to_collision_s(rollout, "center").min()),
@@ -137,18 +139,8 @@ def measure_drive(
         mean_speed_m_s=distance / duration if duration > 0 else 0.0,
         hardest_braking_m_s2=max(0.0, *(-each.ego.acceleration_m_s2 for each in rollout.steps)),
         with_background=occupied is not None,
-        **_parts(score),
+        **{name: score and getattr(score, name) for name in ("nc", "dac", "ttc", "c", "pdms", "rc", "hdscore")},
     )
-
-
-def _driven_m(rollout: Rollout) -> float:
-    places = np.array([(each.ego.x_m, each.ego.y_m) for each in rollout.steps])
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
-
-
-def _parts(score: HdScore | None) -> dict[str, Any]:
-    names = ("nc", "dac", "ttc", "c", "pdms", "rc", "hdscore")
-    return {name: None if score is None else getattr(score, name) for name in names}
 
 
 # Comparison across rain intensities
@@ -218,36 +210,31 @@ class DriveComparison:
 
 def compare_drives(runs: Iterable[ScoredRun]) -> tuple[DriveComparison, ...]:
     """Group runs by scenario, agent and scene in order of appearance, then by intensity and seed."""
-    groups: dict[tuple[str, str, str], list[ScoredRun]] = {}
+    groups: dict[tuple[str, str, str], dict[float, list[ScoredRun]]] = {}
+    runs = list(runs)
     for run in runs:
-        groups.setdefault((run.metrics.scenario, run.metrics.agent, run.metrics.scene), []).append(run)
-    return tuple(DriveComparison(*key, _by_weather(own)) for key, own in groups.items())
-
-
-def _by_weather(runs: list[ScoredRun]) -> tuple[IntensityRuns, ...]:
-    by_intensity: dict[float, list[ScoredRun]] = {}
+        groups.setdefault((run.metrics.scenario, run.metrics.agent, run.metrics.scene), {})
     for run in sorted(runs, key=lambda each: (each.metrics.intensity_mm_h, each.metrics.seed)):
-        by_intensity.setdefault(run.metrics.intensity_mm_h, []).append(run)
-    return tuple(IntensityRuns(intensity, tuple(own)) for intensity, own in by_intensity.items())
-
-
-# CSV
+        group = groups[run.metrics.scenario, run.metrics.agent, run.metrics.scene]
+        group.setdefault(run.metrics.intensity_mm_h, []).append(run)
+    return tuple(
+        DriveComparison(*key, tuple(IntensityRuns(intensity, tuple(own)) for intensity, own in group.items()))
+        for key, group in groups.items()
+    )
 
 
 def write_metrics_csv(path: Path, metrics: Sequence[DriveMetrics]) -> None:
     """Write all metrics atomically; undefined values are empty, numbers are not rounded."""
-    with whole_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
+    with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, list(DriveMetrics.__struct_fields__), lineterminator="\n")
         writer.writeheader()
-        writer.writerows({key: _cell(value) for key, value in msgspec.structs.asdict(each).items()} for each in metrics)
+        for each in metrics:
+            values = msgspec.structs.asdict(each)
+            flags = {key: str(value).lower() for key, value in values.items() if isinstance(value, bool)}
+            writer.writerow(values | flags)
 
 
-def _cell(value: object) -> object:
-    return str(value).lower() if isinstance(value, bool) else value
-
-
-# Results table
-# As in the paper: one row per scenario, agent and intensity, followed by definitions.
+# Results table, as in the paper: one row per scenario, agent and intensity, followed by definitions
 
 NOT_MEASURED = "--"
 """The paper's entry for C and S after a collision: such runs end early, so their rates cover different roads."""
@@ -266,7 +253,8 @@ class ResultsTable:
     def markdown(self) -> str:
         rule = ["---" if each in _WORDS else "---:" for each in self.columns]
         lines = [self.columns, rule, *self.rows]
-        table = "\n".join("| " + " | ".join(_plain(cell) for cell in line) + " |" for line in lines)
+        cells = [[escape_invisible(cell).replace("|", "\\|") for cell in line] for line in lines]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in cells)
         return table + "\n\n" + "\n".join(f"* {each}" for each in self.definitions) + "\n"
 
     @property
@@ -274,60 +262,44 @@ class ResultsTable:
         """Return the table and its definitions as plain text."""
         lines = [self.columns, *(tuple(map(escape_invisible, row)) for row in self.rows)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.columns))]
-        is_word = [each in _WORDS for each in self.columns]
-        shown = [
-            "  ".join(
-                f"{cell:<{w}}" if word else f"{cell:>{w}}" for cell, w, word in zip(line, widths, is_word, strict=True)
-            )
-            for line in lines
-        ]
+        aligned = [f"{'<' if each in _WORDS else '>'}{width}" for each, width in zip(self.columns, widths, strict=True)]
+        title, *rows = ("  ".join(map(format, line, aligned)) for line in lines)
         rule = "  ".join("-" * width for width in widths)
-        told = [textwrap.fill(each, max(_NARROWEST, len(rule)), subsequent_indent="  ") for each in self.definitions]
-        return "\n".join(line.rstrip() for line in (shown[0], rule, *shown[1:], "", *told)) + "\n"
+        notes = [textwrap.fill(each, max(_NARROWEST, len(rule)), subsequent_indent="  ") for each in self.definitions]
+        return "\n".join(line.rstrip() for line in (title, rule, *rows, "", *notes)) + "\n"
 
 
 _NARROWEST = 80  # minimum line width of the definitions in characters
 _WORDS = ("Scenario", "Agent")
-_C, _S_PLANNED, _S_EXECUTED = "C", "S (planned)", "S (executed)"
-_FRAMES = "C (frames)"
 
 
 def results_table(comparisons: Sequence[DriveComparison]) -> ResultsTable:
     """Build the table. Rows of several seeds show means with 95 % bootstrap intervals in brackets."""
     has_seeds = any(len(weather.runs) > 1 for each in comparisons for weather in each.weathers)
-    columns = (*_WORDS, "R (mm/h)", "Coll.", "Min. TTC (s)", _C, _FRAMES, _S_PLANNED, _S_EXECUTED)
-    rows = [
-        (each.scenario, each.agent, *_cells(weather, has_seeds)) for each in comparisons for weather in each.weathers
-    ]
+    columns = (*_WORDS, "R (mm/h)", "Coll.", "Min. TTC (s)", "C", "C (frames)", "S (planned)", "S (executed)")
+    rows: list[tuple[str, ...]] = []
+    for each in comparisons:
+        for weather in each.weathers:
+            hits = weather.collisions
+            rates = [
+                _text(weather.mean(f"planned_{name}", without_collision=True), 1, " %")
+                for name in ("point_collision_rate", "frame_collision_rate_hugsim")
+            ]
+            comfort = [
+                _text(weather.mean(name, without_collision=True)) for name in ("comfort_planned", "comfort_executed")
+            ]
+            rain = "Clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g}"
+            collided = f"{hits} of {len(weather.runs)}" if has_seeds else ("Yes" if hits else "No")
+            ttc = _text(weather.mean("min_ttc_s"))
+            rows.append((each.scenario, each.agent, rain, collided, ttc, *rates, *comfort))
     return ResultsTable(columns, tuple(rows), _definitions(comparisons, has_seeds))
 
 
-def _cells(weather: IntensityRuns, has_seeds: bool) -> tuple[str, ...]:
-    rain = "Clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g}"
-    hits = weather.collisions
-    collided = f"{hits} of {len(weather.runs)}" if has_seeds else ("Yes" if hits else "No")
-    return (
-        rain,
-        collided,
-        _number(weather.mean("min_ttc_s")),
-        _percent(weather.mean("planned_point_collision_rate", without_collision=True)),
-        _percent(weather.mean("planned_frame_collision_rate_hugsim", without_collision=True)),
-        _number(weather.mean("comfort_planned", without_collision=True)),
-        _number(weather.mean("comfort_executed", without_collision=True)),
-    )
-
-
-def _number(value: MeanInterval | None) -> str:
+def _text(value: MeanInterval | None, digits: int = 3, unit: str = "") -> str:
     if value is None:
         return NOT_MEASURED
-    return f"{value.mean:.3f}" if value.low == value.high else f"{value.mean:.3f} ({value.low:.3f}..{value.high:.3f})"
-
-
-def _percent(value: MeanInterval | None) -> str:
-    if value is None:
-        return NOT_MEASURED
-    mean, low, high = (100 * each for each in value)
-    return f"{mean:.1f} %" if low == high else f"{mean:.1f} ({low:.1f}..{high:.1f}) %"
+    mean, low, high = (f"{100 * each if unit else each:.{digits}f}" for each in value)
+    return mean + unit if value.low == value.high else f"{mean} ({low}..{high}){unit}"
 
 
 def _definitions(comparisons: Sequence[DriveComparison], has_seeds: bool) -> tuple[str, ...]:
@@ -352,7 +324,3 @@ def _definitions(comparisons: Sequence[DriveComparison], has_seeds: bool) -> tup
         f"{seeds}{NOT_MEASURED}: not said after a collision, as in the paper; "
         "the numbers are in the CSV and JSON files.",
     )
-
-
-def _plain(cell: str) -> str:
-    return escape_invisible(cell).replace("|", "\\|")

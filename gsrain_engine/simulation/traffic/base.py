@@ -1,16 +1,12 @@
 """Road users, the behavior protocol, lane positions and gaps. World frame, meters."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
 
-from ..geometry import PlanarBox
-from ..route import Route
+from ..geometry import PlanarBox, Route
 from ..vehicle import Vehicle, VehicleState, vehicle_box
-
-# Road users
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +45,6 @@ class RoadUser:
         x = self.x_m + distance_m * float(np.cos(self.yaw_rad))
         return replace(self, x_m=x, y_m=self.y_m + distance_m * float(np.sin(self.yaw_rad)))
 
-    def moved(self, **fields: float) -> "RoadUser":
-        """Return the road user with other fields."""
-        return replace(self, **fields)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrafficState:
@@ -66,20 +58,17 @@ class TrafficState:
     """The ego vehicle's route, which represents the road."""
 
 
-@runtime_checkable
-class Behavior(Protocol):
+class Behavior:
     """Moves one road user. Deterministic: depends only on the surroundings and its own past."""
 
     def start(self, placed: RoadUser) -> RoadUser | None:
-        """Return the initial state, by default `placed`, the one from the scenario."""
-        ...
+        """Return the initial state, by default `placed`, the one from the scenario; None if absent."""
+        return placed
 
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        """Return the next state; None before it appears and after it disappears."""
-        ...
+    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser | None:
+        """Return the state after a step, None while absent. `me` is the latest state, initially the placed one."""
+        raise NotImplementedError
 
-
-# Ego vehicle as a road user
 
 EGO = "ego"
 """Id of the ego vehicle, reserved."""
@@ -87,32 +76,8 @@ EGO = "ego"
 
 def ego_user(vehicle: Vehicle, state: VehicleState) -> RoadUser:
     """Return the ego vehicle as a road user, at the center of its body. Its height is not set."""
-    box = vehicle_box(vehicle, state)
-    size = vehicle.length_m, vehicle.width_m, vehicle.height_m
+    box, size = vehicle_box(vehicle, state), (vehicle.length_m, vehicle.width_m, vehicle.height_m)
     return RoadUser(EGO, "car", size, box.x_m, box.y_m, state.yaw_rad, state.speed_m_s)
-
-
-# Behaviors given by time
-
-
-class TimeParametrizedBehavior:
-    """A `Behavior` that depends on time alone; subclasses implement `_at`."""
-
-    _me: RoadUser | None = None
-    """Initial state from the scenario."""
-
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        """Return the initial state; None if absent."""
-        self._me = placed
-        return self._at(placed, 0.0)
-
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        """Return the state after a step; None if absent."""
-        return None if self._me is None else self._at(self._me, around.time_s + dt_s)
-
-    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
-        """Return the state at a time since the scenario began; `me` is the initial state."""
-        raise NotImplementedError
 
 
 # Lane positions
@@ -148,15 +113,12 @@ class LanePosition:
         return replace(self, along_m=self.along_m + step)
 
     def user(self, route: Route, me: RoadUser, speed_m_s: float, drift_m_s: float = 0.0) -> RoadUser:
-        """Return a road user at this position.
-
-        `drift_m_s` is its lateral speed to its own left, which turns its heading.
-        """
+        """Return a road user at this position; `drift_m_s`, its lateral speed to its left, turns its heading."""
         x, y, heading = route.at(self.along_m, self.left_m)
         yaw = heading if self.direction > 0 else heading + np.pi
         if speed_m_s > 0:
             yaw += np.arctan2(drift_m_s, speed_m_s)
-        return me.moved(x_m=x, y_m=y, yaw_rad=float(yaw), speed_m_s=float(np.hypot(speed_m_s, drift_m_s)))
+        return replace(me, x_m=x, y_m=y, yaw_rad=float(yaw), speed_m_s=float(np.hypot(speed_m_s, drift_m_s)))
 
 
 @dataclass(frozen=True, slots=True)

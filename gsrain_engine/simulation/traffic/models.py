@@ -1,5 +1,6 @@
 """Behaviors of road users by `kind`: IDM, brake, constant velocity, stationary, cut-in."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -12,7 +13,7 @@ from .tracks import Replay, ScriptedTrack
 if TYPE_CHECKING:
     from ...scene.scene import Scene
 
-# Intelligent Driver Model
+# Settings
 
 
 class IntelligentDriver(
@@ -48,12 +49,9 @@ class IntelligentDriver(
         if gap_m is None:
             return max(self.acceleration_m_s2 * free, -self.most_braking_m_s2)
         comfort = 2 * np.sqrt(self.acceleration_m_s2 * self.comfortable_braking_m_s2)
-        wanted = self.least_gap_m + max(0.0, speed_m_s * self.headway_s + speed_m_s * closing_m_s / float(comfort))
-        asked = self.acceleration_m_s2 * (free - (wanted / max(gap_m, 0.01)) ** 2)
-        return max(asked, -self.most_braking_m_s2)
-
-
-# Triggers
+        desired = self.least_gap_m + max(0.0, speed_m_s * self.headway_s + speed_m_s * closing_m_s / float(comfort))
+        rate = self.acceleration_m_s2 * (free - (desired / max(gap_m, 0.01)) ** 2)
+        return max(rate, -self.most_braking_m_s2)
 
 
 class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -80,8 +78,7 @@ class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ) = None  # fmt: skip
 
     def __post_init__(self) -> None:
-        given = [each for each in (self.after_s, self.gap_m, self.time_to_collision_s) if each is not None]
-        if len(given) != 1:
+        if sum(each is not None for each in (self.after_s, self.gap_m, self.time_to_collision_s)) != 1:
             raise ValueError("exactly one of `after_s`, `gap_m` and `time_to_collision_s` sets it off")
 
 
@@ -157,61 +154,56 @@ BehaviorSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | B
 """Settings of a behavior; `begin(scene, start_s)` creates the `Behavior` of one run."""
 
 
-class _LaneBehavior:
-    """Motion along the road in the own lane, at the speed and over the distance that `_drive` returns for a step."""
+# Behaviors
+
+
+class _LaneKeeper(Behavior):
+    """Keeps its lane; subclasses control the speed."""
 
     _place: LanePosition | None = None
 
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        return placed
-
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        if me is None:
-            return None
-        place = self._place or LanePosition.of(around.route, me)
-        speed, distance = self._drive(me, around, dt_s)
-        self._place = place.ahead(around.route, distance)
+    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser:
+        speed, distance = self._speed(me, around, dt_s)
+        self._place = (self._place or LanePosition.of(around.route, me)).ahead(around.route, distance)
         return self._place.user(around.route, me, speed)
 
-    def _drive(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+    def _speed(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+        """Return the speed after a step, and the distance covered."""
         raise NotImplementedError
 
 
-class _IDMBehavior(_LaneBehavior):
+class _IDMBehavior(_LaneKeeper):
     def __init__(self, settings: IntelligentDriver) -> None:
         self._settings = settings
 
-    def _drive(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+    def _speed(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
         ahead = find_vehicle_ahead(around.route, me, (around.ego, *around.others))
         closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
-        asked = self._settings.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
-        to = max(0.0, me.speed_m_s + asked * dt_s) if asked < 0 else me.speed_m_s + asked * dt_s
-        return changed_speed(me.speed_m_s, to, abs(asked), dt_s)
+        rate = self._settings.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
+        to = me.speed_m_s + rate * dt_s
+        return changed_speed(me.speed_m_s, max(0.0, to) if rate < 0 else to, abs(rate), dt_s)
 
 
-class _BrakeBehavior(_LaneBehavior):
+class _BrakeBehavior(_LaneKeeper):
     def __init__(self, settings: Brake) -> None:
         self._settings, self._trigger = settings, Trigger(settings)
 
-    def _drive(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+    def _speed(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
         is_off = self._trigger.watch(me, around) is None
         to = me.speed_m_s if is_off else min(me.speed_m_s, self._settings.to_speed_m_s)
         return changed_speed(me.speed_m_s, to, self._settings.deceleration_m_s2, dt_s)
 
 
-class _ConstantVelocityBehavior:
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        return placed
-
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        return None if me is None else me.ahead(me.speed_m_s * dt_s)
+class _ConstantVelocityBehavior(Behavior):
+    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser:
+        return me.ahead(me.speed_m_s * dt_s)
 
 
-class _StationaryBehavior:
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        return placed.moved(speed_m_s=0.0)
+class _StationaryBehavior(Behavior):
+    def start(self, placed: RoadUser) -> RoadUser:
+        return replace(placed, speed_m_s=0.0)
 
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser:
         return me
 
 
@@ -225,34 +217,31 @@ def quintic_rate(share: float) -> float:
     return 30 * (share * (1 - share)) ** 2
 
 
-class _CutInBehavior:
+class _CutInBehavior(Behavior):
     def __init__(self, settings: CutIn) -> None:
         self._settings, self._trigger = settings, Trigger(settings)
         self._place: LanePosition | None = None
-        self._from_left_m = 0.0
-        self._speed_m_s = 0.0
-        """Speed along the road; that of the road user is along its heading."""
+        self._from_left_m = self._speed_m_s = 0.0
+        """Initial offset from the route; speed along the road; that of the road user is along its heading."""
 
-    def start(self, placed: RoadUser) -> RoadUser | None:
+    def start(self, placed: RoadUser) -> RoadUser:
         self._speed_m_s = placed.speed_m_s
         return placed
 
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        if me is None:
-            return None
-        route, wanted = around.route, self._settings
+    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser:
+        route, settings = around.route, self._settings
         if self._place is None:
             self._place = LanePosition.of(route, me)
             self._from_left_m = self._place.left_m
         since = self._trigger.watch(me, around)
-        keeps = since is None or wanted.to_speed_m_s is None or around.time_s < since + wanted.speed_delay_s - 1e-9
-        to = self._speed_m_s if keeps or wanted.to_speed_m_s is None else wanted.to_speed_m_s
-        self._speed_m_s, distance = changed_speed(self._speed_m_s, to, wanted.acceleration_m_s2, dt_s)
+        keeps = since is None or settings.to_speed_m_s is None or around.time_s < since + settings.speed_delay_s - 1e-9
+        to = self._speed_m_s if keeps or settings.to_speed_m_s is None else settings.to_speed_m_s
+        self._speed_m_s, distance = changed_speed(self._speed_m_s, to, settings.acceleration_m_s2, dt_s)
         place = self._place.ahead(route, distance)
-        share = 0.0 if since is None else min((around.time_s + dt_s - since) / wanted.duration_s, 1.0)
-        across = -self._from_left_m if wanted.offset_m is None else wanted.offset_m
+        share = 0.0 if since is None else min((around.time_s + dt_s - since) / settings.duration_s, 1.0)
+        across = -self._from_left_m if settings.offset_m is None else settings.offset_m
         self._place = LanePosition(place.along_m, self._from_left_m + across * quintic(share), place.direction)
-        drift = place.direction * across * quintic_rate(share) / wanted.duration_s
+        drift = place.direction * across * quintic_rate(share) / settings.duration_s
         return self._place.user(route, me, self._speed_m_s, drift)
 
 
@@ -262,25 +251,25 @@ class Trigger:
     def __init__(self, settings: Triggered) -> None:
         self._settings = settings
         self._began_nearer: bool | None = None
-        self.since_s: float | None = None
+        self._since_s: float | None = None
 
     def watch(self, me: RoadUser, around: TrafficState) -> float | None:
         """Check the trigger; returns its time, or None before it."""
-        if self.since_s is None and self._goes_off(me, around):
-            self.since_s = around.time_s
-        return self.since_s
+        if self._since_s is None and self._goes_off(me, around):
+            self._since_s = around.time_s
+        return self._since_s
 
     def _goes_off(self, me: RoadUser, around: TrafficState) -> bool:
-        wanted = self._settings
-        if wanted.after_s is not None:
-            return around.time_s >= wanted.after_s - 1e-9
+        settings = self._settings
+        if settings.after_s is not None:
+            return around.time_s >= settings.after_s - 1e-9
         gap = gap_between(around.route, me, around.ego)
-        if wanted.gap_m is not None:
+        if settings.gap_m is not None:
             if self._began_nearer is None:
-                self._began_nearer = gap < wanted.gap_m
-            return gap >= wanted.gap_m if self._began_nearer else gap <= wanted.gap_m
-        assert wanted.time_to_collision_s is not None
+                self._began_nearer = gap < settings.gap_m
+            return gap >= settings.gap_m if self._began_nearer else gap <= settings.gap_m
+        assert settings.time_to_collision_s is not None
         mine, egos = LanePosition.of(around.route, me), LanePosition.of(around.route, around.ego)
         closing = around.ego.speed_m_s - mine.direction * egos.direction * me.speed_m_s
         is_behind = egos.direction * (mine.along_m - egos.along_m) > 0
-        return is_behind and closing > 0 and max(gap, 0.0) <= wanted.time_to_collision_s * closing
+        return is_behind and closing > 0 and max(gap, 0.0) <= settings.time_to_collision_s * closing

@@ -1,5 +1,6 @@
 """Behaviors along given tracks: recorded actors, replays of roll-outs, and scripted tracks."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +16,7 @@ from ..geometry import wrap_angle
 from ..rollout import Rollout, driven_vehicle
 from ..rollout_io import read_any_rollout
 from ..vehicle import VehicleState, vehicle_box
-from .base import EGO, Behavior, LanePosition, RoadUser, TimeParametrizedBehavior, TrafficState
+from .base import EGO, Behavior, LanePosition, RoadUser, TrafficState
 
 _STEP_S = 0.05  # half the interval for speed estimates; tracks are linear between samples, mostly 100 ms apart
 
@@ -26,25 +27,18 @@ class RecordedTrack:
     def __init__(self, scene: Scene, actor: Actor, start_s: float) -> None:
         self._scene, self._actor, self._start_s = scene, actor, start_s
 
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        """Return the recorded initial state, ignoring `placed`."""
-        return self.at(0.0)
-
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        return self.at(around.time_s + dt_s)
-
     def at(self, time_s: float) -> RoadUser | None:
         """Return the recorded state at a time since the scenario began; None if absent."""
         pose = self._pose(time_s)
         if pose is None:
             return None
         forward = pose[:2, 0] / np.linalg.norm(pose[:3, 0])
-        speed = self._speed(time_s, forward)
         unit = self._scene.metres_per_unit
         length, width, height = (unit * side for side in self._actor.size_lwh)
         yaw = float(np.arctan2(forward[1], forward[0]))
         x, y, z = (float(value) for value in pose[:3, 3])
-        return RoadUser(self._actor.id, self._actor.class_name, (length, width, height), x, y, yaw, max(speed, 0.0), z)
+        speed = max(self._speed(time_s, forward), 0.0)
+        return RoadUser(self._actor.id, self._actor.class_name, (length, width, height), x, y, yaw, speed, z)
 
     def _speed(self, time_s: float, forward: Float64[np.ndarray, "2"]) -> float:
         """Return the speed along a direction by a central difference, one-sided at the ends of the track."""
@@ -75,7 +69,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         str, Meta(min_length=1, title="Road user", description='Its id in the roll-out; "ego" is its ego vehicle.')
     ]
 
-    def begin(self, scene: "Scene", start_s: float) -> Behavior:
+    def begin(self, scene: Scene, start_s: float) -> Behavior:
         """Create the behavior of one run; raises ValueError for a missing file or an unknown id."""
         path = Path(self.rollout)
         if not path.is_file():
@@ -103,7 +97,21 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     return moments if np.isfinite(moments).all(axis=1).any() else moments[:0]
 
 
-class _ReplayBehavior(TimeParametrizedBehavior):
+class _TimedBehavior(Behavior):
+    """Depends on time alone; subclasses implement `_at`."""
+
+    def start(self, placed: RoadUser) -> RoadUser | None:
+        return self._at(placed, 0.0)
+
+    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser | None:
+        return self._at(me, around.time_s + dt_s)
+
+    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
+        """Return the state at a time since the scenario began; fields that it does not set are those of `me`."""
+        raise NotImplementedError
+
+
+class _ReplayBehavior(_TimedBehavior):
     def __init__(self, moments: Float64[np.ndarray, "n 5"]) -> None:
         self._moments = moments
 
@@ -124,10 +132,8 @@ class _ReplayBehavior(TimeParametrizedBehavior):
 
 
 def _moved(me: RoadUser, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
-    if not np.isfinite(moment).all():
-        return None
     _, x, y, yaw, speed = (float(value) for value in moment)
-    return me.moved(x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)
+    return replace(me, x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed) if np.isfinite(moment).all() else None
 
 
 # Scripted tracks
@@ -166,7 +172,7 @@ class ScriptedTrack(
         if any(later <= earlier for earlier, later in pairwise(times)):
             raise ValueError("`points` must be in the order of their times, which are later than 0 s")
 
-    def begin(self, scene: "Scene", start_s: float) -> Behavior:
+    def begin(self, scene: Scene, start_s: float) -> Behavior:
         """Create the behavior of one run; raises ValueError if the scene has no such actor."""
         if self.actor is None:
             return _WaypointBehavior(self.points)
@@ -177,7 +183,7 @@ class ScriptedTrack(
         raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
 
 
-class _ActorTrackBehavior(TimeParametrizedBehavior):
+class _ActorTrackBehavior(_TimedBehavior):
     def __init__(self, track: RecordedTrack, pace: float) -> None:
         self._track, self._pace = track, pace
 
@@ -186,10 +192,10 @@ class _ActorTrackBehavior(TimeParametrizedBehavior):
         if there is None:
             return None
         speed = there.speed_m_s * self._pace
-        return me.moved(x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=speed)
+        return replace(me, x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=speed)
 
 
-class _WaypointBehavior:
+class _WaypointBehavior(Behavior):
     def __init__(self, points: tuple[TrackPoint, ...]) -> None:
         rows = [(0.0, 0.0, 0.0), *((point.time_s, point.ahead_m, point.left_m) for point in points)]
         times, ahead, left = np.array(rows).T
@@ -198,12 +204,7 @@ class _WaypointBehavior:
         self._speed = self._path.derivative()
         self._from: LanePosition | None = None
 
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        return placed
-
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        if me is None:
-            return None
+    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser:
         if self._from is None:
             self._from = LanePosition.of(around.route, me)
         time_s = min(around.time_s + dt_s, self._end_s)
@@ -212,4 +213,4 @@ class _WaypointBehavior:
         x, y, heading = around.route.at(self._from.along_m + ahead, self._from.left_m + left)
         speed = float(np.hypot(vx, vy)) if around.time_s + dt_s < self._end_s else 0.0
         yaw = heading + float(np.arctan2(vy, vx)) if speed > 0.05 else me.yaw_rad
-        return me.moved(x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)
+        return replace(me, x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)

@@ -9,7 +9,7 @@ from gsrain_engine.editor.edits.actors import RIG, drive_along, drive_along_own_
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.simulation.route import recorded_route
+from gsrain_engine.simulation.ground import recorded_route
 
 from .edited_scene import edited_scene
 

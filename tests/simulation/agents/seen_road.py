@@ -5,7 +5,7 @@ import numpy as np
 from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.agents.base import CameraView, Observation, Rig
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import RoadUser
 from gsrain_engine.simulation.vehicle import Vehicle, VehicleState
 

@@ -21,7 +21,7 @@ from gsrain_engine.simulation.agents.base import Agent, CameraView, Observation,
 from gsrain_engine.simulation.agents.http import ClientError, HttpAgent, HttpCalls
 from gsrain_engine.simulation.agents.neuroncap import neuroncap_message
 from gsrain_engine.simulation.agents.registry import AgentOptions, open_agent
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.simulation import Simulation, drive
 from gsrain_engine.simulation.vehicle import Vehicle, VehicleState
 from simulation.interop.road_with_lead import scenario, scene
@@ -322,7 +322,7 @@ def test_a_drip_is_not_waited_for(raw, start, piece):
     calls = raw(dripped(start, piece))
     started = time.monotonic()
     with pytest.raises(ClientError, match=r"/infer has not answered within 0\.3 s"):
-        calls.post("/infer", b"{}", 0.3)
+        calls.call("POST", "/infer", b"{}", 0.3)
     assert time.monotonic() - started < 5
 
 
@@ -342,7 +342,7 @@ def test_a_drip_is_not_waited_for(raw, start, piece):
 def test_a_flood_ends_at_the_budget(raw, start, piece, monkeypatch):
     monkeypatch.setattr("gsrain_engine.simulation.agents.http._MAX_BYTES", 1 << 20)
     with pytest.raises(ClientError, match=r"answers (more than 1 MiB|what is no whole HTTP: .*too long)"):
-        raw(flooded(start, piece)).post("/infer", b"{}", 30)
+        raw(flooded(start, piece)).call("POST", "/infer", b"{}", 30)
 
 
 @pytest.mark.parametrize(
@@ -369,7 +369,7 @@ def test_a_flood_ends_at_the_budget(raw, start, piece, monkeypatch):
 )
 def test_what_is_no_whole_answer_is_an_error(raw, answer, why):
     with pytest.raises(ClientError, match=why):
-        raw(sent(answer)).post("/infer", b"{}", 20)
+        raw(sent(answer)).call("POST", "/infer", b"{}", 20)
 
 
 @pytest.mark.parametrize(
@@ -383,13 +383,13 @@ def test_what_is_no_whole_answer_is_an_error(raw, answer, why):
     ],
 )
 def test_whole_answers_of_every_form_are_read(raw, answer):
-    assert raw(sent(answer)).post("/infer", b"{}", 20) == b"{}"
+    assert raw(sent(answer)).call("POST", "/infer", b"{}", 20) == b"{}"
 
 
 def test_a_server_that_does_not_read_is_not_waited_for(raw):
     calls = raw(lambda connection, over: over.wait(20))
     with pytest.raises(ClientError, match=r"/infer has not answered within 0\.3 s"):
-        calls.post("/infer", bytes(1 << 25), 0.3)
+        calls.call("POST", "/infer", bytes(1 << 25), 0.3)
 
 
 @pytest.mark.parametrize(

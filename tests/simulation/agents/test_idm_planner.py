@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from gsrain_engine.simulation.agents.base import LanePath
 from gsrain_engine.simulation.agents.idm import IDMPlanner, cruise_speed
-from gsrain_engine.simulation.agents.lead_tracking import LeadVehicle
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
+from gsrain_engine.simulation.traffic.base import VehicleAhead
 from gsrain_engine.simulation.vehicle import VehicleState
 
 STRAIGHT = Route(np.array([[0.0, 0.0], [200.0, 0.0]]))
@@ -18,7 +18,7 @@ def _least_gap(planner: IDMPlanner, gap_m: float, seen_within_m: float, stronges
     """Drive at 10 m/s to a car that stands and is seen from so near on; the vehicle does what it can of each plan."""
     speed, dt = 10.0, 0.25
     for _ in range(80):
-        lead = LeadVehicle(gap_m, 0.0) if gap_m <= seen_within_m else None
+        lead = VehicleAhead(gap_m, 0.0) if gap_m <= seen_within_m else None
         mean = planner.distances(speed, lead)[0] / 0.5
         acceleration = float(np.clip((mean - speed) / 0.25, -strongest_m_s2, strongest_m_s2))
         after = max(0.0, speed + acceleration * dt)
@@ -47,7 +47,7 @@ def test_with_full_brakes_ten_metres_are_enough():
 def test_it_stops_two_metres_short_and_brakes_as_comfort_allows():
     planner = IDMPlanner(10.0)
     assert _least_gap(planner, 40.0, 40.0) == pytest.approx(2.0, abs=0.4)
-    assert planner.acceleration(10.0, LeadVehicle(40.0, 0.0)) == pytest.approx(-1.97, abs=0.01)  # -1.5 (45.87 / 40)^2
+    assert planner.acceleration(10.0, VehicleAhead(40.0, 0.0)) == pytest.approx(-1.97, abs=0.01)  # -1.5 (45.87 / 40)^2
 
 
 def test_a_free_road_is_taken_at_the_cruising_speed():
@@ -58,22 +58,22 @@ def test_a_free_road_is_taken_at_the_cruising_speed():
 
 def test_behind_a_lead_of_the_same_speed_the_gap_is_the_models():
     gap = (2.0 + 8.0 * 1.5) / np.sqrt(1 - 0.8**4)  # where the model's acceleration is nought
-    assert IDMPlanner(10.0).acceleration(8.0, LeadVehicle(float(gap), 8.0)) == pytest.approx(0.0, abs=1e-9)
+    assert IDMPlanner(10.0).acceleration(8.0, VehicleAhead(float(gap), 8.0)) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_emergency_brakes_harder_than_comfort_and_as_hard_as_it_can_when_time_is_up():
     planner = IDMPlanner(10.0, hard_m_s2=7.0)
-    assert planner.acceleration(10.0, LeadVehicle(12.0, 0.0)) == pytest.approx(-1.25 * 100 / 22)
-    assert planner.acceleration(10.0, LeadVehicle(7.9, 0.0)) == -7.0
-    assert planner.acceleration(10.0, LeadVehicle(40.0, 0.0)) > -3.0
+    assert planner.acceleration(10.0, VehicleAhead(12.0, 0.0)) == pytest.approx(-1.25 * 100 / 22)
+    assert planner.acceleration(10.0, VehicleAhead(7.9, 0.0)) == -7.0
+    assert planner.acceleration(10.0, VehicleAhead(40.0, 0.0)) > -3.0
 
 
 def test_who_stands_stays_until_there_is_room():
     planner = IDMPlanner(10.0)
-    assert (planner.distances(0.0, LeadVehicle(3.4, 0.0)) == 0).all()
-    assert (planner.distances(0.0, LeadVehicle(0.5, 0.0)) == 0).all()
-    assert planner.distances(0.0, LeadVehicle(3.4, 3.0))[-1] > 1.0
-    assert planner.distances(0.0, LeadVehicle(8.0, 0.0))[-1] > 1.0
+    assert (planner.distances(0.0, VehicleAhead(3.4, 0.0)) == 0).all()
+    assert (planner.distances(0.0, VehicleAhead(0.5, 0.0)) == 0).all()
+    assert planner.distances(0.0, VehicleAhead(3.4, 3.0))[-1] > 1.0
+    assert planner.distances(0.0, VehicleAhead(8.0, 0.0))[-1] > 1.0
 
 
 @given(
@@ -81,10 +81,11 @@ def test_who_stands_stays_until_there_is_room():
 )
 def test_no_plan_goes_backwards(speed, gap, lead_speed, left, yaw, cruise):
     planner = IDMPlanner(cruise)
-    distances = planner.distances(speed, LeadVehicle(gap, lead_speed))
+    distances = planner.distances(speed, VehicleAhead(gap, lead_speed))
     assert np.isfinite(distances).all()
     assert (np.diff(distances, prepend=0.0) >= 0).all()
-    points = planner.points(LanePath.of(VehicleState(50.0, left, yaw, speed), STRAIGHT), LeadVehicle(gap, lead_speed))
+    path = LanePath.of(VehicleState(50.0, left, yaw, speed), STRAIGHT)
+    points = path.points(planner.distances(speed, VehicleAhead(gap, lead_speed)))
     assert points.shape == (6, 2)
     assert (points[:, 0] >= -1e-9).all()
 

@@ -6,7 +6,7 @@ import pytest
 from gsrain_engine.simulation.agents.base import Agent, LanePath
 from gsrain_engine.simulation.agents.idm import OracleIDMAgent, find_oracle_lead
 from gsrain_engine.simulation.agents.neuroncap import NeuroNCAPBaselineAgent
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import RoadUser
 
 from .seen_road import RIG, ROUTE, VEHICLE, car, observation, state

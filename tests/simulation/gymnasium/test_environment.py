@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from gsrain_engine.simulation.gymnasium.environment import DriveEnvironment, Reward
-from gsrain_engine.simulation.gymnasium.registration import CONTROL_ID, PLAN_ID, register_environments
-from gsrain_engine.simulation.gymnasium.spaces import MAX_ROAD_USERS, control_of
+from gsrain_engine.simulation.gymnasium import (
+    CONTROL_ID,
+    MAX_ROAD_USERS,
+    PLAN_ID,
+    DriveEnvironment,
+    Reward,
+    control_of,
+    register_environments,
+)
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.vehicle import Vehicle
 from small_scene import small_scene

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import Behavior, RoadUser, TrafficState
 from gsrain_engine.simulation.traffic.models import BehaviorSettings
 
@@ -31,7 +31,8 @@ def moves(behaviour, me, duration_s, *, ego=NOWHERE, others=(), route=STRAIGHT, 
     seen = [now]
     for step in range(round(duration_s / dt_s)):
         around = TrafficState(step * dt_s, ego, tuple(others), route)
-        now = rule.next(now, around, dt_s)
+        me = now or me
+        now = rule.next(me, around, dt_s)
         ego, others = ego.ahead(ego.speed_m_s * dt_s), tuple(each.ahead(each.speed_m_s * dt_s) for each in others)
         seen.append(now)
     return seen

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import changed_speed
 from gsrain_engine.simulation.traffic.models import quintic, quintic_rate
 from simulation.traffic.on_the_road import car, moves, settings

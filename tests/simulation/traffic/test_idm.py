@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gsrain_engine.simulation.route import Route
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import LanePosition, find_vehicle_ahead
 from simulation.traffic.on_the_road import STRAIGHT, car, moves, settings
 
