@@ -128,7 +128,7 @@ def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Render
 
 
 def _video(path: Path, video: RolloutVideo, fps: float) -> None:
-    with progress_bar("Filming", video.count(fps), draws=True) as advance:
+    with progress_bar("Filming", len(video.times(fps)), draws=True) as advance:
         for _ in render_rollout_video(path, video, fps):
             advance()
 

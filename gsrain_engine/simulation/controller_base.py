@@ -27,9 +27,6 @@ class Controller(Protocol):
         """
 
 
-# Settings
-
-
 class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Choice of a controller and its limits."""
 
@@ -94,9 +91,6 @@ class PurePursuit:
         return Control(acceleration, (steer - state.steer_rad) / _SETTLE_S)
 
 
-# Reachable plans
-
-
 def make_reachable(
     plan: Float64[np.ndarray, "n 2"], speed_m_s: float, braking_m_s2: float, spacing_s: float
 ) -> tuple[Float64[np.ndarray, "n 2"], bool]:
@@ -154,10 +148,7 @@ def tracked_states(plan: Float64[np.ndarray, "n 2"], reference: HeadingReference
 
 
 def directions(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """Return the directions of steps, unwrapped, radians from x.
-
-    Where the plan stops or reverses, the previous direction holds, initially x.
-    """
+    """Return the unwrapped directions of steps, radians from x; stops and reversals keep the one before, at first 0."""
     found = np.empty(len(steps))
     before = 0.0
     for i, (x, y) in enumerate(steps):

@@ -21,9 +21,6 @@ def wrap_degrees(angle_deg: float) -> float:
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
-# Rectangles
-
-
 @dataclass(frozen=True)
 class PlanarBox:
     """A rectangle on the ground, given by its center."""
@@ -68,9 +65,6 @@ class PlanarBox:
         if np.hypot(self.x_m - other.x_m, self.y_m - other.y_m) > reach / 2:
             return False
         return bool(self.polygon.intersects(other.polygon))
-
-
-# Routes
 
 
 class RouteCoordinates(NamedTuple):

@@ -18,8 +18,6 @@ SENSOR_HEIGHT_M = 1.5
 
 _LOWEST_RIG_M, _HIGHEST_RIG_M = -0.5, 4.0  # plausible range of the rig origin's height above a stated ground
 
-# Height grid
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightGrid:
@@ -141,9 +139,6 @@ def find_road_surface(
     return HeightGrid(grid.corner_m, grid.cell_m, level.reshape(rows, columns)), below_m
 
 
-# Regions
-
-
 class HeightSlab(NamedTuple):
     """The space between two heights above the ground."""
 
@@ -231,10 +226,7 @@ _STEP_M = 0.5  # minimum spacing of a route; closer samples of a recorded drive 
 
 
 def recorded_route(scene: Scene) -> Route:
-    """Return the route of the scene's ego vehicle.
-
-    Raises ValueError if the scene has no ego vehicle or it does not move.
-    """
+    """Return the route of the scene's ego vehicle. Raises ValueError if there is none or it does not move."""
     if scene.ego is None:
         raise ValueError(
             f"scene {scene.name!r} has no drive to follow: it has no ego vehicle; let one drive along a camera path "

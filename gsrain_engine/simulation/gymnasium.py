@@ -94,20 +94,10 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
     ) -> None:
         """Create the environment.
 
-        Args:
-            scenario: Shipped name, file, or `Scenario`.
-            scene: Scene file or folder, "street", or `Scene`; defaults to the scenario's.
-            action: Type of actions.
-            cameras: Cameras to render: rig camera names, ("front",), or ("all",). Empty by default: without images a
-                step takes one to two milliseconds at most.
-            depth: True adds depth to the observations.
-            semantic: True adds semantic classes to the observations.
-            intensity_mm_h: Rain intensity, 0..100; defaults to the scenario's.
-            reward: Reward weights.
-            backend: Render back end.
-            render_mode: "rgb_array" enables `render`, which returns the front camera image.
-
-        Raises ValueError if scenario, scene and cameras do not match.
+        `scenario` is a shipped name, a file or a `Scenario`; `scene` a file or folder, "street" or a `Scene`, by default
+        the scenario's. `cameras` to render are names in the rig, ("front",) or ("all",); `depth` and `semantic` add to
+        them. Without images a step takes one to two milliseconds at most. The render mode "rgb_array" enables `render`,
+        which returns the front camera image. Raises ValueError if scenario, scene and cameras do not match.
         """
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode {render_mode!r}: only 'rgb_array' can be had")
@@ -148,10 +138,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         return observation_values(self._now, self.simulation.scenario.vehicle), self._info(self._now)
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Advance by one step.
-
-        Raises ValueError before `reset`, after the end, and for actions that are not finite or of another shape.
-        """
+        """Advance by one step. Raises ValueError for an invalid action, before `reset`, and after the end."""
         before, simulation = self._now, self.simulation
         if before is None:
             raise ValueError("the drive has not begun: reset it first")

@@ -54,8 +54,6 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 HUGSIM_VEHICLE = Vehicle(length_m=3.0, width_m=1.6, height_m=1.5, wheelbase_m=2.7, rear_overhang_m=1.5)
 """HUGSIM's ego: a box (w 1.6, h 1.5, l 3.0) centered on the point that it steers, a front camera."""
 
-# State and control
-
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
@@ -139,9 +137,6 @@ def step_bicycle(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: 
 def yaw_rate(vehicle: Vehicle, state: VehicleState) -> float:
     """Return the yaw rate, rad/s, left positive: v tan(steer) / wheelbase."""
     return float(state.speed_m_s * np.tan(state.steer_rad) / vehicle.wheelbase_m)
-
-
-# Bounding box
 
 
 def vehicle_box(vehicle: Vehicle, state: VehicleState) -> PlanarBox:

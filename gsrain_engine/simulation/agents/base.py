@@ -81,9 +81,8 @@ class Observation:
     time_s: float
     state: VehicleState
     acceleration_m_s2: float
-    """Acceleration over the previous step."""
     steer_rate_rad_s: float
-    """Steering rate over the previous step."""
+    """Acceleration and steering rate are those over the previous step."""
     height_m: float
     """Height of the ground below the ego vehicle."""
     command: Command

@@ -13,8 +13,6 @@ from ..traffic.base import VehicleAhead
 from ..vehicle import Vehicle
 from .base import LanePath, half_corridor_m
 
-# Track of one road user
-
 _ACCELERATION_M_S2 = 4.0  # standard deviation of a lead's acceleration; makes braking with 8 m/s2 rare but possible
 _GATE = 3.0  # gate in standard deviations; sightings farther from the prediction belong to another road user
 _GATE_M = 1.5  # additional gate width, for detectors with unsteady boxes
@@ -120,8 +118,6 @@ class LeadTrack:
         near = self.along_m - front_along_m < _NEAR_M
         return self.unseen_s <= (_NEAR_COAST_S if near else _COAST_S) + 1e-9
 
-
-# Lead tracker
 
 _DOUBLE_M = 4.0
 """Distance within which boxes are duplicates of one object (car and truck, whole and cab) and start no track."""

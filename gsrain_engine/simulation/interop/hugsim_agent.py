@@ -65,10 +65,7 @@ class HugsimAgent:
         return SensorRequirements(("all",), self._depth, self._semantic)
 
     def reset(self, seed: int, rig: Rig) -> None:
-        """Start a drive with a new client.
-
-        Raises ValueError for a rig that is not HUGSIM's, ClientError if the client can't be started.
-        """
+        """Start a drive with a new client. Raises ValueError for another rig, ClientError if the client can't start."""
         self.close()
         self._drive = _HugsimDrive(rig)
         if self._command is not None:

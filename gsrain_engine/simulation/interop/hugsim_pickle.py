@@ -31,10 +31,7 @@ class _OldPickler(pickle.Pickler):
 
 
 def old_pickle(value: Any) -> memoryview:
-    """Pickle plain values, NumPy arrays and NumPy scalars; scalars arrive as Python numbers.
-
-    Raises TypeError for an array of objects.
-    """
+    """Pickle plain values, arrays and scalars, as Python numbers. Raises TypeError for an array of objects."""
     stream = io.BytesIO()
     _OldPickler(stream, 4).dump(value)  # protocol 4 is that of Python 3.4, which all clients support
     return stream.getbuffer()

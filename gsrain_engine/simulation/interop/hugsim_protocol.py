@@ -81,10 +81,7 @@ class Pipes:
                 raise ClientError(f"no pipe can be made: {problem}") from None
 
     def send(self, message: memoryview | bytes, timeouts: Timeouts) -> None:
-        """Write a message to the client; returns when all but one pipe buffer has been read.
-
-        Raises ClientError if the client does not read, stops reading midway, or ends.
-        """
+        """Write a message; returns when all but a pipe buffer has been read. Raises ClientError if it is not read."""
         pipe = self._reached(timeouts)
         try:
             _widen(pipe)
@@ -98,10 +95,7 @@ class Pipes:
             os.close(pipe)
 
     def receive(self, timeouts: Timeouts, max_bytes: int) -> bytes:
-        """Read the client's reply to its end.
-
-        Raises ClientError if no reply comes, if it is too long, or if the client ends.
-        """
+        """Read the client's reply to its end. Raises ClientError if none comes, it is too long, or the client ends."""
         try:
             pipe = open_pipe(self._plans, os.O_RDONLY)
         except OSError as problem:

@@ -128,10 +128,7 @@ def rain_colors(intensities_mm_h: list[float]) -> dict[float, tuple[float, ...] 
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG, PDF or SVG by suffix, atomically; the same figure gives the same bytes.
-
-    Raises ValueError for another suffix.
-    """
+    """Write a figure as PNG, PDF or SVG, always the same bytes. Raises ValueError for other suffixes."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in _WITHOUT_DATE:
         raise ValueError(f"{path}: expected a name that ends with .{', .'.join(_WITHOUT_DATE)}")

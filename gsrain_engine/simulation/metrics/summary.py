@@ -180,10 +180,7 @@ class IntensityRuns:
         return sum(run.metrics.collision for run in self.runs)
 
     def mean(self, metric: str, without_collision: bool = False) -> MeanInterval | None:
-        """Return a metric's mean over the runs with a value, with its 95 % bootstrap interval; None without values.
-
-        `metric` is a field of `DriveMetrics`. For one run the interval is the value itself.
-        """
+        """Return the mean of a `DriveMetrics` field over the runs with a value, with its 95 % bootstrap interval."""
         metrics = [each.metrics for each in self.runs if not (without_collision and each.metrics.collision)]
         values = [float(value) for each in metrics if (value := getattr(each, metric)) is not None]
         return mean_interval(values) if values else None
@@ -196,8 +193,7 @@ class DriveComparison:
     scenario: str
     agent: str
     scene: str
-    weathers: tuple[IntensityRuns, ...]
-    """Sorted by intensity, clear weather first."""
+    weathers: tuple[IntensityRuns, ...]  # sorted by intensity, clear weather first
 
     @property
     def title(self) -> str:

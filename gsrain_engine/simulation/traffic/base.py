@@ -80,13 +80,9 @@ def ego_user(vehicle: Vehicle, state: VehicleState) -> RoadUser:
     return RoadUser(EGO, "car", size, box.x_m, box.y_m, state.yaw_rad, state.speed_m_s)
 
 
-# Lane positions
-# Arc length along the route, lateral offset and direction of travel.
-
-
 @dataclass(frozen=True, slots=True)
 class LanePosition:
-    """A position in a lane parallel to a route."""
+    """A position in a lane parallel to a route: arc length, lateral offset, direction of travel."""
 
     along_m: float
     left_m: float
@@ -159,9 +155,6 @@ def _extent(route: Route, place: LanePosition, user: RoadUser) -> tuple[float, f
     cosine, sine = abs(float(np.cos(turn))), abs(float(np.sin(turn)))
     length, width = user.size_lwh[0] / 2, user.size_lwh[1] / 2
     return length * cosine + width * sine, length * sine + width * cosine
-
-
-# Constant acceleration to a target speed
 
 
 def changed_speed(speed_m_s: float, to_m_s: float, rate_m_s2: float, dt_s: float) -> tuple[float, float]:
