@@ -11,11 +11,11 @@ from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.files import file_word, shortened, whole_file
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.ground import recorded_route
 from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
 from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import Rollout
 from gsrain_engine.simulation.rollout_io import write_rollout
-from gsrain_engine.simulation.ground import recorded_route
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.video import RolloutVideo, render_rollout_video
 

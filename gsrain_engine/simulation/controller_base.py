@@ -25,6 +25,7 @@ class Controller(Protocol):
 
         `plan` is in the vehicle's current frame (x forward, y left, meters), n >= 1.
         """
+        ...
 
 
 class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -83,10 +83,9 @@ def road_surface_of(scene: Scene) -> RoadSurface:
     drive = recorded_ego_positions(scene)
     if not len(drive):
         return RoadSurface(HeightGrid.level(scene.ground_m or 0.0))
-    below = None if scene.ground_m is None else float(drive[0, 2]) - scene.ground_m
-    if below is not None and not _LOWEST_RIG_M < below < _HIGHEST_RIG_M:
-        below = None
-    return RoadSurface(*find_road_surface(scene, drive, below, SENSOR_HEIGHT_M))
+    below = np.nan if scene.ground_m is None else float(drive[0, 2]) - scene.ground_m
+    known = below if _LOWEST_RIG_M < below < _HIGHEST_RIG_M else None
+    return RoadSurface(*find_road_surface(scene, drive, known, SENSOR_HEIGHT_M))
 
 
 # Road surface from the recorded drive

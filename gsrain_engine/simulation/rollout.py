@@ -21,10 +21,8 @@ class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     speed_m_s: float
     steer_rad: float
     acceleration_m_s2: float
-    steer_rate_rad_s: float
-    """Acceleration and steering rate are those over the previous step."""
-    yaw_rate_rad_s: float
-    """Computed from speed, steering and wheelbase."""
+    steer_rate_rad_s: float  # acceleration and steering rate are those over the previous step
+    yaw_rate_rad_s: float  # computed from speed, steering and wheelbase
 
 
 class UserRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -50,12 +48,9 @@ class RolloutStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     Empty at the end of a drive.
     """
-    route_left_m: float
-    """Distance of the rear axle from the route, left positive."""
-    route_completion: float
-    """Driven share of the route ahead of the start, 0..1."""
-    collision: str | None = None
-    """Id of the road user hit, or "background" for anything else in the scene."""
+    route_left_m: float  # distance of the rear axle from the route, left positive
+    route_completion: float  # driven share of the route ahead of the start, 0..1
+    collision: str | None = None  # id of the road user hit, or "background" for anything else in the scene
     notes: dict[str, Any] = {}
 
 

@@ -87,7 +87,7 @@ def _header(path: Path, line: bytes) -> dict[str, Any]:
 
 
 class _NewerVersionError(ValueError):
-    pass
+    """Raised for files of newer versions of the program."""
 
 
 def _check_version(path: Path, version: Any) -> None:
@@ -114,7 +114,15 @@ def write_rollout_parquet(path: Path, rollout: Rollout) -> None:
     header = msgspec.structs.asdict(rollout)
     del header["steps"]
     schema = _schema(arrow).with_metadata({_HEADER: msgspec.json.encode(header, order="sorted")})
-    table = arrow.Table.from_pylist([_row(step) for step in rollout.steps], schema=schema)
+    rows: list[dict[str, Any]] = []
+    for step in rollout.steps:
+        row = msgspec.structs.asdict(step)
+        row |= {f"ego_{name}": value for name, value in msgspec.structs.asdict(row.pop("ego")).items()}
+        row["plan"] = [{"x_m": x, "y_m": y} for x, y in step.plan]
+        row["road_users"] = [msgspec.structs.asdict(user) for user in step.road_users]
+        row["notes"] = msgspec.json.encode(step.notes, order="sorted").decode()
+        rows.append(row)
+    table = arrow.Table.from_pylist(rows, schema=schema)
     with whole_file(path) as partial:
         parquet.write_table(table, partial, compression="zstd")
 
@@ -189,17 +197,3 @@ def _schema(arrow: Any) -> Any:
             ("notes", arrow.string()),
         ]
     )
-
-
-def _row(step: RolloutStep) -> dict[str, Any]:
-    return {
-        "step": step.step,
-        "time_s": step.time_s,
-        **{f"ego_{name}": getattr(step.ego, name) for name in _OF_EGO},
-        "route_left_m": step.route_left_m,
-        "route_completion": step.route_completion,
-        "collision": step.collision,
-        "plan": [{"x_m": x, "y_m": y} for x, y in step.plan],
-        "road_users": [msgspec.structs.asdict(user) for user in step.road_users],
-        "notes": msgspec.json.encode(step.notes, order="sorted").decode(),
-    }

@@ -32,9 +32,11 @@ class Executor(Protocol):
     @property
     def workers(self) -> int:
         """Number of jobs that run at the same time."""
+        ...
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
         """Run jobs and yield each result as it arrives. Closing the iterator stops all running jobs."""
+        ...
 
 
 class SerialExecutor:
@@ -256,9 +258,16 @@ class DaskCluster:
         from distributed import CancelledError, KilledWorker, as_completed
 
         sweep = uuid4().hex[:8]  # the scheduler caches results by key, across sweeps
-        common = {"retries": MAX_RETRIES, "resources": self._resources or None, "pure": False}
         futures: dict[Any, str] = {
-            self._client.submit(work, job, key=f"gsrain-{sweep}-{job.id}", priority=-place, **common): job.id
+            self._client.submit(
+                work,
+                job,
+                key=f"gsrain-{sweep}-{job.id}",
+                retries=MAX_RETRIES,
+                priority=-place,
+                resources=self._resources or None,
+                pure=False,
+            ): job.id
             for place, job in enumerate(jobs)
         }
         try:

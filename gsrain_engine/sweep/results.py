@@ -138,8 +138,7 @@ class MeanInterval95(Struct, frozen=True):
     mean: float
     low: float
     high: float
-    count: int
-    """Number of runs with a value."""
+    count: int  # number of runs with a value
 
 
 class SummaryCell(Struct, frozen=True, kw_only=True):
@@ -149,12 +148,10 @@ class SummaryCell(Struct, frozen=True, kw_only=True):
     scenario: str
     agent: str
     intensity_mm_h: float
-    runs: int
-    """Number of finished runs, without failed ones."""
+    runs: int  # number of finished runs, without failed ones
     failed: int
     collisions: int
-    collision_rate: MeanInterval95 | None
-    """Share of the runs with a collision, with Wilson's interval (Wilson 1927)."""
+    collision_rate: MeanInterval95 | None  # share of the runs with a collision, with Wilson's interval (Wilson 1927)
     means: dict[str, MeanInterval95]
     """Means over the seeds of the columns in `MEASURED`, with bootstrap intervals; columns without values are left out.
     """
@@ -189,12 +186,10 @@ def _summary_cell(
     means = {name: _spread([_number(row[name]) for row in finished if row[name] is not None]) for name in MEASURED}
     before = {row["seed"]: row for row in lowest if row["status"] == FINISHED and rows is not lowest}
     pairs = [(row, before[row["seed"]]) for row in finished if row["seed"] in before]
-    changes = {
-        name: _spread(
-            [_number(now[name]) - _number(dry[name]) for now, dry in pairs if None not in (now[name], dry[name])]
-        )
-        for name in MEASURED
-    }
+    changes: dict[str, MeanInterval95 | None] = {}
+    for name in MEASURED:
+        known = [(now[name], dry[name]) for now, dry in pairs if now[name] is not None and dry[name] is not None]
+        changes[name] = _spread([_number(now) - _number(dry) for now, dry in known])
     rate = None
     if finished:
         interval = binomtest(collisions, len(finished)).proportion_ci(CONFIDENCE, method="wilson")

@@ -20,8 +20,7 @@ from .worker import JobResult, run_job
 class SweepRun(NamedTuple):
     """Counts of a sweep run."""
 
-    done: int
-    """Jobs that got a row in this run, including failed ones."""
+    done: int  # jobs that got a row in this run, including failed ones
     failed: int
 
 

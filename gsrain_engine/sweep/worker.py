@@ -45,16 +45,12 @@ class JobResult(Struct, frozen=True, kw_only=True):
     """The result or the error of a job. All but the last two fields depend on the job alone."""
 
     id: str
-    values: dict[str, Value] = {}
-    """Measured columns of the row."""
+    values: dict[str, Value] = {}  # measured columns of the row
     rollout: Rollout | None = None
     error: str | None = None
-    stops: bool = False
-    """True if no other job can succeed either, such as on a full disk."""
-    seconds: float = 0.0
-    """Run time, for the log."""
-    worker: str = ""
-    """Host and process id, for the log."""
+    stops: bool = False  # true if no other job can succeed either, such as on a full disk
+    seconds: float = 0.0  # run time, for the log
+    worker: str = ""  # host and process id, for the log
 
 
 def run_job(job: Job, clips: Path, trusted: Collection[str] = ()) -> JobResult:

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.simulation.ground import road_surface_of
-from gsrain_engine.simulation.ground import recorded_route
+from gsrain_engine.simulation.ground import recorded_route, road_surface_of
 from gsrain_engine.simulation.scenario import Traffic
 from gsrain_engine.simulation.simulation import RoadScene
 from gsrain_engine.simulation.traffic.base import RoadUser

@@ -105,10 +105,12 @@ class Agent(Protocol):
     @property
     def name(self) -> str:
         """Name in tables and roll-outs."""
+        ...
 
     @property
     def needs(self) -> SensorRequirements:
         """Required sensor data."""
+        ...
 
     def reset(self, seed: int, rig: Rig) -> None:
         """Start a drive and forget the previous one."""

@@ -176,9 +176,11 @@ class ObjectDetector(Protocol):
     @property
     def name(self) -> str:
         """Name in roll-outs."""
+        ...
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
         """Return the detections in an image (RGB)."""
+        ...
 
 
 class CameraIDMAgent(_IDMAgent):

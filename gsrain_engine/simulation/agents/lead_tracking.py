@@ -34,11 +34,10 @@ _SURE = 0.6  # confidence that suffices for one sighting; less confident ones mu
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A road user in the lane ahead, from one image."""
+    """A road user in the lane ahead in an image, with the gap along the route to its nearest part."""
 
     detection: Detection
     gap_m: float
-    """Gap from the front bumper to its nearest part, along the route."""
     error_m: float
 
 

@@ -4,6 +4,9 @@ NumPy 2 pickles arrays by a name in `numpy._core`, which NumPy 1 lacks, for exam
 pickles therefore use only names in `numpy`.
 """
 
+# pyright: reportUnknownLambdaType=false
+# The stand-ins take whatever a stranger's pickle passes.
+
 import io
 import math
 import pickle

@@ -25,12 +25,9 @@ class CameraImage(NamedTuple):
     """Image of a rig camera at one step."""
 
     step: int
-    name: str
-    """Camera name, used as frame and topic."""
-    image: UInt8[np.ndarray, "h w 3"]
-    """RGB, display-referred."""
-    camera: Camera
-    """World frame."""
+    name: str  # camera name, used as frame and topic
+    image: UInt8[np.ndarray, "h w 3"]  # RGB, display-referred
+    camera: Camera  # world frame
 
 
 def write_rollout_mcap(

@@ -139,8 +139,7 @@ class EntityContext:
     """The entity of an action."""
 
     name: str
-    left_m: float
-    """Initial lateral offset from the ego vehicle, left positive."""
+    left_m: float  # initial lateral offset from the ego vehicle, left positive
     speed_m_s: float
     start: VehicleState | None
     ego_name: str
@@ -354,8 +353,7 @@ def placed(name: str, begins: InitialState, ego_name: str, ego: InitialState) ->
             f"and RelativeObjectPosition to {ego_name}, have a place"
         )
     turned = position.find("Orientation")
-    is_relative = turned is not None and turned.get("type") == "relative"
-    heading = number(turned, "h", 0.0) if is_relative else 0.0
+    heading = 0.0 if turned is None or turned.get("type") != "relative" else number(turned, "h", 0.0)
     if position.tag == "RelativeObjectPosition":
         return _fields("straight", number(position, "dx"), number(position, "dy"), heading)
     left = LANE_M * number(position, "dLane") + number(position, "offset", 0.0)

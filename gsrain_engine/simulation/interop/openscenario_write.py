@@ -234,15 +234,18 @@ def _speed(to_m_s: float, rate_m_s2: float) -> xosc.AbsoluteSpeedAction:
 def _trigger(id: str, settings: Triggered, gap_m: float) -> Any:
     if settings.after_s is not None:
         return _after(id, settings.after_s)
-    kind = {"freespace": True, "coordinate_system": words.CoordinateSystem.road}
-    distance = words.RelativeDistanceType.longitudinal
+    road, distance = words.CoordinateSystem.road, words.RelativeDistanceType.longitudinal
     if settings.gap_m is not None:
         rule = words.Rule.greaterOrEqual if gap_m < settings.gap_m else words.Rule.lessOrEqual
-        gap = xosc.RelativeDistanceCondition(settings.gap_m, rule, distance, EGO, **kind)
+        gap = xosc.RelativeDistanceCondition(
+            settings.gap_m, rule, distance, EGO, freespace=True, coordinate_system=road
+        )
         return xosc.EntityTrigger(f"{id} gap", 0, words.ConditionEdge.none, gap, id)
     assert settings.time_to_collision_s is not None
     rule, until = words.Rule.lessOrEqual, settings.time_to_collision_s
-    collision = xosc.TimeToCollisionCondition(until, rule, entity=id, distance_type=distance, **kind)
+    collision = xosc.TimeToCollisionCondition(
+        until, rule, entity=id, freespace=True, distance_type=distance, coordinate_system=road
+    )
     return xosc.EntityTrigger(f"{id} time to collision", 0, words.ConditionEdge.none, collision, EGO)
 
 

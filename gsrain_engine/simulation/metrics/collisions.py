@@ -15,11 +15,9 @@ from ..vehicle import Vehicle, VehicleState, vehicle_box
 class Collision(NamedTuple):
     """The first collision of a run. Times count from the start of the scenario."""
 
-    who: str
-    """Id of the road user, or "background"."""
+    who: str  # id of the road user, or "background"
     time_s: float
-    speed_m_s: float
-    """Ego speed at the first step with contact."""
+    speed_m_s: float  # ego speed at the first step with contact
     closing_speed_m_s: float
     """Closing speed along the ego heading: less than the ego speed if the other drives on ahead."""
 
@@ -46,6 +44,7 @@ class CollisionSpace(Protocol):
 
     def touches(self, box: PlanarBox) -> bool:
         """Return whether a box on the ground hits an obstacle."""
+        ...
 
 
 class PlannedCollisions(NamedTuple):

@@ -19,8 +19,7 @@ class ComfortLimits(NamedTuple):
     lateral_m_s2: float = 4.89
     yaw_rate_rad_s: float = 0.95
     yaw_acceleration_rad_s2: float = 1.93
-    whole_jerk_m_s3: float = float("inf")
-    """Norm of the jerk along and across the heading."""
+    whole_jerk_m_s3: float = float("inf")  # norm of the jerk along and across the heading
 
 
 PAPER = ComfortLimits()

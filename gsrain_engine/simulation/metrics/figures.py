@@ -141,10 +141,8 @@ class CurveBand(NamedTuple):
     """Mean and band over time, NaN where unknown."""
 
     times_s: Float64[np.ndarray, " n"]
-    mean: Float64[np.ndarray, " n"]
-    """Mean over the runs still driving at that time."""
-    low: Float64[np.ndarray, " n"]
-    """Lower end of the 95 % bootstrap interval."""
+    mean: Float64[np.ndarray, " n"]  # mean over the runs still driving at that time
+    low: Float64[np.ndarray, " n"]  # lower end of the 95 % bootstrap interval
     high: Float64[np.ndarray, " n"]
 
 

@@ -27,10 +27,8 @@ class VehicleModel(NamedTuple):
 
 def scale_gaussians(gaussians: Gaussians, times: float) -> Gaussians:
     """Return Gaussians scaled around the origin of their frame."""
-    if times == 1:
-        return gaussians
     by = np.float32(times)
-    return replace(gaussians, means=gaussians.means * by, scales=gaussians.scales * by)
+    return gaussians if times == 1 else replace(gaussians, means=gaussians.means * by, scales=gaussians.scales * by)
 
 
 ACTOR = "actor:"  # prefix of models that are actors of the scene; the actor id follows

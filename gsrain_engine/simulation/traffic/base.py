@@ -52,10 +52,8 @@ class TrafficState:
 
     time_s: float
     ego: RoadUser
-    others: tuple[RoadUser, ...]
-    """All other road users present."""
-    route: Route
-    """The ego vehicle's route, which represents the road."""
+    others: tuple[RoadUser, ...]  # all other road users present
+    route: Route  # the ego vehicle's route, which represents the road
 
 
 class Behavior:
@@ -85,10 +83,8 @@ class LanePosition:
     """A position in a lane parallel to a route: arc length, lateral offset, direction of travel."""
 
     along_m: float
-    left_m: float
-    """Lateral offset from the route, left positive in its direction."""
-    direction: int
-    """1 with the route, -1 against it."""
+    left_m: float  # lateral offset from the route, left positive in its direction
+    direction: int  # 1 with the route, -1 against it
 
     @staticmethod
     def of(route: Route, user: RoadUser) -> "LanePosition":
@@ -121,10 +117,8 @@ class LanePosition:
 class VehicleAhead:
     """A road user ahead in the lane."""
 
-    gap_m: float
-    """Bumper-to-bumper gap along the lane; negative if they overlap."""
-    speed_m_s: float
-    """Speed away from the follower, along the lane."""
+    gap_m: float  # bumper-to-bumper gap along the lane; negative if they overlap
+    speed_m_s: float  # speed away from the follower, along the lane
 
 
 def find_vehicle_ahead(route: Route, me: RoadUser, users: tuple[RoadUser, ...]) -> VehicleAhead | None:

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from gsrain_engine.scene.street.build import street_rigs
 from gsrain_engine.simulation.agents.base import Observation, Rig
-from gsrain_engine.simulation.interop.hugsim_protocol import HugsimWorld, hugsim_rig, wrap_to_pi
 from gsrain_engine.simulation.geometry import Route
+from gsrain_engine.simulation.interop.hugsim_protocol import HugsimWorld, hugsim_rig, wrap_to_pi
 from gsrain_engine.simulation.traffic.base import RoadUser
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Vehicle, VehicleState
 

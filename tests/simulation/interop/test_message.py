@@ -6,6 +6,7 @@ import pytest
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.street.build import street_rigs
 from gsrain_engine.simulation.agents.base import CameraView, Observation, Rig
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.interop.hugsim_protocol import (
     CAMERA_NAMES,
     HugsimWorld,
@@ -15,7 +16,6 @@ from gsrain_engine.simulation.interop.hugsim_protocol import (
     hugsim_rig,
     six_hugsim_cameras,
 )
-from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.traffic.base import RoadUser
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, VehicleState
 

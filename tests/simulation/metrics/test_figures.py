@@ -8,6 +8,7 @@ from matplotlib.colors import to_rgba
 from msgspec.structs import replace
 
 from gsrain_engine.evaluation.report import report_page
+from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.metrics.figures import (
     birds_eye_sheet,
     curve_band,
@@ -18,7 +19,6 @@ from gsrain_engine.simulation.metrics.figures import (
 )
 from gsrain_engine.simulation.metrics.report import drive_report_page, rollout_hash
 from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives
-from gsrain_engine.simulation.geometry import Route
 from small_rollout import approach
 
 
