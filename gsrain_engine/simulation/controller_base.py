@@ -107,11 +107,11 @@ def make_reachable(
     steps = np.diff(line, axis=0)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
     times = np.minimum(spacing_s * np.arange(1, len(plan) + 1), speed_m_s / braking_m_s2)
-    least = speed_m_s * times - 0.5 * braking_m_s2 * times**2
-    near = along[1:] < least
+    shortest = speed_m_s * times - 0.5 * braking_m_s2 * times**2
+    near = along[1:] < shortest
     heading = float(directions(steps)[-1])
-    beyond = np.maximum(least - along[-1], 0.0)[:, None] * (np.cos(heading), np.sin(heading))
-    moved = np.stack([np.interp(least, along, line[:, axis]) for axis in range(2)], axis=1) + beyond
+    beyond = np.maximum(shortest - along[-1], 0.0)[:, None] * (np.cos(heading), np.sin(heading))
+    moved = np.stack([np.interp(shortest, along, line[:, axis]) for axis in range(2)], axis=1) + beyond
     return np.where(near[:, None], moved, plan), bool(near[-1])
 
 

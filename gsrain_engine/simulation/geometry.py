@@ -45,8 +45,8 @@ class PlanarBox:
 
     def lattice(self, step_m: float) -> Float64[np.ndarray, "n 2"]:
         """Return a grid of points over the rectangle including its edges, spaced at most `step_m` along each side."""
-        sides = self.length_m, self.width_m
-        along, across = (np.linspace(-side / 2, side / 2, int(np.ceil(side / step_m)) + 1) for side in sides)
+        lengths = self.length_m, self.width_m
+        along, across = (np.linspace(-side / 2, side / 2, int(np.ceil(side / step_m)) + 1) for side in lengths)
         cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         x = self.x_m + cosine * along[:, None] - sine * across
         y = self.y_m + sine * along[:, None] + cosine * across

@@ -320,5 +320,5 @@ def _strewn(
         if reach.slab is not None:
             above = reach.slab.above_m(places)
             inside &= (above > reach.slab.low_m) & (above < reach.slab.high_m)
-        sides, tops = (np.repeat(each[own] / count, count)[inside] for each in (side, top))
-        yield GaussianPieces(places[inside], sides, tops)
+        side_areas, top_areas = (np.repeat(each[own] / count, count)[inside] for each in (side, top))
+        yield GaussianPieces(places[inside], side_areas, top_areas)

@@ -105,8 +105,8 @@ def limit_control(vehicle: Vehicle, state: VehicleState, control: Control, dt_s:
     """Clip a control to the vehicle's limits and to standstill."""
     low = max(-vehicle.most_braking_m_s2, -state.speed_m_s / dt_s)
     high = min(vehicle.most_acceleration_m_s2, (vehicle.top_speed_m_s - state.speed_m_s) / dt_s)
-    most = vehicle.most_steer_rate_rad_s
-    rate = float(np.clip(control.steer_rate_rad_s, -most, most))
+    limit = vehicle.most_steer_rate_rad_s
+    rate = float(np.clip(control.steer_rate_rad_s, -limit, limit))
     steer = float(np.clip(state.steer_rad + rate * dt_s, -vehicle.most_steer_rad, vehicle.most_steer_rad))
     return Control(float(np.clip(control.acceleration_m_s2, low, max(low, high))), (steer - state.steer_rad) / dt_s)
 

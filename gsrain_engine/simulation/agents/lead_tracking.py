@@ -52,7 +52,7 @@ class LeadTrack:
     place_variance_m2: float
     covariance_m2_s: float
     speed_variance_m2_s2: float
-    seen: int = 1
+    count: int = 1  # of sightings
     unseen_s: float = 0.0
     sure: bool = False
 
@@ -100,7 +100,7 @@ class LeadTrack:
             place_variance_m2=(1 - alpha) * self.place_variance_m2,
             covariance_m2_s=(1 - alpha) * self.covariance_m2_s,
             speed_variance_m2_s2=self.speed_variance_m2_s2 - speed_gain * self.covariance_m2_s,
-            seen=self.seen + 1,
+            count=self.count + 1,
             unseen_s=0.0,
             sure=self.sure or sighting.detection.confidence >= MIN_CONFIDENCE,
         )
@@ -136,12 +136,12 @@ class LeadTracker:
     def __init__(self) -> None:
         self._tracks: list[tuple[LeadTrack, Sighting | None]] = []
 
-    def look(self, seen: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> LeadState | None:
+    def look(self, found: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> LeadState | None:
         """Update all tracks with the sightings after `dt_s`; returns the nearest confirmed one, None in a free lane.
 
         `front_along_m` is the position of the front bumper along the route.
         """
-        left = list(seen)
+        left = list(found)
         tracks: list[tuple[LeadTrack, Sighting | None]] = []
         for track, _ in sorted(self._tracks, key=lambda each: each[0].along_m):
             track = track.later(dt_s)

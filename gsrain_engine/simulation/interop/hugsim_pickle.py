@@ -93,10 +93,10 @@ def checked_shape(shape: Any) -> tuple[int, ...]:
     """Return a shape that fits into memory; raises ValueError for any other."""
     if len(shape) > _MAX_AXES:
         raise ValueError(f"it holds an array of {len(shape)} axes")
-    sides = tuple(index(each) for each in shape)
-    if min(sides, default=0) < 0 or math.prod(sides) > _MAX_ITEMS:
-        raise ValueError(f"it holds an array of shape {sides}"[:100])
-    return sides
+    lengths = tuple(index(each) for each in shape)
+    if min(lengths, default=0) < 0 or math.prod(lengths) > _MAX_ITEMS:
+        raise ValueError(f"it holds an array of shape {lengths}"[:100])
+    return lengths
 
 
 def text(value: Any) -> str:

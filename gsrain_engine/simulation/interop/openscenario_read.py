@@ -52,14 +52,14 @@ def _scenario(root: Element, name: str) -> Scenario:
     stop = root.find("Storyboard/StopTrigger")
     end = None if stop is None else stop.find(".//SimulationTimeCondition")
     others = {name: entity for name, entity in objects.items() if name != ego_name}
-    kept = [name for name, entity in others.items() if properties(*entity).get(f"{PROPERTY}kept") == "true"]
+    actors = [name for name, entity in others.items() if properties(*entity).get(f"{PROPERTY}kept") == "true"]
     plain = {
         "name": name,
         "description": "" if header is None else header.get("description", ""),
         "speed_m_s": begun[ego_name].speed_m_s,
-        "keep": kept,
+        "keep": actors,
         "road_users": [
-            _user(root, name, entity, begun, ego_name, vehicle) for name, entity in others.items() if name not in kept
+            _user(root, name, entity, begun, ego_name, vehicle) for name, entity in others.items() if name not in actors
         ],
         "rain": _rain(root, own),
         "vehicle": msgspec.to_builtins(vehicle),

@@ -229,7 +229,7 @@ class RoadUserAhead(NamedTuple):
 def road_users_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> list[RoadUserAhead]:
     """Return the road users in the ego vehicle's swept lane and not behind it.
 
-    The swept lane is straight, along the heading, and as wide as the vehicle. Road users beside it do not count; those
+    The swept lane is straight, along the heading, and as wide as the vehicle. Road users next to it do not count; those
     that overlap the vehicle's box do, with a gap of 0.
     """
     own = ego_box(vehicle, ego_pose(step.ego))
