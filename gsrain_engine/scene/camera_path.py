@@ -64,12 +64,14 @@ class PathCurves:
                 turning.Slerp(times_s, rotations),
                 splines.make_interp_spline(times_s, fields_of_view, k=1),
             )
-        with np.errstate(all="ignore"):
-            smooth = turning.RotationSpline(times_s, rotations)
-        is_found = np.isfinite(smooth.interpolator.c).all()  # its search diverges for some very uneven keyframes
+        try:
+            with np.errstate(over="raise", invalid="raise"):
+                turns = turning.RotationSpline(times_s, rotations)
+        except (ArithmeticError, ValueError):  # its search diverges for some very uneven keyframes
+            turns = turning.Slerp(times_s, rotations)
         return cls(
             splines.CubicSpline(times_s, positions, bc_type="natural"),
-            smooth if is_found else turning.Slerp(times_s, rotations),
+            turns,
             splines.PchipInterpolator(times_s, fields_of_view),
         )
 
