@@ -1,7 +1,6 @@
 """Export of scenarios as OpenSCENARIO XML with an OpenDRIVE road."""
 
 import datetime
-import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,6 @@ import msgspec
 import numpy as np
 import shapely
 from jaxtyping import Float64
-from scenariogeneration import xodr, xosc
 
 from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
@@ -27,6 +25,13 @@ from ..traffic.base import RoadUser, ego_user, gap_between
 from ..traffic.models import Brake, CutIn, Triggered
 from ..vehicle import Vehicle
 from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
+
+try:
+    from scenariogeneration import xodr, xosc
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
+    ) from error
 
 words: Any = xosc
 """Enumerations: scenariogeneration declares them as another type than its own classes accept."""
@@ -44,13 +49,8 @@ def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
     properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in the recorded drive)
     are properties named `gsrain.*`.
 
-    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs, and ModuleNotFoundError,
-    with install instructions, without the package scenariogeneration.
+    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs.
     """
-    if importlib.util.find_spec("scenariogeneration") is None:
-        raise ModuleNotFoundError(
-            "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
-        )
     road = path.with_suffix(".xodr")
     written = {road: road_xml(scenario, scene), path: document_xml(scenario, scene, road.name)}
     for each, text in written.items():
