@@ -373,7 +373,7 @@ def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Render
         written.append(file(".xodr"))
     if renderer is not None:
         video = RolloutVideo(RolloutPlayback(rollout, scene), renderer)
-        with progress_bar("Filming", video.count(files.fps), draws=True) as advance:
+        with progress_bar("Filming", len(video.times(files.fps)), draws=True) as advance:
             for _ in render_rollout_video(file(".mp4"), video, files.fps):
                 advance()
         written.append(file(".mp4"))

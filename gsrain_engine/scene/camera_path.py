@@ -46,8 +46,9 @@ class PathCurves:
     ) -> "PathCurves":
         """Interpolate keyframes; with a period the last one leads back to the first, smoothly if a spline.
 
-        Splines: natural cubic for positions, cubic in rotation vectors for rotations (SciPy's RotationSpline), monotone
-        cubic for the field of view, which therefore stays between the values of its two keyframes.
+        Splines: natural cubic for positions, cubic in rotation vectors for rotations (SciPy's RotationSpline, or slerp
+        where that finds none), monotone cubic for the field of view, which therefore stays between the values of its
+        two keyframes.
         """
         if period_s is not None:
             n = len(times_s)
@@ -63,9 +64,14 @@ class PathCurves:
                 turning.Slerp(times_s, rotations),
                 splines.make_interp_spline(times_s, fields_of_view, k=1),
             )
+        try:
+            with np.errstate(over="raise", invalid="raise"):
+                turns = turning.RotationSpline(times_s, rotations)
+        except (ArithmeticError, ValueError):  # its search diverges for some very uneven keyframes
+            turns = turning.Slerp(times_s, rotations)
         return cls(
             splines.CubicSpline(times_s, positions, bc_type="natural"),
-            turning.RotationSpline(times_s, rotations),
+            turns,
             splines.PchipInterpolator(times_s, fields_of_view),
         )
 

@@ -25,9 +25,7 @@ class Controller(Protocol):
 
         `plan` is in the vehicle's current frame (x forward, y left, meters), n >= 1.
         """
-
-
-# Settings
+        ...
 
 
 class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -94,9 +92,6 @@ class PurePursuit:
         return Control(acceleration, (steer - state.steer_rad) / _SETTLE_S)
 
 
-# Reachable plans
-
-
 def make_reachable(
     plan: Float64[np.ndarray, "n 2"], speed_m_s: float, braking_m_s2: float, spacing_s: float
 ) -> tuple[Float64[np.ndarray, "n 2"], bool]:
@@ -112,11 +107,11 @@ def make_reachable(
     steps = np.diff(line, axis=0)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
     times = np.minimum(spacing_s * np.arange(1, len(plan) + 1), speed_m_s / braking_m_s2)
-    least = speed_m_s * times - 0.5 * braking_m_s2 * times**2
-    near = along[1:] < least
+    shortest = speed_m_s * times - 0.5 * braking_m_s2 * times**2
+    near = along[1:] < shortest
     heading = float(directions(steps)[-1])
-    beyond = np.maximum(least - along[-1], 0.0)[:, None] * (np.cos(heading), np.sin(heading))
-    moved = np.stack([np.interp(least, along, line[:, axis]) for axis in range(2)], axis=1) + beyond
+    beyond = np.maximum(shortest - along[-1], 0.0)[:, None] * (np.cos(heading), np.sin(heading))
+    moved = np.stack([np.interp(shortest, along, line[:, axis]) for axis in range(2)], axis=1) + beyond
     return np.where(near[:, None], moved, plan), bool(near[-1])
 
 
@@ -154,10 +149,7 @@ def tracked_states(plan: Float64[np.ndarray, "n 2"], reference: HeadingReference
 
 
 def directions(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """Return the directions of steps, unwrapped, radians from x.
-
-    Where the plan stops or reverses, the previous direction holds, initially x.
-    """
+    """Return the unwrapped directions of steps, radians from x; stops and reversals keep the one before, at first 0."""
     found = np.empty(len(steps))
     before = 0.0
     for i, (x, y) in enumerate(steps):

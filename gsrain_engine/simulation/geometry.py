@@ -21,9 +21,6 @@ def wrap_degrees(angle_deg: float) -> float:
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
-# Rectangles
-
-
 @dataclass(frozen=True)
 class PlanarBox:
     """A rectangle on the ground, given by its center."""
@@ -48,8 +45,8 @@ class PlanarBox:
 
     def lattice(self, step_m: float) -> Float64[np.ndarray, "n 2"]:
         """Return a grid of points over the rectangle including its edges, spaced at most `step_m` along each side."""
-        sides = self.length_m, self.width_m
-        along, across = (np.linspace(-side / 2, side / 2, int(np.ceil(side / step_m)) + 1) for side in sides)
+        lengths = self.length_m, self.width_m
+        along, across = (np.linspace(-side / 2, side / 2, int(np.ceil(side / step_m)) + 1) for side in lengths)
         cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         x = self.x_m + cosine * along[:, None] - sine * across
         y = self.y_m + sine * along[:, None] + cosine * across
@@ -68,9 +65,6 @@ class PlanarBox:
         if np.hypot(self.x_m - other.x_m, self.y_m - other.y_m) > reach / 2:
             return False
         return bool(self.polygon.intersects(other.polygon))
-
-
-# Routes
 
 
 class RouteCoordinates(NamedTuple):

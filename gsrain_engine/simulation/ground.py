@@ -18,8 +18,6 @@ SENSOR_HEIGHT_M = 1.5
 
 _LOWEST_RIG_M, _HIGHEST_RIG_M = -0.5, 4.0  # plausible range of the rig origin's height above a stated ground
 
-# Height grid
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightGrid:
@@ -85,10 +83,9 @@ def road_surface_of(scene: Scene) -> RoadSurface:
     drive = recorded_ego_positions(scene)
     if not len(drive):
         return RoadSurface(HeightGrid.level(scene.ground_m or 0.0))
-    below = None if scene.ground_m is None else float(drive[0, 2]) - scene.ground_m
-    if below is not None and not _LOWEST_RIG_M < below < _HIGHEST_RIG_M:
-        below = None
-    return RoadSurface(*find_road_surface(scene, drive, below, SENSOR_HEIGHT_M))
+    below = np.nan if scene.ground_m is None else float(drive[0, 2]) - scene.ground_m
+    known = below if _LOWEST_RIG_M < below < _HIGHEST_RIG_M else None
+    return RoadSurface(*find_road_surface(scene, drive, known, SENSOR_HEIGHT_M))
 
 
 # Road surface from the recorded drive
@@ -139,9 +136,6 @@ def find_road_surface(
             )  # bincount gives integers without values
             level = level + (moved / (known + _ENOUGH)).ravel()
     return HeightGrid(grid.corner_m, grid.cell_m, level.reshape(rows, columns)), below_m
-
-
-# Regions
 
 
 class HeightSlab(NamedTuple):
@@ -231,10 +225,7 @@ _STEP_M = 0.5  # minimum spacing of a route; closer samples of a recorded drive 
 
 
 def recorded_route(scene: Scene) -> Route:
-    """Return the route of the scene's ego vehicle.
-
-    Raises ValueError if the scene has no ego vehicle or it does not move.
-    """
+    """Return the route of the scene's ego vehicle. Raises ValueError if there is none or it does not move."""
     if scene.ego is None:
         raise ValueError(
             f"scene {scene.name!r} has no drive to follow: it has no ego vehicle; let one drive along a camera path "
@@ -329,5 +320,5 @@ def _strewn(
         if reach.slab is not None:
             above = reach.slab.above_m(places)
             inside &= (above > reach.slab.low_m) & (above < reach.slab.high_m)
-        sides, tops = (np.repeat(each[own] / count, count)[inside] for each in (side, top))
-        yield GaussianPieces(places[inside], sides, tops)
+        side_areas, top_areas = (np.repeat(each[own] / count, count)[inside] for each in (side, top))
+        yield GaussianPieces(places[inside], side_areas, top_areas)

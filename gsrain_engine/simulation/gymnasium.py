@@ -94,20 +94,10 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
     ) -> None:
         """Create the environment.
 
-        Args:
-            scenario: Shipped name, file, or `Scenario`.
-            scene: Scene file or folder, "street", or `Scene`; defaults to the scenario's.
-            action: Type of actions.
-            cameras: Cameras to render: rig camera names, ("front",), or ("all",). Empty by default: without images a
-                step takes one to two milliseconds at most.
-            depth: True adds depth to the observations.
-            semantic: True adds semantic classes to the observations.
-            intensity_mm_h: Rain intensity, 0..100; defaults to the scenario's.
-            reward: Reward weights.
-            backend: Render back end.
-            render_mode: "rgb_array" enables `render`, which returns the front camera image.
-
-        Raises ValueError if scenario, scene and cameras do not match.
+        `scenario` is a shipped name, a file or a `Scenario`; `scene` a file or folder, "street" or a `Scene`, or the
+        scenario's. `cameras` to render are names in the rig, ("front",) or ("all",); `depth` and `semantic` add to
+        them. Without images a step takes one to two milliseconds at most. The render mode "rgb_array" enables `render`,
+        which returns the front camera image. Raises ValueError if scenario, scene and cameras do not match.
         """
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode {render_mode!r}: only 'rgb_array' can be had")
@@ -148,10 +138,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         return observation_values(self._now, self.simulation.scenario.vehicle), self._info(self._now)
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Advance by one step.
-
-        Raises ValueError before `reset`, after the end, and for actions that are not finite or of another shape.
-        """
+        """Advance by one step. Raises ValueError for an invalid action, before `reset`, and after the end."""
         before, simulation = self._now, self.simulation
         if before is None:
             raise ValueError("the drive has not begun: reset it first")
@@ -270,33 +257,28 @@ def observation_space(cameras: Sequence[RigCamera], needs: SensorRequirements) -
 def observation_values(observation: Observation, vehicle: Vehicle) -> dict[str, Any]:
     """Return an observation as values of the space, clipped to its bounds."""
     state = observation.state
-    along = observation.route.nearest(state.x_m, state.y_m).along_m + ROUTE_STEP_M * np.arange(1, ROUTE_POINTS + 1)
+    on = observation.route.nearest(state.x_m, state.y_m)
+    along = on.along_m + ROUTE_STEP_M * np.arange(1, ROUTE_POINTS + 1)
     route = np.array([observation.route.at(float(each))[:2] for each in along])
+    ego = (
+        state.speed_m_s, observation.acceleration_m_s2, state.steer_rad, observation.steer_rate_rad_s,
+        yaw_rate(vehicle, state), on.left_m, wrap_angle(state.yaw_rad - observation.route.at(on.along_m)[2]),
+    )  # fmt: skip
     count, users = _road_users(state, observation.road_users)
     found: dict[str, Any] = {
-        "ego": _ego(observation, vehicle),
+        "ego": _within(np.array(ego), _EGO),
         "command": COMMANDS.index(observation.command),
         "route": _within(state.from_world(route), np.float32(_FAR_M)),
         "road_users": users,
         "road_user_count": count,
     }
-    views = observation.views
-    if views:
-        found["rgb"] = {name: view.image for name, view in views.items()}
-    depths = {name: np.minimum(view.depth_m, _FAR_M) for name, view in views.items() if view.depth_m is not None}
-    semantics = {name: view.semantic for name, view in views.items() if view.semantic is not None}
-    return found | ({"depth": depths} if depths else {}) | ({"semantic": semantics} if semantics else {})
-
-
-def _ego(observation: Observation, vehicle: Vehicle) -> Float32[np.ndarray, "7"]:
-    state, route = observation.state, observation.route
-    on = route.nearest(state.x_m, state.y_m)
-    turned = wrap_angle(state.yaw_rad - route.at(on.along_m)[2])
-    values = (
-        state.speed_m_s, observation.acceleration_m_s2, state.steer_rad, observation.steer_rate_rad_s,
-        yaw_rate(vehicle, state), on.left_m, turned,
-    )  # fmt: skip
-    return _within(np.array(values), _EGO)
+    views = observation.views.items()
+    images: dict[str, dict[str, Any]] = {
+        "rgb": {name: view.image for name, view in views},
+        "depth": {name: np.minimum(view.depth_m, _FAR_M) for name, view in views if view.depth_m is not None},
+        "semantic": {name: view.semantic for name, view in views if view.semantic is not None},
+    }
+    return found | {name: by_camera for name, by_camera in images.items() if by_camera}
 
 
 def _road_users(state: VehicleState, users: Sequence[RoadUser]) -> tuple[int, Float32[np.ndarray, "users 7"]]:

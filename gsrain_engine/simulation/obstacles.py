@@ -15,10 +15,8 @@ LOW_M, HIGH_M = 0.3, 1.5
 
 CELL_M = 0.1
 POST_M = 0.08
-"""A 3x3 block of cells is occupied if its side area reaches that of a post of this width over the whole height range.
-
-This finds thin posts and ignores single floaters.
-"""
+"""A 3x3 block of cells is occupied if its side area reaches that of a post of this width over the whole height range:
+thin posts are found and single floaters ignored."""
 
 _SHIFT = np.int64(1) << 32
 
@@ -53,8 +51,7 @@ def occupied_space_of(scene: Scene, ground: RoadSurface) -> OccupiedSpace:
     low, high = recorded_extent(scene)
     low[2], high[2] = ground.grid.heights_m.min() + LOW_M, ground.grid.heights_m.max() + HIGH_M
     pieces = gaussian_pieces(scene, WorldRegion(low, high, HeightSlab(ground.grid, LOW_M, HIGH_M)), CELL_M)
-    keys, owner = np.unique(cell_keys(pieces.places[:, :2], CELL_M), return_inverse=True)
-    area = np.bincount(owner.ravel(), pieces.side_m2, len(keys)).astype(np.float64)
+    keys, area = _areas(pieces, pieces.side_m2, CELL_M)
     return OccupiedSpace(keys[_around(keys, area) >= POST_M * (HIGH_M - LOW_M)])
 
 
@@ -64,11 +61,11 @@ def cell_keys(places: Float64[np.ndarray, "n 2"], cell_m: float) -> Int64[np.nda
     return x * _SHIFT + y
 
 
-def holds_cells(keys: Int64[np.ndarray, " n"], wanted: Int64[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
-    """Return which of the `wanted` keys occur in the sorted `keys`."""
+def holds_cells(keys: Int64[np.ndarray, " n"], searched: Int64[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+    """Return which of the `searched` keys occur in the sorted `keys`."""
     if not len(keys):
-        return np.zeros(len(wanted), np.bool_)
-    return keys[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)] == wanted
+        return np.zeros(len(searched), np.bool_)
+    return keys[np.minimum(np.searchsorted(keys, searched), len(keys) - 1)] == searched
 
 
 def _around(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
@@ -76,9 +73,9 @@ def _around(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"]) ->
     total = np.zeros(len(keys))
     for x in (-1, 0, 1):
         for y in (-1, 0, 1):
-            wanted = keys + x * _SHIFT + y
-            at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-            total += np.where(keys[at] == wanted, values[at], 0.0)
+            searched = keys + x * _SHIFT + y
+            at = np.minimum(np.searchsorted(keys, searched), len(keys) - 1)
+            total += np.where(keys[at] == searched, values[at], 0.0)
     return total
 
 
@@ -105,10 +102,8 @@ class Drivable:
 
         HUGSIM's drivable-area compliance counts a quarter as on the road if any of its ground points is.
         """
-        return np.array([[self._share(box.part(x, y)) for y in (0, 1)] for x in (0, 1)])
-
-    def _share(self, box: PlanarBox) -> float:
-        return float(holds_cells(self.keys, cell_keys(box.lattice(_STEP_M), _CELL_M)).mean())
+        quarters = [[cell_keys(box.part(x, y).lattice(_STEP_M), _CELL_M) for y in (0, 1)] for x in (0, 1)]
+        return np.array([[holds_cells(self.keys, each).mean() for each in row] for row in quarters])
 
 
 @scene_cache(maxsize=2)
@@ -121,15 +116,18 @@ def drivable_of(scene: Scene, ground: RoadSurface, occupied: OccupiedSpace) -> D
     low[2], high[2] = ground.grid.heights_m.min() - 1, ground.grid.heights_m.max() + 1
     named = any(layer.name in ROAD_LAYERS and layer.visible for layer in scene.layers)
     pieces = gaussian_pieces(scene, WorldRegion(low, high), _CELL_M, ROAD_LAYERS if named else None)
-    return Drivable(_covered(pieces) if named else _flat(pieces, ground, occupied))
+    if not named:
+        places = pieces.places[:, :2]
+        above = pieces.places[:, 2] - ground.heights_m(places)
+        flat = (np.abs(above) < _FLAT_M) & (pieces.top_m2 > pieces.side_m2) & ~occupied.holds(places)
+        pieces = GaussianPieces(*(column[flat] for column in pieces))
+    keys, area = _areas(pieces, pieces.top_m2, _CELL_M)
+    return Drivable(keys[area >= _COVERED * _CELL_M**2])
 
 
-def _flat(pieces: GaussianPieces, ground: RoadSurface, occupied: OccupiedSpace) -> Int64[np.ndarray, " n"]:
-    above = pieces.places[:, 2] - ground.heights_m(pieces.places[:, :2])
-    flat = (np.abs(above) < _FLAT_M) & (pieces.top_m2 > pieces.side_m2) & ~occupied.holds(pieces.places[:, :2])
-    return _covered(GaussianPieces(pieces.places[flat], pieces.side_m2[flat], pieces.top_m2[flat]))
-
-
-def _covered(pieces: GaussianPieces) -> Int64[np.ndarray, " n"]:
-    keys, owner = np.unique(cell_keys(pieces.places[:, :2], _CELL_M), return_inverse=True)
-    return keys[np.bincount(owner.ravel(), pieces.top_m2, len(keys)) >= _COVERED * _CELL_M**2]
+def _areas(
+    pieces: GaussianPieces, area_m2: Float64[np.ndarray, " n"], cell_m: float
+) -> tuple[Int64[np.ndarray, " cells"], Float64[np.ndarray, " cells"]]:
+    """Return the sorted keys of cells with pieces, and the sums of their areas."""
+    keys, owner = np.unique(cell_keys(pieces.places[:, :2], cell_m), return_inverse=True)
+    return keys, np.bincount(owner.ravel(), area_m2, len(keys)).astype(np.float64)

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ..scene.scene import RigCamera, Scene
+from ..scene.scene import Scene
 from .agents.base import Rig
 from .geometry import wrap_angle
 from .ground import road_surface_of
@@ -33,9 +33,9 @@ class RolloutPlayback:
             raise ValueError(f"the roll-out's scenario: {error}") from None
         self.rollout = rollout
         self.base = scene
-        cameras = tuple(
-            camera_of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig)
-        )
+        rig = self.scenario.rig if self.scenario.rig in scene.rigs else None  # else the scene's first
+        width = self.scenario.picture_width_px
+        cameras = tuple(camera_of_width(each, width) for each in rig_cameras(scene, rig))
         self.rig = Rig(self.scenario.vehicle, cameras, road_surface_of(scene).rig_height_m)
         self._road = RoadScene(scene, {user.id: vehicle_model(user.model, scene) for user in self.scenario.road_users})
         self._times = [step.time_s for step in rollout.steps]
@@ -50,11 +50,8 @@ class RolloutPlayback:
 
     def state(self, time_s: float) -> VehicleState:
         before, after, part = self._around(time_s)
-        a, b = before.ego, after.ego
-        return VehicleState(
-            _mixed(a.x_m, b.x_m, part), _mixed(a.y_m, b.y_m, part), _turned(a.yaw_rad, b.yaw_rad, part),
-            _mixed(a.speed_m_s, b.speed_m_s, part), _mixed(a.steer_rad, b.steer_rad, part),
-        )  # fmt: skip
+        names = ("x_m", "y_m", "yaw_rad", "speed_m_s", "steer_rad")
+        return VehicleState(**{name: _mixed(before.ego, after.ego, name, part) for name in names})
 
     def users(self, time_s: float) -> tuple[RoadUser, ...]:
         """Return the road users at a time; each that appears or disappears in a step is present until the step ends."""
@@ -63,19 +60,15 @@ class RolloutPlayback:
         users: list[RoadUser] = []
         for user in before.road_users:
             model, then = self.rollout.users[user.id], later.get(user.id, user)
-            users.append(
-                RoadUser(
-                    user.id, model.class_name, model.size_lwh_m, _mixed(user.x_m, then.x_m, part),
-                    _mixed(user.y_m, then.y_m, part), _turned(user.yaw_rad, then.yaw_rad, part),
-                    _mixed(user.speed_m_s, then.speed_m_s, part), _mixed(user.z_m, then.z_m, part),
-                )
-            )  # fmt: skip
+            names = ("x_m", "y_m", "yaw_rad", "speed_m_s", "z_m")
+            fields = {name: _mixed(user, then, name, part) for name in names}
+            users.append(RoadUser(user.id, model.class_name, model.size_lwh_m, **fields))
         return tuple(users)
 
     def rig_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"]:
         """Return the pose of the ego vehicle's rig (x forward, y left, z up, above the rear axle)."""
         before, after, part = self._around(time_s)
-        return self.state(time_s).rig_to_world(_mixed(before.ego.z_m, after.ego.z_m, part) + self.rig.height_m)
+        return self.state(time_s).rig_to_world(_mixed(before.ego, after.ego, "z_m", part) + self.rig.height_m)
 
     def scene(self, time_s: float) -> Scene:
         return self._road.at(self.rig_to_world(time_s), self.users(time_s))
@@ -93,15 +86,7 @@ class RolloutPlayback:
         return self.rollout.steps[lower], self.rollout.steps[upper], part
 
 
-def _cameras(scene: Scene, rig: str | None) -> tuple[RigCamera, ...]:
-    """Return the cameras of the rig used; of the scene's first rig if the scene lacks it."""
-    return rig_cameras(scene, rig if rig in scene.rigs else None)
-
-
-def _mixed(before: float, after: float, part: float) -> float:
-    return (1 - part) * before + part * after
-
-
-def _turned(before: float, after: float, part: float) -> float:
-    """Interpolate between two angles, the shorter way."""
-    return before + part * wrap_angle(after - before)
+def _mixed(before: object, after: object, name: str, part: float) -> float:
+    """Interpolate a field between two records; angles turn the shorter way."""
+    first, last = getattr(before, name), getattr(after, name)
+    return first + part * wrap_angle(last - first) if name == "yaw_rad" else (1 - part) * first + part * last

@@ -21,11 +21,8 @@ class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     speed_m_s: float
     steer_rad: float
     acceleration_m_s2: float
-    """Value over the previous step."""
-    steer_rate_rad_s: float
-    """Value over the previous step."""
-    yaw_rate_rad_s: float
-    """Computed from speed, steering and wheelbase."""
+    steer_rate_rad_s: float  # acceleration and steering rate are those over the previous step
+    yaw_rate_rad_s: float  # computed from speed, steering and wheelbase
 
 
 class UserRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -51,12 +48,9 @@ class RolloutStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     Empty at the end of a drive.
     """
-    route_left_m: float
-    """Distance of the rear axle from the route, left positive."""
-    route_completion: float
-    """Driven share of the route ahead of the start, 0..1."""
-    collision: str | None = None
-    """Id of the road user hit, or "background" for anything else in the scene."""
+    route_left_m: float  # distance of the rear axle from the route, left positive
+    route_completion: float  # driven share of the route ahead of the start, 0..1
+    collision: str | None = None  # id of the road user hit, or "background" for anything else in the scene
     notes: dict[str, Any] = {}
 
 
@@ -90,17 +84,11 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 def driven_vehicle(rollout: Rollout) -> Vehicle:
-    """Return the vehicle of a roll-out, or the default one.
-
-    Raises ValueError if it can't be read.
-    """
+    """Return the vehicle of a roll-out, or the default one; raises ValueError if it can't be read."""
     try:
         return msgspec.convert(rollout.scenario.get("vehicle", {}), Vehicle)
     except msgspec.ValidationError as error:
         raise ValueError(f"the roll-out's scenario.vehicle: {error}") from None
-
-
-# Run settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +108,7 @@ def run_setting(rollout: Rollout) -> RunSetting:
     """
     plain, vehicle = rollout.scenario, driven_vehicle(rollout)
     intensity = float(plain.get("rain", {}).get("intensity_mm_h", 0.0))
-    name, description = str(plain.get("name", "")), str(plain.get("description", ""))
-    return RunSetting(name, description, intensity, vehicle)
+    return RunSetting(str(plain.get("name", "")), str(plain.get("description", "")), intensity, vehicle)
 
 
 def planned_frames(rollout: Rollout) -> tuple[RolloutStep, ...]:

@@ -15,10 +15,7 @@ ROLLOUT_SUFFIXES = (".jsonl", ".parquet")
 
 
 def read_any_rollout(path: Path) -> Rollout:
-    """Read a roll-out from Parquet or JSON lines, by file suffix.
-
-    Raises ValueError, naming the file, for an invalid file or a missing library.
-    """
+    """Read a roll-out from Parquet or JSON lines, by suffix. Raises ValueError, also for a missing library."""
     if path.suffix.lower() != ".parquet":
         return read_rollout(path)
     try:
@@ -27,10 +24,9 @@ def read_any_rollout(path: Path) -> Rollout:
         raise ValueError(f"{path}: {error}") from None
 
 
-# JSON lines
-# The first line is the header, followed by one line per step.
+# JSON lines: a header, followed by one line per step
 
-_MAX_JSON_BYTES = 1 << 30
+_MAX_BYTES = 1 << 30
 _VERSION = 1
 _MOMENTS = "moments"  # number of step lines, to detect files truncated between two lines
 
@@ -39,21 +35,23 @@ def write_rollout(path: Path | str, rollout: Rollout) -> None:
     """Write a roll-out atomically. The same roll-out gives the same bytes."""
     header = msgspec.structs.asdict(rollout)
     header[_MOMENTS] = len(header.pop("steps"))
-    with whole_file(Path(path)) as beside, beside.open("wb") as file:
+    with whole_file(Path(path)) as partial, partial.open("wb") as file:
         for line in (header, *rollout.steps):
             file.write(msgspec.json.encode(line, order="sorted") + b"\n")
 
 
 def read_rollout(path: Path | str) -> Rollout:
-    """Read a roll-out.
-
-    Raises ValueError, naming the file and line, for an invalid or truncated file or one of a newer version.
-    """
+    """Read a roll-out. Raises ValueError, naming file and line, if it is invalid, truncated or of a newer version."""
     path = Path(path)
-    first, *rest = read_whole(path, _MAX_JSON_BYTES).splitlines() or [b""]
+    first, *rest = read_whole(path, _MAX_BYTES).splitlines() or [b""]
     header = _header(path, first)
     count = header.pop(_MOMENTS, None)
-    steps = [_step(path, number, line) for number, line in enumerate(rest, start=2)]
+    steps: list[RolloutStep] = []
+    for number, line in enumerate(rest, start=2):
+        try:
+            steps.append(msgspec.json.decode(line, type=RolloutStep))
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            raise ValueError(f"{path}: line {number}: {printable_line(error)}") from None
     if not steps:
         raise ValueError(f"{path}: a roll-out of no moment: it has been torn off after its first line")
     if count not in (None, len(steps)):
@@ -84,27 +82,24 @@ def _header(path: Path, line: bytes) -> dict[str, Any]:
     version = header.get("version")
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"{path}: not a roll-out: its first line has no `version`")
-    if version > _VERSION:
-        raise ValueError(
-            f"{path}: a roll-out of version {printable_line(version)}; this program reads up to {_VERSION}"
-        )
+    _check_version(path, version)
     return header
 
 
-def _step(path: Path, number: int, line: bytes) -> RolloutStep:
-    try:
-        return msgspec.json.decode(line, type=RolloutStep)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: line {number}: {printable_line(error)}") from None
+class _NewerVersionError(ValueError):
+    """Raised for files of newer versions of the program."""
 
 
-# Parquet
-# One row per step, for pandas, polars and DuckDB; lossless.
+def _check_version(path: Path, version: Any) -> None:
+    if version > _VERSION:
+        known = f"this program reads up to {_VERSION}"
+        raise _NewerVersionError(f"{path}: a roll-out of version {printable_line(version)}; {known}")
+
+
+# Parquet: one row per step, for pandas, polars and DuckDB; lossless
 
 _HEADER = b"gsrain.rollout"  # metadata key of the header as JSON
-_PARQUET_VERSION = 1
-_MAX_ROWS, _MAX_PARQUET_BYTES = 1_000_000, 1 << 30
-_MISSING = "Parquet files of roll-outs need pyarrow: pip install 'gsrain[drive]'"
+_MAX_ROWS = 1_000_000
 _OF_EGO = tuple(EgoRecord.__struct_fields__)
 
 
@@ -119,9 +114,17 @@ def write_rollout_parquet(path: Path, rollout: Rollout) -> None:
     header = msgspec.structs.asdict(rollout)
     del header["steps"]
     schema = _schema(arrow).with_metadata({_HEADER: msgspec.json.encode(header, order="sorted")})
-    table = arrow.Table.from_pylist([_row(step) for step in rollout.steps], schema=schema)
-    with whole_file(path) as beside:
-        parquet.write_table(table, beside, compression="zstd")
+    rows: list[dict[str, Any]] = []
+    for step in rollout.steps:
+        row = msgspec.structs.asdict(step)
+        row |= {f"ego_{name}": value for name, value in msgspec.structs.asdict(row.pop("ego")).items()}
+        row["plan"] = [{"x_m": x, "y_m": y} for x, y in step.plan]
+        row["road_users"] = [msgspec.structs.asdict(user) for user in step.road_users]
+        row["notes"] = msgspec.json.encode(step.notes, order="sorted").decode()
+        rows.append(row)
+    table = arrow.Table.from_pylist(rows, schema=schema)
+    with whole_file(path) as partial:
+        parquet.write_table(table, partial, compression="zstd")
 
 
 def read_rollout_parquet(path: Path) -> Rollout:
@@ -133,19 +136,18 @@ def read_rollout_parquet(path: Path) -> Rollout:
     header, rows = _header_and_rows(path)
     try:
         plain = msgspec.json.decode(header)
-        version = plain["version"]
-        is_newer = version > _PARQUET_VERSION
-        if not rows and not is_newer:
+        _check_version(path, plain["version"])
+        if not rows:
             raise ValueError("a roll-out of no moment")
-        rollout = (
-            None if is_newer else convert_checked({**plain, "steps": [_parquet_step(row) for row in rows]}, Rollout)
-        )
+        for row in rows:
+            row["ego"] = {name: row.pop(f"ego_{name}") for name in _OF_EGO}
+            row["plan"] = [(point["x_m"], point["y_m"]) for point in row["plan"]]
+            row["notes"] = msgspec.json.decode(row["notes"])
+        rollout = convert_checked({**plain, "steps": rows}, Rollout)
+    except _NewerVersionError:
+        raise
     except (ValueError, AttributeError, KeyError, RecursionError, TypeError) as error:
         raise ValueError(f"{path}: a roll-out that can't be read: {printable_line(error)}") from None
-    if rollout is None:
-        raise ValueError(
-            f"{path}: a roll-out of version {printable_line(version)}; this program reads up to {_PARQUET_VERSION}"
-        )
     check_users(path, rollout)
     return rollout
 
@@ -155,8 +157,12 @@ def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
     check_file(path)  # an unreadable path is not reported as damage
     try:
         with parquet.ParquetFile(path) as file:
-            _check_size(file.metadata)
-            header = (file.metadata.metadata or {}).get(_HEADER)
+            # Access no single columns: Arrow aborts the process on damage there.
+            about = file.metadata
+            size = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
+            if about.num_rows > _MAX_ROWS or size > _MAX_BYTES:
+                raise ValueError(f"{about.num_rows} rows of {size / 1e9:.1f} GB: too large")
+            header = (about.metadata or {}).get(_HEADER)
             rows = [] if header is None else file.read().to_pylist()
     except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # any of these for damaged files
         raise ValueError(f"{path}: not a Parquet file of a roll-out: {printable_line(error)}") from None
@@ -165,22 +171,12 @@ def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
     return header, rows
 
 
-def _check_size(metadata: Any) -> None:
-    """Raise ValueError for a file that unpacks to more than a roll-out can hold, however small the file.
-
-    Does not access single columns: Arrow aborts the process on damage there.
-    """
-    size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
-    if metadata.num_rows > _MAX_ROWS or size > _MAX_PARQUET_BYTES:
-        raise ValueError(f"{metadata.num_rows} rows of {size / 1e9:.1f} GB: too large")
-
-
 def _pyarrow() -> tuple[Any, Any]:
     try:
         import pyarrow
         from pyarrow import parquet
     except ModuleNotFoundError:
-        raise ImportError(_MISSING) from None
+        raise ImportError("Parquet files of roll-outs need pyarrow: pip install 'gsrain[drive]'") from None
     return pyarrow, parquet
 
 
@@ -201,23 +197,3 @@ def _schema(arrow: Any) -> Any:
             ("notes", arrow.string()),
         ]
     )
-
-
-def _row(step: RolloutStep) -> dict[str, Any]:
-    return {
-        "step": step.step,
-        "time_s": step.time_s,
-        **{f"ego_{name}": getattr(step.ego, name) for name in _OF_EGO},
-        "route_left_m": step.route_left_m,
-        "route_completion": step.route_completion,
-        "collision": step.collision,
-        "plan": [{"x_m": x, "y_m": y} for x, y in step.plan],
-        "road_users": [msgspec.structs.asdict(user) for user in step.road_users],
-        "notes": msgspec.json.encode(step.notes, order="sorted").decode(),
-    }
-
-
-def _parquet_step(row: dict[str, Any]) -> dict[str, Any]:
-    ego = {name: row.pop(f"ego_{name}") for name in _OF_EGO}
-    plan = [(point["x_m"], point["y_m"]) for point in row.pop("plan")]
-    return {**row, "ego": ego, "plan": plan, "notes": msgspec.json.decode(row["notes"])}

@@ -31,23 +31,17 @@ def scenario_names() -> list[str]:
 def load_scenario(name: str | Path) -> Scenario:
     """Load a shipped scenario by name, or a scenario file by path: GSRAIN's, HUGSIM's, or OpenSCENARIO XML.
 
-    Raises ValueError with the file, the field and what is allowed.
+    A file's own file names are resolved against its folder first, then the working folder. Raises ValueError with the
+    file, the field and what is allowed.
     """
-    if str(name) not in scenario_names() and Path(name).is_file():
-        return read_scenario(Path(name))
+    path = Path(name)
+    if str(name) not in scenario_names() and path.is_file():
+        return _renamed(_read(path), partial(resolve_from_folder, path.parent))
     return load_config(_FOLDER, name, Scenario, "scenario")
 
 
-def read_scenario(path: Path) -> Scenario:
-    """Read a file: `.xosc` is OpenSCENARIO XML, anything else YAML, whose keys identify HUGSIM scenarios.
-
-    File names are resolved against the scenario's folder first, then the working folder. Raises ValueError with the
-    file, the field and what is allowed.
-    """
-    return resolve_file_names(_read(path), path.parent)
-
-
 def _read(path: Path) -> Scenario:
+    """Read a file: `.xosc` is OpenSCENARIO XML, anything else YAML, whose keys identify HUGSIM scenarios."""
     if path.suffix.lower() == ".xosc":
         return read_openscenario(path)
     data = read_whole(path)
@@ -60,80 +54,49 @@ def _read(path: Path) -> Scenario:
     return hugsim_scenario(values, path)
 
 
-# Saving
-# Only values that differ from the defaults are written.
-
-
 def save_scenario(scenario: Scenario, path: Path) -> None:
     """Write a scenario atomically; `load_scenario` restores the same value.
 
-    File names become relative to the written file's folder. Raises OSError.
+    Only values that differ from the defaults are written. File names become relative to the written file's folder.
+    Raises OSError.
     """
-    told = _plain_settings(relative_file_names(scenario, path.parent))
-    text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
-    with whole_file(path) as beside:
-        beside.write_text(text, encoding="utf-8")
 
+    def relative(name: str) -> str:
+        return os.path.relpath(name, path.parent) if not Path(name).is_absolute() and Path(name).exists() else name
 
-def _plain_settings(settings: msgspec.Struct) -> dict[str, Any]:
-    """Return the fields that differ from their defaults, after the tag of a tagged struct."""
-    tag = settings.__struct_config__.tag_field
-    told: dict[str, Any] = {} if tag is None else {tag: settings.__struct_config__.tag}
-    for field in msgspec.structs.fields(settings):
-        value = getattr(settings, field.name)
-        if field.default is not msgspec.NODEFAULT and value == field.default:
-            continue
-        told[field.encode_name] = _plain(value)
-    return told
+    values = _plain(_renamed(scenario, relative))
+    text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    with whole_file(path) as partial_file:
+        partial_file.write_text(text, encoding="utf-8")
 
 
 def _plain(value: object) -> Any:
-    if isinstance(value, msgspec.Struct):
-        return _plain_settings(value)
+    """Return plain values; of structs the fields that differ from their defaults, after the tag of a tagged one."""
     if isinstance(value, tuple):
         items: tuple[object, ...] = value
         return [_plain(each) for each in items]
-    return msgspec.to_builtins(value)
+    if not isinstance(value, msgspec.Struct):
+        return msgspec.to_builtins(value)
+    tag = value.__struct_config__.tag_field
+    plain: dict[str, Any] = {} if tag is None else {tag: value.__struct_config__.tag}
+    for field in msgspec.structs.fields(value):
+        own = getattr(value, field.name)
+        if field.default is msgspec.NODEFAULT or own != field.default:
+            plain[field.encode_name] = _plain(own)
+    return plain
 
 
-# Relative file names
-
-_Rename = Callable[[str], str]
-
-
-def resolve_file_names(scenario: Scenario, folder: Path) -> Scenario:
-    """Return a scenario with file names resolved against the folder of its file.
-
-    Names without a file in that folder stay unchanged.
-    """
-    return _renamed(scenario, partial(resolve_from_folder, folder))
-
-
-def relative_file_names(scenario: Scenario, folder: Path) -> Scenario:
-    """Return a scenario with existing relative file names made relative to `folder`."""
-
-    def there(name: str) -> str:
-        return os.path.relpath(name, folder) if not Path(name).is_absolute() and Path(name).exists() else name
-
-    return _renamed(scenario, there)
-
-
-def _renamed(scenario: Scenario, rename: _Rename) -> Scenario:
-    rain, scene = scenario.rain, scenario.scene
+def _renamed(scenario: Scenario, rename: Callable[[str], str]) -> Scenario:
+    """Return a scenario with its file names replaced; names of shipped things stay."""
+    rain, scene, users = scenario.rain, scenario.scene, list[ScenarioUser]()
     if rain.calibration not in calibration_names():
         rain = msgspec.structs.replace(rain, calibration=rename(rain.calibration))
-    return msgspec.structs.replace(
-        scenario,
-        scene=scene if scene == STREET else rename(scene),
-        rain=rain,
-        road_users=tuple(_renamed_user(user, rename) for user in scenario.road_users),
-    )
-
-
-def _renamed_user(user: ScenarioUser, rename: _Rename) -> ScenarioUser:
-    model, behaviour = user.model, user.behaviour
-    if model.split("/")[0] not in vehicle_names() and not model.startswith(ACTOR):
-        model = rename(model)
-    if isinstance(behaviour, Replay):
-        behaviour = msgspec.structs.replace(behaviour, rollout=rename(behaviour.rollout))
-    return msgspec.structs.replace(user, model=model, behaviour=behaviour)
+    for user in scenario.road_users:
+        model, behaviour = user.model, user.behaviour
+        if model.split("/")[0] not in vehicle_names() and not model.startswith(ACTOR):
+            model = rename(model)
+        if isinstance(behaviour, Replay):
+            behaviour = msgspec.structs.replace(behaviour, rollout=rename(behaviour.rollout))
+        users.append(msgspec.structs.replace(user, model=model, behaviour=behaviour))
+    scene = scene if scene == STREET else rename(scene)
+    return msgspec.structs.replace(scenario, scene=scene, rain=rain, road_users=tuple(users))

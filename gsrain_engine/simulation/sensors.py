@@ -30,13 +30,9 @@ class RigRenderer:
         self._sky: SkyColor | None = None
 
     def views(
-        self,
-        scene: Scene,
-        rig_to_world: Float64[np.ndarray, "4 4"],
-        velocity_m_s: Float64[np.ndarray, "3"],
-        yaw_rate_rad_s: float,
-        time_s: float,
-    ) -> dict[str, CameraView]:
+        self, scene: Scene, rig_to_world: Float64[np.ndarray, "4 4"], velocity_m_s: Float64[np.ndarray, "3"],
+        yaw_rate_rad_s: float, time_s: float,
+    ) -> dict[str, CameraView]:  # fmt: skip
         """Render the cameras at a scene time. `velocity_m_s` is the velocity of the rig origin in the world."""
         views: dict[str, CameraView] = {}
         for mounted in self._cameras:
@@ -45,30 +41,22 @@ class RigRenderer:
                 self._sky = sky_color(self._renderer, scene, camera)
             arm = camera.position - rig_to_world[:3, 3]
             velocity = velocity_m_s + yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
-            views[mounted.name] = self._view(scene, RenderView(camera, time_s, velocity))
+            semantic = instances = None
+            if self._needs.semantic:
+                labels = draw_labels(self._renderer, scene, camera, time_s)
+                semantic = semantic_ids(scene)[labels]
+                layers = len(scene.layers)
+                instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
+            color, view = self._sky.at(self._rainfall.wetness_at(time_s)), RenderView(camera, time_s, velocity)
+            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
+            frame = self._renderer.read()
+            depth = None if frame.depth is None else frame.depth.copy()
+            views[mounted.name] = CameraView(frame.to_uint8(), camera, depth, semantic, instances)
         return views
-
-    def _view(self, scene: Scene, shot: RenderView) -> CameraView:
-        semantic = instances = None
-        if self._needs.semantic:
-            labels = draw_labels(self._renderer, scene, shot.camera, shot.time_s)
-            semantic = semantic_ids(scene)[labels]
-            layers = len(scene.layers)
-            instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
-        sky = self._sky
-        assert sky is not None
-        color = sky.at(self._rainfall.wetness_at(shot.time_s))
-        draw_view(self._renderer, scene, self._rainfall, color, shot, with_depth=self._needs.depth)
-        frame = self._renderer.read()
-        depth = None if frame.depth is None else frame.depth.copy()
-        return CameraView(frame.to_uint8(), shot.camera, depth, semantic, instances)
 
 
 def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
-    """Return the cameras of a scene's rig; by default of the first one, empty if it has no rig.
-
-    Raises ValueError for an unknown rig.
-    """
+    """Return the cameras of a rig, by default the first one, or none. Raises ValueError for an unknown rig."""
     if name is None:
         return next(iter(scene.rigs.values()), ())
     if name not in scene.rigs:
@@ -77,10 +65,7 @@ def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
 
 
 def needed_cameras(cameras: Sequence[RigCamera], needs: SensorRequirements) -> tuple[RigCamera, ...]:
-    """Return the cameras that an agent needs, in the order of the rig.
-
-    Raises ValueError for an unknown camera name, or if the rig has no cameras.
-    """
+    """Return the cameras that an agent needs, in the order of the rig. Raises ValueError if one is missing."""
     names = set(needs.cameras)
     if names and not cameras:
         raise ValueError("the agent needs pictures, and the scene has no rig of cameras")
@@ -114,8 +99,7 @@ def placed_camera(mounted: RigCamera, rig_to_world: Float64[np.ndarray, "4 4"]) 
     )  # fmt: skip
 
 
-# Semantic classes
-# Cityscapes training ids, which HUGSIM and most driving agents use.
+# Semantic classes: Cityscapes training ids, which HUGSIM and most driving agents use
 
 UNKNOWN = 255
 

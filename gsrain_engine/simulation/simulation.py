@@ -15,17 +15,8 @@ from ..rain.settings import RainSettings
 from ..render.renderer import Renderer
 from ..scene.open import STREET
 from ..scene.scene import Actor, PoseTrack, Scene
-from .agents.base import (
-    FARTHEST_M,
-    NOTHING,
-    SPACING_S,
-    Agent,
-    CameraView,
-    Observation,
-    Rig,
-    SensorRequirements,
-    Trajectory,
-)
+from .agents import base
+from .agents.base import Agent, CameraView, Observation, SensorRequirements, Trajectory
 from .agents.registry import AgentOptions, open_agent
 from .controllers import open_controller
 from .geometry import PlanarBox, Route, RouteCoordinates
@@ -41,7 +32,6 @@ from .traffic.base import RoadUser, ego_user
 from .vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle, vehicle_box, yaw_rate
 
 logger = logging.getLogger("gsrain")
-_STANDING = Control(0.0, 0.0)
 _SEEDS = 2**32
 
 
@@ -52,7 +42,7 @@ class Simulation:
         self,
         scenario: Scenario,
         scene: Scene,
-        needs: SensorRequirements = NOTHING,
+        needs: SensorRequirements = base.NOTHING,
         renderer: Renderer | None = None,
         seed: int | None = None,
     ) -> None:
@@ -73,20 +63,18 @@ class Simulation:
         self.occupied: OccupiedSpace = occupied_space_of(scene, self.ground)
         self._needs, self._renderer = needs, renderer
         cameras = tuple(camera_of_width(each, scenario.picture_width_px) for each in rig_cameras(scene, scenario.rig))
-        self._shown = needed_cameras(cameras, needs)
-        self.rig = Rig(scenario.vehicle, cameras, self.ground.rig_height_m)
+        self._needed = needed_cameras(cameras, needs)
+        self.rig = base.Rig(scenario.vehicle, cameras, self.ground.rig_height_m)
         self._controller = open_controller(scenario.controller)
         self._traffic = Traffic(self.scenario, scene, self.route, self.ground)
         self._road = RoadScene(scene, self._traffic.looks)
         self._pictures: RigRenderer | None = None
-        self._moment = self._start()
-        start = self._moment.state
+        start = start_state(self.scenario, scene, self.route)
+        self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
         self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
         if self._begins_m >= self.route.length_m:
-            raise ValueError(
-                f"scenario {scenario.name}: it starts where the route of scene {scene.name!r} ends: nothing is left to "
-                "be driven"
-            )
+            where = f"where the route of scene {scene.name!r} ends"
+            raise ValueError(f"scenario {scenario.name}: it starts {where}: nothing is left to be driven")
         self.end: str | None = None
         """Reason of the end; None during the drive."""
         self._steps: list[RolloutStep] = []
@@ -97,10 +85,11 @@ class Simulation:
             self.scenario = _with_seed(self.scenario, seed)
         self._controller.reset()
         self._traffic.reset()
-        if self._renderer is not None and self._shown:
-            self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._shown, self._needs)
+        if self._renderer is not None and self._needed:
+            self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._needed, self._needs)
         self.end, self._steps = None, []
-        self._moment = self._start()
+        start = start_state(self.scenario, self.scene, self.route)
+        self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
         self._judge()
         return self.observation()
 
@@ -110,27 +99,25 @@ class Simulation:
         return self.scenario.rain.seed
 
     def step(self, plan: Trajectory | None) -> None:
-        """Follow a plan for one step; None or an empty plan ends the drive.
-
-        Raises ValueError for an invalid plan, or after the end of the drive.
-        """
+        """Follow a plan for one step; None or an empty plan ends the drive. Raises ValueError for invalid plans."""
         self._check_goes_on()
         if plan is None or not len(plan.points):
-            self._finish("agent", plan)
+            self.end = "agent"
+            self._steps.append(self._recorded(plan))
             return
         points = np.asarray(plan.points, np.float64)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"a plan of shape {points.shape}: expected points (N, 2)")
-        if not (np.abs(points) <= FARTHEST_M).all():
-            raise ValueError(f"a plan with points that are not finite, or farther than {FARTHEST_M / 1000:g} km")
-        control = self._controller.control(self.scenario.vehicle, self._moment.state, points, SPACING_S)
+        if not (np.abs(points) <= base.FARTHEST_M).all():
+            raise ValueError(f"a plan with points that are not finite, or farther than {base.FARTHEST_M / 1000:g} km")
+        control = self._controller.control(self.scenario.vehicle, self._moment.state, points, base.SPACING_S)
         self.advance(control, plan)
 
     def advance(self, control: Control, plan: Trajectory | None = None) -> None:
         """Advance all vehicles by one step under a control; `plan` is only recorded."""
         self._check_goes_on()
         before, dt = self._moment, self.scenario.step_s
-        self._record(plan)
+        self._steps.append(self._recorded(plan))
         control = limit_control(self.scenario.vehicle, before.state, control, dt)
         state = step_bicycle(self.scenario.vehicle, before.state, control, dt)
         self._traffic.advance(before.time_s, ego_user(self.scenario.vehicle, before.state), dt)
@@ -149,9 +136,8 @@ class Simulation:
 
     def render_cameras(self, pictures: RigRenderer) -> dict[str, CameraView]:
         """Render the current state for any cameras of the rig."""
-        state = self._moment.state
+        state, time_s = self._moment.state, self.scenario.start_s + self._moment.time_s
         velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
-        time_s = self.scenario.start_s + self._moment.time_s
         turning = yaw_rate(self.scenario.vehicle, state)
         return pictures.views(self.scene_now, self.rig_to_world, velocity, turning, time_s)
 
@@ -171,21 +157,18 @@ class Simulation:
         steps, end = list(self._steps), self.end or "stopped"
         if not steps or steps[-1].step != self._moment.step:
             steps.append(self._recorded(None))
+        everybody = self._traffic.everybody
         return Rollout(
             scenario=_plain(self.scenario),
             scene=self.scene.name,
             agent=agent,
             seed=self.seed,
             step_s=self.scenario.step_s,
-            spacing_s=SPACING_S,
-            users={user.id: UserModel(class_name=user.class_name, size_lwh_m=user.size_lwh)
-                   for user in self._traffic.everybody},
+            spacing_s=base.SPACING_S,
+            users={each.id: UserModel(class_name=each.class_name, size_lwh_m=each.size_lwh) for each in everybody},
             end=end,
             steps=tuple(steps),
-        )  # fmt: skip
-
-    def _start(self) -> "_SimulationMoment":
-        return _SimulationMoment(0, 0.0, start_state(self.scenario, self.scene, self.route), _STANDING)
+        )
 
     def _check_goes_on(self) -> None:
         if self.end is not None:
@@ -193,20 +176,15 @@ class Simulation:
 
     def _judge(self) -> None:
         if self._hit is not None:
-            self._finish("collision", None)
+            self.end = "collision"
         elif self._completion >= 1:
-            self._finish("completed", None)
+            self.end = "completed"
         elif abs(self._on_route.left_m) > self.scenario.leave_m:
-            self._finish("off route", None)
+            self.end = "off route"
         elif self._moment.time_s >= self.scenario.duration_s - 1e-9:
-            self._finish("time", None)
-
-    def _finish(self, end: str, plan: Trajectory | None) -> None:
-        self.end = end
-        self._record(plan)
-
-    def _record(self, plan: Trajectory | None) -> None:
-        self._steps.append(self._recorded(plan))
+            self.end = "time"
+        if self.end is not None:
+            self._steps.append(self._recorded(None))
 
     def _recorded(self, plan: Trajectory | None) -> RolloutStep:
         moment, state = self._moment, self._moment.state
@@ -243,8 +221,8 @@ class Simulation:
 
     @property
     def _completion(self) -> float:
-        start, ahead = self._begins_m, self.route.length_m - self._begins_m
-        return float(np.clip((self._on_route.along_m - start) / ahead, 0.0, 1.0)) if ahead > 0 else 1.0
+        share = (self._on_route.along_m - self._begins_m) / (self.route.length_m - self._begins_m)
+        return float(np.clip(share, 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,9 +243,6 @@ def _with_seed(scenario: Scenario, seed: int) -> Scenario:
 
 def _plain(value: object) -> dict[str, Any]:
     return msgspec.json.decode(msgspec.json.encode(value))
-
-
-# Running an agent
 
 
 def drive(simulation: Simulation, agent: Agent) -> Iterator[Observation]:
@@ -320,17 +295,10 @@ def drive_scene(
         return ScoredRun.of(rollout, simulation.occupied, drivable)
 
 
-# Collision detection
-
-
 def find_collision(
-    vehicle: Vehicle,
-    state: VehicleState,
-    users: Sequence[RoadUser],
-    ground: RoadSurface,
-    occupied: OccupiedSpace,
+    vehicle: Vehicle, state: VehicleState, users: Sequence[RoadUser], ground: RoadSurface, occupied: OccupiedSpace,
     since_s: float,
-) -> str | None:
+) -> str | None:  # fmt: skip
     """Return the id of the road user hit, "background" for other obstacles, or None.
 
     `since_s` is the time since the previous check, 0 at the start: obstacles that a fast vehicle has passed through
@@ -354,9 +322,6 @@ def _without_gap(box: PlanarBox, gone_m: float) -> PlanarBox:
     return PlanarBox(float(x), float(y), box.yaw_rad, box.length_m + more, box.width_m)
 
 
-# Scene with road users
-
-
 class RoadScene:
     """A scene with the scenario's road users as its actors."""
 
@@ -377,7 +342,5 @@ class RoadScene:
         track = PoseTrack.standing(self._world_to_scene @ user.pose)
         if user.id not in self._gaussians:
             return replace(self._recorded[user.id], track=track)
-        unit = self.scene.metres_per_unit
-        length, width, height = (side / unit for side in user.size_lwh)
-        gaussians = self._gaussians[user.id]
-        return Actor(user.id, user.class_name, (length, width, height), gaussians, track)
+        length, width, height = (side / self.scene.metres_per_unit for side in user.size_lwh)
+        return Actor(user.id, user.class_name, (length, width, height), self._gaussians[user.id], track)

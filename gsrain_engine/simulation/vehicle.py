@@ -54,8 +54,6 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 HUGSIM_VEHICLE = Vehicle(length_m=3.0, width_m=1.6, height_m=1.5, wheelbase_m=2.7, rear_overhang_m=1.5)
 """HUGSIM's ego: a box (w 1.6, h 1.5, l 3.0) centered on the point that it steers, a front camera."""
 
-# State and control
-
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
@@ -107,8 +105,8 @@ def limit_control(vehicle: Vehicle, state: VehicleState, control: Control, dt_s:
     """Clip a control to the vehicle's limits and to standstill."""
     low = max(-vehicle.most_braking_m_s2, -state.speed_m_s / dt_s)
     high = min(vehicle.most_acceleration_m_s2, (vehicle.top_speed_m_s - state.speed_m_s) / dt_s)
-    most = vehicle.most_steer_rate_rad_s
-    rate = float(np.clip(control.steer_rate_rad_s, -most, most))
+    limit = vehicle.most_steer_rate_rad_s
+    rate = float(np.clip(control.steer_rate_rad_s, -limit, limit))
     steer = float(np.clip(state.steer_rad + rate * dt_s, -vehicle.most_steer_rad, vehicle.most_steer_rad))
     return Control(float(np.clip(control.acceleration_m_s2, low, max(low, high))), (steer - state.steer_rad) / dt_s)
 
@@ -139,9 +137,6 @@ def step_bicycle(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: 
 def yaw_rate(vehicle: Vehicle, state: VehicleState) -> float:
     """Return the yaw rate, rad/s, left positive: v tan(steer) / wheelbase."""
     return float(state.speed_m_s * np.tan(state.steer_rad) / vehicle.wheelbase_m)
-
-
-# Bounding box
 
 
 def vehicle_box(vehicle: Vehicle, state: VehicleState) -> PlanarBox:

@@ -1,7 +1,6 @@
 """Video of a roll-out: front camera, plan on the road, status line and top view."""
 
 from collections.abc import Iterator
-from functools import cached_property
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -41,8 +40,7 @@ _BEHIND_M, _AHEAD_M, _ACROSS_M = 12.0, 68.0, 14.0
 """Extent of the top view: behind and ahead of the ego vehicle, and total width."""
 
 _COLUMNS, _END = (0.015, 0.14, 0.36, 0.46, 0.57, 0.7, 0.86), 5
-"""Horizontal positions of status values, as shares of the width; from the sixth on replaced at the end by its reason.
-"""
+"""Horizontal positions of status values, shares of the width; from the sixth on replaced at the end by its reason."""
 
 _LETTER, _SMALLEST_PX = 1 / 52, 11
 """Letter size of status values as a share of the width that holds them in one line, and the minimum in pixels."""
@@ -57,33 +55,32 @@ class RolloutVideo:
     """Video frames of a roll-out, all of one size. The same roll-out gives the same bytes."""
 
     def __init__(self, played: RolloutPlayback, renderer: Renderer) -> None:
-        """Use the rig camera that faces forward most.
-
-        Raises ValueError if the scene has no rig.
-        """
+        """Use the rig camera that faces forward most. Raises ValueError if the scene has no rig."""
         if not played.rig.cameras:
             raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
         (self._mounted,) = needed_cameras(played.rig.cameras, SensorRequirements(cameras=("front",)))
         self._played, self._renderer = played, renderer
+        self._gaps_m, self._times_s = gaps_m(played.rollout), times_to_collision_s(played.rollout)
+        self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
+        self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
         start = played.scene(0.0)
         self._sky = sky_color(renderer, start, placed_camera(self._mounted, played.rig_to_world(0.0)))
 
     def pictures(self, fps: float) -> Iterator[RgbImage]:
         """Yield all frames of the drive; the last one is held for a second."""
-        moments = [*np.arange(0.0, self._played.end_s, 1 / fps), *[self._played.end_s] * (1 + round(fps))]
-        for time_s in moments:
-            yield self.picture(float(time_s))
+        for time_s in self.times(fps):
+            yield self.picture(time_s)
 
-    def count(self, fps: float) -> int:
-        """Return the number of frames."""
-        return len(np.arange(0.0, self._played.end_s, 1 / fps)) + 1 + round(fps)
+    def times(self, fps: float) -> list[float]:
+        """Return the times of the frames."""
+        times = np.arange(0.0, self._played.end_s, 1 / fps).tolist()
+        return [*times, *[self._played.end_s] * (1 + round(fps))]
 
     def picture(self, time_s: float) -> RgbImage:
-        seen = self._camera_panel(time_s)
-        above = self._above(time_s, seen.shape[1])
-        told = self._readout_panel(time_s, seen.shape[1])
-        whole = np.concatenate([seen, told, above])
+        ahead = self._camera_panel(time_s)
+        width = ahead.shape[1]
+        whole = np.concatenate([ahead, self._readout_panel(time_s, width), self._above(time_s, width)])
         return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
 
     def _camera_panel(self, time_s: float) -> RgbImage:
@@ -96,12 +93,11 @@ class RolloutVideo:
         draw_view(self._renderer, played.scene(time_s), self._rainfall, color, RenderView(camera, scene_s, velocity))
         step = played.step(time_s)
         picture = draw_boxes(self._renderer.read().to_uint8(), (), _noted(step), _SURE)
-        then = played.state(step.time_s)
-        if not step.plan:
-            return picture
-        points = then.to_world(np.array([(0.0, 0.0), *step.plan]))
-        ahead = np.array([state.from_world(points)[:, 0] > 0]).ravel()
-        _draw_plan(picture, camera, points[ahead], step.ego.z_m + 0.02)
+        if step.plan:
+            points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
+            ahead = points[state.from_world(points)[:, 0] > 0]
+            if len(ahead):
+                _draw_plan(picture, camera, ahead, step.ego.z_m + 0.02)
         return picture
 
     def _readout_panel(self, time_s: float, width: int) -> RgbImage:
@@ -139,7 +135,7 @@ class RolloutVideo:
         played, state, step = self._played, self._played.state(time_s), self._played.step(time_s)
         plan = _TopView(width, (state.x_m, state.y_m, state.yaw_rad))
         plan.specks(self._solid)
-        plan.dots(self._route, (70, 76, 86), 0.25)
+        plan.dots(self._path, (70, 76, 86), 0.25)
         for user in played.users(time_s):
             plan.box(user.box, _HIT if user.id == step.collision and time_s >= step.time_s else _USER)
         plan.box(vehicle_box(played.scenario.vehicle, state), _EGO)
@@ -147,25 +143,6 @@ class RolloutVideo:
             plan.dots(played.state(step.time_s).to_world(np.array(step.plan)), _PLAN, 0.45)
         plan.scale_bar()
         return plan.picture
-
-    @cached_property
-    def _gaps_m(self) -> Float64[np.ndarray, " n"]:
-        return gaps_m(self._played.rollout)
-
-    @cached_property
-    def _times_s(self) -> Float64[np.ndarray, " n"]:
-        return times_to_collision_s(self._played.rollout)
-
-    @cached_property
-    def _route(self) -> Float64[np.ndarray, "n 2"]:
-        """Driven path, one point per step."""
-        return np.array([(each.ego.x_m, each.ego.y_m) for each in self._played.rollout.steps])
-
-    @cached_property
-    def _solid(self) -> Float64[np.ndarray, "n 2"]:
-        """Centers of occupied cells."""
-        base = self._played.base
-        return occupied_space_of(base, road_surface_of(base)).places
 
 
 class ReadoutSlot(NamedTuple):
@@ -198,8 +175,6 @@ def _fitted(draw: ImageDraw.ImageDraw, word: str, room_px: float, font: ImageFon
 
 
 class _NotedDetection(msgspec.Struct):
-    """A detection in the notes of camera-idm."""
-
     class_name: str = msgspec.field(name="class")
     confidence: float
     box_xyxy: tuple[float, float, float, float]
@@ -222,8 +197,8 @@ class _TopView:
         height = round(_ACROSS_M * self._scale)
         self.picture: RgbImage = np.full((height, width, 3), _PAPER, np.uint8)
         x, y, yaw = pose
-        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        self._origin, self._turn = np.array([x, y]), turn
+        self._origin = np.array([x, y])
+        self._turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
 
     def box(self, box: PlanarBox, color: Color) -> None:
         corners = self._pixels(box.corners)
@@ -260,24 +235,19 @@ class _TopView:
 
 def _draw_plan(picture: RgbImage, camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float) -> None:
     """Draw planned points as a line with dots, in perspective on the road."""
-    if len(points) < 1:
-        return
-    pixels, depth = _projected(camera, _resampled(points), height_m)
-    seen = [_fixed(pixel) for pixel, far in zip(pixels, depth, strict=True) if far > _NEAR_M]
+    # Resampled to half a meter, so that a line from behind the camera is clipped near it.
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.append(np.arange(0.0, along[-1], 0.5), along[-1])
+    line = np.stack([np.interp(at, along, points[:, axis]) for axis in range(2)], axis=1)
+    pixels, depth = _projected(camera, line, height_m)
+    visible = [_fixed(pixel) for pixel, far in zip(pixels, depth, strict=True) if far > _NEAR_M]
     for width, color in ((5, (0, 40, 30)), (3, _PLAN)):
-        cv2.polylines(picture, [np.array(seen, np.int32).reshape(-1, 2)], False, color, width, cv2.LINE_AA, 4)
+        cv2.polylines(picture, [np.array(visible, np.int32).reshape(-1, 2)], False, color, width, cv2.LINE_AA, 4)
     pixels, depth = _projected(camera, points, height_m)
     for pixel, far in zip(pixels, depth, strict=True):
         if far > _NEAR_M:
             radius = float(np.clip(_DOT_M * camera.fx / far, 2.5, 9))
             cv2.circle(picture, _fixed(pixel), round(16 * radius), _PLAN, cv2.FILLED, cv2.LINE_AA, 4)
-
-
-def _resampled(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 2"]:
-    """Resample to half a meter, so that a line from behind the camera is clipped near it."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = np.append(np.arange(0.0, along[-1], 0.5), along[-1])
-    return np.stack([np.interp(at, along, points[:, axis]) for axis in range(2)], axis=1)
 
 
 def _projected(
@@ -303,21 +273,16 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
-# Video file
-
 _PREVIEW_PX = 320
 
 
 def render_rollout_video(path: Path, video: RolloutVideo, fps: float) -> Iterator[Progress]:
     """Write a video with `fps` frames per second; yields progress after each frame.
 
-    If the caller stops early, the written part is playable.
-
-    Raises:
-        ValueError: For an unknown video suffix.
-        OSError: If the file can't be written.
+    If the caller stops early, the written part is playable. Raises ValueError for an unknown video suffix, and OSError
+    if the file can't be written.
     """
-    pictures, count = video.pictures(fps), video.count(fps)
+    pictures, count = video.pictures(fps), len(video.times(fps))
     first = next(pictures)
     every = max(first.shape[1] // _PREVIEW_PX, 1)
     with VideoWriter(path, first.shape[1], first.shape[0], fps) as writer:

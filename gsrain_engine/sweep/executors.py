@@ -11,15 +11,12 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 from uuid import uuid4
 
 from ..safe_io.limits import receive_message
 from .expansion import Job
 from .worker import JobResult, worker_cache
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 Work = Callable[[Job], JobResult]
 """Runs a job and never raises; must be picklable. Sweeps use `worker.run_job`."""
@@ -53,8 +50,7 @@ class SerialExecutor:
                 yield work(job)
 
 
-# Local process pool
-# Workers get jobs one by one; one that dies is replaced, and its job is retried.
+# Local process pool: workers get jobs one by one; one that dies is replaced, and its job is retried
 
 
 class LocalPool:
@@ -73,11 +69,8 @@ class LocalPool:
         with closing(_PoolWorkers(work, jobs, threads, self._retries)) as crew:
             for _ in range(min(self.workers, len(jobs))):
                 crew.employ()
-            while crew.is_busy:
+            while crew.busy:
                 yield from crew.finished()
-
-
-# Worker process
 
 
 class PoolWorker:
@@ -87,34 +80,20 @@ class PoolWorker:
         """Start the process with `threads` threads for compiled kernels. It accepts jobs before it is ready."""
         context = multiprocessing.get_context("spawn")
         self.messages, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
         try:
             with _without_interrupts(), _threads(threads):
-                self._process.start()
+                self.process.start()
         except BaseException:
             self.messages.close()
             raise
         finally:
             theirs.close()
-        self._job: Job | None = None
-
-    @property
-    def job(self) -> Job:
-        """The most recent job."""
-        assert self._job is not None
-        return self._job
-
-    @property
-    def scene(self) -> str | None:
-        return None if self._job is None else self._job.scene
-
-    @property
-    def exit_code(self) -> int | None:
-        return self._process.exitcode
+        self.job: Job | None = None  # the most recent one
 
     def begin(self, job: Job) -> None:
         """Send a job. If the process has died, `outcome` reports it."""
-        self._job = job
+        self.job = job
         with suppress(OSError):
             self.messages.send(job)
 
@@ -124,14 +103,14 @@ class PoolWorker:
             return receive_message(self.messages, _MAX_OUTCOME_BYTES)
         except (EOFError, OSError) as error:
             if not isinstance(error, EOFError | ConnectionError):
-                self._process.kill()  # the result exceeds the limit, and the process would block on sending
-            self._process.join()
+                self.process.kill()  # the result exceeds the limit, and the process would block on sending
+            self.process.join()
             return None
 
     def close(self) -> None:
         self.messages.close()
-        self._process.kill()
-        self._process.join()
+        self.process.kill()
+        self.process.join()
 
 
 class _PoolWorkers:
@@ -141,12 +120,7 @@ class _PoolWorkers:
         self._work, self._threads, self._retries = work, threads, retries
         self._waiting = list(jobs)
         self._deaths = Counter[str]()
-        self._busy: dict[object, PoolWorker] = {}
-
-    @property
-    def is_busy(self) -> bool:
-        """True while any job is running."""
-        return bool(self._busy)
+        self.busy: dict[object, PoolWorker] = {}
 
     def employ(self, worker: PoolWorker | None = None) -> None:
         """Assign the next job to a worker or to a new one; closes the worker if no job is left."""
@@ -155,19 +129,19 @@ class _PoolWorkers:
                 worker.close()
             return
         worker = worker or PoolWorker(self._work, self._threads)
-        taken = {each.scene for each in self._busy.values()}
-        self._busy[worker.messages] = worker
-        worker.begin(next_job(self._waiting, worker.scene, taken))
+        open_scenes = {each.job and each.job.scene for each in self.busy.values()}
+        self.busy[worker.messages] = worker
+        worker.begin(next_job(self._waiting, worker.job and worker.job.scene, open_scenes))
 
     def finished(self) -> Iterator[JobResult]:
         """Wait for results; yields each after its worker got the next job."""
-        ready: list[Connection] = wait([each.messages for each in self._busy.values()])  # pyright: ignore
+        ready: list[Connection] = wait([each.messages for each in self.busy.values()])  # pyright: ignore
         for messages in ready:
-            worker = self._busy.pop(messages)
+            worker = self.busy.pop(messages)
             outcome = worker.outcome()
             if outcome is None:
                 worker.close()
-                outcome = self._buried(worker)
+                outcome = self._bury(worker)
                 self.employ()
             else:
                 self.employ(worker)
@@ -175,29 +149,28 @@ class _PoolWorkers:
                 yield outcome
 
     def close(self) -> None:
-        for worker in self._busy.values():
+        for worker in self.busy.values():
             worker.close()
 
-    def _buried(self, worker: PoolWorker) -> JobResult | None:
+    def _bury(self, worker: PoolWorker) -> JobResult | None:
         """Requeue the job of a dead worker first; return a failed result once the retries are used up."""
-        job = worker.job
+        job, exit_code = worker.job, worker.process.exitcode
+        assert job is not None
         self._deaths[job.id] += 1
-        if self._deaths[job.id] <= self._retries:
+        times = self._deaths[job.id]
+        if times <= self._retries:
             self._waiting.insert(0, job)
             return None
-        return JobResult(id=job.id, error=_death(self._deaths[job.id], worker.exit_code))
+        how = "was killed" if exit_code == -getattr(signal, "SIGKILL", 9) else f"died (exit code {exit_code})"
+        reason = f"each of {times} workers that had this job {how}; was there too little memory?"
+        return JobResult(id=job.id, error=reason)
 
 
-def next_job(waiting: list[Job], own: str | None, taken: set[str | None]) -> Job:
+def next_job(waiting: list[Job], own: str | None, open_scenes: set[str | None]) -> Job:
     """Remove and return the first job of a worker's own scene, else of a scene no worker has, else the first."""
     mine = (place for place, job in enumerate(waiting) if job.scene == own)
-    free = (place for place, job in enumerate(waiting) if job.scene not in taken)
+    free = (place for place, job in enumerate(waiting) if job.scene not in open_scenes)
     return waiting.pop(next(mine, next(free, 0)))
-
-
-def _death(times: int, exit_code: int | None) -> str:
-    how = "was killed" if exit_code == -getattr(signal, "SIGKILL", 9) else f"died (exit code {exit_code})"
-    return f"each of {times} workers that had this job {how}; was there too little memory?"
 
 
 def _cores() -> int:
@@ -240,14 +213,13 @@ def _without_interrupts() -> Generator[None]:
 @contextmanager
 def _threads(count: int) -> Generator[None]:
     """Start processes whose compiled kernels use `count` threads, unless the environment sets a number."""
-    if _THREADS in os.environ:
-        yield
-        return
-    os.environ[_THREADS] = str(count)
+    is_set = _THREADS in os.environ
+    os.environ.setdefault(_THREADS, str(count))
     try:
         yield
     finally:
-        del os.environ[_THREADS]
+        if not is_set:
+            del os.environ[_THREADS]
 
 
 # Dask cluster
@@ -263,7 +235,14 @@ class DaskCluster:
 
         Raises ValueError if no scheduler answers or Dask is missing.
         """
-        self._client = _client(address)
+        try:
+            from distributed import Client
+        except ModuleNotFoundError:
+            raise ValueError("a Dask cluster takes the package distributed: pip install 'gsrain[drive]'") from None
+        try:
+            self._client = Client(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
+        except (OSError, TimeoutError) as error:
+            raise ValueError(f"no Dask scheduler answers at {address}: {' '.join(str(error).split())}") from None
         self._resources = dict(resources or {})
         self.address = address
 
@@ -275,29 +254,11 @@ class DaskCluster:
         self._client.close()
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
-        """Run jobs, scene by scene. The scheduler reassigns the jobs of dead workers.
-
-        Raises ConnectionError if the scheduler disappears.
-        """
+        """Run jobs by scene; the scheduler reassigns those of dead workers. Raises ConnectionError if it is gone."""
         from distributed import CancelledError, KilledWorker, as_completed
 
-        futures = self._submitted(work, jobs)
-        try:
-            for future in as_completed(futures, loop=self._client.loop):
-                try:
-                    yield future.result()
-                except KilledWorker:
-                    yield JobResult(id=futures[future], error="the workers that had this job died one after the other")
-                except CancelledError:
-                    raise ConnectionError(f"the Dask scheduler at {self.address} is gone") from None
-                future.release()
-        finally:
-            self._client.cancel(list(futures))
-
-    def _submitted(self, work: Work, jobs: Sequence[Job]) -> dict[Any, str]:
-        """Submit all jobs; returns the job id of each future."""
         sweep = uuid4().hex[:8]  # the scheduler caches results by key, across sweeps
-        return {
+        futures: dict[Any, str] = {
             self._client.submit(
                 work,
                 job,
@@ -309,14 +270,14 @@ class DaskCluster:
             ): job.id
             for place, job in enumerate(jobs)
         }
-
-
-def _client(address: str) -> "Client":
-    try:
-        from distributed import Client
-    except ModuleNotFoundError:
-        raise ValueError("a Dask cluster takes the package distributed: pip install 'gsrain[drive]'") from None
-    try:
-        return Client(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
-    except (OSError, TimeoutError) as error:
-        raise ValueError(f"no Dask scheduler answers at {address}: {' '.join(str(error).split())}") from None
+        try:
+            for future in as_completed(futures, loop=self._client.loop):
+                try:
+                    yield future.result()
+                except KilledWorker:
+                    yield JobResult(id=futures[future], error="the workers that had this job died one after the other")
+                except CancelledError:
+                    raise ConnectionError(f"the Dask scheduler at {self.address} is gone") from None
+                future.release()
+        finally:
+            self._client.cancel(list(futures))

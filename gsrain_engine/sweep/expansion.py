@@ -3,6 +3,8 @@
 import hashlib
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,8 +26,7 @@ from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario
 from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, apply_jitter, seeds_of
 
-# Jobs
-# A job holds everything its result depends on, and nothing else.
+# Jobs: everything that a result depends on, and nothing else
 
 
 class _Content(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,7 +46,12 @@ class _Content(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     @property
     def id(self) -> str:
         """Hash of the content (20 hex digits), equal for equal jobs on every machine."""
-        return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:_DIGITS]
+        return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:20]
+
+    def shared(self, kind: str) -> dict[str, Any]:
+        """Return values for the parameter columns that jobs of all kinds have."""
+        names = ("scene", "scene_hash", "seed", "backend", "program")
+        return {"id": self.id, "kind": kind, **{name: getattr(self, name) for name in names}}
 
 
 class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
@@ -64,13 +70,9 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     @property
     def parameters(self) -> dict[str, Any]:
         """Values for the parameter columns of the row."""
-        return {
-            **_shared(self, "drive"),
-            "scenario": self.scenario.name,
-            "intensity_mm_h": self.scenario.rain.intensity_mm_h,
-            "agent": self.agent.title,
-            "agent_name": self.agent.name,
-        }
+        scenario, agent = self.scenario, self.agent
+        own = {"scenario": scenario.name, "intensity_mm_h": scenario.rain.intensity_mm_h}
+        return self.shared("drive") | own | {"agent": agent.title, "agent_name": agent.name}
 
 
 class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
@@ -88,7 +90,7 @@ class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True,
     @property
     def parameters(self) -> dict[str, Any]:
         """Values for the parameter columns of the row."""
-        return {**_shared(self, "render"), "intensity_mm_h": self.rain.intensity_mm_h, "labels": self.labels}
+        return self.shared("render") | {"intensity_mm_h": self.rain.intensity_mm_h, "labels": self.labels}
 
 
 Job = DriveJob | RenderJob
@@ -107,9 +109,10 @@ def jobs_of(sweep: Sweep) -> list[Job]:
 def _drives(sweep: DriveSweep) -> list[Job]:
     agents = [_complete(AgentChoice(name=each) if isinstance(each, str) else each) for each in sweep.agents]
     _check(agents)
-    hashes = _Hashes()
-    scenarios = [load_scenario(name) for name in sweep.scenarios]
-    _check_names(scenarios)
+    hashes, scenarios = _Hashes(), [load_scenario(name) for name in sweep.scenarios]
+    for name in (names := [scenario.name for scenario in scenarios]):
+        if names.count(name) > 1:
+            raise ValueError(f"two scenarios are called {name!r}: tables could not tell them apart")
     return [
         _drive(sweep, hashes, structs.replace(scenario, scene=scene), agent, intensity, seed)
         for scenario in scenarios
@@ -155,15 +158,14 @@ def _packages(scenes: list[str], agent: AgentChoice | None = None) -> dict[str, 
 
     All decoders count, because a detector selects its decoder only when it is opened.
     """
-    used = [each for each in find_extensions(SCENE_FORMATS) if any(_has_suffix(name, each.name) for name in scenes)]
+    names = [name.lower() for name in scenes]
+    used = [
+        each for each in find_extensions(SCENE_FORMATS) if any(name.endswith(f".{each.name.lower()}") for name in names)
+    ]
     if agent is not None:
         used += [each for each in find_extensions(AGENTS) if each.name == agent.name]
         used += find_extensions(DECODERS) if agent.detector is not None else ()
     return {each.package: each.version for each in used}
-
-
-def _has_suffix(name: str, suffix: str) -> bool:
-    return name.lower().endswith(f".{suffix.lower()}")
 
 
 def _renders(sweep: RenderSweep) -> list[Job]:
@@ -176,9 +178,8 @@ def _renders(sweep: RenderSweep) -> list[Job]:
     except ValueError as error:
         raise ValueError(f"recording.output {error}") from None
     if recording.path.is_absolute() or ".." in recording.path.parts or not recording.path.parts:
-        raise ValueError(
-            f"recording.output {recording.output!r}: expected a name in the clip's own folder, as clip.mp4"
-        )
+        expected = "expected a name in the clip's own folder, as clip.mp4"
+        raise ValueError(f"recording.output {recording.output!r}: {expected}")
     if (problem := name_problem(recording.path)) is not None:
         raise ValueError(f"recording.output: {problem}")
     return [
@@ -204,22 +205,13 @@ class _Hashes:
     """Scene and file hashes; each file is read once."""
 
     def __init__(self) -> None:
-        self._scenes: dict[str, str] = {}
-        self._files: dict[str, str] = {}
-
-    def scene(self, name: str) -> str:
-        if name not in self._scenes:
-            self._scenes[name] = scene_hash(name)
-        return self._scenes[name]
+        self.scene = cache(scene_hash)
+        self._file = cache(file_hash)
 
     def files(self, names: list[str | None]) -> dict[str, str]:
         """Hash existing files; shipped calibrations, models and descriptions are covered by the program version."""
-        found = [name for name in dict.fromkeys(names) if name and name not in calibration_names()]
-        found = [name for name in found if Path(name).is_file()]
-        for name in found:
-            if name not in self._files:
-                self._files[name] = file_hash(Path(name))
-        return {name: self._files[name] for name in sorted(found)}
+        paths = {name: Path(name) for name in names if name and name not in calibration_names()}
+        return {name: self._file(path) for name, path in sorted(paths.items()) if path.is_file()}
 
 
 def _check(agents: list[AgentChoice]) -> None:
@@ -236,32 +228,7 @@ def _check(agents: list[AgentChoice]) -> None:
             raise ValueError(f"two agents are called {agent.title!r}: give each a `label`")
 
 
-def _check_names(scenarios: list[Scenario]) -> None:
-    names = [scenario.name for scenario in scenarios]
-    doubled = next((name for name in names if names.count(name) > 1), None)
-    if doubled is not None:
-        raise ValueError(f"two scenarios are called {doubled!r}: tables could not tell them apart")
-
-
-_DIGITS = 20
-
-
-def _shared(job: _Content, kind: str) -> dict[str, Any]:
-    return {
-        "id": job.id,
-        "kind": kind,
-        "scene": job.scene,
-        "scene_hash": job.scene_hash,
-        "seed": job.seed,
-        "backend": job.backend,
-        "program": job.program,
-    }
-
-
-# Shards
-# For independent machines such as the tasks of a SLURM array.
-
-_FORM = re.compile(r"(\d+)/(\d+)")
+# Shards: for independent machines such as the tasks of a SLURM array
 
 
 class Shard(NamedTuple):
@@ -273,11 +240,10 @@ class Shard(NamedTuple):
     @staticmethod
     def parse(text: str) -> "Shard":
         """Parse "i/n"; raises ValueError if malformed or if i is not within 1..n."""
-        match = _FORM.fullmatch(text.strip())
+        match = re.fullmatch(r"(\d+)/(\d+)", text.strip())
         if match is None:
-            raise ValueError(
-                f"shard {text}: expected i/n, such as 1/10 or $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT"
-            )
+            example = "1/10 or $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT"
+            raise ValueError(f"shard {text}: expected i/n, such as {example}")
         place, shares = int(match[1]), int(match[2])
         if not 1 <= place <= shares:
             raise ValueError(f"shard {text}: shares are counted from 1 to n, as by sbatch --array=1-{max(shares, 1)}")
@@ -285,17 +251,11 @@ class Shard(NamedTuple):
 
     def of(self, jobs: Sequence[Job]) -> list[Job]:
         """Return the jobs of this shard in their order: every n-th by id, so that shards are balanced."""
-        ids = sorted(job.id for job in jobs)
-        own = set(ids[self.place - 1 :: self.shares])
+        own = set(sorted(job.id for job in jobs)[self.place - 1 :: self.shares])
         return [job for job in jobs if job.id in own]
 
     def __str__(self) -> str:
         return f"{self.place}/{self.shares}"
-
-
-# Software versions
-
-_COMPUTED_WITH = ("numpy", "onnxruntime", "scipy", "shapely")
 
 
 def program_version() -> str:
@@ -305,9 +265,7 @@ def program_version() -> str:
 def software() -> dict[str, str]:
     """Return versions of installed packages that affect rounding, by package name."""
     found = {"gsrain": program_version()}
-    for name in _COMPUTED_WITH:
-        try:
+    for name in ("numpy", "onnxruntime", "scipy", "shapely"):
+        with suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return found

@@ -1,6 +1,7 @@
 """Tables, summary figures and HTML report of a sweep."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -17,20 +18,9 @@ from ..evaluation.report_charts import SeriesStyle, series_styles
 from ..rain.settings import CALIBRATED_UP_TO_MM_H
 from ..safe_io.text_files import figure_words
 from ..scene.files import shortened, whole_file
+from . import results
 from .expansion import DriveJob, Job
-from .results import (
-    FAILED,
-    MEASURED,
-    MeanInterval95,
-    Row,
-    SummaryCell,
-    SweepFolder,
-    by_scenario,
-    indented_json,
-    rows_csv,
-    rows_parquet,
-    summarized,
-)
+from .results import MEASURED, MeanInterval95, Row, SummaryCell, SweepFolder, by_scenario
 from .settings import Sweep
 
 
@@ -45,40 +35,23 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict
     if not rows:
         raise ValueError(f"{folder.path}: there are no rows of this sweep yet")
     kind = "drive" if isinstance(jobs[0], DriveJob) else "render"
-    cells = summarized(rows) if kind == "drive" else []
-    numbers = _numbers(folder, jobs, rows, cells)
+    cells = results.summarized(rows) if kind == "drive" else []
+    failed = [str(row["error"]) for row in rows if row["status"] == results.FAILED]
+    errors = sorted(Counter(failed).items(), key=lambda each: (-each[1], each[0]))  # most frequent first
+    numbers = {
+        "jobs": len(jobs), "rows": len(rows), "failed": len(failed), "other_rows": folder.others(jobs),
+        "errors": dict(errors), "cells": msgspec.to_builtins(cells),
+    }  # fmt: skip
     figures = _written_figures(folder.path / "figures", by_scenario(cell for cell in cells if cell.runs))
     for name, data in (
-        ("table.parquet", rows_parquet(rows, kind)),
-        ("table.csv", rows_csv(rows, kind).encode()),
-        ("summary.json", indented_json(numbers)),
+        ("table.parquet", results.rows_parquet(rows, kind)),
+        ("table.csv", results.rows_csv(rows, kind).encode()),
+        ("summary.json", results.indented_json(numbers)),
     ):
-        with whole_file(folder.path / name) as beside:
-            beside.write_bytes(data)
+        with whole_file(folder.path / name) as partial:
+            partial.write_bytes(data)
     write_report(folder.path / "report.html", sweep_report_page(folder.path.name, sweep, numbers, rows, cells, figures))
     return numbers
-
-
-def _numbers(
-    folder: SweepFolder, jobs: Sequence[Job], rows: Sequence[Row], cells: Sequence[SummaryCell]
-) -> dict[str, Any]:
-    failed = [row for row in rows if row["status"] == FAILED]
-    return {
-        "jobs": len(jobs),
-        "rows": len(rows),
-        "failed": len(failed),
-        "other_rows": folder.others(jobs),
-        "errors": _errors(failed),
-        "cells": msgspec.to_builtins(cells),
-    }
-
-
-def _errors(failed: Iterable[Row]) -> dict[str, int]:
-    """Count jobs by error message, most frequent first."""
-    counts: dict[str, int] = {}
-    for row in failed:
-        counts[str(row["error"])] = counts.get(str(row["error"]), 0) + 1
-    return dict(sorted(counts.items(), key=lambda each: (-each[1], each[0])))
 
 
 def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -> list[ReportFigure]:
@@ -93,13 +66,12 @@ def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -
         file = folder / (f"{name}.png" if names.count(name) == 1 else f"{name}-{names.count(name)}.png")
         figures.append(ReportFigure(f"{scenario}, {scene}", scenario_figure(cells), caption))
         folder.mkdir(parents=True, exist_ok=True)
-        with whole_file(file) as beside:
-            Image.fromarray(figures[-1].pixels).save(beside, "png")
+        with whole_file(file) as partial:
+            Image.fromarray(figures[-1].pixels).save(partial, "png")
     return figures
 
 
-# Scenario figures
-# Collisions, time to collision, planned collisions and comfort against rain intensity, with 95 % bands.
+# Scenario figures: collisions, time to collision, planned collisions and comfort against rain intensity
 
 _PANEL_IN, _DPI = (4.4, 3.3), 120
 _ASIDE, _ALL_ASIDE = 0.012, 0.06
@@ -108,15 +80,11 @@ _ASIDE, _ALL_ASIDE = 0.012, 0.06
 _LEGEND_COLUMNS, _LEGEND_LINE_IN = 4, 0.2
 
 
-def _mean(name: str) -> Callable[[SummaryCell], MeanInterval95 | None]:
-    return lambda cell: cell.means.get(name)
-
-
-_PANELS: tuple[tuple[str, Callable[[SummaryCell], MeanInterval95 | None]], ...] = (
-    ("share of drives with a collision", lambda cell: cell.collision_rate),
-    ("least time to collision (s)", _mean("min_ttc_s")),
-    ("C: share of planned points that collide", _mean("planned_point_collision_rate")),
-    ("S: comfort of the motion as driven", _mean("comfort_executed")),
+_PANELS: tuple[tuple[str, str], ...] = (
+    ("share of drives with a collision", ""),
+    ("least time to collision (s)", "min_ttc_s"),
+    ("C: share of planned points that collide", "planned_point_collision_rate"),
+    ("S: comfort of the motion as driven", "comfort_executed"),
 )
 
 
@@ -134,10 +102,10 @@ def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
     styles = series_styles(len(agents))
     # keep equal curves distinguishable
     aside = min(_ASIDE, _ALL_ASIDE / len(agents)) * max(cell.intensity_mm_h for cell in cells)
-    for number, (panel, (title, value)) in enumerate(zip(panels, _PANELS, strict=True)):
+    for number, (panel, (title, measure)) in enumerate(zip(panels, _PANELS, strict=True)):
         for place, agent in enumerate(agents):
             own = [cell for cell in cells if cell.agent == agent]
-            _curve(panel, own, value, styles[place], figure_words(agent, 28), aside * (place - (len(agents) - 1) / 2))
+            _curve(panel, own, measure, styles[place], figure_words(agent, 28), aside * (place - (len(agents) - 1) / 2))
         _dress(panel, title, cells, is_lowest=number >= columns)
     runs = sorted({cell.runs for cell in cells})
     seeds = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
@@ -153,11 +121,11 @@ def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _curve(
-    panel: Axes, cells: Sequence[SummaryCell], value: Callable[[SummaryCell], MeanInterval95 | None],
-    style: SeriesStyle, label: str,
-    aside: float,
-) -> None:  # fmt: skip
-    points = [(cell.intensity_mm_h, spread) for cell in cells if (spread := value(cell)) is not None]
+    panel: Axes, cells: Sequence[SummaryCell], measure: str, style: SeriesStyle, label: str, aside: float
+) -> None:
+    """Draw a measure of one agent; without a name it is the collision rate."""
+    values = [(cell.intensity_mm_h, cell.means.get(measure) if measure else cell.collision_rate) for cell in cells]
+    points = [(intensity, spread) for intensity, spread in values if spread is not None]
     x = [each + aside for each, _ in points]
     spreads = [each for _, each in points]
     color, means = style.color, [each.mean for each in spreads]
@@ -191,13 +159,9 @@ _CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
 
 
 def sweep_report_page(
-    name: str,
-    sweep: Sweep,
-    numbers: dict[str, Any],
-    rows: Sequence[Row],
-    cells: Sequence[SummaryCell],
+    name: str, sweep: Sweep, numbers: dict[str, Any], rows: Sequence[Row], cells: Sequence[SummaryCell],
     figures: Sequence[ReportFigure],
-) -> RunReport:
+) -> RunReport:  # fmt: skip
     """Return the report page of a sweep; `numbers` is its summary, `figures` one per scenario."""
     notes = [f"{count} of {numbers['rows']} failed: {error}" for error, count in list(numbers["errors"].items())]
     if numbers["rows"] < numbers["jobs"]:
@@ -210,23 +174,21 @@ def sweep_report_page(
         for name, value in msgspec.to_builtins(sweep).items()
         if value is not None
     }
+    tables: list[ReportTable] = []
+    for own in by_scenario(cells):
+        tables.append(scenario_table(own))
+        tables += [change_table(own)] if any(cell.changes for cell in own) else []
+    if not cells:
+        columns = ("scene", "intensity_mm_h", "seed", "cameras", "frames", "sizes_px", "drops", "clip", "error")
+        tables.append(ReportTable("Clips", columns, tuple(tuple(row[name] for name in columns) for row in rows)))
     return RunReport(
         title=f"Sweep {name}",
         settings=settings,
         headlines={**done, "failed": f"{numbers['failed']:,}"},
         notes=tuple(notes[:_MAX_ERRORS]),
         figures=tuple(figures),
-        tables=_tables(cells) if cells else (_clips(rows),),
+        tables=tuple(tables),
     )
-
-
-def _tables(cells: Sequence[SummaryCell]) -> tuple[ReportTable, ...]:
-    tables: list[ReportTable] = []
-    for own in by_scenario(cells):
-        tables.append(scenario_table(own))
-        if any(cell.changes for cell in own):
-            tables.append(change_table(own))
-    return tuple(tables)
 
 
 def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
@@ -271,11 +233,6 @@ def change_table(cells: Sequence[SummaryCell]) -> ReportTable:
     )
     caption = "Differences from the lowest intensity, each drive's from the one of the same seed."
     return ReportTable(f"{cells[0].scenario}, {cells[0].scene}: what rain changes", columns, rows, 2, caption)
-
-
-def _clips(rows: Sequence[Row]) -> ReportTable:
-    columns = ("scene", "intensity_mm_h", "seed", "cameras", "frames", "sizes_px", "drops", "clip", "error")
-    return ReportTable("Clips", columns, tuple(tuple(row[name] for name in columns) for row in rows))
 
 
 def _pair(spread: MeanInterval95 | None) -> tuple[float | None, str]:

@@ -7,10 +7,10 @@ import errno
 import io
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 from msgspec import Struct, inspect
@@ -22,7 +22,7 @@ from ..safe_io.text_files import printable_line
 from ..scene.files import whole_file
 from ..simulation.metrics.summary import DriveMetrics
 from ..simulation.rollout_io import write_rollout
-from .expansion import DriveJob, Job
+from .expansion import Job
 from .settings import Sweep
 from .worker import JobResult, Value
 
@@ -54,22 +54,26 @@ def columns_of(kind: str) -> dict[str, type]:
     """
     if kind == "render":
         return _RENDER
-    fields = inspect.type_info(DriveMetrics).fields  # pyright: ignore[reportAttributeAccessIssue]: that of a struct
-    return {**_DRIVE, **{each.name: _plain(each.type) for each in fields if each.name not in _DRIVE}}
+    columns = dict(_DRIVE)
+    for field in inspect.type_info(DriveMetrics).fields:  # pyright: ignore[reportAttributeAccessIssue]: that of a struct
+        choices = field.type.types if isinstance(field.type, inspect.UnionType) else (field.type,)
+        columns.setdefault(field.name, next(_TYPES[type(each)] for each in choices if type(each) in _TYPES))
+    return columns
 
 
 def row_of(job: Job, outcome: JobResult) -> Row:
     """Merge job parameters and results into a row; parameters take precedence."""
-    told: Mapping[str, Any] = {**outcome.values, **job.parameters}
-    told = {**told, "status": FINISHED if outcome.error is None else FAILED, "error": outcome.error}
-    kind = "drive" if isinstance(job, DriveJob) else "render"
-    return {name: told.get(name) for name in columns_of(kind)}
+    status = FINISHED if outcome.error is None else FAILED
+    values: dict[str, Any] = {**outcome.values, **job.parameters, "status": status, "error": outcome.error}
+    return {name: values.get(name) for name in columns_of(values["kind"])}
 
 
 def rows_parquet(rows: Sequence[Row], kind: str) -> bytes:
     """Return rows as the bytes of a Parquet file; the same rows give the same bytes."""
     arrow, files = parquet_modules()
-    table = arrow.Table.from_pylist(list(rows), schema=_schema(kind))
+    types = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
+    schema = arrow.schema([(name, types[each]) for name, each in columns_of(kind).items()])
+    table = arrow.Table.from_pylist(list(rows), schema=schema)
     sink = io.BytesIO()
     files.write_table(table, sink, compression="zstd", use_dictionary=False, write_statistics=False)
     return sink.getvalue()
@@ -103,18 +107,6 @@ def _cell(value: Value) -> str:
     return '"' + text.replace('"', '""') + '"' if any(each in text for each in ',"\n\r') else text
 
 
-def _schema(kind: str) -> Any:
-    arrow, _ = parquet_modules()
-    types = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
-    return arrow.schema([(name, types[each]) for name, each in columns_of(kind).items()])
-
-
-def _plain(kind: inspect.Type) -> type:
-    """Return the column type of a field, without None."""
-    choices = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
-    return next(_TYPES[type(each)] for each in choices if type(each) in _TYPES)
-
-
 def parquet_modules() -> tuple[Any, Any]:
     """Import pyarrow and its Parquet module on first use."""
     try:
@@ -146,16 +138,7 @@ class MeanInterval95(Struct, frozen=True):
     mean: float
     low: float
     high: float
-    count: int
-    """Number of runs with a value."""
-
-
-class CurveGroup(NamedTuple):
-    """The combination that a curve shows."""
-
-    scene: str
-    scenario: str
-    agent: str
+    count: int  # number of runs with a value
 
 
 class SummaryCell(Struct, frozen=True, kw_only=True):
@@ -165,29 +148,23 @@ class SummaryCell(Struct, frozen=True, kw_only=True):
     scenario: str
     agent: str
     intensity_mm_h: float
-    runs: int
-    """Number of finished runs, without failed ones."""
+    runs: int  # number of finished runs, without failed ones
     failed: int
     collisions: int
-    collision_rate: MeanInterval95 | None
-    """Share of the runs with a collision, with Wilson's interval (Wilson 1927)."""
+    collision_rate: MeanInterval95 | None  # share of the runs with a collision, with Wilson's interval (Wilson 1927)
     means: dict[str, MeanInterval95]
     """Means over the seeds of the columns in `MEASURED`, with bootstrap intervals; columns without values are left out.
     """
     changes: dict[str, MeanInterval95]
     """Like `means`, for paired differences from the lowest intensity with the same seed: the effect of rain."""
 
-    @property
-    def group(self) -> CurveGroup:
-        return CurveGroup(self.scene, self.scenario, self.agent)
-
 
 def summarized(rows: Iterable[Row]) -> list[SummaryCell]:
     """Summarize the rows of drives, sorted by parameters."""
-    told = sorted(rows, key=lambda row: (*_group(row), _number(row["intensity_mm_h"]), _number(row["seed"])))
+    ordered = sorted(rows, key=lambda row: (*_group(row), _number(row["intensity_mm_h"]), _number(row["seed"])))
     cells: list[SummaryCell] = []
-    for group in dict.fromkeys(map(_group, told)):
-        own = [row for row in told if _group(row) == group]
+    for group in dict.fromkeys(map(_group, ordered)):
+        own = [row for row in ordered if _group(row) == group]
         intensities = list(dict.fromkeys(_number(row["intensity_mm_h"]) for row in own))
         at = {each: [row for row in own if row["intensity_mm_h"] == each] for each in intensities}
         cells += [_summary_cell(group, each, at[each], at[intensities[0]]) for each in intensities]
@@ -201,40 +178,44 @@ def by_scenario(cells: Iterable[SummaryCell]) -> list[list[SummaryCell]]:
     return [[cell for cell in cells if (cell.scene, cell.scenario) == place] for place in places]
 
 
-def _summary_cell(group: CurveGroup, intensity: float, rows: Sequence[Row], lowest: Sequence[Row]) -> SummaryCell:
+def _summary_cell(
+    group: tuple[str, str, str], intensity: float, rows: Sequence[Row], lowest: Sequence[Row]
+) -> SummaryCell:
     finished = [row for row in rows if row["status"] == FINISHED]
     collisions = sum(bool(row["collision"]) for row in finished)
     means = {name: _spread([_number(row[name]) for row in finished if row[name] is not None]) for name in MEASURED}
-    changes = {name: _spread(_changes(name, finished, lowest)) for name in MEASURED} if rows is not lowest else {}
+    before = {row["seed"]: row for row in lowest if row["status"] == FINISHED and rows is not lowest}
+    pairs = [(row, before[row["seed"]]) for row in finished if row["seed"] in before]
+    changes: dict[str, MeanInterval95 | None] = {}
+    for name in MEASURED:
+        known = [(now[name], dry[name]) for now, dry in pairs if now[name] is not None and dry[name] is not None]
+        changes[name] = _spread([_number(now) - _number(dry) for now, dry in known])
+    rate = None
+    if finished:
+        interval = binomtest(collisions, len(finished)).proportion_ci(CONFIDENCE, method="wilson")
+        share = collisions / len(finished)
+        rate = MeanInterval95(share, float(interval.low), float(interval.high), len(finished))
     return SummaryCell(
-        **group._asdict(),
+        scene=group[0],
+        scenario=group[1],
+        agent=group[2],
         intensity_mm_h=intensity,
         runs=len(finished),
         failed=len(rows) - len(finished),
         collisions=collisions,
-        collision_rate=_share(collisions, len(finished)) if finished else None,
+        collision_rate=rate,
         means={name: each for name, each in means.items() if each is not None},
         changes={name: each for name, each in changes.items() if each is not None},
     )
-
-
-def _changes(name: str, rows: Sequence[Row], lowest: Sequence[Row]) -> list[float]:
-    before = {row["seed"]: row[name] for row in lowest if row["status"] == FINISHED and row[name] is not None}
-    pairs = [(row[name], before[row["seed"]]) for row in rows if row[name] is not None and row["seed"] in before]
-    return [_number(later) - _number(earlier) for later, earlier in pairs]
 
 
 def _spread(values: list[float]) -> MeanInterval95 | None:
     return MeanInterval95(*mean_interval(values), len(values)) if values else None
 
 
-def _share(count: int, runs: int) -> MeanInterval95:
-    interval = binomtest(count, runs).proportion_ci(CONFIDENCE, method="wilson")
-    return MeanInterval95(count / runs, float(interval.low), float(interval.high), runs)
-
-
-def _group(row: Row) -> CurveGroup:
-    return CurveGroup(str(row["scene"]), str(row["scenario"]), str(row["agent"]))
+def _group(row: Row) -> tuple[str, str, str]:
+    """Return the combination that a curve shows: scene, scenario and agent."""
+    return str(row["scene"]), str(row["scenario"]), str(row["agent"])
 
 
 def _number(value: object) -> float:
@@ -242,8 +223,7 @@ def _number(value: object) -> float:
     return float(value)
 
 
-# Sweep folder
-# Holds a row and a roll-out per job, each written atomically; several sweeps may write to it at once.
+# Sweep folder: a row and a roll-out per job, each written atomically; several sweeps may write to it together
 
 _SUFFIX = ".parquet"
 
@@ -253,11 +233,8 @@ class SweepFolder:
 
     def __init__(self, path: Path) -> None:
         """Use a folder, which is created on the first write."""
-        self.path = path
-        self.rows = path / "rows"
-        self.rollouts = path / "rollouts"
-        self.clips = path / "clips"
-        self.log = path / "log.jsonl"
+        self.path, self.log = path, path / "log.jsonl"
+        self.rows, self.rollouts, self.clips = (path / name for name in ("rows", "rollouts", "clips"))
 
     def describe(self, sweep: Sweep, jobs: Iterable[Job]) -> None:
         """Write sweep.json, and jobs.jsonl with the job of each id.
@@ -267,10 +244,10 @@ class SweepFolder:
         parquet_modules()
         self.path.mkdir(parents=True, exist_ok=True)
         lines = sorted((job.id, msgspec.json.encode({"id": job.id, "job": job}, order="sorted")) for job in jobs)
-        with whole_file(self.path / "sweep.json") as beside:
-            beside.write_bytes(indented_json(sweep))
-        with whole_file(self.path / "jobs.jsonl") as beside:
-            beside.write_bytes(b"".join(line + b"\n" for _, line in lines))
+        with whole_file(self.path / "sweep.json") as partial:
+            partial.write_bytes(indented_json(sweep))
+        with whole_file(self.path / "jobs.jsonl") as partial:
+            partial.write_bytes(b"".join(line + b"\n" for _, line in lines))
 
     def keep(self, job: Job, outcome: JobResult) -> Row:
         """Write a job's row and roll-out and log it; raises OSError and then leaves no partial file."""
@@ -279,39 +256,33 @@ class SweepFolder:
             self.rollouts.mkdir(parents=True, exist_ok=True)
             write_rollout(self.rollouts / f"{job.id}.jsonl", outcome.rollout)
         self.rows.mkdir(parents=True, exist_ok=True)
-        with whole_file(self.rows / f"{job.id}{_SUFFIX}") as beside:
-            beside.write_bytes(rows_parquet([row], str(row["kind"])))
+        with whole_file(self.rows / f"{job.id}{_SUFFIX}") as partial:
+            partial.write_bytes(rows_parquet([row], str(row["kind"])))
         self._note(job, outcome)
         return row
 
     def read(self, jobs: Iterable[Job]) -> dict[str, Row]:
         """Return the existing rows by job id. A damaged row counts as missing."""
         found: dict[str, Row] = {}
-        for job in jobs:
-            row = self._row(job.id)
-            if row is not None:
-                found[job.id] = row
+        for id in (job.id for job in jobs):
+            try:
+                rows = rows_in(read_file(self.rows / f"{id}{_SUFFIX}"))
+            except (FileNotFoundError, ValueError):
+                continue
+            if len(rows) == 1 and rows[0].get("id") == id and "status" in rows[0]:
+                found[id] = rows[0]
         return found
 
     def to_do(self, jobs: Sequence[Job], *, retry_failed: bool = False) -> list[Job]:
         """Return the jobs without a row, in order; includes failed jobs if `retry_failed`."""
         rows = self.read(jobs)
-        return [
-            job for job in jobs if job.id not in rows or (retry_failed and rows[job.id]["status"] != FINISHED)
-        ]  # fmt: skip
+        done = {id for id, row in rows.items() if not retry_failed or row["status"] == FINISHED}
+        return [job for job in jobs if job.id not in done]
 
     def others(self, jobs: Sequence[Job]) -> int:
         """Count rows that belong to other jobs (other settings, scenes or versions)."""
         own = {f"{job.id}{_SUFFIX}" for job in jobs}
         return sum(file.name not in own for file in self.rows.glob(f"[!.]*{_SUFFIX}"))
-
-    def _row(self, id: str) -> Row | None:
-        try:
-            rows = rows_in(read_file(self.rows / f"{id}{_SUFFIX}"))
-        except (FileNotFoundError, ValueError):
-            return None
-        row = rows[0] if len(rows) == 1 else {}
-        return row if row.get("id") == id and "status" in row else None
 
     def _note(self, job: Job, outcome: JobResult) -> None:
         """Append a log line with everything that differs between machines."""
@@ -324,8 +295,8 @@ class SweepFolder:
             "error": outcome.error,
         }
         with self.log.open("ab+", buffering=0) as file:  # one write per line keeps lines of concurrent sweeps apart
-            told = msgspec.json.encode(line) + b"\n"
+            data = msgspec.json.encode(line) + b"\n"
             if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
-                told = b"\n" + told  # the last line was cut off by a full disk
-            if file.write(told) != len(told):
+                data = b"\n" + data  # the last line was cut off by a full disk
+            if file.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.log))

@@ -4,7 +4,7 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeGuard, cast
+from typing import Any, NamedTuple, cast
 
 from ..scene.progress import Progress
 from ..simulation.agents.registry import agent_code, agent_file
@@ -20,8 +20,7 @@ from .worker import JobResult, run_job
 class SweepRun(NamedTuple):
     """Counts of a sweep run."""
 
-    done: int
-    """Jobs that got a row in this run, including failed ones."""
+    done: int  # jobs that got a row in this run, including failed ones
     failed: int
 
 
@@ -54,32 +53,20 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
                 raise OSError(_stopped(folder, error.strerror or str(error), done)) from error
             done, failed = done + 1, failed + (outcome.error is not None)
             counted = f"{done} of {len(jobs)}" + (f", {failed} failed" if failed else "")
-            yield Progress(done / len(jobs), f"{counted}: {_described(job, outcome)}")
+            result = outcome.values.get("end") if outcome.error is None else outcome.error
+            yield Progress(done / len(jobs), f"{counted}: {job.title}" + (f": {result}" if result else ""))
     return SweepRun(done, failed)
 
 
 def agent_codes(jobs: Sequence[Job]) -> list[Code]:
     """Read the Python files that jobs use as agents, without duplicates; raises ValueError for a missing file."""
-    names = {job.agent.name.rpartition(".py")[0] + ".py" for job in jobs if _has_own_agent(job)}
-    return [code for name in sorted(names) if (code := agent_code(name)) is not None]
-
-
-def _has_own_agent(job: Job) -> TypeGuard[DriveJob]:
-    return isinstance(job, DriveJob) and agent_file(job.agent.name) is not None
-
-
-def _described(job: Job, outcome: JobResult) -> str:
-    if outcome.error is not None:
-        return f"{job.title}: {outcome.error}"
-    end = outcome.values.get("end")
-    return f"{job.title}: {end}" if end else job.title
+    agents = {job.agent.name for job in jobs if isinstance(job, DriveJob)}
+    files = sorted({str(path) for name in agents if (path := agent_file(name)) is not None})
+    return [code for file in files if (code := agent_code(file)) is not None]
 
 
 def _stopped(folder: SweepFolder, reason: str, done: int) -> str:
     return f"{folder.path}: stopped after {done} rows: {reason}; what was written is whole, run it again to go on"
-
-
-# Run and report
 
 
 def run_sweep_and_report(
@@ -97,7 +84,7 @@ def run_sweep_and_report(
             trusted (`trusted_code.remember` trusts them).
         OSError: If a row can't be written.
     """
-    kept, jobs = SweepFolder(folder), jobs_of(sweep)
-    kept.describe(sweep, jobs)
-    yield from run_sweep(kept.to_do(jobs), engine or LocalPool(), kept)
-    return write_tables(kept, sweep, jobs)
+    target, jobs = SweepFolder(folder), jobs_of(sweep)
+    target.describe(sweep, jobs)
+    yield from run_sweep(target.to_do(jobs), engine or LocalPool(), target)
+    return write_tables(target, sweep, jobs)

@@ -24,7 +24,12 @@ _FOLDER = "sweeps"
 _FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration")
 """Fields that hold file names; `name` is an agent's."""
 
-Intensity = Annotated[float, Meta(ge=0, le=100)]
+Intensities = Annotated[
+    tuple[Annotated[float, Meta(ge=0, le=100)], ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
+]
+DrawnBy = Annotated[
+    Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
+]
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
 
@@ -44,13 +49,11 @@ class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     @property
     def title(self) -> str:
-        return self.label or " ".join(
-            [Path(self.name).name, *([] if self.detector is None else [Path(self.detector).stem])]
-        )
+        files = [self.name] if self.detector is None else [self.name, Path(self.detector).stem]
+        return self.label or " ".join(Path(each).name for each in files)
 
 
-# Jitter
-# Seeds vary initial positions and speeds, so that runs differ even without rain.
+# Jitter: seeds vary initial positions and speeds, so that runs differ even without rain
 
 
 class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -74,9 +77,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     scenarios: Annotated[
         tuple[str, ...], Meta(min_length=1, title="Scenarios", description="Shipped names, or scenario files.")
     ]
-    intensities_mm_h: Annotated[
-        tuple[Intensity, ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
-    ] = (0.0, 1.2, 8.5, 12.0)
+    intensities_mm_h: Intensities = (0.0, 1.2, 8.5, 12.0)
     agents: Annotated[
         tuple[str | AgentChoice, ...],
         Meta(min_length=1, title="Agents", description="Names, or names with a detector, its description, a URL."),
@@ -88,9 +89,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         tuple[str, ...], Meta(title="Scenes", description="None takes the scene that each scenario names.")
     ] = ()
     jitter: Annotated[Jitter, Meta(title="Jitter", description="How far seeds other than 0 vary the start.")] = Jitter()
-    backend: Annotated[
-        Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
-    ] = "auto"
+    backend: DrawnBy = "auto"
     output: Annotated[str | None, Meta(title="Output", description="Folder of rows and tables.")] = None
 
 
@@ -104,17 +103,13 @@ class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
         ),
     ]
     scenes: Annotated[tuple[str, ...], Meta(min_length=1, title="Scenes")] = ("street",)
-    intensities_mm_h: Annotated[
-        tuple[Intensity, ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
-    ] = (0.0, 1.2, 8.5, 12.0)
+    intensities_mm_h: Intensities = (0.0, 1.2, 8.5, 12.0)
     seeds: Annotated[Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops.")] = 1
     rain: Annotated[RainSettings, Meta(title="Rain", description="Everything but intensity and seed.")] = RainSettings()
     labels: Annotated[
         LabelFormat | None, Meta(title="Labels", description="coco or kitti; needs a scene with actors.")
     ] = None
-    backend: Annotated[
-        Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
-    ] = "auto"
+    backend: DrawnBy = "auto"
     output: Annotated[str | None, Meta(title="Output", description="Folder of rows, clips and tables.")] = None
 
 
@@ -155,7 +150,12 @@ def apply_jitter(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
     """
     if seed == 0:
         return scenario
-    draw = _JitterDraw(np.random.default_rng([seed, zlib.crc32(scenario.name.encode())]))
+    random = np.random.default_rng([seed, zlib.crc32(scenario.name.encode())])
+
+    def draw(sigma: float) -> float:
+        """Draw also if sigma is 0, so that one deviation does not affect the others."""
+        return sigma * float(np.clip(random.standard_normal(), -_MAX_SIGMAS, _MAX_SIGMAS))
+
     speed = _speed(scenario.speed_m_s + draw(jitter.ego_speed_m_s))
     users = tuple(
         structs.replace(
@@ -167,16 +167,6 @@ def apply_jitter(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
         for user in scenario.road_users
     )
     return structs.replace(scenario, speed_m_s=speed, road_users=users)
-
-
-class _JitterDraw:
-    """Draws a random number per call even if sigma is 0, so that one deviation does not affect the others."""
-
-    def __init__(self, random: np.random.Generator) -> None:
-        self._random = random
-
-    def __call__(self, sigma: float) -> float:
-        return sigma * float(np.clip(self._random.standard_normal(), -_MAX_SIGMAS, _MAX_SIGMAS))
 
 
 def _speed(value: float) -> float:

@@ -6,8 +6,8 @@ import os
 import platform
 import threading
 import time
-from collections import OrderedDict
-from collections.abc import Collection, Mapping, Sequence
+from collections import OrderedDict, deque
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -32,13 +32,10 @@ from ..simulation.rollout import Rollout
 from ..simulation.simulation import Simulation, run_drive
 from ..trusted_code import UntrustedCodeError, trust
 from .expansion import DriveJob, Job, RenderJob, program_version, software
-from .settings import AgentChoice
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled kernels use all threads of a process, so concurrent jobs in one process bring no gain."""
-
-# Job results
 
 Value = str | float | int | bool | None
 
@@ -47,49 +44,34 @@ class JobResult(Struct, frozen=True, kw_only=True):
     """The result or the error of a job. All but the last two fields depend on the job alone."""
 
     id: str
-    values: dict[str, Value] = {}
-    """Measured columns of the row."""
+    values: dict[str, Value] = {}  # measured columns of the row
     rollout: Rollout | None = None
     error: str | None = None
-    stops: bool = False
-    """True if no other job can succeed either, such as on a full disk."""
-    seconds: float = 0.0
-    """Run time, for the log."""
-    worker: str = ""
-    """Host and process id, for the log."""
+    stops: bool = False  # true if no other job can succeed either, such as on a full disk
+    seconds: float = 0.0  # run time, for the log
+    worker: str = ""  # host and process id, for the log
 
 
 def run_job(job: Job, clips: Path, trusted: Collection[str] = ()) -> JobResult:
-    """Run a job; exceptions become the error of the result.
-
-    `clips` is the folder for videos; `trusted` holds digests of trusted agent code.
-    """
+    """Run a job; exceptions become the error of the result. `trusted` holds digests of trusted agent code."""
     started = time.perf_counter()
     with _ONE_AT_A_TIME:
         try:
             trust(trusted)
-            _check_program(job)
-            bench = worker_cache()
-            bench.check_files(job.files)
-            outcome = run_drive_job(job, bench) if isinstance(job, DriveJob) else run_render_job(job, bench, clips)
+            here = program_version()
+            if job.program != here:
+                raise MismatchError(f"a worker runs gsrain {here}, the sweep was made by gsrain {job.program}")
+            cache = worker_cache()
+            cache.check_files(job.files)
+            outcome = run_drive_job(job, cache) if isinstance(job, DriveJob) else run_render_job(job, cache, clips)
         except Exception as error:
             stops = isinstance(error, MismatchError | UntrustedCodeError) or _is_full(error)
-            outcome = JobResult(id=job.id, error=_sentence(error), stops=stops)
+            words = " ".join(str(error).split()) or type(error).__name__
+            sentence = words if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {words}"
+            outcome = JobResult(id=job.id, error=sentence, stops=stops)
     values = {**outcome.values, "software": ", ".join(f"{name} {each}" for name, each in software().items())}
-    return structs.replace(
-        outcome, values=values, seconds=time.perf_counter() - started, worker=f"{platform.node()} {os.getpid()}"
-    )
-
-
-def _check_program(job: Job) -> None:
-    here = program_version()
-    if job.program != here:
-        raise MismatchError(f"a worker runs gsrain {here}, the sweep was made by gsrain {job.program}")
-
-
-def _sentence(error: Exception) -> str:
-    said = " ".join(str(error).split()) or type(error).__name__
-    return said if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {said}"
+    seconds, worker = time.perf_counter() - started, f"{platform.node()} {os.getpid()}"
+    return structs.replace(outcome, values=values, seconds=seconds, worker=worker)
 
 
 def _is_full(error: BaseException | None) -> bool:
@@ -98,9 +80,6 @@ def _is_full(error: BaseException | None) -> bool:
             return True
         error = error.__cause__
     return False
-
-
-# Worker cache
 
 
 class MismatchError(ValueError):
@@ -119,10 +98,7 @@ class WorkerCache:
         self._stack = ExitStack()
 
     def scene(self, name: str, content: str) -> Scene:
-        """Return a scene after checking its hash.
-
-        Raises MismatchError if the scene has changed.
-        """
+        """Return a scene after checking its hash. Raises MismatchError if the scene has changed."""
         key = name, content
         if key not in self._scenes:
             found = scene_hash(name)
@@ -154,27 +130,29 @@ class WorkerCache:
         self._stack.close()
 
 
-_HERE = threading.local()
+_THREAD = threading.local()
 
 
 def worker_cache() -> WorkerCache:
     """Return this thread's cache; a renderer belongs to the thread that opened it."""
-    if not hasattr(_HERE, "bench"):
-        _HERE.bench = WorkerCache()
-    return _HERE.bench
+    if not hasattr(_THREAD, "cache"):
+        _THREAD.cache = WorkerCache()
+    return _THREAD.cache
 
 
-# Drive jobs
-
-
-def run_drive_job(job: DriveJob, bench: WorkerCache) -> JobResult:
+def run_drive_job(job: DriveJob, cache: WorkerCache) -> JobResult:
     """Run a closed-loop drive and measure it. Raises errors of the scenario, the scene or the agent."""
-    scene = bench.scene(job.scene, job.scene_hash)
-    agent = open_agent(job.agent.name, _options(job.agent), trusted_only=True)
+    scene = cache.scene(job.scene, job.scene_hash)
+    choice = job.agent
+    detector = None if choice.detector is None else Path(choice.detector)
+    options = AgentOptions(detector=detector, description=choice.description, url=choice.url)
+    agent = open_agent(choice.name, options, trusted_only=True)
     try:
-        renderer = bench.renderer(job.backend) if agent.needs.cameras else None
+        renderer = cache.renderer(job.backend) if agent.needs.cameras else None
         simulation = Simulation(job.scenario, scene, agent.needs, renderer, job.seed)
-        rollout = _recorded(run_drive(simulation, agent), job)
+        rollout = run_drive(simulation, agent)
+        versions = {**rollout.software, **software()}
+        rollout = structs.replace(rollout, scene_hash=job.scene_hash, software=versions)
         drivable = drivable_of(scene, simulation.ground, simulation.occupied)
         metrics = measure_drive(rollout, simulation.occupied, drivable)
     finally:
@@ -183,64 +161,47 @@ def run_drive_job(job: DriveJob, bench: WorkerCache) -> JobResult:
     return JobResult(id=job.id, values=msgspec.to_builtins(metrics), rollout=rollout)
 
 
-def _recorded(rollout: Rollout, job: DriveJob) -> Rollout:
-    return msgspec.structs.replace(rollout, scene_hash=job.scene_hash, software={**rollout.software, **software()})
-
-
-def _options(choice: AgentChoice) -> AgentOptions:
-    detector = None if choice.detector is None else Path(choice.detector)
-    return AgentOptions(detector=detector, description=choice.description, url=choice.url)
-
-
-# Render jobs
-
-
-def run_render_job(job: RenderJob, bench: WorkerCache, clips: Path) -> JobResult:
+def run_render_job(job: RenderJob, cache: WorkerCache, clips: Path) -> JobResult:
     """Render into a folder named by the job id, created atomically; an existing folder is kept as equal.
 
     Raises ValueError for contradictory settings or missing scene parts, and OSError if writing fails.
     """
-    scene = bench.scene(job.scene, job.scene_hash)
+    scene = cache.scene(job.scene, job.scene_hash)
     place = clips / job.id
-    values = _values(job, scene)
+    rainfall = RainSimulation.start(job.rain)
+    sequences = export_sequences(job.recording, scene, rainfall, _viewpoint(job, scene), in_scene_time=True)
+    state = rainfall.state_at(job.recording.first_s)
+    values: dict[str, Value] = {
+        "cameras": len(sequences),
+        "frames": len(frame_numbers(job.recording, sequences)),
+        "sizes_px": ", ".join(sorted({f"{each.width}x{each.height}" for each in sequences.values()})),
+        "implied_mm_h": float(state.implied_mm_h),
+        "drops": int(state.drops),
+    }
     clips.mkdir(parents=True, exist_ok=True)
     if not place.is_dir():
         try:
-            with whole_folder(place, shared=True) as beside:
-                _record(job, scene, bench, beside)
+            with whole_folder(place, shared=True) as partial:
+                _record(job, scene, cache, partial)
         except OSError:
             if not place.is_dir():  # otherwise another sweep wrote the same clip
                 raise
-    return JobResult(id=job.id, values={**values, "clip": f"{clips.name}/{job.id}", "clip_hash": _hash(place)})
+    content = hashlib.sha256()
+    for file in sorted(each for each in place.rglob("*") if each.is_file()):
+        content.update(f"{file.relative_to(place).as_posix()}\0{file_hash(file)}\n".encode())
+    values |= {"clip": f"{clips.name}/{job.id}", "clip_hash": content.hexdigest()[:16]}
+    return JobResult(id=job.id, values=values)
 
 
-def _record(job: RenderJob, scene: Scene, bench: WorkerCache, folder: Path) -> None:
+def _record(job: RenderJob, scene: Scene, cache: WorkerCache, folder: Path) -> None:
     recording = structs.replace(job.recording, output=str(folder / job.recording.output))
     rainfall = RainSimulation.start(job.rain)
     sequences = export_sequences(recording, scene, rainfall, _viewpoint(job, scene), in_scene_time=True)
     numbers = frame_numbers(recording, sequences)
-    renderer = bench.renderer(job.backend)
-    for _ in export_frames(renderer, recording, sequences, numbers):
-        pass
+    renderer = cache.renderer(job.backend)
+    deque(export_frames(renderer, recording, sequences, numbers), maxlen=0)
     if job.labels is not None:
-        for _ in write_object_labels(renderer, job.labels, recording, sequences, numbers):
-            pass
-
-
-def _values(job: RenderJob, scene: Scene) -> dict[str, Value]:
-    """Return the row values that need no rendering."""
-    sequences = export_sequences(
-        job.recording, scene, RainSimulation.start(job.rain), _viewpoint(job, scene), in_scene_time=True
-    )
-    state = RainSimulation.start(job.rain).state_at(job.recording.first_s)
-    sizes = {f"{each.width}x{each.height}" for each in sequences.values()}
-    return {
-        "cameras": len(sequences),
-        "frames": len(frame_numbers(job.recording, sequences)),
-        "sizes_px": ", ".join(sorted(sizes)),
-        "implied_mm_h": float(state.implied_mm_h),
-        "drops": int(state.drops),
-    }
+        deque(write_object_labels(renderer, job.labels, recording, sequences, numbers), maxlen=0)
 
 
 def _viewpoint(job: RenderJob, scene: Scene) -> Camera | CameraPath:
@@ -252,11 +213,3 @@ def _viewpoint(job: RenderJob, scene: Scene) -> Camera | CameraPath:
         raise ValueError(f"scene {scene.name!r} has neither a camera path nor an ego vehicle with cameras")
     front = max(mounted, key=lambda each: each.camera_to_ego[0, 2])
     return rig_camera_path(scene, front, *(job.recording.size_px or (front.width, front.height)))
-
-
-def _hash(folder: Path) -> str:
-    found = hashlib.sha256()
-    files: Sequence[Path] = sorted(each for each in folder.rglob("*") if each.is_file())
-    for file in files:
-        found.update(f"{file.relative_to(folder).as_posix()}\0{file_hash(file)}\n".encode())
-    return found.hexdigest()[:16]

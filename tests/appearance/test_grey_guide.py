@@ -55,9 +55,9 @@ def test_there_and_back_with_a_turned_camera():
 @pytest.mark.parametrize(
     ("normal", "gray"), [(GROUND, 0.79), (FACING, 0.56), ((0, 1, 0), 0.65), (ON_THE_LEFT, 0.35), (CEILING, 0.21)]
 )
-def test_luma_is_what_pillow_makes_of_the_picture_of_normals(normal, grey):
+def test_luma_is_what_pillow_makes_of_the_picture_of_normals(normal, gray):
     guide = normals_to_gray(everywhere(normal), camera(), "luma")
-    assert (guide + 1) / 2 == pytest.approx(np.full((6, 8), grey), abs=0.006)
+    assert (guide + 1) / 2 == pytest.approx(np.full((6, 8), gray), abs=0.006)
     picture = np.round((right_down_outward(everywhere(normal), camera()) + 1) / 2 * 255).astype(np.uint8)
     assert np.asarray(Image.fromarray(picture).convert("L")) / 255 == pytest.approx((guide + 1) / 2, abs=0.006)
 

@@ -32,7 +32,7 @@ def eye_at(position, width, height, focal):
     return Camera(width, height, focal, focal, width / 2, height / 2, pose)
 
 
-def wall(distance_m, grey):
+def wall(distance_m, gray):
     """An opaque plane across the view, flat along x."""
     f = np.float32
     return DrawItem(
@@ -41,7 +41,7 @@ def wall(distance_m, grey):
             np.array([[1e-3, 1e4, 1e4]], f),
             np.array([[1, 0, 0, 0]], f),
             np.array([1], f),
-            sh_from_color(np.full((1, 3), grey, f)),
+            sh_from_color(np.full((1, 3), gray, f)),
         ),
         np.eye(4),
     )
@@ -51,7 +51,7 @@ def fall_speed(diameter_mm):
     return float(PUBLISHED.velocity(np.array([diameter_mm]))[0])
 
 
-def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), grey=0.8, **fields):
+def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), gray=0.8, **fields):
     """Float picture (h, w, 4) of one drop straight ahead that falls, moved by a part of a pixel."""
     length_px = fall_speed(diameter_mm) * exposure_s * FOCAL / distance_m
     camera = eye_at((0.0, 0, 0), 48, int(3 * length_px) + 48, FOCAL)
@@ -61,7 +61,7 @@ def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.
     made = streak_gaussians(
         at, np.array([diameter_mm]), velocity, ShutterModel(camera, np.zeros(3), exposure_s, FOCAL), rain
     )
-    color = np.full((len(made.means), 3), grey, np.float32)
+    color = np.full((len(made.means), 3), gray, np.float32)
     drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, sh_from_color(color))
     light = srgb_to_linear(color[0]).astype(np.float32)
     renderer.draw(list(parts), camera, given_rain(drops, light, rain.rain_light))

@@ -18,7 +18,7 @@ from gsrain_engine.safe_io.errors import convert_checked
         ({"supersampling": 5}, "<= 4 - at `$.supersampling`"),
         ({"motion_blur": 0}, ">= 1 - at `$.motion_blur`"),
         ({"size_px": (0, 64)}, ">= 1 - at `$.size_px[0]`"),
-        ({"passes": ("color",)}, "'color', expected alpha, color, depth, labels - at `$.passes[0]`"),
+        ({"passes": ("colr",)}, "'colr', expected alpha, color, depth, labels - at `$.passes[0]`"),
         ({"passes": ()}, "length >= 1 - at `$.passes`"),
         ({"first_s": 2.0, "last_s": 2.0}, "last_s must be above first_s (2 s)"),
         ({"quality": 52}, "quality must be within 0..51 (H.264)"),

@@ -23,6 +23,7 @@ from gsrain_engine.scene.camera_path_edit import (
     with_keyframe,
     without_keyframe,
 )
+from gsrain_engine.scene.geometry import normalized
 
 UP = np.array([0.0, 0, 1])
 moments = st.floats(0, 20, allow_nan=False)
@@ -126,6 +127,18 @@ def test_a_reversed_flight_passes_the_same_places_backwards(path, share):
     t = path.start_s + share * path.duration_s
     back = reverse_path_time(path).places(np.array([path.start_s + path.end_s - t]))
     assert back == pytest.approx(path.places(np.array([t])), abs=1e-6)
+
+
+def test_rotations_without_a_spline_are_interpolated_linearly():
+    path = CameraPath(
+        np.array([0.0, 0.1, 4.2, 19.7]),
+        np.zeros((4, 3)),
+        normalized(np.array([[-0.765283, -0.214952, -0.217861, -0.566281], [-0.562218, 0.504768, -0.579325, 0.305783],
+                             [-0.272462, 0.68327, 0.458908, -0.498307], [0.687757, 0.122932, -0.715419, 0.007287]])),
+        np.full(4, 50.0),
+    )  # fmt: skip
+    turns = reverse_path_time(path).turns(np.linspace(0, 19.7, 50))
+    assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-6)
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, np.nan])

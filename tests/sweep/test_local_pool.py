@@ -40,8 +40,8 @@ def test_closing_ends_its_workers(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "PoolWorker", hired)
     with closing(LocalPool(1).outcomes(answer, small_jobs(tmp_path))) as outcomes:
         next(outcomes)
-        assert [worker.exit_code for worker in workers] == [None]
-    assert workers[0].exit_code is not None
+        assert [worker.process.exitcode for worker in workers] == [None]
+    assert workers[0].process.exitcode is not None
 
 
 def test_a_worker_stays_with_its_scene_and_starts_with_one_that_nobody_has(tmp_path):

@@ -214,7 +214,7 @@ class ColorPickTool(base.Tool):
     icon = icons_fontawesome_6.ICON_FA_EYE_DROPPER
     key = imgui.Key.i
     help = f"Click on a color to select it everywhere. {MODIFIERS}"
-    by = "colour"
+    by = "color"
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
         if is_clicked(viewport):

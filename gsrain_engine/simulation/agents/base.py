@@ -81,9 +81,8 @@ class Observation:
     time_s: float
     state: VehicleState
     acceleration_m_s2: float
-    """Acceleration over the previous step."""
     steer_rate_rad_s: float
-    """Steering rate over the previous step."""
+    """Acceleration and steering rate are those over the previous step."""
     height_m: float
     """Height of the ground below the ego vehicle."""
     command: Command
@@ -106,10 +105,12 @@ class Agent(Protocol):
     @property
     def name(self) -> str:
         """Name in tables and roll-outs."""
+        ...
 
     @property
     def needs(self) -> SensorRequirements:
         """Required sensor data."""
+        ...
 
     def reset(self, seed: int, rig: Rig) -> None:
         """Start a drive and forget the previous one."""

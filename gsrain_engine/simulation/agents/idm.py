@@ -97,38 +97,41 @@ def cruise_speed(first_m_s: float) -> float:
     return first_m_s if first_m_s >= 1.0 else 10.0
 
 
-# Oracle agent
-# Its ground-truth perception isolates the losses of camera perception.
-
 _FORESIGHT_S = 1.5  # prediction time of lane changes at constant lateral speed; a lane change takes twice as long
 
 
-class OracleIDMAgent:
-    """Follows its lane by the IDM, with ground truth of all road users."""
+class _IDMAgent:
+    """Plans by the IDM from the first observation on, at the vehicle's initial speed."""
+
+    def __init__(self) -> None:
+        self._vehicle = Vehicle()
+        self._planner: IDMPlanner | None = None
+
+    def reset(self, seed: int, rig: Rig) -> None:
+        self._vehicle, self._planner = rig.vehicle, None
+
+    def close(self) -> None:
+        """Do nothing: all resources are released automatically."""
+
+    def _points(self, path: LanePath, lead: VehicleAhead | None) -> Float64[np.ndarray, "6 2"]:
+        speed = path.state.speed_m_s
+        if self._planner is None:
+            self._planner = IDMPlanner(cruise_speed(speed), hard_m_s2=self._vehicle.most_braking_m_s2)
+        return path.points(self._planner.distances(speed, lead))
+
+
+class OracleIDMAgent(_IDMAgent):
+    """Follows its lane by the IDM, with ground truth of all road users: without the losses of camera perception."""
 
     name = "oracle-idm"
     needs = SensorRequirements()
 
-    def __init__(self) -> None:
-        self._planner: IDMPlanner | None = None
-        self._vehicle = Vehicle()
-
-    def reset(self, seed: int, rig: Rig) -> None:
-        self._planner, self._vehicle = None, rig.vehicle
-
     def plan(self, observation: Observation) -> Trajectory:
         """Return a plan along the route behind the lead."""
-        if self._planner is None:
-            cruise = cruise_speed(observation.state.speed_m_s)
-            self._planner = IDMPlanner(cruise, hard_m_s2=self._vehicle.most_braking_m_s2)
         path = LanePath.of(observation.state, observation.route)
         known = find_oracle_lead(observation.road_users, path, self._vehicle)
-        points = path.points(self._planner.distances(path.state.speed_m_s, known and known.lead))
         lead = known and {"id": known.id, "gap_m": known.lead.gap_m, "speed_m_s": known.lead.speed_m_s}
-        return Trajectory(points, {"lead": lead})
-
-    def close(self) -> None:
-        """Do nothing."""
+        return Trajectory(self._points(path, known and known.lead), {"lead": lead})
 
 
 class OracleLead(NamedTuple):
@@ -161,13 +164,9 @@ def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> VehicleAhead |
     return VehicleAhead(gap, user.speed_m_s * float(np.cos(turned)))
 
 
-# Camera agent
-
 _MIN_CONFIDENCE = 0.1
 """Minimum confidence of detections. Those from here to `lead_tracking.MIN_CONFIDENCE` only extend a known lead, as in
 ByteTrack (Zhang et al. 2022): rain lowers confidence before it hides a car."""
-
-_DIGITS = 3
 
 
 @runtime_checkable
@@ -177,12 +176,14 @@ class ObjectDetector(Protocol):
     @property
     def name(self) -> str:
         """Name in roll-outs."""
+        ...
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
         """Return the detections in an image (RGB)."""
+        ...
 
 
-class CameraIDMAgent:
+class CameraIDMAgent(_IDMAgent):
     """Follows its lane by the IDM, with detections in the front camera's images.
 
     It uses images, its own state and the route, but never the observation's road users.
@@ -192,14 +193,14 @@ class CameraIDMAgent:
     needs = SensorRequirements(cameras=("front",))
 
     def __init__(self, detector: ObjectDetector) -> None:
+        super().__init__()
         self._detector = detector
-        self._vehicle = Vehicle()
-        self._planner: IDMPlanner | None = None
-        self._watch, self._time_s = LeadTracker(), 0.0
+        self._tracker, self._time_s = LeadTracker(), None
 
     def reset(self, seed: int, rig: Rig) -> None:
-        self._vehicle, self._planner = rig.vehicle, None
-        self._watch, self._time_s = LeadTracker(), 0.0
+        super().reset(seed, rig)
+        self._tracker = LeadTracker()
+        self._time_s: float | None = None
 
     def plan(self, observation: Observation) -> Trajectory:
         """Return a plan along the route behind the tracked lead.
@@ -207,36 +208,28 @@ class CameraIDMAgent:
         The notes hold the detector's name, its road users (`detections`), and the `lead`: filtered gap and speed, and
         the measured gap, None if the lead was missed.
         """
-        state = observation.state
-        if self._planner is None:
-            cruise = cruise_speed(state.speed_m_s)
-            self._planner = IDMPlanner(cruise, hard_m_s2=self._vehicle.most_braking_m_s2)
-            self._time_s = observation.time_s
-        path = LanePath.of(state, observation.route)
         if len(observation.views) != 1:
             raise ValueError(f"camera-idm sees by one front camera; it was shown {len(observation.views)} pictures")
         (view,) = observation.views.values()
+        state, time_s = observation.state, observation.time_s
+        path = LanePath.of(state, observation.route)
         found = [each for each in self._detector.detect(view.image) if each.confidence >= _MIN_CONFIDENCE]
-        seen = sightings(found, view.camera, observation.height_m, path, self._vehicle)
-        front = path.along_m + self._vehicle.front_m
-        watched = self._watch.look(seen, front, state.speed_m_s, observation.time_s - self._time_s)
-        self._time_s = observation.time_s
-        points = path.points(self._planner.distances(state.speed_m_s, watched and watched.lead))
+        in_lane = sightings(found, view.camera, observation.height_m, path, self._vehicle)
+        since_s = 0.0 if self._time_s is None else time_s - self._time_s
+        lead = self._tracker.look(in_lane, path.along_m + self._vehicle.front_m, state.speed_m_s, since_s)
+        self._time_s = time_s
         notes = {
             "detector": self._detector.name,
             "detections": [_detection_note(each) for each in found if road_user_class(each) is not None],
-            "lead": watched and _lead_note(watched),
+            "lead": lead and _lead_note(lead),
         }
-        return Trajectory(points, notes)
-
-    def close(self) -> None:
-        """Do nothing: all resources are released automatically."""
+        return Trajectory(self._points(path, lead and lead.lead), notes)
 
 
 def _detection_note(detection: Detection) -> dict[str, Any]:
     return {
         "class": detection.class_name,
-        "confidence": round(detection.confidence, _DIGITS),
+        "confidence": round(detection.confidence, 3),
         "box_xyxy": [round(side, 1) for side in detection.box_xyxy],
     }
 
@@ -245,9 +238,9 @@ def _lead_note(watched: LeadState) -> dict[str, Any]:
     sighting = watched.sighting
     return {
         "class": watched.track.class_name,
-        "gap_m": round(watched.lead.gap_m, _DIGITS),
-        "speed_m_s": round(watched.lead.speed_m_s, _DIGITS),
-        "measured_gap_m": None if sighting is None else round(sighting.gap_m, _DIGITS),
+        "gap_m": round(watched.lead.gap_m, 3),
+        "speed_m_s": round(watched.lead.speed_m_s, 3),
+        "measured_gap_m": None if sighting is None else round(sighting.gap_m, 3),
         "box_xyxy": None if sighting is None else [round(side, 1) for side in sighting.detection.box_xyxy],
-        "unseen_s": round(watched.track.unseen_s, _DIGITS),
+        "unseen_s": round(watched.track.unseen_s, 3),
     }

@@ -13,8 +13,6 @@ from ..traffic.base import VehicleAhead
 from ..vehicle import Vehicle
 from .base import LanePath, half_corridor_m
 
-# Track of one road user
-
 _ACCELERATION_M_S2 = 4.0  # standard deviation of a lead's acceleration; makes braking with 8 m/s2 rare but possible
 _GATE = 3.0  # gate in standard deviations; sightings farther from the prediction belong to another road user
 _GATE_M = 1.5  # additional gate width, for detectors with unsteady boxes
@@ -36,11 +34,10 @@ _SURE = 0.6  # confidence that suffices for one sighting; less confident ones mu
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A road user in the lane ahead, from one image."""
+    """A road user in the lane ahead in an image, with the gap along the route to its nearest part."""
 
     detection: Detection
     gap_m: float
-    """Gap from the front bumper to its nearest part, along the route."""
     error_m: float
 
 
@@ -55,7 +52,7 @@ class LeadTrack:
     place_variance_m2: float
     covariance_m2_s: float
     speed_variance_m2_s2: float
-    seen: int = 1
+    count: int = 1  # of sightings
     unseen_s: float = 0.0
     sure: bool = False
 
@@ -103,7 +100,7 @@ class LeadTrack:
             place_variance_m2=(1 - alpha) * self.place_variance_m2,
             covariance_m2_s=(1 - alpha) * self.covariance_m2_s,
             speed_variance_m2_s2=self.speed_variance_m2_s2 - speed_gain * self.covariance_m2_s,
-            seen=self.seen + 1,
+            count=self.count + 1,
             unseen_s=0.0,
             sure=self.sure or sighting.detection.confidence >= MIN_CONFIDENCE,
         )
@@ -120,8 +117,6 @@ class LeadTrack:
         near = self.along_m - front_along_m < _NEAR_M
         return self.unseen_s <= (_NEAR_COAST_S if near else _COAST_S) + 1e-9
 
-
-# Lead tracker
 
 _DOUBLE_M = 4.0
 """Distance within which boxes are duplicates of one object (car and truck, whole and cab) and start no track."""
@@ -141,12 +136,12 @@ class LeadTracker:
     def __init__(self) -> None:
         self._tracks: list[tuple[LeadTrack, Sighting | None]] = []
 
-    def look(self, seen: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> LeadState | None:
+    def look(self, found: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> LeadState | None:
         """Update all tracks with the sightings after `dt_s`; returns the nearest confirmed one, None in a free lane.
 
         `front_along_m` is the position of the front bumper along the route.
         """
-        left = list(seen)
+        left = list(found)
         tracks: list[tuple[LeadTrack, Sighting | None]] = []
         for track, _ in sorted(self._tracks, key=lambda each: each[0].along_m):
             track = track.later(dt_s)

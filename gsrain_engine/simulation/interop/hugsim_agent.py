@@ -65,10 +65,7 @@ class HugsimAgent:
         return SensorRequirements(("all",), self._depth, self._semantic)
 
     def reset(self, seed: int, rig: Rig) -> None:
-        """Start a drive with a new client.
-
-        Raises ValueError for a rig that is not HUGSIM's, ClientError if the client can't be started.
-        """
+        """Start a drive with a new client. Raises ValueError for another rig, ClientError if the client can't start."""
         self.close()
         self._drive = _HugsimDrive(rig)
         if self._command is not None:
@@ -85,7 +82,10 @@ class HugsimAgent:
         drive = self._drive
         if drive is None:
             raise ClientError("there is no drive: reset the agent first")
-        timeouts = protocol.Timeouts(self._first_wait_s if drive.world is None else self._later_wait_s, self._ended)
+        timeouts = protocol.Timeouts(
+            self._first_wait_s if drive.world is None else self._later_wait_s,
+            lambda: self._client and self._client.ended,
+        )
         try:
             if drive.world is None:
                 drive.world = protocol.HugsimWorld.from_observation(drive.rig, observation)
@@ -97,7 +97,7 @@ class HugsimAgent:
             self._break_off()
             raise
         if points is None:
-            drive.given_up = True
+            drive.has_ended = True
             return Trajectory(np.zeros((0, 2)), {"problem": "the client gave up: it answered None"})
         x, y = drive.cameras[protocol.CAMERA_NAMES[0]].camera_to_ego[:2, 3]
         return Trajectory(to_vehicle_frame(points, (float(x), float(y))))
@@ -117,10 +117,10 @@ class HugsimAgent:
     def _say_done(self, drive: "_HugsimDrive") -> bool:
         """Send "Done"; returns whether the client is going to end."""
         try:
-            wait = _SHORT_S if drive.given_up else self._later_wait_s
+            wait = _SHORT_S if drive.has_ended else self._later_wait_s
             self._pipes.send(old_pickle("Done"), protocol.Timeouts(wait, self._ended))
         except ClientError as problem:
-            if not drive.given_up:
+            if not drive.has_ended:
                 _log.warning("the drive is over, but %s", problem)
                 return False
         return True
@@ -139,7 +139,7 @@ class _HugsimDrive:
         self.cameras = protocol.six_hugsim_cameras(rig.cameras)
         self.params = protocol.camera_params(self.cameras, rig)
         self.world: protocol.HugsimWorld | None = None  # set at the first observation
-        self.given_up = False
+        self.has_ended = False
 
 
 _SAME_PLACE_M = 0.05

@@ -4,6 +4,9 @@ NumPy 2 pickles arrays by a name in `numpy._core`, which NumPy 1 lacks, for exam
 pickles therefore use only names in `numpy`.
 """
 
+# pyright: reportUnknownLambdaType=false
+# The stand-ins take whatever a stranger's pickle passes.
+
 import io
 import math
 import pickle
@@ -31,10 +34,7 @@ class _OldPickler(pickle.Pickler):
 
 
 def old_pickle(value: Any) -> memoryview:
-    """Pickle plain values, NumPy arrays and NumPy scalars; scalars arrive as Python numbers.
-
-    Raises TypeError for an array of objects.
-    """
+    """Pickle plain values, arrays and scalars, as Python numbers. Raises TypeError for an array of objects."""
     stream = io.BytesIO()
     _OldPickler(stream, 4).dump(value)  # protocol 4 is that of Python 3.4, which all clients support
     return stream.getbuffer()
@@ -93,10 +93,10 @@ def checked_shape(shape: Any) -> tuple[int, ...]:
     """Return a shape that fits into memory; raises ValueError for any other."""
     if len(shape) > _MAX_AXES:
         raise ValueError(f"it holds an array of {len(shape)} axes")
-    sides = tuple(index(each) for each in shape)
-    if min(sides, default=0) < 0 or math.prod(sides) > _MAX_ITEMS:
-        raise ValueError(f"it holds an array of shape {sides}"[:100])
-    return sides
+    lengths = tuple(index(each) for each in shape)
+    if min(lengths, default=0) < 0 or math.prod(lengths) > _MAX_ITEMS:
+        raise ValueError(f"it holds an array of shape {lengths}"[:100])
+    return lengths
 
 
 def text(value: Any) -> str:

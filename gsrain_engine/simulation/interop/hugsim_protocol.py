@@ -81,10 +81,7 @@ class Pipes:
                 raise ClientError(f"no pipe can be made: {problem}") from None
 
     def send(self, message: memoryview | bytes, timeouts: Timeouts) -> None:
-        """Write a message to the client; returns when all but one pipe buffer has been read.
-
-        Raises ClientError if the client does not read, stops reading midway, or ends.
-        """
+        """Write a message; returns when all but a pipe buffer has been read. Raises ClientError if it is not read."""
         pipe = self._reached(timeouts)
         try:
             _widen(pipe)
@@ -98,10 +95,7 @@ class Pipes:
             os.close(pipe)
 
     def receive(self, timeouts: Timeouts, max_bytes: int) -> bytes:
-        """Read the client's reply to its end.
-
-        Raises ClientError if no reply comes, if it is too long, or if the client ends.
-        """
+        """Read the client's reply to its end. Raises ClientError if none comes, it is too long, or the client ends."""
         try:
             pipe = open_pipe(self._plans, os.O_RDONLY)
         except OSError as problem:
@@ -175,25 +169,23 @@ def hugsim_obs(
     return {"rgb": rgb, "semantic": semantics, "depth": depths}
 
 
-# HUGSIM's world frame
-# Axes of the front camera at the start (x right, y down, z forward), meters. HUGSIM uses the first recorded front
-# camera as mounted; here it is leveled, so that y is straight down and the ego vehicle stays in its x-z plane, as
-# HUGSIM's boxes and poses assume.
-
 Box = list[float]
 """z, -x, -y, width, length, height, yaw: center in axes x forward, y left, z up, yaw left positive (HUGSIM's "IMU")."""
 
 
 @dataclass(frozen=True, slots=True)
 class HugsimWorld:
-    """Pose of HUGSIM's world in the simulation's world (z up)."""
+    """Pose of HUGSIM's world in the simulation's world (z up).
+
+    Axes are those of the front camera at the start (x right, y down, z forward), meters. HUGSIM uses the first recorded
+    front camera as mounted; here it is leveled, so that y is straight down and the ego vehicle stays in its x-z plane,
+    as HUGSIM's boxes and poses assume.
+    """
 
     x_m: float
     y_m: float
-    z_m: float
-    """Position of the front camera at the start."""
-    yaw_rad: float
-    """Heading of the vehicle at the start."""
+    z_m: float  # x, y and z: position of the front camera at the start
+    yaw_rad: float  # heading of the vehicle at the start
 
     @classmethod
     def from_observation(cls, rig: Rig, observation: Observation) -> "HugsimWorld":
@@ -286,10 +278,7 @@ def camera_params(cameras: Mapping[str, RigCamera], rig: Rig) -> dict[str, dict[
     return params
 
 
-# Replies
-
-MAX_BYTES = 1 << 20
-"""Maximum size of a reply; a plan of six points has 200 bytes."""
+MAX_BYTES = 1 << 20  # maximum size of a reply; a plan of six points has 200 bytes
 
 
 def read_reply(data: bytes) -> Float64[np.ndarray, "n 2"] | None:

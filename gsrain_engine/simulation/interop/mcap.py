@@ -25,12 +25,9 @@ class CameraImage(NamedTuple):
     """Image of a rig camera at one step."""
 
     step: int
-    name: str
-    """Camera name, used as frame and topic."""
-    image: UInt8[np.ndarray, "h w 3"]
-    """RGB, display-referred."""
-    camera: Camera
-    """World frame."""
+    name: str  # camera name, used as frame and topic
+    image: UInt8[np.ndarray, "h w 3"]  # RGB, display-referred
+    camera: Camera  # world frame
 
 
 def write_rollout_mcap(
@@ -329,19 +326,15 @@ def _schemas() -> dict[str, Schema]:
     for name, values in _CHOICES.items():
         options = [{"title": title, "const": value} for value, title in enumerate(values)]
         known[name] = {"title": f"foxglove.{name}", "oneOf": options}
+    known |= {f"{name}[]": {"type": "array", "items": schema} for name, schema in known.items()}
+    known |= {f"number[{count}]": known["number[]"] | {"minItems": count, "maxItems": count} for count in (9, 12)}
     for name, fields in _FIELDS.items():
         pairs = [field.split(":") for field in fields.split()]
         known[name] = {
             "title": name if "." in name else f"foxglove.{name}",
             "type": "object",
-            "properties": {field.rstrip("?"): _typed(kind, known) for field, kind in pairs},
+            "properties": {field.rstrip("?"): known[kind] for field, kind in pairs},
             "required": [field for field, _ in pairs if not field.endswith("?")],
         }
+        known[f"{name}[]"] = {"type": "array", "items": known[name]}
     return {schema["title"]: schema for name, schema in known.items() if name in _FIELDS}
-
-
-def _typed(kind: str, known: dict[str, Schema]) -> Schema:
-    name, is_list, count = kind.rstrip("]").partition("[")
-    if not is_list:
-        return known[name]
-    return {"type": "array", "items": known[name]} | ({"minItems": int(count), "maxItems": int(count)} if count else {})

@@ -4,7 +4,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -52,14 +52,14 @@ def _scenario(root: Element, name: str) -> Scenario:
     stop = root.find("Storyboard/StopTrigger")
     end = None if stop is None else stop.find(".//SimulationTimeCondition")
     others = {name: entity for name, entity in objects.items() if name != ego_name}
-    kept = [name for name, entity in others.items() if own_properties(entity).get(f"{PROPERTY}kept") == "true"]
+    actors = [name for name, entity in others.items() if properties(*entity).get(f"{PROPERTY}kept") == "true"]
     plain = {
         "name": name,
         "description": "" if header is None else header.get("description", ""),
         "speed_m_s": begun[ego_name].speed_m_s,
-        "keep": kept,
+        "keep": actors,
         "road_users": [
-            _user(root, name, entity, begun, ego_name, vehicle) for name, entity in others.items() if name not in kept
+            _user(root, name, entity, begun, ego_name, vehicle) for name, entity in others.items() if name not in actors
         ],
         "rain": _rain(root, own),
         "vehicle": msgspec.to_builtins(vehicle),
@@ -69,15 +69,10 @@ def _scenario(root: Element, name: str) -> Scenario:
     return convert_checked(plain, Scenario, strict=False)
 
 
-# Initial states
-
-
-@dataclass(frozen=True, slots=True)
-class InitialState:
-    """Initial state of an entity."""
+class InitialState(NamedTuple):
+    """Position of an entity's teleport action, and its initial speed."""
 
     position: Element
-    """Position of its teleport action."""
     speed_m_s: float
 
 
@@ -98,13 +93,14 @@ def _user(
     where |= {each: round(where[each], 6) for each in ("ahead_m", "left_m")}
     speed, starts = begun[name].speed_m_s, [world_state(begun[each].position) for each in (name, ego_name)]
     actor = EntityContext(name, where["left_m"], speed, starts[0], ego_name, starts[1])
+    behaviour = properties(*entity.findall("ObjectController[1]/Controller[1]"))
     return {
         "id": name,
         **model_and_class_of(name, entity),
         **({} if box is None else {"size_lwh_m": box[0]}),
         **where,
         "speed_m_s": speed,
-        "behaviour": controller_behavior(entity) or behavior_of(root, actor),
+        "behaviour": behaviour if "kind" in behaviour else behavior_of(root, actor),
     }
 
 
@@ -143,8 +139,7 @@ class EntityContext:
     """The entity of an action."""
 
     name: str
-    left_m: float
-    """Initial lateral offset from the ego vehicle, left positive."""
+    left_m: float  # initial lateral offset from the ego vehicle, left positive
     speed_m_s: float
     start: VehicleState | None
     ego_name: str
@@ -282,23 +277,11 @@ def model_and_class_of(name: str, entity: Element) -> dict[str, str]:
         category = "car"
     else:
         category = "thing" if entity.find("Pedestrian") is None else "person"
-    model = own_properties(entity).get(f"{PROPERTY}model", _MODELS.get(category))
+    model = properties(*entity).get(f"{PROPERTY}model", _MODELS.get(category))
     if model is None:
-        raise ValueError(
-            f'{name} is a {category}, of which there is no model: name one in its property "{PROPERTY}model"'
-        )
+        remedy = f'name one in its property "{PROPERTY}model"'
+        raise ValueError(f"{name} is a {category}, of which there is no model: {remedy}")
     return {"model": model, "class_name": _CLASSES.get(category, category)}
-
-
-def own_properties(entity: Element) -> dict[str, str]:
-    return {name: value for each in entity for name, value in properties(each).items()}
-
-
-def controller_behavior(entity: Element) -> dict[str, Any] | None:
-    """Return the behavior in a controller's properties, or None."""
-    found = entity.find("ObjectController/Controller")
-    values = {} if found is None else properties(found)
-    return dict(values) if "kind" in values else None
 
 
 def box_of(entity: Element) -> tuple[tuple[float, float, float], float] | None:
@@ -370,8 +353,7 @@ def placed(name: str, begins: InitialState, ego_name: str, ego: InitialState) ->
             f"and RelativeObjectPosition to {ego_name}, have a place"
         )
     turned = position.find("Orientation")
-    is_relative = turned is not None and turned.get("type") == "relative"
-    heading = number(turned, "h", 0.0) if is_relative else 0.0
+    heading = 0.0 if turned is None or turned.get("type") != "relative" else number(turned, "h", 0.0)
     if position.tag == "RelativeObjectPosition":
         return _fields("straight", number(position, "dx"), number(position, "dy"), heading)
     left = LANE_M * number(position, "dLane") + number(position, "offset", 0.0)
@@ -434,22 +416,20 @@ def number(element: Element, name: str, default: float | None = None) -> float:
     return found
 
 
-def properties(element: Element) -> dict[str, str]:
-    """Return the values of an element's own `Properties`."""
-    found = element.find("Properties")
-    return {} if found is None else {each.get("name", ""): each.get("value", "") for each in found.findall("Property")}
+def properties(*elements: Element) -> dict[str, str]:
+    """Return the values of the `Properties` of elements."""
+    rows = (row for element in elements for row in element.findall("Properties[1]/Property"))
+    return {row.get("name", ""): row.get("value", "") for row in rows}
 
 
 # Shared names of reader and writer
 
 EGO = "Ego"
-PROPERTY = "gsrain."
-"""Prefix of GSRAIN's own properties."""
+PROPERTY = "gsrain."  # prefix of GSRAIN's own properties
 
 OWN_FIELDS = (
     "name", "scene", "rig", "start_s", "ahead_m", "left_m", "turned_deg", "step_s", "leave_m", "picture_width_px",
 )  # fmt: skip
 """Scenario fields without an OpenSCENARIO equivalent."""
 
-LANE_M = 3.5
-"""Lane width, of the written road and of lanes in files that are read."""
+LANE_M = 3.5  # lane width, of the written road and of lanes in files that are read

@@ -1,7 +1,6 @@
 """Export of scenarios as OpenSCENARIO XML with an OpenDRIVE road."""
 
 import datetime
-import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +10,7 @@ from xml.etree import ElementTree
 import msgspec
 import numpy as np
 import shapely
-from jaxtyping import Float64, Int64
-from scenariogeneration import xodr, xosc
+from jaxtyping import Float64
 
 from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
@@ -27,6 +25,13 @@ from ..traffic.base import RoadUser, ego_user, gap_between
 from ..traffic.models import Brake, CutIn, Triggered
 from ..vehicle import Vehicle
 from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
+
+try:
+    from scenariogeneration import xodr, xosc
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
+    ) from error
 
 words: Any = xosc
 """Enumerations: scenariogeneration declares them as another type than its own classes accept."""
@@ -44,13 +49,8 @@ def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
     properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in the recorded drive)
     are properties named `gsrain.*`.
 
-    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs, and ModuleNotFoundError,
-    with install instructions, without the package scenariogeneration.
+    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs.
     """
-    if importlib.util.find_spec("scenariogeneration") is None:
-        raise ModuleNotFoundError(
-            "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
-        )
     road = path.with_suffix(".xodr")
     written = {road: road_xml(scenario, scene), path: document_xml(scenario, scene, road.name)}
     for each, text in written.items():
@@ -182,10 +182,10 @@ def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
     """
     behaviour = user.behaviour
     if isinstance(behaviour, CutIn):
-        return _event(user.id, behaviour, gap_m, _cut_in(user.id, behaviour))
+        return _maneuver(user.id, _cut_in(user.id, behaviour), _trigger(user.id, behaviour, gap_m))
     if isinstance(behaviour, Brake):
         speed = _speed(behaviour.to_speed_m_s, behaviour.deceleration_m_s2)
-        return _event(user.id, behaviour, gap_m, [("brake", speed)])
+        return _maneuver(user.id, [("brake", speed)], _trigger(user.id, behaviour, gap_m))
     return None
 
 
@@ -231,28 +231,22 @@ def _speed(to_m_s: float, rate_m_s2: float) -> xosc.AbsoluteSpeedAction:
     return xosc.AbsoluteSpeedAction(to_m_s, dynamics)
 
 
-def _event(id: str, settings: Triggered, gap_m: float, actions: list[tuple[str, Any]]) -> xosc.Maneuver:
+def _trigger(id: str, settings: Triggered, gap_m: float) -> Any:
     if settings.after_s is not None:
-        return _maneuver(id, actions, _after(id, settings.after_s))
+        return _after(id, settings.after_s)
+    road, distance = words.CoordinateSystem.road, words.RelativeDistanceType.longitudinal
     if settings.gap_m is not None:
         rule = words.Rule.greaterOrEqual if gap_m < settings.gap_m else words.Rule.lessOrEqual
         gap = xosc.RelativeDistanceCondition(
-            settings.gap_m, rule, words.RelativeDistanceType.longitudinal, EGO, freespace=True,
-            coordinate_system=words.CoordinateSystem.road,
-        )  # fmt: skip
-        return _maneuver(id, actions, xosc.EntityTrigger(f"{id} gap", 0, words.ConditionEdge.none, gap, id))
+            settings.gap_m, rule, distance, EGO, freespace=True, coordinate_system=road
+        )
+        return xosc.EntityTrigger(f"{id} gap", 0, words.ConditionEdge.none, gap, id)
     assert settings.time_to_collision_s is not None
+    rule, until = words.Rule.lessOrEqual, settings.time_to_collision_s
     collision = xosc.TimeToCollisionCondition(
-        settings.time_to_collision_s, words.Rule.lessOrEqual, entity=id, freespace=True,
-        distance_type=words.RelativeDistanceType.longitudinal, coordinate_system=words.CoordinateSystem.road,
-    )  # fmt: skip
-    trigger = xosc.EntityTrigger(f"{id} time to collision", 0, words.ConditionEdge.none, collision, EGO)
-    return _maneuver(id, actions, trigger)
-
-
-def _after(id: str, time_s: float) -> xosc.ValueTrigger:
-    condition = xosc.SimulationTimeCondition(time_s, words.Rule.greaterOrEqual)
-    return xosc.ValueTrigger(f"{id} time", 0, words.ConditionEdge.none, condition)
+        until, rule, entity=id, freespace=True, distance_type=distance, coordinate_system=road
+    )
+    return xosc.EntityTrigger(f"{id} time to collision", 0, words.ConditionEdge.none, collision, EGO)
 
 
 def _maneuver(id: str, actions: list[tuple[str, Any]], trigger: Any) -> xosc.Maneuver:
@@ -261,6 +255,11 @@ def _maneuver(id: str, actions: list[tuple[str, Any]], trigger: Any) -> xosc.Man
     for name, action in actions:
         event.add_action(f"{id} {name}", action)
     return xosc.Maneuver(f"{id} manoeuvre").add_event(event)
+
+
+def _after(id: str, time_s: float) -> xosc.ValueTrigger:
+    condition = xosc.SimulationTimeCondition(time_s, words.Rule.greaterOrEqual)
+    return xosc.ValueTrigger(f"{id} time", 0, words.ConditionEdge.none, condition)
 
 
 def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, RecordedPath]:
@@ -338,7 +337,9 @@ def road_xml(scenario: Scenario, scene: Scene) -> str:
 
 def _reference_line(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
     """Return the reference line: a cubic between each pair of points."""
-    chosen = _simplified_points(points)
+    line = np.asarray(shapely.LineString(points).simplify(_TOLERANCE_M).coords)
+    # The points that define the shape: all in bends, few where it is straight.
+    chosen = [int(np.argmin(np.linalg.norm(points - each, axis=1))) for each in line]
     slopes, plan = np.gradient(points, _STEP_M, axis=0)[chosen], xodr.PlanView()
     for start, end, leave, arrive in zip(points[chosen], points[chosen[1:]], slopes, slopes[1:], strict=False):
         chord = float(np.linalg.norm(end - start))
@@ -349,9 +350,3 @@ def _reference_line(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
         u, v = ((0.0, float(first[k]), float(second[k]), float(third[k])) for k in range(2))
         plan.add_fixed_geometry(xodr.ParamPoly3(*u, *v), float(start[0]), float(start[1]), heading)
     return plan
-
-
-def _simplified_points(points: Float64[np.ndarray, "n 2"]) -> Int64[np.ndarray, " m"]:
-    """Return the indices of points that define the shape: all in bends, few where it is straight."""
-    line = np.asarray(shapely.LineString(points).simplify(_TOLERANCE_M).coords)
-    return np.array([int(np.argmin(np.linalg.norm(points - each, axis=1))) for each in line])

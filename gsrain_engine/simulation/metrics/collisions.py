@@ -15,11 +15,9 @@ from ..vehicle import Vehicle, VehicleState, vehicle_box
 class Collision(NamedTuple):
     """The first collision of a run. Times count from the start of the scenario."""
 
-    who: str
-    """Id of the road user, or "background"."""
+    who: str  # id of the road user, or "background"
     time_s: float
-    speed_m_s: float
-    """Ego speed at the first step with contact."""
+    speed_m_s: float  # ego speed at the first step with contact
     closing_speed_m_s: float
     """Closing speed along the ego heading: less than the ego speed if the other drives on ahead."""
 
@@ -46,6 +44,7 @@ class CollisionSpace(Protocol):
 
     def touches(self, box: PlanarBox) -> bool:
         """Return whether a box on the ground hits an obstacle."""
+        ...
 
 
 class PlannedCollisions(NamedTuple):
@@ -60,18 +59,17 @@ class PlannedCollisions(NamedTuple):
 
     @property
     def point_rate(self) -> float | None:
-        """C of the paper: the share of planned points that collide, over all frames and points, 0..1.
-
-        C = 1/(F N) sum_i sum_j c_ij. None without a planned point.
-        """
-        points = [point for frame in self.frames for point in frame]
-        return sum(points) / len(points) if points else None
+        """C of the paper, 1/(F N) sum_i sum_j c_ij: share of planned points that collide. None without a point."""
+        return _share([point for frame in self.frames for point in frame])
 
     @property
     def frame_rate(self) -> float | None:
-        """The share of frames with any point that collides, 0..1; 1 - mean(nc) of HUGSIM. None without a frame."""
-        frames = [any(frame) for frame in self.frames if frame]
-        return sum(frames) / len(frames) if frames else None
+        """The share of frames with any point that collides; 1 - mean(nc) of HUGSIM. None without a frame."""
+        return _share([any(frame) for frame in self.frames if frame])
+
+
+def _share(hits: list[bool]) -> float | None:
+    return sum(hits) / len(hits) if hits else None
 
 
 PlanReading = Literal["all", "hugsim"]
@@ -136,11 +134,14 @@ class LoggedTraffic:
         later = min(int(np.searchsorted(self._times, time_s - _SAME_S)), len(self._times) - 1)
         if abs(self._times[later] - time_s) <= _SAME_S or later == 0:
             return road_user_boxes(self._records[later], self._users)
-        share = (time_s - self._times[later - 1]) / (self._times[later] - self._times[later - 1])
+        share = float((time_s - self._times[later - 1]) / (self._times[later] - self._times[later - 1]))
         after = {each.id: each for each in self._records[later]}
-        both = [each for each in self._records[later - 1] if each.id in after]
-        between = [_between(each, after[each.id], float(share)) for each in both]
-        return road_user_boxes(between, self._users)
+        boxes: list[PlanarBox] = []
+        for each, then in ((each, after[each.id]) for each in self._records[later - 1] if each.id in after):
+            x, y = (each.x_m + share * (then.x_m - each.x_m), each.y_m + share * (then.y_m - each.y_m))
+            yaw = each.yaw_rad + share * wrap_angle(then.yaw_rad - each.yaw_rad)
+            boxes.append(PlanarBox(x, y, yaw, *self._users[each.id].size_lwh_m[:2]))
+        return tuple(boxes)
 
 
 def pose_hits(
@@ -216,33 +217,35 @@ _LANE_M = 1000.0
 
 
 class RoadUserAhead(NamedTuple):
-    """A road user in the ego vehicle's swept lane."""
+    """A road user in the ego vehicle's swept lane; distances and speed are along the ego heading."""
 
     gap_m: float
-    """Gap from the front bumper to its nearest part within the swept lane; 0 or less if they overlap."""
+    """Gap from the front bumper to its nearest part within the swept lane; 0 if they overlap."""
     center_m: float
-    """Center-to-center distance along the ego heading."""
     speed_m_s: float
-    """Its speed along the ego heading; negative when oncoming."""
+    """Negative when oncoming."""
 
 
 def road_users_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> list[RoadUserAhead]:
     """Return the road users in the ego vehicle's swept lane and not behind it.
 
-    The swept lane is straight, along the heading, and as wide as the vehicle. Road users beside it do not count; those
+    The swept lane is straight, along the heading, and as wide as the vehicle. Road users next to it do not count; those
     that overlap the vehicle's box do, with a gap of 0.
     """
     own = ego_box(vehicle, ego_pose(step.ego))
     lane = shapely.box(-vehicle.length_m / 2, -vehicle.width_m / 2, _LANE_M, vehicle.width_m / 2)
+    cosine, sine = np.cos(own.yaw_rad), np.sin(own.yaw_rad)
     leads: list[RoadUserAhead] = []
     for record, box in zip(step.road_users, road_user_boxes(step.road_users, rollout.users), strict=True):
-        seen = _in_frame_of(own, box)
-        within = lane.intersection(seen.polygon)
+        away = np.array([box.x_m - own.x_m, box.y_m - own.y_m])
+        x, y = float(away @ (cosine, sine)), float(away @ (-sine, cosine))
+        local = PlanarBox(x, y, box.yaw_rad - own.yaw_rad, box.length_m, box.width_m)
+        within = lane.intersection(local.polygon)
         if within.is_empty or within.area == 0:
             continue
         gap = max(float(within.bounds[0]) - vehicle.length_m / 2, 0.0)
         along = record.speed_m_s * float(np.cos(record.yaw_rad - step.ego.yaw_rad))
-        leads.append(RoadUserAhead(gap, seen.x_m, along))
+        leads.append(RoadUserAhead(gap, x, along))
     return leads
 
 
@@ -273,21 +276,6 @@ def times_to_collision_s(rollout: Rollout, distance: Distance = "bumper") -> Flo
     return np.array(times)
 
 
-def _in_frame_of(own: PlanarBox, other: PlanarBox) -> PlanarBox:
-    """Return a box in the frame of another (x forward, y left, origin at its center)."""
-    away = np.array([other.x_m - own.x_m, other.y_m - own.y_m])
-    cosine, sine = np.cos(own.yaw_rad), np.sin(own.yaw_rad)
-    x, y = float(away @ (cosine, sine)), float(away @ (-sine, cosine))
-    return PlanarBox(x, y, other.yaw_rad - own.yaw_rad, other.length_m, other.width_m)
-
-
 def road_user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) -> tuple[PlanarBox, ...]:
     """Return the ground boxes of road users, in order."""
     return tuple(PlanarBox(each.x_m, each.y_m, each.yaw_rad, *users[each.id].size_lwh_m[:2]) for each in records)
-
-
-def _between(before: UserRecord, after: UserRecord, share: float) -> UserRecord:
-    names = ("x_m", "y_m", "z_m", "speed_m_s")
-    fields = {name: getattr(before, name) + share * (getattr(after, name) - getattr(before, name)) for name in names}
-    yaw = before.yaw_rad + share * wrap_angle(after.yaw_rad - before.yaw_rad)
-    return UserRecord(id=before.id, yaw_rad=yaw, **fields)

@@ -19,8 +19,7 @@ class ComfortLimits(NamedTuple):
     lateral_m_s2: float = 4.89
     yaw_rate_rad_s: float = 0.95
     yaw_acceleration_rad_s2: float = 1.93
-    whole_jerk_m_s3: float = float("inf")
-    """Norm of the jerk along and across the heading."""
+    whole_jerk_m_s3: float = float("inf")  # norm of the jerk along and across the heading
 
 
 PAPER = ComfortLimits()
@@ -49,7 +48,7 @@ class Motion(NamedTuple):
             np.abs(self.yaw_acceleration_rad_s2) - limits.yaw_acceleration_rad_s2,
             np.hypot(self.jerk_m_s3, self.lateral_jerk_m_s3) - limits.whole_jerk_m_s3,
         )
-        return ~np.any(np.array(over) > _ROUNDING, axis=0)
+        return ~np.any(np.array(over) > 1e-9, axis=0)  # beyond rounding
 
 
 def executed_motion(rollout: Rollout) -> Motion:
@@ -79,7 +78,6 @@ def comfort_executed(rollout: Rollout, limits: ComfortLimits = PAPER) -> float |
     return float(fine.mean()) if len(fine) else None
 
 
-_ROUNDING = 1e-9
 NUPLAN = ComfortLimits(jerk_m_s3=4.13, whole_jerk_m_s3=8.37)
 """nuPlan's: 8.37 bounds the length of the jerk, 4.13 its part along the heading. (nuPlan also smooths with a
 Savitzky-Golay filter at 10 Hz; plans and steps here are too coarse for that.)"""

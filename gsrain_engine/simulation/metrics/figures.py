@@ -128,10 +128,7 @@ def rain_colors(intensities_mm_h: list[float]) -> dict[float, tuple[float, ...] 
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG, PDF or SVG by suffix, atomically; the same figure gives the same bytes.
-
-    Raises ValueError for another suffix.
-    """
+    """Write a figure as PNG, PDF or SVG, always the same bytes. Raises ValueError for other suffixes."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in _WITHOUT_DATE:
         raise ValueError(f"{path}: expected a name that ends with .{', .'.join(_WITHOUT_DATE)}")
@@ -144,10 +141,8 @@ class CurveBand(NamedTuple):
     """Mean and band over time, NaN where unknown."""
 
     times_s: Float64[np.ndarray, " n"]
-    mean: Float64[np.ndarray, " n"]
-    """Mean over the runs still driving at that time."""
-    low: Float64[np.ndarray, " n"]
-    """Lower end of the 95 % bootstrap interval."""
+    mean: Float64[np.ndarray, " n"]  # mean over the runs still driving at that time
+    low: Float64[np.ndarray, " n"]  # lower end of the 95 % bootstrap interval
     high: Float64[np.ndarray, " n"]
 
 

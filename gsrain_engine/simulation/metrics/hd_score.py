@@ -22,6 +22,7 @@ class DrivableArea(Protocol):
 
     def share_on_road(self, box: PlanarBox) -> Float64[np.ndarray, "2 2"]:
         """Return the share of each quarter of a box (front and rear by left and right) on the road, 0..1."""
+        ...
 
 
 class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

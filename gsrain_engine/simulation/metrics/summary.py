@@ -31,54 +31,34 @@ class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     agent: str
     intensity_mm_h: float
     seed: int
-    steps: int
-    """Number of driven steps, one less than recorded steps."""
-    frames: int
-    """F: steps with a plan."""
-    planned_points: int
-    """N: points of a plan."""
+    steps: int  # number of driven steps, one less than recorded steps
+    frames: int  # F: steps with a plan
+    planned_points: int  # N: points of a plan
     duration_s: float
-    end: str
-    """Reason of the end: "collision", "completed", "off route", "time", "agent", "stopped"."""
+    end: str  # reason of the end: "collision", "completed", "off route", "time", "agent", "stopped"
     collision: bool
-    collided_with: str | None
-    """Id of the road user, or "background"."""
+    collided_with: str | None  # id of the road user, or "background"
     collision_time_s: float | None
-    collision_speed_m_s: float | None
-    """Ego speed."""
+    collision_speed_m_s: float | None  # ego speed
     collision_closing_speed_m_s: float | None
-    min_ttc_s: Annotated[float, Meta(ge=0, le=10)]
-    """Minimum time to collision, from the bumper gap."""
-    min_ttc_time_s: float
-    """Time of the minimum."""
-    min_ttc_center_s: Annotated[float, Meta(ge=0, le=10)]
-    """Minimum time to collision, from the center distance."""
-    min_gap_m: float | None
-    """Minimum bumper gap to road users ahead in the lane; None without any."""
-    planned_point_collision_rate: Share | None
-    """The paper's C, of all planned points."""
+    min_ttc_s: Annotated[float, Meta(ge=0, le=10)]  # minimum time to collision, from the bumper gap
+    min_ttc_time_s: float  # time of the minimum
+    min_ttc_center_s: Annotated[float, Meta(ge=0, le=10)]  # minimum time to collision, from the center distance
+    min_gap_m: float | None  # minimum bumper gap to road users ahead in the lane; None without any
+    planned_point_collision_rate: Share | None  # the paper's C, of all planned points
     planned_point_collision_rate_hugsim: Share | None
-    planned_frame_collision_rate: Share | None
-    """Share of frames with any planned point that collides."""
+    planned_frame_collision_rate: Share | None  # share of frames with any planned point that collides
     planned_frame_collision_rate_hugsim: Share | None
-    comfort_executed: Share | None
-    """The paper's S of the executed motion."""
-    comfort_executed_nuplan: Share | None
-    """The same with nuPlan's jerk limits."""
-    comfort_planned: Share | None
-    """The paper's S of the plans: HUGSIM's comfort."""
+    comfort_executed: Share | None  # the paper's S of the executed motion
+    comfort_executed_nuplan: Share | None  # the same with nuPlan's jerk limits
+    comfort_planned: Share | None  # the paper's S of the plans: HUGSIM's comfort
     comfort_planned_nuplan: Share | None
-    route_completion: Share
-    """Driven share of the route ahead of the start."""
+    route_completion: Share  # driven share of the route ahead of the start
     distance_m: float
-    mean_speed_m_s: float
-    """Distance over duration; 0 without motion."""
-    hardest_braking_m_s2: float
-    """Largest deceleration of a step, 0 or more."""
-    with_background: bool
-    """True if planned points were also tested against the background."""
-    nc: Share | None
-    """This field and the next six: see `HdScore`."""
+    mean_speed_m_s: float  # distance over duration; 0 without motion
+    hardest_braking_m_s2: float  # largest deceleration of a step, 0 or more
+    with_background: bool  # true if planned points were also tested against the background
+    nc: Share | None  # this field and the next six: see `HdScore`
     dac: Share | None
     ttc: Share | None
     c: Share | None
@@ -180,10 +160,7 @@ class IntensityRuns:
         return sum(run.metrics.collision for run in self.runs)
 
     def mean(self, metric: str, without_collision: bool = False) -> MeanInterval | None:
-        """Return a metric's mean over the runs with a value, with its 95 % bootstrap interval; None without values.
-
-        `metric` is a field of `DriveMetrics`. For one run the interval is the value itself.
-        """
+        """Return the mean of a `DriveMetrics` field over the runs with a value, with its 95 % bootstrap interval."""
         metrics = [each.metrics for each in self.runs if not (without_collision and each.metrics.collision)]
         values = [float(value) for each in metrics if (value := getattr(each, metric)) is not None]
         return mean_interval(values) if values else None
@@ -196,8 +173,7 @@ class DriveComparison:
     scenario: str
     agent: str
     scene: str
-    weathers: tuple[IntensityRuns, ...]
-    """Sorted by intensity, clear weather first."""
+    weathers: tuple[IntensityRuns, ...]  # sorted by intensity, clear weather first
 
     @property
     def title(self) -> str:

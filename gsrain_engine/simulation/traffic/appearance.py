@@ -27,17 +27,11 @@ class VehicleModel(NamedTuple):
 
 def scale_gaussians(gaussians: Gaussians, times: float) -> Gaussians:
     """Return Gaussians scaled around the origin of their frame."""
-    if times == 1:
-        return gaussians
     by = np.float32(times)
-    return replace(gaussians, means=gaussians.means * by, scales=gaussians.scales * by)
+    return gaussians if times == 1 else replace(gaussians, means=gaussians.means * by, scales=gaussians.scales * by)
 
 
-# Models by name
-
-__all__ = ["VehicleModel", "scale_gaussians", "vehicle_model"]
-ACTOR = "actor:"
-"""Prefix of models that are actors of the scene; the actor id follows."""
+ACTOR = "actor:"  # prefix of models that are actors of the scene; the actor id follows
 
 
 def vehicle_model(model: str, scene: Scene) -> VehicleModel:
@@ -49,25 +43,17 @@ def vehicle_model(model: str, scene: Scene) -> VehicleModel:
     if built_in is not None:
         return built_in
     if model.startswith(ACTOR):
-        return _actor_look(model.removeprefix(ACTOR), scene)
+        actor = next((each for each in scene.actors if each.id == model.removeprefix(ACTOR)), None)
+        if actor is None:
+            raise ValueError(f"model {model}: scene {scene.name!r} has no such actor")
+        length, width, height = (scene.metres_per_unit * side for side in actor.size_lwh)
+        return VehicleModel(scale_gaussians(actor.gaussians, scene.metres_per_unit), (length, width, height))
     path = Path(model)
     if not path.is_file():
         known = ", ".join([*vehicle_names(), *(f"{ACTOR}{each.id}" for each in scene.actors)])
-        paints = ", ".join(PAINTS)
-        raise ValueError(f"model {model}: no such file, and none of {known} (a paint may follow: /{paints})")
+        raise ValueError(f"model {model}: no such file, and none of {known} (a paint may follow: /{', '.join(PAINTS)})")
     return model_of_file(path)
 
-
-def _actor_look(id: str, scene: Scene) -> VehicleModel:
-    for actor in scene.actors:
-        if actor.id == id:
-            unit = scene.metres_per_unit
-            length, width, height = (unit * side for side in actor.size_lwh)
-            return VehicleModel(scale_gaussians(actor.gaussians, unit), (length, width, height))
-    raise ValueError(f"model {ACTOR}{id}: scene {scene.name!r} has no such actor")
-
-
-# Models from files
 
 _SHARE = 0.995  # share of the opacity inside a model's box along each axis; excludes stray Gaussians of captures
 _OPAQUE = 0.2  # minimum opacity of Gaussians that count for a model's size
@@ -99,37 +85,26 @@ def _read(path: Path, changed_ns: int, size: int) -> VehicleModel:
         )
     foot = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], np.float32)
     standing = replace(gaussians, means=gaussians.means - foot)
-    return VehicleModel(Gaussians.concatenate([_shadow(length, width), standing]), (length, width, height))
-
-
-def _shadow(length: float, width: float) -> Gaussians:
-    return quads_to_gaussians(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
+    shadow = quads_to_gaussians(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
+    return VehicleModel(Gaussians.concatenate([shadow, standing]), (length, width, height))
 
 
 # Built-in vehicles
 
 TRUCK = "truck"
-
 PAINTS: dict[str, Color] = {
-    "blue": (0.014, 0.034, 0.075),
-    "black": (0.012, 0.012, 0.014),
-    "graphite": (0.05, 0.053, 0.058),
-    "green": (0.016, 0.05, 0.028),
-    "red": (0.19, 0.012, 0.011),
-    "sand": (0.24, 0.20, 0.15),
-    "silver": (0.19, 0.195, 0.20),
-    "white": (0.62, 0.62, 0.61),
-    "yellow": (0.42, 0.24, 0.02),
-}
+    "blue": (0.014, 0.034, 0.075), "black": (0.012, 0.012, 0.014), "graphite": (0.05, 0.053, 0.058),
+    "green": (0.016, 0.05, 0.028), "red": (0.19, 0.012, 0.011), "sand": (0.24, 0.20, 0.15),
+    "silver": (0.19, 0.195, 0.20), "white": (0.62, 0.62, 0.61), "yellow": (0.42, 0.24, 0.02),
+}  # fmt: skip
 """Linear albedo by paint name; the first is the default."""
 
 _BOX, _SIGN = (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)
-_SHAPES: dict[str, CarShape] = {shape: shape for shape in CAR_FORMS}
 
 
 def vehicle_names() -> tuple[str, ...]:
     """Return names of the built-in vehicles; "/" and a paint name may follow."""
-    return (*_SHAPES, TRUCK)
+    return (*CAR_FORMS, TRUCK)
 
 
 @lru_cache(maxsize=64)
@@ -145,11 +120,10 @@ def built_in_vehicle(name: str) -> VehicleModel | None:
         raise ValueError(f"model {name}: no paint is called {paint!r}, only {', '.join(PAINTS)}")
     color = PAINTS[paint] if paint else PAINTS["white" if kind == TRUCK else "blue"]
     if kind == TRUCK:
-        form = TRUCK_FORM
-        body = build_truck(ParkedTruck(0.0, 0.0, 0.0, color, _BOX, color if paint else _SIGN))
+        form, body = TRUCK_FORM, build_truck(ParkedTruck(0.0, 0.0, 0.0, color, _BOX, color if paint else _SIGN))
     else:
-        form = CAR_FORMS[_SHAPES[kind]]
-        body = build_car(_SHAPES[kind], color)
+        shape: CarShape = next(each for each in CAR_FORMS if each == kind)
+        form, body = CAR_FORMS[shape], build_car(shape, color)
     quads = Quads.joined([vehicle_shadow(form.length, form.width), body])
     gaussians = quads_to_gaussians(quads, Daylight.over(StreetParameters()))
     return VehicleModel(gaussians, (form.length, form.width, form.height))

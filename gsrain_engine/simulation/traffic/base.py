@@ -52,10 +52,8 @@ class TrafficState:
 
     time_s: float
     ego: RoadUser
-    others: tuple[RoadUser, ...]
-    """All other road users present."""
-    route: Route
-    """The ego vehicle's route, which represents the road."""
+    others: tuple[RoadUser, ...]  # all other road users present
+    route: Route  # the ego vehicle's route, which represents the road
 
 
 class Behavior:
@@ -80,19 +78,13 @@ def ego_user(vehicle: Vehicle, state: VehicleState) -> RoadUser:
     return RoadUser(EGO, "car", size, box.x_m, box.y_m, state.yaw_rad, state.speed_m_s)
 
 
-# Lane positions
-# Arc length along the route, lateral offset and direction of travel.
-
-
 @dataclass(frozen=True, slots=True)
 class LanePosition:
-    """A position in a lane parallel to a route."""
+    """A position in a lane parallel to a route: arc length, lateral offset, direction of travel."""
 
     along_m: float
-    left_m: float
-    """Lateral offset from the route, left positive in its direction."""
-    direction: int
-    """1 with the route, -1 against it."""
+    left_m: float  # lateral offset from the route, left positive in its direction
+    direction: int  # 1 with the route, -1 against it
 
     @staticmethod
     def of(route: Route, user: RoadUser) -> "LanePosition":
@@ -125,10 +117,8 @@ class LanePosition:
 class VehicleAhead:
     """A road user ahead in the lane."""
 
-    gap_m: float
-    """Bumper-to-bumper gap along the lane; negative if they overlap."""
-    speed_m_s: float
-    """Speed away from the follower, along the lane."""
+    gap_m: float  # bumper-to-bumper gap along the lane; negative if they overlap
+    speed_m_s: float  # speed away from the follower, along the lane
 
 
 def find_vehicle_ahead(route: Route, me: RoadUser, users: tuple[RoadUser, ...]) -> VehicleAhead | None:
@@ -159,9 +149,6 @@ def _extent(route: Route, place: LanePosition, user: RoadUser) -> tuple[float, f
     cosine, sine = abs(float(np.cos(turn))), abs(float(np.sin(turn)))
     length, width = user.size_lwh[0] / 2, user.size_lwh[1] / 2
     return length * cosine + width * sine, length * sine + width * cosine
-
-
-# Constant acceleration to a target speed
 
 
 def changed_speed(speed_m_s: float, to_m_s: float, rate_m_s2: float, dt_s: float) -> tuple[float, float]:

@@ -13,8 +13,6 @@ from .tracks import Replay, ScriptedTrack
 if TYPE_CHECKING:
     from ...scene.scene import Scene
 
-# Settings
-
 
 class IntelligentDriver(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="idm"
@@ -152,9 +150,6 @@ class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
 
 BehaviorSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | Brake | ScriptedTrack | Replay
 """Settings of a behavior; `begin(scene, start_s)` creates the `Behavior` of one run."""
-
-
-# Behaviors
 
 
 class _LaneKeeper(Behavior):

@@ -58,9 +58,6 @@ class RecordedTrack:
         return None if pose is None else self._scene.scene_to_world @ pose
 
 
-# Replay of a roll-out
-
-
 class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
     """Replays a road user, or the ego vehicle, of a finished drive; linear between steps."""
 

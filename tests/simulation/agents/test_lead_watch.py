@@ -73,7 +73,7 @@ def test_what_is_hardly_seen_keeps_a_known_lead_in_view_and_begins_none():
     watch.look([sighting(20.0, 0.9)], 0.0, 0.0, DT)
     for _ in range(8):
         kept = watch.look([sighting(20.0, 0.15)], 0.0, 0.0, DT)
-    assert kept.sighting is not None and kept.track.seen == 11
+    assert kept.sighting is not None and kept.track.count == 11
 
 
 def test_the_unsure_must_be_seen_twice_on_end():
@@ -99,7 +99,7 @@ def test_who_cuts_in_leads_at_once_and_the_other_is_remembered():
     for _ in range(5):
         left = watch.look([sighting(30.0)], 0.0, 0.0, DT)
     assert left.lead.gap_m == pytest.approx(30.0, abs=0.2)
-    assert left.track.seen == 9
+    assert left.track.count == 9
 
 
 def test_two_boxes_of_one_thing_are_one():
