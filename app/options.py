@@ -8,15 +8,31 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
-import msgspec
+import lazy_loader
 from cyclopts import Parameter, Token, convert
 
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.trusted_code import UntrustedCodeError, trust, trust_permanently
 
 from .console import print
+
+if TYPE_CHECKING:
+    import msgspec
+else:
+    msgspec = lazy_loader.load("msgspec")  # every command imports this module
 
 
 def option(help: str, *names: str, **settings: Any) -> Parameter:
@@ -134,7 +150,7 @@ def _number(value: float) -> str:
     return f"{value:f}".rstrip("0").rstrip(".")
 
 
-def _meta(hint: Any) -> msgspec.Meta:
+def _meta(hint: Any) -> "msgspec.Meta":
     """Return the `Meta` with the description, at any depth of a type."""
     if get_origin(hint) in (Union, UnionType):
         return next(meta for each in get_args(hint) if each is not type(None) and (meta := _meta(each)) is not None)

@@ -21,19 +21,24 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
+import lazy_loader
 import platformdirs
 
 from .safe_io.limits import open_file, read_file
 from .scene.files import lock_path, whole_file
 
+if TYPE_CHECKING:
+    import msgspec
+else:
+    msgspec = lazy_loader.load("msgspec")  # every command imports this module
+
 logger = logging.getLogger("gsrain")
 _MAX_FILES, _MAX_BYTES = 2000, 1 << 25  # limits of one program; nobody reviews a larger one
 
 
-class CodeFile(msgspec.Struct, frozen=True):
+class CodeFile(NamedTuple):
     """One Python file and the bytes that were read from it."""
 
     path: Path

@@ -3,12 +3,16 @@
 import difflib
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import msgspec
-from msgspec import inspect
+import lazy_loader
 
 from .text_files import check_finite, printable_line
+
+if TYPE_CHECKING:
+    import msgspec
+else:
+    msgspec = lazy_loader.load("msgspec")  # every command imports this module
 
 _LONGEST = 3000  # maximum characters of a message: the settings of a training have some forty fields
 _LONGEST_VALUE = 300  # maximum characters of msgspec's own words, which quote the wrong value
@@ -41,15 +45,15 @@ def readable_validation_error(error: Exception, kind: Any, values: Any = None) -
     return said + (message[place.start() :] if place else "")
 
 
-def _fields(types: list[inspect.Type], value: Any) -> Iterator[str]:
+def _fields(types: "list[msgspec.inspect.Type]", value: Any) -> Iterator[str]:
     """Fields that an object can have at a position; for tagged objects, only those of the tag in `value`."""
-    objects = [each for each in types if isinstance(each, inspect.StructType | inspect.DataclassType)]
-    tagged = [each for each in objects if isinstance(each, inspect.StructType) and each.tag_field is not None]
+    objects = [each for each in types if isinstance(each, msgspec.inspect.StructType | msgspec.inspect.DataclassType)]
+    tagged = [each for each in objects if isinstance(each, msgspec.inspect.StructType) and each.tag_field is not None]
     if isinstance(value, dict):
         own = [each for each in tagged if value.get(each.tag_field) == each.tag]  # pyright: ignore[reportUnknownMemberType]
         objects = own or objects
     for each in objects:
-        if isinstance(each, inspect.StructType) and each.tag_field is not None:
+        if isinstance(each, msgspec.inspect.StructType) and each.tag_field is not None:
             yield each.tag_field
         yield from (field.encode_name for field in each.fields)
 
@@ -64,45 +68,45 @@ def _at(values: Any, place: str) -> Any:
     return values
 
 
-def _types(kind: Any, steps: list[str]) -> list[inspect.Type]:
+def _types(kind: Any, steps: list[str]) -> "list[msgspec.inspect.Type]":
     """All types possible at a position: a step is a field name, or empty for a member of a sequence."""
-    here = list(_choices(inspect.type_info(kind)))
+    here = list(_choices(msgspec.inspect.type_info(kind)))
     for step in steps:
         here = [choice for each in here for inner in _inside(each, step) for choice in _choices(inner)]
     return here
 
 
-def _choices(found: inspect.Type) -> Iterator[inspect.Type]:
-    if isinstance(found, inspect.Metadata):
+def _choices(found: "msgspec.inspect.Type") -> "Iterator[msgspec.inspect.Type]":
+    if isinstance(found, msgspec.inspect.Metadata):
         yield from _choices(found.type)
-    elif isinstance(found, inspect.UnionType):
+    elif isinstance(found, msgspec.inspect.UnionType):
         for each in found.types:
             yield from _choices(each)
     else:
         yield found
 
 
-def _inside(found: inspect.Type, step: str) -> Iterator[inspect.Type]:
-    if isinstance(found, inspect.StructType | inspect.DataclassType):
+def _inside(found: "msgspec.inspect.Type", step: str) -> "Iterator[msgspec.inspect.Type]":
+    if isinstance(found, msgspec.inspect.StructType | msgspec.inspect.DataclassType):
         yield from (field.type for field in found.fields if field.encode_name == step)
-    elif isinstance(found, inspect.ListType | inspect.SetType | inspect.VarTupleType):
+    elif isinstance(found, msgspec.inspect.ListType | msgspec.inspect.SetType | msgspec.inspect.VarTupleType):
         yield found.item_type
-    elif isinstance(found, inspect.TupleType):
+    elif isinstance(found, msgspec.inspect.TupleType):
         yield from found.item_types
-    elif isinstance(found, inspect.DictType):
+    elif isinstance(found, msgspec.inspect.DictType):
         yield found.value_type
 
 
-def _words(around: list[inspect.Type], name: str) -> Iterator[str]:
+def _words(around: "list[msgspec.inspect.Type]", name: str) -> Iterator[str]:
     """Allowed values of a field: tags of the enclosing structs, or members of the field's own type."""
     for each in around:
-        if isinstance(each, inspect.StructType) and each.tag_field == name:
+        if isinstance(each, msgspec.inspect.StructType) and each.tag_field == name:
             yield str(each.tag)
         for inner in _inside(each, name):
             for choice in _choices(inner):
-                if isinstance(choice, inspect.LiteralType):
+                if isinstance(choice, msgspec.inspect.LiteralType):
                     yield from map(str, choice.values)
-                elif isinstance(choice, inspect.EnumType):
+                elif isinstance(choice, msgspec.inspect.EnumType):
                     yield from (str(member.value) for member in choice.cls)
 
 
