@@ -137,7 +137,7 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     base: Annotated[Path | None, Meta(title="SD-Turbo", description="Its folder; none: see gsrain doctor.")] = None
     normals: Annotated[
         Literal["depth", "dsine", "marigold", "none"],
-        Meta(title="Normals", description="Who tells a learned method which way surfaces face; none: nobody."),
+        Meta(title="Normals", description="Source of the surface normals for a learned method; none: no normals."),
     ] = "depth"
     normals_weights: Annotated[
         Path | None, Meta(title="Weights for normals", description="File of DSINE, or folder of Marigold.")
@@ -147,18 +147,21 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ] = None
     guide: Annotated[
         Literal["up", "luma"],
-        Meta(title="Guide", description="How normals become the fourth channel: up-ness, or luma as in the paper."),
+        Meta(
+            title="Guide",
+            description="How normals become the fourth channel: their upward component, or luma as in the paper.",
+        ),
     ] = "up"
     mutual_attention: Annotated[
         bool, Meta(title="Mutual attention", description="Let each view attend to its neighbors (eq. 16-19).")
     ] = True
     neighbours: Annotated[
-        int, Meta(ge=0, le=16, title="Neighbours", description="So many other views each one attends to.")
+        int, Meta(ge=0, le=16, title="Neighbors", description="Number of other views that each view attends to.")
     ] = 2
     side_px: _Side | None = 512
     tile_px: _Tile | None = None
     device: Annotated[
-        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="Where a learned method runs.")
+        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="Device that a learned method runs on.")
     ] = "auto"
     precision: Annotated[
         Literal["float32", "float16", "bfloat16"],

@@ -226,7 +226,7 @@ class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_field
     methods: Annotated[tuple[ComparedMethod, ...], Meta(min_length=1, title="Methods")]
     source: Annotated[str | None, Meta(title="Source", description="A scene, street, or a capture.")] = None
     capture: Annotated[
-        Path | None, Meta(title="Capture", description="Where a scene's recorded cameras come from.")
+        Path | None, Meta(title="Capture", description="Capture that a scene's recorded cameras are read from.")
     ] = None
     real: Annotated[
         tuple[Path, ...], Meta(title="Real", description="Folders or captures of rainy pictures that cameras took.")
@@ -244,7 +244,13 @@ class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_field
     resamples: Annotated[int, Meta(ge=20, le=10_000, title="Resamples", description="For the intervals.")] = 200
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Of the intervals.")] = 0
     neighbours: Annotated[
-        int, Meta(ge=1, le=16, title="Neighbours", description="That each view is compared with for consistency.")
+        int,
+        Meta(
+            ge=1,
+            le=16,
+            title="Neighbors",
+            description="Number of views that each view is compared with for consistency.",
+        ),
     ] = 2
     columns: Annotated[int, Meta(ge=1, le=12, title="Columns", description="Views on the figure, evenly.")] = 4
     shown: Annotated[

@@ -61,9 +61,9 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     roofs: Annotated[bool, Meta(
         title="Shelter under roofs", description="No rain under bridges, canopies and trees.")] = False
     streak_region: Annotated[RegionBox, Meta(
-        title="Streak region", description="Where drops are simulated one by one.")] = STREAK_REGION
+        title="Streak region", description="Region in which drops are simulated one by one.")] = STREAK_REGION
     haze_region: Annotated[RegionBox, Meta(
-        title="Haze region", description="Where drops are haze Gaussians.")] = HAZE_REGION
+        title="Haze region", description="Region in which drops are haze Gaussians.")] = HAZE_REGION
 
     wind_m_s: Annotated[tuple[float, float], Meta(
         title="Wind", extra={"unit": "m/s", "ge": -40.0, "le": 40.0},
@@ -119,7 +119,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Diameter of the lens opening; drops out of focus blur with it. 0 is a pinhole: all sharp.")] = 0.0
     focus_distance_m: Annotated[float, Meta(
         ge=0.2, le=10_000, title="Focus distance", extra={"unit": "m"},
-        description="Where the lens is focused. Matters with an aperture above 0.")] = 10.0
+        description="Distance at which the lens is focused. Matters with an aperture above 0.")] = 10.0
     drop_color: Annotated[Vector | None, Meta(
         title="Drop color",
         description="Display color of a drop (eq. 3); none takes the mean of the scene's sky.")] = None

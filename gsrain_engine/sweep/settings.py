@@ -27,9 +27,7 @@ _FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "c
 Intensities = Annotated[
     tuple[Annotated[float, Meta(ge=0, le=100)], ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
 ]
-DrawnBy = Annotated[
-    Backend, Meta(title="Back end", description="What draws; cpu gives the same bytes on every machine.")
-]
+DrawnBy = Annotated[Backend, Meta(title="Back end", description="Renderer; cpu gives the same bytes on every machine.")]
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
 
@@ -38,14 +36,12 @@ class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """An agent with its options."""
 
     name: Annotated[str, Meta(min_length=1, title="Name", description="Of those of gsrain drive --agent.")]
-    label: Annotated[str | None, Meta(title="Label", description="What tables call it; none: name and detector.")] = (
-        None
-    )
+    label: Annotated[str | None, Meta(title="Label", description="Name in tables; none: name and detector.")] = None
     detector: Annotated[str | None, Meta(title="Detector", description="Its ONNX file.")] = None
     description: Annotated[
-        str | None, Meta(title="Description", description="How the detector is used: a shipped name or a YAML file.")
+        str | None, Meta(title="Description", description="A shipped detector description or a YAML file.")
     ] = None
-    url: Annotated[str | None, Meta(title="URL", description="Where an agent listens that runs elsewhere.")] = None
+    url: Annotated[str | None, Meta(title="URL", description="URL of a driving agent that runs elsewhere.")] = None
 
     @property
     def title(self) -> str:
@@ -83,12 +79,14 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         Meta(min_length=1, title="Agents", description="Names, or names with a detector, its description, a URL."),
     ] = ("oracle-idm",)
     seeds: Annotated[
-        Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops, agents and jitter.")
+        Seeds, Meta(title="Seeds", description="A number of seeds (0, 1, ...) or a list, for drops, agents and jitter.")
     ] = 20
     scenes: Annotated[
         tuple[str, ...], Meta(title="Scenes", description="None takes the scene that each scenario names.")
     ] = ()
-    jitter: Annotated[Jitter, Meta(title="Jitter", description="How far seeds other than 0 vary the start.")] = Jitter()
+    jitter: Annotated[Jitter, Meta(title="Jitter", description="Variation of the start by seeds other than 0.")] = (
+        Jitter()
+    )
     backend: DrawnBy = "auto"
     output: Annotated[str | None, Meta(title="Output", description="Folder of rows and tables.")] = None
 
@@ -104,7 +102,7 @@ class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     ]
     scenes: Annotated[tuple[str, ...], Meta(min_length=1, title="Scenes")] = ("street",)
     intensities_mm_h: Intensities = (0.0, 1.2, 8.5, 12.0)
-    seeds: Annotated[Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops.")] = 1
+    seeds: Annotated[Seeds, Meta(title="Seeds", description="A number of seeds (0, 1, ...) or a list, for drops.")] = 1
     rain: Annotated[RainSettings, Meta(title="Rain", description="Everything but intensity and seed.")] = RainSettings()
     labels: Annotated[
         LabelFormat | None, Meta(title="Labels", description="coco or kitti; needs a scene with actors.")

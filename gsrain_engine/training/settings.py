@@ -39,7 +39,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Settings of the fit of Gaussians to images. Defaults take about ten minutes on a two-core CPU."""
 
     steps: Annotated[
-        int, Meta(ge=1, le=1_000_000, title="Steps", description="How often one view is rendered and learned from.")
+        int, Meta(ge=1, le=1_000_000, title="Steps", description="Number of training steps; each renders one view.")
     ] = 2000
     width_px: Annotated[
         int,

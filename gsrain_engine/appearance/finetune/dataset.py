@@ -119,7 +119,7 @@ class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         Meta(title="Guide", description="Fourth channel of the encoder: up-ness of surfaces, their luma, or none."),
     ] = "up"
     normals: Annotated[
-        str, Meta(title="Normals", description="Who tells them where a picture has no depth: dsine, marigold, none.")
+        str, Meta(title="Normals", description="Source of normals for pictures without depth: dsine, marigold, none.")
     ] = "none"
     normals_weights: Annotated[
         str | None, Meta(title="Weights for normals", description="File or folder that the estimator needs.")
@@ -127,7 +127,7 @@ class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     normals_checkout: Annotated[
         str | None, Meta(title="Checkout for normals", description="The person's own copy of DSINE's program.")
     ] = None
-    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Which pictures are for testing.")] = 0
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Seed that draws the test pictures.")] = 0
 
 
 def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSplit:

@@ -25,7 +25,7 @@ class LossWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         Weight, Meta(title="Identity", description="Mean difference of a picture that is already of the other look.")
     ] = 1.0
     identity_lpips: Annotated[Weight, Meta(title="Identity, LPIPS", description="The same, as LPIPS sees it.")] = 1.0
-    gan: Annotated[Weight, Meta(title="GAN", description="What the discriminators tell apart.")] = 0.5
+    gan: Annotated[Weight, Meta(title="GAN", description="Weight of the adversarial loss.")] = 0.5
 
 
 class OptimizerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

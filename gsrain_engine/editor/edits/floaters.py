@@ -42,7 +42,8 @@ class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ),
     ] = 8.0  # fmt: skip
     neighbors: Annotated[
-        int, Meta(ge=1, le=64, title="Neighbours", description="How many nearest ones isolation looks at.")
+        int,
+        Meta(ge=1, le=64, title="Neighbors", description="Number of nearest Gaussians that isolation is measured to."),
     ] = 8
 
 

@@ -121,18 +121,16 @@ RainSource = Literal["as the scene", "one intensity", "paper's four"]
 class DriveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of a drive except for the scenario, whose rain is not used: the drive uses the document's rain."""
 
-    agent: Annotated[str, Meta(title="Agent", description="Who drives.")]
+    agent: Annotated[str, Meta(title="Agent", description="The driving agent.")]
     detector: Annotated[
         Path | None,
         Meta(title="Detector", description="ONNX file of an object detector, for agents that look at pictures."),
     ] = None
     description: Annotated[
         str | None,
-        Meta(title="Its description", description="How the detector is used: a shipped name such as yolox, or a YAML."),
+        Meta(title="Its description", description="A shipped detector description such as yolox, or a YAML file."),
     ] = None
-    url: Annotated[
-        str | None, Meta(title="Address", description="Where an agent listens that runs elsewhere, such as http.")
-    ] = None
+    url: Annotated[str | None, Meta(title="Address", description="URL of a driving agent that runs elsewhere.")] = None
     rain: Annotated[
         RainSource,
         Meta(

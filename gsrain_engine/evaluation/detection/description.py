@@ -40,7 +40,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     ] = None
     channels: Annotated[Literal["rgb", "bgr"], Meta(title="Order of the channels")] = "rgb"
     scale: Annotated[
-        float, Meta(gt=0, le=1, title="Scale", description="What values of 0..255 are multiplied by first.")
+        float, Meta(gt=0, le=1, title="Scale", description="Factor for pixel values of 0..255, applied first.")
     ] = 1 / 255
     mean: Annotated[
         tuple[float, float, float],
@@ -48,7 +48,9 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     ] = (0.0, 0.0, 0.0)
     deviation: Annotated[
         tuple[Deviation, Deviation, Deviation],
-        Meta(title="Standard deviation", description="What remains is divided by it, in the order of `channels`."),
+        Meta(
+            title="Standard deviation", description="Divisor after the mean is subtracted, in the order of `channels`."
+        ),
     ] = (1.0, 1.0, 1.0)
     fit: Annotated[
         Fit,
@@ -69,10 +71,11 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         ),
     ] = (8, 16, 32)
     cell_center: Annotated[
-        Fraction, Meta(title="Point of a cell", description="Where in its cell distances start (nanodet), in cells.")
+        Fraction,
+        Meta(title="Point of a cell", description="Point in each cell that distances start from (nanodet), in cells."),
     ] = 0.5
     least_confidence: Annotated[
-        Fraction, Meta(title="Least confidence", description="What a detector believes less is not reported.")
+        Fraction, Meta(title="Least confidence", description="Detections of lower confidence are not reported.")
     ] = 0.01
     suppression_iou: Annotated[
         Fraction,
