@@ -14,9 +14,6 @@ from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import capture_format, capture_hint, open_capture
 from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
 from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summarized
-from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
-from gsrain_engine.disdrometer.spectra import UnknownKindError
-from gsrain_engine.disdrometer.tables import load_columns
 from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
 from gsrain_engine.editor.edits.level import UNIT_M, Axis, level_from_ground, oriented, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
@@ -199,6 +196,11 @@ def flagged_text(counts: dict[str, int]) -> str:
 
 def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
     """Print the contents of a disdrometer file; returns the numbers. Raises `ValueError`."""
+    # here, as they load xarray, which the other commands don't need
+    from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
+    from gsrain_engine.disdrometer.spectra import UnknownKindError
+    from gsrain_engine.disdrometer.tables import load_columns
+
     try:
         measured = open_disdrometer_file(file, columns and load_columns(columns)).measured()
     except UnknownKindError as error:

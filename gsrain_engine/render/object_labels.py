@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import cv2
+import lazy_loader
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
@@ -14,6 +14,8 @@ from ..scene.geometry import before_camera, box_corners
 from ..scene.objects import SceneObject
 from ..scene.scene import Actor, DrawItem, Scene, take_gaussians
 from .renderer import Renderer
+
+cv2: Any = lazy_loader.load("cv2")  # `gsrain render` imports this module, and seldom exports boxes
 
 LabelFormat = Literal["coco", "kitti"]
 _MIN_ALPHA = 0.5  # minimum alpha of a labeled pixel, as for depth

@@ -18,7 +18,7 @@ from multiprocessing.shared_memory import SharedMemory
 from time import monotonic
 from typing import Any, Literal
 
-import cv2
+import lazy_loader
 import numpy as np
 import psutil
 from jaxtyping import Int64, UInt8
@@ -26,6 +26,8 @@ from jaxtyping import Int64, UInt8
 from ...safe_io.limits import receive_message
 from ...scene.files import sentence_of
 from ...scene.progress import Progress
+
+cv2: Any = lazy_loader.load("cv2")  # only large previews need it
 
 JobState = Literal["running", "finished", "failed", "cancelled"]
 Work = Callable[..., Iterator[Progress]]
