@@ -1,4 +1,4 @@
-"""Where do people wait? Each thing that the program does, from start to frame, in a fresh process. Prints a table.
+"""Waiting times: each job of the program, from start to frame, in a fresh process. Prints a table.
 
 With `--against CHECKOUT` another state of the sources does the same, turn by turn with this one, so that what else the
 machine does meanwhile falls on both: the last columns say how many times as long it took there. Beside the wall's time
@@ -23,7 +23,7 @@ _JOBS = "benchmarks/across_jobs.py"
 
 
 class Seconds(NamedTuple):
-    """What something took."""
+    """Duration of a job."""
 
     wall: float
     work: float
@@ -36,7 +36,7 @@ class Case(NamedTuple):
     name: str
     arguments: tuple[str, ...]
     tells: bool
-    """Whether the process says itself what it took, without its own start; else it counts from start to end."""
+    """True if the process reports its own time, without its start; else it counts from start to end."""
 
 
 def _command(name: str, words: str) -> Case:

@@ -1,4 +1,4 @@
-"""What `across.py` measures inside of a process: one job, told by name. Prints seconds of the wall and the processor.
+"""Measurement of `across.py` inside a process: one job, by name. Prints wall and processor seconds.
 
 What stands before the clock is started (imports, opening the street, the first frame, in which kernels are loaded) is
 not in them, unless that is the question.
@@ -25,7 +25,7 @@ class Clock:
         self._wall, self._work = time.perf_counter(), time.process_time()
 
     def seconds(self, shared_by: int = 1) -> tuple[float, float]:
-        """What has passed, for each of so many."""
+        """Elapsed time per item."""
         wall, work = time.perf_counter() - self._wall, time.process_time() - self._work
         return wall / shared_by, work / shared_by
 

@@ -1,4 +1,4 @@
-"""How long do rendering with gradients and the way back take, by stage? Prints JSON: least and median of N runs."""
+"""Time of differentiable rendering, forward and backward, by stage. Prints JSON: minimum and median of N runs."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""What does a step with a HUGSIM client cost: drawing what it is sent, and sending it? Prints JSON, then lines.
+"""Time of a step with a HUGSIM client: rendering and sending. Prints JSON, then lines.
 
 The client is a process that reads an observation and answers at once; the street in the rain, six cameras, 800 x 450.
 """

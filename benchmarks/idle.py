@@ -1,4 +1,4 @@
-"""What does the window cost when nothing moves? Prints JSON, then a line.
+"""Processor time of the idle window. Prints JSON, then a line.
 
 Opens the real window with a scene in its rain, time paused, waits until all has settled, and takes the processor's
 time of all threads of the process meanwhile. Without a display: `xvfb-run -a`.

@@ -1,4 +1,4 @@
-"""How long does a 3DGS PLY take to load, over reading its bytes and copying them once? Prints JSON."""
+"""Load time of a 3DGS PLY relative to reading its bytes and copying them once. Prints JSON."""
 
 import argparse
 import json

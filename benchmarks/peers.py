@@ -1,4 +1,4 @@
-"""How long do other libraries take to read the same files of a million Gaussians? Prints a table.
+"""Time that other libraries take to read the same files of a million Gaussians. Prints a table.
 
 All run in this one process, by turns. Needs the files that `across.py --folder` writes, and for each row its library
 (pip install plyfile trimesh gsply gaussforge); rows of those that are missing are left out. What they return differs:

@@ -1,4 +1,4 @@
-"""How visible is rain? Shares of changed pixels and optical depths over intensities and seeds, on the built-in street.
+"""Visibility of rain: fractions of changed pixels and optical depths by intensity and seed, on the built-in street.
 
 Prints JSON. A pixel counts as changed when a channel differs by more than 4/255 from the same still without rain.
 Optical depth is the mean of -ln(1 - alpha) of the haze alone, drawn over nothing.

@@ -1,4 +1,4 @@
-"""How fast does recoloring reach the colors of pictures, compared with Adam? Prints JSON, and draws a figure."""
+"""Convergence of recoloring compared with Adam. Prints JSON, and draws a figure."""
 
 import argparse
 import json
@@ -27,7 +27,7 @@ from gsrain_engine.scene.street.layout import Label
 
 MOMENTS, HELD_OUT_MOMENTS, RIG, SIZE = 10, 3, "waymo_front3", (480, 320)
 PLAIN = RecolorSettings(exposure=False, robust=False, rounds=1, tikhonov=0.3)
-"""What conjugate gradients do alone; by default a pull is chosen, and exposures and disagreement are looked for."""
+"""Conjugate gradients alone; by default the prior's weight is chosen, and exposures and outliers are estimated."""
 
 RATES = (0.01, 0.02, 0.06)
 """Adam's learning rates of degree 0; the higher harmonics' is a twentieth, as in 3DGS."""

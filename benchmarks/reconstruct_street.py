@@ -1,4 +1,4 @@
-"""How well does `gsrain reconstruct` find the built-in street again, from 30 views of its drive? Prints JSON.
+"""Quality of `gsrain reconstruct` on the built-in street, from 30 views of its drive. Prints JSON.
 
 480x320, every eighth view is held out: the front camera every 2 m, or all three cameras of the rig every 3.3 m, of
 which the ones at the sides see much from two places only. Once with the depth that the street's capture has, as a lidar
@@ -27,7 +27,7 @@ from gsrain_engine.training.train import reconstruct
 WIDTH, HEIGHT = 480, 320
 VIEWS = 30
 LAST_S = {1: 6.0, 3: 3.0}
-"""How long it drives, by number of cameras; 10 m/s."""
+"""Duration of the drive by number of cameras; 10 m/s."""
 RIG = "waymo_front3"
 
 

@@ -1,4 +1,4 @@
-"""How long does it take to save and to keep an edited scene, and does the window wait for it? Prints JSON.
+"""Time to save and to autosave an edited scene, and the window's delay by it. Prints JSON.
 
 A session does what a person does: saves a scene of random Gaussians, deletes some by marks, gives all another color.
 After each change the document is saved, and kept as an autosave. The main thread meanwhile does what it does each
@@ -39,7 +39,7 @@ def waited(session: Editor, begin: Callable[[], None]) -> dict[str, float]:
 
 
 def kept(session: Editor) -> dict[str, float]:
-    """What an autosave takes whose time has come."""
+    """Duration of a due autosave."""
     session.update(0.0)
     late = time.monotonic() + session.preferences.autosave_s
     session.files.recovery.now = lambda: late

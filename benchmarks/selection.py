@@ -1,4 +1,4 @@
-"""How long does it take to select among 1 M Gaussians, by tool? Prints JSON, and a line a tool on the way."""
+"""Time to select among 1 M Gaussians, by tool. Prints JSON, and a line per tool on the way."""
 
 import argparse
 import json

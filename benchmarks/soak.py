@@ -31,7 +31,7 @@ _FRAME_S = 0.1
 
 
 class Sample(NamedTuple):
-    """What the program holds at a moment."""
+    """Resources of the program at a moment."""
 
     seconds: float
     cycle: int

@@ -1,4 +1,4 @@
-"""What a person does in the window for hours, as a script that goes on a little each frame: the same for a seed."""
+"""User of the window for hours, as a script that advances each frame: the same for a seed."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +14,7 @@ from ui.commands.registry import ACTIONS
 
 _BY_NAME = {action.name: action for action in ACTIONS}
 _ANSWERS = ("Don't save", "Replace", "Overwrite", "Later", "Go on", "OK")
-"""What is said to the program's questions, the first that is offered."""
+"""Answers to the program's questions, the first that is offered."""
 _PATIENCE_S = 300.0
 _RATES = ("No rain", "Light 1.2 mm/h", "Paper 8.5 mm/h", "Heavy 12 mm/h")
 _LOOKS = ("depth", "opacity", "splats")
@@ -29,9 +29,9 @@ class Person:
         self.cycles = 0
         self.doing = "beginning"
         self.problems: list[str] = []
-        """What the program has said went wrong."""
+        """Errors that the program has reported."""
         self.is_at_rest = False
-        """Whether nothing is open and nothing goes on: figures of such moments can be compared."""
+        """True if no dialog is open and no job runs: figures of such moments can be compared."""
 
     def steps(self) -> Iterator[None]:
         """Go on with one step each frame; never ends."""

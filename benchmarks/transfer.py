@@ -1,4 +1,4 @@
-"""How long does CycleGAN-Turbo take for a picture, by stage, and in how much memory? Prints JSON.
+"""Time and memory of CycleGAN-Turbo for an image, by stage. Prints JSON.
 
 Random weights of the real architecture do: speed does not depend on what they are.
 """

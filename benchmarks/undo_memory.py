@@ -1,4 +1,4 @@
-"""What does a step of undo hold beyond the scene without any selection, and how long does it take? Prints JSON."""
+"""Memory of an undo step beyond the scene, and its time. Prints JSON."""
 
 import argparse
 import json

@@ -49,7 +49,7 @@ def _begun_anew():
 
 
 def shared_folder() -> Path:
-    """Where test data lies that is not part of the project."""
+    """Folder of test data that is not part of the project."""
     return Path(os.environ.get("GSRAIN_TEST_DATA", REPOSITORY.parent / "shared" / "data"))
 
 

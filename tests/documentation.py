@@ -25,7 +25,7 @@ class Command(NamedTuple):
     line: int
     words: tuple[str, ...]
     is_whole: bool = True
-    """Whether it stands in a block, to be typed as it is; in a sentence what it is about may be left out."""
+    """True for a command in a code block, to be typed as it is; in a sentence, arguments may be left out."""
 
 
 def text_of(page: Path) -> str:

@@ -1,4 +1,4 @@
-"""How well lidar points fall on what a picture shows: edges in depth against edges in brightness."""
+"""Agreement of lidar points with an image: edges in depth against edges in brightness."""
 
 from dataclasses import replace
 

@@ -123,7 +123,7 @@ class MiniDrive:
 
 
 def points_inside(capture: Capture, points: np.ndarray, box: int, time_s: float, slack_m: float = 0.0) -> int:
-    """How many points lie in a box of a capture at a time."""
+    """Number of points in a box of a capture at a time."""
     found = capture.boxes[box]
     pose = found.track.pose(time_s)
     if pose is None:

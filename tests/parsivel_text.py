@@ -17,7 +17,7 @@ def rain() -> np.ndarray:
 
 
 RAIN_MM_H = 0.7719
-"""What those drops amount to on the effective area."""
+"""Rain rate of those drops on the effective area."""
 
 
 def velocity_major(counts: np.ndarray) -> list[str]:

@@ -155,17 +155,16 @@ def test_no_package_is_smaller_than_three_modules():
     assert [each for each in packages if len(list(each.glob("*.py"))) + len(list(each.glob("*/__init__.py"))) < 3] == []
 
 
-RIDDLES = re.compile(r"(What|How|Where|Who|Which|When|Whether|Whose|Why)\b")
+RIDDLE = re.compile(r'\s*"""(What|How|Where|Who|Which|When|Whether|Whose|Why)\b')
 
 
 def test_docstrings_name_the_thing():
-    """A docstring begins with a verb or with the noun that the thing is."""
+    """A docstring begins with a verb or with the noun that the thing is, in tests and benchmarks too."""
     found = [
-        f"{module}: {text.splitlines()[0]}"
-        for module, path in modules().items()
-        for node in ast.walk(ast.parse(path.read_bytes()))
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
-        and (text := ast.get_docstring(node))
-        and RIDDLES.match(text)
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for folder in (*PACKAGES, "tests", "benchmarks")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), start=1)
+        if RIDDLE.match(line)
     ]
     assert found == []

@@ -1,4 +1,4 @@
-"""What the documentation says is there: pages, headings, pictures, commands and their options."""
+"""Pages, headings, pictures, commands and options that the documentation names exist."""
 
 import importlib.util
 import posixpath

@@ -1,4 +1,4 @@
-"""What checks arguments and array shapes while tests run: beartype, with an int accepted for a float as in PEP 484."""
+"""Checks of arguments and array shapes while tests run: beartype, with an int accepted for a float as in PEP 484."""
 
 import dataclasses
 import functools

@@ -104,7 +104,7 @@ class Driver:
             imgui.get_io().display_framebuffer_scale = imgui.get_main_viewport().framebuffer_scale = scale
 
     def picture(self):
-        """What the viewport shows, by way of the screenshot a person would take."""
+        """Image of the viewport, by the screenshot command."""
         path = self.folder / f"picture{len(list(self.folder.iterdir()))}.png"
         self.session.screenshot = path
         self.until(path.exists)

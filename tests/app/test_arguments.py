@@ -1,4 +1,4 @@
-"""What options give: no NaN, however they are grouped, and errors that name the option as it is typed."""
+"""Values of options: no NaN, however they are grouped, and errors that name the option as typed."""
 
 import math
 from dataclasses import dataclass

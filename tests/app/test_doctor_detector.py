@@ -12,7 +12,7 @@ from gsrain_engine.evaluation.detection.detector import PLACE
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where a person's detectors lie; nothing is there yet."""
+    """Empty folder for the user's detectors."""
     monkeypatch.delenv(PLACE, raising=False)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     return tmp_path / "gsrain" / "detectors"

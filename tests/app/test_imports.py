@@ -1,4 +1,4 @@
-"""What a start does not wait for: modules that load slowly and are needed by few, or later."""
+"""Slow modules that few commands need are not loaded at start."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""What can't be written is said before the work."""
+"""Outputs that can't be written are reported before the work."""
 
 import os
 import shlex

@@ -7,7 +7,7 @@ from app.console import progress_bar
 
 @pytest.fixture
 def kernels(tmp_path, monkeypatch):
-    """Where compiled code is kept; nothing is there yet."""
+    """Empty folder for compiled code."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setenv("COLUMNS", "200")
     return tmp_path

@@ -49,7 +49,7 @@ def test_a_capture_becomes_a_scene(capture: Path, tmp_path: Path, capsys: pytest
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What image_undistorter writes of photos with a camera each: every one is a row higher than the one before."""
+    """Output of image_undistorter for photos with a camera each: every image is a row higher than the one before."""
     folder = tmp_path_factory.mktemp("photos") / "dense"
     drive = drive_capture(5, step_m=0.7)
     write_undistorted(folder, cut_rows(drive), np.concatenate([sweep.points_m[::4] for sweep in drive.sweeps]))

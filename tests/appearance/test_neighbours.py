@@ -1,4 +1,4 @@
-"""Who sees what whom: in time, across cameras, and by lidar alone."""
+"""Neighbor views that see the same things: in time, across cameras, and by lidar alone."""
 
 from dataclasses import replace
 

@@ -44,7 +44,7 @@ def test_a_drive_too_long_for_the_memory_is_thinned_and_says_so(monkeypatch: pyt
     assert "1 of 3 points is kept" in capture.problems[0]
 
 
-def test_problems_that_are_found_while_scans_are_read_are_told() -> None:
+def test_problems_that_are_found_while_scans_are_read_are_reported() -> None:
     record = _record([])
 
     def scans() -> Iterator[LidarScan]:
@@ -55,7 +55,7 @@ def test_problems_that_are_found_while_scans_are_read_are_told() -> None:
     assert record.capture().problems == ("second sweep left out",)
 
 
-def test_of_many_problems_some_are_told() -> None:
+def test_of_many_problems_some_are_reported() -> None:
     record = _record([])
     record.problems = [f"{k}.jpg left out" for k in range(500)]
     told = record.capture().problems

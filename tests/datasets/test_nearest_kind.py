@@ -1,4 +1,4 @@
-"""What is no capture is told by the kind that it is nearest to, and what it lacks."""
+"""Errors about folders that are no capture name the nearest kind, and what is missing."""
 
 import shutil
 from pathlib import Path

@@ -18,7 +18,7 @@ def views(*names: str, sensor: str = "") -> tuple[CaptureFrame, ...]:
     )
 
 
-def test_other_pictures_are_matched_by_name_and_missing_ones_are_told(tmp_path):
+def test_other_pictures_are_matched_by_name_and_missing_ones_are_reported(tmp_path):
     capture = Capture("c", (*views("a/one", "two", "three.jpg"), *views("four", sensor="CAM")))
     capture = replace(capture, views=(capture[0], replace(capture[1], sensor="CAM"), *capture.views[2:]))
     (tmp_path / "CAM").mkdir()

@@ -29,7 +29,7 @@ def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def tangents(camera: Camera, lens: Lens | None) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of a bent picture looks."""
+    """Ray of each pixel of a distorted image."""
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2)
     focal = np.array([camera.fx, camera.fy])

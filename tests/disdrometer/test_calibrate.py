@@ -92,7 +92,7 @@ def test_too_few_minutes_or_no_resamples_give_no_interval_of_the_fall_speed(rain
 
 
 def test_a_class_that_one_minute_alone_has_does_not_widen_the_intervals(rain):
-    """Where it isn't drawn its mean over all minutes stands in."""
+    """Minutes that are not drawn are replaced by the mean over all minutes."""
     counts = rain[1].counts.copy()
     counts[:, 16:] = 0
     counts[0, 19, 23] = 12  # 4.75 mm at 9.2 m/s, in one of thirty minutes

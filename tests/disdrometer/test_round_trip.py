@@ -1,4 +1,4 @@
-"""What the virtual disdrometer counts, fitted: the law that the drops were made from comes back."""
+"""Fits to counts of the virtual disdrometer return the law that the drops were drawn from."""
 
 import msgspec
 import numpy as np

@@ -255,7 +255,7 @@ def test_without_a_drive_it_is_told():
 
 
 @pytest.mark.parametrize("form", ["keyframes", "nerfstudio", "training cameras"])
-def test_exports_read_back_or_are_told(session, tmp_path, form):
+def test_exports_read_back_or_are_reported(session, tmp_path, form):
     path = four_keys(session)
     camera_path.export_path(session, tmp_path / "out", form)
     camera_path.import_path(session, tmp_path / "out.json")

@@ -1,4 +1,4 @@
-"""What the rain panels measure, without a window."""
+"""Measurements of the rain panels, without a window."""
 
 from dataclasses import replace
 
@@ -107,7 +107,7 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
     session.close()
 
 
-def test_calibrations_that_are_not_there_are_told(tmp_path):
+def test_calibrations_that_are_not_there_are_reported(tmp_path):
     session = Editor()
     use_calibration(session, session.lab, str(tmp_path / "none.yaml"))
     assert "none.yaml" in session.problem

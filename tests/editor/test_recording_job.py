@@ -53,7 +53,7 @@ def flown(scene):
 
 
 def command_of(session):
-    """What the log says to type for the same."""
+    """Equivalent command line in the log."""
     line = next(line.text for line in session.log.lines if "The same from the command line" in line.text)
     return shlex.split(line.partition(": ")[2])[1:]
 

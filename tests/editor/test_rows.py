@@ -1,4 +1,4 @@
-"""What stands on the timeline below the camera's keys."""
+"""Timeline rows below the camera's keyframes."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Where moments stand on a timeline."""
+"""Positions of times on the timeline's ruler."""
 
 import numpy as np
 import pytest

@@ -73,7 +73,7 @@ def test_a_set_compared_with_itself_is_zero_and_said_to_be_the_same(tmp_path):
     assert any("8 pictures are in both sets" in each for each in found.warnings)
 
 
-def test_repeated_pictures_and_too_few_are_told(tmp_path):
+def test_repeated_pictures_and_too_few_are_reported(tmp_path):
     folder = _pictures(tmp_path / "a", 5, 0)
     (folder / "copy.png").write_bytes((folder / "000.png").read_bytes())
     extractor = open_extractor(ExtractorChoice(name="pixels16"))

@@ -62,7 +62,7 @@ def test_nothing_here_needs_torchvision():
     assert find_spec("torchvision") is None
 
 
-def test_wrong_weights_are_told(inception_file, tmp_path):
+def test_wrong_weights_are_reported(inception_file, tmp_path):
     arrays = read_arrays(inception_file)
 
     def said(changed):

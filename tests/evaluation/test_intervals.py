@@ -72,7 +72,7 @@ def test_what_few_pictures_do_to_fid_is_as_large_as_the_features_spread():
     assert frechet_distance(*sets) / variances.sum() == pytest.approx(1.18, abs=0.06)
 
 
-def test_the_seed_decides_and_steps_are_told():
+def test_the_seed_decides_and_steps_are_reported():
     random = np.random.default_rng(1)
     real, fake = _set(random, 20), _set(random, 18)
     steps: list[None] = []

@@ -179,7 +179,7 @@ def test_a_damaged_file_is_named(name: str, tmp_path: Path):
         read_lpips_weights(tmp_path / name)
 
 
-def test_half_the_weights_are_told_from_whole_ones(alex: LpipsWeights, tmp_path: Path):
+def test_half_the_weights_are_distinguished_from_whole_ones(alex: LpipsWeights, tmp_path: Path):
     alex.write(tmp_path / "alex.npz")
     with np.load(tmp_path / "alex.npz") as archive:
         arrays = dict(archive)

@@ -30,7 +30,7 @@ FRAMES = 9
 NOTHING = np.zeros(SHAPE)
 ALPHA = 0.03
 RISE_LEVELS = 16.2
-"""What 0.03 of the light of gray 220 lifts gray 45 by."""
+"""Rise of gray 45 by 0.03 of the light of gray 220."""
 
 
 def with_streaks(*streaks, number=4, **options):

@@ -24,7 +24,7 @@ _HANGS_S = 30.0
 
 @dataclass
 class Trials:
-    """How often a reader was tried, and what was found, once of each kind."""
+    """Number of trials of a reader, and its findings, one of each kind."""
 
     reader: str
     executions: int = 0

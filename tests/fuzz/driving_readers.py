@@ -173,4 +173,4 @@ DRIVING_READERS = (
       for protocol in (0, 2, 5)),
     Reader("http-reply", _text("reply.json", json.dumps(_REPLY)), _read_http, ClientError, (("*.json", damaged_json),)),
 )  # fmt: skip
-"""What drives are made of, and what looks at it."""
+"""Readers of scenarios, roll-outs and their configurations."""

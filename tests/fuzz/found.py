@@ -31,10 +31,10 @@ def read_finding(file: Path) -> Finding:
 
 
 def kind_of(finding: Finding) -> str:
-    """What was wrong without numbers and names, which differ from file to file."""
+    """The problem without numbers and names, which differ from file to file."""
     return re.sub(r"'[^']*'|\"[^\"]*\"|/\S+|[-+]?\d[\d.e+-]*", "_", f"{finding.file} {finding.what}"[:160])
 
 
 def _words(finding: Finding) -> str:
-    """What was wrong, without the folder where it was tried."""
+    """The problem without the folder of the trial."""
     return re.sub(r"/\S+/", "", finding.what)

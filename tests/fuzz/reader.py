@@ -1,4 +1,4 @@
-"""What a reader of files must hold to, and one trial of it: damaged files end in a valid value or in one sentence."""
+"""Contract of file readers, and one trial of it: damaged files give a valid value or one sentence."""
 
 import resource
 import signal
@@ -34,9 +34,9 @@ class Reader:
     error: type[Exception]
     """The one error that the command line turns into a sentence."""
     damage: tuple[tuple[str, Damage], ...]
-    """Which files are damaged (a pattern of their names below the folder), and how; the first that fits counts."""
+    """Files to damage (a pattern of names below the folder), and the kind of damage; the first match counts."""
     tries: int = 40
-    """How many damaged files a test run tries; fewer where each of them takes long."""
+    """Number of damaged files in a test run; fewer where each takes long."""
     longest_s: float = LONGEST_S
 
 
@@ -45,7 +45,7 @@ class Finding(NamedTuple):
 
     reader: str
     file: str
-    """Which of the example's files was damaged, below its folder."""
+    """Damaged file of the example, below its folder."""
     content: bytes
     what: str
 

@@ -148,7 +148,7 @@ def _notes(folder: Path) -> Path:
 
 
 def _read_notes(folder: Path) -> None:
-    """What the program has written for itself: damaged, it is as good as gone, and never an error."""
+    """The program's own state files: a damaged one counts as absent and is never an error."""
     with _at_home(folder):
         assert all(isinstance(each, Path) for each in recent_files())
         Autosave().found(folder / ".scene.autosave")

@@ -54,7 +54,7 @@ def rasterize_in_linear_light_slowly(
 
 
 def shares_slowly(splats: Sequence[_Splat], camera: Camera) -> Float64[np.ndarray, "h w 2"]:
-    """How much of rain and of scene the eye sees through both, nearest splat first, until the clear scene is opaque."""
+    """Weights of rain and scene composited together, nearest splat first, until the clear scene is opaque."""
     shape = (camera.height, camera.width)
     clear, together, is_open = np.ones(shape), np.ones(shape), np.ones(shape, bool)
     shares = np.zeros((*shape, 2))

@@ -1,4 +1,4 @@
-"""What GSRAIN needs may be needed by a program under Apache-2.0, and the page of licences names it."""
+"""Licenses of dependencies are compatible with Apache-2.0, and the page of licenses lists them."""
 
 import sys
 from importlib import metadata

@@ -114,7 +114,7 @@ def rainfall_speed(rainfall):
 
 
 def likeness(numbers, *, drawn_anew=True, heights=True):
-    """How alike pictures of x and z are that lie 0.6 to 15 s apart; without heights, each row less its mean."""
+    """Correlation of x-z images 0.6 to 15 s apart; without heights, each row less its mean."""
     rainfall, view, pictures = RainSimulation.start(RainSettings(intensity_mm_h=8.5, seed=4)), drive(0.0), []
     for time_s in np.arange(0, 30, 0.2):
         field = rainfall.streak_field(time_s, view)
@@ -147,7 +147,7 @@ def test_no_period_is_visible_in_the_rain():
 
 
 def draws(wrap_z, wrap_x=0, count=100_000):
-    """What drops are given when they have wrapped so often: z, x, y as shares of the lattice."""
+    """Positions of drops after a number of wraps: z, x, y as fractions of the lattice."""
     wraps = np.tile(np.array([wrap_x, 0, wrap_z], np.int32), (CLASSES, 1))
     placed = place_drops(np.arange(count), 3, DropPhases(wraps, np.zeros((CLASSES, 3), np.uint32)))
     x, y, z = placed.fractions.T * 2.0**-32

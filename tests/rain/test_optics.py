@@ -1,4 +1,4 @@
-"""What rain does to light, measured in float pictures of the CPU renderer (docs/physics.md, sections 2, 4 and 6)."""
+"""Optics of rain, measured in float images of the CPU renderer (docs/physics.md, sections 2, 4 and 6)."""
 
 from dataclasses import replace
 

@@ -104,7 +104,7 @@ def test_weather_is_plain_values_and_comes_back():
         ({"time_s": -1.0}, "keys must rise in time"),
     ],
 )
-def test_keys_out_of_bounds_are_told(key, message):
+def test_keys_out_of_bounds_are_reported(key, message):
     with pytest.raises(msgspec.ValidationError, match=message):
         msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, {"time_s": 5.0} | key]}, RainKeyframes)
 

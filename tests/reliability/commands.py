@@ -28,7 +28,7 @@ class Command:
     arguments: tuple[str, ...]
     """With {in} and {out} for the folders of inputs and outputs."""
     goes_on: tuple[str, ...] = ()
-    """What is added to go on where it was stopped."""
+    """Options that resume a stopped command."""
 
     def line(self, inputs: Path, outputs: Path) -> list[str]:
         """The arguments of `gsrain`."""
@@ -81,7 +81,7 @@ COMMANDS = (
 
 
 def complaints(folder: Path) -> list[str]:
-    """What is torn or half among everything that stands in a folder under the names of results."""
+    """Damaged or incomplete files among the results in a folder."""
     found: list[str] = []
     for file in sorted(folder.rglob("*")):
         inner = [part for part in file.relative_to(folder).parts if part.startswith(".")]
@@ -102,7 +102,7 @@ def leftovers(folder: Path) -> list[str]:
 
 
 def _video(file: Path) -> None:
-    """What is there can be played up to where it is torn; nothing is what is left of a video without a first group."""
+    """Check that an interrupted video plays up to its end; without a first group of frames, nothing is left of it."""
     if file.stat().st_size < 4096:
         return
     with av.open(str(file)) as container, suppress(av.error.InvalidDataError):

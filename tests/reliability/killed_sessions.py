@@ -46,7 +46,7 @@ def settle(session: Editor) -> None:
 
 
 def step_of(session: Editor) -> int:
-    """How many Gaussians are deleted."""
+    """Number of deleted Gaussians."""
     marked = session.scene.members[0].marks.deleted if session.scene.members else None
     return 0 if marked is None else marked.size
 

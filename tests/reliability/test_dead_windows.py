@@ -46,7 +46,7 @@ def test_a_killed_window_takes_its_workers_along_and_the_next_one_removes_its_fo
 
 
 def _tracks(process, memory):
-    """Whether a process is the resource tracker of a session that is dead: it frees shared memory, a moment later."""
+    """Return whether a process is the resource tracker of a dead session; it frees shared memory a moment later."""
     try:
         return process.ppid() == 1 and "resource_tracker" in " ".join(process.cmdline())
     except psutil.Error:

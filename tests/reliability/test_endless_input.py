@@ -1,4 +1,4 @@
-"""What never ends, in place of every file that a command reads: one sentence, soon, and without taking memory."""
+"""Endless input in place of every file that a command reads: one sentence, soon, and without taking memory."""
 
 import json
 import os

@@ -15,7 +15,7 @@ from gsrain_engine.render.opengl.sort import (
 
 
 def work_for(context, count):
-    """What visible_scan.comp would say of so many keys."""
+    """Output of visible_scan.comp for a number of keys."""
     numbers = np.array([0, 0, 0, 0, 0, count, -(-count // KEYS_BY_GROUP), 1, 1], np.uint32)
     return context.buffer(numbers.tobytes())
 

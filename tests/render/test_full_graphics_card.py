@@ -22,7 +22,7 @@ def picture(view):
 
 
 def settled_picture(view):
-    """What it shows once the processor draws."""
+    """Image after the change to the CPU renderer."""
     picture(view)
     if view._cpu is not None:
         view._cpu.compile()

@@ -1,4 +1,4 @@
-"""What a recording may be, what its files are called, and the command line that says the same."""
+"""Recordings: their settings, file names and equivalent command lines."""
 
 import shlex
 

@@ -191,7 +191,7 @@ def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, 
     assert np.array_equal(picture(view), wet)
 
 
-def test_wet_colours_that_fit_nothing_are_told(session):
+def test_wet_colours_that_fit_nothing_are_reported(session):
     session.staged = PendingScene("Make it rainy", session.scene, only_wet_colors=True)
     session.swap_in()
     assert session.problem == "The scene has changed so much that the new wet colors fit none of its layers and actors."

@@ -44,7 +44,7 @@ def test_own_file_keeps_what_lies_between_keys(path, tmp_path):
 
 
 @pytest.mark.parametrize(("field", "value"), [("interpolation", "cubic"), ("easing", "bounce")])
-def test_unknown_words_are_told(path, tmp_path, field, value):
+def test_unknown_words_are_reported(path, tmp_path, field, value):
     file = tmp_path / "path.json"
     write_camera_path(file, replace(path, loop=True))
     values = json.loads(file.read_text()) | {field: value}

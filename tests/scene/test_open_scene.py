@@ -1,4 +1,4 @@
-"""What a name means: the built-in street, or what stands there."""
+"""Scene names: the built-in street, or a path."""
 
 import pytest
 

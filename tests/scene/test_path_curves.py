@@ -1,4 +1,4 @@
-"""What lies between keys: splines, straight lines, loops and easing."""
+"""Interpolation between keyframes: splines, straight lines, loops and easing."""
 
 from dataclasses import replace
 

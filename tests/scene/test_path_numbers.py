@@ -66,7 +66,7 @@ def test_speed_of_a_straight_flight():
     assert speed.implausible_spans == []
 
 
-def test_leaps_and_spins_are_told():
+def test_leaps_and_spins_are_reported():
     leaping = flight([0, 1, 1.2, 2], [[0, 0, 0], [1, 0, 0], [30, 0, 0], [31, 0, 0]])
     leap = PathSpeed.of(replace(leaping, interpolation="linear"))
     assert leap.fastest_km_h == pytest.approx(3.6 * 29 / 0.2)

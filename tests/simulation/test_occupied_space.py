@@ -1,4 +1,4 @@
-"""What can be driven into: things of a car's height, however many Gaussians they are made of."""
+"""Obstacles: things of a car's height, however many Gaussians they are made of."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""How the rig's cameras move: the vehicle's speed, its turning, and the scene's own time are in what they draw."""
+"""Motion of the rig's cameras: vehicle speed, yaw rate and scene time affect their images."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def scene():
 
 @pytest.fixture
 def shots(monkeypatch):
-    """What is drawn from now on."""
+    """Images drawn from now on."""
     found, draw = [], sensors.draw_view
 
     def watched(renderer, scene, rainfall, sky, shot, **options):

@@ -1,4 +1,4 @@
-"""What a scenario may say: each value within bounds, names that mean something else are refused."""
+"""Valid scenarios: each value within bounds, ambiguous names are rejected."""
 
 import msgspec
 import pytest

@@ -1,4 +1,4 @@
-"""What workers of tests do instead of driving: answer at once, or die."""
+"""Work of test workers instead of driving: answer at once, or die."""
 
 import os
 import signal

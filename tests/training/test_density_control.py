@@ -41,7 +41,7 @@ def monte_carlo(**changes: object) -> MCMCStrategy:
 
 
 def picture(gradients, radii=None):
-    """What a renderer tells of a picture of 200 x 200 px."""
+    """Renderer statistics of an image of 200 x 200 px."""
     gradients = torch.as_tensor(gradients, dtype=torch.float32)
     radii = torch.full_like(gradients, 3.0) if radii is None else torch.as_tensor(radii)
     footprint = SimpleNamespace(radii_px=radii, drawn=radii > 0, screen_gradients=gradients)

@@ -53,7 +53,7 @@ def without_top(view: CaptureFrame, rows: int) -> CaptureFrame:
 
 
 def test_sizes_may_differ_by_a_few_rows() -> None:
-    """What undistortion by one camera a picture makes of the pictures of one lens."""
+    """Images of one lens after undistortion with a camera per image."""
     capture = drive_capture(6, bonnet=12)
     views = tuple(without_top(view, k % 4) for k, view in enumerate(capture))
     depths = completed_depths(capture, views, measured_depths(capture, views))

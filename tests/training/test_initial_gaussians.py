@@ -75,7 +75,7 @@ def test_masked_pixels_make_none(drive: Capture) -> None:
 
 
 def test_movers_leave_a_street_that_goes_on(drive: Capture) -> None:
-    """What is behind a mover in all pictures is painted in from around it."""
+    """Background behind a moving object in all images is filled in from around it."""
     car = box("car", (8, 0), 1.0)
     capture = replace(drive, boxes=(car,))
     found = initial_gaussians(capture, capture.views, 3000)

@@ -1,4 +1,4 @@
-"""What a training leaves out of its pictures because the others contradict it."""
+"""Masks of transient objects, which other images of the training contradict."""
 
 import pytest
 

@@ -32,7 +32,7 @@ def tool(name):
 
 
 def on_screen(driver, point_m):
-    """Where a point of the world is on the screen."""
+    """Screen position of a world point."""
     info = driver.ctx.item_info("//View/view")
     low, high = info.rect_full.min, info.rect_full.max
     camera = driver.session.shot(int(high.x - low.x), int(high.y - low.y)).camera

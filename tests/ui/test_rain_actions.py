@@ -1,4 +1,4 @@
-"""What the Rain menu does, without a window."""
+"""Commands of the Rain menu, without a window."""
 
 import pytest
 

@@ -23,7 +23,7 @@ def hill():
 
 @pytest.fixture
 def pixel_of(monkeypatch):
-    """Where a place of the plot is on the screen, as it was drawn last."""
+    """Screen position of a point of the plot, as last drawn."""
     last = {}
     drawn = rain_keyframes._clock
 

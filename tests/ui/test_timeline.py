@@ -21,7 +21,7 @@ def driver(tmp_path):
 
 
 def place(driver, item):
-    """Where an item is on the screen."""
+    """Screen position of an item."""
     rect = driver.ctx.item_info(item).rect_full
     return np.array([rect.min.x, rect.min.y]), np.array([rect.max.x, rect.max.y])
 

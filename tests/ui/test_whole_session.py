@@ -30,7 +30,7 @@ def sitting(name, folder, *arguments):
 
 
 def heard(process, until=None):
-    """What a sitting says, first word by the rest, up to a line or its end."""
+    """Output of a session, first word by the rest, up to a line or its end."""
     said, everything = {}, []
     for line in process.stdout:
         everything.append(line)

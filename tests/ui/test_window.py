@@ -79,7 +79,7 @@ def test_regions_are_edited_and_drawn(driver):
 
 
 def _region_pixels(screen):
-    """How many pixels have the color of the streak region's edges, light blue, and of the haze region's, orange."""
+    """Number of pixels in the colors of the streak region's edges, light blue, and of the haze region's, orange."""
     red, green, blue = np.moveaxis(screen, 2, 0)
     light_blue, orange = (blue > 200) & (red < 160) & (green > 170), (red > 200) & (green > 150) & (blue < 160)
     return np.array([light_blue.sum(), orange.sum()])
@@ -139,7 +139,7 @@ def test_scene_panel_hides_and_undo_shows_again(driver):
     driver.run(script)
 
 
-def test_files_open_by_drop_and_bad_ones_are_told(driver, tmp_path):
+def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     good, bad = tmp_path / "wall.ply", tmp_path / "bad.ply"
     write_scene(small_scene(), good)
     bad.write_bytes(b"ply\nformat ascii 1.0\nend_header\n")

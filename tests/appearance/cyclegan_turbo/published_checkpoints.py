@@ -54,7 +54,7 @@ def untrained(*, normals: bool = False) -> CycleGanTurbo:
 
 
 def published(model: CycleGanTurbo) -> dict[str, Any]:
-    """What train_cyclegan_turbo.py saves of a model, by peft's own functions."""
+    """Checkpoint of a model as saved by train_cyclegan_turbo.py, by peft's own functions."""
     encoder, decoder, others = unet_targets(pristine().unet)
     state = {
         "l_target_modules_encoder": encoder,
@@ -71,7 +71,7 @@ def published(model: CycleGanTurbo) -> dict[str, Any]:
 
 
 def weatheredit(rainy: CycleGanTurbo, snowy: CycleGanTurbo) -> dict[str, Any]:
-    """What WeatherEdit reads: additions by weather, one pair of autoencoders."""
+    """Checkpoint in WeatherEdit's format: adapters by weather, one pair of autoencoders."""
     state = published(rainy)
     of_snow = published(snowy)
     for part in ("encoder", "decoder", "other"):

@@ -1,4 +1,4 @@
-"""Who goes first, and who looks at whom."""
+"""Order of views, and which views each attends to."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a discriminator sees and how it judges."""
+"""Input and output of the discriminators."""
 
 from pathlib import Path
 

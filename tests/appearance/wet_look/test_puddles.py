@@ -1,4 +1,4 @@
-"""Where water stands depends on the place in the world only, grows with wetness, and likes what lies low."""
+"""Puddles depend on the world position only, grow with wetness, and prefer low ground."""
 
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.scene.geometry import srgb_to_linear
 
 LEFT, RIGHT = (slice(-8, None), slice(0, 24)), (slice(-8, None), slice(-24, None))
-"""Where the road's shadowed and its sunlit half are."""
+"""Positions of the road's shadowed and sunlit halves."""
 
 
 def overcast(view, **settings):

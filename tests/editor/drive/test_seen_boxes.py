@@ -1,4 +1,4 @@
-"""What a camera agent has noted, as boxes in the picture."""
+"""Detections of a camera agent as boxes in the image."""
 
 import msgspec
 import pytest

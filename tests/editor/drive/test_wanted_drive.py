@@ -1,4 +1,4 @@
-"""What a person prepares before a drive."""
+"""Settings of a drive before it starts."""
 
 from dataclasses import replace
 

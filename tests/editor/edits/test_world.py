@@ -1,4 +1,4 @@
-"""How the scene lies in the world: metre, up, ground, origin, and the camera that stays beside it."""
+"""World placement of a scene: scale, up, ground, origin, and the camera that moves with it."""
 
 from dataclasses import replace
 

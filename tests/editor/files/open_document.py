@@ -1,4 +1,4 @@
-"""What a person does with an open document, a job that goes on meanwhile, and waiting for what comes of it."""
+"""Edits of an open document, a job that runs meanwhile, and waiting for their result."""
 
 from concurrent.futures import wait
 

@@ -1,4 +1,4 @@
-"""What a session opens, saves and asks: no window needed."""
+"""Opening, saving and questions before changes are lost, without a window."""
 
 import json
 from dataclasses import replace

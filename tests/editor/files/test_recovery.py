@@ -1,4 +1,4 @@
-"""What a session keeps of unsaved changes, and offers to the next one."""
+"""Autosaves of unsaved changes, and recovery in the next session."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Where scenes are looked at from first, and what leads back to them."""
+"""First views of scenes, and the commands that return to them."""
 
 from dataclasses import replace
 

@@ -17,7 +17,7 @@ def shot():
 
 
 def on_plane(shot, x, y, axis, at):
-    """Where the line of sight through a pixel meets a plane."""
+    """Intersection of a pixel's line of sight with a plane."""
     camera = shot.camera
     sight = camera.world_to_camera[:3, :3].T @ [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0]
     return camera.position + (at - camera.position[axis]) / sight[axis] * sight

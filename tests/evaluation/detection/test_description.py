@@ -33,7 +33,7 @@ def test_a_field_that_is_wrong_is_named(text: str, problem: str, tmp_path: Path)
         load_description(path)
 
 
-def test_unknown_names_are_told_the_known_ones():
+def test_errors_about_unknown_names_list_the_known_ones():
     with pytest.raises(ValueError, match="yolov99: no such file.*nanodet, .*yolox"):
         load_description("yolov99")
 

@@ -28,7 +28,7 @@ CELLS = 8 * 8 + 4 * 4 + 2 * 2
         ([(64, 80), (16, 80), (4, 80), (64, 32), (16, 32), (4, 32)], {}, "nanodet", 80),
     ],
 )
-def test_kinds_are_told_by_their_outputs(
+def test_kinds_are_recognized_by_their_outputs(
     shapes: list[tuple[int, ...]], metadata: dict[str, str], decode: str, classes: int, tmp_path: Path
 ):
     path = write_constant(tmp_path / "some.onnx", [np.zeros(shape) for shape in shapes], metadata=metadata)

@@ -1,4 +1,4 @@
-"""What is left of detection at each intensity."""
+"""Remaining detection quality at each intensity."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What detectors should find: from renders, from 3D boxes, from COCO files."""
+"""Ground truth for detectors: from renders, from 3D boxes, from COCO files."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What `gsplat.rasterization` takes and returns where it is differentiable, computed densely by torch."""
+"""Stand-in for a differentiable `gsplat.rasterization`, computed densely by torch."""
 
 import torch
 

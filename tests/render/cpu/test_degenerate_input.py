@@ -1,4 +1,4 @@
-"""What no scene should hold, and some do."""
+"""Degenerate Gaussians, as some scenes contain."""
 
 import numpy as np
 import pytest

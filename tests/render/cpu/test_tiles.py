@@ -40,7 +40,7 @@ def test_a_tile_is_listed_exactly_where_the_ellipse_touches_it(seed, stretch):
 
 
 def reaches(shape: np.ndarray, column: int, row: int) -> bool:
-    """Whether the ellipse meets the rectangle of a tile's pixel centres (0.02 px of slack), sampled densely."""
+    """Return whether the ellipse meets the rectangle of a tile's pixel centers (0.02 px of slack), sampled densely."""
     u = np.linspace(column * TILE + 0.48, (column + 1) * TILE - 0.48, 400)
     v = np.linspace(row * TILE + 0.48, (row + 1) * TILE - 0.48, 400)
     x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shape.astype(np.float64)

@@ -1,4 +1,4 @@
-"""What `gsplat.rasterization` takes and returns, computed by our own kernels on the processor."""
+"""Stand-in for `gsplat.rasterization`, computed by our own kernels on the CPU."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""What a picture shows of a scene's objects."""
+"""Visible objects of a scene in an image."""
 
 from dataclasses import replace
 

@@ -40,7 +40,7 @@ def scene(number: int) -> Scene:
 
 
 def complaint(folder: Path) -> str | None:
-    """What is wrong with what stands in the folder; None where it is one of the scenes, whole."""
+    """Defect of the saved folder; None if it is one of the scenes, complete."""
     try:
         found = read_scene(folder)
     except ValueError as error:

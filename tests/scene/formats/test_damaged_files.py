@@ -25,7 +25,7 @@ SMALL = sample_gaussians(7, 1)
 
 
 def check(path: Path) -> bool:
-    """Whether the file can be read; what is read must be valid, what is not must be one line about this file."""
+    """Return whether the file can be read: a scene must be valid, an error must be one line about this file."""
     try:
         gaussians = read_gaussians(path)
     except SceneFormatError as error:

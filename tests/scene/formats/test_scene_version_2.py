@@ -1,4 +1,4 @@
-"""What version 2 of scene folders has added: marks, grading, placing, paths, selections; and version 1 still reads."""
+"""Additions of version 2 of scene folders: marks, grading, placement, paths, selections; version 1 is still read."""
 
 import base64
 import json

@@ -51,7 +51,7 @@ def rear_box(of, gap_m, left_m=0.0, width_m=1.8, overhang_m=0.8, pitch_rad=0.0):
 
 
 def seen_car(of, gap_m, confidence=0.8, class_name="car", **place):
-    """What a perfect detector says of a car."""
+    """A perfect detector's box of a car."""
     return Detection(class_name, confidence, rear_box(of, gap_m, **place))
 
 

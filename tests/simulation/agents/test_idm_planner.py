@@ -1,4 +1,4 @@
-"""What the planner asks for, and what comes of it when a vehicle does it."""
+"""Commands of the planner, and their effect on a vehicle."""
 
 import numpy as np
 import pytest

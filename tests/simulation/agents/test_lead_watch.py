@@ -1,4 +1,4 @@
-"""What is believed of leads from sightings that are noisy, missed, doubled or false."""
+"""Tracking of lead vehicles from detections that are noisy, missed, doubled or false."""
 
 import numpy as np
 import pytest

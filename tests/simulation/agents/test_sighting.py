@@ -1,4 +1,4 @@
-"""What boxes of known cars say of gaps."""
+"""Gaps estimated from boxes of known cars."""
 
 import pytest
 

@@ -44,7 +44,7 @@ def test_stream_names_numpy_and_nothing_inside_it():
 
 
 def test_a_plain_pickle_would_name_it():
-    """What this is against: should NumPy's pickles ever be readable by old ones, this file can go."""
+    """Reason for this file: should NumPy's pickles ever be readable by old versions, it can go."""
     assert b"numpy._core" in pickle.dumps(VALUE, 4)
 
 

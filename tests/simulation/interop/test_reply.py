@@ -1,4 +1,4 @@
-"""What clients may answer, and what never gets in."""
+"""Valid replies of clients, and rejected ones."""
 
 import os
 import pickle

@@ -1,4 +1,4 @@
-"""What road users look like: built-in vehicles in their paints, actors of the scene, files."""
+"""Models of road users: built-in vehicles in their paints, actors of the scene, files."""
 
 from dataclasses import replace
 
