@@ -34,6 +34,7 @@ COMMANDS = {
     "render": ("app.render:render", "Render a scene in the rain: an image, a video, frames, or raw floats."),
     "info": ("app.scene:info", "Print the contents of a scene, a capture or a disdrometer file, and check captures."),
     "convert": ("app.scene:convert", "Convert between scene formats."),
+    "edit": ("app.edit:edit", "Edit a scene as the window does: by the steps that its History copies, or others."),
     "street": (
         "app.scene:street",
         "Write the built-in street as a scene, and as images with depth, normals and labels.",

@@ -27,6 +27,7 @@ from .scenes import Progress as Progress
 from .scenes import Scene as Scene
 from .scenes import SceneFormatError as SceneFormatError
 from .scenes import capture as capture
+from .scenes import edit as edit
 from .scenes import home_camera as home_camera
 from .scenes import load as load
 from .scenes import look_at as look_at

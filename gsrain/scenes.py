@@ -18,6 +18,7 @@ from gsrain_engine.datasets.capture import Capture as Capture
 from gsrain_engine.datasets.capture import CaptureError as CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.edits.level import Axis, oriented
+from gsrain_engine.editor.steps import EditStep
 from gsrain_engine.editor.viewport import camera as views
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
 from gsrain_engine.safe_io.errors import convert_checked
@@ -67,6 +68,20 @@ def save(scene: Scene, path: Path | str) -> None:
     Raises `SceneFormatError` for an ending that can't be written, `OSError` where the disk refuses.
     """
     write_scene(scene, Path(path))
+
+
+def edit(scene: Scene, name: str, **arguments: Any) -> Scene:
+    """Edit a scene as the window does: `gr.edit(scene, "rename", key="layers/road", name="asphalt")`.
+
+    Args:
+        scene: The scene to edit; it stays as it is.
+        name: An edit; `gsrain edit --list` lists them with their parameters. History in the window copies such calls.
+        arguments: Its parameters: as in the list, or objects of the engine, such as arrays.
+
+    Raises:
+        ValueError: For an unknown edit or parameter, and when the edit refuses, such as for a locked layer.
+    """
+    return EditStep.of_values(name, arguments).apply(scene)
 
 
 def capture(path: Path | str, *, allow_outside: bool | None = None) -> Capture:

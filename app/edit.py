@@ -1,0 +1,46 @@
+"""`gsrain edit`: applies the edits of the window to a scene, such as the steps that its History panel copies."""
+
+from pathlib import Path
+from typing import Annotated
+
+from gsrain_engine.editor.steps import EditStep, apply_steps, edit_help
+from gsrain_engine.safe_io.text_files import read_whole
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.open import load_sorted_scene
+
+from .console import counted, print, print_lines
+from .options import flag, option
+from .outputs import check_scene_target, lock_outputs
+from .scene import Orientation
+
+
+def edit(
+    scene: Annotated[str | None, option('Scene file or folder; "street" is the built-in scene.')] = None,
+    /,
+    *steps: Annotated[str, option('Edits in order, such as "rename key=layers/road name=asphalt".')],
+    output: Annotated[
+        Path | None, option("Scene folder, or file (.ply .splat .spz), to write.", "--output", "-o")
+    ] = None,
+    steps_file: Annotated[Path | None, option("Text file with one edit a line, before STEPS.", "--steps")] = None,
+    orientation: Orientation | None = None,
+    list_: Annotated[bool, flag("List all edits with their parameters.")] = False,
+) -> None:
+    """Edit a scene by steps: each is the name of an edit, and its parameters with JSON values.
+
+    History in the window copies its steps in this form.
+    """
+    if list_:
+        for each in edit_help():
+            print_lines(f"{each.name} {each.parameters}".rstrip() + f"\n    {each.summary}")
+        return
+    if scene is None or output is None:
+        raise ValueError("expected a scene and --output; --list lists the edits")
+    check_scene_target(output)
+    lines = [] if steps_file is None else read_whole(steps_file).decode().splitlines()
+    texts = [line for line in lines if line.strip() and not line.lstrip().startswith("#")] + list(steps)
+    parsed = [EditStep.parse(text) for text in texts]
+    opened = (orientation or Orientation()).of(load_sorted_scene(scene))
+    lock_outputs(output)
+    edited = apply_steps(opened, parsed)
+    write_scene(edited, output, in_drawing_order=True)
+    print(f"{output}: {counted(edited.gaussian_count, 'Gaussian')} after {counted(len(parsed), 'edit')}")
