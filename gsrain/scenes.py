@@ -70,7 +70,7 @@ def save(scene: Scene, path: Path | str) -> None:
     write_scene(scene, Path(path))
 
 
-def edit(scene: Scene, name: str, **arguments: Any) -> Scene:
+def edit(scene: Scene, name: str, /, **arguments: Any) -> Scene:
     """Edit a scene as the window does: `gr.edit(scene, "rename", key="layers/road", name="asphalt")`.
 
     Args:

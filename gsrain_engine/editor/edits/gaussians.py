@@ -23,6 +23,7 @@ def delete_selected(scene: Scene) -> Scene:
 
 
 def hide_selected(scene: Scene) -> Scene:
+    """Hide the selection, and clear it."""
     return edit_members(scene, lambda each: _with(each, selected=None, hidden=_or(each.marks.hidden, _meant(each))))
 
 

@@ -78,6 +78,7 @@ def level_from_ground(scene: Scene) -> Scene:
 
 
 def set_ground_height(scene: Scene, height_m: float) -> Scene:
+    """Set the height of the ground above the origin of the world, in meters."""
     return replace(scene, ground_m=float(height_m))
 
 
