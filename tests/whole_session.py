@@ -14,7 +14,7 @@ from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from ui.commands.base import chord
-from ui.window import begin_session
+from ui.window import begin_editor
 from window_driver import Driver, imgui
 
 KEY = imgui.Key
@@ -175,7 +175,7 @@ def first(folder, plant):
 
 def second(folder):
     """Come back, recover, look."""
-    session = begin_session(str(folder / "project"), None)
+    session = begin_editor(str(folder / "project"), None)
     person = Person(folder, session)
 
     def script():
