@@ -110,7 +110,7 @@ def status_bar(session: Editor) -> None:
     for warning in filter(None, ["beyond calibration" if state.beyond_calibration else "", session.rain.exaggeration]):
         imgui.same_line()
         imgui.text_colored(WARNING, warning)
-    for job in session.running_jobs:
+    for job in session.jobs.running:
         imgui.same_line()
         imgui.text(f"  {job.title}: {100 * job.progress.fraction:.0f} %")
     if session.busy is not None:

@@ -56,7 +56,7 @@ def begin_session(scene: str | None, rain: "RainSettings | None", wet: bool = Fa
     After a lost graphics context it continues with the state of the previous window. Loads the engine.
     """
     from gsrain_engine.editor.editor import Editor
-    from gsrain_engine.editor.jobs.job import remove_abandoned_job_folders
+    from gsrain_engine.editor.jobs.folder import remove_abandoned_job_folders
 
     session, restarts = Editor(rain=rain), _TIMES in os.environ
     autosave, left = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")

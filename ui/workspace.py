@@ -74,7 +74,7 @@ class Workspace:
         self._captures.update(session)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
-        idling.fps_idle = _WATCHING_FPS if session.running_jobs else _IDLE_FPS
+        idling.fps_idle = _WATCHING_FPS if session.jobs.running else _IDLE_FPS
         resting = not (session.clock.playing or session.is_bringing_in or session.budget.is_settling)
         resting = resting and not session.drives.mosaic.is_behind
         idling.enable_idling = resting and self.view.is_settled and not self.view.is_catching_up

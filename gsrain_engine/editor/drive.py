@@ -68,7 +68,7 @@ class RolloutPlayer:
 
     def why_not(self, session: EditorServices) -> str | None:
         """Reason why no drive can start now, or None."""
-        if any(job.kind == "drive" for job in session.running_jobs):
+        if session.jobs.is_running("drive"):
             return "A drive goes on."
         if session.scene.ego is None:
             return (
@@ -85,10 +85,8 @@ class RolloutPlayer:
         scenario, settings = self.settings.scenario, self.settings.settings
         rains, known = settings.rains(session.rain_now), self._scene_files.known
 
-        def take(found: list[LoadedRollout]) -> None:
-            self._open(session, found)
-
-        session.start(simulation_job(saved_scene(session), scenario, settings, rains, known, take))
+        job = simulation_job(saved_scene(session), scenario, settings, rains, known)
+        session.jobs.start(job, lambda found, _: self._open(session, found))
 
     # Files
 
@@ -133,7 +131,7 @@ class RolloutPlayer:
             return "No roll-out plays: drive, or open one, in the Drive panel."
         if not session.scene.rigs:
             return "This scene has no rig whose front camera could record the drive."
-        if any(job.kind == "drive video" for job in session.running_jobs):
+        if session.jobs.is_running("drive video"):
             return "A video is being rendered."
         return None
 
@@ -145,7 +143,8 @@ class RolloutPlayer:
 
         def begin() -> None:
             fps = min(max(session.timeline.fps, _VIDEO_FPS[0]), _VIDEO_FPS[1])
-            session.start(rollout_video_job(saved_scene(session), rollout, path, fps, self._scene_files.known))
+            job = rollout_video_job(saved_scene(session), rollout, path, fps, self._scene_files.known)
+            session.jobs.start(job, lambda video, _: logger.info("Filmed the drive %s", video))
 
         session.questions.before_replacing([path], begin)
 

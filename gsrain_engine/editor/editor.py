@@ -23,7 +23,7 @@ from .edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from .edits.gaussians import selected_count
 from .files import LoadedDocument, SceneFiles, new_screenshot
 from .finetune import FinetuneController
-from .jobs.job import Job
+from .jobs.job import Job, no_result
 from .make_rainy import WetLookController
 from .matching import MatchingController
 from .notifications import Answer, LogLines, Question, do_nothing
@@ -93,7 +93,7 @@ class Editor(EditorServices):
 
     def enter(self, opened: LoadedDocument) -> None:
         """Switch to an opened document."""
-        self._cancel_jobs(of_the_scene=True)
+        self.jobs.leave_scene()
         self.drives.close_all(self)
         scene = opened.scene
         rain, weather = rain_of(scene) or self.rain, keyframes_of(scene) or NO_KEYFRAMES
@@ -141,7 +141,7 @@ class Editor(EditorServices):
     @property
     def is_working(self) -> bool:
         """True if background work needs frames to be processed."""
-        return bool(self.running_jobs) or self.is_bringing_in
+        return bool(self.jobs.running) or self.is_bringing_in
 
     @property
     def is_bringing_in(self) -> bool:
@@ -169,9 +169,9 @@ class Editor(EditorServices):
             return f"{count:,} Gaussian{'s'[: count != 1]} {verb} selected"
 
         progress = Progress(0.0, "Looking for floaters")
-        job = Job("floaters", FLOATERS_TITLE, search.run, lambda _: None, take, in_thread=True, progress=progress)
-        self.start(job)
-        return job
+        return self.jobs.start(
+            Job("floaters", FLOATERS_TITLE, search.run, no_result, in_thread=True, progress=progress), take
+        )
 
     def swap_in(self) -> None:
         """Show the staged scene, whose Gaussians are ready for the next frame.
@@ -206,10 +206,7 @@ class Editor(EditorServices):
             self.captures.refused = None
         self.matching.poll(self)
         self.drives.poll(self)
-        for job in self.running_jobs:
-            job.poll()
-            if job.error is not None:
-                self.report_problem(f"{job.title} failed: {job.error}")
+        self.jobs.poll()
         self.rainy.poll(self)
         if self.staged is None and not self.drives.is_working:  # otherwise a result is still being swapped in
             self._go_on_when_idle()
@@ -266,7 +263,7 @@ class Editor(EditorServices):
         if self._is_closed:
             return
         self._is_closed = True
-        self._cancel_jobs()
+        self.jobs.close()
         self.files.close()
         self._preferences.close()
         self._files.shutdown()
@@ -287,8 +284,3 @@ class Editor(EditorServices):
         text = f"{why.partition('; --allow')[0]}. Read files outside of its folder?"
         yes = Answer("Read them", lambda: self.captures.open(path, allow_outside=True), "Open it with those files.")
         self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", do_nothing))))
-
-    def _cancel_jobs(self, *, of_the_scene: bool = False) -> None:
-        for job in self.running_jobs:
-            if job.ends_with_scene or not of_the_scene:
-                job.cancel()

@@ -233,7 +233,7 @@ class SceneFiles:
         self._session.when_idle(self._ended_work(ends_program), what, when_saved)
 
     def _ended_work(self, ends_program: bool = False) -> list[Work]:
-        jobs = [each for each in self._session.jobs if ends_program or each.ends_with_scene]
+        jobs = [each for each in self._session.jobs.all if ends_program or each.ends_with_scene]
         return [*jobs, *self.work]
 
     def _reread(self, source: str) -> None:

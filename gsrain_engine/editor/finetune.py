@@ -9,7 +9,7 @@ from ..appearance.finetune.settings import FinetuneTask, code_of, load_finetunin
 from ..safe_io.text_files import printable_line
 from ..trusted_code import UntrustedCodeError, trust_permanently
 from .jobs.job import Job
-from .jobs.training import HOW_TO_GET_DIFFUSION, Losses, finetune_job, has_torch
+from .jobs.training import HOW_TO_GET_DIFFUSION, finetune_job, has_torch
 from .notifications import Answer, Question, do_nothing
 from .services import EditorServices
 
@@ -41,9 +41,7 @@ class FinetuneController:
     def __init__(self) -> None:
         """Start with the shipped trial settings."""
         self.choice = FinetuneChoice()
-        self.job: Job[Losses] | None = None
-        self.losses: Losses = {}
-        """Losses of that job so far."""
+        self.job: Job[Path] | None = None
 
     @property
     def can_resume(self) -> bool:
@@ -59,7 +57,7 @@ class FinetuneController:
         for path in (self.choice.clear, self.choice.rainy):
             if path is not None and not path.exists():
                 return f"{path}: is not there; choose other pictures."
-        return session.why_wait if session.running_jobs else None
+        return session.why_wait if session.jobs.running else None
 
     def start(self, session: EditorServices, *, resume: bool = False) -> None:
         """Start, or resume from the folder's checkpoint; errors in the settings are set as `problem`."""
@@ -80,11 +78,7 @@ class FinetuneController:
             session.report_problem(str(error))
             return
 
-        def take(losses: Losses) -> None:
-            self.losses = losses
-
-        self.losses, self.job = {}, finetune_job(task, take)
-        session.start(self.job)
+        self.job = session.jobs.start(finetune_job(task), lambda weights, _: f"Trained: {weights}")
 
     def _ask(self, session: EditorServices, error: UntrustedCodeError, resume: bool) -> None:
         """Ask before running Python code that the settings name; on yes, trust its content permanently and start."""

@@ -11,7 +11,15 @@ from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_trans
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
 from .files import SceneFiles
-from .jobs.make_rainy import PreviewedView, PreviewSettings, TransferRequest, make_rainy_job, preview_job
+from .job_results import scene_results
+from .jobs.make_rainy import (
+    MAKE_RAINY_TITLE,
+    PreviewedView,
+    PreviewSettings,
+    TransferRequest,
+    make_rainy_job,
+    preview_job,
+)
 from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch
 from .services import EditorServices
 from .viewport.options import Texture
@@ -80,10 +88,9 @@ class WetLookController:
                 raise ValueError("the transfer has made no picture")
             self.previewed = replace(view, pixels=job.progress.preview)
             session.view.split = "now | preview"
-            session.jobs = [each for each in session.jobs if each is not job]  # the image replaces the entry
+            session.jobs.forget(job)  # the image replaces the entry
 
-        job = preview_job(view, self.preview_width_px, self._scene_files.known, take)
-        session.start(job)
+        job = session.jobs.start(preview_job(view, self.preview_width_px, self._scene_files.known), take)
 
     def fits(self, session: EditorServices) -> bool:
         """Return whether the preview matches the viewport's view."""
@@ -122,7 +129,8 @@ class WetLookController:
         uses_capture = source == "recorded" or (source == "auto" and is_sure)
         capture = session.captures.path if uses_capture else None
         order = TransferRequest(self.method, self.settings, self.choice, capture, session.captures.allows_outside)
-        session.start(make_rainy_job(session, self._scene_files.known, order))
+        job = make_rainy_job(session.scene, self._scene_files.known, order)
+        session.jobs.start(job, scene_results(session, MAKE_RAINY_TITLE))
 
     def make_soon(self) -> None:
         """Start the job as soon as a scene is open."""

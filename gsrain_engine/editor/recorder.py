@@ -1,5 +1,6 @@
 """Export of the timeline or a still: settings, estimate, and start of the job."""
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +19,8 @@ from .files import SceneFiles
 from .jobs.record import export_job
 from .notifications import describe_error
 from .services import EditorServices
+
+logger = logging.getLogger("gsrain")
 
 
 class OutputEstimate(NamedTuple):
@@ -52,7 +55,7 @@ class RenderQueue:
 
     @property
     def is_recording(self) -> bool:
-        return any(job.kind == "export" for job in self._session.running_jobs)
+        return self._session.jobs.is_running("export")
 
     def change(self, **fields: object) -> None:
         """Change settings; inconsistent ones are rejected and the error set as `problem`."""
@@ -113,12 +116,18 @@ class RenderQueue:
             return
 
         def start() -> None:
-            session, files, notes = self._session, self._scene_files, []
+            session, files, note = self._session, self._scene_files, ""
             if scene.path is session.scene.path:
                 saved = " once the scene is saved" if files.home is None or files.has_changes else ""
                 command = export_command(recording, str(files.home or "PROJECT"))
-                notes = [f"The same from the command line{saved}: {command}"]
-            session.start(export_job(scene, recording, files.known, notes))
+                note = f"The same from the command line{saved}: {command}"
+
+            def log_recorded(output: str, _: bool) -> None:
+                logger.info("Recorded %s", output)
+                if note:
+                    logger.info("%s", note)
+
+            session.jobs.start(export_job(scene, recording, files.known), log_recorded)
 
         self._session.questions.before_replacing(export_outputs(recording, names), start)
 

@@ -10,7 +10,7 @@ from ..rain.settings import RainSettings
 from ..scene.progress import Progress
 from ..scene.scene import Scene
 from .capture_view import CaptureController
-from .jobs.job import Job, JobKind, ThreadTask
+from .jobs.job import Job, JobRunner, ThreadTask
 from .notifications import Answer, Question, Questions, describe_error, do_nothing
 from .preferences import Preferences, PreferencesStore
 from .viewport.options import Texture
@@ -25,8 +25,7 @@ class EditorServices(ViewportState):
     def __init__(self, scene: Scene, rain: RainSettings | None, files: ThreadPoolExecutor) -> None:
         """Start with a scene; `files` is the thread for reading and writing."""
         super().__init__(scene, rain)
-        self.jobs: list[Job[Any]] = []
-        """Running and ended jobs in the order of their start, until the user clears them."""
+        self.jobs = JobRunner(files, self.report_problem)
         self.previews: dict[Job[Any], Texture] = {}
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
@@ -41,23 +40,11 @@ class EditorServices(ViewportState):
 
     # Jobs
 
-    def start(self, job: Job[Any]) -> None:
-        self.jobs.append(job)
-        job.start(self._files)
-
-    @property
-    def running_jobs(self) -> list[Job[Any]]:
-        return [job for job in self.jobs if job.state == "running"]
-
-    def newest_job(self, *kinds: JobKind) -> tuple[int, Job[Any]] | None:
-        """Return the last job of some kinds, with its index among all jobs."""
-        return next(((i, self.jobs[i]) for i in reversed(range(len(self.jobs))) if self.jobs[i].kind in kinds), None)
-
     @property
     def why_wait(self) -> str | None:
         """Reason why no job that needs the whole machine can start now, in one sentence, or None."""
-        if self.running_jobs:
-            return f"Wait for {self.running_jobs[0].title}, or cancel it."
+        if self.jobs.running:
+            return f"Wait for {self.jobs.running[0].title}, or cancel it."
         return "Wait for the scene that is being brought into the picture." if self.staged is not None else None
 
     def when_idle(self, work: Sequence[Work], what: str, act: Callable[[], None]) -> None:

@@ -117,10 +117,10 @@ def ask_where_to_render_drive(session: Editor) -> None:
 
 
 def _start(session: Editor) -> None:
-    newest = session.newest_job("drive")
-    if newest is not None and newest[1].state == "running":
-        imgui.separator_text(newest[1].title)
-        job_fields(session, newest[1], newest[0])
+    newest = session.jobs.newest("drive")
+    if newest is not None and newest.state == "running":
+        imgui.separator_text(newest.title)
+        job_fields(session, newest)
         return
     why_not = session.drives.why_not(session)
     imgui.spacing()
@@ -129,8 +129,8 @@ def _start(session: Editor) -> None:
         session.drives.start(session)
     if why_not is not None:
         warn(why_not)
-    elif newest is not None and newest[1].state != "finished":
-        job_fields(session, newest[1], newest[0])
+    elif newest is not None and newest.state != "finished":
+        job_fields(session, newest)
 
 
 def _scenario_choice(session: Editor) -> None:

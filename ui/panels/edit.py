@@ -101,8 +101,7 @@ def _floaters(session: Editor) -> None:
         changed, value = imgui.slider_float(f"##{name}", value, 0.0, high, form if value else "off", LOGARITHMIC)
         if changed:
             _State.rules = msgspec.structs.replace(_State.rules, **{name: value})
-    newest, count = session.newest_job("floaters"), session.floater_count
-    job = None if newest is None else newest[1]
+    job, count = session.jobs.newest("floaters"), session.floater_count
     if job is not None and job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), job.progress.message)
         if button("Cancel##floaters", "Stop the search; the selection does not change.", width=-1):

@@ -10,17 +10,18 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import Job
 from gsrain_engine.editor.notifications import LogLine
 
-from ..widgets.fields import WARNING, button, combo
+from ..widgets.draw import line, plot
+from ..widgets.fields import WARNING, button, combo, warn
 
 
 def jobs_panel(session: Editor) -> None:
-    if not session.jobs:
+    if not session.jobs.all:
         imgui.text_wrapped("No background jobs. The panels Wet look, Capture, Drive and Record start jobs.")
-    for number, job in reversed(list(enumerate(session.jobs))):
+    for job in reversed(session.jobs.all):
         imgui.separator_text(job.title)
-        job_fields(session, job, number)
-    if len(session.jobs) > len(session.running_jobs) and imgui.button("Clear", (-1, 0)):
-        session.jobs = session.running_jobs
+        job_fields(session, job)
+    if len(session.jobs.all) > len(session.jobs.running) and imgui.button("Clear", (-1, 0)):
+        session.jobs.clear()
 
 
 # One job: progress, preview, cancel button and result
@@ -28,11 +29,14 @@ def jobs_panel(session: Editor) -> None:
 _MAX_PREVIEW_EM = 9.0
 
 
-def job_fields(session: Editor, job: Job[Any], number: int) -> None:
-    """Draw a job; `number` distinguishes it from others in the panel."""
+def job_fields(session: Editor, job: Job[Any]) -> None:
+    """Draw a job: progress, metrics and warning, the cancel button, or its result."""
+    number = session.jobs.all.index(job)
     if job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
         imgui.text_wrapped(job.progress.message)
+        _metrics(job)
+        warn(job.progress.warning)
         if (preview := session.previews.get(job)) is not None:
             aspect = preview.width / preview.height
             width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
@@ -49,10 +53,27 @@ def job_fields(session: Editor, job: Job[Any], number: int) -> None:
             imgui.tree_pop()
     else:
         imgui.text_wrapped(job.progress.message if job.state == "finished" else "Canceled")
+        _metrics(job)
+        warn(job.progress.warning)
         if job.state == "finished" and job.report is not None:
             help_text = f"Show metrics, views and timings in a browser: {job.report}"
             if button(f"Report##{number}", help_text, width=-1):
                 webbrowser.open(job.report.as_uri())
+
+
+def _metrics(job: Job[Any]) -> None:
+    """Draw the job's plots, and the other metrics of its latest step as numbers."""
+    plotted = {name for names in job.plots.values() for name in names}
+    numbers = [f"{name} {value:,.4g}" for name, value in job.progress.metrics.items() if name not in plotted | {"step"}]
+    if numbers:
+        imgui.text_wrapped(", ".join(numbers))
+    for title, names in job.plots.items():
+        curves = {name: job.curves.curve(name) for name in names}
+        if all(curve.shape[1] < 2 for curve in curves.values()):
+            continue
+        with plot(title, "step", "", legend=len(curves) > 1) as is_visible:
+            for name, (steps, values) in curves.items() if is_visible else ():
+                line(name.replace("_", ", "), steps, values)
 
 
 # Log panel

@@ -10,10 +10,10 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from gsrain_engine.appearance.finetune.settings import finetuning_names
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.finetune import FinetuneChoice
+from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch, recolor_job, reconstruction_job
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
-from ..widgets.draw import line, plot
 from ..widgets.fields import (
     ALL_FILES,
     ask_what_to_open,
@@ -24,7 +24,6 @@ from ..widgets.fields import (
     field_info,
     path_field,
     plain_label,
-    warn,
 )
 from .jobs import job_fields
 
@@ -65,17 +64,16 @@ def reconstruct_fields(session: Editor) -> None:
     if not captures.capture.has_poses:
         imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
         return
-    newest = session.newest_job("reconstruct", "recolor")
-    if newest is not None and newest[1].state == "running":
-        job_fields(session, newest[1], newest[0])
+    newest = session.jobs.newest("reconstruct", "recolor")
+    if newest is not None and newest.state == "running":
+        job_fields(session, newest)
         return
     why_not = session.why_wait
     if has_torch():
         _reconstruction_settings()
         if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=why_not):
-            session.start(
-                reconstruction_job(session, captures.path, _chosen.settings, allow_outside=captures.allows_outside)
-            )
+            job = reconstruction_job(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
+            session.jobs.start(job, scene_results(session, job.title, is_whole=True))
     else:
         imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
     if not session.scene.gaussian_count:
@@ -85,13 +83,14 @@ def reconstruct_fields(session: Editor) -> None:
     if button("Recolor to other images...", _RECOLOR_OTHERS_HELP, width=-1, why_not=why_not):
         ask_what_to_open("Images to recolor to (folder)", "", partial(_recolor, session, captures.path))
     if newest is not None:
-        imgui.separator_text(newest[1].title)
-        job_fields(session, newest[1], newest[0])
+        imgui.separator_text(newest.title)
+        job_fields(session, newest)
 
 
 def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
     images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
-    session.start(recolor_job(session, session.files.known, capture, images, allow_outside=allowed))
+    job = recolor_job(session.scene, session.files.known, capture, images, allow_outside=allowed)
+    session.jobs.start(job, scene_results(session, job.title))
 
 
 def _reconstruction_settings() -> None:
@@ -106,17 +105,12 @@ def _reconstruction_settings() -> None:
     _chosen.settings = edit_choice(settings, "own_body", _OWN_BODY)
 
 
-# Transfer training: settings, losses and samples
+# Transfer training: settings
 
 _FINETUNE_PRESETS = {
     "paper": "The paper's recipe: 20,000 iterations of 512 x 512; 16 hours on a data-center GPU.",
     "tiny": "A trial of minutes on a CPU, with a model too small for real use.",
 }
-_CURVES = {
-    "Cycle": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
-    "Discriminators": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
-}
-"""Losses by plot: those to minimize, and the adversarial ones."""
 
 
 def transfer_training_fields(session: Editor) -> None:
@@ -135,18 +129,9 @@ def transfer_training_fields(session: Editor) -> None:
         title = f"{icons_fontawesome_6.ICON_FA_GRADUATION_CAP}  {title}###train"
         if button(title, help_text, width=-1, why_not=why_not):
             studio.start(session, resume=can_resume)
-    if job is None or job not in session.jobs:
-        return
-    imgui.separator_text(job.title)
-    job_fields(session, job, session.jobs.index(job))
-    if job.progress.warning is not None:
-        warn(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.progress.warning}")
-    losses = studio.losses
-    for title, names in _CURVES.items() if len(losses.get("step", ())) > 1 else ():
-        with plot(title, "iteration", "loss", legend=True) as is_visible:
-            for name in names if is_visible else ():
-                if name in losses:
-                    line(name.replace("_", ", "), losses["step"], losses[name])
+    if job is not None and job in session.jobs.all:
+        imgui.separator_text(job.title)
+        job_fields(session, job)
 
 
 def _config(session: Editor) -> None:

@@ -103,7 +103,7 @@ def _preview(session: Editor) -> None:
     if button(title, _PREVIEW_HELP, width=-1, why_not=rainy.why_no_preview(session)):
         rainy.preview(session)
     texture, stale = rainy.texture, rainy.what_is_stale(session)
-    if texture is None or session.running_jobs:
+    if texture is None or session.jobs.running:
         return  # a running job shows its own previews
     aspect = texture.width / texture.height
     width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
@@ -121,14 +121,14 @@ def _preview(session: Editor) -> None:
 
 
 def _make(session: Editor) -> None:
-    rainy, newest = session.rainy, session.newest_job("make rainy", "preview")
-    if newest is None or newest[1].state != "running":
+    rainy, newest = session.rainy, session.jobs.newest("make rainy", "preview")
+    if newest is None or newest.state != "running":
         title, height = f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {MAKE_RAINY_TITLE}###make", imgui.get_frame_height()
         if button(title, _MAKE_HELP, width=-1, height=1.5 * height, why_not=rainy.why_not(session)):
             rainy.make(session)
     if newest is not None:
-        imgui.separator_text(newest[1].title)
-        job_fields(session, newest[1], newest[0])
+        imgui.separator_text(newest.title)
+        job_fields(session, newest)
 
 
 def _result(session: Editor) -> None:

@@ -147,7 +147,7 @@ class JobPreviews:
         """Upload new previews and update `session.previews`. Once a frame."""
         for job in [each for each in self._cached if each.state != "running"]:
             self._cached.pop(job).show(None)
-        for job in session.running_jobs:
+        for job in session.jobs.running:
             if job.progress.preview is not None:
                 self._cached.setdefault(job, CachedTexture(self._context)).show(job.progress.preview)
         session.previews = {job: texture for job, each in self._cached.items() if (texture := each.texture) is not None}
