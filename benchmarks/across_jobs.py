@@ -48,9 +48,9 @@ def window(folder: Path) -> tuple[float, float]:
     found: list[tuple[float, float]] = []
 
     def begin() -> Any:
-        from ui.window import begin_session
+        from ui.window import begin_editor
 
-        return begin_session(None, None)
+        return begin_editor(None, None)
 
     shown = MainWindow(begin)
     parameters = shown.parameters()

@@ -34,7 +34,7 @@ def main() -> None:
         turning.settle()
         found = {"alone": _summary([turning.frame() for _ in range(arguments.frames)])}
         session.start(reconstruction_job(session, arguments.capture, load_settings("laptop", measured_every=0)))
-        (job,) = session.jobs
+        (job,) = session.jobs.all
         while job.state == "running" and not job.progress.message.startswith("Step"):
             turning.frame()
         message = job.progress.message

@@ -14,7 +14,7 @@ from imgui_bundle import hello_imgui, imgui, immapp
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.renderer import describe_machine
-from ui.window import MainWindow, begin_session
+from ui.window import MainWindow, begin_editor
 
 _LONGEST_S = 300.0
 _SETTLED_S = 3.0
@@ -28,7 +28,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def begin() -> Editor:
-        session = begin_session(arguments.scene, load_preset("8.5"))
+        session = begin_editor(arguments.scene, load_preset("8.5"))
         session.clock.playing = False
         return session
 

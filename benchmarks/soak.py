@@ -70,9 +70,9 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
     """Open the window and work in it; returns what the program complained of."""
     from soak_person import Person
 
-    from ui.window import MainWindow, begin_session
+    from ui.window import MainWindow, begin_editor
 
-    window = MainWindow(lambda: begin_session(arguments.scenes[0], None))
+    window = MainWindow(lambda: begin_editor(arguments.scenes[0], None))
     parameters = window.parameters()
     parameters.ini_disable = True
     parameters.app_window_params.window_geometry.size = (1100, 720)

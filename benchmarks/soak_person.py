@@ -146,12 +146,12 @@ class Person:
         if self._random.random() < 0.3:
             yield from self._for(2.0)
             self._cancel()
-        yield from self._until(lambda: not session.running_jobs)
+        yield from self._until(lambda: not session.jobs.running)
 
     def _jobs(self) -> Iterator[None]:
         session = self._session
         session.find_floaters(FloaterRules())
-        yield from self._until(lambda: not session.running_jobs)
+        yield from self._until(lambda: not session.jobs.running)
         self._do("Undo")
         session.rainy.preview(session)
         yield from self._for(float(self._random.uniform(1, 20)))
@@ -178,7 +178,7 @@ class Person:
         session = self._session
         self._do("Close the scene")
         yield from self._until(lambda: not session.scene.members)
-        session.jobs = session.running_jobs
+        session.jobs.clear()
         yield from self._until(lambda: not session.is_working and all(each.done() for each in session.pending_files))
         yield from self._for(3.0)  # the program gives memory back after a second
         self.is_at_rest = True
@@ -191,7 +191,7 @@ class Person:
         _BY_NAME[name].perform(self._session)
 
     def _cancel(self) -> None:
-        for job in self._session.running_jobs:
+        for job in self._session.jobs.running:
             job.cancel()
 
     def _frames(self, count: int) -> Iterator[None]:

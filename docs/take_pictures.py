@@ -134,7 +134,7 @@ def picture_panels(camera: Photographer) -> None:
     session.view.member = "layers/houses"
     session.lab.measure(session.rain)
     session.rainy.make(session)
-    while session.lab.busy is not None or session.running_jobs or session.staged is not None:
+    while session.lab.busy is not None or session.jobs.running or session.staged is not None:
         camera.frames(1)
     camera.take_panels(
         *(panel.title for panel in BUILT_IN_PANELS if panel.title not in ("Capture", "Drive", "Drive plots"))
@@ -181,7 +181,7 @@ def picture_pages(camera: Photographer) -> None:
     """The window as a whole in a shower, the command palette, the keyboard page."""
     session = camera.session
     session.rainy.make(session)
-    while session.running_jobs or session.staged is not None:
+    while session.jobs.running or session.staged is not None:
         camera.frames(1)
     session.set_weather("Add passing shower", shower_keyframes(duration_s=12.0, peak_mm_h=13.0))
     path_from_drive(session, every_s=2.0)
@@ -211,7 +211,7 @@ def picture_wet(camera: Photographer) -> None:
     camera.take("wet_clear", "View", _TOOL_WIDTH)
     camera.ctx.window_focus("//Make it rainy")
     session.rainy.preview(session)
-    while session.running_jobs or session.view.split == "off":
+    while session.jobs.running or session.view.split == "off":
         camera.frames(1)
     camera.ctx.mouse_move("//Make it rainy/###preview")
     camera.take("wet_look")
@@ -220,7 +220,7 @@ def picture_wet(camera: Photographer) -> None:
     camera.ctx.mouse_move("//View/view")
     session.change_rain("12 mm/h", intensity_mm_h=12.0)
     session.rainy.make(session)
-    while session.running_jobs or session.staged is not None:
+    while session.jobs.running or session.staged is not None:
         camera.frames(1)
     camera.frames(20)
     camera.take("wet_rainy", "View", _TOOL_WIDTH)
@@ -269,7 +269,7 @@ def picture_drive(camera: Photographer) -> None:
             drives.settings.settings, agent=agent, rain="one intensity", intensity_mm_h=intensity
         )
         drives.start(session)
-        while session.running_jobs or drives.is_working:
+        while session.jobs.running or drives.is_working:
             camera.frames(1)
     drives.mosaic.rig = "nuscenes"
     for panel in ("View", "Drive", "Drive plots", "Rig cameras"):

@@ -15,7 +15,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, BinaryIO, Literal, cast
 
-from gsrain_engine.editor.jobs.job import temporary_folder, write_copy
+from gsrain_engine.editor.jobs.folder import temporary_folder, write_copy
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_folder import FileCache

@@ -14,7 +14,7 @@ from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from ui.commands.base import chord
-from ui.window import begin_session
+from ui.window import begin_editor
 from window_driver import Driver, imgui
 
 KEY = imgui.Key
@@ -75,7 +75,7 @@ class Person(Driver):
         self.frames(3)
 
     def is_idle(self):
-        return self.session.busy is None and not self.session.running_jobs and self.session.staged is None
+        return self.session.busy is None and not self.session.jobs.running and self.session.staged is None
 
 
 def first(folder, plant):
@@ -151,9 +151,9 @@ def first(folder, plant):
             person.frames()
         person.click("//Record/Record...")
         person.type_into("Record the timeline", str(folder / "window.mp4"))
-        person.until(lambda: bool(session.jobs), 1000)
+        person.until(lambda: bool(session.jobs.all), 1000)
         person.until(person.is_idle, 1_000_000)
-        person.say("recorded", session.jobs[-1].state, session.jobs[-1].error)
+        person.say("recorded", session.jobs.all[-1].state, session.jobs.all[-1].error)
 
         person.ctx.window_focus("//View")
         person.press(chord(CTRL, KEY.s))
@@ -175,7 +175,7 @@ def first(folder, plant):
 
 def second(folder):
     """Come back, recover, look."""
-    session = begin_session(str(folder / "project"), None)
+    session = begin_editor(str(folder / "project"), None)
     person = Person(folder, session)
 
     def script():

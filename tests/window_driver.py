@@ -73,8 +73,7 @@ class Driver:
 
     def let_workers_work(self):
         """Draw no frames that would only take the processor from a worker which has nothing to say yet."""
-        for job in self.session.running_jobs:
-            job.wait(0.1)
+        self.session.jobs.wait(0.1)
 
     def click(self, item):
         self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front

@@ -1,6 +1,6 @@
 """Progress of background jobs: the one message type that jobs yield."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -18,19 +18,23 @@ class Progress(NamedTuple):
     """Description of the current step for the user."""
     preview: UInt8[np.ndarray, "h w 3"] | None = None
     """A small preview image; only the newest is shown."""
+    metrics: Mapping[str, float] = {}
+    """Figures at this step by name with unit, such as `loss`; `step` is the abscissa of their curves."""
     warning: str | None = None
     """One sentence about the work so far, such as that a training goes wrong."""
 
 
-def run_to_end(work: Generator[Progress, None, _Result], tell: Callable[[Progress], object] | None = None) -> _Result:
-    """Run a job to its end and return its result; calls `tell` with each step. Exceptions propagate."""
+def run_to_end(
+    work: Generator[Progress, None, _Result], on_step: Callable[[Progress], object] | None = None
+) -> _Result:
+    """Run a job to its end and return its result; calls `on_step` with each step. Exceptions propagate."""
     while True:
         try:
             step = next(work)
         except StopIteration as end:
             return end.value
-        if tell is not None:
-            tell(step)
+        if on_step is not None:
+            on_step(step)
 
 
 def subprogress(

@@ -214,7 +214,8 @@ class _TrainingLoop:
             if time.perf_counter() - self._preview_at > _PREVIEW_INTERVAL_S:
                 self._preview_at, preview = time.perf_counter(), comparison_image(done.exposed, done.truth)
             message = f"Step {number + 1:,} of {settings.steps:,}: loss {loss:.4f}, {count:,} Gaussians"
-            yield self._progress_at(number, f"{message} ({done.change})" if done.change else message, preview)
+            step = self._progress_at(number, f"{message} ({done.change})" if done.change else message, preview)
+            yield step._replace(metrics={"step": number + 1, "loss": loss})
             if _is_due(settings.measured_every, number, settings.steps):
                 yield self._look(number)
             if _is_due(settings.saved_every, number, settings.steps):
@@ -230,7 +231,8 @@ class _TrainingLoop:
         self._note(number + 1, [self._training.measure(view) for view in self._held[:_QUICK_VIEWS]])
         message = f"Held-out views after {number + 1:,} steps: {self._curves.measured_db[-1]:.2f} dB"
         logger.info("%s, %.0f s", message, self._seconds)
-        return self._progress_at(number, message)
+        metrics = {"step": number + 1, "PSNR (dB)": self._curves.measured_db[-1]}
+        return self._progress_at(number, message)._replace(metrics=metrics)
 
     def measure(self) -> Generator[Progress, None, TrainingReport]:
         """Evaluate all held-out views and some training views."""

@@ -41,7 +41,7 @@ def session():
 def follow(session, job, until=lambda: False):
     """Poll until the job has ended, or something is so; wait where there is nothing new."""
     while job.state == "running" and not until():
-        job.wait(60)
+        session.jobs.wait(60)
         session.update(0.0)
 
 
@@ -100,15 +100,15 @@ def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(session):
     session.set_scene("Nothing yet", Scene("nothing"))
     session.rainy.make_soon()
     session.update(0.0)
-    assert not session.jobs
+    assert not session.jobs.all
     session.set_scene("Everything", scene)
     session.update(0.0)
-    (job,) = session.jobs
+    (job,) = session.jobs.all
     assert (job.title, session.problem) == (MAKE_RAINY_TITLE, None)
     job.cancel()
     session.update(0.0)
     session.update(0.0)
-    assert session.jobs == [job]
+    assert session.jobs.all == [job]
     assert job.state == "cancelled"
 
 
@@ -117,7 +117,7 @@ def test_what_a_method_lacks_is_said_once_the_scene_is_there(session):
     session.rainy.make_soon()
     session.update(0.0)
     assert session.problem == "Pictures: choose a folder of pictures first."
-    assert not session.jobs
+    assert not session.jobs.all
 
 
 def learning(task):
@@ -153,7 +153,7 @@ def studio(session, tmp_path, monkeypatch):
 
 def test_losses_and_warnings_of_a_training_can_be_watched(session, studio):
     studio.start(session)
-    (job,) = session.jobs
+    (job,) = session.jobs.all
     assert not job.ends_with_scene
     (task,) = job.inputs(None)
     assert isinstance(task, FinetuneTask)
@@ -175,23 +175,23 @@ def test_losses_and_warnings_of_a_training_can_be_watched(session, studio):
 def test_what_ends_a_training_is_told_and_a_checkpoint_is_gone_on_from(session, studio, monkeypatch):
     monkeypatch.setattr(training, "train_transfer", breaking)
     studio.start(session)
-    follow(session, session.jobs[0])
+    follow(session, session.jobs.all[0])
     assert session.problem == "Train the transfer failed: clear: holds no pictures"
     assert not studio.can_resume
     studio.choice.output.mkdir()
     (studio.choice.output / "checkpoint.safetensors").write_bytes(b"")
     assert studio.can_resume
     studio.start(session, resume=True)
-    assert session.jobs[1].inputs(None)[0].resume
-    session.jobs[1].cancel()
-    assert session.jobs[1].state == "cancelled"
+    assert session.jobs.all[1].inputs(None)[0].resume
+    session.jobs.all[1].cancel()
+    assert session.jobs.all[1].state == "cancelled"
 
 
 def test_settings_that_are_wrong_are_told_and_nothing_starts(session, studio, tmp_path):
     (tmp_path / "own.yaml").write_text("architecture: tiny\nstepps: 3\n")
     studio.choice = msgspec.structs.replace(studio.choice, config=str(tmp_path / "own.yaml"))
     studio.start(session)
-    assert session.jobs == []
+    assert session.jobs.all == []
     assert "own.yaml" in session.problem
 
 

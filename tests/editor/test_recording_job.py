@@ -27,9 +27,9 @@ def session():
 
 def follow(session, until=lambda job: False):
     """Look after the last job as the window does, until it ends or something is true of it; return it."""
-    job = session.jobs[-1]
+    job = session.jobs.all[-1]
     while job.state == "running" and not until(job):
-        job.wait(60)
+        session.jobs.wait(60)
         session.update(0.01)
     return job
 
@@ -118,16 +118,16 @@ def test_what_is_there_is_only_replaced_when_a_person_says_so(session, tmp_path)
     target.mkdir()
     session.recorder.change(codec="png", size_px=(96, 64), last_s=0.03)
     session.recorder.record_to(target)
-    assert session.jobs == []
+    assert session.jobs.all == []
     assert session.questions.present.text == "clip is there already."
     replace_it, leave_it = session.questions.present.answers
     session.questions.answer(leave_it)
-    assert session.jobs == []
+    assert session.jobs.all == []
     session.recorder.record_to(target)
     session.questions.answer(replace_it)
-    assert len(session.jobs) == 1
+    assert len(session.jobs.all) == 1
     shutil.rmtree(target)
-    session.jobs[0].cancel()
+    session.jobs.all[0].cancel()
     assert session.log.lines[-1].text == f"Stopped recording {target}: nothing of it was written yet"
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from gsrain_engine.editor.jobs.job import JobTempDir
+from gsrain_engine.editor.jobs.folder import JobTempDir
 from gsrain_engine.editor.jobs.process import WorkerProcess
 from gsrain_engine.scene.progress import Progress
 
@@ -31,7 +31,7 @@ def main() -> None:
     while job.progress.message != "at it":
         job.wait(60)
         job.poll()
-    print(job._process.pid, place, job._image.name, flush=True)
+    print(job.pid, place, job.preview.name, flush=True)
     sys.stdin.read()
 
 

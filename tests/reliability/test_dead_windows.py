@@ -11,8 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from gsrain_engine.editor.jobs import job
-from gsrain_engine.editor.jobs.job import JobTempDir, remove_abandoned_job_folders
+from gsrain_engine.editor.jobs.folder import JOB_FOLDER_PREFIX, JobTempDir, remove_abandoned_job_folders
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs kill -9 and locks as POSIX has them")
 
@@ -67,10 +66,10 @@ def test_a_job_s_folder_goes_with_it_and_is_nobody_else_s(tmp_path):
 def test_other_folders_and_links_stay(tmp_path):
     (tmp_path / "gsrain-tests-1").mkdir()
     (tmp_path / "far").mkdir()
-    (tmp_path / f"{job._PREFIX}link").symlink_to(tmp_path / "far")
-    (tmp_path / f"{job._PREFIX}dead").mkdir()
+    (tmp_path / f"{JOB_FOLDER_PREFIX}link").symlink_to(tmp_path / "far")
+    (tmp_path / f"{JOB_FOLDER_PREFIX}dead").mkdir()
     remove_abandoned_job_folders()
-    assert {each.name for each in tmp_path.iterdir()} == {"gsrain-tests-1", "far", f"{job._PREFIX}link"}
+    assert {each.name for each in tmp_path.iterdir()} == {"gsrain-tests-1", "far", f"{JOB_FOLDER_PREFIX}link"}
 
 
 def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
@@ -82,7 +81,7 @@ def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, mo
             remove_abandoned_job_folders()
         return made[-1]
 
-    monkeypatch.setattr(job.tempfile, "mkdtemp", taken_at_once)
+    monkeypatch.setattr(tempfile, "mkdtemp", taken_at_once)
     with ThreadPoolExecutor(max_workers=1) as files:
         folder = JobTempDir(files)
         assert folder.do(lambda path: path).result() == Path(made[1])

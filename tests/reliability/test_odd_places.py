@@ -10,7 +10,7 @@ import pytest
 
 from app.main import run
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.job import new_report
+from gsrain_engine.editor.jobs.folder import new_report
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene

@@ -68,8 +68,8 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.ctx.item_input_value("##intensity_mm_h", 5.0)
         driver.frames()
         driver.ctx.item_click("###drive")
-        driver.until(lambda: len(session.jobs) == 1)
-        job = session.jobs[0]
+        driver.until(lambda: len(session.jobs.all) == 1)
+        job = session.jobs.all[0]
         driver.until(lambda: job.state != "running" and not drives.is_working, 100_000)
         assert (job.state, job.error, session.problem) == ("finished", None, None)
         assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
@@ -91,8 +91,8 @@ def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(dri
         driver.until(lambda: session.drives.playing is not None)
         driver.click("//Drive/###film roll-out")
         choose(driver, "Render video of the drive", film, "Save")
-        driver.until(lambda: len(session.jobs) == 1)
-        job = session.jobs[0]
+        driver.until(lambda: len(session.jobs.all) == 1)
+        job = session.jobs.all[0]
         assert session.drives.why_no_video(session) == "A video is being rendered."
         driver.until(lambda: job.state != "running", 100_000)
         assert (job.state, job.error) == ("finished", None)
@@ -101,7 +101,7 @@ def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(dri
         assert session.questions.present.text == "crash.mp4 is there already."
         driver.ctx.item_click("//Replace?/Cancel")
         driver.frames()
-        assert len(session.jobs) == 1
+        assert len(session.jobs.all) == 1
 
     driver.run(script)
     with av.open(str(film)) as container:

@@ -168,8 +168,8 @@ def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, key
 
 
 def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
-    job = HeldJob(driver.session)
-    driver.session.start(job)
+    job = HeldJob()
+    job.start(driver.session)
 
     def script():
         session = driver.session
@@ -185,7 +185,7 @@ def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
         driver.press(imgui.Key.enter)  # stops nothing
         assert job.state == "running" and driver.ctx.item_exists("//Waiting/Stop it")
         road = session.scene.layers[0]
-        job.result = session.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1))
+        job.let_end(session.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1)))
         driver.until(lambda: session.history.undo_label == "Make it rainy" and session.questions.present is not None)
         driver.frames(3)
         assert not session.is_leaving

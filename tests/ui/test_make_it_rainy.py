@@ -32,7 +32,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         clear, before = driver.picture(), session.scene
         driver.click(f"{PANEL}###preview")
         assert rainy.why_not(session) == "Wait for Preview, or cancel it."
-        driver.until(lambda: not session.running_jobs, 1_000_000)
+        driver.until(lambda: not session.jobs.running, 1_000_000)
         driver.frames()
         assert session.problem is None
         assert rainy.previewed.pixels.shape[1] == 96
@@ -49,15 +49,15 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         assert rainy.what_is_stale(session) == "The settings have changed since."
 
         driver.click(f"{PANEL}###make")
-        driver.until(lambda: session.jobs[0].progress.message == "Starting", 1_000_000)
+        driver.until(lambda: session.jobs.all[0].progress.message == "Starting", 1_000_000)
         assert not ctx.item_exists(f"{PANEL}###make")  # its progress stands there
         driver.click(f"{PANEL}Cancel##0")
-        assert (session.jobs[0].state, session.scene) == ("cancelled", before)
-        session.jobs = session.running_jobs
+        assert (session.jobs.all[0].state, session.scene) == ("cancelled", before)
+        session.jobs.clear()
 
         blue_sky = session.sky
         driver.click(f"{PANEL}###make")
-        (job,) = session.jobs
+        (job,) = session.jobs.all
         driver.until(lambda: job in session.previews or job.state != "running", 1_000_000)
         driver.until(lambda: job.state != "running" and session.staged is None, 1_000_000)
         assert (job.state, job.error) == ("finished", None)
@@ -89,7 +89,7 @@ def test_closing_the_window_ends_the_worker(driver):
     def script():
         session.rainy.choice = msgspec.structs.replace(session.rainy.choice, count=1000)
         driver.click(f"{PANEL}###make")
-        (job,) = session.jobs
+        (job,) = session.jobs.all
         driver.until(lambda: job.state != "running" or job.progress.message.startswith("Making"), 1_000_000)
         works.extend([job._worker._process.pid, job._folder._path, job._worker._image.name])
 
@@ -117,7 +117,7 @@ def test_what_is_missing_is_said_where_it_is_chosen(driver, tmp_path, monkeypatc
         monkeypatch.setattr(make_rainy, "has_torch", lambda: True)
         assert rainy.why_not(session).startswith("CycleGAN-Turbo: no transfer weights")
         ctx.item_click("###make")
-        assert session.jobs == []
+        assert session.jobs.all == []
         type_into(driver, "##weights", tmp_path / "nothing.pkl")
         assert "nothing.pkl: is not there" in rainy.why_not(session)
         type_into(driver, "##weights", tmp_path / "weights.pkl")

@@ -57,7 +57,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         driver.frames()
         driver.ctx.item_click("//Capture/Reconstruct/Reconstruct")
         driver.frames()
-        (job,) = session.jobs
+        (job,) = session.jobs.all
         # Where it was started there is how far it is, and nothing else can be started.
         assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
         assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
@@ -84,8 +84,8 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         driver.click("//Rain/Streaks")
         driver.click("//Rain/Haze")
         training._recolor(session, drive / "drive", [drive / "dim"])
-        driver.until(lambda: ended(session.jobs[-1]), 1_000_000)
-        assert (session.jobs[-1].state, session.jobs[-1].error) == ("finished", None)
+        driver.until(lambda: ended(session.jobs.all[-1]), 1_000_000)
+        assert (session.jobs.all[-1].state, session.jobs.all[-1].error) == ("finished", None)
         assert np.array_equal(driver.picture(), trained)  # it does not rain
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
         driver.frames()

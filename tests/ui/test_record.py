@@ -35,8 +35,8 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         driver.ctx.window_focus("//View")
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
         name_it(driver, "Record the timeline", target)
-        driver.until(lambda: len(session.jobs) == 1)
-        job = session.jobs[0]
+        driver.until(lambda: len(session.jobs.all) == 1)
+        job = session.jobs.all[0]
         driver.ctx.window_focus("//Jobs")
         driver.until(lambda: job in session.previews or job.state != "running", 100_000)
         assert session.previews[job][1:] == (240, 160)  # every second pixel
@@ -52,7 +52,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         assert session.questions.present.text == "clip.mp4 is there already."
         driver.ctx.item_click("//Replace?/Cancel")
         driver.frames()
-        assert (session.questions.present, len(session.jobs)) == (None, 1)
+        assert (session.questions.present, len(session.jobs.all)) == (None, 1)
 
     driver.run(script)
     with av.open(str(target)) as container:
@@ -117,8 +117,8 @@ def test_a_still_is_taken_from_where_one_is(driver, tmp_path):
         driver.frames()
         driver.ctx.item_click("//Record/Render image...")
         name_it(driver, "Render image", tmp_path / "still.png")
-        driver.until(lambda: driver.session.jobs and driver.session.jobs[0].state != "running", 100_000)
-        assert driver.session.jobs[0].state == "finished"
+        driver.until(lambda: driver.session.jobs.all and driver.session.jobs.all[0].state != "running", 100_000)
+        assert driver.session.jobs.all[0].state == "finished"
 
     driver.run(script)
     still = np.asarray(Image.open(tmp_path / "still.png"))

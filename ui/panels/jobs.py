@@ -4,23 +4,25 @@ import logging
 import webbrowser
 from typing import Any
 
+from gsrain_engine.editor.status import LogLine
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.job import Job
-from gsrain_engine.editor.notifications import LogLine
+from gsrain_engine.editor.jobs.job import Job, JobRunner
+from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.viewport_state import ViewportState
 
-from ..widgets.fields import WARNING, button, combo
+from ..widgets.draw import line, plot
+from ..widgets.fields import WARNING, button, combo, warn
 
 
-def jobs_panel(session: Editor) -> None:
-    if not session.jobs:
+def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
+    if not jobs.all:
         imgui.text_wrapped("No background jobs. The panels Wet look, Capture, Drive and Record start jobs.")
-    for number, job in reversed(list(enumerate(session.jobs))):
+    for job in reversed(jobs.all):
         imgui.separator_text(job.title)
-        job_fields(session, job, number)
-    if len(session.jobs) > len(session.running_jobs) and imgui.button("Clear", (-1, 0)):
-        session.jobs = session.running_jobs
+        job_fields(viewport, jobs, job)
+    if len(jobs.all) > len(jobs.running) and imgui.button("Clear", (-1, 0)):
+        jobs.clear()
 
 
 # One job: progress, preview, cancel button and result
@@ -28,12 +30,15 @@ def jobs_panel(session: Editor) -> None:
 _MAX_PREVIEW_EM = 9.0
 
 
-def job_fields(session: Editor, job: Job[Any], number: int) -> None:
-    """Draw a job; `number` distinguishes it from others in the panel."""
+def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
+    """Draw a job: progress, metrics and warning, the cancel button, or its result."""
+    number = jobs.all.index(job)
     if job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
         imgui.text_wrapped(job.progress.message)
-        if (preview := session.previews.get(job)) is not None:
+        _metrics(job)
+        warn(job.progress.warning)
+        if (preview := viewport.job_previews.get(job)) is not None:
             aspect = preview.width / preview.height
             width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
             imgui.image(imgui.ImTextureRef(preview.name), ImVec2(width, width / aspect))
@@ -49,10 +54,27 @@ def job_fields(session: Editor, job: Job[Any], number: int) -> None:
             imgui.tree_pop()
     else:
         imgui.text_wrapped(job.progress.message if job.state == "finished" else "Canceled")
+        _metrics(job)
+        warn(job.progress.warning)
         if job.state == "finished" and job.report is not None:
             help_text = f"Show metrics, views and timings in a browser: {job.report}"
             if button(f"Report##{number}", help_text, width=-1):
                 webbrowser.open(job.report.as_uri())
+
+
+def _metrics(job: Job[Any]) -> None:
+    """Draw the job's plots, and the other metrics of its latest step as numbers."""
+    plotted = {name for names in job.plots.values() for name in names}
+    numbers = [f"{name} {value:,.4g}" for name, value in job.progress.metrics.items() if name not in plotted | {"step"}]
+    if numbers:
+        imgui.text_wrapped(", ".join(numbers))
+    for title, names in job.plots.items():
+        curves = {name: job.curves.curve(name) for name in names}
+        if all(curve.shape[1] < 2 for curve in curves.values()):
+            continue
+        with plot(title, "step", "", legend=len(curves) > 1) as is_visible:
+            for name, (steps, values) in curves.items() if is_visible else ():
+                line(name.replace("_", ", "), steps, values)
 
 
 # Log panel
@@ -66,14 +88,14 @@ class _LogFilter:
     words = ""
 
 
-def log_panel(session: Editor) -> None:
+def log_panel(status: StatusBus) -> None:
     imgui.set_next_item_width(7 * imgui.get_font_size())
     _LogFilter.level = combo("##level", _LogFilter.level, _LEVELS, "Show all lines, or only warnings and errors.")
     imgui.same_line()
     imgui.set_next_item_width(-imgui.calc_text_size("Copy").x - 4 * imgui.get_style().frame_padding.x)
     _, _LogFilter.words = imgui.input_text_with_hint("##words", "words", _LogFilter.words)
     imgui.set_item_tooltip("Show only lines with these words.")
-    lines = [line for line in session.log.lines if _passes_filter(line)]
+    lines = [line for line in status.log.lines if _passes_filter(line)]
     imgui.same_line()
     if button("Copy", "Copy these lines to the clipboard, with their details."):
         imgui.set_clipboard_text("\n".join(f"{line.at:%H:%M:%S} {line.text}\n{line.details}".strip() for line in lines))
@@ -81,7 +103,7 @@ def log_panel(session: Editor) -> None:
         for number, line in enumerate(lines):
             _line(line, number)
         if not lines:
-            imgui.text_disabled("No line matches." if session.log.lines else "No messages yet.")
+            imgui.text_disabled("No line matches." if status.log.lines else "No messages yet.")
         if imgui.get_scroll_y() >= imgui.get_scroll_max_y():
             imgui.set_scroll_here_y(1.0)
     imgui.end_child()

@@ -8,12 +8,16 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.finetune.settings import finetuning_names
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.finetune import FinetuneChoice
+from gsrain_engine.editor.capture_view import CaptureController
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.files import Files
+from gsrain_engine.editor.finetune import FinetuneChoice, FinetuneController
+from gsrain_engine.editor.job_results import scene_results, why_wait
+from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch, recolor_job, reconstruction_job
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
-from ..widgets.draw import line, plot
 from ..widgets.fields import (
     ALL_FILES,
     ask_what_to_open,
@@ -24,7 +28,6 @@ from ..widgets.fields import (
     field_info,
     path_field,
     plain_label,
-    warn,
 )
 from .jobs import job_fields
 
@@ -58,40 +61,53 @@ _RECOLOR_HELP = (
 _RECOLOR_OTHERS_HELP = "The same with images from a folder, such as transferred ones, named like the capture's own."
 
 
-def reconstruct_fields(session: Editor) -> None:
-    captures = session.captures
+def reconstruct_fields(
+    document: Document, viewport: ViewportState, captures: CaptureController, jobs: JobRunner, files: Files
+) -> None:
     if captures.capture is None or captures.path is None:
         return
     if not captures.capture.has_poses:
         imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
         return
-    newest = session.newest_job("reconstruct", "recolor")
-    if newest is not None and newest[1].state == "running":
-        job_fields(session, newest[1], newest[0])
+    newest = jobs.newest("reconstruct", "recolor")
+    if newest is not None and newest.state == "running":
+        job_fields(viewport, jobs, newest)
         return
-    why_not = session.why_wait
+    why_not = why_wait(jobs, viewport)
     if has_torch():
         _reconstruction_settings()
         if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=why_not):
-            session.start(
-                reconstruction_job(session, captures.path, _chosen.settings, allow_outside=captures.allows_outside)
-            )
+            job = reconstruction_job(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
+            jobs.start(job, scene_results(viewport, job.title, is_whole=True))
     else:
         imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
-    if not session.scene.gaussian_count:
+    if not document.scene.gaussian_count:
         why_not = why_not or "There is no scene to recolor yet."
     if button("Recolor to these images", _RECOLOR_HELP, width=-1, why_not=why_not):
-        _recolor(session, captures.path, [])
+        _recolor(document, viewport, captures, jobs, files, captures.path, [])
     if button("Recolor to other images...", _RECOLOR_OTHERS_HELP, width=-1, why_not=why_not):
-        ask_what_to_open("Images to recolor to (folder)", "", partial(_recolor, session, captures.path))
+        ask_what_to_open(
+            "Images to recolor to (folder)",
+            "",
+            partial(_recolor, document, viewport, captures, jobs, files, captures.path),
+        )
     if newest is not None:
-        imgui.separator_text(newest[1].title)
-        job_fields(session, newest[1], newest[0])
+        imgui.separator_text(newest.title)
+        job_fields(viewport, jobs, newest)
 
 
-def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
-    images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
-    session.start(recolor_job(session, session.files.known, capture, images, allow_outside=allowed))
+def _recolor(
+    document: Document,
+    viewport: ViewportState,
+    captures: CaptureController,
+    jobs: JobRunner,
+    files: Files,
+    capture: Path,
+    chosen: list[Path],
+) -> None:
+    images, allowed = chosen[0] if chosen else None, captures.allows_outside
+    job = recolor_job(document.scene, files.known, capture, images, allow_outside=allowed)
+    jobs.start(job, scene_results(viewport, job.title))
 
 
 def _reconstruction_settings() -> None:
@@ -106,51 +122,36 @@ def _reconstruction_settings() -> None:
     _chosen.settings = edit_choice(settings, "own_body", _OWN_BODY)
 
 
-# Transfer training: settings, losses and samples
+# Transfer training: settings
 
 _FINETUNE_PRESETS = {
     "paper": "The paper's recipe: 20,000 iterations of 512 x 512; 16 hours on a data-center GPU.",
     "tiny": "A trial of minutes on a CPU, with a model too small for real use.",
 }
-_CURVES = {
-    "Cycle": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
-    "Discriminators": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
-}
-"""Losses by plot: those to minimize, and the adversarial ones."""
 
 
-def transfer_training_fields(session: Editor) -> None:
-    studio = session.studio
-    job = studio.job
+def transfer_training_fields(viewport: ViewportState, finetune: FinetuneController, jobs: JobRunner) -> None:
+    job = finetune.job
     if job is None or job.state != "running":
-        _config(session)
+        _config(finetune)
         for name in ("clear", "rainy", "output"):
-            path_field(studio.choice, name, "", partial(_take, session, name))
-        studio.choice = edit_field(studio.choice, "steps", step=100)
-        can_resume, why_not = studio.can_resume, studio.why_not(session)
+            path_field(finetune.choice, name, "", partial(_take, finetune, name))
+        finetune.choice = edit_field(finetune.choice, "steps", step=100)
+        can_resume, why_not = finetune.can_resume, finetune.why_not
         title = "Resume the training" if can_resume else "Train the transfer"
         help_text = "Continue from the folder's checkpoint, with the same result as without a stop."
         if not can_resume:
             help_text = "Fine-tune CycleGAN-Turbo on the two sets of images; Cancel preserves the last checkpoint."
         title = f"{icons_fontawesome_6.ICON_FA_GRADUATION_CAP}  {title}###train"
         if button(title, help_text, width=-1, why_not=why_not):
-            studio.start(session, resume=can_resume)
-    if job is None or job not in session.jobs:
-        return
-    imgui.separator_text(job.title)
-    job_fields(session, job, session.jobs.index(job))
-    if job.progress.warning is not None:
-        warn(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.progress.warning}")
-    losses = studio.losses
-    for title, names in _CURVES.items() if len(losses.get("step", ())) > 1 else ():
-        with plot(title, "iteration", "loss", legend=True) as is_visible:
-            for name in names if is_visible else ():
-                if name in losses:
-                    line(name.replace("_", ", "), losses["step"], losses[name])
+            finetune.start(resume=can_resume)
+    if job is not None and job in jobs.all:
+        imgui.separator_text(job.title)
+        job_fields(viewport, jobs, job)
 
 
-def _config(session: Editor) -> None:
-    choice, from_file = session.studio.choice, "from a file..."
+def _config(finetune: FinetuneController) -> None:
+    choice, from_file = finetune.choice, "from a file..."
     names, help_text = finetuning_names(), field_info("config", FinetuneChoice).help
     choices = {each: each for each in names} | {from_file: from_file}
     if choice.config not in names:
@@ -158,15 +159,15 @@ def _config(session: Editor) -> None:
     plain_label("Settings", field_info("config", FinetuneChoice).help)
     picked = combo("##config", choice.config, choices, _FINETUNE_PRESETS.get(choice.config, help_text))
     if picked == from_file:
-        ask_what_to_open("Settings of the training", f"YAML{{.yaml,.yml}},{ALL_FILES}", partial(_take_file, session))
+        ask_what_to_open("Settings of the training", f"YAML{{.yaml,.yml}},{ALL_FILES}", partial(_take_file, finetune))
     elif picked != choice.config:
-        session.studio.choice = msgspec.structs.replace(choice, config=picked)
+        finetune.choice = msgspec.structs.replace(choice, config=picked)
 
 
-def _take_file(session: Editor, chosen: list[Path]) -> None:
-    session.studio.choice = msgspec.structs.replace(session.studio.choice, config=str(chosen[0]))
+def _take_file(finetune: FinetuneController, chosen: list[Path]) -> None:
+    finetune.choice = msgspec.structs.replace(finetune.choice, config=str(chosen[0]))
 
 
-def _take(session: Editor, name: str, text: str) -> None:
+def _take(finetune: FinetuneController, name: str, text: str) -> None:
     path = Path(text).expanduser() if text.strip() else None
-    session.studio.choice = msgspec.structs.replace(session.studio.choice, **{name: path})
+    finetune.choice = msgspec.structs.replace(finetune.choice, **{name: path})

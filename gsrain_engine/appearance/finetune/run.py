@@ -35,6 +35,7 @@ logger = logging.getLogger("gsrain")
 _STARTED, _TRAINED = 0.02, 0.99  # progress at which training begins and ends
 _PREVIEW_INTERVAL_S = 2.0
 _FLUSHED_EVERY_S = 1.0
+_EARLIER_POINTS = 400  # maximum number of iterations before a resumption whose losses are reported once more
 _RECENT = 100  # number of last iterations that the result's losses are averaged over
 
 
@@ -95,11 +96,14 @@ class _FinetuneLoop:
         with LossLog(self._task.output, self._first) as log:
             for row in log.earlier_rows[-_RECENT:]:
                 self._monitor.add(row)
+            for row in log.earlier_rows[:: len(log.earlier_rows) // _EARLIER_POINTS + 1]:
+                yield Progress(_STARTED, "Reading the losses so far", metrics=row)
             for number in range(self._first, settings.steps):
                 done = self._iterate(number)
                 self._monitor.add(done.losses)
                 log.add(number + 1, done.losses)
-                yield self._progress_at(number, self._message(number, done), self._preview(done))
+                step = self._progress_at(number, self._message(number, done), self._preview(done))
+                yield step._replace(metrics={"step": number + 1, **done.losses})
                 if _is_due(settings.sampled_every, number, settings.steps):
                     grid = sample_grid(self._training, self._sample_images)
                     self._grid = self._task.samples / f"step_{number + 1:06d}.png"
@@ -177,7 +181,7 @@ class _FinetuneLoop:
 
     def _progress_at(self, number: int, message: str, preview: UInt8[np.ndarray, "h w 3"] | None = None) -> Progress:
         share = (number + 1) / self._settings.steps
-        return Progress(_STARTED + (_TRAINED - _STARTED) * share, message, preview, self.warned)
+        return Progress(_STARTED + (_TRAINED - _STARTED) * share, message, preview, warning=self.warned)
 
     @property
     def _seconds(self) -> float:

@@ -1,7 +1,6 @@
 """Driving jobs: simulate drives through a copy of the document, and record videos of roll-outs; loaded roll-outs."""
 
-import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -29,10 +28,10 @@ from ...simulation.rollout_io import read_any_rollout, read_rollout, write_rollo
 from ...simulation.scenario import Scenario
 from ...simulation.sensors import RigRenderer, camera_of_width, needed_cameras
 from ...simulation.simulation import Simulation, drive
-from .job import Job, write_copy
+from .folder import write_copy
+from .job import Job
 from .process import install_sigterm_handler
 
-logger = logging.getLogger("gsrain")
 _PAPER_MM_H = (0.0, 1.2, 8.5, 12.0)  # intensities of the paper's closed-loop tables
 _METRICS_SUFFIX = ".metrics.json"
 """Suffix of the metrics next to a job's roll-out: they include the occupancy of its scene's background."""
@@ -160,7 +159,6 @@ def simulation_job(
     settings: DriveSettings,
     rains: Sequence[RainSettings],
     known: FileCache,
-    take: Callable[[list[LoadedRollout]], None],
 ) -> Job[list[LoadedRollout]]:
     """Create a job of one drive, or one in each of several rains; `known` are the scene's files."""
 
@@ -171,7 +169,7 @@ def simulation_job(
         return [load_rollout(path, is_own=False) for path in _rollout_files(folder, len(rains))]
 
     title = f"Drive {scenario.name} with {settings.agent}"
-    return Job("drive", title, drive_in_worker, read, lambda rollouts, _: take(rollouts), inputs)
+    return Job("drive", title, drive_in_worker, read, inputs)
 
 
 # Worker: one roll-out per rain
@@ -249,7 +247,7 @@ def _share(number: int, done: float, count: int) -> float:
 # Roll-out videos
 
 
-def rollout_video_job(scene: Scene, rollout: Rollout, video: Path, fps: float, known: FileCache) -> Job[None]:
+def rollout_video_job(scene: Scene, rollout: Rollout, video: Path, fps: float, known: FileCache) -> Job[Path]:
     """Create a job that records a video, as `gsrain drive` does; `known` are the scene's files."""
 
     def inputs(folder: Path) -> tuple[object, ...]:
@@ -257,10 +255,7 @@ def rollout_video_job(scene: Scene, rollout: Rollout, video: Path, fps: float, k
         write_rollout(file, rollout)
         return write_copy(scene, folder, known), file, video, fps
 
-    def log(*_: object) -> None:
-        logger.info("Filmed the drive %s", video)
-
-    return Job("drive video", f"Film {video.name}", render_video_in_worker, lambda _: None, log, inputs)
+    return Job("drive video", f"Film {video.name}", render_video_in_worker, lambda _: video, inputs)
 
 
 def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:

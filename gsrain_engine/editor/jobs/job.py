@@ -1,28 +1,23 @@
-"""Background jobs: write the input, work in another process, read the result, hand it over; and their folders."""
+"""Background jobs and calls in a thread: start them, follow them, hand their results over on the main thread."""
 
 import logging
-import os
-import re
-import secrets
-import shutil
-import tempfile
 import traceback
-from collections.abc import Callable, Generator
+from array import array
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
-from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
-from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from time import monotonic
+from typing import Any, Generic, Literal, TypeVar, cast
 
-import platformdirs
+import numpy as np
+from jaxtyping import Float64
 
-from ...scene.files import lock_path, sentence_of, try_lock_path
-from ...scene.formats.scene_folder import FileCache, write_scene_folder
+from ...scene.files import sentence_of
 from ...scene.progress import Progress
-from ...scene.scene import Scene
-from ..viewport_state import PendingScene, ViewportState
+from .folder import JobTempDir
 from .process import JobState, Work, WorkerProcess, WorkerThread
 
 logger = logging.getLogger("gsrain")
@@ -33,9 +28,33 @@ JobKind = Literal[
 ]
 
 
+class MetricCurves:
+    """Metrics of a job so far, by name. Their abscissa is the metric `step`, or the fraction for jobs without."""
+
+    def __init__(self) -> None:
+        self._points: dict[str, tuple[array[float], array[float]]] = {}
+
+    def add(self, progress: Progress) -> None:
+        place = progress.metrics.get("step", progress.fraction)
+        for name, value in progress.metrics.items():
+            places, values = self._points.setdefault(name, (array("d"), array("d")))
+            places.append(place)
+            values.append(value)
+
+    def curve(self, name: str) -> Float64[np.ndarray, "2 n"]:
+        """Abscissas and values of a metric; each point is the mean of several messages if there are many."""
+        points = np.array(self._points.get(name, ((), ())), np.float64)
+        each = max(1, points.shape[1] // _MAX_POINTS)
+        whole = points.shape[1] // each * each
+        return points[:, :whole].reshape(2, -1, each).mean(axis=2)
+
+
+_MAX_POINTS = 400  # of a curve
+
+
 @dataclass(eq=False)
 class Job(Generic[_Result]):
-    """One run of a job. Its threads and processes never touch the editor; only the functions that `poll` calls do."""
+    """One piece of work for another process: its input, its function, its result. Start it with a `JobRunner`."""
 
     kind: JobKind
     title: str
@@ -43,8 +62,6 @@ class Job(Generic[_Result]):
     """Function for the worker, which gets the arguments that `inputs` returns."""
     read: Callable[[Path], _Result]
     """Reads the result from the job's folder; in the thread for files."""
-    on_result: Callable[[_Result, bool], str | None]
-    """Takes the result (True) or a snapshot (False) on the main thread; may return the last message."""
     inputs: Callable[[Path], tuple[Any, ...]] = lambda _: ()
     """Writes the worker's input into the job's folder, and returns the arguments; in the thread for files."""
     snapshot: Callable[[Path], _Result | None] | None = None
@@ -57,198 +74,200 @@ class Job(Generic[_Result]):
     report: Path | None = None
     """HTML page that the worker writes, if any."""
     progress: Progress = _SAVING
-    state: JobState = field(default="running", init=False)
+    plots: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
+    """Metrics to draw as curves, by the title of their plot."""
+    curves: MetricCurves = field(default_factory=MetricCurves, init=False)
+    state: JobState = field(default="queued", init=False)
+    result: _Result | None = field(default=None, init=False)
     error: str | None = field(default=None, init=False)
     """Error in one line; `details` has the traceback."""
     details: str | None = field(default=None, init=False)
-    _preparing: Future[tuple[Any, ...]] | None = field(default=None, init=False)
-    _worker: WorkerProcess | WorkerThread | None = field(default=None, init=False)
-    _snapshot: Future[_Result | None] | None = field(default=None, init=False)
-    _snapshot_message: str = field(default="", init=False)
-    """Worker's message at the last snapshot request."""
-    _reading: Future[_Result] | None = field(default=None, init=False)
-
-    def start(self, files: ThreadPoolExecutor) -> None:
-        """Start; `files` is the thread for reading and writing."""
-        self._folder = JobTempDir(files)
-        self._preparing = self._folder.do(self.inputs)
-
-    def poll(self) -> None:
-        """Start the next stage after the present one has finished; never blocks. Once a frame while it runs."""
-        if self.state != "running":
-            return
-        try:
-            if self._preparing is not None and self._preparing.done():
-                arguments, self._preparing = self._preparing.result(), None
-                self._worker = (WorkerThread if self.in_thread else WorkerProcess)(self.work, *arguments)
-            if self._worker is not None:
-                self._follow(self._worker)
-            if self._reading is not None and self._reading.done():
-                message = self.on_result(self._reading.result(), True)
-                self.progress = self.progress._replace(message=message or "Done")
-                self._end("finished")
-        except Exception as error:  # any error of a disk, a worker or odd values: the window must survive
-            self.error, self.details = sentence_of(error), traceback.format_exc()
-            self._end("failed")
+    runner: "JobRunner | None" = field(default=None, init=False, repr=False)
+    """Runner that has started it."""
 
     def cancel(self) -> None:
-        """Stop without waiting; the document stays unchanged."""
-        if self.state == "running":
-            self.on_cancel()
-            self._end("cancelled")
+        """Stop without waiting; the document stays unchanged. Does nothing before the start and after the end."""
+        if self.runner is not None:
+            self.runner.cancel(self)
 
-    def wait(self, timeout_s: float) -> None:
-        """Wait until `poll` has something to process."""
-        stages: list[Future[Any] | None] = [self._preparing, self._snapshot, self._reading]
-        pending: list[Future[Any]] = [each for each in stages if each is not None]
-        if pending:
-            wait_for(pending, timeout_s)
-        elif self._worker is not None:
-            self._worker.wait(timeout_s)
+    def wait(self, timeout_s: float) -> _Result:
+        """Run a started job to its end and return its result, in programs without frames. Main thread only.
 
-    def _follow(self, worker: WorkerProcess | WorkerThread) -> None:
-        worker.poll()
-        self.progress = worker.progress
-        if worker.state == "failed":
-            self.error, self.details = worker.error, worker.details
-            self._end("failed")
-            return
-        if worker.state == "finished":
+        Raises `JobError` if it fails or is cancelled, and TimeoutError.
+        """
+        assert self.runner is not None, "not started"
+        until = monotonic() + timeout_s
+        while self.state == "running":
+            if (left_s := until - monotonic()) <= 0:
+                raise TimeoutError(f"{self.title}: has not ended after {timeout_s:g} s: {self.progress.message}")
+            self.runner.wait(left_s, self)
+            self.runner.poll()
+        if self.state != "finished":
+            raise JobError(f"{self.title}: {self.error or self.state}")
+        return cast(_Result, self.result)
 
-            def read(folder: Path) -> _Result:
-                worker.close()
-                return self.read(folder)
+    def forget_work(self) -> None:
+        """Free what its functions refer to, such as scenes."""
+        self.work = self.inputs = self.read = _ended
+        self.snapshot = None
 
-            self.progress = worker.progress._replace(fraction=1.0, message="Loading the result")
-            self._worker, self._snapshot, self._reading = None, None, self._folder.do(read)
-            return
-        if self._snapshot is not None and self._snapshot.done():
-            found, self._snapshot = self._snapshot.result(), None
-            if found is not None:
-                self.on_result(found, False)
-        if self.snapshot is not None and self._snapshot is None and self.progress.message != self._snapshot_message:
-            self._snapshot_message = self.progress.message
-            self._snapshot = self._folder.do(self.snapshot)
 
-    def _end(self, state: JobState) -> None:
-        self.state = state
-        if self._worker is not None:
-            self._worker.cancel()
-        if self._preparing is not None:
-            self._preparing.cancel()
-        self._folder.remove(self._worker)
-        self._preparing = self._worker = self._snapshot = self._reading = self.snapshot = None
-        self.work = self.inputs = self.read = self.on_result = _ended  # frees what they refer to, such as scenes
+def no_result(_: Path) -> None:
+    """Read nothing, for jobs without a result."""
 
 
 def _ended(*_: object) -> Any:
     """Stand in for the functions of a job that has ended."""
 
 
-def scene_job(
-    session: ViewportState,
-    kind: JobKind,
-    title: str,
-    work: Work,
-    inputs: Callable[[Path], tuple[Any, ...]],
-    read: Callable[[Path], Scene],
-    *,
-    is_whole: bool = False,
-    snapshot: Callable[[Path], Scene | None] | None = None,
-    report: Path | None = None,
-    progress: Progress = _SAVING,
-) -> Job[Scene]:
-    """Create a job whose result is a scene; its snapshots and its result are one undo step.
+class JobError(RuntimeError):
+    """A job that was waited for has failed or was cancelled."""
 
-    With `is_whole`, the result replaces the present scene; otherwise only its wet colors are used.
-    """
-    gesture, has_shown = f"job {secrets.token_hex(8)}", False
 
-    def stage(scene: Scene, is_final: bool) -> None:
-        nonlocal has_shown
-        if not is_final and session.staged is not None:
-            return
-        if not session.is_opening:  # otherwise it would replace the scene that is being opened
-            goes_on, has_shown = has_shown and not is_final, True
-            session.staged = PendingScene(
-                title, scene, is_whole=is_whole, only_wet_colors=not is_whole, gesture=gesture, goes_on=goes_on
-            )
-        if is_final:
-            logger.info("%s: done%s", title, "" if report is None else f"; report: {_short(report)}")
+# Running jobs
 
-    return Job(kind, title, work, read, stage, inputs, snapshot, report=report, progress=progress)
+_Waiting = Callable[[float], object]
+"""Waits some seconds at most for what a stage needs to go on."""
+_Stages = Generator[_Waiting, None, str | None]
+"""The stages of a running job: yields where it has to wait, and returns the last message."""
+
+
+class JobRunner:
+    """Runs jobs; their threads and processes touch nothing of the editor. Main thread only; call `poll` once a frame."""
+
+    def __init__(self, files: ThreadPoolExecutor, report_problem: Callable[[str], object]) -> None:
+        """Read and write in the thread `files`; `report_problem` gets one sentence about each job that fails."""
+        self.all: list[Job[Any]] = []
+        """Running and ended jobs in the order of their start, until the user clears them."""
+        self.files, self._report_problem = files, report_problem
+        self._stages: dict[Job[Any], tuple[_Stages, _Waiting]] = {}
+
+    def start(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> Job[_Result]:
+        """Start a job. `on_result` takes its result (True) and snapshots (False); it may return the last message."""
+        job.state, job.runner = "running", self
+        self.all.append(job)
+        self._advance(job, self._stages_of(job, on_result))
+        return job
+
+    @property
+    def running(self) -> list[Job[Any]]:
+        return list(self._stages)
+
+    def newest(self, *kinds: JobKind) -> Job[Any] | None:
+        """Return the job of some kinds that was started last."""
+        return next((each for each in reversed(self.all) if each.kind in kinds), None)
+
+    def is_running(self, kind: JobKind) -> bool:
+        """Return whether a job of a kind runs."""
+        return any(each.kind == kind for each in self._stages)
+
+    def poll(self) -> None:
+        """Start the next stage of each job whose present one has ended, and hand over results; never blocks."""
+        for job in self.running:
+            if job in self._stages:  # not cancelled by the result of another one
+                self._advance(job, self._stages[job][0])
+
+    def wait(self, timeout_s: float, *jobs: Job[Any]) -> None:
+        """Wait until `poll` has something to process of running jobs (all, one after the other), or time is up."""
+        for job in jobs or self.running:
+            self._stages[job][1](timeout_s)
+
+    def cancel(self, job: Job[Any]) -> None:
+        """Stop a running job without waiting for its end; the document stays unchanged."""
+        if job.state == "running":
+            job.on_cancel()
+            stages, _ = self._stages[job]
+            self._end(job, "cancelled")
+            stages.close()
+
+    def leave_scene(self) -> None:
+        """Cancel the jobs that end with the present scene, and free the results of those that have ended."""
+        for job in self.all:
+            if job.ends_with_scene:
+                self.cancel(job)
+                job.result = None
+
+    def close(self) -> None:
+        """Cancel all jobs."""
+        for job in self.all:
+            self.cancel(job)
+
+    def forget(self, job: Job[Any]) -> None:
+        """Remove a job that has ended from the list, or is ending."""
+        self.all = [each for each in self.all if each is not job]
+
+    def clear(self) -> None:
+        """Forget the jobs that have ended."""
+        self.all = self.running
+
+    def _advance(self, job: Job[Any], stages: _Stages) -> None:
+        try:
+            self._stages[job] = stages, next(stages)
+        except StopIteration as end:
+            job.progress = job.progress._replace(message=end.value or "Done")
+            self._end(job, "finished")
+        except Exception as error:  # any error of a disk, a worker or odd values: the window must survive
+            if job.error is None:
+                job.error, job.details = sentence_of(error), traceback.format_exc()
+            self._end(job, "failed")
+            self._report_problem(f"{job.title} failed: {job.error}")
+
+    def _end(self, job: Job[Any], state: JobState) -> None:
+        job.state = state
+        job.forget_work()
+        self._stages.pop(job, None)
+        if state == "finished" and job.report is not None:
+            logger.info("%s: done; report: %s", job.title, _short(job.report))
+
+    def _stages_of(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> _Stages:
+        """Prepare the input, follow the worker, read the result; cleans up behind itself wherever it is closed."""
+        folder, worker = JobTempDir(self.files), None
+        preparing = folder.do(job.inputs)
+        try:
+            arguments = yield from _result_of(preparing)
+            worker = (WorkerThread if job.in_thread else WorkerProcess)(job.work, *arguments)
+            snapshot: Future[_Result | None] | None = None
+            is_due = False  # a snapshot, because the worker has sent a message since the last one
+            while worker.state == "running":
+                yield worker.wait if snapshot is None else partial(wait_for, [snapshot])
+                steps = worker.poll()
+                job.progress, is_due = worker.progress, is_due or bool(steps)
+                for step in steps:
+                    job.curves.add(step)
+                if snapshot is not None and snapshot.done():
+                    found, snapshot = snapshot.result(), None
+                    if found is not None:
+                        on_result(found, False)
+                if job.snapshot is not None and is_due and snapshot is None and worker.state == "running":
+                    snapshot, is_due = folder.do(job.snapshot), False
+            if worker.state == "failed":
+                job.error, job.details = worker.error, worker.details
+                raise JobError(worker.error)
+            job.progress = job.progress._replace(fraction=1.0, message="Loading the result")
+            ended, worker = worker, None
+
+            def read(path: Path) -> _Result:
+                ended.close()
+                return job.read(path)
+
+            job.result = yield from _result_of(folder.do(read))
+            return on_result(job.result, True)
+        finally:
+            preparing.cancel()
+            folder.remove(worker)
+
+
+def _result_of(future: Future[_Result]) -> Generator[_Waiting, None, _Result]:
+    """Wait for a call in a thread; raises what it has raised."""
+    while not future.done():
+        yield partial(wait_for, [future])
+    return future.result()
 
 
 def _short(file: Path) -> str:
     """Path of a file, with ~ for the user's home."""
     home = Path.home()
     return str(Path("~") / file.relative_to(home)) if file.is_relative_to(home) else str(file)
-
-
-# Temporary folders
-
-_PREFIX = "gsrain-job-"
-
-
-class JobTempDir:
-    """The temporary folder of one job, created on first use; `files` has one thread, so that all access is in order.
-
-    A lock marks the process as alive; after it was killed, a later process removes the folder.
-    """
-
-    def __init__(self, files: ThreadPoolExecutor) -> None:
-        self._files = files
-        self._path: Path | None = None
-        self._open = ExitStack()
-
-    def do(self, work: Callable[[Path], _Result]) -> Future[_Result]:
-        """Call `work` with the folder in the thread."""
-
-        def done() -> _Result:
-            if self._path is None:
-                self._path = self._open.enter_context(temporary_folder())
-            return work(self._path)
-
-        return self._files.submit(done)
-
-    def remove(self, worker: WorkerProcess | WorkerThread | None = None) -> None:
-        """End the worker, then remove the folder, after all earlier tasks and without waiting.
-
-        Both take time, during which the window continues.
-        """
-        if worker is not None:
-            self._files.submit(worker.close)
-        self._files.submit(self._open.close)
-
-
-@contextmanager
-def temporary_folder() -> Generator[Path]:
-    """Create a folder for the duration of the block; see `remove_abandoned_job_folders`."""
-    with ExitStack() as lock:
-        while True:
-            path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-            with suppress(FileNotFoundError):
-                lock.enter_context(lock_path(path))
-            if path.is_dir():
-                break
-            lock.close()  # another process removed it as abandoned before it was locked
-        try:
-            yield path
-        finally:
-            shutil.rmtree(path, ignore_errors=True)
-
-
-def remove_abandoned_job_folders() -> None:
-    """Remove folders of this user's killed processes. Does nothing on systems other than POSIX."""
-    if os.name != "posix":
-        return
-    for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
-        with suppress(OSError):
-            if path.is_symlink() or path.stat().st_uid != os.getuid():
-                continue
-            with try_lock_path(path) as is_free:
-                if is_free:
-                    shutil.rmtree(path, ignore_errors=True)
 
 
 # Calls in a thread
@@ -311,28 +330,3 @@ class ThreadTasks:
             else:
                 task.state = "finished"
                 task.on_result(result)
-
-
-# Copy of the document
-
-
-def write_copy(scene: Scene, folder: Path, known: FileCache) -> Path:
-    """Write a scene into a temporary folder and return the scene folder. Links known files instead of writing them."""
-    copy = folder / "scene"
-    write_scene_folder(scene, copy, known, linking=True, in_drawing_order=True)
-    known.forget(copy)  # it will be removed soon
-    return copy
-
-
-# Reports
-
-_MAX_SUBJECT_BYTES = 120  # of the report's subject in its file name
-
-
-def new_report(name: str) -> Path:
-    """Choose a report file for `name`, by the present date and time; its folder may not exist yet."""
-    folder = platformdirs.user_data_path("gsrain", appauthor=False) / "reports"
-    about = re.sub(r"[/\x00-\x1f\x7f]", "_", name).encode(errors="replace")[:_MAX_SUBJECT_BYTES].decode(errors="ignore")
-    when = f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    places = (folder / f"{about}_{when}{suffix}.html" for suffix in ("", *(f"_{number}" for number in range(2, 100))))
-    return next((place for place in places if not place.exists()), folder / f"{about}_{when}.html")

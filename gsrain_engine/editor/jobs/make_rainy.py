@@ -1,7 +1,7 @@
 """Jobs "Make it rainy" (transfer views, then solve for wet colors) and "Preview" (transfer the current view)."""
 
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -24,8 +24,8 @@ from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from ..viewport_state import ViewportState
-from .job import Job, new_report, scene_job, write_copy
+from .folder import new_report, write_copy
+from .job import Job, no_result
 from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, require_torch, write_colors
 
 MAKE_RAINY_TITLE = "Apply wet look"
@@ -46,9 +46,9 @@ class TransferRequest:
     """True if files outside of the capture's folder that its files refer to may be read."""
 
 
-def make_rainy_job(session: ViewportState, known: FileCache, order: TransferRequest) -> Job[Scene]:
-    """Create the job for the present scene; `known` are its files."""
-    scene, report = session.scene, new_report(f"{session.scene.name} made rainy")
+def make_rainy_job(scene: Scene, known: FileCache, order: TransferRequest) -> Job[Scene]:
+    """Create the job for a scene; `known` are its files."""
+    report = new_report(f"{scene.name} made rainy")
 
     def inputs(folder: Path) -> tuple[Path, TransferRequest, Path, Path]:
         return write_copy(scene, folder, known), order, folder / COLORS_FILE, report
@@ -56,7 +56,7 @@ def make_rainy_job(session: ViewportState, known: FileCache, order: TransferRequ
     def read(folder: Path) -> Scene:
         return with_colors(scene, read_recolored(folder / COLORS_FILE))
 
-    return scene_job(session, "make rainy", MAKE_RAINY_TITLE, make_rainy, inputs, read, report=report)
+    return Job("make rainy", MAKE_RAINY_TITLE, make_rainy, read, inputs, report=report)
 
 
 # Preview job
@@ -104,14 +104,14 @@ def _dry(scene: Scene) -> Scene:
     return scene
 
 
-def preview_job(view: PreviewedView, width_px: int, known: FileCache, take: Callable[..., None]) -> Job[None]:
+def preview_job(view: PreviewedView, width_px: int, known: FileCache) -> Job[None]:
     """Create a job that transfers a view, whose pixels are placeholders; the image is the last preview."""
     placed = PlacedCamera("Preview", view.camera, view.time_s).at_width(min(width_px, view.camera.width))
 
     def inputs(folder: Path) -> tuple[object, ...]:
         return write_copy(view.scene, folder, known), *view.recipe, placed
 
-    return Job("preview", "Preview", preview_view, lambda _: None, take, inputs)
+    return Job("preview", "Preview", preview_view, no_result, inputs)
 
 
 # Workers

@@ -26,78 +26,83 @@ from jaxtyping import Int64, UInt8
 from ...safe_io.limits import receive_message
 from ...scene.files import sentence_of
 from ...scene.progress import Progress
+from ...threads import thread_limit, usable_cores
 
 cv2: Any = lazy_loader.load("cv2")  # only large previews need it
 
-JobState = Literal["running", "finished", "failed", "cancelled"]
+JobState = Literal["queued", "running", "finished", "failed", "cancelled"]
 Work = Callable[..., Iterator[Progress]]
 """Function at the top level of a module, so that the new process can import it by name."""
 
 _MAX_MESSAGE_BYTES = 1 << 24
-_NICENESS = 10  # on POSIX systems; keeps the window responsive
+_NICENESS = 10  # below the window, on POSIX systems
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
-class _Worker:
-    """State of a running function."""
-
-    state: JobState = "running"
-    progress = Progress(0.0, "Starting")
-    error: str | None = None
-    """Error in one line; `details` has the traceback."""
-    details: str | None = None
-
-
-class WorkerProcess(_Worker):
+class WorkerProcess:
     """A function running in another process. Call `poll` once a frame."""
 
     def __init__(self, work: Work, *arguments: Any) -> None:
         """Start the process; raises any error of its creation. Arguments must be picklable; pass large ones by file."""
+        self.state: JobState = "running"
+        self.progress = Progress(0.0, "Starting")
+        self.error: str | None = None
+        """Error in one line; `details` has the traceback."""
+        self.details: str | None = None
         context = multiprocessing.get_context("spawn")
         self._messages, theirs = context.Pipe(duplex=False)
-        self._image = SharedImage()
-        arguments = (theirs, self._image.name, work, arguments)
-        self._process = context.Process(target=_run, args=arguments, daemon=True)
+        self.preview = SharedImage()
+        """Latest preview image."""
+        self._process = context.Process(target=_run, args=(theirs, self.preview.name, work, arguments), daemon=True)
         try:
-            self._process.start()
+            with thread_limit(usable_cores()):
+                self._process.start()
         except BaseException:
             self._messages.close()
-            self._image.close()
+            self.preview.close()
             raise
         finally:
             theirs.close()
-        self._watchdog = WorkerWatchdog(self._process.pid or 0)
-        self._message = self.progress.message
+        self.pid = self._process.pid or 0
+        self._watchdog = WorkerWatchdog(self.pid)
+        self._warning: str | None = None
 
     def wait(self, timeout_s: float) -> None:
         """Wait for a message or the end of the worker."""
         wait([self._messages], timeout_s)
 
-    def poll(self) -> None:
-        """Process the worker's messages since the last call; never blocks."""
+    def poll(self) -> list[Progress]:
+        """Process the worker's messages since the last call, and return its steps among them; never blocks."""
+        steps = list[Progress]()
         if self.state != "running":
-            return
+            return steps
         try:
             while self.state == "running" and self._messages.poll():
-                self._take(receive_message(self._messages, _MAX_MESSAGE_BYTES))
+                message = receive_message(self._messages, _MAX_MESSAGE_BYTES)
+                self._watchdog.heard()
+                if isinstance(message, Progress):
+                    steps.append(message)
+                elif message is None:
+                    self.state = "finished"
+                else:
+                    self._fail(*message)
         except (EOFError, OSError):
             self._process.join(timeout=1.0)
-            if self.state == "running":
-                self._fail(_death(self._process.exitcode), None)
-        if (pixels := self._image.take()) is not None:
-            self.progress = self.progress._replace(preview=pixels)
-        if self.state == "running":
-            silence = self._watchdog.words
-            message = f"{self._message} ({silence})" if silence else self._message
-            self.progress = self.progress._replace(message=message)
+            self._fail(_death(self._process.exitcode), None)
+        pixels, step = self.preview.take(), steps[-1] if steps else self.progress._replace(warning=self._warning)
+        self._warning = step.warning
+        self.progress = step._replace(
+            preview=self.progress.preview if pixels is None else pixels, warning=self._watchdog.warning or step.warning
+        )
+        return steps
 
     def cancel(self) -> None:
         """Terminate the worker without waiting for it; unfinished work is lost."""
         if self.state == "running":
             self._process.terminate()
-            if psutil.POSIX and self._process.pid is not None:
+            if psutil.POSIX:
                 with suppress(ProcessLookupError):  # a stopped process receives SIGTERM only after SIGCONT
-                    os.kill(self._process.pid, signal.SIGCONT)
+                    os.kill(self.pid, signal.SIGCONT)
             self.state = "cancelled"
 
     def close(self) -> None:
@@ -107,18 +112,7 @@ class WorkerProcess(_Worker):
             self._process.kill()
             self._process.join()
         self._messages.close()
-        self._image.close()
-
-    def _take(self, message: Any) -> None:
-        self._watchdog.heard()
-        if isinstance(message, Progress):
-            self._message = message.message
-            self.progress = message._replace(preview=self.progress.preview)
-        elif message is None:
-            self.progress = self.progress._replace(fraction=1.0, message="Done")
-            self.state = "finished"
-        else:
-            self._fail(*message)
+        self.preview.close()
 
     def _fail(self, error: str, details: str | None) -> None:
         self.state, self.error, self.details = "failed", error, details
@@ -139,7 +133,7 @@ def _death(exit_code: int | None) -> str:
 def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[Any, ...]) -> None:
     """Run the work in the new process; send Progress for each step, None at the end, (line, traceback) on failure."""
     if psutil.POSIX:
-        psutil.Process().nice(_NICENESS)
+        os.nice(_NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     picture = SharedImage(picture_name)
     try:
@@ -173,11 +167,15 @@ def _sentence(error: Exception) -> str:
     return sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
 
 
-class WorkerThread(_Worker):
+class WorkerThread:
     """A function running in a thread of this process, with the interface of a `WorkerProcess`."""
 
     def __init__(self, work: Work, *arguments: Any) -> None:
         """Start the thread."""
+        self.state: JobState = "running"
+        self.progress = Progress(0.0, "Starting")
+        self.error: str | None = None
+        self.details: str | None = None
         thread = futures.ThreadPoolExecutor(max_workers=1)
         self._running = thread.submit(self._run, work, arguments)
         thread.shutdown(wait=False)
@@ -186,12 +184,14 @@ class WorkerThread(_Worker):
         """Wait for the end of the work."""
         futures.wait([self._running], timeout_s)
 
-    def poll(self) -> None:
+    def poll(self) -> list[Progress]:
+        """Return the latest step."""
         if self.state == "running" and self._running.done():
             self.state = "finished"
             if (error := self._running.exception()) is not None:
                 self.state, self.error = "failed", f"{type(error).__name__}: {error}"
                 self.details = "".join(traceback.format_exception(error))
+        return [self.progress]
 
     def cancel(self) -> None:
         """Stop at the next step of the work, without waiting for it."""
@@ -299,8 +299,8 @@ class WorkerWatchdog:
         self._heard_s, self._is_stopped = self._now(), False
 
     @property
-    def words(self) -> str:
-        """Description of a long silence, or "". Changes once a minute at most."""
+    def warning(self) -> str | None:
+        """Description of a long silence, or None. Changes once a minute at most."""
         now = self._now()
         if now - max(self._heard_s, self._checked_s) > _CHECK_INTERVAL_S:
             self._checked_s = now
@@ -311,7 +311,7 @@ class WorkerWatchdog:
         if self._is_stopped:
             return f"process {self._pid} is stopped: kill -CONT {self._pid} lets it go on"
         minutes = int((now - self._heard_s) / _LONG_S)
-        return f"no news for {minutes} min" if minutes else ""
+        return f"no news for {minutes} min" if minutes else None
 
 
 def install_sigterm_handler() -> None:

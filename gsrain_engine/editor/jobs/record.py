@@ -1,7 +1,7 @@
 """Export job and worker: record a saved scene with its rain, weather and path, as `gsrain render PROJECT` does."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from ...backends import open_renderer
@@ -16,22 +16,18 @@ from ...scene.open import load_sorted_scene
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ..viewport.camera import default_path
-from .job import Job, write_copy
+from .folder import write_copy
+from .job import Job
 from .process import install_sigterm_handler
 
 logger = logging.getLogger("gsrain")
 
 
-def export_job(scene: Scene, recording: ExportSettings, known: FileCache, notes: Sequence[str]) -> Job[None]:
-    """Create a job with the settings of the command line; `known` are the scene's files, `notes` are logged at the end.
+def export_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job[str]:
+    """Create a job with the settings of the command line, whose result is the output; `known` are the scene's files.
 
     It goes on when another scene is opened, because it has its own copy of the document.
     """
-
-    def log_recorded(*_: object) -> None:
-        logger.info("Recorded %s", recording.output)
-        for note in notes:
-            logger.info("%s", note)
 
     def log_stopped() -> None:
         is_begun = Path(recording.output).exists()
@@ -39,7 +35,7 @@ def export_job(scene: Scene, recording: ExportSettings, known: FileCache, notes:
         logger.info("Stopped recording %s: %s", recording.output, left)
 
     return Job(
-        "export", f"Record {recording.path.name}", record_in_worker, lambda _: None, log_recorded,
+        "export", f"Record {recording.path.name}", record_in_worker, lambda _: recording.output,
         lambda folder: (write_copy(scene, folder, known), recording), on_cancel=log_stopped, ends_with_scene=False,
     )  # fmt: skip
 

@@ -1,15 +1,11 @@
 """Jobs of the `jobs` extra: fine-tune the transfer, recolor, reconstruct; and the check for torch."""
 
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from jaxtyping import Float64
-
-from ...appearance.finetune.loss_log import read_losses
 from ...appearance.finetune.settings import FinetuneTask
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
@@ -24,44 +20,29 @@ from ...scene.scene import Scene
 from ...training.data import ReconstructionTask
 from ...training.settings import TrainingSettings
 from ...trusted_code import expect_trusted
-from ..viewport_state import ViewportState
-from .job import Job, new_report, scene_job, write_copy
+from .folder import new_report, write_copy
+from .job import Job
 
 if TYPE_CHECKING:
     from ...appearance.finetune.settings import FinetuneResult
 
+_STARTING = Progress(0.0, "Starting")
+
 # Job "Train the transfer": fine-tuning, with LPIPS if weights are available
 
-Losses = Mapping[str, Float64[np.ndarray, " n"]]
-"""Arrays by name, with iterations as `step`; smoothed if there are many."""
+_LOSS_PLOTS = {
+    "Cycle": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
+    "Discriminators": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
+}
+"""Losses by plot: those to minimize, and the adversarial ones."""
 
-_MAX_POINTS = 400  # of a curve; each is the mean of several iterations
 
-
-def finetune_job(task: FinetuneTask, on_losses: Callable[[Losses], None]) -> Job[Losses]:
-    """Create a job that passes the losses so far to `on_losses`. After cancelling, a job can resume from its folder."""
-
-    def on_result(losses: Losses, is_final: bool) -> str:
-        on_losses(losses)
-        return f"Trained: {task.weights}"
-
+def finetune_job(task: FinetuneTask) -> Job[Path]:
+    """Create a job whose result is the file of the weights. After cancelling, a job can resume from its folder."""
     return Job(
-        "fine-tune", "Train the transfer", train_transfer, lambda _: _losses_of(task), on_result, lambda _: (task,),
-        lambda _: _losses_of(task), ends_with_scene=False, progress=Progress(0.0, "Starting"),
+        "fine-tune", "Train the transfer", train_transfer, lambda _: task.weights, lambda _: (task,),
+        ends_with_scene=False, progress=_STARTING, plots=_LOSS_PLOTS,
     )  # fmt: skip
-
-
-def _losses_of(task: FinetuneTask) -> Losses:
-    """Read the losses so far; empty if the file can't be read."""
-    try:
-        rows = read_losses(task.losses)
-    except OSError:
-        return {}
-    if not rows:
-        return {}
-    each = max(1, len(rows) // _MAX_POINTS)
-    whole = len(rows) // each * each
-    return {name: np.array([row[name] for row in rows[:whole]]).reshape(-1, each).mean(axis=1) for name in rows[0]}
 
 
 def train_transfer(task: FinetuneTask) -> "Generator[Progress, None, FinetuneResult]":
@@ -83,18 +64,13 @@ COLORS_FILE = "colors.npz"
 
 
 def recolor_job(
-    session: ViewportState,
-    known: FileCache,
-    capture: Path,
-    images: Path | None,
-    *,
-    allow_outside: bool = False,
+    scene: Scene, known: FileCache, capture: Path, images: Path | None, *, allow_outside: bool = False
 ) -> Job[Scene]:
-    """Create a job that recolors the present scene, whose files are `known`.
+    """Create a job that recolors a scene, whose files are `known`.
 
     `capture` provides the cameras, and the images unless the folder `images` has others under the same names.
     """
-    scene, name = session.scene, (images or capture).name
+    name = (images or capture).name
     report = new_report(f"{scene.name} to {name}")
 
     def inputs(folder: Path) -> tuple[object, ...]:
@@ -103,7 +79,7 @@ def recolor_job(
     def read(folder: Path) -> Scene:
         return with_colors(scene, read_recolored(folder / COLORS_FILE))
 
-    return scene_job(session, "recolor", f"Recolor to {name}", recolor_scene_copy, inputs, read, report=report)
+    return Job("recolor", f"Recolor to {name}", recolor_scene_copy, read, inputs, report=report)
 
 
 def recolor_scene_copy(
@@ -127,10 +103,8 @@ def write_colors(file: Path, scene: Scene) -> None:
 # Job "Reconstruct": Gaussians from a capture, with snapshots in the viewport
 
 
-def reconstruction_job(
-    session: ViewportState, capture: Path, settings: TrainingSettings, *, allow_outside: bool = False
-) -> Job[Scene]:
-    """Create a job whose snapshots and result replace the present scene, as one undo step."""
+def reconstruction_job(capture: Path, settings: TrainingSettings, *, allow_outside: bool = False) -> Job[Scene]:
+    """Create a job whose snapshots and result are whole scenes."""
     report, read_ns = new_report(capture.name), 0
 
     def inputs(folder: Path) -> tuple[ReconstructionTask]:
@@ -150,10 +124,10 @@ def reconstruction_job(
         read_ns = written_ns
         return scene
 
-    return scene_job(
-        session, "reconstruct", f"Reconstruct {capture.name}", reconstruct_capture, inputs,
-        lambda folder: read_scene(folder / "scene"), is_whole=True, snapshot=snapshot, report=report,
-        progress=Progress(0.0, "Starting"),
+    return Job(
+        "reconstruct", f"Reconstruct {capture.name}", reconstruct_capture, lambda folder: read_scene(folder / "scene"),
+        inputs, snapshot, report=report, progress=_STARTING,
+        plots={"Loss": ("loss",), "Held-out views": ("PSNR (dB)",)},
     )  # fmt: skip
 
 

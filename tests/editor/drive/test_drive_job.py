@@ -23,9 +23,9 @@ def session():
 
 def follow(session):
     """Look after the last job as the window does, until it ends; returns it and what it showed."""
-    job, shown = session.jobs[-1], []
+    job, shown = session.jobs.all[-1], []
     while job.state == "running":
-        job.wait(60)
+        session.jobs.wait(60)
         session.update(0.0)
         if job.progress.preview is not None:
             shown.append(job.progress.preview)
@@ -68,5 +68,5 @@ def test_a_scene_without_a_drive_can_t_be_driven_through(session):
     session.set_scene("no drive", replace(session.scene, ego=None))
     assert "no recorded drive" in session.drives.why_not(session)
     session.drives.start(session)
-    assert session.jobs == []
+    assert session.jobs.all == []
     assert "no recorded drive" in session.problem

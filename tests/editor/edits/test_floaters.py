@@ -95,9 +95,7 @@ def test_a_sky_dome_in_the_same_file_is_no_floater_and_not_in_the_crop_box():
 def test_the_job_selects_as_one_step():
     session = Editor(scene())
     job = session.find_floaters(FloaterRules())
-    while job.state == "running":
-        job.wait(60)
-        job.poll()
+    job.wait(60)
     assert (session.floater_count, job.progress.message) == (3, "3 Gaussians look like floaters and are selected")
     assert session.history.labels == ["Open", "Find floaters"]
     assert session.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
@@ -110,7 +108,6 @@ def test_a_cancelled_job_changes_nothing():
     session = Editor(scene())
     job = session.find_floaters(FloaterRules())
     job.cancel()
-    job.wait(60)
-    job.poll()
+    session.jobs.poll()
     assert (job.state, session.floater_count, session.history.labels) == ("cancelled", None, ["Open"])
     session.close()

@@ -1,10 +1,12 @@
 """Edits of an open document, a job that runs meanwhile, and waiting for their result."""
 
+import threading
 from concurrent.futures import wait
+from contextlib import suppress
 
 import numpy as np
 
-from gsrain_engine.editor.jobs.job import Job
+from gsrain_engine.editor.jobs.job import Job, JobError
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.progress import Progress
@@ -43,24 +45,39 @@ def names_in(folder):
 
 
 class HeldJob(Job):
-    """A job that goes on until the test ends it."""
+    """A job in a thread that goes on until the test ends it."""
 
-    def __init__(self, session, title="Make it rainy", ends_with_scene=True):
-        self.session, self.kind = session, "make rainy"
-        self.title, self.ends_with_scene, self.state = title, ends_with_scene, "running"
-        self.progress, self.error, self.details = Progress(0.4, "at it"), None, None
-        self.result = None
-        self.fails = False
+    def __init__(self, title="Make it rainy", ends_with_scene=True):
+        self._is_ended, self._scene, self._fails = threading.Event(), None, False
+        super().__init__(
+            "make rainy", title, self._held, lambda _: self._scene, ends_with_scene=ends_with_scene, in_thread=True
+        )
 
-    def start(self, files):
-        pass
+    def start(self, session):
+        """Start, and wait until it is at work."""
 
-    def poll(self):
-        if self.fails:
-            self.state, self.error = "failed", "the third wheel is missing"
-        elif self.result is not None:
-            self.session.staged = PendingScene(self.title, self.result)
-            self.state = "finished"
+        def stage(scene, _):
+            if scene is not None:
+                session.staged = PendingScene(self.title, scene)
 
-    def cancel(self):
-        self.state = "cancelled"
+        session.jobs.start(self, stage)
+        while self.progress.fraction < 0.4:
+            session.jobs.wait(0.01)
+            session.jobs.poll()
+
+    def end(self, scene=None, *, fails=False):
+        """End with a scene or without one, or with an error."""
+        self.let_end(scene, fails=fails)
+        with suppress(JobError):
+            self.wait(60)
+
+    def let_end(self, scene=None, *, fails=False):
+        """The same, without waiting for it; for any thread."""
+        self._scene, self._fails = scene, fails
+        self._is_ended.set()
+
+    def _held(self):
+        while not self._is_ended.wait(0.001):
+            yield Progress(0.4, "at it")
+        if self._fails:
+            raise ValueError("the third wheel is missing")

@@ -375,13 +375,13 @@ def test_a_newer_scene_is_refused_and_nothing_is_lost(session, home, tmp_path):
 
 def at_work(session, *jobs):
     for job in jobs:
-        session.start(job)
+        job.start(session)
     return jobs
 
 
 @pytest.mark.parametrize("changes", [False, True])
 def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
-    (job,) = at_work(session, HeldJob(session))
+    (job,) = at_work(session, HeldJob())
     session.request_quit()
     question = session.questions.present
     assert question.title == "Work goes on" and "Make it rainy" in question.text and not session.is_leaving
@@ -391,7 +391,7 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
     assert job.state == "running" and not session.is_leaving
     if changes:
         road = session.scene.layers[0]
-        job.result = session.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1))
+        job.end(session.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1)))
         session.update(0.0)
         assert job.state == "finished" and session.staged is not None and not session.is_leaving
         settle(session)
@@ -399,13 +399,13 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
         assert session.questions.present.title == "Unsaved changes" and not session.is_leaving
         answer(session, "Don't save")
     else:
-        job.state = "finished"
+        job.end()
         session.update(0.0)
     assert session.is_leaving and session.questions.present is None
 
 
 def test_stopping_a_job_goes_on_with_the_end(session):
-    jobs = at_work(session, HeldJob(session), HeldJob(session, "Record clip.mp4", ends_with_scene=False))
+    jobs = at_work(session, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
     delete_every_third(session)
     session.request_quit()
     assert "Make it rainy and Record clip.mp4 are" in session.questions.present.text
@@ -417,14 +417,14 @@ def test_stopping_a_job_goes_on_with_the_end(session):
 
 
 def test_cancelling_leaves_window_and_job_as_they_are(session):
-    (job,) = at_work(session, HeldJob(session))
+    (job,) = at_work(session, HeldJob())
     session.request_quit()
     answer(session, "Cancel")
     assert (job.state, session.is_leaving, session.questions.present) == ("running", False, None)
     session.request_quit()
     answer(session, "Wait")
     answer(session, "Cancel")
-    job.state = "finished"
+    job.end()
     settle(session)
     assert (session.is_leaving, session.questions.present) == (False, None)
     session.request_quit()
@@ -432,10 +432,10 @@ def test_cancelling_leaves_window_and_job_as_they_are(session):
 
 
 def test_a_job_that_fails_while_it_is_waited_for_keeps_the_window_open(session):
-    (job,) = at_work(session, HeldJob(session))
+    (job,) = at_work(session, HeldJob())
     session.request_quit()
     answer(session, "Wait")
-    job.fails = True
+    job.end(fails=True)
     settle(session)
     assert not session.is_leaving and session.questions.present is None
     assert "third wheel" in session.problem
@@ -449,7 +449,7 @@ def test_another_document_asks_about_jobs_that_end_with_this_one(session, tmp_pa
         "close": session.files.close_scene,
         "revert": session.files.revert,
     }[go]
-    job, recording = at_work(session, HeldJob(session), HeldJob(session, "Record clip.mp4", ends_with_scene=False))
+    job, recording = at_work(session, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
     scene = session.scene
     to_another()
     assert "Make it rainy is" in session.questions.present.text and not session.files.is_opening
@@ -457,11 +457,11 @@ def test_another_document_asks_about_jobs_that_end_with_this_one(session, tmp_pa
     assert session.scene is scene and job.state == "running"
     to_another()
     answer(session, "Wait")
-    job.state = "finished"
+    job.end()
     session.update(0.0)
     settle(session)
     assert session.scene is not scene and (job.state, recording.state) == ("finished", "running")
-    at_work(session, HeldJob(session))
+    at_work(session, HeldJob())
     session.request_quit()
     answer(session, "Stop them")
     assert session.is_leaving

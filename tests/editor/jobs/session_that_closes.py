@@ -6,21 +6,23 @@ Run as a program with a capture folder.
 import sys
 from pathlib import Path
 
+import psutil
+
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.training import reconstruction_job
 from gsrain_engine.training.settings import TrainingSettings
 
 
 def main(capture: str) -> None:
-    """Do as the module says; prints the worker's number when it trains."""
+    """Do as the module says; prints the numbers of its processes while it trains."""
     session = Editor()
     settings = TrainingSettings(steps=100_000, gaussians=1500, device="cpu")
-    job = reconstruction_job(session, Path(capture), settings)
-    session.start(job)
-    while job.state == "running" and not job.progress.message.startswith("Step"):
-        job.wait(60)
+    job = session.jobs.start(reconstruction_job(Path(capture), settings), scene_results(session, "Reconstruct"))
+    while job.state == "running" and "loss" not in job.progress.metrics:
+        session.jobs.wait(60)
         session.update(0.0)
-    print(job.error or job._worker._process.pid, flush=True)
+    print(job.error or " ".join(str(each.pid) for each in psutil.Process().children(recursive=True)), flush=True)
     session.close()
 
 

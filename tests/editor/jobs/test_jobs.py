@@ -1,46 +1,214 @@
-"""Jobs run real processes; `wait` polls them as a window does, and yields the processor between polls."""
+"""Jobs in real processes and threads, started by a runner without an editor; `wait` polls as a window does."""
 
 import os
 import signal
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.editor.jobs import process
+from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, ThreadTasks
 from gsrain_engine.editor.jobs.process import SharedImage, WorkerProcess
 from gsrain_engine.scene.progress import Progress
 
 
-def counting(path, steps):
-    for k in range(steps):
-        yield Progress(k / steps, f"step {k}")
-    path.write_text("result")
+@pytest.fixture
+def problems():
+    return []
 
 
-def failing(kind):
+@pytest.fixture
+def runner(problems):
+    with ThreadPoolExecutor(1) as files:
+        opened = JobRunner(files, problems.append)
+        yield opened
+        opened.close()
+
+
+class Places:
+    """The job's folder, and what the receiver of its results was called with."""
+
+    def __init__(self):
+        self.folder, self.results = None, []
+
+    def inputs(self, folder):
+        self.folder = folder
+        (folder / "scene").write_text("input")
+        return (folder,)
+
+    def take(self, result, is_final):
+        self.results.append((result, is_final))
+
+    def job(self, work, read=lambda _: None, **options):
+        return Job("recolor", "Recolor", work, read, options.pop("inputs", self.inputs), **options)
+
+
+# A job that succeeds
+
+
+def painting(folder):
+    """Report three steps with snapshots, the last with a warning, a large picture and the settings of its process."""
+    assert (folder / "scene").read_text() == "input"
+    for step in (1, 2, 3):
+        (folder / "snapshot").write_text(f"snapshot {step}")
+        yield Progress(step / 4, "painting", np.full((30, 40, 3), step, np.uint8), {"step": 10 * step, "loss": 1 / step})
+        while not (folder / f"read snapshot {step}").exists():
+            time.sleep(0.001)
+    threads = os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"]
+    (folder / "result").write_text(f"{psutil.Process().nice()} {threads}")
+    yield Progress(0.9, "thinking", np.full((3000, 4000, 3), 7, np.uint8), warning="nothing is learned")
+
+
+def read_snapshot(folder):
+    found = (folder / "snapshot").read_text()
+    if (folder / f"read {found}").exists():
+        return None
+    (folder / f"read {found}").touch()
+    return found
+
+
+def test_a_job_reports_snapshots_metrics_a_warning_and_pictures_and_hands_over_its_result(runner, monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    places = Places()
+    job = places.job(painting, lambda folder: (folder / "result").read_text(), snapshot=read_snapshot)
+    job.cancel()
+    assert job.state == "queued"
+    assert runner.start(job, places.take) is job
+    assert (job.state, runner.running, runner.is_running("recolor")) == ("running", [job], True)
+    cores = len(os.sched_getaffinity(0))
+    assert job.wait(60) == f"{min(psutil.Process().nice() + 10, 19)} ('{os.environ.get('OMP_NUM_THREADS', cores)}', '1')"
+    assert job.wait(0) == job.result
+    assert places.results == [(f"snapshot {k}", False) for k in (1, 2, 3)] + [(job.result, True)]
+    assert (job.state, job.progress.fraction, job.progress.message) == ("finished", 1.0, "Done")
+    assert job.progress.warning == "nothing is learned"
+    assert job.curves.curve("loss").tolist() == [[10, 20, 30], [1, 1 / 2, 1 / 3]]
+    height, width = job.progress.preview.shape[:2]
+    assert width * height <= 1024 * 768 and abs(width / height - 4 / 3) < 0.01 and (job.progress.preview == 7).all()
+    assert (runner.running, runner.newest("recolor"), runner.newest("drive")) == ([], job, None)
+    runner.clear()
+    assert runner.all == []
+
+
+def test_a_job_in_a_thread_reports_its_last_message(runner):
+    found = []
+
+    def searching(count):
+        for k in range(count):
+            yield Progress(k / count, "searching")
+            found.append(k)
+
+    job = Job("floaters", "Find floaters", searching, lambda _: found, lambda _: (3,), in_thread=True)
+    assert runner.start(job, lambda result, _: f"Found {len(result)}").wait(60) == [0, 1, 2]
+    assert job.progress.message == "Found 3"
+
+
+# Jobs that fail
+
+
+def failing(_):
     yield Progress(0.5, "about to fail")
-    raise kind("the third wheel is missing")
+    raise ValueError("the third wheel is missing")
 
 
-def dying():
+def failing_unforeseen(_):
+    yield Progress(0.5, "about to fail")
+    raise RuntimeError("the third wheel is missing")
+
+
+def killed(_):
     yield Progress(0.25, "about to die")
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def endless():
-    while True:
-        yield Progress(0.5, "still at it")
+def crashing(_):
+    yield Progress(0.25, "about to crash")
+    os.kill(os.getpid(), signal.SIGSEGV)
 
 
-def hungry():
+def leaving(_):
+    yield Progress(0.25, "about to leave")
+    os._exit(3)
+
+
+def hungry(_):
     yield Progress(0.1, "about to ask for more than there is")
     np.ones(1 << 62, np.uint8)
 
 
-def deaf():
+def succeeding(_):
+    yield Progress(1.0, "done")
+
+
+def full_disk(*_):
+    raise OSError(28, "No space left on device")
+
+
+def with_a_function(folder):
+    return (lambda: folder,)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "traceback"),
+    [
+        ({"work": failing}, "the third wheel is missing", "in failing"),
+        ({"work": failing, "in_thread": True}, "ValueError: the third wheel", "in failing"),
+        ({"work": failing_unforeseen}, "RuntimeError: the third wheel", "in failing_unforeseen"),
+        ({"work": killed}, "killed", None),
+        ({"work": crashing}, "SIGSEGV", None),
+        ({"work": leaving}, "exit code 3", None),
+        ({"work": hungry}, "the machine ran out of memory", "in hungry"),
+        ({"inputs": full_disk}, "No space left", "in full_disk"),
+        ({"inputs": with_a_function}, "pickle", "with_a_function"),
+        ({"read": full_disk}, "No space left", "in full_disk"),
+        ({"snapshot": full_disk, "work": failing_unforeseen}, "", ""),  # either of the two errors comes first
+        ({"on_result": full_disk}, "No space left", "in full_disk"),
+    ],
+    ids=lambda value: "-".join(f"{key}={getattr(each, '__name__', each)}" for key, each in value.items())
+    if isinstance(value, dict)
+    else "",
+)
+def test_whatever_fails_is_a_failed_job_with_one_line_that_leaves_nothing_behind(
+    runner, problems, options, error, traceback
+):
+    places = Places()
+    take = options.pop("on_result", places.take)
+    job = runner.start(places.job(**{"work": succeeding} | options), take)
+    with pytest.raises(JobError):
+        job.wait(60)
+    assert job.state == "failed" and error in job.error and "\n" not in job.error
+    assert job.details is None if traceback is None else traceback in job.details
+    assert problems == [f"Recolor failed: {job.error}"]
+    assert_nothing_is_left(runner, places)
+
+
+def assert_nothing_is_left(runner, places):
+    """Wait for the thread that cleans up, then look for processes and files."""
+    runner.close()
+    cleaned_up = ThreadTasks(runner.files)
+    cleaned_up.start(lambda: None, lambda _: None, pytest.fail).future.result(timeout=60)
+    assert places.folder is None or not places.folder.exists()
+    own = [each.cmdline() for each in psutil.Process().children()]
+    assert not [each for each in own if "--multiprocessing-fork" in each]
+
+
+def test_a_worker_that_can_t_be_started_leaves_no_shared_memory():
+    def names():
+        return {each for each in os.listdir("/dev/shm") if each.startswith("psm_")} if os.path.isdir("/dev/shm") else set()
+
+    before = names()
+    with pytest.raises(AttributeError, match="pickle"):
+        WorkerProcess(succeeding, lambda: None)
+    assert names() <= before
+
+
+# Jobs that are cancelled
+
+
+def deaf(_):
     """Work without a yield, in compiled code that never looks at signals."""
     yield Progress(0.5, "multiplying")
     matrix = np.ones((20_000, 2_000), np.float32)
@@ -48,154 +216,110 @@ def deaf():
         matrix @ matrix.T
 
 
-def showing():
-    for k in range(3):
-        yield Progress(k / 3, "painting", np.full((40, 30, 3), 10 * (k + 1), np.uint8))
-    yield Progress(0.9, "thinking")
-
-
-def painting_large():
-    yield Progress(0.5, "painting", np.full((3000, 4000, 3), 7, np.uint8))
-
-
-def telling_its_niceness(path):
-    yield Progress(0.5, "looking")
-    path.write_text(str(psutil.Process().nice()))
-
-
-def finish(job):
-    while job.state == "running":
-        job.wait(30)
-        job.poll()
-
-
-def test_a_job_reports_and_leaves_its_result(tmp_path):
-    job = WorkerProcess(counting, tmp_path / "result", 3)
-    finish(job)
-    assert job.state == "finished"
-    assert job.progress.fraction == 1
-    assert (tmp_path / "result").read_text() == "result"
-    job.close()
+def endless(*_):
+    while True:
+        yield Progress(0.5, "still at it")
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("options", "until"),
     [
-        (ValueError, "the third wheel is missing"),  # foreseen, and said in a sentence
-        (RuntimeError, "RuntimeError: the third wheel is missing"),
+        ({"work": deaf}, "multiplying"),
+        ({"work": endless}, "still at it"),
+        ({"work": endless, "in_thread": True}, "still at it"),
+        ({"work": endless}, "Starting"),
+        ({"work": endless}, "Saving the scene for the worker"),
+        ({"work": succeeding, "read": lambda _: time.sleep(0.2)}, "Loading the result"),
     ],
+    ids=lambda value: value if isinstance(value, str) else value["work"].__name__,
 )
-def test_a_failing_job_has_one_line_and_a_traceback(kind, told):
-    job = WorkerProcess(failing, kind)
-    finish(job)
-    assert (job.state, job.error) == ("failed", told)
-    assert "in failing" in job.details
-    job.close()
+def test_cancel_ends_a_job_within_a_second_wherever_it_is(runner, problems, options, until):
+    cancelled, places = [], Places()
+    job = runner.start(places.job(**options, on_cancel=lambda: cancelled.append(job)), places.take)
+    while job.progress.message != until:
+        runner.wait(0.01)
+        runner.poll()
+    started = time.perf_counter()
+    job.cancel()
+    job.cancel()
+    assert (job.state, runner.running, cancelled) == ("cancelled", [], [job])
+    assert_nothing_is_left(runner, places)
+    assert time.perf_counter() - started < 1
+    with pytest.raises(JobError, match="cancelled"):
+        job.wait(0)
+    assert places.results == [] and problems == []
 
 
-def test_what_can_t_be_started_leaves_no_shared_memory(monkeypatch):
-    made = []
-
-    class Recorded(SharedImage):
-        def __init__(self):
-            super().__init__()
-            made.append(self.name)
-
-    monkeypatch.setattr(process, "SharedImage", Recorded)
-    with pytest.raises(AttributeError, match="pickle"):
-        WorkerProcess(counting, lambda: None)
-    with pytest.raises(FileNotFoundError):
-        SharedMemory(made[0])
-
-
-def test_a_dead_worker_is_a_failed_job():
-    job = WorkerProcess(dying)
-    finish(job)
-    assert job.state == "failed"
-    assert "the worker was killed" in job.error
-    assert "memory" in job.error
-    job.close()
+def test_leaving_a_scene_ends_its_jobs_and_closing_ends_all(runner):
+    ended = Job("recolor", "Recolor", succeeding, lambda _: "colors", lambda _: (0,))
+    assert runner.start(ended, lambda *_: None).wait(60) == "colors"
+    jobs = [Job("export", f"{k}", endless, lambda _: None, ends_with_scene=k == 0, in_thread=True) for k in (0, 1)]
+    for job in jobs:
+        runner.start(job, lambda *_: None)
+    with pytest.raises(TimeoutError, match="0: has not ended"):
+        jobs[0].wait(0.01)
+    runner.leave_scene()
+    assert ([each.state for each in jobs], ended.result) == (["cancelled", "running"], None)
+    runner.close()
+    assert [each.state for each in runner.all] == ["finished", "cancelled", "cancelled"]
 
 
-def test_missing_memory_is_told_in_a_sentence():
-    job = WorkerProcess(hungry)
-    finish(job)
-    assert job.state == "failed"
-    assert job.error.startswith("the machine ran out of memory: close other programs")
-    assert "in hungry" in job.details
-    job.close()
+# Parts
 
 
-def test_the_newest_picture_arrives_and_stays():
-    job = WorkerProcess(showing)
-    finish(job)
-    assert job.progress.preview.shape == (40, 30, 3)
-    assert (job.progress.preview == 30).all()
-    job.close()
+def test_curves_are_the_means_of_many_steps_by_metric():
+    curves = MetricCurves()
+    for step in range(1, 2001):
+        curves.add(Progress(0.0, "", metrics={"step": step, "loss": 2 * step} | ({"dB": 5.0} if step % 500 == 0 else {})))
+    curves.add(Progress(0.25, "", metrics={"speed": 3.0}))
+    steps, losses = curves.curve("loss")
+    assert len(steps) == 400 and steps[0] == 3.0 and np.array_equal(losses, 2 * steps)
+    assert curves.curve("dB").tolist() == [[500, 1000, 1500, 2000], [5] * 4]
+    assert curves.curve("speed").tolist() == [[0.25], [3.0]]
+    assert curves.curve("unknown").shape == (2, 0)
 
 
-def test_a_large_picture_arrives_smaller():
-    job = WorkerProcess(painting_large)
-    finish(job)
-    height, width = job.progress.preview.shape[:2]
-    assert width * height <= 1024 * 768
-    assert abs(width / height - 4 / 3) < 0.01
-    assert (job.progress.preview == 7).all()
-    job.close()
-
-
-def test_two_slots_never_show_half_a_picture():
+def test_a_reader_of_shared_images_never_gets_half_an_image():
     ours = SharedImage()
     theirs = SharedImage(ours.name)
     assert ours.take() is None
-    for value in (1, 2, 3):
-        theirs.write(np.full((8, 6, 3), value, np.uint8))
-    assert (ours.take() == 3).all()
-    assert ours.take() is None  # it was taken already
-    theirs.write(np.full((4, 4, 3), 9, np.uint8))
-    theirs._numbers()[1 + 3 * (4 % 2)] = 0  # as while it is being written
-    assert ours.take() is None
+    sizes = {value: (8 + 7 * value % 300, 5 + 11 * value % 400) for value in range(1, 256)}
+
+    def write():
+        for value, size in sizes.items():
+            theirs.write(np.full((*size, 3), value, np.uint8))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    taken = []
+    while writer.is_alive() or not taken or taken[-1] < 255:
+        if (image := ours.take()) is not None:
+            taken.append(int(image[0, 0, 0]))
+            assert image.shape[:2] == sizes[taken[-1]] and (image == taken[-1]).all()
+    writer.join()
+    assert taken == sorted(set(taken)) and ours.take() is None
     theirs.close()
     ours.close()
     ours.close()
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(ours.name)
 
 
-@pytest.mark.skipif(not psutil.POSIX, reason="niceness is POSIX's")
-def test_workers_come_after_the_window(tmp_path):
-    job = WorkerProcess(telling_its_niceness, tmp_path / "nice")
-    finish(job)
-    assert int((tmp_path / "nice").read_text()) > psutil.Process().nice()
-    job.close()
-
-
-def test_cancel_ends_the_process_within_a_second_wherever_it_is():
-    job = WorkerProcess(deaf)
-    while job.progress.message != "multiplying":
-        job.wait(30)
-        job.poll()
-    started = time.perf_counter()
-    job.cancel()
-    assert not job._process.join(timeout=1.0)
-    assert job._process.exitcode is not None
-    assert time.perf_counter() - started < 1
-    job.close()
-
-
-def test_cancel_stops_a_job_that_would_go_on_for_ever():
-    job = WorkerProcess(endless)
-    job.wait(30)
-    job.poll()
-    job.cancel()
-    assert job.state == "cancelled"
-    job.poll()
-    assert job.state == "cancelled"
-    job.close()
-
-
-@pytest.mark.parametrize("times", [1, 2])
-def test_cancel_may_come_at_once_and_twice(times):
-    job = WorkerProcess(endless)
-    for _ in range(times):
-        job.cancel()
-    assert job.state == "cancelled"
-    job.close()
+def test_calls_in_a_thread_are_processed_in_their_order_on_the_thread_that_polls():
+    seen = []
+    with ThreadPoolExecutor(1) as thread:
+        tasks, may_go_on = ThreadTasks(thread), threading.Event()
+        started = [
+            tasks.start(may_go_on.wait, lambda result: seen.append((threading.current_thread(), result)), pytest.fail),
+            tasks.start(lambda: 1 / 0, pytest.fail, seen.append),
+            tasks.start(lambda: 3, pytest.fail, pytest.fail, "third", "adding"),
+        ]
+        assert started[2].progress.message == "adding"
+        started[2].cancel()
+        tasks.poll()
+        assert seen == []
+        may_go_on.set()
+    tasks.poll()
+    assert seen[0] == (threading.main_thread(), True) and isinstance(seen[1], ZeroDivisionError)
+    assert [each.state for each in started] == ["finished", "failed", "cancelled"]
+    assert (tasks.running, tasks.futures) == ([], [])

@@ -1,0 +1,135 @@
+"""Does a job keep reporting while the window plays, and does the window keep its frame rate? Prints JSON, then a line.
+
+The real window plays the built-in street in rain: alone, then while a job works in its own process. `recolor` makes the
+street rainy, `training` reconstructs a capture of the street. Without a display: `xvfb-run -s "-screen 0 1100x720x24"`.
+"""
+
+import argparse
+import json
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from statistics import median, quantiles
+
+from imgui_bundle import hello_imgui, immapp
+from reconstruct_street import street_capture
+
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.training import reconstruction_job
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.render.renderer import describe_machine
+from gsrain_engine.training.settings import load_settings
+from ui.window import MainWindow
+from ui.workspace import Workspace
+
+
+class Measurement:
+    """Frame times of a playing window, then the same with a job and the times of its messages. Called once a frame."""
+
+    def __init__(self, seconds: float, start: Callable[[Editor], None]) -> None:
+        self.alone: list[float] = []
+        self.with_job: list[float] = []
+        self.messages: list[float] = []
+        self.last_message = ""
+        self._seconds, self._start = seconds, start
+        self._begins = self._frame = 0.0
+        self._is_idle = True
+
+    def frame(self, workspace: Workspace) -> None:
+        session, now = workspace.session, time.perf_counter()
+        frame_s, self._frame = now - self._frame, now
+        if session.busy is not None or session.staged is not None or not session.scene.gaussian_count:
+            session.clock.playing = True
+            self._begins = now + 3.0  # the quality of frames has settled then
+        elif now < self._begins:
+            pass
+        elif now < self._begins + self._seconds:
+            self.alone.append(frame_s)
+        elif self._is_idle:
+            self._is_idle = False
+            self._start(session)
+        else:
+            self._with_job(session, now, frame_s)
+
+    def _with_job(self, session: Editor, now: float, frame_s: float) -> None:
+        job = session.jobs.all[-1]
+        self.with_job.append(frame_s)
+        if not self.messages or (job.progress.fraction, job.progress.message) != self.last_message:
+            self.messages.append(now)
+            self.last_message = job.progress.fraction, job.progress.message
+        if job.state != "running" or now > self.messages[0] + self._seconds:
+            self.messages.append(now)
+            hello_imgui.get_runner_params().app_shall_exit = True
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("job", choices=("recolor", "training"))
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each of the two measurements")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        start = _make_rainy if arguments.job == "recolor" else _train(Path(folder))
+        measurement = Measurement(arguments.seconds, start)
+
+        def begin() -> Editor:
+            session = Editor(rain=load_preset("8.5"))
+            session.open("street")
+            return session
+
+        window = MainWindow(begin, on_frame=measurement.frame)
+        parameters = window.parameters()
+        parameters.ini_disable = True
+        parameters.app_window_params.window_geometry.size = (1100, 720)  # px
+        threading.Thread(target=_stop_after, args=(600.0,), daemon=True).start()
+        immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
+        window.close()
+    gaps = [after - before for before, after in pairwise(measurement.messages)]
+    found = {
+        "alone": _summary(measurement.alone),
+        "with job": _summary(measurement.with_job),
+        "messages": len(gaps),
+        "longest_gap_s": round(max(gaps), 1),
+        "last message": measurement.last_message,
+        "machine": describe_machine(),
+    }
+    print(json.dumps(found, indent=1))
+    ratio = found["with job"]["median_ms"] / found["alone"]["median_ms"]
+    print(f"a frame with the job takes {ratio:.2f} times as long as alone; longest silence {max(gaps):.1f} s")
+
+
+def _make_rainy(session: Editor) -> None:
+    session.rainy.make(session)
+
+
+def _train(folder: Path) -> Callable[[Editor], None]:
+    """Write a capture of the street; returns what trains on it."""
+    for _ in write_views(folder / "street", street_capture(with_depth=False, camera_count=1)):
+        pass
+
+    def start(session: Editor) -> None:
+        session.start(reconstruction_job(session, folder / "street", load_settings("laptop", measured_every=0)))
+
+    return start
+
+
+def _stop_after(seconds: float) -> None:
+    time.sleep(seconds)
+    hello_imgui.get_runner_params().app_shall_exit = True
+
+
+def _summary(frames_s: list[float]) -> dict[str, float]:
+    return {
+        "frames": len(frames_s),
+        "median_ms": round(1e3 * median(frames_s), 1),
+        "percentile_95_ms": round(1e3 * quantiles(frames_s, n=20)[-1], 1),
+        "longest_ms": round(1e3 * max(frames_s), 1),
+    }
+
+
+if __name__ == "__main__":
+    main()
