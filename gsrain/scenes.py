@@ -18,7 +18,7 @@ from gsrain_engine.datasets.capture import Capture as Capture
 from gsrain_engine.datasets.capture import CaptureError as CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.edits.level import Axis, oriented
-from gsrain_engine.editor.steps import EditStep
+from gsrain_engine.editor.steps import EditStep, apply_steps
 from gsrain_engine.editor.viewport import camera as views
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
 from gsrain_engine.safe_io.errors import convert_checked
@@ -81,7 +81,7 @@ def edit(scene: Scene, name: str, /, **arguments: Any) -> Scene:
     Raises:
         ValueError: For an unknown edit or parameter, and when the edit refuses, such as for a locked layer.
     """
-    return EditStep.of_values(name, arguments).apply(scene)
+    return apply_steps(scene, [EditStep.with_values(name, arguments)])
 
 
 def capture(path: Path | str, *, allow_outside: bool | None = None) -> Capture:

@@ -5,7 +5,6 @@ Keyframes are given by index.
 
 import logging
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +21,7 @@ from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrice
 from ..scene.rig import rig_camera_path
 from ..scene.scene import RigCamera
 from .document import Document
-from .edits.members import set_path, with_path
+from .edits.members import change_path, set_path, with_path
 from .status import StatusBus
 from .timeline import KeyframeDrag, Playback
 from .viewport.camera import front_camera
@@ -171,7 +170,7 @@ class CameraPathEditor:
     def change_path(self, label: str, **fields: Any) -> None:
         """Set interpolation, easing or loop."""
         if self._document.scene.path is not None:
-            self._document.edit(label, with_path, replace, **fields)
+            self._document.edit(label, with_path, change_path, **fields)
 
     def circle_target(self, duration_s: float = 12.0) -> None:
         """Replace the path by a full circle around the orbit target that starts at the current view."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, Literal, ParamSpec
+from typing import Any, Generic, Literal, NamedTuple, ParamSpec
 
 import msgspec
 
@@ -30,6 +30,13 @@ class DocumentState:
 # States are immutable values, so a step costs a reference.
 
 
+class Recipe(NamedTuple):
+    """A function of the scene, with arguments by name, that makes what was computed in the background."""
+
+    change: Callable[..., Scene]
+    arguments: Mapping[str, Any]
+
+
 @dataclass(slots=True)
 class Step:
     """A step of the history: the document after it, and the pure function with its arguments that made it."""
@@ -46,6 +53,8 @@ class Step:
     """Keyword arguments of `change`."""
     gesture: str | None = None
     """Name of the running drag; further changes by the same gesture belong to the same step."""
+    recipe: Recipe | None = None
+    """Makes the same as `change`, whose arguments are a result of background work; None for any other step."""
 
     def applied_to(self, before: DocumentState) -> DocumentState:
         """Apply the change to another document."""
@@ -181,13 +190,14 @@ class Document:
         change: Callable[..., Scene],
         *arguments: Any,
         gesture: str | None = None,
+        recipe: Recipe | None = None,
         **options: Any,
     ) -> bool:
         """Set the scene that `change(scene, *arguments, **options)` returns; return whether it is another one.
 
         `label` may be a function of the old and the new scene.
         """
-        return self._apply(label, Step("", self.state, "scene", change, arguments, options, gesture))
+        return self._apply(label, Step("", self.state, "scene", change, arguments, options, gesture, recipe))
 
     def edit_keyframes(
         self,
@@ -242,8 +252,8 @@ class Document:
         return True
 
 
-def with_rain(state: DocumentState, at_s: float, **fields: Any) -> DocumentState:
-    """Change fields of the rain; those with keyframes get one at a time."""
+def with_rain(state: DocumentState, at_s: float = 0.0, **fields: Any) -> DocumentState:
+    """Change fields of the rain; those with keyframes get one at a time in seconds."""
     keyed = {name: value for name, value in fields.items() if state.keyframes.is_keyed(name) and value is not None}
     keyframes = state.keyframes.with_key(at_s, **keyed) if keyed else state.keyframes
     return replace(state, rain=msgspec.structs.replace(state.rain, **fields), keyframes=keyframes)

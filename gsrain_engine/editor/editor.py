@@ -278,7 +278,9 @@ class Editor:
         continues = self.document.history.continues(staged.gesture)
         if staged.goes_on and not continues:
             return  # the user has continued with something else
-        is_new = self.document.edit(staged.label, staged.change, staged.scene, gesture=staged.gesture)
+        is_new = self.document.edit(
+            staged.label, staged.change, staged.scene, gesture=staged.gesture, recipe=staged.recipe
+        )
         if staged.change is replace_scene and not continues:
             self._reset_view()
         elif is_new and staged.change is not replace_scene:

@@ -25,8 +25,9 @@ from ..scene.scene import Scene
 from ..scene.transforms import lost_when_flattened
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
 from .capture_view import CaptureController
-from .document import DocumentState
+from .document import DocumentState, Recipe
 from .edits.layers import import_scene
+from .edits.results import import_file
 from .jobs.job import JobRunner, ThreadTask, ThreadTasks
 from .preferences import PreferencesStore, state_folder
 from .status import Answer, DeferredAction, Question, StatusBus, describe_error, do_nothing
@@ -184,7 +185,8 @@ class Files:
 
         def take(opened: LoadedDocument) -> None:
             other = opened.scene
-            self._document.edit(f"Import {other.name}", import_scene, other)
+            recipe = Recipe(import_file, {"path": path})
+            self._document.edit(f"Import {other.name}", import_scene, other, recipe=recipe)
             logger.info("Imported %s: %s Gaussians", path, f"{other.gaussian_count:,}")
 
         logger.info("Importing %s", path)

@@ -1,9 +1,10 @@
 """Search for floaters, which ends with their selection."""
 
 from ..scene.progress import Progress
-from .document import Document
+from .document import Document, Recipe
 from .edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from .edits.gaussians import selected_count
+from .edits.results import find_floaters
 from .jobs.job import Job, JobRunner, no_result
 
 FLOATERS_TITLE = "Find floaters"
@@ -25,7 +26,8 @@ class FloaterFinder:
             self.count = count = selected_count(select_floaters(self._document.scene, search.found))
             if not count:
                 return "No Gaussian looks like a floater"
-            self._document.edit(FLOATERS_TITLE, select_floaters, search.found)
+            recipe = Recipe(find_floaters, {"rules": rules})
+            self._document.edit(FLOATERS_TITLE, select_floaters, search.found, recipe=recipe)
             verb = "looks like a floater and is" if count == 1 else "look like floaters and are"
             return f"{count:,} Gaussian{'s'[: count != 1]} {verb} selected"
 

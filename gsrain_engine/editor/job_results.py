@@ -5,12 +5,15 @@ from collections.abc import Callable
 
 from ..scene.scene import Scene
 from ..scene.transforms import with_wet_colors_of
+from .document import Recipe
 from .edits.members import replace_scene
 from .jobs.job import JobRunner
 from .viewport_state import PendingScene, ViewportState
 
 
-def scene_results(viewport: ViewportState, label: str, *, is_whole: bool = False) -> Callable[[Scene, bool], None]:
+def scene_results(
+    viewport: ViewportState, label: str, recipe: Recipe, *, is_whole: bool = False
+) -> Callable[[Scene, bool], None]:
     """Create a receiver of a job's scenes, which makes its snapshots and its result one undo step.
 
     With `is_whole`, they replace the present scene; otherwise only their wet colors are used.
@@ -23,7 +26,7 @@ def scene_results(viewport: ViewportState, label: str, *, is_whole: bool = False
             return  # it would replace the scene that is being opened, or a snapshot that is still being uploaded
         goes_on, has_shown = has_shown and not is_final, True
         change = replace_scene if is_whole else with_wet_colors_of
-        viewport.staged = PendingScene(label, scene, change=change, gesture=gesture, goes_on=goes_on)
+        viewport.staged = PendingScene(label, scene, change=change, recipe=recipe, gesture=gesture, goes_on=goes_on)
 
     return stage
 

@@ -11,6 +11,8 @@ from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_trans
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
 from .capture_view import CaptureController
+from .document import Recipe
+from .edits.results import apply_wet_look
 from .files import Files
 from .job_results import scene_results, why_wait
 from .jobs.job import JobRunner
@@ -164,7 +166,8 @@ class WetLookController:
         capture = self._captures.path if uses_capture else None
         order = TransferRequest(self.method, self.settings, self.choice, capture, self._captures.allows_outside)
         job = make_rainy_job(self._document.scene, self._files.known, order)
-        self._jobs.start(job, scene_results(self._viewport, MAKE_RAINY_TITLE))
+        values = {name: getattr(order, name) for name in TransferRequest.__dataclass_fields__}
+        self._jobs.start(job, scene_results(self._viewport, MAKE_RAINY_TITLE, Recipe(apply_wet_look, values)))
 
     def make_soon(self) -> None:
         """Start the job as soon as a scene is open."""

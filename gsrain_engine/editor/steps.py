@@ -1,57 +1,123 @@
-"""Edit steps as text: each edit of a scene by name with its arguments, for the history, the command line and Python.
+"""Steps of the history as text: each edit by name with its arguments, for the command line and Python.
 
-A step such as `rename key=layers/road name="wet road"` names a function of `EDITS`. Its arguments are
-JSON values, converted to and from the types of the function's parameters.
+A step such as `rename key=layers/road name="wet road"` names an edit of `EDITS`. Its arguments are JSON values,
+converted from and to the types of the parameters of the edit's function.
 """
 
+import base64
+import binascii
 import json
 import re
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import import_module
 from inspect import Parameter, signature
-from typing import Any, NamedTuple, get_type_hints
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
 
+from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
+from ..rain.settings import load_preset
 from ..safe_io.errors import convert_checked
-from ..scene.camera_path import CameraPath
-from ..scene.flags import BitMask
-from ..scene.formats.scene_json import PathRecord, mask_from_text, mask_to_text, path_of, path_record
 from ..scene.scene import Scene
+from .document import DocumentState, Step
+from .edits.members import with_path
+from .selection.commands import select_found
 
-_EDITS = {
-    "edits.actors": "turn_actor retime_actor drive_along_own_path set_ego_start set_origin",
-    "edits.gaussians": "delete_selected hide_selected isolate_selected show_all crop compact",
-    "edits.layers": "duplicate separate remove rename move_up move_down merge",
-    "edits.level": "level_from_ground level_from_points set_ground_height set_length",
-    "edits.rain": "change_rain set_rain_keyframes",
-    "edits.transform": "move_selected move_member set_layer_pose",
+Kind = Literal["scene", "path", "selection", "document", "keyframes"]
+
+
+class Edit(NamedTuple):
+    """A function that edits, by its place, and what it takes and returns."""
+
+    function: str
+    """Such as "edits.layers:rename" in this package; with a leading dot, in the engine."""
+    kind: Kind = "scene"
+    """Scene, its camera path (see `with_path`), document, or rain keyframes; or a search for the Gaussians of a scene
+    that are combined with the selection (see `select_found`)."""
+    fields: str = ""
+    """Type whose fields the function takes as further arguments by name."""
+
+
+_PATHS = ".scene.camera_path_edit:"
+_KEYFRAMES, _KEYFRAME = ".rain.keyframes:RainKeyframes", ".rain.keyframes:RainKeyframe"
+EDITS: Mapping[str, Edit] = {
+    "delete-selected": Edit("edits.gaussians:delete_selected"),
+    "hide-selected": Edit("edits.gaussians:hide_selected"),
+    "isolate-selected": Edit("edits.gaussians:isolate_selected"),
+    "show-all": Edit("edits.gaussians:show_all"),
+    "crop": Edit("edits.gaussians:crop"),
+    "purge-deleted": Edit("edits.gaussians:compact"),
+    "find-floaters": Edit("edits.results:find_floaters"),
+    "select-all": Edit("selection.candidates:all_selected"),
+    "select-none": Edit("selection.candidates:none_selected"),
+    "invert-selection": Edit("selection.candidates:inverted"),
+    "select-in-view": Edit("selection.screen:select_in_screen_shape", "selection"),
+    "select-in-volume": Edit("selection.volume:in_volume", "selection"),
+    "select-near": Edit("selection.volume:near_selection", "selection"),
+    "select-flood": Edit("selection.volume:flood_select", "selection"),
+    "select-color": Edit("selection.candidates:select_similar_colors", "selection"),
+    "select-range": Edit("selection.attributes:select_attribute_range", "selection"),
+    "select-set": Edit("selection.commands:members_of_set", "selection"),
+    "save-set": Edit("selection.commands:save_set"),
+    "rename-set": Edit("selection.commands:rename_set"),
+    "remove-set": Edit("selection.commands:remove_set"),
+    "duplicate": Edit("edits.layers:duplicate"),
+    "separate": Edit("edits.layers:separate"),
+    "merge": Edit("edits.layers:merge"),
+    "rename": Edit("edits.layers:rename"),
+    "remove": Edit("edits.layers:remove"),
+    "move-up": Edit("edits.layers:move_up"),
+    "move-down": Edit("edits.layers:move_down"),
+    "import": Edit("edits.results:import_file"),
+    "set-visible": Edit("edits.members:set_visible"),
+    "set-locked": Edit("edits.members:set_locked"),
+    "set-opacity": Edit("edits.members:set_opacity"),
+    "set-grading": Edit("edits.members:set_grading"),
+    "move-selected": Edit("edits.transform:move_selected"),
+    "move": Edit("edits.transform:move_member"),
+    "place": Edit("edits.transform:set_layer_pose"),
+    "level-by-ground": Edit("edits.level:level_from_ground"),
+    "level-by-points": Edit("edits.level:level_from_points"),
+    "set-ground-height": Edit("edits.level:set_ground_height"),
+    "set-length": Edit("edits.level:set_length"),
+    "set-origin": Edit("edits.actors:set_origin"),
+    "set-ego-start": Edit("edits.actors:set_ego_start"),
+    "drive-along-path": Edit("edits.actors:drive_along_own_path"),
+    "turn-actor": Edit("edits.actors:turn_actor"),
+    "retime-actor": Edit("edits.actors:retime_actor"),
+    "set-path": Edit("edits.members:set_path"),
+    "change-path": Edit("edits.members:change_path", "path", "edits.members:PathOptions"),
+    "set-keyframe": Edit(_PATHS + "with_keyframe", "path"),
+    "place-keyframe": Edit(_PATHS + "place_keyframe_at", "path"),
+    "move-keyframe": Edit(_PATHS + "move_keyframe", "path"),
+    "copy-keyframe": Edit(_PATHS + "copy_keyframe_to", "path"),
+    "snap-keyframe": Edit(_PATHS + "snap_key_to", "path"),
+    "delete-keyframe": Edit(_PATHS + "without_keyframe", "path"),
+    "reverse-path": Edit(_PATHS + "reverse_path_time", "path"),
+    "stretch-path": Edit(_PATHS + "stretch_path_time", "path"),
+    "change-rain": Edit("document:with_rain", "document", ".rain.settings:RainSettings"),
+    "set-rain-keyframe": Edit(_KEYFRAMES + ".with_key", "keyframes", _KEYFRAME),
+    "move-rain-keyframe": Edit("edits.rain_keyframes:move_keyframe", "keyframes", _KEYFRAME),
+    "set-rain-keyframe-number": Edit("edits.rain_keyframes:set_keyframe_number", "keyframes"),
+    "remove-rain-keyframe": Edit(_KEYFRAMES + ".without_key", "keyframes"),
+    "set-rain-keyframes": Edit("edits.rain_keyframes:replace_keyframes", "keyframes"),
+    "set-rain-interpolation": Edit("edits.rain_keyframes:set_interpolation", "keyframes"),
+    "add-shower": Edit("edits.rain_keyframes:add_shower", "keyframes"),
+    "wet-look": Edit("edits.results:apply_wet_look"),
+    "recolor": Edit("edits.results:recolor_to_images"),
+    "reconstruct": Edit("edits.results:reconstruct"),
 }
-EDITS: Mapping[str, str] = {
-    name.replace("_", "-"): f"gsrain_engine.editor.{module}:{name}"
-    for module, names in _EDITS.items()
-    for name in names.split()
-}
-"""Names of all edits, and the functions that make them: of a scene and of arguments; they return the edited scene."""
-
-
-_PARAMETER = re.compile(r"([\w-]+)=")
-_WORD = re.compile(r"(?!(true|false|null|NaN|Infinity)$)[A-Za-z][\w/.:-]*")
+"""All edits by name. Those of the history are rows of this table."""
 
 
 class EditError(ValueError):
     """An edit that does not exist, or with arguments that it does not take; the message names them."""
-
-
-class _MaskRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A `BitMask`; see `mask_to_text`."""
-
-    count: int
-    bits: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,20 +130,30 @@ class EditStep:
     """JSON values by parameter; parameters with their default may be absent."""
 
     @classmethod
-    def of(cls, change: Callable[..., Scene], arguments: Iterable[Any]) -> "EditStep":
-        """Describe a call of a function of `EDITS`; `arguments` are positional, without the scene.
-
-        Raises `EditError` for another function.
-        """
+    def of(cls, step: Step) -> "EditStep":
+        """Describe a step of the history. Raises `EditError` for one that no edit makes, such as opening a scene."""
+        change, arguments, options = step.change, step.arguments, dict(step.options)
+        if step.recipe is not None:
+            change, arguments, options = step.recipe.change, (), dict(step.recipe.arguments)
+        elif change is with_path:
+            change, *arguments = arguments
+        elif change is select_found:
+            mode, change, *arguments = arguments
+            options["mode"] = mode
         name = _names().get(change)
         if name is None:
-            raise EditError(f"{change.__qualname__} is no edit that has a name")
-        parameters = list(_parameters(change).values())
-        values = zip(parameters, arguments, strict=False)
-        return cls(name, {each.name: _plain(value) for each, value in values if not _is_default(each, value)})
+            raise EditError(f"{step.label}: no edit has this result")
+        parameters = _parameters(EDITS[name])
+        values = dict(zip(parameters, arguments, strict=False)) | options
+        is_usual = {
+            each: parameter.default is not Parameter.empty and _plain(values[each]) == _plain(parameter.default)
+            for each, parameter in parameters.items()
+            if each in values
+        }
+        return cls.with_values(name, {each: value for each, value in values.items() if not is_usual.get(each, False)})
 
     @classmethod
-    def of_values(cls, name: str, values: Mapping[str, Any]) -> "EditStep":
+    def with_values(cls, name: str, values: Mapping[str, Any]) -> "EditStep":
         """Describe an edit by its name, with values of the types of its parameters, or JSON values."""
         return cls(name.replace("_", "-"), {each: _plain(value) for each, value in values.items()})
 
@@ -107,33 +183,66 @@ class EditStep:
         arguments = "".join(f", {name}={value!r}" for name, value in self.arguments.items())
         return f"scene = gr.edit(scene, {self.name!r}{arguments})"
 
-    def apply(self, scene: Scene) -> Scene:
-        """Make the edit; returns the edited scene.
+    def apply(self, state: DocumentState) -> DocumentState:
+        """Make the edit; returns the edited document.
 
         Raises:
             EditError: For an unknown name or parameter, a missing one, or a value of another type.
             ValueError: When the edit refuses, such as for a locked layer.
         """
-        if self.name not in EDITS:
+        edit = EDITS.get(self.name)
+        if edit is None:
             raise EditError(f"{self.name}: no such edit; there are {', '.join(EDITS)}")
-        change = _function(self.name)
-        parameters, hints = _parameters(change), get_type_hints(change)
+        change, parameters = _function(self.name), _parameters(edit)
         for name, parameter in parameters.items():
-            if parameter.default is Parameter.empty and name not in self.arguments and not _takes_any(parameter):
+            if parameter.default is Parameter.empty and name not in self.arguments:
                 raise EditError(f"{self.name}: needs {name}=...")
+        hints = _hints(edit)
+        if unknown := [name for name in self.arguments if name not in hints]:
+            raise EditError(f"{self.name}: has no parameter {unknown[0]!r}; it takes {', '.join(hints) or 'none'}")
         values: dict[str, Any] = {}
         for name, value in self.arguments.items():
-            if name in hints:
-                try:
-                    values[name] = convert_checked(value, hints[name], dec_hook=_decoded)
-                except ValueError as error:
-                    raise EditError(f"{self.name}: {name}: {error}") from None
-            elif any(map(_takes_any, parameters.values())):
-                values[name] = value
-            else:
-                known = ", ".join(parameters) or "none"
-                raise EditError(f"{self.name}: has no parameter {name!r}; it takes {known}")
-        return change(scene, **values)
+            try:
+                values[name] = _converted(value, hints[name])
+            except ValueError as error:
+                raise EditError(f"{self.name}: {name}: {error}") from None
+        if edit.kind == "path":
+            if state.scene.path is None and self.name != "set-keyframe":
+                raise ValueError("The scene has no camera path.")
+            return replace(state, scene=with_path(state.scene, change, **values))
+        if edit.kind == "selection":
+            mode = values.pop("mode", "set")
+            return replace(state, scene=select_found(state.scene, mode, lambda scene: change(scene, **values)))
+        of = "document" if edit.kind == "document" else edit.kind
+        return Step("", state, of, change, (), values).applied_to(state)
+
+
+_PARAMETER = re.compile(r"([\w-]+)=")
+_WORD = re.compile(r"(?!(true|false|null|NaN|Infinity)$)[A-Za-z][\w/.:-]*")
+
+
+def document_of(scene: Scene) -> DocumentState:
+    """Document of a scene with the rain that it was saved with; no rain if there is none."""
+    return DocumentState(scene, rain_of(scene) or load_preset("clear"), keyframes_of(scene) or NO_KEYFRAMES)
+
+
+def apply_steps(scene: Scene, steps: Iterable[EditStep]) -> Scene:
+    """Apply steps one after another to a scene and its saved rain.
+
+    Errors are those of `EditStep.apply`, and name the number of the step.
+    """
+    before = state = document_of(scene)
+    for number, step in enumerate(steps, 1):
+        try:
+            state = step.apply(state)
+        except EditError as error:
+            raise EditError(f"step {number}: {error}") from None
+        except ValueError as error:
+            raise ValueError(f"step {number}, {step.name}: {error}") from None
+    if state.rain == before.rain and state.keyframes == before.keyframes:
+        return state.scene
+    weather = msgspec.to_builtins(state.keyframes) if state.keyframes.keys else None
+    return replace(state.scene, rain=msgspec.to_builtins(state.rain), weather=weather)
 
 
 class EditHelp(NamedTuple):
@@ -147,58 +256,61 @@ class EditHelp(NamedTuple):
 
 def edit_help() -> Iterator[EditHelp]:
     """Describe all edits, in the order of `EDITS`."""
-    for name in EDITS:
-        change = _function(name)
-        summary = (change.__doc__ or "").strip().partition("\n")[0]
-        yield EditHelp(name, " ".join(map(_parameter_help, _parameters(change).values())), summary)
+    for name, edit in EDITS.items():
+        parameters, hints = _parameters(edit), _hints(edit)
+        words = [_parameter_help(each) for each in parameters.values()]
+        words += [f"[{each}=...]" for each in hints if each not in parameters]
+        summary = (_function(name).__doc__ or "").strip().partition("\n\n")[0]
+        yield EditHelp(name, " ".join(words), " ".join(summary.split()))
 
 
 def _parameter_help(parameter: Parameter) -> str:
-    if _takes_any(parameter):
-        return f"[{parameter.name.upper()}=...]"
     if parameter.default is Parameter.empty:
         return f"{parameter.name}=..."
     return f"[{parameter.name}={_text(_plain(parameter.default))}]"
 
 
-def apply_steps(scene: Scene, steps: Iterable[EditStep]) -> Scene:
-    """Apply steps one after another; the errors of `EditStep.apply` name the step's number and its edit."""
-    for number, step in enumerate(steps, 1):
-        try:
-            scene = step.apply(scene)
-        except EditError as error:
-            raise EditError(f"step {number}: {error}") from None
-        except ValueError as error:
-            raise ValueError(f"step {number}, {step.name}: {error}") from None
-    return scene
-
-
-# Functions and their arguments
+# Functions and their parameters
 
 
 @cache
-def _function(name: str) -> Callable[..., Scene]:
-    module, _, function = EDITS[name].partition(":")
-    return getattr(import_module(module), function)
+def _function(name: str) -> Callable[..., Any]:
+    return _named(EDITS[name].function)
+
+
+def _named(place: str) -> Any:
+    module, _, names = place.partition(":")
+    found = import_module(f"gsrain_engine{module}" if module.startswith(".") else f"{__package__}.{module}")
+    for each in names.split("."):
+        found = getattr(found, each)
+    return found
 
 
 @cache
-def _names() -> dict[Callable[..., Scene], str]:
+def _names() -> dict[Callable[..., Any], str]:
     return {_function(name): name for name in EDITS}
 
 
-def _parameters(change: Callable[..., Scene]) -> dict[str, Parameter]:
-    """Parameters of an edit by name, without the scene."""
-    _, *rest = signature(change).parameters.values()
-    return {each.name: each for each in rest}
+@cache
+def _parameters(edit: Edit) -> dict[str, Parameter]:
+    """Parameters of an edit by name, without the first, which it edits, and without further fields."""
+    _, *rest = signature(_named(edit.function)).parameters.values()
+    own = {each.name: each for each in rest if each.kind not in (Parameter.VAR_KEYWORD, Parameter.VAR_POSITIONAL)}
+    if edit.kind != "selection":
+        return own
+    return {"mode": Parameter("mode", Parameter.KEYWORD_ONLY, default="set")} | own
 
 
-def _takes_any(parameter: Parameter) -> bool:
-    return parameter.kind is Parameter.VAR_KEYWORD
+@cache
+def _hints(edit: Edit) -> dict[str, Any]:
+    """Types of all parameters of an edit by name, further fields included."""
+    hints = get_type_hints(_named(edit.function), include_extras=True) if _parameters(edit) else {}
+    of_mode = {"mode": Literal["set", "add", "remove", "intersect"]}
+    own = {name: (of_mode | hints)[name] for name in _parameters(edit)}
+    return own if not edit.fields else own | get_type_hints(_named(edit.fields), include_extras=True)
 
 
-def _is_default(parameter: Parameter, value: object) -> bool:
-    return parameter.default is not Parameter.empty and _plain(value) == _plain(parameter.default)
+# Values
 
 
 def _plain(value: Any) -> Any:
@@ -207,26 +319,63 @@ def _plain(value: Any) -> Any:
 
 
 def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.dtype == np.bool_:
+        bits = base64.b64encode(zlib.compress(np.packbits(value).tobytes(), 9)).decode()
+        return {"shape": value.shape, "bits": bits}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if isinstance(value, BitMask):
-        return msgspec.to_builtins(_MaskRecord(value.count, mask_to_text(value)))
-    if isinstance(value, CameraPath):
-        return msgspec.to_builtins(path_record(value))
+    if isinstance(value, Path):
+        return str(value)
     raise NotImplementedError(f"{type(value).__name__} has no JSON form")
 
 
+def _converted(value: Any, kind: Any) -> Any:
+    """Convert JSON values to a type; of several structs or dataclasses, the first that fits."""
+    kinds = get_args(kind) if get_origin(kind) in (Union, type(int | str)) else (kind,)
+    if sum(isinstance(each, type) and hasattr(each, "__dataclass_fields__") for each in kinds) < 2:
+        return convert_checked(value, kind, dec_hook=_decoded)
+    for each in kinds[:-1]:
+        with suppress(ValueError):
+            return convert_checked(value, each, dec_hook=_decoded)
+    return convert_checked(value, kinds[-1], dec_hook=_decoded)
+
+
 def _decoded(kind: type, value: Any) -> Any:
-    """Convert JSON values to a type of a parameter that msgspec does not know."""
-    if kind is BitMask:
-        record = msgspec.convert(value, _MaskRecord)
-        return mask_from_text(record.bits, record.count, "mask")
-    if kind is CameraPath:
-        return path_of(msgspec.convert(value, PathRecord), "path")
-    array = np.asarray(value, np.float64)  # the remaining ones are arrays of jaxtyping
+    """Convert JSON values to a type that msgspec does not know: a path, or an array with its shape."""
+    if kind is Path:
+        return Path(value)
+    if isinstance(value, dict):
+        array = _mask(value)
+    else:
+        dtypes = getattr(kind, "dtypes", ())
+        array = np.asarray(value, np.dtype(dtypes[0]) if dtypes else np.float64)
     if not isinstance(array, kind):
         raise ValueError(f"expected numbers of shape {getattr(kind, 'dim_str', '')}, got shape {array.shape}")
     return array
+
+
+class _MaskRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An array of flags: packed bits, deflated, in base64."""
+
+    shape: tuple[int, ...]
+    bits: str
+
+
+def _mask(value: dict[str, Any]) -> np.ndarray:
+    record = msgspec.convert(value, _MaskRecord)
+    count = int(np.prod(record.shape))
+    if not 0 <= count <= _MAX_PIXELS:
+        raise ValueError(f"expected at most {_MAX_PIXELS} flags, got shape {record.shape}")
+    try:
+        packed = zlib.decompressobj().decompress(base64.b64decode(record.bits, validate=True), count // 8 + 1)
+    except (zlib.error, binascii.Error) as error:
+        raise ValueError(f"bits are damaged: {error}") from None
+    if len(packed) != -(-count // 8):
+        raise ValueError(f"expected {count} flags, got {8 * len(packed)}")
+    return np.unpackbits(np.frombuffer(packed, np.uint8), count=count).view(np.bool_).reshape(record.shape)
+
+
+_MAX_PIXELS = 1 << 28
 
 
 def _first_value(text: str) -> tuple[Any, str]:

@@ -12,7 +12,7 @@ from ..render.draw import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.scene import Scene, SceneCore, core_bounds
-from .document import Document, DocumentState
+from .document import Document, DocumentState, Recipe
 from .edits.members import replace_scene
 from .timeline import Playback
 from .viewport.camera import OrbitCamera, find_scene_core, home_viewport_camera
@@ -33,6 +33,8 @@ class PendingScene:
     """True if it replaces the present document instead of being a step of it."""
     change: Callable[[Scene, Scene], Scene] = replace_scene
     """Edit of the present scene that takes this one as its argument; `replace_scene` also resets the view."""
+    recipe: Recipe | None = None
+    """See `Step.recipe`."""
     gesture: str | None = None
     """Scenes of one gesture form one undo step: snapshots and the final result of a training."""
     goes_on: bool = False

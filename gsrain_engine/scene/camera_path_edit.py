@@ -110,6 +110,7 @@ def shift_path_time(path: CameraPath, seconds: float) -> CameraPath:
 
 
 def reverse_path_time(path: CameraPath) -> CameraPath:
+    """Reverse the direction of the camera path."""
     backwards = np.arange(len(path.times_s))[::-1]
     return _of_keys(path, backwards, path.times_s[0] + path.times_s[-1] - path.times_s[backwards])
 

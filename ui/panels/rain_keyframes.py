@@ -3,7 +3,6 @@
 from functools import lru_cache
 from typing import Literal
 
-import msgspec
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui, implot
 from jaxtyping import Float64
@@ -11,7 +10,13 @@ from jaxtyping import Float64
 from gsrain_engine.disdrometer.rain_rates import MeasuredKeyframes, keyframes_from_spectra
 from gsrain_engine.disdrometer.spectra import DisdrometerReading
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.edits.rain_keyframes import add_shower, move_keyframe, replace_keyframes, set_keyframe_number
+from gsrain_engine.editor.edits.rain_keyframes import (
+    add_shower,
+    move_keyframe,
+    replace_keyframes,
+    set_interpolation,
+    set_keyframe_number,
+)
 from gsrain_engine.editor.rain import CalibrationTools, KeyframePanelState, PendingInput
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
@@ -63,7 +68,7 @@ def rain_keyframes_panel(
         for choice, help_text in _INTERPOLATIONS:
             imgui.same_line()
             if imgui.radio_button(choice, weather.between == choice) and weather.between != choice:
-                document.edit_keyframes(f"Interpolation {choice}", msgspec.structs.replace, between=choice)
+                document.edit_keyframes(f"Interpolation {choice}", set_interpolation, choice)
             imgui.set_item_tooltip(help_text)
         _table(document, keyframe_panel)
     else:

@@ -9,7 +9,8 @@ from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.finetune.settings import finetuning_names
 from gsrain_engine.editor.capture_view import CaptureController
-from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.document import Document, Recipe
+from gsrain_engine.editor.edits.results import recolor_to_images, reconstruct
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.finetune import FinetuneChoice, FinetuneController
 from gsrain_engine.editor.job_results import scene_results, why_wait
@@ -77,8 +78,9 @@ def reconstruct_fields(
     if has_torch():
         _reconstruction_settings()
         if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=why_not):
-            job = reconstruction_job(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
-            jobs.start(job, scene_results(viewport, job.title, is_whole=True))
+            task = {"capture": captures.path, "settings": _chosen.settings, "allow_outside": captures.allows_outside}
+            job = reconstruction_job(**task)
+            jobs.start(job, scene_results(viewport, job.title, Recipe(reconstruct, task), is_whole=True))
     else:
         imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
     if not document.scene.gaussian_count:
@@ -105,9 +107,9 @@ def _recolor(
     capture: Path,
     chosen: list[Path],
 ) -> None:
-    images, allowed = chosen[0] if chosen else None, captures.allows_outside
-    job = recolor_job(document.scene, files.known, capture, images, allow_outside=allowed)
-    jobs.start(job, scene_results(viewport, job.title))
+    task = {"capture": capture, "images": chosen[0] if chosen else None, "allow_outside": captures.allows_outside}
+    job = recolor_job(document.scene, files.known, **task)
+    jobs.start(job, scene_results(viewport, job.title, Recipe(recolor_to_images, task)))
 
 
 def _reconstruction_settings() -> None:

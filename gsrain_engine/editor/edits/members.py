@@ -4,9 +4,9 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import count
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
-from ...scene.camera_path import CameraPath
+from ...scene.camera_path import CameraPath, Easing, Interpolation
 from ...scene.camera_path_edit import EditedKeyframe
 from ...scene.flags import BitMask
 from ...scene.scene import Actor, ColorGrading, Layer, Scene
@@ -93,17 +93,34 @@ def with_path(
     return replace(scene, path=path.path if isinstance(path, EditedKeyframe) else path)
 
 
+class PathOptions(TypedDict, total=False):
+    """Options of a whole camera path; see `CameraPath`."""
+
+    interpolation: Interpolation
+    easing: Easing
+    loop: bool
+
+
+def change_path(path: CameraPath, **options: Unpack[PathOptions]) -> CameraPath:
+    """Change interpolation, easing or loop of the camera path."""
+    return replace(path, **options)
+
+
 def set_opacity(scene: Scene, key: str, opacity: float) -> Scene:
+    """Set the opacity (0..1) of a layer or actor."""
     return scene.with_member(key, opacity=opacity)
 
 
 def set_grading(scene: Scene, key: str, grading: ColorGrading) -> Scene:
+    """Set the color grading of a layer or actor."""
     return scene.with_member(key, grading=grading)
 
 
 def set_visible(scene: Scene, key: str, visible: bool) -> Scene:
+    """Show or hide a layer or actor."""
     return scene.with_member(key, visible=visible)
 
 
 def set_locked(scene: Scene, key: str, locked: bool) -> Scene:
+    """Lock a layer or actor against edits, or unlock it."""
     return scene.with_member(key, locked=locked)

@@ -1,6 +1,8 @@
 """Edits of the rain keyframes."""
 
-from typing import Any
+from typing import Any, Literal
+
+import msgspec
 
 from ...rain.keyframes import HEAVIEST_MM_H, KEYED, Keyed, RainKeyframes, shower_keyframes
 
@@ -8,6 +10,11 @@ from ...rain.keyframes import HEAVIEST_MM_H, KEYED, Keyed, RainKeyframes, shower
 def replace_keyframes(keyframes: RainKeyframes, other: RainKeyframes) -> RainKeyframes:
     """Take other keyframes, such as a measured series, or none."""
     return other
+
+
+def set_interpolation(keyframes: RainKeyframes, between: Literal["linear", "smooth"]) -> RainKeyframes:
+    """Set the interpolation between all rain keyframes."""
+    return msgspec.structs.replace(keyframes, between=between)
 
 
 def add_shower(keyframes: RainKeyframes, start_s: float) -> RainKeyframes:

@@ -10,7 +10,7 @@ from ...appearance.finetune.settings import FinetuneTask
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
 from ...evaluation.report import write_report
-from ...recolor.recolor import RecolorOptions, recolor_to_capture
+from ...recolor.recolor import RecolorOptions, RecolorRun, recolor_to_capture
 from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...scene.files import SceneFormatError
 from ...scene.formats.scene_files import read_scene
@@ -87,12 +87,21 @@ def recolor_scene_copy(
 ) -> Iterator[Progress]:
     """Worker: solve for a saved scene's wet colors and write them."""
     yield Progress(0.0, "Reading the scene")
-    scene, pictures = read_scene(copy), open_capture(capture, allow_outside=allow_outside)
-    if images is not None:
-        pictures = with_images(pictures, images)
-    run = yield from recolor_to_capture(scene, pictures, RecolorOptions())
+    run = yield from recolored_to(read_scene(copy), capture, images, allow_outside)
     write_report(report, run.report)
     write_colors(output, run.scene)
+
+
+def recolored_to(
+    scene: Scene, capture: Path, images: Path | None, allow_outside: bool
+) -> Generator[Progress, None, RecolorRun]:
+    """Solve for a scene's wet colors, in this process; yields and raises as `recolor_to_capture` does."""
+    pictures = open_capture(capture, allow_outside=allow_outside)
+    return (
+        yield from recolor_to_capture(
+            scene, pictures if images is None else with_images(pictures, images), RecolorOptions()
+        )
+    )
 
 
 def write_colors(file: Path, scene: Scene) -> None:

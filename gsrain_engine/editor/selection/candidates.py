@@ -56,10 +56,12 @@ def combine_selection(scene: Scene, found: Found, mode: Mode) -> Scene:
 
 
 def all_selected(scene: Scene) -> Scene:
+    """Select all shown Gaussians of editable members."""
     return combine_selection(scene, {member.key: visible_gaussians(member) for member in editable(scene)}, "set")
 
 
 def none_selected(scene: Scene) -> Scene:
+    """Clear the selection."""
     return combine_selection(scene, {}, "set")
 
 

@@ -152,4 +152,5 @@ def rename_set(scene: Scene, name: str, other: str) -> Scene:
 
 
 def remove_set(scene: Scene, name: str) -> Scene:
+    """Delete a selection set; the selection stays."""
     return replace(scene, selections={each: own for each, own in scene.selections.items() if each != name})
