@@ -6,12 +6,11 @@ from functools import partial
 from importlib.metadata import version
 from typing import NamedTuple
 
-from gsrain_engine.editor.status import Answer, Question
 from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import Files
-from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.status import Answer, Question, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 
 from .commands.base import chord_name

@@ -6,13 +6,12 @@ import msgspec
 from imgui_bundle import imgui
 
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.floaters import FLOATERS_TITLE
 from gsrain_engine.editor.edits import gaussians
 from gsrain_engine.editor.edits.actors import duration_of, retime_actor, start_of, turn_actor
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.layers import duplicate, remove
 from gsrain_engine.editor.edits.transform import Pose, layer_pose, set_layer_pose
-from gsrain_engine.editor.floaters import FloaterFinder
+from gsrain_engine.editor.floaters import FLOATERS_TITLE, FloaterFinder
 from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState

@@ -4,11 +4,10 @@ import logging
 import webbrowser
 from typing import Any
 
-from gsrain_engine.editor.status import LogLine
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from gsrain_engine.editor.jobs.job import Job, JobRunner
-from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.status import LogLine, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.draw import line, plot
