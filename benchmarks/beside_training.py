@@ -29,19 +29,19 @@ def main() -> None:
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
     with open_context() as context:
-        session = Editor(load_scene("street"), load_preset("8.5"))
-        turning = Turning(context, session, "auto", (width, height))
+        editor = Editor(load_scene("street"), load_preset("8.5"))
+        turning = Turning(context, editor, "auto", (width, height))
         turning.settle()
         found = {"alone": _summary([turning.frame() for _ in range(arguments.frames)])}
-        session.start(reconstruction_job(session, arguments.capture, load_settings("laptop", measured_every=0)))
-        (job,) = session.jobs.all
+        editor.jobs.start(reconstruction_job(editor, arguments.capture, load_settings("laptop", measured_every=0)))
+        (job,) = editor.jobs.all
         while job.state == "running" and not job.progress.message.startswith("Step"):
             turning.frame()
         message = job.progress.message
         found["beside training"] = _summary([turning.frame() for _ in range(arguments.frames)])
         steps = f"{message} ... {job.progress.message}"
         job.cancel()
-        session.close()
+        editor.close()
     context.release()
     print(json.dumps({"frames": found, "job": steps, "error": job.error, "machine": describe_machine()}, indent=1))
     ratio = found["beside training"]["median_ms"] / found["alone"]["median_ms"]

@@ -28,9 +28,9 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def begin() -> Editor:
-        session = begin_editor(arguments.scene, load_preset("8.5"))
-        session.clock.playing = False
-        return session
+        editor = begin_editor(arguments.scene, load_preset("8.5"))
+        editor.playback.clock.playing = False
+        return editor
 
     window = MainWindow(begin)
     found: dict[str, float] = {}
@@ -50,7 +50,7 @@ def _watch(window: MainWindow, seconds: float, found: dict[str, float]) -> None:
         time.sleep(0.1)
         workspace = window.workspace
         is_catching_up = workspace is not None and workspace.view.is_catching_up
-        if workspace is None or workspace.session.is_working or not workspace.view.is_settled or is_catching_up:
+        if workspace is None or workspace.editor.is_working or not workspace.view.is_settled or is_catching_up:
             quiet_since = time.monotonic()
     frames, work, start = imgui.get_frame_count(), time.process_time(), time.monotonic()
     time.sleep(seconds)

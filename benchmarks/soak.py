@@ -88,7 +88,7 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
         if window.workspace is None:
             return
         if not people:
-            person = Person(window.workspace.session, arguments.scenes, folder, arguments.seed)
+            person = Person(window.workspace.editor, arguments.scenes, folder, arguments.seed)
             people.append((person, person.steps()))
             gauge.watch(person)
         person, steps = people[0]
@@ -98,7 +98,7 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
         if person.is_at_rest:
             gauge.take(gl_objects=count_gl_objects())
         if time.monotonic() > end_at:
-            window.workspace.session.files.give_up()
+            window.workspace.editor.files.give_up()
             hello_imgui.get_runner_params().app_shall_exit = True
 
     gauge = Gauge(folder / "soak.csv", samples, arguments.every)

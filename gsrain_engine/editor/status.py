@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from ..safe_io.text_files import escape_invisible
 from ..scene.files import SceneFormatError
@@ -141,6 +141,7 @@ class StatusBus:
 # Actions that wait for background work
 
 
+@runtime_checkable
 class Work(Protocol):
     """A job, or a file that is read or written."""
 

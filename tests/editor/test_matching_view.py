@@ -1,4 +1,4 @@
-"""Matching in the session: what is matched with what, told in pictures, and again when a person looks elsewhere."""
+"""Matching in the editor: what is matched with what, told in pictures, and again when a person looks elsewhere."""
 
 import time
 from dataclasses import replace
@@ -54,34 +54,34 @@ def written(tmp_path):
 
 
 @pytest.fixture
-def session():
-    session = Editor(small_scene())
-    session.clock.playing = False
-    yield session
-    session.close()
+def editor():
+    editor = Editor(small_scene())
+    editor.playback.clock.playing = False
+    yield editor
+    editor.close()
 
 
-def _until(session, condition):
+def _until(editor, condition):
     """Let frames go by as the window does."""
     last = time.monotonic() + 120
     while not condition():
         assert time.monotonic() < last, "waited in vain"
-        session.update(0.001)
-        for work in [*session.matching.pending, *session.captures.pending]:
+        editor.tick(0.001)
+        for work in [*editor.matching.pending, *editor.captures.pending]:
             work.exception()  # waits for it
 
 
-def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, written):
-    captures, matching = session.captures, session.matching
+def test_recorded_views_are_matched_with_the_one_that_is_asked_for(editor, written):
+    captures, matching = editor.captures, editor.matching
     captures.open(written)
-    _until(session, lambda: captures.capture is not None)
+    _until(editor, lambda: captures.capture is not None)
     assert matching.shown is None
     matching.is_on = True
-    captures.look_from(session, 2)  # front_1
-    _until(session, lambda: matching.shown is not None)
+    captures.look_from(2)  # front_1
+    _until(editor, lambda: matching.shown is not None)
     assert matching.shown.request[2:4] == (2, 4)
     assert matching.shown.matched.to.name == "front_2"
-    np.testing.assert_array_equal(matching.shown.camera.position, captures.cameras(session.scene)[2].position)
+    np.testing.assert_array_equal(matching.shown.camera.position, captures.cameras(editor.document.scene)[2].position)
     assert 0.6 < matching.shown.shares[MatchOutcome.MATCHED] < 0.95
     picture = matching.picture
     assert picture is matching.picture
@@ -89,30 +89,30 @@ def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, writ
     assert matching.picture is not picture
 
     matching.against = "beside"
-    _until(session, lambda: matching.shown is not None and matching.shown.request.to == 3)
-    captures.look_from(session, 4)
+    _until(editor, lambda: matching.shown is not None and matching.shown.request.to == 3)
+    captures.look_from(4)
     matching.against = "next"
-    session.update(0.001)
+    editor.tick(0.001)
     assert matching.shown is None
     assert matching.problem == "This is the last view of its camera."
     assert not captures.is_working
     matching.is_on = False
-    session.update(0.001)
+    editor.tick(0.001)
     assert matching.problem is None
 
 
-def test_the_live_view_is_matched_by_the_scenes_depth(session, written):
-    captures, matching = session.captures, session.matching
+def test_the_live_view_is_matched_by_the_scenes_depth(editor, written):
+    captures, matching = editor.captures, editor.matching
     captures.open(written)
-    _until(session, lambda: captures.capture is not None)
+    _until(editor, lambda: captures.capture is not None)
     captures.chosen, captures.in_scene_axes, matching.is_on = 0, True, True
-    session.navigation.look_like(captures.cameras(session.scene)[2])
-    _until(session, lambda: matching.shown is not None)
+    editor.viewport.navigation.look_like(captures.cameras(editor.document.scene)[2])
+    _until(editor, lambda: matching.shown is not None)
     assert matching.shown.request.of is None
     assert matching.shown.matched.to.name == "front_0"
     assert matching.shown.matched.found.valid.any()
     captures.in_scene_axes = False
-    _until(session, lambda: matching.problem is not None)
+    _until(editor, lambda: matching.problem is not None)
     assert "does not lie in the scene" in matching.problem
     assert matching.shown is None
 

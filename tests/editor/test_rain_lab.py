@@ -8,7 +8,7 @@ import pytest
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.rain import CalibrationTools, compare_calibration, use_calibration, use_fitted_calibration
+from gsrain_engine.editor.rain import CalibrationTools
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
@@ -92,28 +92,28 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
     for number, intensity in enumerate((2.0, 8.5)):
         instrument = VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=intensity)), 1.0)
         write_spectra(tmp_path / f"rain{number}.nc", instrument.measure(times).spectra)
-    session = Editor(rain=RainSettings(intensity_mm_h=8.5))
-    session.lab.fit([tmp_path / "rain0.nc", tmp_path / "rain1.nc"])
-    wait(session.lab)
-    assert session.lab.problem is None
-    use_fitted_calibration(session, session.lab)
-    assert session.rain.calibration.endswith("rain0.yaml")
-    assert session.rain.calibration in session.lab.calibrations
-    kept = load_calibration(session.rain.calibration)
+    editor = Editor(rain=RainSettings(intensity_mm_h=8.5))
+    editor.calibration.fit([tmp_path / "rain0.nc", tmp_path / "rain1.nc"])
+    wait(editor.calibration)
+    assert editor.calibration.error is None
+    use_fitted_calibration(editor, editor.calibration)
+    assert editor.document.rain.calibration.endswith("rain0.yaml")
+    assert editor.document.rain.calibration in editor.calibration.calibrations
+    kept = load_calibration(editor.document.rain.calibration)
     # Simulated by the published table with its density closed: the fit finds that table's sizes again.
-    assert kept.rows[-1].shape == pytest.approx(session.lab.pass_file.rows[1].shape, rel=0.1)
-    session.undo()
-    assert session.rain.calibration == "published"
-    session.close()
+    assert kept.rows[-1].shape == pytest.approx(editor.calibration.pass_file.rows[1].shape, rel=0.1)
+    editor.document.undo()
+    assert editor.document.rain.calibration == "published"
+    editor.close()
 
 
 def test_calibrations_that_are_not_there_are_reported(tmp_path):
-    session = Editor()
-    use_calibration(session, session.lab, str(tmp_path / "none.yaml"))
-    assert "none.yaml" in session.problem
-    assert session.rain.calibration == "published"
-    session.problem = None
-    compare_calibration(session, session.lab, "nothing")
-    assert "nothing" in session.problem
-    assert session.lab.compared == "published"
-    session.close()
+    editor = Editor()
+    use_calibration(editor, editor.calibration, str(tmp_path / "none.yaml"))
+    assert "none.yaml" in editor.status.problem
+    assert editor.document.rain.calibration == "published"
+    editor.status.dismiss()
+    compare_calibration(editor, editor.calibration, "nothing")
+    assert "nothing" in editor.status.problem
+    assert editor.calibration.compared == "published"
+    editor.close()

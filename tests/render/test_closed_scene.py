@@ -15,20 +15,20 @@ SIZE = (96, 64)
 
 @pytest.mark.parametrize("backend", ["opengl", "cpu"])
 def test_a_closed_scene_is_free(context, backend):
-    session = Editor(small_scene(), load_preset("8.5"))
-    session.clock.playing = False
-    view = LiveView(context, session, backend)
-    session.view.split = "clear | rainy"
+    editor = Editor(small_scene(), load_preset("8.5"))
+    editor.playback.clock.playing = False
+    view = LiveView(context, backend)
+    editor.viewport.options.split = "clear | rainy"
     for _ in range(3):
         view.draw(*SIZE)
-    session.view.split = "off"
+    editor.viewport.options.split = "off"
     view.draw(*SIZE)
-    held = [weakref.ref(each.gaussians.means) for each in session.scene.members]
-    session.files.close_scene()
+    held = [weakref.ref(each.gaussians.means) for each in editor.document.scene.members]
+    editor.files.close_scene()
     for _ in range(2):
         view.draw(*SIZE)
     gc.collect()
     assert [each() is None for each in held] == [True] * 3
     assert not view._opengl.arrays.masks
-    session.files.give_up()
-    session.close()
+    editor.files.give_up()
+    editor.close()

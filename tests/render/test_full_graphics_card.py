@@ -6,6 +6,7 @@ import pytest
 from gsrain_engine.editor.drawing import textures
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.render.opengl import buffers
 from gsrain_engine.render.opengl.buffers import GrowableBuffer, reserve_buffer
@@ -36,7 +37,7 @@ def refuse(context, size):
 
 
 @pytest.fixture
-def session():
+def editor():
     opened = Editor(small_scene())
     opened.clock.playing = False
     yield opened
@@ -70,27 +71,29 @@ def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch)
 
 
 @pytest.mark.parametrize("change", ["edit", "open"])
-def test_the_processor_goes_on_where_the_card_is_full(context, session, monkeypatch, change):
-    view = LiveView(context, session, "opengl")
+def test_the_processor_goes_on_where_the_card_is_full(context, editor, monkeypatch, change):
+    view = LiveView(context, "opengl")
     before = picture(view)
     monkeypatch.setattr(buffers, "reserve_buffer", refuse)
     monkeypatch.setattr(textures, "compile_kernels", lambda: None)  # those that are needed compile as they are
-    scene = session.scene
+    scene = editor.document.scene
     for each in scene.members:
         g = each.gaussians
         scene = scene.with_member(each.key, gaussians=g.with_sh((g.sh - np.float32(0.5)).astype(np.float32)))
     if change == "edit":
-        session.set_scene("Darker", scene)
+        editor.document.edit("Darker", replace_scene, scene)
     else:
-        session.staged = PendingScene("Darker", scene)
+        editor.viewport.staged = PendingScene("Darker", scene)
     after = settled_picture(view)
-    assert session.staged is None
-    assert [each.gaussians for each in session.scene.members] == [each.gaussians for each in scene.members]
-    assert session.problem.startswith("no room for") and session.problem.endswith(": the processor draws from now on")
-    assert session.backend == "cpu"
+    assert editor.viewport.staged is None
+    assert [each.gaussians for each in editor.document.scene.members] == [each.gaussians for each in scene.members]
+    assert editor.status.problem.startswith("no room for") and editor.status.problem.endswith(
+        ": the processor draws from now on"
+    )
+    assert editor.viewport.backend == "cpu"
     assert not np.array_equal(before, after)
-    assert np.array_equal(after, settled_picture(LiveView(context, session, "cpu")))
-    session.problem = None
-    session.undo()
+    assert np.array_equal(after, settled_picture(LiveView(context, "cpu")))
+    editor.status.dismiss()
+    editor.document.undo()
     settled_picture(view)
-    assert session.problem is None  # it is said once
+    assert editor.status.problem is None  # it is said once

@@ -122,12 +122,12 @@ def test_a_command_ends_in_a_sentence_and_writes_no_empty_picture(tmp_path, caps
 
 
 def test_a_screenshot_of_nothing_is_not_saved(own_context, tmp_path):
-    session = Editor(small_scene())
-    view = LiveView(own_context, session, "opengl")
+    editor = Editor(small_scene())
+    view = LiveView(own_context, editor, "opengl")
     view.draw(64, 48)
-    session.screenshot = tmp_path / "picture.png"
+    editor.viewport.screenshot = tmp_path / "picture.png"
     context_monitor(own_context).ask = lambda: GUILTY_CONTEXT_RESET
     with pytest.raises(DeviceLostError):
         view.draw(64, 48)
-    session.close()
+    editor.close()
     assert not list(tmp_path.iterdir())

@@ -17,24 +17,24 @@ def test_the_ego_drives_along_the_path_and_undo_takes_it_back(tmp_path):
     places = np.column_stack([np.linspace(0, 20, 5), np.zeros(5), np.full(5, 1.5)])
     path = CameraPath(np.arange(5.0), places, _AHEAD.repeat(5, axis=0), np.full(5, 45.0))
     driver = Driver(tmp_path, replace(small_scene(), ego=None, rigs={}, path=path))
-    session = driver.session
+    editor = driver.editor
 
     def script():
-        assert "camera path" in (session.drives.why_not(session) or "")
+        assert "camera path" in (editor.rollouts.why_not or "")
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.p))
-        driver.until(lambda: session.view.dialog == "commands")
+        driver.until(lambda: editor.viewport.options.dialog == "commands")
         driver.frames(3)
         driver.ctx.key_chars("drive ego along")
         driver.frames(3)
         driver.press(imgui.Key.enter)
-        driver.until(lambda: session.scene.ego is not None)
-        assert session.problem is None and session.scene.ego is not None
-        assert session.drives.why_not(session) is None
-        pose = session.scene.ego_to_world(4.0)
+        driver.until(lambda: editor.document.scene.ego is not None)
+        assert editor.status.problem is None and editor.document.scene.ego is not None
+        assert editor.rollouts.why_not is None
+        pose = editor.document.scene.ego_to_world(4.0)
         assert pose is not None and np.allclose(pose[:3, 3], [20, 0, 1.5], atol=1e-6)
-        assert session.history.undo_label == "Ego drive"
-        session.undo()
+        assert editor.document.history.undo_label == "Ego drive"
+        editor.document.undo()
         driver.frames()
-        assert session.scene.ego is None
+        assert editor.document.scene.ego is None
 
     driver.run(script)

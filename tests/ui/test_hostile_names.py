@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from gsrain_engine.editor.edits.members import replace_scene
 from small_scene import small_scene
 from ui.widgets import text
 from window_driver import Driver, imgui
@@ -20,18 +21,18 @@ def test_layers_cameras_steps_and_files(tmp_path, monkeypatch):
     chosen = []
 
     def script():
-        session = driver.session
-        session.problem = f"{NAMES[-1]}: can't be opened"
+        editor = driver.editor
+        editor.status.problem = f"{NAMES[-1]}: can't be opened"
         for name in NAMES:
-            session.set_scene(f"Rename {name}", replace(session.scene, name=name))
+            editor.document.edit(f"Rename {name}", replace_scene, replace(editor.document.scene, name=name))
         for window in ("Layers", "History", "Log", "Record"):
             driver.ctx.window_focus(f"//{window}")
             driver.frames(2)
         driver.ctx.window_focus("//Layers")
-        for layer in session.scene.layers[:4]:  # those that are in sight
+        for layer in editor.document.scene.layers[:4]:  # those that are in sight
             driver.ctx.item_click(f"//Layers/**/###{text.plain_identity(layer.key.replace('/', ' '))}")
             driver.frames(2)
-            chosen.append(session.view.member)
+            chosen.append(editor.viewport.options.member)
 
     driver.run(script)
     assert chosen == [f"layers/{name}" for name in NAMES[:4]]

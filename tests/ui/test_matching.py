@@ -14,15 +14,15 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         pass
     (tmp_path / "shots").mkdir()
     driver = Driver(tmp_path / "shots", backend="opengl")
-    session, captures = driver.session, driver.session.captures
-    matching = session.matching
+    editor, captures = driver.editor, driver.editor.captures
+    matching = editor.matching
 
     def script():
         driver.ctx.window_focus("//Capture")
         driver.frames()
         captures.open(tmp_path / "wall")
         driver.until(lambda: captures.capture is not None)
-        captures.look_from(session, 2)
+        captures.look_from(2)
         captures.opacity = 1.0
         driver.until(lambda: not captures.is_working)
         driver.ctx.set_ref("//Capture")
@@ -49,7 +49,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         np.testing.assert_allclose(tint / 255, COLORS[MatchOutcome.MATCHED], atol=0.06)
 
         # Under the mouse, the tooltip tells where the pixel is there; the picture stays as it is, and so does the eye.
-        place = session.navigation.position.copy()
+        place = editor.viewport.navigation.position.copy()
         driver.ctx.mouse_move_to_pos(ImVec2(middle[1], middle[0]))
         driver.frames()
         driver.ctx.item_check("Matching/Lines")
@@ -57,10 +57,10 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         with_lines = driver.screen()
         lower = np.s_[middle[0] : int(corner.max.y) - 10, middle[1] - 100 : int(corner.max.x) - 10]
         assert np.mean(np.abs(with_lines[lower] - shown[lower]).max(axis=2) > 40) > 0.001
-        np.testing.assert_array_equal(session.navigation.position, place)
+        np.testing.assert_array_equal(editor.viewport.navigation.position, place)
 
         # The last view of a camera has no next one, which is told.
-        captures.look_from(session, 4)
+        captures.look_from(4)
         driver.until(lambda: matching.problem is not None)
         assert matching.shown is None
         driver.ctx.mouse_move("//View/view")

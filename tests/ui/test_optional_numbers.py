@@ -27,7 +27,7 @@ def test_what_a_field_says_about_being_left_out():
 
 def test_a_number_is_given_and_left_out(tmp_path):
     driver = Driver(tmp_path)
-    rainy = driver.session.rainy
+    rainy = driver.editor.wet_look
 
     def script():
         ctx = driver.ctx

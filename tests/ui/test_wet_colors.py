@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.viewport_state import PendingScene
+from gsrain_engine.scene.transforms import with_wet_colors_of
 from small_scene import small_scene
 from ui.commands.base import chord
 from window_driver import Driver, imgui
@@ -29,13 +30,13 @@ def wet_driver(tmp_path):
 
 def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.click("//Rain/Streaks")  # so that the pictures show the scene alone
         driver.click("//Rain/Haze")
-        clear, before = driver.picture(), session.scene
-        session.staged = PendingScene("Make it rainy", darker(before), only_wet_colors=True)
-        driver.until(lambda: session.scene is not before)
-        assert [new.gaussians for new in session.scene.members] == [old.gaussians for old in before.members]
+        clear, before = driver.picture(), editor.document.scene
+        editor.viewport.staged = PendingScene("Make it rainy", darker(before), change=with_wet_colors_of)
+        driver.until(lambda: editor.document.scene is not before)
+        assert [new.gaussians for new in editor.document.scene.members] == [old.gaussians for old in before.members]
         assert np.array_equal(driver.picture(), clear)  # it does not rain
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
         driver.frames()
@@ -44,7 +45,7 @@ def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
         driver.press(UNDO)
         assert np.array_equal(driver.picture(), clear)
         driver.press(UNDO)
-        assert session.scene is before
+        assert editor.document.scene is before
         driver.press(REDO)
         driver.press(REDO)
         assert np.array_equal(driver.picture(), wet)
@@ -56,26 +57,26 @@ def test_wetness_by_hand_and_by_the_intensity(wet_driver):
     driver = wet_driver
 
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.click("//Rain/12.0")
-        assert session.wetness_now == pytest.approx(0.954, abs=1e-3)
+        assert editor.live_rain.wetness_now == pytest.approx(0.954, abs=1e-3)
         driver.click("//Rain/auto")
-        assert session.rain.wetness == pytest.approx(0.954, abs=1e-3)
+        assert editor.document.rain.wetness == pytest.approx(0.954, abs=1e-3)
         driver.ctx.item_input_value("//Rain/##wetness", 0.25)
         driver.frames()
-        assert session.rain.wetness == 0.25
-        steps = len(session.history.labels)
+        assert editor.document.rain.wetness == 0.25
+        steps = len(editor.document.history.labels)
         dark = driver.picture().mean()
         driver.drag("//Rain/##wetness", (-200, 0))
-        assert session.rain.wetness == 0
-        assert len(session.history.labels) == steps + 1
+        assert editor.document.rain.wetness == 0
+        assert len(editor.document.history.labels) == steps + 1
         assert driver.picture().mean() > dark + 2
         driver.press(UNDO)
-        assert session.rain.wetness == 0.25
+        assert editor.document.rain.wetness == 0.25
         driver.click("//Rain/auto")
-        assert session.rain.wetness is None
+        assert editor.document.rain.wetness is None
         driver.click("//Rain/clear")
-        assert session.wetness_now == 0
+        assert editor.live_rain.wetness_now == 0
 
     driver.run(script)
 
@@ -83,8 +84,8 @@ def test_wetness_by_hand_and_by_the_intensity(wet_driver):
 def test_without_wet_colours_there_is_nothing_to_set(driver):
     def script():
         driver.click("//Rain/auto")
-        assert driver.session.rain.wetness is None
-        assert driver.session.history.undo_label is None
+        assert driver.editor.document.rain.wetness is None
+        assert driver.editor.document.history.undo_label is None
 
     driver.run(script)
 
@@ -93,16 +94,16 @@ def test_a_layers_wet_colours_are_taken_away_by_its_menu(wet_driver):
     driver = wet_driver
 
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.ctx.window_focus("//Layers")
         driver.frames()
         driver.ctx.item_click("//Layers/members/###layers wall", imgui.MouseButton_.right)
         driver.frames()
         driver.ctx.item_click("//$FOCUSED/Remove wet colors")
         driver.frames()
-        assert [each.wet_sh is not None for each in session.scene.members] == [True, False, True]
-        assert session.history.undo_label == "Remove wet colors of wall"
+        assert [each.wet_sh is not None for each in editor.document.scene.members] == [True, False, True]
+        assert editor.document.history.undo_label == "Remove wet colors of wall"
         driver.press(UNDO)
-        assert all(each.wet_sh is not None for each in session.scene.members)
+        assert all(each.wet_sh is not None for each in editor.document.scene.members)
 
     driver.run(script)

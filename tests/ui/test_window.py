@@ -25,14 +25,14 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
     def script():
         clear = driver.picture()
         driver.drag("//Rain/##intensity_mm_h", (60, 0))
-        assert driver.session.rain.intensity_mm_h > 1
-        assert driver.session.statistics["drops drawn"] > 0
+        assert driver.editor.document.rain.intensity_mm_h > 1
+        assert driver.editor.viewport.statistics["drops drawn"] > 0
         assert np.abs(driver.picture() - clear).max() > 4
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert driver.session.rain.intensity_mm_h == 0
+        assert driver.editor.document.rain.intensity_mm_h == 0
         assert np.array_equal(driver.picture(), clear)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
-        assert driver.session.rain.intensity_mm_h > 1
+        assert driver.editor.document.rain.intensity_mm_h > 1
 
     driver.run(script)
 
@@ -40,19 +40,19 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
 def test_presets_and_switches(driver):
     def script():
         driver.click("//Rain/8.5")
-        assert driver.session.rain.intensity_mm_h == 8.5
+        assert driver.editor.document.rain.intensity_mm_h == 8.5
         driver.click("//Rain/Haze")
-        assert not driver.session.rain.haze
+        assert not driver.editor.document.rain.haze
         driver.click("//Rain/###camera's")
-        assert driver.session.rain.exposure_s == 0.004
+        assert driver.editor.document.rain.exposure_s == 0.004
         driver.click("//Rain/up to 100 mm\\/h")
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 50.0)
         driver.frames()
-        assert driver.session.rain.intensity_mm_h == 50
-        assert driver.session.rainfall.state.beyond_calibration
+        assert driver.editor.document.rain.intensity_mm_h == 50
+        assert driver.editor.live_rain.simulation.state.beyond_calibration
         driver.click("//Rain/paper")
-        assert driver.session.rain.closure == "published"
-        assert driver.session.rainfall.state.drops == 257_040
+        assert driver.editor.document.rain.closure == "published"
+        assert driver.editor.live_rain.simulation.state.drops == 257_040
 
     driver.run(script)
 
@@ -61,18 +61,18 @@ def test_regions_are_edited_and_drawn(driver):
     def script():
         without = _region_pixels(driver.screen())
         driver.click("//Rain/12.0")
-        before = driver.session.rainfall.state.drops
+        before = driver.editor.live_rain.simulation.state.drops
         driver.click("//Rain/Regions")
         driver.click("//Rain/Show streak region")
         driver.click("//Rain/Show haze region")
         driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", 8.0)
         driver.frames()
-        assert driver.session.rain.streak_region.maximum_m[0] == 8.0
-        assert driver.session.rainfall.state.drops == pytest.approx(1.5 * before, rel=1e-3)
+        assert driver.editor.document.rain.streak_region.maximum_m[0] == 8.0
+        assert driver.editor.live_rain.simulation.state.drops == pytest.approx(1.5 * before, rel=1e-3)
         # inside out is not taken
         driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", -5.0)
         driver.frames()
-        assert driver.session.rain.streak_region.maximum_m[0] == 8.0
+        assert driver.editor.document.rain.streak_region.maximum_m[0] == 8.0
         assert np.all(_region_pixels(driver.screen()) > without + 50)
 
     driver.run(script)
@@ -91,9 +91,9 @@ def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
         still = driver.picture()
         assert np.array_equal(driver.picture(), still)
         driver.click("//View/###Play")
-        driver.until(lambda: driver.session.clock.time_s > 0.05)
+        driver.until(lambda: driver.editor.playback.clock.time_s > 0.05)
         driver.click("//View/###Play")
-        assert not driver.session.clock.playing
+        assert not driver.editor.playback.clock.playing
         assert not np.array_equal(driver.picture(), still)
 
     driver.run(script)
@@ -101,28 +101,28 @@ def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
 
 def test_navigation_by_mouse_and_keys(driver):
     def script():
-        session = driver.session
-        start = session.navigation.position.copy()
+        editor = driver.editor
+        start = editor.viewport.navigation.position.copy()
         driver.drag("//View/view", (80, 0))
-        assert np.linalg.norm(session.navigation.position - start) > 0.5
+        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.5
         driver.click("//View/###Home")
-        assert session.navigation.position == pytest.approx(start)
+        assert editor.viewport.navigation.position == pytest.approx(start)
         driver.ctx.mouse_move("//View/view")
         driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: session.navigation.position[0] > start[0] + 0.1)
-        assert session.navigation.velocity_m_s[0] > 1
+        driver.until(lambda: editor.viewport.navigation.position[0] > start[0] + 0.1)
+        assert editor.viewport.navigation.velocity_m_s[0] > 1
         driver.ctx.key_up(imgui.Key.w)
         driver.frames()
-        assert np.all(session.navigation.velocity_m_s == 0)
+        assert np.all(editor.viewport.navigation.velocity_m_s == 0)
         driver.press(imgui.Key.f)
-        assert session.navigation.distance_m > 20
+        assert editor.viewport.navigation.distance_m > 20
         driver.press(imgui.Key.r)
-        assert session.navigation.position == pytest.approx(start)
+        assert editor.viewport.navigation.position == pytest.approx(start)
         driver.ctx.mouse_wheel_y(2)
         driver.frames()
-        assert session.navigation.distance_m < 20
+        assert editor.viewport.navigation.distance_m < 20
         driver.click("//View/Follow path")
-        assert session.view.follow_path
+        assert editor.viewport.options.follow_path
 
     driver.run(script)
 
@@ -131,10 +131,10 @@ def test_scene_panel_hides_and_undo_shows_again(driver):
     def script():
         before = driver.picture()
         driver.click("//Layers/members/###show layers wall")
-        assert not driver.session.scene.layers[1].visible
+        assert not driver.editor.document.scene.layers[1].visible
         assert np.abs(driver.picture() - before).max() > 20
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert driver.session.scene.layers[1].visible
+        assert driver.editor.document.scene.layers[1].visible
 
     driver.run(script)
 
@@ -145,19 +145,19 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     bad.write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
 
     def script():
-        first = driver.session.scene
+        first = driver.editor.document.scene
         driver.window.drop([str(bad)])
-        driver.until(lambda: driver.session.busy is None)
-        assert driver.session.scene is first
-        assert any("bad.ply" in line.text for line in driver.session.log.lines)
+        driver.until(lambda: driver.editor.busy is None)
+        assert driver.editor.document.scene is first
+        assert any("bad.ply" in line.text for line in driver.editor.status.log.lines)
         driver.window.drop([str(good)])
-        driver.until(lambda: driver.session.busy is None)
-        assert driver.session.scene.name == "wall"
+        driver.until(lambda: driver.editor.busy is None)
+        assert driver.editor.document.scene.name == "wall"
         driver.ctx.window_focus("//Log")
         driver.frames(3)
 
     driver.run(script)
-    assert driver.session.backend in ("opengl", "cpu")
+    assert driver.editor.viewport.backend in ("opengl", "cpu")
 
 
 def test_open_dialog_comes_and_goes(driver):
@@ -199,32 +199,32 @@ def test_opens_in_the_background_of_an_empty_window(tmp_path):
 
     class Opening(Driver):
         def script(self):
-            self.until(lambda: self.session.scene.gaussian_count > 0)
+            self.until(lambda: self.editor.document.scene.gaussian_count > 0)
             self.frames(3)
             assert self.picture().std() > 20
-            assert any("Opened" in line.text for line in self.session.log.lines)
+            assert any("Opened" in line.text for line in self.editor.status.log.lines)
 
     driver = Opening(tmp_path)
-    driver.session = Editor()
-    driver.session.clock.playing = False
-    seen.append(driver.session.scene.gaussian_count)
-    driver.session.open(str(tmp_path / "wall.ply"))
+    driver.editor = Editor()
+    driver.editor.playback.clock.playing = False
+    seen.append(driver.editor.document.scene.gaussian_count)
+    driver.editor.files.open(str(tmp_path / "wall.ply"))
     driver.run(driver.script)
     assert seen == [0]
 
 
 def test_a_scene_that_can_not_be_opened_leaves_a_window_that_says_why(tmp_path):
     driver = Driver(tmp_path)
-    driver.session = Editor()
-    driver.session.open(str(tmp_path / "missing.ply"))
+    driver.editor = Editor()
+    driver.editor.files.open(str(tmp_path / "missing.ply"))
 
     def script():
-        driver.until(lambda: driver.session.problem is not None)
-        assert "missing.ply" in driver.session.problem
+        driver.until(lambda: driver.editor.status.problem is not None)
+        assert "missing.ply" in driver.editor.status.problem
         driver.frames(3)
         driver.ctx.item_click("//View/**/Close")
         driver.frames()
-        assert driver.session.problem is None
+        assert driver.editor.status.problem is None
 
     driver.run(script)
 
@@ -232,25 +232,25 @@ def test_a_scene_that_can_not_be_opened_leaves_a_window_that_says_why(tmp_path):
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
     def script():
         driver.click("//Rain/8.5")
-        driver.session.change_rain("Much", streak_gain=50.0)
+        driver.editor.document.change_rain("Much", streak_gain=50.0)
         driver.frames()
         rainy = driver.picture()
-        driver.session.view.split = "clear | rainy"
+        driver.editor.viewport.options.split = "clear | rainy"
         driver.frames()
         both = driver.picture()
         middle = both.shape[1] // 2
         assert np.array_equal(both[:, middle + 1 :], rainy[:, middle + 1 :])
         assert np.abs(both[:, :middle] - rainy[:, :middle]).max() > 4
         driver.drag("//View/divider", (-120, 0))
-        assert driver.session.view.divider < 0.4
+        assert driver.editor.viewport.options.divider < 0.4
         moved = driver.picture()
-        at = round(driver.session.view.divider * moved.shape[1])
+        at = round(driver.editor.viewport.options.divider * moved.shape[1])
         assert np.array_equal(moved[:, at + 1 :], rainy[:, at + 1 :])
         assert np.array_equal(moved[:, : at - 1], both[:, : at - 1])
         driver.ctx.item_double_click("//View/divider")
         driver.frames()
-        assert driver.session.view.divider == 0.5
-        driver.session.view.split = "before | after"
+        assert driver.editor.viewport.options.divider == 0.5
+        driver.editor.viewport.options.split = "before | after"
         driver.frames()
         compared = driver.picture()
         assert np.abs(compared[:, :middle] - rainy[:, :middle]).max() > 4  # before: without the gain
@@ -265,7 +265,7 @@ def test_looks_are_picked_from_the_toolbar(driver):
             driver.ctx.set_ref("//View")
             driver.ctx.combo_click(f"##look/{look}")
             driver.frames()
-            assert driver.session.view.look == look
+            assert driver.editor.viewport.options.look == look
             assert np.array_equal(driver.picture(), splats) == (look == "splats")
 
     driver.run(script)
@@ -273,18 +273,18 @@ def test_looks_are_picked_from_the_toolbar(driver):
 
 def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
     def script():
-        session = driver.session
-        session.budget.target_ms = 0.01  # no machine holds it
+        editor = driver.editor
+        editor.viewport.budget.target_ms = 0.01  # no machine holds it
         driver.click("//View/###Home")
-        driver.until(lambda: session.detail.is_exact)
+        driver.until(lambda: editor.viewport.detail.is_exact)
         exact = driver.picture()
         driver.ctx.mouse_move("//View/view")
         driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: str(session.detail) == "1/8 of the Gaussians, 33% resolution")
+        driver.until(lambda: str(editor.viewport.detail) == "1/8 of the Gaussians, 33% resolution")
         driver.ctx.key_up(imgui.Key.w)
-        driver.until(lambda: session.detail.is_exact)
+        driver.until(lambda: editor.viewport.detail.is_exact)
         driver.click("//View/###Home")
-        driver.until(lambda: session.detail.is_exact)
+        driver.until(lambda: editor.viewport.detail.is_exact)
         assert np.array_equal(driver.picture(), exact)
 
     driver.run(script)
@@ -303,17 +303,17 @@ def test_colors_take_fewer_bits_on_the_gpu(tmp_path):
         driver.ctx.set_ref("//Display")
         driver.ctx.combo_click("##harmonics/8 bits")
         driver.frames()
-        assert driver.view.session.view.harmonics == "byte"
+        assert driver.view.editor.viewport.options.harmonics == "byte"
         assert 0 < np.abs(driver.picture() - fine).max() < 8
 
     driver.run(script)
 
 
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
-    lab, screens = driver.session.lab, []
+    lab, screens = driver.editor.calibration, []
 
     def script():
-        driver.session.change_rain("Intensity", intensity_mm_h=8.5)
+        driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
         driver.ctx.window_focus("//Disdrometer")
         driver.ctx.set_ref("//Disdrometer")
         driver.ctx.item_input_value("##seconds", 20.0)
@@ -328,8 +328,8 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
         assert lab.pass_file.name == "marshall_palmer"
         driver.ctx.combo_click("##calibration/marshall_palmer")
         driver.frames()
-        assert driver.session.rainfall.calibration.name == "marshall_palmer"
-        assert driver.session.history.undo_label == "Calibration"
+        assert driver.editor.live_rain.simulation.calibration.name == "marshall_palmer"
+        assert driver.editor.document.history.undo_label == "Calibration"
         driver.ctx.item_click("Fit to measurements...")
         driver.frames(3)
         screens.append(driver.screen())
@@ -344,7 +344,7 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
 
 
 def test_files_whose_rates_disagree_are_summed_up_and_calibrated_anyway(driver, tmp_path):
-    lab = driver.session.lab
+    lab = driver.editor.calibration
     heavy = measured_rain(1190.0, 7.132, 0.114, minutes=20, seed=3)
     light = measured_rain(271.0, 9.705, 0.074, minutes=20, seed=4, start="2024-05-01T10:20")
     both = heavy.concatenate([heavy, light])

@@ -93,21 +93,21 @@ def test_a_sky_dome_in_the_same_file_is_no_floater_and_not_in_the_crop_box():
 
 
 def test_the_job_selects_as_one_step():
-    session = Editor(scene())
-    job = session.find_floaters(FloaterRules())
+    editor = Editor(scene())
+    job = editor.floaters.find(FloaterRules())
     job.wait(60)
-    assert (session.floater_count, job.progress.message) == (3, "3 Gaussians look like floaters and are selected")
-    assert session.history.labels == ["Open", "Find floaters"]
-    assert session.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
-    session.undo()
-    assert session.scene.layers[0].marks.selected is None
-    session.close()
+    assert (editor.floaters.count, job.progress.message) == (3, "3 Gaussians look like floaters and are selected")
+    assert editor.document.history.labels == ["Open", "Find floaters"]
+    assert editor.document.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
+    editor.document.undo()
+    assert editor.document.scene.layers[0].marks.selected is None
+    editor.close()
 
 
 def test_a_cancelled_job_changes_nothing():
-    session = Editor(scene())
-    job = session.find_floaters(FloaterRules())
+    editor = Editor(scene())
+    job = editor.floaters.find(FloaterRules())
     job.cancel()
-    session.jobs.poll()
-    assert (job.state, session.floater_count, session.history.labels) == ("cancelled", None, ["Open"])
-    session.close()
+    editor.jobs.poll()
+    assert (job.state, editor.floaters.count, editor.document.history.labels) == ("cancelled", None, ["Open"])
+    editor.close()

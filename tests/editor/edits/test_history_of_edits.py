@@ -1,4 +1,4 @@
-"""Random edits through the session, then all of them undone and redone: every byte comes back."""
+"""Random edits through the editor, then all of them undone and redone: every byte comes back."""
 
 from dataclasses import replace
 
@@ -28,9 +28,9 @@ from gsrain_engine.scene.scene import ColorGrading
 from .edited_scene import edited_scene, turned
 
 
-def everything(session):
+def everything(editor):
     """All bytes of a document."""
-    scene = session.scene
+    scene = editor.document.scene
     arrays = [
         getattr(member.gaussians, name).tobytes()
         for member in scene.members
@@ -47,7 +47,7 @@ def everything(session):
     sets = {
         name: {key: mask.words.tobytes() for key, mask in masks.items()} for name, masks in scene.selections.items()
     }
-    return arrays, masks, shown, places, record, sets, session.rain
+    return arrays, masks, shown, places, record, sets, editor.document.rain
 
 
 def select(scene, which, seed):
@@ -105,29 +105,29 @@ EDIT = st.one_of(
 )
 
 
-def perform(session, what, *arguments):
+def perform(editor, what, *arguments):
     if what == "rain":
-        session.change_rain("Intensity", intensity_mm_h=arguments[0])
-    elif session.scene.layers:
-        session.edit("Edit", what, *arguments)  # what it refuses leaves the document as it is
+        editor.document.change_rain("Intensity", intensity_mm_h=arguments[0])
+    elif editor.document.scene.layers:
+        editor.document.edit("Edit", what, *arguments)  # what it refuses leaves the document as it is
 
 
 @settings(max_examples=40)
 @given(st.lists(EDIT, min_size=1, max_size=10))
 def test_every_byte_comes_back(edits):
-    session = Editor(edited_scene())
+    editor = Editor(edited_scene())
     try:
-        states = [everything(session)]
+        states = [everything(editor)]
         for each in edits:
-            perform(session, *each)
-            if session.history.cursor == len(states):
-                states.append(everything(session))
-        assert session.history.cursor == len(states) - 1
+            perform(editor, *each)
+            if editor.document.history.cursor == len(states):
+                states.append(everything(editor))
+        assert editor.document.history.cursor == len(states) - 1
         for state in reversed(states):
-            assert everything(session) == state
-            session.undo()
+            assert everything(editor) == state
+            editor.document.undo()
         for state in states:
-            assert everything(session) == state
-            session.redo()
+            assert everything(editor) == state
+            editor.document.redo()
     finally:
-        session.close()
+        editor.close()

@@ -8,7 +8,6 @@ import pytest
 from gsrain_engine.editor.edits import gaussians, layers
 from gsrain_engine.editor.edits.actors import turn_actor
 from gsrain_engine.editor.edits.gaussians import compact
-from gsrain_engine.editor.edits.members import with_gaussians_of
 from gsrain_engine.editor.edits.transform import move_member, move_selected, preview_move
 from gsrain_engine.recolor.result import with_colors
 from gsrain_engine.scene.flags import UNMARKED, BitMask

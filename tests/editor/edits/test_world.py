@@ -129,33 +129,33 @@ def test_the_origin_moves_everything():
 
 
 def test_the_camera_sees_the_same_where_the_metre_and_up_change():
-    session = Editor(edited_scene())
-    layer = session.scene.layers[1]
+    editor = Editor(edited_scene())
+    layer = editor.document.scene.layers[1]
 
     def picture():
-        camera = session.shot(960, 640).camera
-        to_camera = camera.world_to_camera @ session.scene.part(session.scene.layers[1]).to_world
+        camera = editor.viewport.shot(960, 640).camera
+        to_camera = camera.world_to_camera @ editor.document.scene.part(editor.document.scene.layers[1]).to_world
         x, y, z = to_camera[:3, :3] @ layer.gaussians.means.T + to_camera[:3, 3:]
         return np.stack([x / z, y / z])
 
     before = picture()
-    session.edit("Scale", set_length, 2.0, 5.0)
+    editor.document.edit("Scale", set_length, 2.0, 5.0)
     assert picture() == pytest.approx(before)
-    session.undo()
+    editor.document.undo()
     assert picture() == pytest.approx(before)
-    session.edit("Level", level_from_points, np.array([[0.0, 0, 0], [1, 0, 0.0], [0, 1, 0.05]]))
+    editor.document.edit("Level", level_from_points, np.array([[0.0, 0, 0], [1, 0, 0.0], [0, 1, 0.05]]))
     shift = picture() - before
     assert np.abs(shift).max() < 0.2  # roll is lost, so it turns about its line of sight
-    session.close()
+    editor.close()
 
 
 def test_a_refused_edit_leaves_everything_and_says_why():
-    session = Editor(edited_scene())
-    before = session.scene
-    session.edit("Scale", set_length, 0.0, 5.0)
-    assert session.scene is before
-    assert "above 0" in session.problem
-    session.close()
+    editor = Editor(edited_scene())
+    before = editor.document.scene
+    editor.document.edit("Scale", set_length, 0.0, 5.0)
+    assert editor.document.scene is before
+    assert "above 0" in editor.status.problem
+    editor.close()
 
 
 def test_the_camera_follows_an_actor_and_keeps_its_offset():

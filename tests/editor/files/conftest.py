@@ -23,8 +23,8 @@ def sessions():
         return every[-1]
 
     yield make
-    for session in every:
-        session.close()
+    for editor in every:
+        editor.close()
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def home(tmp_path):
 
 
 @pytest.fixture
-def session(sessions, home):
+def editor(sessions, home):
     opened = sessions()
     opened.open(str(home))
     settle(opened)

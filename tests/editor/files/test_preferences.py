@@ -13,10 +13,10 @@ from gsrain_engine.editor.preferences import Preferences, load_preferences, pref
 
 def test_preferences_come_back():
     assert load_preferences() == (Preferences(), None)
-    session = Editor()
-    session.set_preference(theme="light", font_scale=1.5)
-    assert session.preferences.font_scale == 1.5
-    session.close()  # writes what is still to be written
+    editor = Editor()
+    editor.preferences.set(theme="light", font_scale=1.5)
+    assert editor.preferences.value.font_scale == 1.5
+    editor.close()  # writes what is still to be written
     again = Editor()
     assert (again.preferences.theme, again.preferences.font_scale) == ("light", 1.5)
     again.close()
@@ -32,24 +32,24 @@ def test_two_windows_keep_each_others_preferences():
 
 
 def test_what_is_out_of_bounds_is_told_and_not_taken():
-    session = Editor()
-    session.set_preference(font_scale=100.0)
-    assert "<= 3.0 - at `$.font_scale`" in session.problem
-    assert session.preferences.font_scale == 1.0
+    editor = Editor()
+    editor.preferences.set(font_scale=100.0)
+    assert "<= 3.0 - at `$.font_scale`" in editor.status.problem
+    assert editor.preferences.value.font_scale == 1.0
     with pytest.raises(msgspec.ValidationError):
         save_preferences(theme="pink")
-    session.close()
+    editor.close()
 
 
 @pytest.mark.parametrize("text", ["theme: [", "theme: pink", "- 1", "\x00"])
 def test_a_bad_file_is_told_once_and_kept(text):
     preferences_file().parent.mkdir(parents=True)
     preferences_file().write_text(text)
-    session = Editor()
-    assert str(preferences_file()) in session.questions.present.text
-    assert session.preferences == Preferences()
+    editor = Editor()
+    assert str(preferences_file()) in editor.status.question.text
+    assert editor.preferences.value == Preferences()
     assert preferences_file().with_name("preferences.bad.yaml").read_text() == text
-    session.close()
+    editor.close()
     again = Editor()
     assert again.questions.present is None
     again.close()

@@ -1,4 +1,4 @@
-"""Autosaves of unsaved changes, and recovery in the next session."""
+"""Autosaves of unsaved changes, and recovery in the next editor."""
 
 import subprocess
 import sys
@@ -10,59 +10,59 @@ from gsrain_engine.scene.formats.scene_files import read_scene
 from small_scene import small_scene
 
 
-def test_an_autosave_that_fails_is_told_once_and_tried_again(session, home, monkeypatch):
+def test_an_autosave_that_fails_is_told_once_and_tried_again(editor, home, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    delete_every_third(session)
+    delete_every_third(editor)
     with monkeypatch.context() as patched:
         patched.setattr("gsrain_engine.editor.autosave.write_scene_folder", full)
-        keep_now(session)
-        assert "autosave can't be written: No space left" in session.problem
-        session.problem = None
-        keep_now(session)
-        assert session.problem is None
-    keep_now(session)
+        keep_now(editor)
+        assert "autosave can't be written: No space left" in editor.status.problem
+        editor.status.dismiss()
+        keep_now(editor)
+        assert editor.status.problem is None
+    keep_now(editor)
     assert (autosave_folder(home) / "scene" / "scene.json").exists()
-    session.files.give_up()
+    editor.files.give_up()
 
 
-def test_an_autosave_comes_in_time_and_goes_with_a_save(session, home):
-    session.update(0.0)
-    keep_now(session)
+def test_an_autosave_comes_in_time_and_goes_with_a_save(editor, home):
+    editor.tick(0.0)
+    keep_now(editor)
     assert not autosave_folder(home).exists()  # nothing has changed
-    session.files.save()
-    settle(session)
-    deleted = delete_every_third(session)
-    session.update(0.0)
-    settle(session)
+    editor.files.save()
+    settle(editor)
+    deleted = delete_every_third(editor)
+    editor.tick(0.0)
+    settle(editor)
     assert not autosave_folder(home).exists()  # not yet
-    keep_now(session)
+    keep_now(editor)
     kept = autosave_folder(home) / "scene"
     assert read_scene(kept).members[0].marks.deleted.same_as(deleted)
     assert read_scene(home).members[0].marks.deleted is None
     linked = set(names_in(kept).values()) & set(names_in(home).values())
     assert len(linked) == 3  # the PLY files have a second name instead of a copy
-    session.files.save()
-    settle(session)
+    editor.files.save()
+    settle(editor)
     assert not autosave_folder(home).exists()
 
 
 def test_an_autosave_of_a_scene_without_folder_is_kept_in_the_state_folder(sessions, tmp_path):
-    session = sessions(small_scene("nowhere"))
-    delete_every_third(session)
-    keep_now(session)
+    editor = sessions(small_scene("nowhere"))
+    delete_every_third(editor)
+    keep_now(editor)
     (kept,) = (tmp_path / "state" / "gsrain" / "unsaved").iterdir()
     assert read_scene(kept / "scene").name == "nowhere"
-    session.files.give_up()
-    session.close()
+    editor.files.give_up()
+    editor.close()
     assert not kept.exists()
 
 
-def test_closing_without_an_answer_loses_nothing(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
-    session.close()  # the display is gone, say
+def test_closing_without_an_answer_loses_nothing(sessions, home, editor):
+    delete_every_third(editor)
+    keep_now(editor)
+    editor.close()  # the display is gone, say
     again = sessions()
     again.files.recovery.look()
     settle(again)
@@ -76,10 +76,10 @@ def test_closing_without_an_answer_loses_nothing(sessions, home, session):
     assert not autosave_folder(home).exists()
 
 
-def test_discard_and_later(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
-    session.close()
+def test_discard_and_later(sessions, home, editor):
+    delete_every_third(editor)
+    keep_now(editor)
+    editor.close()
     later = sessions()
     later.open(str(home))
     settle(later)
@@ -100,9 +100,9 @@ def test_discard_and_later(sessions, home, session):
     assert not autosave_folder(home).exists()
 
 
-def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
+def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sessions, home, editor):
+    delete_every_third(editor)
+    keep_now(editor)
     before = names_in(autosave_folder(home))
     other = sessions()
     other.files.recovery.look()
@@ -143,7 +143,7 @@ def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_
     late.files.give_up()
 
 
-def test_closing_it_here_goes_to_an_empty_scene(sessions, home, session):
+def test_closing_it_here_goes_to_an_empty_scene(sessions, home, editor):
     other = sessions()
     other.open(str(home))
     settle(other)
@@ -152,13 +152,13 @@ def test_closing_it_here_goes_to_an_empty_scene(sessions, home, session):
     assert not other.has_changes
 
 
-def test_an_autosave_that_was_never_whole_stands_in_nobody_s_way(session, home, tmp_path):
+def test_an_autosave_that_was_never_whole_stands_in_nobody_s_way(editor, home, tmp_path):
     """A process was killed in its first autosave: there is nothing to recover, and the place is free."""
     autosave_folder(home).mkdir()
     (autosave_folder(home) / "autosave.json").write_text('{"name": "crossing"}')
     (autosave_folder(home) / ".scene.01dc11b5.part").mkdir()
-    delete_every_third(session)
-    keep_now(session)
+    delete_every_third(editor)
+    keep_now(editor)
     assert sorted(each.name for each in autosave_folder(home).iterdir()) == ["autosave.json", "scene"]
     assert not (tmp_path / "state" / "gsrain" / "unsaved").exists()
-    session.files.give_up()
+    editor.files.give_up()
