@@ -1,5 +1,6 @@
 """`gsrain edit`: applies the edits of the window to a scene, such as the steps that its History panel copies."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from gsrain_engine.scene.open import load_sorted_scene
 
 from .console import counted, print, print_lines
 from .options import flag, option
-from .outputs import check_scene_target, lock_outputs
+from .outputs import SCREEN, check_scene_target, lock_outputs
 from .scene import Orientation
 
 
@@ -21,7 +22,10 @@ def edit(
     output: Annotated[
         Path | None, option("Scene folder, or file (.ply .splat .spz), to write.", "--output", "-o")
     ] = None,
-    steps_file: Annotated[Path | None, option("Text file with one edit a line, before STEPS.", "--steps")] = None,
+    steps_file: Annotated[
+        Path | None,
+        option("Text file with an edit a line, before STEPS; - is the input.", "--steps", allow_leading_hyphen=True),
+    ] = None,
     orientation: Orientation | None = None,
     list_: Annotated[bool, flag("List all edits with their parameters.")] = False,
 ) -> None:
@@ -36,7 +40,7 @@ def edit(
     if scene is None or output is None:
         raise ValueError("expected a scene and --output; --list lists the edits")
     check_scene_target(output)
-    lines = [] if steps_file is None else read_whole(steps_file).decode().splitlines()
+    lines = [] if steps_file is None else _read(steps_file).splitlines()
     texts = [line for line in lines if line.strip() and not line.lstrip().startswith("#")] + list(steps)
     parsed = [EditStep.parse(text) for text in texts]
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
@@ -44,3 +48,7 @@ def edit(
     edited = apply_steps(opened, parsed)
     write_scene(edited, output, in_drawing_order=True)
     print(f"{output}: {counted(edited.gaussian_count, 'Gaussian')} after {counted(len(parsed), 'edit')}")
+
+
+def _read(file: Path) -> str:
+    return sys.stdin.read() if file == SCREEN else read_whole(file).decode()

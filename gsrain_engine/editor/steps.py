@@ -8,8 +8,9 @@ import base64
 import binascii
 import json
 import re
+import shlex
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -25,7 +26,7 @@ from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
 from ..rain.settings import load_preset
 from ..safe_io.errors import convert_checked
 from ..scene.scene import Scene
-from .document import DocumentState, Step
+from .document import DocumentState, History, Step
 from .edits.members import with_path
 from .selection.commands import select_found
 
@@ -139,7 +140,7 @@ class EditStep:
             change, *arguments = arguments
         elif change is select_found:
             mode, change, *arguments = arguments
-            options["mode"] = mode
+            arguments = [mode, *arguments]
         name = _names().get(change)
         if name is None:
             raise EditError(f"{step.label}: no edit has this result")
@@ -241,8 +242,50 @@ def apply_steps(scene: Scene, steps: Iterable[EditStep]) -> Scene:
             raise ValueError(f"step {number}, {step.name}: {error}") from None
     if state.rain == before.rain and state.keyframes == before.keyframes:
         return state.scene
+    return with_rain_saved(state)
+
+
+def with_rain_saved(state: DocumentState) -> Scene:
+    """Scene of a document with its rain, as it is saved."""
     weather = msgspec.to_builtins(state.keyframes) if state.keyframes.keys else None
     return replace(state.scene, rain=msgspec.to_builtins(state.rain), weather=weather)
+
+
+# Steps of the history as a program
+
+
+def steps_since(history: History, saved: DocumentState) -> list[EditStep]:
+    """Describe the steps from a document on disk to the present one.
+
+    Raises `EditError` if that document is not an earlier one of the history, or a step can't be described.
+    """
+    steps = history.steps[: history.cursor + 1]
+    first = next((number for number, step in enumerate(steps) if step.document is saved), None)
+    if first is None:
+        raise EditError("The present scene did not come from its file by these steps: save it first.")
+    made = [EditStep.of(step) for step in steps[first + 1 :]]
+    rain, on_disk = saved.rain, document_of(saved.scene).rain  # a preset of the window may be in place of the scene's
+    fields = [name for name in rain.__struct_fields__ if getattr(rain, name) != getattr(on_disk, name)]
+    chosen = EditStep.with_values("change-rain", {name: getattr(rain, name) for name in fields})
+    return [chosen, *made] if fields else made
+
+
+def shell_command(source: str, steps: Sequence[EditStep], output: str = "edited") -> str:
+    """Format steps as a line for a shell, or with a here-document where they are too long for one."""
+    line = shlex.join(["gsrain", "edit", source, *(step.text for step in steps), "-o", output])
+    if len(line) < _LONGEST_LINE:
+        return line
+    texts = "\n".join(step.text for step in steps)
+    return f"{shlex.join(['gsrain', 'edit', source, '--steps', '-', '-o', output])} <<'STEPS'\n{texts}\nSTEPS"
+
+
+def python_program(source: str, steps: Sequence[EditStep], output: str = "edited") -> str:
+    """Format steps as a program that uses the Python API."""
+    lines = ["import gsrain as gr", "", f"scene = gr.load({source!r})", *(step.python for step in steps)]
+    return "\n".join([*lines, f"gr.save(scene, {output!r})"]) + "\n"
+
+
+_LONGEST_LINE = 100_000  # systems limit one argument to 128 KiB
 
 
 class EditHelp(NamedTuple):

@@ -1,6 +1,9 @@
 """Edit steps as text: they parse back, do the same in every form, and refuse what is wrong."""
 
+import io
 import json
+import shlex
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +13,55 @@ from hypothesis import strategies as st
 
 import gsrain as gr
 from app.main import run
-from gsrain_engine.editor.steps import EDITS, EditStep, apply_steps, edit_help
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.actors import drive_along_own_path, retime_actor, set_ego_start, set_origin, turn_actor
+from gsrain_engine.editor.edits.floaters import FloaterRules
+from gsrain_engine.editor.edits.gaussians import (
+    CropBox,
+    compact,
+    crop,
+    delete_selected,
+    hide_selected,
+    isolate_selected,
+    show_all,
+)
+from gsrain_engine.editor.edits.layers import duplicate, merge, move_down, move_up, remove, rename, separate
+from gsrain_engine.editor.edits.level import level_from_ground, level_from_points, set_ground_height, set_length
+from gsrain_engine.editor.edits.members import set_grading, set_locked, set_opacity, set_visible
+from gsrain_engine.editor.edits.rain_keyframes import (
+    add_shower,
+    move_keyframe,
+    replace_keyframes,
+    set_interpolation,
+    set_keyframe_number,
+)
+from gsrain_engine.editor.edits.transform import Pose, move_member, move_selected, set_layer_pose
+from gsrain_engine.editor.selection.attributes import select_attribute_range
+from gsrain_engine.editor.selection.candidates import select_similar_colors
+from gsrain_engine.editor.selection.screen import select_in_screen_shape
+from gsrain_engine.editor.selection.volume import Sphere, flood_select, in_volume
+from gsrain_engine.editor.steps import (
+    EDITS,
+    EditError,
+    EditStep,
+    apply_steps,
+    document_of,
+    edit_help,
+    python_program,
+    shell_command,
+    steps_since,
+    with_rain_saved,
+)
+from gsrain_engine.rain.keyframes import RainKeyframes
+from gsrain_engine.render.draw import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import circle_path
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.scene import Actor
+from gsrain_engine.scene.scene import Actor, ColorGrading
 from small_scene import patch, small_scene
+
+from editor.files.open_document import settle
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-9, 2**53) | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -169,3 +214,143 @@ def test_steps_do_the_same_as_text_as_python_and_on_the_command_line(text, tmp_p
 def test_wrong_steps_are_refused_by_name(text, names):
     with pytest.raises(ValueError, match=names):
         apply_steps(edited_scene(), [EditStep.parse(text)])
+
+
+# Steps of the history
+
+
+def act(editor):
+    """Make one step of each kind, by what panels, tools and commands call."""
+    document, selection, path = editor.document, editor.selection, editor.camera_path
+    view = RenderView(Camera(96, 64, 60, 60, 48, 32, gr.look_at(np.array([2, 0, 1.5]), np.array([20, 0, 1.5]), np.array([0, 0, 1.0]))))
+    pixels = np.zeros((64, 96), bool)
+    pixels[20:50, 20:70] = True
+    road, car = "layers/road", "actors/car"
+    selection.select_all()
+    selection.invert()
+    selection.select("set", "rectangle", select_in_screen_shape, view, pixels)
+    selection.select("add", "sphere", in_volume, 0.0, Sphere((10.0, 0.0, 0.0), 3.0))
+    selection.select("remove", "box", in_volume, 0.0, CropBox((10.0, 0.0, 0.0), (2.0, 2.0, 2.0)))
+    selection.select("add", "flood", flood_select, 0.0, road, 20, 0.1, 2.0)
+    selection.select("set", "color", select_similar_colors, 0.0, np.float32([0.7, 0.45, 0.3]), 0.1)
+    selection.select("add", "opacity", select_attribute_range, 0.0, view.camera, "opacity", 0.9, 0.96)
+    selection.save_set()
+    selection.rename_set("selection 1", "mine")
+    selection.shrink()
+    selection.recall_set("mine", "set")
+    selection.remove_set("every")
+    document.edit("Hide", hide_selected)
+    document.edit("Show all", show_all)
+    selection.recall_set("mine", "set")
+    document.edit("Move", move_selected, translation(0.0, 0.5, 0.0), 0.0)
+    document.edit("Isolate", isolate_selected)
+    document.edit("Separate", separate)
+    selection.select("set", "sphere", in_volume, 0.0, Sphere((10.0, 0.0, 0.0), 1.0))
+    selection.distance_m = 3.0
+    selection.grow()
+    selection.shrink()
+    document.edit("Delete", delete_selected)
+    document.edit("Purge", compact)
+    document.edit("Crop", crop, CropBox((20.0, 0.0, 0.0), (60.0, 30.0, 20.0)))
+    selection.select_all()
+    selection.select_none()
+    document.edit("Visible", set_visible, "layers/sky", False)
+    document.edit("Opacity", set_opacity, road, 0.5)
+    document.edit("Opacity", set_opacity, road, 0.7, gesture="opacity")
+    document.edit("Opacity", set_opacity, road, 0.8, gesture="opacity")
+    document.edit("Grading", set_grading, road, ColorGrading(exposure_ev=0.5))
+    document.edit("Move", move_member, road, translation(0.1, 0.0, 0.0))
+    document.edit("Place", set_layer_pose, road, Pose((0.2, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0), 0.0)
+    document.edit("Turn", turn_actor, car, 30.0)
+    document.edit("Re-time", retime_actor, car, 1.0, 3.0)
+    document.edit("Duplicate", duplicate, road)
+    document.edit("Rename", rename, "layers/road 2", "wet road")
+    document.edit("Up", move_up, "layers/wet road")
+    document.edit("Down", move_down, "layers/wet road")
+    document.edit("Merge", merge, ["layers/road", "layers/wet road"])
+    document.edit("Level", level_from_ground)
+    document.edit("Level", level_from_points, np.array([[0.0, 0, 0], [1, 0, 0.1], [0, 1, 0]]))
+    document.edit("Ground", set_ground_height, 0.1)
+    document.edit("Scale", set_length, 2.0, 2.5)
+    document.edit("Origin", set_origin, np.array([0.5, 0.0, 0.0]))
+    document.edit("Ego start", set_ego_start, np.array([1.0, 0.0, 0.0]), 0.1)
+    document.edit("Ego drive", drive_along_own_path)
+    path.add_keyframe(0.5)
+    path.place_keyframe(0, "Move keyframe", position_m=np.array([1.0, 0.0, 2.0]))
+    path.retime_keyframe(0, 0.2)
+    path.copy_keyframe(1, 9.0)
+    path.snap_keyframe(1)
+    path.delete_keyframe(0)
+    path.change_path("Linear", interpolation="linear")
+    path.stretch_path(5.0)
+    path.reverse_path()
+    path.circle_target()
+    document.change_rain("Intensity", intensity_mm_h=4.0)
+    document.edit_keyframes("Insert", RainKeyframes.with_key, 2.0, intensity_mm_h=3.0)
+    document.edit_keyframes("Insert", RainKeyframes.with_key, 2.0, wind_m_s=(1.0, 2.0))
+    document.change_rain("Wind", wind_m_s=(2.0, 2.0))
+    document.edit_keyframes("Move", move_keyframe, "intensity_mm_h", 0, 0.5, intensity_mm_h=2.0)
+    document.edit_keyframes("Number", set_keyframe_number, 0.5, "intensity_mm_h", 1.5)
+    document.edit_keyframes("Remove", RainKeyframes.without_key, 2.0, "wind_m_s")
+    document.edit_keyframes("Smooth", set_interpolation, "smooth")
+    document.edit_keyframes("Shower", add_shower, 1.0)
+    document.edit_keyframes("Clear", replace_keyframes, RainKeyframes())
+    document.edit("Lock", set_locked, road, True)
+    document.edit("Remove", remove, "layers/wall")
+
+
+def test_all_steps_of_the_history_have_a_command_that_does_the_same(tmp_path):
+    """Each step as text makes the document after it of the one before; all together, so do command and program."""
+    source = str(tmp_path / "scene")
+    write_scene(edited_scene(), source, in_drawing_order=True)
+    with closing(Editor()) as editor:
+        editor.files.open(source)
+        settle(editor)
+        editor.floaters.find(FloaterRules(opacity_below=0.96)).wait(60)
+        settle(editor)
+        act(editor)
+        editor.files.import_from(source)
+        settle(editor)
+        history, saved = editor.document.history, editor.files.saved
+    steps = [EditStep.of(step) for step in history.steps[1:]]
+    assert set(EDITS) - {step.name for step in steps} == {"wet-look", *OF_CAPTURES}
+    for before, step, made in zip(history.steps, steps, history.steps[1:], strict=False):
+        again = EditStep.parse(step.text).apply(before.document)
+        assert files_of_document(again, tmp_path / "again") == files_of_document(made.document, tmp_path / "made"), step
+    command = shlex.split(shell_command(source, steps_since(history, saved), str(tmp_path / "command")))
+    assert run(command[1:]) == 0
+    exec(python_program(source, steps, str(tmp_path / "python")), {})
+    present = files_of_document(history.present, tmp_path / "present")
+    for form in ("command", "python"):
+        assert files_of_document(document_of(gr.load(tmp_path / form)), tmp_path / f"{form} again") == present
+
+
+def test_long_commands_become_a_here_document(tmp_path, monkeypatch):
+    source = str(tmp_path / "scene")
+    write_scene(edited_scene(), source, in_drawing_order=True)
+    steps = [EditStep.parse(f"rename key=layers/road name={'x' * 120_000}"), EditStep.parse("select-all")]
+    first, _, rest = shell_command(source, steps, str(tmp_path / "made")).partition("\n")
+    monkeypatch.setattr("sys.stdin", io.StringIO(rest.removesuffix("STEPS")))
+    assert run(shlex.split(first.removesuffix("<<'STEPS'"))[1:]) == 0
+    assert files_of(gr.load(tmp_path / "made"), tmp_path / "again") == files_of(
+        apply_steps(gr.load(source), steps), tmp_path / "same"
+    )
+
+
+def test_steps_that_no_edit_makes_are_refused(tmp_path):
+    with closing(Editor(edited_scene())) as editor:
+        editor.document.set_contents("Scene of a program", small_scene(), editor.document.rain, "program")
+        with pytest.raises(EditError, match="Scene of a program"):
+            steps_since(editor.document.history, editor.files.saved)
+        with pytest.raises(EditError, match="save it first"):
+            steps_since(editor.document.history, replace(editor.files.saved))
+
+
+def files_of_document(state, folder):
+    return files_of(with_rain_saved(state), folder)
+
+
+def translation(x, y, z):
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix

@@ -11,8 +11,11 @@ from gsrain_engine.editor.edits.actors import duration_of, retime_actor, start_o
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.layers import duplicate, remove
 from gsrain_engine.editor.edits.transform import Pose, layer_pose, set_layer_pose
+from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.floaters import FLOATERS_TITLE, FloaterFinder
 from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.steps import EditError, python_program, shell_command, steps_since
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.scene import Actor, Layer
@@ -189,8 +192,9 @@ def _actor_fields(document: Document, viewport: ViewportState, actor: Actor) -> 
 # History panel
 
 
-def history_panel(document: Document) -> None:
+def history_panel(document: Document, files: Files, status: StatusBus) -> None:
     history, chosen = document.history, None
+    _copy_buttons(document, files, status)
     for number, step in enumerate(history.steps):
         with text_color(imgui.Col_.text_disabled if number > history.cursor else imgui.Col_.text):
             if imgui.selectable(label(step.label, str(number)), number == history.cursor)[0]:
@@ -201,3 +205,21 @@ def history_panel(document: Document) -> None:
     _State.scrolled_to = history.cursor
     if chosen is not None:
         document.go_to_step(chosen)
+
+
+def _copy_buttons(document: Document, files: Files, status: StatusBus) -> None:
+    """Draw the buttons that copy all steps since the scene was opened or saved."""
+    why_not = None if files.has_changes else "There are no steps since the scene was opened or saved."
+    if files.source is None:
+        why_not = "The scene is not in a file yet: save it first."
+    width = share_of_width(2)
+    for title, form in (("Copy as command", shell_command), ("Copy as Python", python_program)):
+        help_text = f"{title} the steps since the scene was opened or saved; when it is run, it makes the same scene."
+        if button(title, help_text, width=width, why_not=why_not):
+            try:
+                imgui.set_clipboard_text(form(files.source or "", steps_since(document.history, files.saved)))
+            except EditError as error:
+                status.report(error)
+        imgui.same_line()
+    imgui.new_line()
+    imgui.separator()
