@@ -22,7 +22,11 @@ def begin_test():
 
 def check_first_calls():
     """Let jaxtyping's import hook check the first calls of a function in each test, not all."""
-    jaxtyping.jaxtyped = lambda *, typechecker: functools.partial(_checked_at_first, typechecker)
+
+    def jaxtyped(*context, typechecker=None):
+        return _jaxtyped(*context) if context else functools.partial(_checked_at_first, typechecker)
+
+    jaxtyping.jaxtyped = jaxtyped
 
 
 def _checked_at_first(typechecker, decorated):

@@ -12,15 +12,17 @@ import shlex
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
+from types import UnionType
 from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
+from jaxtyping import jaxtyped
 
 from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
 from ..rain.settings import load_preset
@@ -374,13 +376,13 @@ def _encoded(value: Any) -> Any:
 
 def _converted(value: Any, kind: Any) -> Any:
     """Convert JSON values to a type; of several structs or dataclasses, the first that fits."""
-    kinds = get_args(kind) if get_origin(kind) in (Union, type(int | str)) else (kind,)
-    if sum(isinstance(each, type) and hasattr(each, "__dataclass_fields__") for each in kinds) < 2:
-        return convert_checked(value, kind, dec_hook=_decoded)
-    for each in kinds[:-1]:
+    kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    several = sum(is_dataclass(each) for each in kinds) > 1  # msgspec can't tell them apart
+    for each in kinds[:-1] if several else ():
         with suppress(ValueError):
-            return convert_checked(value, each, dec_hook=_decoded)
-    return convert_checked(value, kinds[-1], dec_hook=_decoded)
+            return _converted(value, each)
+    with jaxtyped("context"):  # named dimensions are those of this value alone
+        return convert_checked(value, kinds[-1] if several else kind, dec_hook=_decoded)
 
 
 def _decoded(kind: type, value: Any) -> Any:
