@@ -35,7 +35,7 @@ class Workspace:
     def __init__(self, editor: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
         self.editor = editor
         self.view = LiveView(context, backend)
-        self._tools = tuple(bind_parts(each, editor)() for each in TOOLS)
+        self.tools = tuple(bind_parts(each, editor)() for each in TOOLS)
         self._previews = JobPreviews(context)
         self._wet_preview = CachedTexture(context)
         self._captures = CaptureTextures(context)
@@ -96,7 +96,7 @@ class Workspace:
             self._capture = capture
             if capture is not None:  # the view shows nothing of a capture without poses
                 imgui.set_window_focus("Capture")
-        viewport_panel(editor, self._tools, self._textures)
+        viewport_panel(editor, self.tools, self._textures)
         self._palette.draw(editor)
         keyboard_page(editor.viewport)
         about_page(editor.viewport)

@@ -39,7 +39,7 @@ def refuse(context, size):
 @pytest.fixture
 def editor():
     opened = Editor(small_scene())
-    opened.clock.playing = False
+    opened.playback.clock.playing = False
     yield opened
     opened.close()
 

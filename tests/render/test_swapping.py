@@ -40,7 +40,7 @@ def picture(view):
 @pytest.fixture
 def editor():
     opened = Editor(small_scene())
-    opened.clock.playing = False
+    opened.playback.clock.playing = False
     yield opened
     opened.close()
 

@@ -123,7 +123,7 @@ def test_a_sequence_gets_wet_as_its_weather_does():
 @pytest.fixture
 def editor():
     opened = Editor(small_scene())
-    opened.clock.playing = False
+    opened.playback.clock.playing = False
     yield opened
     opened.close()
 
