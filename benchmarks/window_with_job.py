@@ -14,11 +14,13 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median, quantiles
 
+import psutil
 from imgui_bundle import hello_imgui, immapp
 from reconstruct_street import street_capture
 
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.training import reconstruction_job
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.renderer import describe_machine
@@ -34,7 +36,11 @@ class Measurement:
         self.alone: list[float] = []
         self.with_job: list[float] = []
         self.messages: list[float] = []
-        self.last_message = ""
+        self.last_message: tuple[float, str] | None = None
+        self.job_cores = 0.0
+        """Processor seconds of the job's process per second."""
+        self.statistics: dict[str, float | str] = {}
+        """Of the viewport's last frame."""
         self._seconds, self._start = seconds, start
         self._begins = self._frame = 0.0
         self._is_idle = True
@@ -63,6 +69,9 @@ class Measurement:
             self.last_message = job.progress.fraction, job.progress.message
         if job.state != "running" or now > self.messages[0] + self._seconds:
             self.messages.append(now)
+            workers = [each for each in psutil.Process().children() if "--multiprocessing-fork" in each.cmdline()]
+            self.job_cores = sum(sum(each.cpu_times()[:2]) for each in workers) / (now - self.messages[0])
+            self.statistics = {"backend": session.backend, "detail": str(session.detail), **session.statistics}
             hello_imgui.get_runner_params().app_shall_exit = True
 
 
@@ -94,7 +103,9 @@ def main() -> None:
         "with job": _summary(measurement.with_job),
         "messages": len(gaps),
         "longest_gap_s": round(max(gaps), 1),
+        "job_cores": round(measurement.job_cores, 2),
         "last message": measurement.last_message,
+        "viewport": measurement.statistics,
         "machine": describe_machine(),
     }
     print(json.dumps(found, indent=1))
@@ -112,7 +123,8 @@ def _train(folder: Path) -> Callable[[Editor], None]:
         pass
 
     def start(session: Editor) -> None:
-        session.start(reconstruction_job(session, folder / "street", load_settings("laptop", measured_every=0)))
+        job = reconstruction_job(folder / "street", load_settings("laptop", measured_every=0))
+        session.jobs.start(job, scene_results(session, job.title, is_whole=True))
 
     return start
 

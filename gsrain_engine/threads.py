@@ -13,9 +13,15 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def cores_with_jobs() -> int:
-    """Number of cores for the window's kernels while jobs run: three of four, so that jobs always get some."""
-    return max(1, 3 * usable_cores() // 4)
+def share_cores(*, with_jobs: bool) -> None:
+    """Let Numba's kernels that this thread calls use all cores, or leave every fourth one to jobs: at least one of two.
+
+    Jobs have a lower priority, and would get next to nothing while the window plays on all cores.
+    """
+    import numba  # loads slowly: not before the first job
+
+    count = numba.config.NUMBA_NUM_THREADS
+    numba.set_num_threads(max(1, 3 * count // 4) if with_jobs else count)
 
 
 @contextmanager

@@ -27,7 +27,7 @@ _SPACES = {
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
-_WAITING_FPS = 30.0  # frame rate for an animated bar: the awaited work needs the CPU more
+_WAITING_FPS = 30.0  # maximum frame rate while a job runs or a bar is animated: the work needs the CPU more
 
 
 class Workspace:
@@ -78,7 +78,8 @@ class Workspace:
         resting = not (session.clock.playing or session.is_bringing_in or session.budget.is_settling)
         resting = resting and not session.drives.mosaic.is_behind
         idling.enable_idling = resting and self.view.is_settled and not self.view.is_catching_up
-        idling.fps_max = 0.0 if self.view.is_settled and session.busy is None else _WAITING_FPS
+        is_alone = self.view.is_settled and session.busy is None and not session.jobs.running
+        idling.fps_max = 0.0 if is_alone else _WAITING_FPS
         if session.is_leaving:
             hello_imgui.get_runner_params().app_shall_exit = True
 

@@ -17,6 +17,7 @@ from jaxtyping import Float64
 
 from ...scene.files import sentence_of
 from ...scene.progress import Progress
+from ...threads import share_cores
 from .folder import JobTempDir
 from .process import JobState, Work, WorkerProcess, WorkerThread
 
@@ -146,6 +147,7 @@ class JobRunner:
         """Start a job. `on_result` takes its result (True) and snapshots (False); it may return the last message."""
         job.state, job.runner = "running", self
         self.all.append(job)
+        share_cores(with_jobs=True)
         self._advance(job, self._stages_of(job, on_result))
         return job
 
@@ -216,6 +218,7 @@ class JobRunner:
         job.state = state
         job.forget_work()
         self._stages.pop(job, None)
+        share_cores(with_jobs=bool(self._stages))
         if state == "finished" and job.report is not None:
             logger.info("%s: done; report: %s", job.title, _short(job.report))
 
