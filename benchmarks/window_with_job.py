@@ -24,6 +24,7 @@ from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.training import reconstruction_job
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.renderer import describe_machine
+from gsrain_engine.scene.progress import Progress
 from gsrain_engine.training.settings import load_settings
 from ui.window import MainWindow
 from ui.workspace import Workspace
@@ -36,7 +37,7 @@ class Measurement:
         self.alone: list[float] = []
         self.with_job: list[float] = []
         self.messages: list[float] = []
-        self.last_message: tuple[float, str] | None = None
+        self.last_step = Progress(0.0, "")
         self.job_cores = 0.0
         """Processor seconds of the job's process per second."""
         self.statistics: dict[str, float | str] = {}
@@ -64,9 +65,9 @@ class Measurement:
     def _with_job(self, session: Editor, now: float, frame_s: float) -> None:
         job = session.jobs.all[-1]
         self.with_job.append(frame_s)
-        if not self.messages or (job.progress.fraction, job.progress.message) != self.last_message:
+        if not self.messages or job.progress[:2] != self.last_step[:2]:
             self.messages.append(now)
-            self.last_message = job.progress.fraction, job.progress.message
+            self.last_step = job.progress
         if job.state != "running" or now > self.messages[0] + self._seconds:
             self.messages.append(now)
             workers = [each for each in psutil.Process().children() if "--multiprocessing-fork" in each.cmdline()]
@@ -104,7 +105,7 @@ def main() -> None:
         "messages": len(gaps),
         "longest_gap_s": round(max(gaps), 1),
         "job_cores": round(measurement.job_cores, 2),
-        "last message": measurement.last_message,
+        "last_message": measurement.last_step.message,
         "viewport": measurement.statistics,
         "machine": describe_machine(),
     }

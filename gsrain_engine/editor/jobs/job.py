@@ -17,7 +17,6 @@ from jaxtyping import Float64
 
 from ...scene.files import sentence_of
 from ...scene.progress import Progress
-from ...threads import share_cores
 from .folder import JobTempDir
 from .process import JobState, Work, WorkerProcess, WorkerThread
 
@@ -134,7 +133,7 @@ _Stages = Generator[_Waiting, None, str | None]
 
 
 class JobRunner:
-    """Runs jobs. Their threads and processes touch nothing of the editor; `poll` hands results over. Main thread only."""
+    """Runs jobs, on the main thread. Their threads and processes touch nothing else: `poll` hands results over."""
 
     def __init__(self, files: ThreadPoolExecutor, report_problem: Callable[[str], object]) -> None:
         """Read and write in the thread `files`; `report_problem` gets one sentence about each job that fails."""
@@ -147,7 +146,6 @@ class JobRunner:
         """Start a job. `on_result` takes its result (True) and snapshots (False); it may return the last message."""
         job.state, job.runner = "running", self
         self.all.append(job)
-        share_cores(with_jobs=True)
         self._advance(job, self._stages_of(job, on_result))
         return job
 
@@ -218,7 +216,6 @@ class JobRunner:
         job.state = state
         job.forget_work()
         self._stages.pop(job, None)
-        share_cores(with_jobs=bool(self._stages))
         if state == "finished" and job.report is not None:
             logger.info("%s: done; report: %s", job.title, _short(job.report))
 
