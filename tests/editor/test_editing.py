@@ -1,4 +1,4 @@
-"""Random sessions of an editor: edit, drag, undo, redo, save, die and recover. The document is the same, byte for byte."""
+"""Random sessions of an editor: edit, drag, undo, redo, save, die and recover, to the same bytes."""
 
 import os
 import shutil
