@@ -56,7 +56,7 @@ class Turning:
         self.editor.viewport.navigation.turn(_TURN_RAD, 0.0)
         start, start_of_work = time.perf_counter(), time.process_time()
         self.editor.tick(1 / 30)
-        self.view.draw(*self.size)
+        self.editor.apply(self.view.draw(self.editor.render_input(*self.size)))
         self.context.finish()
         return FrameCost(1000 * (time.perf_counter() - start), 1000 * (time.process_time() - start_of_work))
 

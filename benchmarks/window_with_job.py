@@ -14,14 +14,17 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median, quantiles
 
+import psutil
 from imgui_bundle import hello_imgui, immapp
 from reconstruct_street import street_capture
 
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.training import reconstruction_job
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.renderer import describe_machine
+from gsrain_engine.scene.progress import Progress
 from gsrain_engine.training.settings import load_settings
 from ui.window import MainWindow
 from ui.workspace import Workspace
@@ -34,7 +37,11 @@ class Measurement:
         self.alone: list[float] = []
         self.with_job: list[float] = []
         self.messages: list[float] = []
-        self.last_message = ""
+        self.last_step = Progress(0.0, "")
+        self.job_cores = 0.0
+        """Processor seconds of the job's process per second."""
+        self.statistics: dict[str, float | str] = {}
+        """Of the viewport's last frame."""
         self._seconds, self._start = seconds, start
         self._begins = self._frame = 0.0
         self._is_idle = True
@@ -58,11 +65,18 @@ class Measurement:
     def _with_job(self, editor: Editor, now: float, frame_s: float) -> None:
         job = editor.jobs.all[-1]
         self.with_job.append(frame_s)
-        if not self.messages or (job.progress.fraction, job.progress.message) != self.last_message:
+        if not self.messages or job.progress[:2] != self.last_step[:2]:
             self.messages.append(now)
-            self.last_message = job.progress.fraction, job.progress.message
+            self.last_step = job.progress
         if job.state != "running" or now > self.messages[0] + self._seconds:
             self.messages.append(now)
+            workers = [each for each in psutil.Process().children() if "--multiprocessing-fork" in each.cmdline()]
+            self.job_cores = sum(sum(each.cpu_times()[:2]) for each in workers) / (now - self.messages[0])
+            self.statistics = {
+                "backend": editor.viewport.backend,
+                "detail": str(editor.viewport.detail),
+                **editor.viewport.statistics,
+            }
             hello_imgui.get_runner_params().app_shall_exit = True
 
 
@@ -94,7 +108,9 @@ def main() -> None:
         "with job": _summary(measurement.with_job),
         "messages": len(gaps),
         "longest_gap_s": round(max(gaps), 1),
-        "last message": measurement.last_message,
+        "job_cores": round(measurement.job_cores, 2),
+        "last_message": measurement.last_step.message,
+        "viewport": measurement.statistics,
         "machine": describe_machine(),
     }
     print(json.dumps(found, indent=1))
@@ -112,7 +128,8 @@ def _train(folder: Path) -> Callable[[Editor], None]:
         pass
 
     def start(editor: Editor) -> None:
-        editor.jobs.start(reconstruction_job(editor, folder / "street", load_settings("laptop", measured_every=0)))
+        job = reconstruction_job(folder / "street", load_settings("laptop", measured_every=0))
+        editor.jobs.start(job, scene_results(editor, job.title, is_whole=True))
 
     return start
 

@@ -75,7 +75,7 @@ class Photographer:
         """Let the frames go by that still change the picture: drops take the color of a sky that is new."""
         assert self.window.workspace is not None
         for _ in range(_MOST_FRAMES):
-            if not self.window.workspace.view.is_catching_up:
+            if not self.editor.viewport.is_catching_up:
                 break
             self.ctx.yield_()
         self.frames()

@@ -8,14 +8,17 @@ _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "M
 """Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
 
+WORKER_NICENESS = 4
+"""Priority of workers below the window, as `os.nice` counts: each step is a quarter less of a contested core.
+
+A worker beside a window that plays on all cores gets 3 parts of them in 10, so that both go on: with 10, the usual
+niceness of background work, it would be 1 part in 10, and minutes without progress (docs/performance.md).
+"""
+
+
 def usable_cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def cores_with_jobs() -> int:
-    """Number of cores for the window's kernels while jobs run: three of four, so that jobs always get some."""
-    return max(1, 3 * usable_cores() // 4)
 
 
 @contextmanager

@@ -59,6 +59,9 @@ class Driver:
     def view(self):
         return self.window.workspace.view
 
+    def tool(self, name):
+        return next(each for each in self.window.workspace.tools if each.name == name)
+
     def frames(self, count=2):
         for _ in range(count):
             self.ctx.yield_()

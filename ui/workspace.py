@@ -26,7 +26,7 @@ _SPACES = {
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
-_WAITING_FPS = 30.0  # frame rate for an animated bar: the awaited work needs the CPU more
+_WAITING_FPS = 30.0  # maximum frame rate while a job runs or a bar is animated: the work needs the CPU more
 
 
 class Workspace:
@@ -35,7 +35,7 @@ class Workspace:
     def __init__(self, editor: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
         self.editor = editor
         self.view = LiveView(context, backend)
-        self._tools = tuple(bind_parts(each, editor)() for each in TOOLS)
+        self.tools = tuple(bind_parts(each, editor)() for each in TOOLS)
         self._previews = JobPreviews(context)
         self._wet_preview = CachedTexture(context)
         self._captures = CaptureTextures(context)
@@ -76,7 +76,8 @@ class Workspace:
         resting = not (editor.playback.clock.playing or editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or viewport.is_catching_up)
         idling.enable_idling = resting and self.view.is_settled
-        idling.fps_max = 0.0 if self.view.is_settled and editor.busy is None else _WAITING_FPS
+        is_alone = self.view.is_settled and editor.busy is None and not editor.jobs.running
+        idling.fps_max = 0.0 if is_alone else _WAITING_FPS
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
 
@@ -96,7 +97,7 @@ class Workspace:
             self._capture = capture
             if capture is not None:  # the view shows nothing of a capture without poses
                 imgui.set_window_focus("Capture")
-        viewport_panel(editor, self._tools, self._textures)
+        viewport_panel(editor, self.tools, self._textures)
         self._palette.draw(editor)
         keyboard_page(editor.viewport)
         about_page(editor.viewport)

@@ -83,7 +83,7 @@ class CaptureController:
 
         def take(read: tuple[Capture, PointSample | None]) -> None:
             self._opening, self.allows_outside = None, allow_outside
-            self._enter(path, *read)
+            self.display(path, *read)
 
         def fail(error: Exception) -> None:
             self._opening = None
@@ -96,7 +96,7 @@ class CaptureController:
         if self._opening is not None:
             self._opening.state = "cancelled"
         self._opening = self._tasks.start(
-            lambda: _read(path, allow_outside), take, fail, message=f"Reading {path.name}"
+            lambda: read_capture(path, allow_outside), take, fail, message=f"Reading {path.name}"
         )
 
     def _ask_about_outside(self, path: Path, error: OutsideError) -> None:
@@ -133,7 +133,8 @@ class CaptureController:
     def close(self) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def _enter(self, path: Path, capture: Capture, points: PointSample | None) -> None:
+    def display(self, path: Path, capture: Capture, points: PointSample | None) -> None:
+        """Open a capture that was read from a path."""
         self.close_capture()
         self.capture, self.path, self.points = capture, path, points
         self.pictures = CaptureImageLoader(capture, self._thread)
@@ -222,7 +223,8 @@ class CaptureController:
         return index if np.allclose(now, pose, rtol=0, atol=_SAME_PLACE * max(1.0, float(np.abs(pose).max()))) else None
 
 
-def _read(path: Path, allow_outside: bool) -> tuple[Capture, PointSample | None]:
+def read_capture(path: Path, allow_outside: bool) -> tuple[Capture, PointSample | None]:
+    """Read a capture, and sample its points."""
     from ..datasets.open_capture import open_capture  # loads every reader
 
     capture = open_capture(path, allow_outside=allow_outside)

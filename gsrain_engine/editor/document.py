@@ -80,6 +80,10 @@ class History:
         return tuple(self._steps)
 
     @property
+    def labels(self) -> list[str]:
+        return [step.label for step in self._steps]
+
+    @property
     def step(self) -> Step:
         """The present step."""
         return self._steps[self.cursor]

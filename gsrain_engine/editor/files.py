@@ -108,10 +108,6 @@ class Files:
         return self._document.state is not self.saved
 
     @property
-    def is_opening(self) -> bool:
-        return self._opening is not None
-
-    @property
     def busy(self) -> str | None:
         """Description of the read or write that the user waits for, or None."""
         tasks = [*([] if self._opening is None else [self._opening]), *self._work.running]
@@ -158,11 +154,11 @@ class Files:
         self._status.dismiss()
 
         def stage(opened: LoadedDocument) -> None:
-            self._opening, self._arriving = None, opened
+            self._opening, self._arriving, self._viewport.is_reading = None, opened, False
             self._viewport.staged = PendingScene(label, opened.scene, is_opened=True)
 
         def fail(error: Exception) -> None:
-            self._opening = None
+            self._opening, self._viewport.is_reading = None, False
             if isinstance(error, NotASceneError):
                 self._ask_about_capture(error)
                 return
@@ -170,7 +166,10 @@ class Files:
             if Path(label) in self.recent and not Path(label).exists():
                 self._update_recent(Path(label), add=False)
 
-        self._opening = self._other.start(read, stage, fail, message=f"Opening {label}")
+        self._opening, self._viewport.is_reading = (
+            self._other.start(read, stage, fail, message=f"Opening {label}"),
+            True,
+        )
 
     def _ask_about_capture(self, error: NotASceneError) -> None:
         text = (
@@ -542,7 +541,7 @@ class Recovery:
     def poll(self) -> None:
         """Process finished tasks, and write an autosave some time after a change. Once a frame."""
         self._tasks.poll()
-        if not self._is_due or self._viewport.is_opening or self._files.is_opening:
+        if not self._is_due or self._viewport.is_opening:
             self._changed_at = None
             return
         if self._changed_at is None:

@@ -108,7 +108,7 @@ class RenderQueue:
         )
         scene = saved_scene(self._viewport)
         if not self._viewport.options.follow_path:
-            scene = replace(scene, path=self._standing())
+            scene = replace(scene, path=self.still_path())
         self._begin(still, scene)
 
     def _begin(self, recording: ExportSettings, scene: Scene) -> None:
@@ -143,7 +143,7 @@ class RenderQueue:
             recording, self._document.scene, self._live_rain.simulation, self._viewport.path, in_scene_time=is_own
         )
 
-    def _standing(self) -> CameraPath:
+    def still_path(self) -> CameraPath:
         """A path of one keyframe at the viewport's camera, in scene units and axes."""
         camera = self._viewport.shot(*(self.settings.size_px or (960, 640))).camera
         pose = camera.camera_to_world

@@ -55,6 +55,8 @@ class ViewportState:
         """Scene to draw during a drag; tools set it again in each frame."""
         self.drawn_preview: Scene | None = None
         """The preview that was set in the last frame, drawn in this one."""
+        self.is_reading = False
+        """True while a scene that will replace this one is read."""
         self.staged: PendingScene | None = None
         """Scene to display as soon as its Gaussians are ready for the next frame."""
         self.budget = AdaptiveQuality()
@@ -84,7 +86,7 @@ class ViewportState:
     @property
     def is_opening(self) -> bool:
         """True if another scene is about to replace this one."""
-        return self.staged is not None and self.staged.is_opened
+        return self.is_reading or (self.staged is not None and self.staged.is_opened)
 
     # Camera
 

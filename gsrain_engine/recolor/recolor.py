@@ -123,7 +123,8 @@ def recolor_scene(
             return Progress(share, f"Solving colors of {len(problem.rows):,} Gaussians")
         lengths.append(step.length)
         picture = problem.views[0].rendered(problem.prior + step.change)
-        return Progress(share, f"Solving colors, step {done} of {settings.iterations}", thumbnail(picture))
+        metrics = {"step": done, "residual": step.length}
+        return Progress(share, f"Solving colors, step {done} of {settings.iterations}", thumbnail(picture), metrics)
 
     solution = yield from _followed(problem.solve(settings), solving)
     solved = perf_counter()

@@ -15,6 +15,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 from uuid import uuid4
 
 from ..safe_io.limits import receive_message
+from ..threads import thread_limit, usable_cores
 from .expansion import Job
 from .worker import JobResult, worker_cache
 
@@ -60,12 +61,12 @@ class LocalPool:
         """Use `workers` processes; None means half of the cores, at least one. Raises ValueError below one."""
         if workers is not None and workers < 1:
             raise ValueError(f"a pool has at least one worker, got {workers}")
-        self.workers = workers or max(1, _cores() // 2)
+        self.workers = workers or max(1, usable_cores() // 2)
         self._retries = retries
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
         """Run jobs; a worker prefers jobs of the scene that it has open."""
-        threads = max(1, _cores() // self.workers)
+        threads = max(1, usable_cores() // self.workers)
         with closing(_PoolWorkers(work, jobs, threads, self._retries)) as crew:
             for _ in range(min(self.workers, len(jobs))):
                 crew.employ()
@@ -82,7 +83,7 @@ class PoolWorker:
         self.messages, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
         try:
-            with _without_interrupts(), _threads(threads):
+            with _without_interrupts(), thread_limit(threads):
                 self.process.start()
         except BaseException:
             self.messages.close()
@@ -173,12 +174,7 @@ def next_job(waiting: list[Job], own: str | None, open_scenes: set[str | None]) 
     return waiting.pop(next(mine, next(free, 0)))
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 _MAX_OUTCOME_BYTES = 1 << 28
-_THREADS = "NUMBA_NUM_THREADS"
 
 
 def _serve(messages: Connection, work: Work) -> None:
@@ -208,18 +204,6 @@ def _without_interrupts() -> Generator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _threads(count: int) -> Generator[None]:
-    """Start processes whose compiled kernels use `count` threads, unless the environment sets a number."""
-    is_set = _THREADS in os.environ
-    os.environ.setdefault(_THREADS, str(count))
-    try:
-        yield
-    finally:
-        if not is_set:
-            del os.environ[_THREADS]
 
 
 # Dask cluster

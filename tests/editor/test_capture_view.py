@@ -31,7 +31,7 @@ def _wait(editor: Editor) -> None:
 
 
 def _opened(editor: Editor, capture: Capture) -> None:
-    editor.captures._enter(Path("small"), capture, sample_points(capture))
+    editor.captures.display(Path("small"), capture, sample_points(capture))
 
 
 def test_files_outside_of_the_folder_are_read_when_a_person_says_so(editor: Editor, tmp_path: Path):
@@ -55,14 +55,14 @@ def test_files_outside_of_the_folder_are_read_when_a_person_says_so(editor: Edit
 
 def test_a_folder_is_opened_in_the_background(editor: Editor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     may_go_on, threads = threading.Event(), []
-    read = capture_view._read
+    read = capture_view.read_capture
 
     def slowly(path: Path, allow_outside: bool):
         may_go_on.wait(60)
         threads.append(threading.current_thread())
         return read(path, allow_outside)
 
-    monkeypatch.setattr(capture_view, "_read", slowly)
+    monkeypatch.setattr(capture_view, "read_capture", slowly)
     editor.captures.open(written_capture(tmp_path / "drive"))
     editor.captures.poll()
     assert editor.captures.capture is None
@@ -73,14 +73,6 @@ def test_a_folder_is_opened_in_the_background(editor: Editor, tmp_path: Path, mo
     assert editor.captures.busy is None
     assert editor.captures.capture is not None and len(editor.captures.capture) == 4
     assert threads[0] is not threading.main_thread()
-
-
-def test_what_is_no_capture_is_told_and_the_open_one_stays(editor: Editor, tmp_path: Path):
-    _opened(editor, small_capture())
-    editor.captures.open(tmp_path / "nowhere")
-    _wait(editor)
-    assert editor.status.problem is not None and "nowhere" in editor.status.problem
-    assert editor.captures.capture is not None and editor.captures.capture.name == "small"
 
 
 def test_looking_from_a_view_takes_its_place_and_moment(editor: Editor):
@@ -108,15 +100,6 @@ def test_stepping_goes_round_the_views_of_one_camera(editor: Editor):
         captures.step(step)
         seen.append(captures.chosen)
     assert seen == [1, 3, 1, 3]
-
-
-def test_time_stops_at_the_moment_of_a_picture_where_things_move(editor: Editor):
-    _opened(editor, small_capture())
-    captures = editor.captures
-    assert editor.document.scene.actors == ()
-    editor.playback.clock.seek(4.0)
-    captures.look_from(3)
-    assert editor.playback.clock.time_s == 4.0
 
 
 def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(editor: Editor):
@@ -176,10 +159,3 @@ def test_of_many_points_a_fair_share_is_shown():
     heights, colors = got.positions[500:, 2], got.colors[500:].astype(int)
     low, high = colors[np.argmin(heights)], colors[np.argmax(heights)]
     assert low[2] > low[0] and high[0] > high[2]  # from blue to red
-
-
-def test_coloured_points_keep_their_colours():
-    got = sample_points(small_capture())
-    assert got is not None and got.total == 500
-    assert (got.colors == [255, 0, 255]).all()
-    assert sample_points(replace(small_capture(), points_m=None)) is None

@@ -6,7 +6,6 @@ import weakref
 from concurrent.futures import ThreadPoolExecutor, wait
 from threading import Event
 
-import msgspec
 import numpy as np
 import psutil
 import pytest
@@ -15,13 +14,10 @@ from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.edits.transform import pivot
-from gsrain_engine.editor.rain_regions import project_edges, region_outlines
-from gsrain_engine.editor.viewport.camera import OrbitCamera
 from gsrain_engine.malloc_tuning import MemoryTrimmer, trim_memory
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.shelter_map import shelter_map_of
-from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.scene import SceneCore
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.simulation.ground import road_surface_of
 from gsrain_engine.simulation.obstacles import occupied_space_of
 from oracles.drop_phases import displacement
@@ -62,46 +58,6 @@ def test_moving_the_slider_moves_no_drop(editor):
     assert np.allclose(displacement(editor.live_rain.simulation.motion, editor.playback.clock.time_s), before)
 
 
-def test_time_goes_on_in_real_seconds_while_it_plays(editor):
-    editor.tick(0.5)
-    editor.playback.clock.toggle()
-    editor.tick(0.5)
-    assert editor.playback.clock.time_s == 0.5
-    editor.playback.clock.toggle()
-    editor.playback.clock.speed = 2.0
-    editor.tick(0.25)
-    assert editor.playback.clock.time_s == 1.0
-
-
-def test_open_and_save(editor, tmp_path):
-    write_scene(small_scene("other"), tmp_path / "other")
-    editor.files.open(str(tmp_path / "other"))
-    assert editor.busy == f"Opening {tmp_path / 'other'}"
-    settle(editor)
-    assert editor.document.scene.name == "other"
-    assert editor.document.history.undo_label is None
-    editor.document.change_rain("Intensity", intensity_mm_h=7.0)
-    editor.files.save_to(tmp_path / "saved")
-    settle(editor)
-    saved = read_scene(tmp_path / "saved")
-    assert saved.rain["intensity_mm_h"] == 7.0
-    editor.files.open(str(tmp_path / "saved"))
-    settle(editor)
-    assert editor.document.rain.intensity_mm_h == 7.0
-
-
-@pytest.mark.parametrize("content", [None, b"not a scene"])
-def test_what_cannot_be_opened_is_told_and_nothing_is_lost(editor, tmp_path, content):
-    path = tmp_path / "bad.ply"
-    if content is not None:
-        path.write_bytes(content)
-    before = editor.document.scene
-    editor.files.open(str(path))
-    settle(editor)
-    assert editor.document.scene is before
-    assert "bad.ply" in editor.status.log.lines[-1].text
-
-
 def test_a_scene_with_unusable_rain_opens_all_the_same(editor, tmp_path):
     from dataclasses import replace
 
@@ -119,63 +75,6 @@ def test_riding_along_follows_the_ego(editor):
     shot = editor.viewport.shot(96, 64)
     assert shot.camera.position == pytest.approx([4.0, 0, 1.5])
     assert shot.velocity_m_s == pytest.approx([2.0, 0, 0])
-
-
-def test_screenshots_never_overwrite(editor, tmp_path):
-    editor.take_screenshot(tmp_path)
-    first = editor.viewport.screenshot
-    first.write_text("taken")
-    editor.take_screenshot(tmp_path)
-    assert editor.viewport.screenshot != first
-
-
-def test_rain_saved_with_a_scene_is_plain_values(editor):
-    assert msgspec.json.decode(msgspec.json.encode(msgspec.to_builtins(editor.document.rain)))["intensity_mm_h"] == 0
-
-
-def test_orbit_keeps_its_target_and_its_distance():
-    eye = OrbitCamera()
-    target = eye.target.copy()
-    eye.orbit(0.3, 0.2)
-    assert eye.target == pytest.approx(target)
-    assert np.linalg.norm(eye.position - target) == pytest.approx(eye.distance_m)
-    eye.orbit(0.0, 10.0)
-    assert abs(eye.pitch) < np.pi / 2
-
-
-def test_frame_shows_the_whole_box():
-    eye = OrbitCamera()
-    low, high = np.array([-3.0, 1, 0]), np.array([5.0, 9, 4])
-    eye.frame(SceneCore(low, high))
-    camera = eye.camera(600, 400)
-    corners = np.array([[x, y, z] for x in (-3, 5) for y in (1, 9) for z in (0, 4)], float)
-    seen = corners @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    pixels = seen[:, :2] / seen[:, 2:] * camera.fy + [camera.cx, camera.cy]
-    assert (seen[:, 2] > 0).all()
-    assert (pixels >= 0).all() and (pixels <= [600, 400]).all()
-
-
-def test_flying_moves_along_the_sight_and_stops():
-    eye = OrbitCamera(heading=np.pi / 2, speed_m_s=4.0)
-    start = eye.position.copy()
-    eye.fly(1.0, 0.0, 0.0, 0.5)
-    assert eye.position - start == pytest.approx([0, 2, 0], abs=1e-12)
-    assert eye.velocity_m_s == pytest.approx([0, 4, 0], abs=1e-12)
-    eye.stop()
-    assert np.all(eye.velocity_m_s == 0)
-
-
-def test_region_edges_are_cut_at_the_camera(editor):
-    editor.viewport.options.show_streak_region = editor.viewport.options.show_haze_region = True
-    outlines = region_outlines(editor, 300, 200)
-    assert list(outlines) == ["streak region", "haze region"]
-    for outline in outlines.values():
-        assert np.isfinite(outline).all()
-        assert 0 < len(outline) <= 12
-    anchor = np.eye(4)
-    anchor[0, 3] = 20.0  # all in front
-    lines = project_edges(editor.document.rain.streak_region, anchor, editor.viewport.shot(300, 200).camera)
-    assert len(lines) == 12
 
 
 def test_roofs_are_found_behind_the_window_and_rain_falls_through_them_until_then():

@@ -12,9 +12,7 @@ from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import (
-    MatchableViews,
     MatchedViews,
-    flow_lines,
     matching_image,
     neighbor_view,
     outcome_shares,
@@ -94,11 +92,11 @@ def test_recorded_views_are_matched_with_the_one_that_is_asked_for(editor, writt
     matching.against = "next"
     editor.tick(0.001)
     assert matching.shown is None
-    assert matching.problem == "This is the last view of its camera."
+    assert matching.why_none == "This is the last view of its camera."
     assert not captures.is_working
     matching.is_on = False
     editor.tick(0.001)
-    assert matching.problem is None
+    assert matching.why_none is None
 
 
 def test_the_live_view_is_matched_by_the_scenes_depth(editor, written):
@@ -112,19 +110,9 @@ def test_the_live_view_is_matched_by_the_scenes_depth(editor, written):
     assert matching.shown.matched.to.name == "front_0"
     assert matching.shown.matched.found.valid.any()
     captures.in_scene_axes = False
-    _until(editor, lambda: matching.problem is not None)
-    assert "does not lie in the scene" in matching.problem
+    _until(editor, lambda: matching.why_none is not None)
+    assert "does not lie in the scene" in matching.why_none
     assert matching.shown is None
-
-
-def test_views_without_depth_take_that_of_the_scene():
-    capture = deep_capture()
-    bare = replace(capture, views=tuple(replace(view, depth_source=None) for view in capture))
-    scene = small_scene()
-    with_depth, without = (MatchableViews(each, scene).matched(2, 4) for each in (capture, bare))
-    assert with_depth.of.depth[16, 48] == pytest.approx(19, abs=0.1)
-    assert without.of.depth[16, 48] > 25  # the wall of the scene, not that of the pictures
-    np.testing.assert_allclose(without.of.image, with_depth.of.image)
 
 
 def test_neighbours_are_those_a_person_would_name():
@@ -166,10 +154,3 @@ def test_pictures_show_the_other_view_the_difference_or_reasons():
     reasons = matching_image(matched, "pixels")
     np.testing.assert_allclose(reasons[20, 20, :3] / 255, COLORS[MatchOutcome.MATCHED], atol=0.01)
     np.testing.assert_allclose(reasons[20, 45, :3] / 255, COLORS[MatchOutcome.MOVING], atol=0.01)
-
-
-def test_lines_lead_to_where_pixels_are_in_the_other_view():
-    lines = flow_lines(_pair())
-    assert len(lines) >= 2
-    np.testing.assert_allclose(lines[:, 1, 0] - lines[:, 0, 0], -6 / 60, atol=1e-5)
-    np.testing.assert_allclose(lines[:, 1, 1], lines[:, 0, 1], atol=1e-5)

@@ -1,7 +1,5 @@
 """Measurements of the rain panels, without a window."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,15 +10,13 @@ from gsrain_engine.editor.rain import CalibrationTools
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from measured_rain import measured_rain
-from parsivel_text import rain, velocity_major
 
 
 @pytest.fixture
 def lab():
-    lab = CalibrationTools()
-    yield lab
-    lab.close()
+    editor = Editor(rain=RainSettings(intensity_mm_h=8.5))
+    yield editor.calibration
+    editor.close()
 
 
 def wait(lab: CalibrationTools) -> None:
@@ -32,11 +28,11 @@ def wait(lab: CalibrationTools) -> None:
 
 def test_the_rain_carries_what_was_asked_for(lab):
     lab.area_m2, lab.seconds = 0.2, 90.0
-    lab.measure(RainSettings(intensity_mm_h=8.5))
+    lab.measure()
     assert "90 s" in lab.busy
-    lab.measure(RainSettings(intensity_mm_h=1.0))  # one at a time: this one is not begun
+    lab.measure()  # one at a time: this one is not begun
     wait(lab)
-    assert lab.problem is None
+    assert lab.error is None
     assert len(lab.counted.counts) == 2
     assert lab.counted.seconds.sum() == 90
     assert abs(lab.counted.rate_mm_h - 8.5) < 3 * lab.counted.standard_error_mm_h < 0.5
@@ -44,46 +40,15 @@ def test_the_rain_carries_what_was_asked_for(lab):
 
 def test_what_goes_wrong_is_one_sentence_and_the_last_result_stays(lab, tmp_path):
     lab.area_m2 = 1e6
-    lab.measure(RainSettings(intensity_mm_h=8.5))
+    lab.measure()
     wait(lab)
-    assert "area" in lab.problem
+    assert "area" in lab.error
     bad = tmp_path / "bad.txt"
     bad.write_bytes(b"\x00\x01 no disdrometer")
     lab.fit([bad])
     wait(lab)
-    assert "bad.txt" in lab.problem
+    assert "bad.txt" in lab.error
     assert (lab.counted, lab.fitted) == (None, None)
-
-
-def test_files_whose_rates_disagree_are_summed_up_and_fitted_only_by_force(lab, tmp_path):
-    heavy = measured_rain(1190.0, 7.132, 0.114, minutes=20, seed=3)
-    light = measured_rain(271.0, 9.705, 0.074, minutes=20, seed=4, start="2024-05-01T10:20")
-    both = heavy.concatenate([heavy, light])
-    snow = tmp_path / "snow.nc"
-    write_spectra(snow, replace(both, reported_mm_h=both.reported_mm_h / 2.27))
-    lab.fit([snow])
-    wait(lab)
-    assert lab.problem.startswith("snow.nc: its drops give 2.3") and lab.fitted is None
-    assert lab.disagreeing == (snow,)
-    assert [each.file for each in lab.measured] == ["snow.nc"]
-    lab.fit(lab.disagreeing, force=True)
-    wait(lab)
-    assert (lab.problem, lab.disagreeing) == (None, ())
-    assert "its drops give 2.3" in lab.fitted.calibration.source
-    assert lab.measured[0].rate_check.agrees is False
-
-
-def test_a_table_is_fitted_with_the_yaml_file_chosen_with_it(lab, tmp_path):
-    table, columns = tmp_path / "table.csv", tmp_path / "columns.yaml"
-    table.write_text("\n".join(["when|which", f"2024-02-19 00:01:00|{','.join(velocity_major(rain()))}"]))
-    columns.write_text("{instrument: OTT Parsivel, separator: '|', time: when, drops: which}")
-    lab.fit([columns, table])
-    wait(lab)
-    assert "too few drops to fit" in lab.problem and lab.disagreeing == ()
-    assert lab.measured[0].records == 1
-    lab.fit([columns])
-    wait(lab)
-    assert "choose disdrometer files, and at most one YAML file" in lab.problem and lab.measured == ()
 
 
 def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
@@ -96,7 +61,7 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
     editor.calibration.fit([tmp_path / "rain0.nc", tmp_path / "rain1.nc"])
     wait(editor.calibration)
     assert editor.calibration.error is None
-    use_fitted_calibration(editor, editor.calibration)
+    editor.calibration.use_fitted()
     assert editor.document.rain.calibration.endswith("rain0.yaml")
     assert editor.document.rain.calibration in editor.calibration.calibrations
     kept = load_calibration(editor.document.rain.calibration)
@@ -109,11 +74,11 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
 
 def test_calibrations_that_are_not_there_are_reported(tmp_path):
     editor = Editor()
-    use_calibration(editor, editor.calibration, str(tmp_path / "none.yaml"))
+    editor.calibration.use(str(tmp_path / "none.yaml"))
     assert "none.yaml" in editor.status.problem
     assert editor.document.rain.calibration == "published"
     editor.status.dismiss()
-    compare_calibration(editor, editor.calibration, "nothing")
+    editor.calibration.compare("nothing")
     assert "nothing" in editor.status.problem
     assert editor.calibration.compared == "published"
     editor.close()

@@ -1,14 +1,13 @@
 """Making a scene rainy behind the window: real workers on a small scene, the preview, and trainings."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine import trusted_code
 from gsrain_engine.appearance.base import TransferSettings
-from gsrain_engine.appearance.finetune.settings import FinetuneTask, FinetuningSettings
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
 from gsrain_engine.editor.editor import Editor
@@ -26,6 +25,7 @@ from gsrain_engine.recolor.result import read_recolored
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.trusted_code import answers_file
 from small_scene import small_scene
 
 CHOICE = ViewChoice(source="rig", count=2, width_px=64)
@@ -38,26 +38,22 @@ def editor():
     opened.close()
 
 
-def follow(editor, job, until=lambda: False):
-    """Poll until the job has ended, or something is so; wait where there is nothing new."""
-    while job.state == "running" and not until():
-        editor.jobs.wait(60)
-        editor.tick(0.0)
+# Wet colors and previews
 
 
-def test_the_work_writes_wet_colours_of_every_member_and_a_report(tmp_path):
+def test_the_work_writes_wet_colors_of_every_member_and_a_report(tmp_path):
     write_scene_folder(small_scene(), tmp_path / "scene")
     order = TransferRequest("wet", TransferSettings(), CHOICE)
-    said = list(make_rainy(tmp_path / "scene", order, tmp_path / "colors.npz", tmp_path / "report.html"))
-    assert [each.fraction for each in said] == sorted(each.fraction for each in said)
-    assert sum(each.preview is not None for each in said) >= 2
+    steps = list(make_rainy(tmp_path / "scene", order, tmp_path / "colors.npz", tmp_path / "report.html"))
+    assert [each.fraction for each in steps] == sorted(each.fraction for each in steps)
+    assert sum(each.preview is not None for each in steps) >= 2
+    residuals = [each.metrics["residual"] for each in steps if "residual" in each.metrics]
+    assert len(residuals) > 2 and residuals[-1] < residuals[0]
     colors = read_recolored(tmp_path / "colors.npz")
     assert set(colors) == {"layers/road", "layers/wall", "layers/sky"}
     road = small_scene().member("layers/road").gaussians.sh
     assert (colors["layers/road"][:, 0] < road[:, 0]).mean() > 0.8  # wet, it is darker
-    page = (tmp_path / "report.html").read_text()
-    assert "made rainy" in page
-    assert page.count("data:image") >= 2
+    assert (tmp_path / "report.html").read_text().count("data:image") >= 2
 
 
 def test_a_preview_is_the_view_that_the_job_would_make(tmp_path):
@@ -71,6 +67,17 @@ def test_a_preview_is_the_view_that_the_job_would_make(tmp_path):
     assert np.array_equal(dry.preview, clear.preview)
 
 
+def test_a_preview_is_shown_next_to_the_image_and_leaves_no_job(editor):
+    editor.wet_look.viewport_px = (96, 64)
+    editor.wet_look.preview()
+    editor.jobs.newest("preview").wait(60)
+    assert editor.wet_look.previewed.pixels.shape == (64, 96, 3)
+    assert editor.wet_look.fits and editor.viewport.options.split == "now | preview"
+    assert editor.jobs.all == []
+    editor.wet_look.change(seed=1)
+    assert "settings" in editor.wet_look.what_is_stale
+
+
 def test_a_preview_fits_only_what_it_is_of(editor):
     shot, scene = editor.viewport.shot(96, 64), editor.document.scene
     recipe = PreviewSettings("wet", TransferSettings())
@@ -82,17 +89,6 @@ def test_a_preview_fits_only_what_it_is_of(editor):
     assert not view.is_of(shot.camera, 0.0, scene.with_member("layers/road", visible=False))
     editor.viewport.dolly(1.0)
     assert not view.is_of(editor.viewport.shot(96, 64).camera, 0.0, scene)
-    assert view.recipe == PreviewSettings("wet", TransferSettings())
-    assert view.recipe != PreviewSettings("wet", TransferSettings(seed=1))
-
-
-def test_views_that_a_scene_has_not_are_named(editor):
-    assert editor.wet_look.why_no_views("rig") is None
-    assert "no camera path" in editor.wet_look.why_no_views("path")
-    assert "No capture is open" in editor.wet_look.why_no_views("recorded")
-    editor.document.edit("Without a drive", replace_scene, replace(editor.document.scene, ego=None))
-    assert "no drive" in editor.wet_look.why_no_views("rig")
-    assert editor.wet_look.why_no_views("auto") is None
 
 
 def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(editor):
@@ -109,113 +105,102 @@ def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(editor):
     editor.tick(0.0)
     editor.tick(0.0)
     assert editor.jobs.all == [job]
-    assert job.state == "cancelled"
 
 
-def test_what_a_method_lacks_is_said_once_the_scene_is_there(editor):
-    editor.wet_look.method = "images"
-    editor.wet_look.make_soon()
+@pytest.mark.parametrize(
+    ("source", "method", "images", "missing"),
+    [
+        ("auto", "images", None, "Pictures"),
+        ("auto", "images", Path("/nowhere"), "/nowhere"),
+        ("recorded", "wet", None, "capture"),
+        ("path", "wet", None, "camera path"),
+        ("rig", "wet", None, "drive"),
+    ],
+)
+def test_what_a_transfer_lacks_is_named_once_the_scene_is_there(editor, source, method, images, missing):
+    editor.document.edit("Without a drive", replace_scene, replace(editor.document.scene, ego=None))
+    rainy = editor.wet_look
+    rainy.method, rainy.settings, rainy.choice = method, TransferSettings(images=images), ViewChoice(source=source)
+    rainy.make_soon()
     editor.tick(0.0)
-    assert editor.status.problem == "Pictures: choose a folder of pictures first."
+    assert missing in editor.status.problem
     assert not editor.jobs.all
 
 
+# Trainings
+
+
 def learning(task):
-    """Stand in for a training: losses, samples, and a warning."""
-    task.output.mkdir(parents=True, exist_ok=True)
-    rows = "".join(f"{k},{2 / k}\n" for k in range(1, 1001))
-    task.losses.write_text(f"step,cycle_clear\n{rows}")
-    yield Progress(0.5, "500 of 1,000: cycle 0.1", np.full((8, 8, 3), 90, np.uint8))
-    warning = "the model only reconstructs; raise losses.gan"
-    yield Progress(0.6, "600 of 1,000: cycle 0.1", warning=warning)
-    while not (task.output / "seen").exists():
-        pass  # the test lets it go on
-    yield Progress(1.0, "Trained", warning=warning)
-
-
-def breaking(task):
-    yield Progress(0.1, "1 of 1,000: cycle 0.1")
-    raise ValueError("clear: holds no pictures")
+    """Stand in for a training: writes its task; reports losses, a picture and a warning."""
+    task.output.mkdir(exist_ok=True)
+    clear = [each.path for each in task.settings.pictures.clear]
+    (task.output / "task.json").write_bytes(msgspec.json.encode((task.settings.steps, clear, task.resume, task.code)))
+    for k in range(1, 4):
+        losses = {"step": k, "cycle_clear": 2 / k}
+        yield Progress(k / 4, f"{k} of 3", np.full((8, 8, 3), 90, np.uint8), losses, "the model only reconstructs")
 
 
 @pytest.fixture
 def studio(editor, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr(finetune, "has_torch", lambda: True)
+    monkeypatch.setattr(training, "train_transfer", learning)
     for name in ("clear", "rainy"):
         (tmp_path / name).mkdir()
     studio = editor.finetune
     studio.choice = msgspec.structs.replace(
         studio.choice, clear=tmp_path / "clear", rainy=tmp_path / "rainy", output=tmp_path / "out", steps=1000
     )
-    monkeypatch.setattr("gsrain_engine.editor.finetune.has_torch", lambda: True)
-    monkeypatch.setattr(training, "train_transfer", learning)
     return studio
 
 
-def test_losses_and_warnings_of_a_training_can_be_watched(editor, studio):
-    studio.start()
-    (job,) = editor.jobs.all
-    assert not job.ends_with_scene
-    (task,) = job.inputs(None)
-    assert isinstance(task, FinetuneTask)
-    assert isinstance(task.settings, FinetuningSettings)
-    assert task.settings.steps == 1000
-    assert [each.path for each in task.settings.pictures.clear] == [str(studio.choice.clear)]
-    assert studio.why_not() == "Wait for Train the transfer, or cancel it."
-    follow(editor, job, until=lambda: job.progress.warning is not None)
-    assert job.progress.message == "600 of 1,000: cycle 0.1"
-    (task.output / "seen").touch()
-    follow(editor, job)
-    assert (job.state, job.error) == ("finished", None)
-    assert job.progress.warning == "the model only reconstructs; raise losses.gan"
-    assert job.progress.preview is not None
-    assert len(studio.losses["step"]) == 500  # means of two
-    assert studio.losses["cycle_clear"][0] == pytest.approx(1.5)
-
-
-def test_what_ends_a_training_is_told_and_a_checkpoint_is_gone_on_from(editor, studio, monkeypatch):
-    monkeypatch.setattr(training, "train_transfer", breaking)
-    studio.start()
-    follow(editor, editor.jobs.all[0])
-    assert editor.status.problem == "Train the transfer failed: clear: holds no pictures"
+def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(editor, studio):
+    clear, output = str(studio.choice.clear), studio.choice.output
     assert not studio.can_resume
-    studio.choice.output.mkdir()
-    (studio.choice.output / "checkpoint.safetensors").write_bytes(b"")
-    assert studio.can_resume
-    studio.start(resume=True)
-    assert editor.jobs.all[1].inputs(None)[0].resume
-    editor.jobs.all[1].cancel()
-    assert editor.jobs.all[1].state == "cancelled"
+    for resume in (False, True):
+        studio.start(resume=resume)
+        assert "Train the transfer" in studio.why_not()
+        assert studio.job.wait(60) == output / "weights.safetensors"
+        assert msgspec.json.decode((output / "task.json").read_bytes()) == [1000, [clear], resume, {}]
+        (output / "checkpoint.safetensors").touch()
+        assert studio.can_resume
+    job = studio.job
+    assert (job.progress.message, job.progress.warning) == (f"Trained: {job.result}", "the model only reconstructs")
+    assert job.progress.preview.shape == (8, 8, 3)
+    assert job.curves.curve("cycle_clear").tolist() == [[1, 2, 3], [2, 1, 2 / 3]]
+    assert {"cycle_clear", "gan_rainy"} <= {name for names in job.plots.values() for name in names}
+    editor.jobs.leave_scene()
+    assert job.result is not None  # it does not belong to the scene
 
 
-def test_settings_that_are_wrong_are_told_and_nothing_starts(editor, studio, tmp_path):
-    (tmp_path / "own.yaml").write_text("architecture: tiny\nstepps: 3\n")
-    studio.choice = msgspec.structs.replace(studio.choice, config=str(tmp_path / "own.yaml"))
+@pytest.mark.parametrize(
+    ("change", "missing"),
+    [({"output": None}, "folder"), ({"clear": Path("/nowhere")}, "/nowhere"), ({"config": "own.yaml"}, "own.yaml")],
+)
+def test_a_training_with_wrong_settings_does_not_start(editor, studio, change, missing):
+    studio.choice = msgspec.structs.replace(studio.choice, **change)
     studio.start()
+    assert missing in (studio.why_not() or editor.status.problem)
     assert editor.jobs.all == []
-    assert "own.yaml" in editor.status.problem
 
 
-def test_a_program_that_the_settings_name_is_asked_about(editor, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(trusted_code, "_trusted", set())
-    monkeypatch.setattr(finetune, "has_torch", lambda: True)
-    started = []
-    monkeypatch.setattr(Editor, "start", lambda self, job: started.extend(job.inputs(None)))
+def test_code_that_the_settings_name_runs_only_after_a_question(editor, studio, tmp_path):
     (tmp_path / "DSINE" / "models").mkdir(parents=True)
-    (tmp_path / "DSINE" / "models" / "dsine.py").write_text("DSINE = 1\n")
+    (tmp_path / "DSINE" / "models" / "dsine.py").write_text(f"DSINE = {str(tmp_path)!r}\n")
     text = "pictures: {clear: [{path: a}], rainy: [{path: b}], normals: dsine, normals_checkout: DSINE}\n"
     (tmp_path / "own.yaml").write_text(text)
-    editor.finetune.choice = msgspec.structs.replace(
-        editor.finetune.choice, config=str(tmp_path / "own.yaml"), output=tmp_path / "run"
-    )
-    for label, count in (("Don't run it", 0), ("Cancel", 0), ("Run it", 1)):
-        editor.finetune.start()
+    studio.choice = msgspec.structs.replace(studio.choice, config=str(tmp_path / "own.yaml"))
+    checkout = str(tmp_path / "DSINE")
+    for label in ("Don't run it", "Cancel", "Run it"):
+        assert editor.jobs.all == []
+        studio.start()
         question = editor.status.question
-        assert "own.yaml names Python code" in question.text and str(tmp_path / "DSINE") in question.text
-        assert question.answers[0].label == "Don't run it"  # what Enter means
+        assert "own.yaml" in question.text and checkout in question.text
+        assert question.answers[0].label == "Don't run it"  # the answer of Enter
         editor.status.answer(next(each for each in question.answers if each.label == label))
-        assert len(started) == count
-    assert list(started[0].code) == [str(tmp_path / "DSINE")]
-    monkeypatch.setattr(trusted_code, "_trusted", set())  # the next window
-    editor.finetune.start()
-    assert editor.status.question is None and len(started) == 2
+    studio.job.wait(60)
+    *_, code = msgspec.json.decode((studio.choice.output / "task.json").read_bytes())
+    assert list(code) == [checkout]
+    assert code[checkout] in answers_file().read_text()  # of the next window, too
+    studio.start()
+    assert editor.status.question is None

@@ -87,7 +87,7 @@ def test_so_is_that_of_a_project_that_was_opened_again(editor, tmp_path):
     again = Editor()
     try:
         open_now(again, project)
-        assert again.rain.intensity_mm_h == 8.5
+        assert again.document.rain.intensity_mm_h == 8.5
         again.recorder.change(codec="png", size_px=(96, 64), last_s=0.1)
         again.recorder.record_to(tmp_path / "window")
         assert follow(again).state == "finished"
@@ -110,7 +110,7 @@ def test_a_cancelled_recording_can_be_played(editor, tmp_path):
     assert editor.render_queue.is_recording  # it has a copy of what it began with
     job.cancel()
     assert (job.state, editor.render_queue.is_recording) == ("cancelled", False)
-    editor._files.submit(lambda: None).result()  # behind the cleaning up
+    editor.close()
     with av.open(str(tmp_path / "long.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) >= 2
 
@@ -137,7 +137,7 @@ def test_a_still_is_what_the_view_shows(editor, tmp_path):
     editor.render_queue.change(size_px=(96, 64), supersampling=2)
     editor.playback.clock.time_s = 1.5
     editor.viewport.navigation.position[:] = [10.0, 2.0, 3.0]
-    path = editor.render_queue._standing().moved(editor.document.scene.scene_to_world)
+    path = editor.render_queue.still_path().moved(editor.document.scene.scene_to_world)
     shot = editor.viewport.shot(96, 64)
     assert np.allclose(path.camera(1.5, 96, 64).world_to_camera, shot.camera.world_to_camera, atol=1e-9)
     assert path.camera(1.5, 96, 64).fx == pytest.approx(shot.camera.fx)

@@ -113,7 +113,7 @@ def editor(scene_folder, tmp_path):
     home = tmp_path / "home" / "road"
     shutil.copytree(scene_folder, home)
     opened = Editor()
-    opened.open(str(home))
+    opened.files.open(str(home))
     settle(opened)
     yield opened
     opened.files.give_up()

@@ -119,7 +119,7 @@ def test_one_scene_behind_two_links_is_one_scene(sessions, tmp_path):
     (tmp_path / "nearer").symlink_to(tmp_path / "disk" / "far")
     first = opened(sessions(), tmp_path / "near" / "far")
     second = opened(sessions(), tmp_path / "nearer")
-    assert second.questions.present.title == "Open twice"
+    assert second.status.question.title == "Open twice"
     edited_and_kept(first)
     first.files.save()
     settle(first)

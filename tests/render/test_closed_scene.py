@@ -8,6 +8,7 @@ import pytest
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
+from live_frames import draw_frame
 from small_scene import small_scene
 
 SIZE = (96, 64)
@@ -20,15 +21,15 @@ def test_a_closed_scene_is_free(context, backend):
     view = LiveView(context, backend)
     editor.viewport.options.split = "clear | rainy"
     for _ in range(3):
-        view.draw(*SIZE)
+        draw_frame(editor, view, SIZE)
     editor.viewport.options.split = "off"
-    view.draw(*SIZE)
+    draw_frame(editor, view, SIZE)
     held = [weakref.ref(each.gaussians.means) for each in editor.document.scene.members]
     editor.files.close_scene()
     for _ in range(2):
-        view.draw(*SIZE)
+        draw_frame(editor, view, SIZE)
     gc.collect()
     assert [each() is None for each in held] == [True] * 3
-    assert not view._opengl.arrays.masks
+    assert not view.arrays.masks
     editor.files.give_up()
     editor.close()

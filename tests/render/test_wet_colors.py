@@ -23,6 +23,7 @@ from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.transforms import with_wet_colors_of, with_wetness_baked
+from live_frames import draw_frame
 from render.cpu.raster_scenes import small_camera
 from render.cpu.test_marked_parts import COLORS
 from render.cpu.test_wet_colors import blended, wet_part
@@ -123,13 +124,13 @@ def test_a_sequence_gets_wet_as_its_weather_does():
 @pytest.fixture
 def editor():
     opened = Editor(small_scene())
-    opened.clock.playing = False
+    opened.playback.clock.playing = False
     yield opened
     opened.close()
 
 
-def picture(view):
-    (texture,) = view.draw(*SIZE)
+def picture(editor, view):
+    (texture,) = draw_frame(editor, view, SIZE)
     return np.frombuffer(texture.read(), np.uint8)
 
 
@@ -140,34 +141,34 @@ def rain_at(editor, intensity_mm_h, **fields):
 
 def test_the_slider_moves_the_appearance(context, editor):
     view = LiveView(context, "opengl")
-    clear = picture(view)
+    clear = picture(editor, view)
     editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
-    assert np.array_equal(picture(view), clear)
+    assert np.array_equal(picture(editor, view), clear)
     rain_at(editor, 0.0, wetness=1.0)
-    soaked = picture(view)
+    soaked = picture(editor, view)
     assert soaked.mean() < clear.mean() - 10
     rain_at(editor, 0.0, wetness=0.5)
-    assert clear.mean() > picture(view).mean() > soaked.mean()
+    assert clear.mean() > picture(editor, view).mean() > soaked.mean()
     rain_at(editor, 12.0, streaks=False, haze=False)
-    assert soaked.mean() < picture(view).mean() < soaked.mean() + 5
+    assert soaked.mean() < picture(editor, view).mean() < soaked.mean() + 5
     editor.document.undo()
     editor.document.undo()
     editor.document.undo()
-    assert np.array_equal(picture(view), clear)
+    assert np.array_equal(picture(editor, view), clear)
 
 
 def test_drops_take_the_wet_skys_colour(context, editor):
     view = LiveView(context, "opengl")
     editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
     rain_at(editor, 1.2)
-    picture(view)
+    picture(editor, view)
     light = editor.live_rain.sky
     rain_at(editor, 12.0)
     assert max(editor.live_rain.sky) < max(light) - 0.02
     rain_at(editor, 12.0, wetness=0.0)
     exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
     while editor.live_rain.sky_is_stale:
-        picture(view)
+        picture(editor, view)
     assert editor.live_rain.sky == pytest.approx(exact.color, abs=1e-6)
 
 
@@ -176,21 +177,21 @@ def test_finished_wet_colours_are_one_step_and_come_in_slices(context, editor, m
     monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
     rain_at(editor, 12.0, streaks=False, haze=False)
     view = LiveView(context, "opengl")
-    clear, before = picture(view), editor.document.scene
+    clear, before = picture(editor, view), editor.document.scene
     editor.viewport.staged = PendingScene("Make it rainy", darker(editor.document.scene), change=with_wet_colors_of)
     shown = []
     while editor.viewport.staged is not None:
-        shown.append(picture(view))
+        shown.append(picture(editor, view))
     assert len(shown) >= 3  # a slice a layer
     assert all(np.array_equal(each, clear) for each in shown[:-1])
     assert [new.gaussians for new in editor.document.scene.members] == [old.gaussians for old in before.members]
-    wet = picture(view)
+    wet = picture(editor, view)
     assert wet.mean() < clear.mean() - 10
     editor.document.undo()
     assert editor.document.scene is before
-    assert np.array_equal(picture(view), clear)
+    assert np.array_equal(picture(editor, view), clear)
     editor.document.redo()
-    assert np.array_equal(picture(view), wet)
+    assert np.array_equal(picture(editor, view), wet)
 
 
 def test_wet_colours_that_fit_nothing_are_reported(editor):
@@ -207,5 +208,5 @@ def test_the_clear_side_is_dry(context, editor):
     editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
     rain_at(editor, 12.0, wetness=0.9)
     editor.viewport.options.split = "clear | rainy"
-    left, right = LiveView(context, "opengl").draw(*SIZE)
+    left, right = draw_frame(editor, LiveView(context, "opengl"), SIZE)
     assert np.frombuffer(left.read(), np.uint8).mean() > np.frombuffer(right.read(), np.uint8).mean() + 10

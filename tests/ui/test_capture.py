@@ -3,9 +3,8 @@
 import numpy as np
 from imgui_bundle import ImVec2
 
-from editor.small_capture import COLORS, small_capture, written_capture
-from gsrain_engine.editor import capture_view
-from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest, sample_points
+from editor.small_capture import COLORS, written_capture
+from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest
 from window_driver import Driver, imgui
 
 
@@ -113,40 +112,5 @@ def test_cameras_and_points_stand_in_the_picture_and_are_clicked(tmp_path):
         # A drag moves on; the cameras show again.
         driver.drag("//View/view", ImVec2(60, 10))
         assert captures.view_at_camera is None
-
-    driver.run(script)
-
-
-def test_what_cannot_be_opened_is_told(tmp_path):
-    driver = Driver(tmp_path, backend="opengl")
-
-    def script():
-        driver.editor.captures.open(tmp_path / "nothing here")
-        driver.until(lambda: driver.editor.status.problem is not None)
-        assert "nothing here" in driver.editor.status.problem
-        driver.frames(3)
-
-    driver.run(script)
-
-
-def test_measured_points_are_drawn_over_the_picture(tmp_path, monkeypatch):
-    capture = small_capture()
-    monkeypatch.setattr(capture_view, "_read", lambda path, allow_outside: (capture, sample_points(capture)))
-    driver = Driver(tmp_path, backend="opengl")
-    editor, captures = driver.editor, driver.editor.captures
-
-    def script():
-        captures.open(tmp_path)
-        driver.until(lambda: captures.capture is not None)
-        captures.show_frustums = False
-        editor.viewport.navigation.position = np.array([0.0, 0.0, 1.5])
-        editor.viewport.navigation.heading = editor.viewport.navigation.pitch = 0.0
-        with_points = _share(driver.screen(), (255, 0, 255))
-        driver.ctx.window_focus("//Capture")
-        driver.frames()
-        driver.ctx.set_ref("//Capture")
-        driver.ctx.item_click("Points")
-        assert _share(driver.screen(), (255, 0, 255)) == 0
-        assert with_points > 5e-4
 
     driver.run(script)

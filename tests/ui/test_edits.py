@@ -10,7 +10,6 @@ from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import patch, small_scene
 from ui.commands.base import chord
-from ui.tools import TOOLS
 from window_driver import Driver, imgui
 
 
@@ -26,10 +25,6 @@ def with_car():
                   np.ones(5, bool))  # fmt: skip
     body = patch((-2, -1, 0.2), np.array([0, 2.0, 0]), np.array([0, 0, 1.4]), 8, (0.8, 0.1, 0.1))
     return replace(small_scene(), actors=(Actor("car", "car", (4.0, 2.0, 1.5), body, track),))
-
-
-def tool(name):
-    return next(each for each in TOOLS if each.name == name)
 
 
 def on_screen(driver, point_m):
@@ -134,45 +129,6 @@ def test_the_selection_is_dragged_and_escape_takes_it_back(driver):
     driver.run(script)
 
 
-def test_turning_and_scaling_by_the_gizmo(driver):
-    def script():
-        editor = driver.editor
-        editor.viewport.options.member = "layers/wall"
-        use(driver, "Move")
-        tool("Move").handle = "scale"
-        driver.frames(3)
-        start = on_screen(driver, np.array([40, 0, 4.5]))
-        drag(driver, start, start + [60, 0])
-        release(driver)
-        scaled = editor.document.scene.member("layers/wall").to_scene[:3, :3]
-        assert scaled[0, 0] > 1.1
-        assert scaled == pytest.approx(scaled[0, 0] * np.eye(3), abs=1e-6)
-        assert editor.document.history.undo_label == "Scale wall"
-        tool("Move").handle = "translate"
-
-    driver.run(script)
-
-
-def test_delete_hide_and_show_by_keys(driver):
-    def script():
-        editor = driver.editor
-        before = driver.picture()
-        select(editor, "layers/wall", np.ones(400, bool))
-        driver.press(imgui.Key.delete)
-        assert editor.document.scene.member("layers/wall").marks.deleted.size == 400
-        assert np.abs(driver.picture() - before).max() > 20
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        driver.press(imgui.Key.h)
-        assert editor.document.scene.member("layers/wall").marks.hidden.size == 400
-        driver.press(chord(imgui.Key.mod_shift, imgui.Key.h))
-        assert np.array_equal(driver.picture(), before)
-        editor.viewport.options.member = "layers/wall"
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.d))
-        assert editor.viewport.options.member == "layers/wall 2"
-
-    driver.run(script)
-
-
 def test_two_clicks_measure_and_a_true_length_sets_the_metre(driver):
     def script():
         editor = driver.editor
@@ -180,7 +136,7 @@ def test_two_clicks_measure_and_a_true_length_sets_the_metre(driver):
         here = editor.viewport.navigation.position.copy()
         click_on(driver, (12, -2, 0))
         click_on(driver, (12, 2, 0))
-        first, second = tool("Measure")._points_m
+        first, second = driver.tool("Measure").points_m
         assert np.linalg.norm(second - first) == pytest.approx(4, abs=0.3)
         assert np.array_equal(editor.viewport.navigation.position, here)
         driver.ctx.item_input_value("**/##true length", 8.0)
@@ -216,30 +172,20 @@ def test_three_clicks_level_and_the_ground_levels_itself(driver):
     driver.run(script)
 
 
-def test_the_ego_starts_where_a_click_says(driver):
-    def script():
-        use(driver, "Set origin")
-        click_on(driver, (14, 2, 0))
-        assert driver.editor.document.scene.ego_to_world(0)[:3, 3] == pytest.approx([14, 2, 1.5], abs=0.3)
-        assert driver.editor.document.history.undo_label == "Ego start"
-
-    driver.run(script)
-
-
 def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     def script():
         editor = driver.editor
         use(driver, "Crop")
         editor.viewport.frame_scene()
         editor.viewport.navigation.orbit(0.5, -0.4)
-        tool("Crop").box = None
+        driver.tool("Crop").box = None
         driver.frames(3)
-        box = tool("Crop").box
+        box = driver.tool("Crop").box
         start = on_screen(driver, box.face_m(2, True))
         eye = editor.viewport.navigation.position.copy()
         drag(driver, start, on_screen(driver, box.face_m(2, True) - [0, 0, 4]))
         release(driver)
-        smaller = tool("Crop").box
+        smaller = driver.tool("Crop").box
         assert smaller.size_m[2] == pytest.approx(box.size_m[2] - 4, abs=0.2)
         assert smaller.face_m(2, False) == pytest.approx(box.face_m(2, False))
         assert np.array_equal(editor.viewport.navigation.position, eye)
@@ -249,23 +195,6 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
         wall = editor.document.scene.member("layers/wall")
         assert np.all(wall.marks.deleted.flags[wall.gaussians.means[:, 2] > top])
         assert editor.document.scene.member("layers/sky").marks.deleted is None
-
-    driver.run(script)
-
-
-def test_grading_by_slider_and_back(driver):
-    def script():
-        editor = driver.editor
-        editor.viewport.options.member = "layers/wall"
-        before, steps = driver.picture(), editor.document.history.cursor
-        driver.ctx.window_focus("//Edit")
-        driver.frames(3)
-        driver.drag("//Edit/##exposure_ev", (30, 0))
-        assert editor.document.scene.member("layers/wall").grading.exposure_ev > 0.5
-        assert editor.document.history.cursor == steps + 1
-        assert driver.picture().mean() > before.mean()
-        driver.click("//Edit/Reset colors")
-        assert np.array_equal(driver.picture(), before)
 
     driver.run(script)
 

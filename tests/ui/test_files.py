@@ -1,14 +1,13 @@
 """Saving, leaving and recovering in the real window, with what it asks on the way."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
 
 from editor.files.open_document import HeldJob
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.status import Answer, Question
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
@@ -89,56 +88,11 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
     assert np.abs(asked - not_asked).mean() > 5
 
 
-def test_tab_goes_from_answer_to_answer(driver):
-    given = []
-    for title, enter_answers in (("First", True), ("Second", False)):
-        answers = tuple(Answer(each, partial(given.append, (title, each))) for each in ("Save", "Lose", "Cancel"))
-        driver.editor.status.ask(Question(title, "Well?", answers, enter_answers=enter_answers))
-
-    def script():
-        driver.frames(3)
-        driver.press(imgui.Key.tab)
-        driver.press(imgui.Key.enter)
-        driver.frames(3)
-        assert given == [("First", "Lose")]
-        driver.press(imgui.Key.enter)  # nothing is chosen yet
-        driver.frames(3)
-        assert len(given) == 1 and driver.editor.status.question.title == "Second"
-        for _ in range(2):
-            driver.press(imgui.Key.tab)
-        driver.press(imgui.Key.enter)
-        driver.frames(3)
-        assert given[1:] == [("Second", "Lose")]
-        assert not imgui.get_io().config_flags & int(imgui.ConfigFlags_.nav_enable_keyboard)
-
-    driver.run(script)
-
-
 def type_name(driver, dialog, name):
     driver.ctx.item_click(f"//{dialog}/##file_input")
     driver.ctx.key_chars_replace(name)
     driver.ctx.item_click(f"//{dialog}/**/Save")
     driver.frames(3)
-
-
-def test_an_export_leaves_the_star_and_save_as_writes_no_file(driver, tmp_path):
-    def script():
-        workspace, editor = driver.window.workspace, driver.editor
-        driver.click("//Rain/8.5")
-        key(driver, CTRL, imgui.Key.e)
-        type_name(driver, "Export a file", str(tmp_path / "out.ply"))
-        assert "It leaves out" in editor.status.question.text and not (tmp_path / "out.ply").exists()
-        driver.ctx.item_click("//Export out.ply/Export")
-        driver.until(lambda: (tmp_path / "out.ply").exists() and editor.busy is None)
-        assert workspace.title == "GSRAIN: small *" and editor.files.has_changes
-        key(driver, CTRL, SHIFT, imgui.Key.s)
-        type_name(driver, "Save the scene", str(tmp_path / "saved.ply"))
-        driver.ctx.item_click("//Save writes a scene folder/Save as saved")
-        driver.until(lambda: not editor.files.has_changes)
-        assert workspace.title == "GSRAIN: small" and not (tmp_path / "saved.ply").exists()
-        assert read_scene(tmp_path / "saved").rain["intensity_mm_h"] == 8.5
-
-    driver.run(script)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +105,11 @@ def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, key
         editor = driver.editor
         key(driver, *keys)
         type_name(driver, dialog, f"{tmp_path}/")
-        assert "no name was typed" in editor.status.problem and editor.status.question is None and not editor.files.work
+        assert (
+            "no name was typed" in editor.status.problem
+            and editor.status.question is None
+            and editor.files.busy is None
+        )
         places.extend(tmp_path.iterdir())
         nothing_new = driver.screen()
         key(driver, *keys)
@@ -159,7 +117,7 @@ def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, key
         if editor.status.question is not None:
             driver.press(imgui.Key.enter)
         driver.until(
-            lambda: not editor.files.work and editor.status.log.lines[-1].text.startswith(("Saved", "Exported"))
+            lambda: editor.files.busy is None and editor.status.log.lines[-1].text.startswith(("Saved", "Exported"))
         )
         assert editor.status.problem is None
         status = slice(695, 718), slice(150, 600)  # px
@@ -209,14 +167,14 @@ def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_
     before = Driver(tmp_path)
     died = before.editor
     died.files.home = home
-    member = died.scene.members[0]
+    member = died.document.scene.members[0]
     marks = SelectionFlags(deleted=BitMask.of(np.arange(len(member.gaussians)) < 100))
-    died.set_scene("Delete", died.scene.with_member(member.key, marks=marks))
-    died.files.recovery.enter(home, died.history.previous)
-    died.update(0.0)
+    died.document.edit("Delete", replace_scene, died.document.scene.with_member(member.key, marks=marks))
+    died.files.recovery.enter(home, died.document.history.previous)
+    died.tick(0.0)
     late = died.files.recovery.now() + 20.0
     died.files.recovery.now = lambda: late
-    died.update(0.0)
+    died.tick(0.0)
     died.close()  # without an answer to what becomes of the changes
     driver = Driver(tmp_path)
     driver.editor = Editor()

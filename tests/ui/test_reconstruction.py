@@ -99,19 +99,3 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         assert np.array_equal(driver.picture(), wet)
 
     driver.run(script)
-
-
-def test_without_torch_the_panel_says_so(drive, monkeypatch):
-    monkeypatch.setattr(training, "has_torch", lambda: False)
-    driver = Driver(drive)
-
-    def script():
-        driver.editor.captures.open(drive / "drive")
-        driver.until(lambda: driver.editor.captures.capture is not None)
-        driver.ctx.window_focus("//Capture")
-        driver.ctx.item_open("//Capture/Reconstruct")
-        driver.frames()
-        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
-        assert driver.ctx.item_exists("//Capture/Reconstruct/Recolor to these images")
-
-    driver.run(script)

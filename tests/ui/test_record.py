@@ -1,14 +1,10 @@
 """Recording in the real window: the panel, the dialog, the job, and what is asked before something is replaced."""
 
 import av
-import numpy as np
 import pytest
-from PIL import Image
 
 from ui.commands.base import chord
 from window_driver import Driver, imgui
-
-FIELDS = "//Record/"
 
 
 @pytest.fixture
@@ -108,19 +104,3 @@ def test_the_panel_s_fields_say_what_is_recorded(driver, tmp_path):
         assert recorder.extent().cameras == 1
 
     driver.run(script)
-
-
-def test_a_still_is_taken_from_where_one_is(driver, tmp_path):
-    def script():
-        driver.editor.render_queue.change(size_px=(60, 44))
-        driver.ctx.window_focus("//Record")
-        driver.frames()
-        driver.ctx.item_click("//Record/Render image...")
-        name_it(driver, "Render image", tmp_path / "still.png")
-        driver.until(lambda: driver.editor.jobs.all and driver.editor.jobs.all[0].state != "running", 100_000)
-        assert driver.editor.jobs.all[0].state == "finished"
-
-    driver.run(script)
-    still = np.asarray(Image.open(tmp_path / "still.png"))
-    assert still.shape == (44, 60, 3)
-    assert still.std() > 10

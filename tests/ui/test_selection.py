@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.selection.candidates import selected, selected_count
-from small_scene import small_scene
 from ui.commands.base import chord
 from ui.tools import TOOLS
 from window_driver import Driver, imgui
@@ -95,44 +94,6 @@ def test_rectangle_and_its_modes_and_undo(hand):
         hand.draw((0.4, 0.7), (0.6, 0.7))
         assert hand.counts() == first
         assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.1  # the left button orbits again
-
-    hand.run(script)
-
-
-def test_escape_drops_what_is_being_drawn(hand):
-    def script():
-        hand.use("Lasso")
-        hand.ctx.mouse_move_to_pos(hand.place(*LOWER[0]))
-        hand.ctx.mouse_down(0)
-        for corner in LOWER[1:]:
-            hand.ctx.mouse_move_to_pos(hand.place(*corner))
-        hand.press(KEY.escape)
-        hand.ctx.mouse_up(0)
-        hand.use("Lasso")
-        hand.frames()
-        assert hand.said is None
-
-    hand.run(script)
-
-
-def test_front_most_and_to_a_depth_in_the_bar(hand):
-    def script():
-        options = hand.editor.selection
-        hand.use("Rectangle")
-        area = (0.25, 0.34), (0.75, 0.49)
-        hand.draw(*area)
-        through = hand.counts()
-        assert through["wall"] > 0 and through["sky"] > 0
-        hand.choose("##depths", "front-most")
-        hand.draw(*area)
-        assert hand.counts()["wall"] > 0 and hand.counts()["sky"] == 0
-        hand.choose("##depths", "to a depth")
-        options.depth_m = 30.0
-        hand.draw(*area)
-        assert hand.counts()["wall"] == hand.counts()["sky"] == 0
-        options.depth_m = 60.0
-        hand.draw(*area)
-        assert hand.counts()["wall"] > 0 and hand.counts()["sky"] == 0
 
     hand.run(script)
 
@@ -227,21 +188,6 @@ def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
         hand.tap(0.5, 0.42, held=(KEY.mod_shift,))
         assert hand.counts() == {"road": 400, "wall": 400, "sky": 0}
         assert hand.said == "Add 400 by color"
-
-    hand.run(script)
-
-
-def test_locked_layers_are_passed_by(tmp_path):
-    hand = Hand(tmp_path, small_scene().with_member("layers/road", locked=True))
-
-    def script():
-        hand.use("Rectangle")
-        hand.draw((0.2, 0.2), (0.9, 0.95))
-        assert hand.counts()["road"] == 0 and hand.counts()["wall"] > 0
-        hand.press(chord(KEY.mod_ctrl, KEY.a))
-        assert hand.counts() == {"road": 0, "wall": 400, "sky": 144}
-        hand.press(chord(KEY.mod_ctrl, KEY.i))
-        assert not any(hand.counts().values())
 
     hand.run(script)
 

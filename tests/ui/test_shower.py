@@ -80,32 +80,6 @@ def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
     driver.run(script)
 
 
-def test_buttons_of_the_shower_panel(driver):
-    def script():
-        editor = driver.editor
-        editor.document.change_rain("Intensity", intensity_mm_h=3.0)
-        editor.playback.clock.time_s = 4.0
-        driver.click("//Shower/###now")
-        assert editor.document.keyframes.key_at(4.0).intensity_mm_h == 3.0
-        driver.click("//Shower/###now")
-        assert editor.document.keyframes.keys == ()
-        driver.click("//Shower/Add passing shower")
-        assert editor.document.keyframes.heaviest_mm_h(editor.document.rain) == 12.0
-        editor.playback.clock.time_s = 34.0
-        driver.frames(3)
-        assert editor.viewport.statistics["drops drawn"] > 0
-        driver.click("//Shower/linear")
-        assert editor.document.keyframes.between == "linear"
-        driver.click("//Shower/Clear keyframes")
-        assert editor.document.keyframes.keys == ()
-        for _ in range(3):
-            editor.document.undo()
-        assert editor.document.keyframes.keys == ()
-        assert editor.document.rain.intensity_mm_h == 3.0
-
-    driver.run(script)
-
-
 def test_sliders_of_keyed_fields_set_keys_and_one_drag_is_one_step(driver):
     def script():
         editor = driver.editor
@@ -144,26 +118,6 @@ def test_a_key_is_typed_in_the_table(driver):
         driver.ctx.item_click("//Shower/**/###remove 0")
         driver.frames(3)
         assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [12.5, 20.0]
-
-    driver.run(script)
-
-
-def test_a_disdrometers_series_is_imported(driver, test_data):
-    def script():
-        editor = driver.editor
-        editor.calibration.read_series(test_data / "disdrometer" / "nasa_gv_iphex_2dvd_test.txt")
-        driver.until(lambda: editor.calibration.busy is None, 100_000)
-        assert editor.calibration.error is None
-        driver.ctx.window_focus("//Shower")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Shower/times faster", 60.0)
-        driver.click("//Shower/Use it")
-        assert editor.calibration.series is None
-        assert len(editor.document.keyframes.keys) > 1
-        assert editor.document.keyframes.keys[0].time_s == 0.0
-        assert editor.document.history.undo_label.startswith("Series nasa_gv")
-        editor.document.undo()
-        assert editor.document.keyframes.keys == ()
 
     driver.run(script)
 
@@ -245,31 +199,6 @@ def test_the_drop_colour_is_picked_from_the_view(driver):
         driver.frames()
         assert editor.document.rain.drop_color[2] > editor.document.rain.drop_color[0] + 0.05
         driver.click("//Rain/from the sky")
-        assert editor.document.rain.drop_color is None
-
-    driver.run(script)
-
-
-def test_the_sky_s_colour_is_picked_from_the_picture_and_given_back(driver):
-    """A rectangle over the sky of the small scene: drops become as blue as it is."""
-
-    def script():
-        editor = driver.editor
-        driver.ctx.window_focus("//View")
-        editor.viewport.options.tool = "Pick sky color"
-        driver.frames(4)
-        corner, width, height = view_corner(driver)
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.4 * width, corner.y + 0.15 * height))
-        driver.frames()
-        driver.ctx.mouse_down(0)
-        driver.frames()
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.6 * width, corner.y + 0.25 * height))
-        driver.frames()
-        driver.ctx.mouse_up(0)
-        driver.until(lambda: editor.document.rain.drop_color is not None)
-        assert editor.document.rain.drop_color == pytest.approx((0.4, 0.6, 0.9), abs=0.1)  # it lets some black through
-        driver.ctx.item_click("//View/**/From the sky again")
-        driver.frames()
         assert editor.document.rain.drop_color is None
 
     driver.run(script)

@@ -139,7 +139,9 @@ def test_a_key_is_dragged_in_the_picture(driver):
         camera = editor.viewport.shot(int(width), int(height)).camera
 
         def handle(key):
-            return corner + next(each.handle_px for each in path_overlay_of(editor, camera).keys if each.key == key)
+            return corner + next(
+                each.handle_px for each in path_overlay_of(editor.viewport, camera).keys if each.key == key
+            )
 
         steps = len(editor.document.history.labels)
         start = handle(2)

@@ -79,31 +79,3 @@ def test_wetness_by_hand_and_by_the_intensity(wet_driver):
         assert editor.live_rain.wetness_now == 0
 
     driver.run(script)
-
-
-def test_without_wet_colours_there_is_nothing_to_set(driver):
-    def script():
-        driver.click("//Rain/auto")
-        assert driver.editor.document.rain.wetness is None
-        assert driver.editor.document.history.undo_label is None
-
-    driver.run(script)
-
-
-def test_a_layers_wet_colours_are_taken_away_by_its_menu(wet_driver):
-    driver = wet_driver
-
-    def script():
-        editor = driver.editor
-        driver.ctx.window_focus("//Layers")
-        driver.frames()
-        driver.ctx.item_click("//Layers/members/###layers wall", imgui.MouseButton_.right)
-        driver.frames()
-        driver.ctx.item_click("//$FOCUSED/Remove wet colors")
-        driver.frames()
-        assert [each.wet_sh is not None for each in editor.document.scene.members] == [True, False, True]
-        assert editor.document.history.undo_label == "Remove wet colors of wall"
-        driver.press(UNDO)
-        assert all(each.wet_sh is not None for each in editor.document.scene.members)
-
-    driver.run(script)

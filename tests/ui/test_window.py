@@ -1,16 +1,11 @@
 """The real window under Xvfb, driven as a person drives it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from imgui_bundle import im_file_dialog
-from PIL import Image
 
-from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.formats.scene_files import write_scene
-from measured_rain import measured_rain
 from small_scene import small_scene
 from ui.commands.base import chord
 from window_driver import Driver, imgui
@@ -57,34 +52,6 @@ def test_presets_and_switches(driver):
     driver.run(script)
 
 
-def test_regions_are_edited_and_drawn(driver):
-    def script():
-        without = _region_pixels(driver.screen())
-        driver.click("//Rain/12.0")
-        before = driver.editor.live_rain.simulation.state.drops
-        driver.click("//Rain/Regions")
-        driver.click("//Rain/Show streak region")
-        driver.click("//Rain/Show haze region")
-        driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", 8.0)
-        driver.frames()
-        assert driver.editor.document.rain.streak_region.maximum_m[0] == 8.0
-        assert driver.editor.live_rain.simulation.state.drops == pytest.approx(1.5 * before, rel=1e-3)
-        # inside out is not taken
-        driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", -5.0)
-        driver.frames()
-        assert driver.editor.document.rain.streak_region.maximum_m[0] == 8.0
-        assert np.all(_region_pixels(driver.screen()) > without + 50)
-
-    driver.run(script)
-
-
-def _region_pixels(screen):
-    """Number of pixels in the colors of the streak region's edges, light blue, and of the haze region's, orange."""
-    red, green, blue = np.moveaxis(screen, 2, 0)
-    light_blue, orange = (blue > 200) & (red < 160) & (green > 170), (red > 200) & (green > 150) & (blue < 160)
-    return np.array([light_blue.sum(), orange.sum()])
-
-
 def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
     def script():
         driver.click("//Rain/8.5")
@@ -127,18 +94,6 @@ def test_navigation_by_mouse_and_keys(driver):
     driver.run(script)
 
 
-def test_scene_panel_hides_and_undo_shows_again(driver):
-    def script():
-        before = driver.picture()
-        driver.click("//Layers/members/###show layers wall")
-        assert not driver.editor.document.scene.layers[1].visible
-        assert np.abs(driver.picture() - before).max() > 20
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert driver.editor.document.scene.layers[1].visible
-
-    driver.run(script)
-
-
 def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     good, bad = tmp_path / "wall.ply", tmp_path / "bad.ply"
     write_scene(small_scene(), good)
@@ -160,39 +115,6 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     assert driver.editor.viewport.backend in ("opengl", "cpu")
 
 
-def test_open_dialog_comes_and_goes(driver):
-    screens = []
-
-    def script():
-        driver.ctx.window_focus("//View")
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.o))
-        driver.frames(3)
-        dialogs = im_file_dialog.FileDialog.instance()
-        screens.append(driver.screen())
-        driver.press(imgui.Key.escape)
-        dialogs.close()
-        driver.frames(3)
-        screens.append(driver.screen())
-
-    driver.run(script)
-    shown, closed = screens
-    assert np.abs(shown - closed).mean() > 5
-
-
-def test_screenshot_key_saves_a_picture(driver, tmp_path, monkeypatch):
-    import platformdirs
-
-    monkeypatch.setattr(platformdirs, "user_pictures_dir", lambda: str(tmp_path / "pictures"))
-
-    def script():
-        driver.press(imgui.Key.f12)
-        driver.until(lambda: list((tmp_path / "pictures").glob("gsrain_*.png")))
-
-    driver.run(script)
-    (saved,) = (tmp_path / "pictures").glob("gsrain_*.png")
-    assert np.asarray(Image.open(saved)).mean() > 20
-
-
 def test_opens_in_the_background_of_an_empty_window(tmp_path):
     write_scene(small_scene(), tmp_path / "wall.ply")
     seen = []
@@ -211,22 +133,6 @@ def test_opens_in_the_background_of_an_empty_window(tmp_path):
     driver.editor.files.open(str(tmp_path / "wall.ply"))
     driver.run(driver.script)
     assert seen == [0]
-
-
-def test_a_scene_that_can_not_be_opened_leaves_a_window_that_says_why(tmp_path):
-    driver = Driver(tmp_path)
-    driver.editor = Editor()
-    driver.editor.files.open(str(tmp_path / "missing.ply"))
-
-    def script():
-        driver.until(lambda: driver.editor.status.problem is not None)
-        assert "missing.ply" in driver.editor.status.problem
-        driver.frames(3)
-        driver.ctx.item_click("//View/**/Close")
-        driver.frames()
-        assert driver.editor.status.problem is None
-
-    driver.run(script)
 
 
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
@@ -290,25 +196,6 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
     driver.run(script)
 
 
-def test_colors_take_fewer_bits_on_the_gpu(tmp_path):
-    scene = small_scene()
-    road = scene.layers[0]
-    shiny = np.random.default_rng(0).normal(0.5, 0.1, (len(road.gaussians), 4, 3)).astype(np.float32)
-    scene = replace(scene, layers=(replace(road, gaussians=road.gaussians.with_sh(shiny)), *scene.layers[1:]))
-    driver = Driver(tmp_path, scene, backend="opengl")
-
-    def script():
-        fine = driver.picture()
-        driver.ctx.window_focus("//Display")
-        driver.ctx.set_ref("//Display")
-        driver.ctx.combo_click("##harmonics/8 bits")
-        driver.frames()
-        assert driver.view.editor.viewport.options.harmonics == "byte"
-        assert 0 < np.abs(driver.picture() - fine).max() < 8
-
-    driver.run(script)
-
-
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     lab, screens = driver.editor.calibration, []
 
@@ -341,26 +228,3 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     driver.run(script)
     shown, closed = screens
     assert np.abs(shown - closed).mean() > 5
-
-
-def test_files_whose_rates_disagree_are_summed_up_and_calibrated_anyway(driver, tmp_path):
-    lab = driver.editor.calibration
-    heavy = measured_rain(1190.0, 7.132, 0.114, minutes=20, seed=3)
-    light = measured_rain(271.0, 9.705, 0.074, minutes=20, seed=4, start="2024-05-01T10:20")
-    both = heavy.concatenate([heavy, light])
-    write_spectra(tmp_path / "snow.nc", replace(both, reported_mm_h=both.reported_mm_h / 2.27))
-
-    def script():
-        driver.ctx.window_focus("//Calibration")
-        driver.ctx.set_ref("//Calibration")
-        lab.fit([tmp_path / "snow.nc"])
-        driver.until(lambda: lab.busy is None, 100_000)
-        driver.frames()
-        assert lab.fitted is None and "its drops give 2.3 times" in lab.problem
-        driver.ctx.item_click("Calibrate anyway")
-        driver.until(lambda: lab.busy is None, 100_000)
-        driver.frames()
-        assert lab.fitted is not None and lab.problem is None
-        assert not driver.ctx.item_exists("Calibrate anyway")
-
-    driver.run(script)

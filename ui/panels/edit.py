@@ -195,9 +195,9 @@ def _actor_fields(document: Document, viewport: ViewportState, actor: Actor) -> 
 def history_panel(document: Document, files: Files, status: StatusBus) -> None:
     history, chosen = document.history, None
     _copy_buttons(document, files, status)
-    for number, step in enumerate(history.steps):
+    for number, step in enumerate(history.labels):
         with text_color(imgui.Col_.text_disabled if number > history.cursor else imgui.Col_.text):
-            if imgui.selectable(label(step.label, str(number)), number == history.cursor)[0]:
+            if imgui.selectable(label(step, str(number)), number == history.cursor)[0]:
                 chosen = number
         imgui.set_item_tooltip("Go to this step." if number != history.cursor else "The present document.")
         if number == history.cursor != _State.scrolled_to:

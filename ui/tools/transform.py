@@ -211,7 +211,7 @@ class MeasureTool(Tool):
     key = imgui.Key.m
     help = "Click two points: their distance in meters. Type how long it truly is to set the scene's scale."
     true_m = 1.0
-    _points_m: tuple[Point, ...] = ()
+    points_m: tuple[Point, ...] = ()
     _scene_to_world: Float64[np.ndarray, "4 4"] | None = None
 
     def __init__(self, document: Document) -> None:
@@ -221,18 +221,18 @@ class MeasureTool(Tool):
         # The points are in world coordinates: clear them when the scene gets another scale or orientation.
         present = self._document.scene.scene_to_world
         if self._scene_to_world is None or not np.array_equal(present, self._scene_to_world):
-            self._points_m, self._scene_to_world = (), present
+            self.points_m, self._scene_to_world = (), present
         point = clicked_point(self._document, canvas)
         if point is not None:
-            self._points_m = (*self._points_m, point) if len(self._points_m) < 2 else (point,)
+            self.points_m = (*self.points_m, point) if len(self.points_m) < 2 else (point,)
             self.true_m = self._length_m or self.true_m
-        for point in self._points_m:
+        for point in self.points_m:
             draw_point(canvas, point)
         length = self._length_m
         if length is None:
-            draw_hint(canvas, "Click the second point" if self._points_m else "Click the first point")
+            draw_hint(canvas, "Click the second point" if self.points_m else "Click the first point")
         else:
-            first, second = self._points_m
+            first, second = self.points_m
             draw_line(canvas, first, second)
             draw_words(canvas, (first + second) / 2, _in_words(length))
         return False
@@ -256,13 +256,13 @@ class MeasureTool(Tool):
         imgui.end_disabled()
         imgui.same_line()
         if help_button("Clear##measure", "Forget both points."):
-            self._points_m = ()
+            self.points_m = ()
 
     @property
     def _length_m(self) -> float | None:
-        if len(self._points_m) < 2:
+        if len(self.points_m) < 2:
             return None
-        first, second = self._points_m
+        first, second = self.points_m
         return float(np.linalg.norm(second - first))
 
 

@@ -13,6 +13,7 @@ from ...compile_cache import has_kernels
 from ...rain.simulation import RainSimulation
 from ...render.draw import LodSubset, RenderView, draw_view
 from ...render.images import write_png
+from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context, is_software
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.renderer import Color, Renderer
@@ -59,7 +60,7 @@ class LiveView:
         self._pending: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
         self._is_pending_ready = False
-        self.upload = SceneUpload(self._opengl)
+        self._upload = SceneUpload(self._opengl)
         self._is_uploading = False  # a pane still shows an older scene
         self._upload_until = 0.0
         self._thinnings: dict[float, LodSubset] = {}
@@ -78,7 +79,7 @@ class LiveView:
             self._gpu_is_full = True
             self._cpu = self._cpu or CpuTexture(self._context)
             self._cpu.compile()
-            self.upload.give_up()
+            self._upload.give_up()
             self._opengl.arrays.release_everything()
             problem = f"{error}: the processor draws from now on"
             return DrawResult(self.last_textures, is_compiling=True, problems=[problem])
@@ -90,7 +91,7 @@ class LiveView:
         self._can_draw = self._cpu is None or self._on_cpu or self._substitutes_cpu(frame.scene)
         if frame.harmonics != self._opengl.arrays.harmonics:
             self._opengl.arrays.keep_harmonics_as(frame.harmonics)
-            self.upload.give_up()
+            self._upload.give_up()
             self._pending, self._is_pending_ready = None, False  # its upload starts over
         self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
         self._prepare(frame)
@@ -119,6 +120,11 @@ class LiveView:
         return result
 
     @property
+    def arrays(self) -> GpuArrays:
+        """Arrays of Gaussians on the GPU."""
+        return self._opengl.arrays
+
+    @property
     def is_settled(self) -> bool:
         """True if the active back end is the final one."""
         return self._cpu is None or self._cpu.is_ready
@@ -130,7 +136,7 @@ class LiveView:
 
     def draw_aside(self, images: MosaicInput, camera: RenderView, screen: Screen) -> moderngl.Texture | None:
         """Draw a small image next to the viewport after `draw`, with fewer Gaussians in playback, or None."""
-        if not self._can_draw or (not self._on_cpu and self.upload.missing(images.scene) > _CHUNK_SIZE):
+        if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
         share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
         thinning = self._thinning(share)
@@ -157,7 +163,7 @@ class LiveView:
             self._sky.forget()
             self._thinnings.clear()
             self._thinned = frame.scene
-            self.upload.give_up()
+            self._upload.give_up()
             self._opengl.arrays.release_everything()
         self._is_empty = is_empty
         if self._thinned is not frame.scene:
@@ -197,9 +203,9 @@ class LiveView:
         """The scene; or unless `whole` the last one, while much of the new one has yet to be uploaded."""
         if self._on_cpu or not self._can_draw or pane.scene is None or whole:
             return scene
-        if self.upload.missing(scene) <= _CHUNK_SIZE or self.upload.missing(pane.scene):
+        if self._upload.missing(scene) <= _CHUNK_SIZE or self._upload.missing(pane.scene):
             return scene
-        if self.upload.go_on(scene, self._upload_until):
+        if self._upload.go_on(scene, self._upload_until):
             return scene
         self._is_uploading = True
         return pane.scene
@@ -224,7 +230,7 @@ class LiveView:
         """Continue to prepare the pending scene for its first frame."""
         if frame.pending is not self._pending:
             if not self._is_pending_ready:
-                self.upload.give_up()
+                self._upload.give_up()
             elif self._pending is not None and self._pending.is_opened:
                 self._sky.forget()
                 self._opengl.arrays.release_all_but((each.gaussians, each.wet_sh) for each in frame.scene.members)
@@ -241,7 +247,7 @@ class LiveView:
                 thinning.growth(member.gaussians)
                 yield
         if self._cpu is None or (not self._on_cpu and self._substitutes_cpu(scene)):
-            while not self.upload.go_on(scene, self._upload_until):
+            while not self._upload.go_on(scene, self._upload_until):
                 yield
 
     def _save_screenshot(self, path: Path, divider: float, result: DrawResult) -> None:

@@ -133,7 +133,7 @@ _Stages = Generator[_Waiting, None, str | None]
 
 
 class JobRunner:
-    """Runs jobs; their threads and processes touch nothing of the editor. Main thread only; call `poll` once a frame."""
+    """Runs jobs, on the main thread. Their threads and processes touch nothing else: `poll` hands results over."""
 
     def __init__(self, files: ThreadPoolExecutor, report_problem: Callable[[str], object]) -> None:
         """Read and write in the thread `files`; `report_problem` gets one sentence about each job that fails."""

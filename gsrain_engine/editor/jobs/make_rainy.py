@@ -26,7 +26,7 @@ from ...scene.progress import Progress
 from ...scene.scene import Scene
 from .folder import new_report, write_copy
 from .job import Job, no_result
-from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, require_torch, write_colors
+from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, SOLVER_PLOTS, require_torch, write_colors
 
 MAKE_RAINY_TITLE = "Apply wet look"
 
@@ -56,7 +56,7 @@ def make_rainy_job(scene: Scene, known: FileCache, order: TransferRequest) -> Jo
     def read(folder: Path) -> Scene:
         return with_colors(scene, read_recolored(folder / COLORS_FILE))
 
-    return Job("make rainy", MAKE_RAINY_TITLE, make_rainy, read, inputs, report=report)
+    return Job("make rainy", MAKE_RAINY_TITLE, make_rainy, read, inputs, report=report, plots=SOLVER_PLOTS)
 
 
 # Preview job

@@ -26,7 +26,7 @@ from jaxtyping import Int64, UInt8
 from ...safe_io.limits import receive_message
 from ...scene.files import sentence_of
 from ...scene.progress import Progress
-from ...threads import thread_limit, usable_cores
+from ...threads import WORKER_NICENESS, thread_limit, usable_cores
 
 cv2: Any = lazy_loader.load("cv2")  # only large previews need it
 
@@ -35,7 +35,6 @@ Work = Callable[..., Iterator[Progress]]
 """Function at the top level of a module, so that the new process can import it by name."""
 
 _MAX_MESSAGE_BYTES = 1 << 24
-_NICENESS = 10  # below the window, on POSIX systems
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
@@ -133,7 +132,7 @@ def _death(exit_code: int | None) -> str:
 def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[Any, ...]) -> None:
     """Run the work in the new process; send Progress for each step, None at the end, (line, traceback) on failure."""
     if psutil.POSIX:
-        os.nice(_NICENESS)
+        os.nice(WORKER_NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     picture = SharedImage(picture_name)
     try:

@@ -61,6 +61,7 @@ def train_transfer(task: FinetuneTask) -> "Generator[Progress, None, FinetuneRes
 # Job "Recolor": solve for wet colors so that the scene matches given images
 
 COLORS_FILE = "colors.npz"
+SOLVER_PLOTS = {"Residual": ("residual",)}
 
 
 def recolor_job(
@@ -79,7 +80,7 @@ def recolor_job(
     def read(folder: Path) -> Scene:
         return with_colors(scene, read_recolored(folder / COLORS_FILE))
 
-    return Job("recolor", f"Recolor to {name}", recolor_scene_copy, read, inputs, report=report)
+    return Job("recolor", f"Recolor to {name}", recolor_scene_copy, read, inputs, report=report, plots=SOLVER_PLOTS)
 
 
 def recolor_scene_copy(

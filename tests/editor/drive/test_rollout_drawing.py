@@ -6,7 +6,6 @@ import pytest
 from gsrain_engine.editor.drive import RolloutInScene
 from gsrain_engine.editor.overlays_drive import planned_points_m, rollout_overlay
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.simulation.sensors import placed_camera
 
 from .driven import driven
 
@@ -33,15 +32,6 @@ def test_planned_points_lie_on_the_road_half_a_second_apart(shown):
     assert later[1:] == pytest.approx(places[1:])  # the plan stays while it is followed
 
 
-def test_dots_are_where_a_camera_sees_the_points(shown):
-    camera = from_above()
-    drawing = rollout_overlay(shown, 0.5, camera, from_inside=False)
-    places = planned_points_m(shown, shown.played.step(0.5), 0.5)[1:]
-    local = places @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    pixels = local[:, :2] / local[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    assert np.array([(x, y) for x, y, _ in drawing.dots]) == pytest.approx(pixels)
-
-
 def test_who_is_hit_is_marked_when_it_is_hit(shown):
     camera = from_above()
     hit_s = shown.played.end_s
@@ -53,21 +43,3 @@ def test_who_is_hit_is_marked_when_it_is_hit(shown):
     width = np.ptp(late["lead"].lines_px[..., 0])
     near = camera.fx / (20.0 - shown.played.rollout.users["lead"].size_lwh_m[2])
     assert width == pytest.approx(shown.played.rollout.users["lead"].size_lwh_m[0] * near, rel=0.05)
-
-
-def test_from_inside_the_ego_vehicle_has_no_box(shown):
-    camera = placed_camera(shown.front_camera, shown.played.rig_to_world(0.0))
-    drawing = rollout_overlay(shown, 0.0, camera, from_inside=True)
-    assert [box.name for box in drawing.boxes] == ["lead"]
-    assert len(drawing.driven_px) == 0
-    assert drawing.boxes[0].top_px is not None
-    behind = rollout_overlay(shown, shown.played.end_s, backwards(camera), from_inside=True)
-    assert behind.boxes[0].top_px is None
-    assert behind.dots == []
-
-
-def backwards(camera):
-    """The same place, looking the other way."""
-    turned = camera.world_to_camera.copy()
-    turned[[0, 2]] *= -1
-    return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, turned)

@@ -38,9 +38,3 @@ def test_detections_lie_where_the_agent_has_seen_them(shown):
     assert lead.high_px == pytest.approx((400.0, 320.0), abs=1.0)
     assert (lead.is_lead, lead.words) == (True, "car 0.90, 12.3 m")
     assert (other.is_lead, other.words) == (False, "car 0.40")
-
-
-@pytest.mark.parametrize("notes", [{}, {"detections": "three"}, {"detections": [{"box": 1}]}, {"lead": 4}])
-def test_other_notes_are_passed_by(shown, notes):
-    camera = placed_camera(shown.front_camera, shown.played.rig_to_world(0.0))
-    assert detection_boxes(noted(shown, notes), shown.front_camera, camera) == []

@@ -10,8 +10,6 @@ from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Layer, Scene
 
-OFF = FloaterRules(opacity_below=0, size_above_m=0, isolation_above=0)
-
 
 def cloud():
     """A grid with four odd ones: faint (0), large (1), far away (2), not a number (3)."""
@@ -60,13 +58,6 @@ def test_what_is_locked_hidden_or_deleted_is_no_floater():
     assert found(scene().with_member("layers/cloud", marks=marks), rules) == {"layers/cloud": [3]}
 
 
-def test_few_and_equal_gaussians_do_not_trouble_the_search():
-    one = Scene("one", (Layer("one", cloud().take(np.arange(1))), Layer("none", Gaussians.empty())))
-    assert found(one, FloaterRules(opacity_below=0)) == {"layers/one": [], "layers/none": []}
-    stacked = Scene("stacked", (Layer("stacked", cloud().take(np.zeros(50, np.int64))),))
-    assert found(stacked, FloaterRules(opacity_below=0)) == {"layers/stacked": []}
-
-
 def test_a_layer_that_has_changed_since_is_passed_by():
     before = scene()
     search = FloaterSearch(before, FloaterRules())
@@ -101,13 +92,4 @@ def test_the_job_selects_as_one_step():
     assert editor.document.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
     editor.document.undo()
     assert editor.document.scene.layers[0].marks.selected is None
-    editor.close()
-
-
-def test_a_cancelled_job_changes_nothing():
-    editor = Editor(scene())
-    job = editor.floaters.find(FloaterRules())
-    job.cancel()
-    editor.jobs.poll()
-    assert (job.state, editor.floaters.count, editor.document.history.labels) == ("cancelled", None, ["Open"])
     editor.close()

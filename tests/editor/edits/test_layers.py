@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.edits import layers
-from gsrain_engine.editor.edits.members import unique_name
 from gsrain_engine.scene.flags import BitMask
 
 from .edited_scene import assert_same, edited_scene, seen, with_selection
@@ -12,12 +11,6 @@ from .edited_scene import assert_same, edited_scene, seen, with_selection
 
 def names(scene):
     return [each.name for each in scene.members]
-
-
-def test_names_get_the_first_free_number():
-    assert unique_name("road", {"wall"}) == "road"
-    assert unique_name("road", {"road"}) == "road 2"
-    assert unique_name("road 2", {"road", "road 2", "road 3"}) == "road 4"
 
 
 def test_a_duplicate_stands_behind_its_original_and_shares_its_arrays():
@@ -54,14 +47,6 @@ def test_what_is_selected_of_several_layers_becomes_one():
         layers.separate(edited_scene())
 
 
-def test_what_can_not_be_seen_is_not_separated():
-    scene = with_selection(edited_scene(), house=7)
-    house = scene.layers[1]
-    hidden = replace(house.marks, hidden=BitMask.of(np.arange(30) < 4))
-    parted = layers.separate(scene.with_member(house.key, marks=hidden))
-    assert len(parted.layers[2].gaussians) == 3
-
-
 def test_merging_keeps_the_picture_and_the_marks():
     scene = with_selection(edited_scene(), ground=5, house=6)
     ground = scene.layers[0]
@@ -82,13 +67,6 @@ def test_merging_keeps_the_picture_and_the_marks():
     assert np.abs(found - expected[:3]).sum(axis=1).min() < 1e-5
 
 
-def test_layers_that_agree_keep_opacity_and_grading():
-    scene = layers.duplicate(edited_scene(), "layers/house")
-    one = layers.merge(scene, ["layers/house", "layers/house 2"])
-    assert (one.layers[1].opacity, one.layers[1].grading) == (scene.layers[1].opacity, scene.layers[1].grading)
-    assert np.array_equal(np.unique(one.layers[1].gaussians.means), np.unique(scene.layers[1].gaussians.means))
-
-
 @pytest.mark.parametrize(
     ("keys", "trouble"),
     [
@@ -102,14 +80,6 @@ def test_layers_that_agree_keep_opacity_and_grading():
 def test_what_can_not_be_merged_is_told(keys, trouble):
     with pytest.raises(ValueError, match=trouble):
         layers.merge(edited_scene(), keys)
-
-
-def test_locked_layers_are_neither_merged_nor_removed():
-    scene = edited_scene().with_member("layers/house", locked=True)
-    with pytest.raises(ValueError, match="house is locked"):
-        layers.merge(scene, ["layers/ground", "layers/house"])
-    with pytest.raises(ValueError, match="house is locked"):
-        layers.remove(scene, "layers/house")
 
 
 def test_renaming_keeps_names_unique_and_selection_sets_true():
@@ -149,11 +119,3 @@ def test_imported_scenes_keep_their_place_in_the_world():
     assert list(both.selections["set"]) == ["layers/ground 2"]
     assert both.actors[1].size_lwh == pytest.approx((16.0, 8.0, 6.0))  # 2 m instead of 0.5 m a unit
     assert layers.import_scene(replace(scene, layers=(), actors=()), other) is other
-
-
-def test_scenes_of_the_same_units_share_arrays_with_the_import():
-    scene = edited_scene()
-    both = layers.import_scene(scene, scene)
-    assert both.actors[1].gaussians is scene.actors[0].gaussians
-    assert np.array_equal(both.layers[3].to_scene, scene.layers[0].to_scene)
-    assert both.layers[3].marks is scene.layers[0].marks

@@ -5,7 +5,6 @@ import pytest
 
 from gsrain_engine.editor.edits.gaussians import (
     CropBox,
-    box_around,
     compact,
     crop,
     delete_selected,
@@ -30,14 +29,6 @@ def test_deleting_only_marks():
     assert delete_selected(gone) is gone
 
 
-def test_locked_and_invisible_members_are_passed_by():
-    scene = with_selection(edited_scene(), ground=5, house=6)
-    scene = scene.with_member("layers/ground", locked=True).with_member("layers/house", visible=False)
-    assert delete_selected(scene) is scene
-    assert hide_selected(scene) is scene
-    assert selected_count(scene) == 0
-
-
 def test_hidden_ones_come_back_and_deleted_ones_do_not():
     scene = hide_selected(with_selection(edited_scene(), ground=5))
     scene = delete_selected(with_selection(scene, house=4))
@@ -45,12 +36,6 @@ def test_hidden_ones_come_back_and_deleted_ones_do_not():
     shown = show_all(scene)
     assert len(seen(shown)) == 115 - 4
     assert show_all(shown) is shown
-
-
-def test_hidden_ones_are_not_deleted_with_a_selection_that_holds_them():
-    scene = with_selection(hide_selected(with_selection(edited_scene(), ground=5)), ground=8)
-    assert selected_count(scene) == 3
-    assert delete_selected(scene).layers[0].marks.deleted.size == 3
 
 
 def test_isolating_hides_the_rest():
@@ -99,12 +84,6 @@ def test_cropping_deletes_what_lies_outside_of_the_box():
     assert cut.actors == scene.actors
     assert crop(cut, box) is cut
     assert crop(scene.with_member("layers/ground", locked=True), box).layers[0].marks.deleted is None
-
-
-def test_the_first_box_holds_nearly_all():
-    scene = edited_scene()
-    assert deleted_count(crop(scene, box_around(scene))) < 8
-    assert box_around(replace(scene, layers=())).size_m == (10.0, 10.0, 10.0)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -10,20 +10,16 @@ from gsrain_engine.editor.edits.actors import turn_actor
 from gsrain_engine.editor.edits.gaussians import compact
 from gsrain_engine.editor.edits.transform import move_member, move_selected, preview_move
 from gsrain_engine.recolor.result import with_colors
-from gsrain_engine.scene.flags import UNMARKED, BitMask
-from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.transforms import (
     blend_wet_sh,
     flatten_scene,
     with_wet_colors_of,
     with_wetness_baked,
-    without_wet_colors,
 )
 
 from .edited_scene import assert_same, edited_scene, turned, with_selection, without
-from .edited_scene import seen as seen_together
 
 TURN = turned(35, 0, 1.3, (0.5, -0.2, 0.1))
 
@@ -55,10 +51,6 @@ def seen(scene, wetness=0.0):
         flatten_scene(replace(scene, layers=(), actors=(each,))) for each in with_wetness_baked(scene, wetness).actors
     ]
     return Gaussians.concatenate(baked)
-
-
-def twice(scene):
-    return layers.duplicate(scene, "layers/house")
 
 
 EDITS = {
@@ -94,33 +86,12 @@ def test_wet_colours_come_along(name, names):
     assert np.abs(seen(edited, 1.0).sh - seen(edited, 0.0).sh).max() > 0.1
 
 
-def test_a_shift_shares_the_harmonics():
-    scene = wet_scene()
-    shifted = move_selected(scene, turned(0, by=(1.0, 0.0, 0.0)))
-    assert all(new.wet_sh is old.wet_sh for new, old in zip(shifted.members, scene.members, strict=True))
-
-
-def test_a_merged_layer_without_wet_colours_is_clear_when_soaked():
-    scene = wet_scene("house")
-    merged = layers.merge(scene, ["layers/ground", "layers/house"]).layers[0]
-    differs = np.abs(merged.wet_sh - merged.gaussians.sh).max(axis=(1, 2)) > 1e-3
-    kept = len(scene.layers[1].gaussians) - scene.layers[1].marks.deleted.size
-    assert differs.sum() == kept
-    assert layers.merge(without(wet_scene("car"), "sky"), ["layers/ground", "layers/house"]).layers[0].wet_sh is None
-
-
 def test_blends_end_at_the_very_numbers():
     member = wet_scene().layers[0]
     clear, wet = member.gaussians.sh, member.wet_sh
     assert blend_wet_sh(clear, wet, 0.0).tobytes() == clear.tobytes()
     assert blend_wet_sh(clear, wet, 1.0).tobytes() == wet.tobytes()
     np.testing.assert_allclose(blend_wet_sh(clear, wet, 0.25), 0.75 * clear + 0.25 * wet, atol=1e-6)
-
-
-def test_wet_colours_have_the_shape_of_the_clear_ones():
-    layer = edited_scene().layers[0]
-    with pytest.raises(ValueError, match=r"layers/ground: wet colors have shape \(39, 4, 3\), expected \(40, 4, 3\)"):
-        replace(layer, wet_sh=layer.gaussians.sh[1:])
 
 
 def test_a_finished_recolouring_leaves_everything_else():
@@ -137,15 +108,6 @@ def test_a_finished_recolouring_leaves_everything_else():
         with_wet_colors_of(scene, scene)
 
 
-def test_new_gaussians_bring_their_wet_colours_or_lose_the_old_ones():
-    scene = wet_scene()
-    fewer = scene.layers[0].gaussians.take(slice(0, 5))
-    other = scene.with_member("layers/ground", gaussians=fewer, wet_sh=None, marks=UNMARKED)
-    changed = with_gaussians_of(scene, without(other, "house"))
-    assert changed.layers[0].wet_sh is None
-    assert changed.layers[1].wet_sh is scene.layers[1].wet_sh
-
-
 def test_colours_of_what_files_know_leave_the_deleted_alone():
     scene = wet_scene()
     house = scene.layers[1]
@@ -154,23 +116,3 @@ def test_colours_of_what_files_know_leave_the_deleted_alone():
     wet = with_colors(scene, {house.key: sh}).layers[1].wet_sh
     np.testing.assert_array_equal(wet[kept], sh)
     np.testing.assert_array_equal(wet[house.marks.deleted.indices], house.gaussians.sh[house.marks.deleted.indices])
-
-
-def test_wet_colours_are_taken_away():
-    scene = wet_scene()
-    assert not without_wet_colors(scene, "layers/house").layers[1].wet_sh
-    assert without_wet_colors(scene, "layers/house").has_wet_colors
-    with pytest.raises(KeyError):
-        without_wet_colors(scene, "layers/moon")
-
-
-def test_opening_puts_wet_colours_into_the_same_order(tmp_path):
-    scene = edited_scene()
-    for seed, each in enumerate(scene.members):
-        scene = scene.with_member(each.key, wet_sh=wet_of(each, seed))
-    write_scene(scene, tmp_path / "s")
-    opened = load_sorted_scene(str(tmp_path / "s"))
-    assert not np.array_equal(opened.layers[0].gaussians.means, scene.layers[0].gaussians.means)
-    for wetness in (0.0, 1.0):
-        first, second = (seen_together(with_wetness_baked(each, wetness)) for each in (opened, scene))
-        assert_same(first, second)

@@ -36,7 +36,7 @@ def home(tmp_path):
 @pytest.fixture
 def editor(sessions, home):
     opened = sessions()
-    opened.open(str(home))
+    opened.files.open(str(home))
     settle(opened)
-    assert opened.scene.name == "crossing" and opened.questions.present is None
+    assert opened.document.scene.name == "crossing" and opened.status.question is None
     return opened

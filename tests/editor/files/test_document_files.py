@@ -44,41 +44,6 @@ def test_saving_marks_writes_no_gaussians_again(editor, home):
     assert {name for name in after if after[name] != before[name]} == {"scene.json"}
 
 
-def test_marks_stay_on_their_gaussians_when_a_scene_is_opened_to_be_drawn(sessions, tmp_path):
-    scene = small_scene()
-    road = scene.layers[0]
-    near = road.gaussians.means[:, 0] < 7
-    marked = scene.with_member(road.key, marks=SelectionFlags(hidden=BitMask.of(near)))
-    write_scene(marked, tmp_path / "marked")  # not in drawing order
-    editor = sessions()
-    editor.files.open(str(tmp_path / "marked"))
-    settle(editor)
-    found = editor.document.scene.layers[0]
-    assert not np.array_equal(found.gaussians.means, road.gaussians.means)
-    assert np.array_equal(found.gaussians.means[:, 0] < 7, found.marks.hidden.flags)
-
-
-def test_what_was_saved_in_drawing_order_is_not_sorted_again(editor, sessions, home):
-    delete_every_third(editor)
-    editor.files.save()
-    settle(editor)
-    again = sessions()
-    again.open(str(home))
-    settle(again)
-    for found, saved in zip(again.scene.layers, editor.document.scene.layers, strict=True):
-        assert np.array_equal(found.gaussians.means, saved.gaussians.means)
-    assert again.scene.layers[0].marks.deleted.same_as(editor.document.scene.layers[0].marks.deleted)
-
-
-def test_a_recent_scene_that_is_gone_is_forgotten(editor, home, tmp_path):
-    assert editor.files.recent == [home]
-    home.rename(tmp_path / "moved")
-    editor.files.open(str(home))
-    settle(editor)
-    assert str(home) in editor.status.problem
-    assert editor.files.recent == []
-
-
 def test_what_goes_with_a_scene(editor, sessions, home):
     editor.document.change_rain("Intensity", intensity_mm_h=7.5)
     editor.viewport.navigation.position = np.array([3.0, 2.0, 1.0])
@@ -87,30 +52,15 @@ def test_what_goes_with_a_scene(editor, sessions, home):
     editor.files.save()
     settle(editor)
     again = sessions()
-    again.open(str(home))
+    again.files.open(str(home))
     settle(again)
-    assert again.rain.intensity_mm_h == 7.5
-    assert again.navigation.position.tolist() == [3.0, 2.0, 1.0]
-    assert (again.navigation.heading, again.view.gain_ev, again.view.look) == (1.25, 0.5, "depth")
-
-
-def test_a_view_that_can_not_be_used_is_left(editor, sessions, home):
-    values = json.loads((home / "scene.json").read_text())
-    (home / "scene.json").write_text(json.dumps(values | {"view": {"position": "here"}}))
-    again = sessions()
-    again.open(str(home))
-    settle(again)
-    assert np.isfinite(again.navigation.position).all()
-    assert any("saved view can't be used" in line.text for line in again.log.lines)
-
-
-def test_what_has_no_folder_asks_for_a_place(sessions, tmp_path):
-    editor = sessions(small_scene("new"))
-    editor.files.save()
-    editor.files.place_request(tmp_path / "placed")
-    settle(editor)
-    assert editor.files.home == tmp_path / "placed"
-    assert read_scene(tmp_path / "placed").name == "new"
+    assert again.document.rain.intensity_mm_h == 7.5
+    assert again.viewport.navigation.position.tolist() == [3.0, 2.0, 1.0]
+    assert (again.viewport.navigation.heading, again.viewport.options.gain_ev, again.viewport.options.look) == (
+        1.25,
+        0.5,
+        "depth",
+    )
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
@@ -193,21 +143,6 @@ def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sess
     assert editor.status.problem is None  # it is about what was tried before
 
 
-@pytest.mark.parametrize("name", ["out.ply", "out.SPZ", "out.ksplat"])
-def test_save_writes_no_single_file_but_names_export(editor, tmp_path, name):
-    delete_every_third(editor)
-    editor.request_quit()
-    answer(editor, "Cancel")
-    editor.files.save_as(tmp_path / name)
-    assert "Export" in editor.status.question.text
-    answer(editor, "Cancel")
-    assert editor.files.has_changes and not (tmp_path / name).exists()
-    editor.files.save_as(tmp_path / name)
-    answer(editor, "Save as out")
-    assert not editor.files.has_changes and editor.files.home == tmp_path / "out"
-    assert read_scene(tmp_path / "out").members[0].marks.deleted is not None
-
-
 def test_what_is_being_written_and_read_is_waited_for_before_the_end(editor, tmp_path):
     write_scene(small_scene("other"), tmp_path / "other.ply")
     editor.files.import_from(str(tmp_path / "other.ply"))
@@ -217,37 +152,6 @@ def test_what_is_being_written_and_read_is_waited_for_before_the_end(editor, tmp
     assert editor.status.question.title == "Unsaved changes"  # the import is one
     answer(editor, "Save")
     assert editor.should_quit and "other" in [layer.name for layer in read_scene(editor.files.home).layers]
-
-
-@pytest.mark.parametrize(("label", "is_saved", "is_opened"), [
-    ("Save", True, True), ("Don't save", False, True), ("Cancel", False, False),
-])  # fmt: skip
-def test_opening_another_scene_asks_about_changes(editor, home, tmp_path, label, is_saved, is_opened):
-    write_scene(small_scene("other"), tmp_path / "other")
-    delete_every_third(editor)
-    editor.files.open(str(tmp_path / "other"))
-    assert editor.status.question.title == "Unsaved changes"
-    assert not editor.files.is_opening
-    answer(editor, label)
-    assert (editor.document.scene.name == "other") == is_opened
-    assert (read_scene(home).layers[0].marks.deleted is not None) == is_saved
-
-
-@pytest.mark.parametrize(("label", "is_saved"), [("Save", True), ("Don't save", False), ("Cancel", False)])
-def test_a_scene_that_was_being_read_waits_for_the_answer_about_the_present_one(
-    editor, home, tmp_path, label, is_saved
-):
-    write_scene(small_scene("other"), tmp_path / "other")
-    delete_every_third(editor)
-    editor.files.open(str(tmp_path / "other"))
-    editor.status.answer(editor.status.question.answers[1])
-    editor.request_quit()
-    settle(editor)
-    assert "the changes of crossing before you quit" in editor.status.question.text and editor.files.has_changes
-    answer(editor, label)
-    assert editor.should_quit == (label != "Cancel")
-    assert editor.document.scene.name == "other" or editor.should_quit
-    assert (read_scene(home).layers[0].marks.deleted is not None) == is_saved
 
 
 def test_a_capture_is_offered_as_one(editor, tmp_path):
@@ -279,11 +183,6 @@ def test_leaving_asks_and_cancel_stays(editor):
     editor.request_quit()
     answer(editor, "Don't save")
     assert editor.should_quit
-
-
-def test_leaving_without_changes_asks_nothing(editor):
-    editor.request_quit()
-    assert editor.should_quit and editor.status.question is None
 
 
 def test_a_save_that_fails_does_not_leave(editor, monkeypatch):
@@ -320,42 +219,12 @@ def test_a_file_changed_by_someone_else_is_noticed(editor, home, tmp_path, label
     assert (read_scene(home).name, editor.document.scene.name) == (on_disk, here)
 
 
-def test_a_file_that_was_only_touched_is_no_change(editor, home):
-    (home / "scene.json").write_bytes((home / "scene.json").read_bytes())
-    delete_every_third(editor)
-    editor.files.save()
-    settle(editor)
-    assert editor.status.question is None and not editor.files.has_changes
-
-
-def test_another_scene_is_not_replaced_unasked(editor, tmp_path):
-    write_scene(small_scene("precious"), tmp_path / "precious")
-    editor.files.save_as(tmp_path / "precious")
-    answer(editor, "Cancel")
-    assert read_scene(tmp_path / "precious").name == "precious"
-    editor.files.save_as(tmp_path / "precious")
-    answer(editor, "Replace")
-    assert read_scene(tmp_path / "precious").name == "crossing"
-    assert editor.files.home == tmp_path / "precious"
-
-
 def test_revert_asks_and_reads_again(editor):
     delete_every_third(editor)
     editor.files.revert()
     assert editor.files.has_changes
     answer(editor, "Revert")
     assert editor.document.scene.members[0].marks.deleted is None and not editor.files.has_changes
-
-
-def test_import_is_one_step(editor, tmp_path):
-    write_scene(small_scene("other"), tmp_path / "other.ply")
-    editor.files.import_from(str(tmp_path / "other.ply"))
-    settle(editor)
-    assert editor.document.history.undo_label == "Import other"
-    assert [layer.name for layer in editor.document.scene.layers] == ["road", "wall", "sky", "other"]
-    editor.files.import_from(str(tmp_path / "missing.ply"))
-    settle(editor)
-    assert "missing.ply" in editor.status.problem
 
 
 def test_a_newer_scene_is_refused_and_nothing_is_lost(editor, home, tmp_path):
@@ -403,18 +272,6 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(editor, changes):
         job.end()
         editor.tick(0.0)
     assert editor.should_quit and editor.status.question is None
-
-
-def test_stopping_a_job_goes_on_with_the_end(editor):
-    jobs = at_work(editor, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
-    delete_every_third(editor)
-    editor.request_quit()
-    assert "Make it rainy and Record clip.mp4 are" in editor.status.question.text
-    answer(editor, "Stop them")
-    assert [job.state for job in jobs] == ["cancelled", "cancelled"]
-    assert editor.status.question.title == "Unsaved changes"
-    answer(editor, "Don't save")
-    assert editor.should_quit
 
 
 def test_cancelling_leaves_window_and_job_as_they_are(editor):

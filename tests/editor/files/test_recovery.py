@@ -7,7 +7,6 @@ from pathlib import Path
 from editor.files.open_document import answer, delete_every_third, keep_now, names_in, settle
 from gsrain_engine.editor.autosave import autosave_folder
 from gsrain_engine.scene.formats.scene_files import read_scene
-from small_scene import small_scene
 
 
 def test_an_autosave_that_fails_is_told_once_and_tried_again(editor, home, monkeypatch):
@@ -48,17 +47,6 @@ def test_an_autosave_comes_in_time_and_goes_with_a_save(editor, home):
     assert not autosave_folder(home).exists()
 
 
-def test_an_autosave_of_a_scene_without_folder_is_kept_in_the_state_folder(sessions, tmp_path):
-    editor = sessions(small_scene("nowhere"))
-    delete_every_third(editor)
-    keep_now(editor)
-    (kept,) = (tmp_path / "state" / "gsrain" / "unsaved").iterdir()
-    assert read_scene(kept / "scene").name == "nowhere"
-    editor.files.give_up()
-    editor.close()
-    assert not kept.exists()
-
-
 def test_closing_without_an_answer_loses_nothing(sessions, home, editor):
     delete_every_third(editor)
     keep_now(editor)
@@ -66,10 +54,10 @@ def test_closing_without_an_answer_loses_nothing(sessions, home, editor):
     again = sessions()
     again.files.recovery.look()
     settle(again)
-    assert "crossing" in again.questions.present.text and str(home) in again.questions.present.text
+    assert "crossing" in again.status.question.text and str(home) in again.status.question.text
     answer(again, "Recover")
-    assert again.scene.members[0].marks.deleted is not None
-    assert again.has_changes and again.files.home == home
+    assert again.document.scene.members[0].marks.deleted is not None
+    assert again.files.has_changes and again.files.home == home
     again.files.save()
     settle(again)
     assert read_scene(home).members[0].marks.deleted is not None
@@ -81,10 +69,10 @@ def test_discard_and_later(sessions, home, editor):
     keep_now(editor)
     editor.close()
     later = sessions()
-    later.open(str(home))
+    later.files.open(str(home))
     settle(later)
     answer(later, "Later")
-    assert later.scene.members[0].marks.deleted is None
+    assert later.document.scene.members[0].marks.deleted is None
     delete_every_third(later)
     before = names_in(autosave_folder(home))
     keep_now(later)
@@ -92,10 +80,10 @@ def test_discard_and_later(sessions, home, editor):
     later.files.give_up()
     later.close()
     again = sessions()
-    again.open(str(home))
+    again.files.open(str(home))
     settle(again)
     answer(again, "Discard")
-    assert again.questions.present is None
+    assert again.status.question is None
     again.close()
     assert not autosave_folder(home).exists()
 
@@ -106,12 +94,12 @@ def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sess
     before = names_in(autosave_folder(home))
     other = sessions()
     other.files.recovery.look()
-    other.open(str(home))
+    other.files.open(str(home))
     settle(other)
-    assert other.questions.present.title == "Open twice"
+    assert other.status.question.title == "Open twice"
     answer(other, "Go on")
-    assert other.questions.present is None
-    other.change_rain("Intensity", intensity_mm_h=3.0)
+    assert other.status.question is None
+    other.document.change_rain("Intensity", intensity_mm_h=3.0)
     keep_now(other)
     assert names_in(autosave_folder(home)) == before
     other.files.give_up()
@@ -124,32 +112,23 @@ def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_
     ) as process:
         assert process.stdout.readline() == "kept\n"
         early = sessions()
-        early.open(str(home))
+        early.files.open(str(home))
         early.files.recovery.look()
         settle(early)
-        assert early.questions.present.title == "Open twice"
+        assert early.status.question.title == "Open twice"
         answer(early, "Close it here")
-        assert early.questions.present is None
+        assert early.status.question is None
         process.kill()
     late = sessions()
     late.files.recovery.look()
     settle(late)
-    assert late.questions.present.title == "Recover unsaved changes"
+    assert late.status.question.title == "Recover unsaved changes"
     answer(late, "Recover")
     assert late.scene.layers[0].marks.deleted.size == 100
     assert late.rain.intensity_mm_h == 8.5
     assert late.files.home == home and late.has_changes
     assert read_scene(home).layers[0].marks.deleted is None
     late.files.give_up()
-
-
-def test_closing_it_here_goes_to_an_empty_scene(sessions, home, editor):
-    other = sessions()
-    other.open(str(home))
-    settle(other)
-    answer(other, "Close it here")
-    assert other.scene.members == ()
-    assert not other.has_changes
 
 
 def test_an_autosave_that_was_never_whole_stands_in_nobody_s_way(editor, home, tmp_path):

@@ -15,14 +15,15 @@ from gsrain_engine.training.settings import TrainingSettings
 
 
 def main(capture: str) -> None:
-    """Do as the module says; prints the numbers of its processes while it trains."""
+    """Do as the module says; prints the worker's number while it trains."""
     editor = Editor()
     settings = TrainingSettings(steps=100_000, gaussians=1500, device="cpu")
     job = editor.jobs.start(reconstruction_job(Path(capture), settings), scene_results(editor, "Reconstruct"))
     while job.state == "running" and "loss" not in job.progress.metrics:
         editor.jobs.wait(60)
         editor.tick(0.0)
-    print(job.error or " ".join(str(each.pid) for each in psutil.Process().children(recursive=True)), flush=True)
+    workers = [each.pid for each in psutil.Process().children() if "--multiprocessing-fork" in each.cmdline()]
+    print(job.error or workers[0], flush=True)
     editor.close()
 
 

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -65,17 +63,3 @@ def test_all_none_invert():
     assert selected_count(inverted(half)) == selectable_count(scene) - selected_count(half)
     twice = inverted(inverted(half))
     assert all(selected(a).same_as(selected(b)) for a, b in zip(twice.layers, half.layers, strict=True))
-
-
-def test_what_changes_nothing_is_the_very_same_scene():
-    scene = all_selected(cloud(N))
-    assert all_selected(scene) is scene
-    assert combine_selection(scene, {}, "remove") is scene
-    assert none_selected(cloud(N)).layers[0].marks.selected is None
-
-
-def test_set_lets_go_of_members_in_which_nothing_is_found():
-    scene = all_selected(cloud(N))
-    after = combine_selection(scene, {"layers/turned": BitMask.of(np.arange(N) < 3)}, "set")
-    assert selected_count(after) == 3
-    assert replace(after.layers[0]).marks.selected is None

@@ -35,10 +35,6 @@ def test_polygon_is_even_odd_at_the_centers_of_pixels(corners):
     assert np.array_equal(polygon(corners, W, H)[clear], inside[clear])
 
 
-def test_polygon_of_two_corners_is_nothing():
-    assert not polygon([(1, 1), (30, 20)], W, H).any()
-
-
 @given(st.lists(places, min_size=1, max_size=6), st.floats(2, 15))
 def test_stroke_is_what_is_near_the_line(points, radius):
     x, y = centers()

@@ -1,16 +1,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.editor.selection.screen import DepthMode, rectangle, select_in_screen_shape, visible_shares
-from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 from .selection_scenes import HEIGHT, WIDTH, cloud, pixels_of, shot_at, two_walls, world_means
-
-EVERYWHERE = np.ones((HEIGHT, WIDTH), bool)
 
 
 @settings(max_examples=25)
@@ -54,15 +50,6 @@ def test_front_most_leaves_what_is_behind_a_wall_alone():
     assert front["layers/front"].size > 0.9 * through["layers/front"].size > 10
 
 
-@pytest.mark.parametrize("marks", ["hidden", "deleted"])
-def test_front_most_sees_what_is_behind_a_wall_that_is_left_out(marks):
-    scene, shot = two_walls(), shot_at((0.0, -8, 0))
-    everything = BitMask.all(len(scene.layers[0].gaussians))
-    scene = scene.with_member("layers/front", marks=SelectionFlags(**{marks: everything}))
-    middle = rectangle((34, 22), (62, 42), WIDTH, HEIGHT)
-    assert select_in_screen_shape(scene, shot, middle, DepthMode("front-most"))["layers/back"].size > 10
-
-
 def test_a_locked_wall_hides_what_is_behind_it_and_is_not_found_itself():
     scene, shot = two_walls(), shot_at((0.0, -8, 0))
     scene = scene.with_member("layers/front", locked=True)
@@ -78,7 +65,3 @@ def test_seen_share_is_what_lies_before_lets_through():
     assert 0.3 < np.median(shares[shares > 0]) <= 1
     opaque = visible_shares(two_walls(), shot, (34, 22, 62, 42))["layers/back"]
     assert opaque.max() < 0.05
-
-
-def test_an_empty_shape_finds_nothing():
-    assert not select_in_screen_shape(cloud(), shot_at(), ~EVERYWHERE)

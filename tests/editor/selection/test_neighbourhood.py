@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -51,17 +50,3 @@ def test_what_has_grown_and_shrunk_holds_what_it_was(seed, distance_m):
     _, now = everything(back)
     assert now[was].all()
     assert selected_count(larger) >= selected_count(back) >= selected_count(before)
-
-
-@pytest.mark.parametrize("inside", [False, True])
-def test_nothing_grows_from_nothing(inside):
-    assert not flags_of(near_selection(cloud(N), 0.0, 5.0, inside=inside)).any()
-
-
-def test_locked_members_neither_grow_nor_hold():
-    scene = some(3)
-    locked = scene.with_member("layers/turned", locked=True)
-    assert set(near_selection(locked, 0.0, 50.0)) == {"layers/plain"}
-    after = combine_selection(locked, near_selection(locked, 0.0, 50.0), "add")
-    assert selected(after.layers[0]).size == N
-    assert after.layers[1] is locked.layers[1]

@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.editor.edits.gaussians import CropBox
-from gsrain_engine.editor.selection.volume import Sphere, in_volume, placed_on
+from gsrain_engine.editor.selection.volume import Sphere, in_volume
 
 from .selection_scenes import cloud, world_means
 
@@ -32,18 +32,6 @@ def test_box_takes_what_is_between_its_faces(center, size, yaw):
         assert np.array_equal(mask.flags[clear], (beyond <= 0).all(axis=0)[clear])
 
 
-def test_both_find_everything_wherever_the_camera_looks():
-    scene = cloud()  # no camera is asked for: the whole cloud is found, on every side of any eye
-    for volume in (Sphere((0.0, 0, 0), 100.0), CropBox((0.0, 0, 0), (200.0, 200.0, 200.0))):
-        assert sum(mask.size for mask in in_volume(scene, 0.0, volume).values()) == scene.gaussian_count
-
-
 def test_a_ball_reaches_to_where_the_mouse_points():
     ball = Sphere((0.0, 10, 0), 1.0).reaching(np.zeros(3), np.array([3.0, 4, 0]) / 5)
     assert np.isclose(ball.radius_m, 6.0)
-
-
-def test_a_box_stands_on_a_point():
-    box = placed_on(CropBox((0.0, 0, 0), (1.0, 2.0, 3.0), 20.0), np.array([5.0, 6, 7]))
-    assert box.center_m == (5.0, 6.0, 8.5)
-    assert box.yaw_deg == 20

@@ -1,24 +1,26 @@
 """First views of scenes, and the commands that return to them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.clock import PlaybackClock
+from gsrain_engine.editor.document import Document, DocumentState
+from gsrain_engine.editor.edits.members import set_visible
+from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport.camera import (
     OrbitCamera,
     find_scene_core,
     home_camera,
-    home_viewport_camera,
     is_in_view,
 )
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.open import load_street
-from gsrain_engine.scene.scene import Layer, Scene, SceneCore
+from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.transforms import FILE_UP, flatten_scene
-from small_scene import small_scene
 
 WIDTH, HEIGHT = 96, 64
 
@@ -49,6 +51,12 @@ def scene_of(*gaussians, **fields):
 
 def surrounded():
     return scene_of(Gaussians.concatenate([blob(cube()), dome()]))
+
+
+def viewport_of(scene):
+    clock = PlaybackClock()
+    document = Document(DocumentState(scene, RainSettings()), clock, StatusBus())
+    return ViewportState(document, Playback(document, clock))
 
 
 def seen(scene, camera):
@@ -104,26 +112,19 @@ def test_first_views_show_what_is_there(shape, size):
     assert (core.shell is not None) == (shape == "in a dome")
 
 
-def test_both_of_two_far_clusters_are_framed_but_not_a_small_one():
-    core = find_scene_core(scene_of(SHAPES["two clusters"]))
-    assert core.low[0] < 0.5 < 59.5 < core.high[0]
-    small = find_scene_core(scene_of(blob(np.concatenate([cube(990), cube(10, (60, 0, 0))]))))
-    assert small.high[0] < 1.1 and small.shell is None
-
-
 def test_f_frames_the_layer_that_is_chosen():
     """A large layer of few Gaussians around a small one of many: the scene's core is the small one."""
-    document = ViewportState(scene_of(blob(cube(3000, side=0.3)), blob(cube(300, at=(40, 0, 0), side=30), sigma=1)))
-    document.frame_scene()
-    assert document.navigation.distance_m < 2
-    document.view.member = document.scene.layers[1].key
-    document.frame_scene()
-    eye = document.navigation
+    viewport = viewport_of(scene_of(blob(cube(3000, side=0.3)), blob(cube(300, at=(40, 0, 0), side=30), sigma=1)))
+    viewport.frame_scene()
+    assert viewport.navigation.distance_m < 2
+    viewport.options.member = viewport.document.scene.layers[1].key
+    viewport.frame_scene()
+    eye = viewport.navigation
     assert 15 < eye.distance_m < 100
     assert np.linalg.norm(eye.position + eye.distance_m * eye.forward - [40, 0, 0]) < 3
-    document.view.member = "layers/none"
-    document.frame_scene()
-    assert document.navigation.distance_m < 2
+    viewport.options.member = "layers/none"
+    viewport.frame_scene()
+    assert viewport.navigation.distance_m < 2
 
 
 PLACES = {
@@ -140,17 +141,17 @@ PLACES = {
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("key", ["F", "Home", "wheel in", "wheel out"])
 def test_keys_and_wheel_lead_back_from_everywhere(place, key):
-    document = ViewportState(surrounded())
-    eye, core = OrbitCamera(*PLACES[place]), document.core
-    document.navigation = eye
+    viewport = viewport_of(surrounded())
+    eye, core = OrbitCamera(*PLACES[place]), viewport.core
+    viewport.navigation = eye
     for _ in range(200 if "wheel" in key else 1):
         {
-            "F": document.frame_scene,
-            "Home": document.go_home,
-            "wheel in": lambda: document.dolly(1.0),
-            "wheel out": lambda: document.dolly(-1.0),
+            "F": viewport.frame_scene,
+            "Home": viewport.go_home,
+            "wheel in": lambda: viewport.dolly(1.0),
+            "wheel out": lambda: viewport.dolly(-1.0),
         }[key]()
-    eye = document.navigation
+    eye = viewport.navigation
     distance = np.linalg.norm(eye.position - core.middle)
     assert np.isfinite([*eye.position, eye.heading, eye.pitch, eye.distance_m]).all()
     assert is_in_view(core, eye.position, eye.forward, eye.vertical_fov_deg)
@@ -160,49 +161,16 @@ def test_keys_and_wheel_lead_back_from_everywhere(place, key):
         assert distance <= core.farthest_m
 
 
-def test_the_wheel_comes_near_to_what_is_far_and_goes_on_ahead_of_it():
-    document = ViewportState(scene_of(blob(cube())))
-    document.navigation = OrbitCamera(np.array([-1000.0, 0, 0]), distance_m=5.0)
-    document.dolly(10.0)
-    assert -450 < document.navigation.position[0] < -300
-    document.dolly(60.0)
-    places = []
-    for _ in range(300):
-        document.dolly(1.0)
-        places.append(document.navigation.position[0])
-    assert (np.diff(places) > 0).all()
-
-
-def test_a_windscreen_that_sees_nothing_is_no_first_view():
-    scene = small_scene()
-    inside = home_camera(scene, WIDTH, HEIGHT)
-    np.testing.assert_allclose(inside.position[:2], [0, 0], atol=0.1)
-    away = replace(scene.layers[0], to_scene=np.diag([1.0, 1, 1, 1]) + np.array([[0, 0, 0, -900.0]] + 3 * [[0] * 4]))
-    elsewhere = replace(scene, layers=(away,))
-    camera = home_camera(elsewhere, WIDTH, HEIGHT)
-    assert camera.position[0] < -800
-    assert home_viewport_camera(elsewhere, WIDTH, HEIGHT, 5.0).distance_m > 20
-
-
-def test_framing_with_a_long_lens_stays_inside_of_the_sky():
-    eye, core = OrbitCamera(vertical_fov_deg=2.0), find_scene_core(surrounded())
-    eye.frame(core)
-    assert np.linalg.norm(eye.position - core.middle) < 0.9 * core.shell.radius_m
-    point = OrbitCamera()
-    point.frame(SceneCore(np.ones(3), np.ones(3)))
-    assert np.isfinite(point.position).all()
-
-
 def test_the_core_is_looked_for_once_while_nothing_else_is_to_be_seen(monkeypatch):
     calls = []
     real = find_scene_core
     monkeypatch.setattr(
         "gsrain_engine.editor.viewport_state.find_scene_core", lambda scene: calls.append(1) or real(scene)
     )
-    document = ViewportState(surrounded())
+    viewport = viewport_of(surrounded())
     for _ in range(5):
-        document.dolly(1.0)
+        viewport.dolly(1.0)
     assert len(calls) == 1
-    document.show_member("layers/0", False)
-    document.dolly(1.0)
+    viewport.document.edit("Hide", set_visible, "layers/0", False)
+    viewport.dolly(1.0)
     assert len(calls) == 2

@@ -53,15 +53,3 @@ def test_a_faint_veil_is_looked_through(shot):
     scene = small_scene()
     veil = replace(scene.layers[1].gaussians, opacities=np.full(400, 0.02, np.float32))
     assert pick(scene.with_member("layers/wall", gaussians=veil), shot, 160, 80).key == "layers/sky"
-
-
-def test_the_picked_gaussian_covers_the_pixel(shot):
-    scene = small_scene()
-    picked = pick(scene, shot, 160, 200)
-    mean = scene.layers[0].gaussians.means[picked.gaussian]
-    assert np.linalg.norm(mean - picked.point_m) < 2 * scene.layers[0].gaussians.scales.max()
-
-
-def test_nothing_is_under_a_pixel_beside_everything():
-    away = look_at(np.array([0.0, 0, 500]), np.array([0.0, 0, 600]), np.array([1.0, 0, 0]))
-    assert pick_point(small_scene(), RenderView(Camera.from_fov(64, 48, 50.0, away)), 32, 24) is None

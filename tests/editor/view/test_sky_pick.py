@@ -36,13 +36,3 @@ def test_a_rectangle_is_averaged_in_linear_light(renderer, shot):
     expected = linear_to_srgb(srgb_to_linear(shown).mean(axis=0))
     assert color == pytest.approx(expected, abs=1e-6)
     assert np.abs(np.array(color) - shown.mean(axis=0)).max() > 0.005
-
-
-def test_a_click_takes_one_pixel(renderer, shot):
-    pick = SkyColorPick.between((60.4 / 120, 3.2 / 80), (60.4 / 120, 3.2 / 80))
-    color = mean_color_in_rectangle(renderer, small_scene(), shot, pick, (0.2, 0.0, 0.0))
-    assert color == pytest.approx(np.clip(picture(renderer, shot)[3, 60], 0, 1), abs=1e-6)
-
-
-def test_corners_come_in_any_order_and_are_cut_off_at_the_edges():
-    assert SkyColorPick.between((1.4, 0.2), (0.5, -3.0)) == SkyColorPick(0.5, 0.0, 1.0, 0.2)
