@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from app.options import RAIN_OPTIONS, converted_options, reject_non_finite
+from app.options import converted_options, reject_non_finite
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.export_settings import ExportSettings
 
@@ -41,5 +41,5 @@ def test_no_option_takes_nan_however_deep_it_stands():
 )  # fmt: skip
 def test_an_error_names_the_option(values, kind, says):
     with pytest.raises(ValueError) as error:
-        converted_options(values, kind, RAIN_OPTIONS)
+        converted_options(values, kind)
     assert str(error.value) == says
