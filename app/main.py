@@ -46,6 +46,7 @@ COMMANDS = {
     "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
     "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
     "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),
+    "schema": ("app.schema:schema", "Print the JSON schema of a kind of settings file, for editors of YAML."),
     "doctor": ("app.doctor:doctor", "List which features of GSRAIN work on this machine, and how to get the others."),
 }
 _CONSISTENCY = """Agreement of neighboring views, before and after a transfer.

@@ -84,6 +84,16 @@ class Field:
         return self.extra.get("group", "")
 
     @property
+    def slider_high(self) -> float:
+        """Upper end of a slider that leaves rare values to the keyboard."""
+        return self.extra.get("slider_to", self.high)
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """True for a slider with a logarithmic scale."""
+        return self.extra.get("scale") == "log"
+
+    @property
     def item(self) -> Any:
         """Type of the values in a tuple of any length; None for other settings."""
         args = get_args(self.kind)
@@ -133,7 +143,7 @@ class Field:
         if value is None or value is False or value == () or value is msgspec.NODEFAULT:
             return ""
         if isinstance(value, msgspec.Struct):
-            return "as listed there"
+            return "its own defaults"
         words = value if isinstance(value, tuple) else (value,)
         return ",".join(number_text(each) if isinstance(each, float) else str(each) for each in words)
 

@@ -6,6 +6,7 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.fields import fields_of
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.properties import intensity_for_density
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, RainSettings, load_preset
@@ -36,6 +37,9 @@ _PRESETS = {
 
 _PRESETS_PER_ROW = 3
 PICK_TOOL = "Pick sky color"
+GROUPS = ("Wind and seed", "Regions", "Physics", "Lens", "Appearance")
+"""Headings below which the fields with this `group` are drawn."""
+
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."
 
 
@@ -51,28 +55,11 @@ def rain_panel(session: Editor) -> None:
     wetness_fields(session)
     if session.rain.exaggeration:
         imgui.text_colored(WARNING, session.rain.exaggeration)
-    if imgui.collapsing_header("Wind and seed"):
-        _wind(session)
-        fields.slider(session, "gust_m_s")
-        fields.integer(session, "seed")
-    if imgui.collapsing_header("Regions"):
-        view, help_text = session.view, "Draw the region's edges in the viewport."
-        view.show_streak_region = checkbox("Show streak region", view.show_streak_region, help_text)
-        fields.box(session, "streak_region")
-        view.show_haze_region = checkbox("Show haze region", view.show_haze_region, help_text)
-        fields.box(session, "haze_region")
-    if imgui.collapsing_header("Physics"):
-        for name in ("closure", "velocity", "streak_frame", "rain_light", "far_drops", "streak_reset", "haze_reset"):
-            fields.choice(session, name)
-    if imgui.collapsing_header("Lens"):
-        fields.slider(session, "aperture_mm", high=10.0)
-        fields.slider(session, "focus_distance_m", logarithmic=True)
-    if imgui.collapsing_header("Appearance"):
-        for name in ("streak_gain", "haze_gain"):
-            fields.slider(session, name, high=10.0)
-        for name in ("critical_haze_coefficient", "haze_opacity", "haze_sigma_m"):
-            fields.slider(session, name, logarithmic=True)
-        fields.slider(session, "drying_s", high=600.0)
+    for group in GROUPS:
+        if imgui.collapsing_header(group):
+            for each in fields_of(RainSettings):
+                if each.group == group:
+                    _WIDGETS.get(each.name, fields.rain_field)(session, each.name)
 
 
 def wetness_fields(session: Editor) -> None:
@@ -150,8 +137,8 @@ def _exposure(session: Editor) -> None:
     keyframe_button(session, "exposure_s")
 
 
-def _wind(session: Editor) -> None:
-    fields.label("wind_m_s")
+def _wind(session: Editor, name: str) -> None:
+    fields.label(name)
     imgui.set_next_item_width(-keyframe_button_width())
     colors = tint_keyframed(session, "wind_m_s")
     changed, wind = imgui.slider_float2("##wind_m_s", list(session.rain_now.wind_m_s), -20, 20, "%.1f")
@@ -160,6 +147,18 @@ def _wind(session: Editor) -> None:
         session.change_rain("Wind", "wind_m_s", wind_m_s=tuple(wind))
     fields.end_gesture_when_released(session)
     keyframe_button(session, "wind_m_s")
+
+
+def _region(session: Editor, name: str) -> None:
+    shows = f"show_{name}"
+    title = f"Show {fields.field_info(name).title.lower()}"
+    is_shown = checkbox(title, getattr(session.view, shows), "Draw the region's edges in the viewport.")
+    setattr(session.view, shows, is_shown)
+    fields.box(session, name)
+
+
+_WIDGETS = {"wind_m_s": _wind, "streak_region": _region, "haze_region": _region}
+"""Widgets of fields that are neither a number nor a choice."""
 
 
 def _drop_color(session: Editor) -> None:

@@ -41,16 +41,23 @@ def plain_label(text: str, help_text: str) -> None:
     imgui.set_next_item_width(-1)
 
 
-def slider(
-    session: Editor, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
-) -> None:
+def rain_field(session: Editor, name: str) -> None:
+    """Draw the widget of a rain setting that its type selects."""
+    info = field_info(name)
+    if info.choices:
+        choice(session, name)
+    else:
+        {bool: toggle, int: integer, float: slider}[info.kind](session, name)
+
+
+def slider(session: Editor, name: str, *, high: float | None = None, beside_px: float = 0.0) -> None:
     """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
     info = label(name)
     if beside_px:
         imgui.set_next_item_width(-beside_px)
-    flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
+    flags = LOGARITHMIC if info.is_logarithmic else CLAMPED
     value = getattr(session.rain_now, name)
-    changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.high, "%.4g", flags)
+    changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.slider_high, "%.4g", flags)
     if changed:
         session.change_rain(info.title, name, **{name: value})
     end_gesture_when_released(session)
