@@ -91,7 +91,7 @@ def options_of(
             text = (defaults or {}).get(each.name, _spelled(each, each.default_text))
             ending = default.format(text) if text or "{}" not in default else ""
             annotated = Annotated[_option_type(kind, each) | None, setting(kind, each.name, ending)]
-            is_required = each.default is msgspec.NODEFAULT
+            is_required = each.default is msgspec.NODEFAULT and "{}" in default  # else a file has it
             made.setdefault(each.options, (each.name, annotated) if is_required else (each.name, annotated, None))
     made_class = make_dataclass(
         f"{kind.__name__}Options", made.values(), bases=(StructOptions,), frozen=True, kw_only=True,

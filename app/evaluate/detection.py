@@ -116,6 +116,8 @@ def detection(
     # Average precision, which needs one of these packages, is computed last.
     if missing := [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]:
         raise ValueError(f"gsrain evaluate detection needs {' and '.join(missing)}: pip install 'gsrain[evaluate]'")
+    seen = (views or ViewOptions()).settings(ViewChoice(width_px=960))
+    check_within("--width", seen.width_px, 64, 16384, "px")
     intensities = parse_intensities(rain)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--frames", frames, 1, 10_000)
@@ -124,8 +126,6 @@ def detection(
     check_ending("--video", video, VIDEO_SUFFIXES)
     claim_outputs(video, json, folders=[output], locked=[video])
     detectors = _detectors(detector, description)
-    seen = (views or ViewOptions()).settings(ViewChoice(width_px=960))
-    check_within("--width", seen.width_px, 64, 16384, "px")
     chosen = DetectionSource(source, capture, truth, frames, first, last, seen.sensors, seen.width_px, wet)
     base = load_preset(preset) if preset is not None else RainSettings()
     with open_renderer(backend) as renderer:

@@ -61,40 +61,6 @@ def test_the_calibration_can_rain(files, tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--intensities", "1,x"], "--intensities 1,x: expected numbers in mm/h"),
-        (["--intensities", "1,-2"], "--intensities: Expected `float` > 0.0"),
-        (["--half-width", "1.5"], "--half-width: Expected `float` < 1.0"),
-        (["--smallest-mm", "9"], "--smallest-mm: Expected `float` < 8.0"),
-        (["--resamples", "-1"], "--resamples: Expected `int` >= 0"),
-        (["--plot", "plot.txt"], "plot.txt: expected a name that ends with .png"),
-        (["--intensities", "30,40"], "of 2 bins 0 have them"),
-    ],
-)
-def test_bad_options_end_with_one_line(files, tmp_path, capsys, options, says):
-    out = tmp_path / "cal.yaml"
-    assert run(["calibrate", *files, "-o", str(out), *options]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("gsrain:") == 1
-    assert not out.exists()
-
-
-def test_bad_files_end_with_one_line(tmp_path, capsys):
-    out = tmp_path / "cal.yaml"
-    for name, content in (("missing.dat", None), ("notes.txt", "not rain at all\n")):
-        file = tmp_path / name
-        if content is not None:
-            file.write_text(content)
-        assert run(["calibrate", str(file), "-o", str(out)]) == BAD_INPUT
-        assert name in capsys.readouterr().err
-    assert run(["calibrate", str(tmp_path / "x.dat"), "-o", str(tmp_path / "cal.json")]) == BAD_INPUT
-    assert "ends with .yaml" in capsys.readouterr().err
-    assert not out.exists()
-
-
 @pytest.fixture(scope="module")
 def disagreeing(tmp_path_factory):
     """A day of snow, as a Parsivel counts it: more than twice the rain that it reports."""

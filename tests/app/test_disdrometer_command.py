@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from app.main import BAD_INPUT, run
+from app.main import run
 from gsrain_engine.disdrometer.open import read_disdrometer
 
 
@@ -64,25 +64,3 @@ def test_the_seed_is_another_rain_and_the_same_seed_the_same(tmp_path):
         assert disdrometer("--rain", "1", "--seed", seed, "--json", str(tmp_path / name)) == 0
         counts.append((tmp_path / name).read_bytes())
     assert counts[0] == counts[1] != counts[2]
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--area", "100"], "area 100 m²: must be within 0.0001..72 m²"),
-        (["--area", "0"], "area 0 m²: must be within"),
-        (["--seconds", "0"], "--seconds 0: must be within 0.001..86400 s"),
-        (["--record", "nan"], '"nan" for --record. Expected a finite number'),
-        (["--record", "0.001"], "at most 10000"),
-        (["--rain", "101"], "--rain"),
-        (["--seed", "-1"], "seed"),
-        (["--calibration", "none.yaml"], "none.yaml"),
-        (["--preset", "drizzle"], "no such file"),
-        (["-o", "rain.csv"], "--output rain.csv: expected a name that ends in .nc"),
-    ],
-)
-def test_bad_input_is_one_line(options, said, capsys):
-    assert disdrometer(*options) == BAD_INPUT
-    errors = capsys.readouterr().err.strip().splitlines()
-    assert len(errors) == 1
-    assert said in errors[0]

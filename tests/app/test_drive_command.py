@@ -78,28 +78,6 @@ def test_an_oracle_stops_at_every_intensity(scenario, tmp_path):
     assert "| standing | oracle-idm | Clear | No |" in (tmp_path / "table.md").read_text()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("nowhere",), "scenario nowhere: no such file"),
-        (("--agent", "nobody"), "there is only constant-velocity"),
-        (("--rain", "a lot"), "--rain a lot: expected mm/h"),
-        (("--rain", "101"), "--rain 101: expected mm/h within 0..100"),
-        (("--export", "csv"), "--export csv: there is only parquet, mcap, xosc"),
-        (("--fps", "0"), "--fps 0: must be within 1..60"),
-        (("--rig", "none", "--agent", "oracle-idm"), "has no rig 'none'"),
-        (("--agent", "hugsim"), "--hugsim-dir DIR"),
-        (("--scene", "nowhere"), "nowhere"),
-        (("--seed", "-1", "--agent", "oracle-idm"), "seed -1: must be within 0..4294967295"),
-    ],
-)
-def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert drive(*arguments) == BAD_INPUT
-    said = capsys.readouterr().err
-    assert says in said and said.count("\n") == 1
-
-
 def test_what_an_export_needs_is_told_before_the_drive(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(drive_command.EXPORTS, "mcap", "a_package_that_is_not_there")
@@ -136,12 +114,6 @@ def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, ca
     assert "The drive begins inside of an obstacle of scene 'boxed'" in capsys.readouterr().out
     assert drive(*asked, "-o", tmp_path / "free") == 0
     assert "begins inside" not in capsys.readouterr().out
-
-
-def test_an_agent_that_cannot_be_is_told_before_the_scene_is_read(scenario, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("app.drive.load_sorted_scene", lambda name: pytest.fail("the scene was read"))
-    assert drive(scenario, "--agent", "http", "-o", tmp_path / "out") == BAD_INPUT
-    assert "agent http: say where it listens" in capsys.readouterr().err
 
 
 class _Broken(ConstantVelocityAgent):

@@ -111,23 +111,6 @@ def test_options_change_our_rain(real, tmp_path):
     assert mean_std("--seed", "1")[1] != plain
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--frames", "4"], "--frames 4: must be within 5..200"),
-        (["--exposure", "0.004,,0.01"], "--exposure 0.004,,0.01: expected seconds"),
-        (["--exposure", "3"], "--exposure 3: expected seconds within 0.00001..1"),
-        (["--window", "1,2,3"], "--window 1,2,3: expected LEFT,TOP,WIDTH,HEIGHT"),
-        (["--window", "0,0,300,64"], "window 0,0,300,64: must be 32 px or more within 256x192"),
-        (["--rain", "200"], "--rain"),
-    ],
-)
-def test_bad_options_end_in_one_line(real, capsys, options, said):
-    assert streaks(real, *options) == BAD_INPUT
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert said in error
-
-
 def test_bad_data_sets_end_in_one_line(real, tmp_path, capsys):
     def said(folder):
         assert streaks(folder) == BAD_INPUT

@@ -195,26 +195,6 @@ def test_objects_of_many_classes_are_drawn_and_those_without_a_word_are_listed_a
     assert "nothing there can be named: red has no word for sign (1)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (("--rain", "0,rain"), "--rain 0,rain: expected mm/h within 0..100"),
-        (("--rain", "101"), "within 0..100"),
-        (("--seeds", "0"), "--seeds 0: must be within 1..1000"),
-        (("--frames", "0"), "--frames 0"),
-        (("--from", "2", "--to", "1"), "the second must be later"),
-        (("--cameras", "BACK"), "has no camera 'BACK'"),
-        (("--description", "a", "--description", "b"), "2 for 1 detectors"),
-        (("--truth", "x.json"), "needs --capture"),
-    ],
-)
-def test_bad_options_are_one_line(project, detector, capsys, options, says):
-    assert evaluate(project, detector, *options) == BAD_INPUT
-    error = capsys.readouterr().err.strip()
-    assert says in error
-    assert "\n" not in error
-
-
 def test_scenes_without_anything_to_find_say_what_to_do(detector, tmp_path, capsys):
     write_scene(small_scene(), tmp_path / "empty")
     assert evaluate(tmp_path / "empty", detector) == BAD_INPUT

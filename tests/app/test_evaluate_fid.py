@@ -86,24 +86,6 @@ def test_inception_gives_fid_and_its_features_are_kept(sets, tmp_path, capsys):
     assert json.loads((tmp_path / "kept.json").read_text())["rows"][0]["frechet"] == 0  # it took what was kept
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ([], "no weights of Inception (for FID)"),
-        (["--extractor", "fid"], "--extractor fid: expected one of inception, pixels16"),
-        (["--extractor", "pixels16,inception", "--weights", "a.pth"], "--weights: belongs to one extractor"),
-        (["--extractor", "pixels16", "--resamples", "3"], "--resamples 3: must be within 20..10000"),
-        (["--weights", "nothing.pth"], "nothing.pth: no such file"),
-        (["--device", "tpu"], "--device"),
-    ],
-)
-def test_bad_options_end_in_one_line(sets, capsys, options, said):
-    if "--extractor" not in options:
-        pytest.importorskip("torch")
-    assert fid(*sets, *options) == BAD_INPUT
-    assert said in capsys.readouterr().err.splitlines()[-1]
-
-
 def test_bad_sets_end_in_one_line(sets, tmp_path, capsys, caplog):
     def said(*folders):
         assert fid(*folders, "--extractor", "pixels16") == BAD_INPUT

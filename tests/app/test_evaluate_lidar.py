@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from app.main import BAD_INPUT, run
+from app.main import run
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
@@ -82,34 +82,3 @@ def test_a_real_sweep_is_rained_on(test_data, tmp_path, capsys):
     assert 200 < dry["range_10_m"] < 350
     assert 0.9 < wet["kept"] / wet["clear"] < 0.999
     assert not (tmp_path / "sweeps").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--rain", "1,-2"), "--rain 1,-2: expected mm/h"),
-        (("--rain", "101"), "--rain 101: expected mm/h"),
-        (("--seeds", "0"), "--seeds 0: must be within 1..1000"),
-        (("--reflectance", "1.5"), "--reflectance 1.5: must be above 0"),
-        (("--sensor", "99"), "--sensor 99: expected 32, 64, 128, 1550, or"),
-        (("--least-reflectance", "0.2"), "--min-reflectance 0.2: must be within 0..0.1"),
-        (("--range-10", "0"), "--range-10 0: must be within 1..1000 m"),
-    ],
-)
-def test_bad_options_end_with_one_line(tmp_path, capsys, options, said):
-    assert lidar("street", "-o", tmp_path / "out", *options) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_bad_sensor_file_names_the_field(scene, tmp_path, capsys):
-    sensor = tmp_path / "sensor.yaml"
-    sensor.write_text(SENSOR + "divergence_mrad: 100\n")
-    assert lidar(scene, "-o", tmp_path / "out", "--sensor", sensor) == BAD_INPUT
-    assert "$.divergence_mrad" in capsys.readouterr().err
-
-
-def test_a_capture_without_lidar_is_refused(test_data, tmp_path, capsys):
-    assert lidar(test_data / "driving/nuscenes_rear_26", "-o", tmp_path / "out") == BAD_INPUT
-    assert "no lidar sweeps" in capsys.readouterr().err

@@ -181,11 +181,6 @@ def test_bad_input_ends_in_one_line_before_anything_starts(tmp_path, capsys, cha
     assert not (tmp_path / "out").exists()
 
 
-def test_an_unknown_name_is_told(tmp_path, capsys):
-    assert transfers(tmp_path, settings(), "--only", "wet,dry") == BAD_INPUT
-    assert "no method 'dry', only clear, wet" in capsys.readouterr().err
-
-
 def test_what_methods_leave_out_is_said_in_the_comparison(tmp_path, files, capsys):
     clear = write_pictures(tmp_path / "sunny", 5, 3)
     assert transfers(tmp_path, settings(source=str(clear))) == 0

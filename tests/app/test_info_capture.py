@@ -79,25 +79,6 @@ def test_real_drive_is_described_and_checked(
     assert sum(numbers["boxes"].values()) == 69
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["{tmp}/gardn"], "gardn"),
-        (["{tmp}/empty"], "empty: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"),
-        (["street", "--check"], "--check and --overlay are for captures"),
-        (["{tmp}/broken"], "transforms.json: not a JSON file"),
-    ],
-)
-def test_bad_input_ends_in_one_line(small: Path, tmp_path: Path, arguments, told: str, capsys) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "broken").mkdir()
-    (tmp_path / "broken" / "transforms.json").write_text("{")
-    assert run(["info", *(each.format(tmp=tmp_path) for each in arguments)]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert told in error
-    assert error.count("\n") == 1
-
-
 def test_the_folder_that_street_writes_is_scene_and_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_scene(small_scene("town"), tmp_path / "town" / "scene")
     list(write_views(tmp_path / "town" / "images", capture_views()))

@@ -77,28 +77,6 @@ def test_a_failure_is_said_and_done_again_when_asked(sweep, tmp_path, capsys):
     assert len((tmp_path / "out" / "log.jsonl").read_text().splitlines()) == 16
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--shard", "0/2"], "shares are counted from 1 to n, as by sbatch --array=1-2"),
-        (["--workers", "2", "--dask", "tcp://127.0.0.1:1"], "--workers and --dask exclude each other"),
-        (["--dask-resources", "GPU=1"], "expected --dask ADDRESS with it"),
-        (["--workers", "-1"], "--workers -1: must be within 0..4096"),
-        (["--summarize-only"], "there are no rows of this sweep yet"),
-    ],
-)
-def test_what_is_wrong_is_one_line(sweep, capsys, options, said):
-    assert run(["sweep", str(sweep), *options]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert said in error and len(error.splitlines()) == 1
-
-
-def test_a_sweep_without_a_folder_asks_for_one(sweep, capsys):
-    sweep.write_text("".join(line for line in sweep.read_text().splitlines(True) if not line.startswith("output")))
-    assert run(["sweep", str(sweep)]) == BAD_INPUT
-    assert "expected --output DIR" in capsys.readouterr().err
-
-
 def test_ctrl_c_says_how_it_goes_on(sweep, tmp_path, capsys, monkeypatch):
     from app import sweep as command
 

@@ -12,7 +12,6 @@ from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chose
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.geometry import scaled_camera
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.editor.jobs import training
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.recolor.recolor import RecolorOptions
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -113,46 +112,6 @@ def test_recorded_cameras_of_a_scene_are_those_of_its_capture(files, tmp_path):
     command = ["transfer", str(files / "scene"), "-o", str(out), "--views", "recorded", "--width", "48"]
     assert run([*command, "--capture", str(files / "drive")]) == 0
     assert [view.name for view in open_capture(out)] == ["0", "1"]
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"SOURCE": "nowhere"}, "nowhere: no such file or folder"),
-        ({"--method": "dry"}, "no transfer method 'dry'"),
-        ({"--method": "images"}, "--method images needs --images"),
-        (
-            {"--method": "cyclegan-turbo"},
-            "--method cyclegan-turbo needs torch, which is not installed: pip install 'gsrain[diffusion]'",
-        ),
-        ({"--method": "cyclegan-turbo", "--weights": "no.pkl"}, "--weights no.pkl: no such file"),
-        ({"--method": "cyclegan-turbo", "--weights": "scene/scene.json"}, "needs torch"),
-        ({"--wetness": "2"}, "--wetness"),
-        ({"--wetness": "0.5", "--rain": "3"}, "exclude each other"),
-        ({"--rain": "-1"}, "--rain -1: must be within 0..100 mm/h"),
-        ({"--count": "0"}, "--count"),
-        ({"--width": "3"}, "--width"),
-        ({"--side": "3"}, "--side"),
-        ({"--views": "path"}, "has no camera path"),
-        ({"--views": "recorded"}, "--views recorded needs --capture"),
-        ({"SOURCE": "drive", "--views": "rig"}, "--views rig: drive is a capture"),
-        ({"SOURCE": "drive", "--capture": "drive"}, "--capture: drive is a capture itself"),
-        ({"--cameras": "roof"}, "no camera roof, only front, left"),
-        ({"-o": "notes"}, "notes: holds other things"),
-        ({"-o": "notes/mine.txt"}, "mine.txt: can't be written, for it is a file"),
-        ({"--sheet": "notes/mine.txt/a.png"}, "can't be written"),
-    ],
-)
-def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):
-    monkeypatch.chdir(files)
-    monkeypatch.setattr(training, "has_torch", lambda: False)
-    options = {"SOURCE": "scene", "-o": "out"} | changes
-    source = options.pop("SOURCE")
-    assert run(["transfer", source, *(word for pair in options.items() for word in pair)]) == 2
-    told = capsys.readouterr().err
-    assert expected in told
-    assert len(told.strip().splitlines()) == 1
-    assert not (files / "out").exists()
 
 
 def street_pictures(folder: Path) -> Path:
