@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from app.main import BAD_INPUT, run
 from boxy_scene import boxy_scene
@@ -134,6 +135,7 @@ transfer town -o out --cameras roof                  | roof
 transfer drive -o out --views rig                    | --views rig
 transfer drive -o out --capture drive                | --capture
 transfer town -o holds                               | holds
+transfer town -o out --contact-sheet s.doc           | --contact-sheet s.doc
 
 recolor town --images nowhere -o out                 | nowhere
 recolor town --images pictures -o out                | pictures
@@ -173,6 +175,7 @@ drive --seed -1                                      | --seed
 drive --width 65                                     | --width
 drive --duration 601                                 | --duration
 drive short.yaml --rig none --agent oracle-idm       | 'none'
+drive short.yaml --rain 1,1.00000001 --no-video      | two outputs
 drive short.yaml --agent oracle-idm --agent oracle-idm.py | oracle-idm.py
 
 bench render --frames 0                              | --frames 0
@@ -194,6 +197,7 @@ evaluate streaks empty --exposure 0.004,,0.01        | --exposure 0.004,,0.01
 evaluate streaks empty --exposure 3                  | --exposure 3
 evaluate streaks empty --window 1,2,3                | --window 1,2,3
 evaluate streaks empty                               | empty
+evaluate streaks pictures                            | pictures
 evaluate consistency                                 | DIR
 evaluate consistency nowhere --neighbors 0           | --neighbors 0
 evaluate consistency nowhere --water-film 2          | --water-film 2
@@ -207,6 +211,9 @@ evaluate fid reel pictures --extractor pixels16      | reel
 evaluate fid pictures few --extractor pixels16       | few
 evaluate images pictures other                       | no picture of the one
 evaluate images pictures pictures --lpips none.pth   | none.pth
+evaluate images pictures sizes                       | 002:
+evaluate images pictures pictures --report r.pdf     | --report r.pdf
+evaluate images pictures pictures --masks empty      | --masks empty
 evaluate lpips-weights none.pth -o a.npz             | none.pth
 evaluate lpips-weights none.pth -o a.onnx            | a.onnx
 evaluate lidar scene -o out --rain 1,-2              | --rain 1,-2
@@ -225,6 +232,8 @@ evaluate detection boxy --detector x --frames 0      | --frames 0
 evaluate detection boxy --detector x --width 63      | --width 63
 evaluate detection boxy --detector x --from 2 --to 1 | --from 2 --to 1
 evaluate detection boxy --detector x --description a --description b | --description
+evaluate detection boxy --detector x --video v.avi   | --video v.avi
+evaluate detection pictures --detector x --wet       | x
 
 schema clouds                                        | clouds
 """
@@ -246,6 +255,8 @@ def place(tmp_path_factory) -> Path:
     list(write_views(place / "drive", drive_capture(2)))
     for name, count in (("pictures", 4), ("few", 3), ("other", 2)):
         write_pictures(place / name, count, 0)
+    write_pictures(place / "sizes", 4, 0)
+    Image.new("RGB", (40, 30)).save(place / "sizes" / "002.png")
     for file in sorted((place / "other").iterdir()):
         file.rename(file.with_name(f"x{file.name}"))
     for name in ("empty", "broken", "holds"):

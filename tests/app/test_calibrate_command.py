@@ -9,10 +9,8 @@ from PIL import Image
 from app.main import BAD_INPUT, run
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.properties import rain_properties
-from gsrain_engine.rain.settings import RainSettings
 from measured_rain import measured_rain
-from parsivel_text import rain, station_line, velocity_major
+from parsivel_text import rain, velocity_major
 
 KEYS = {"records", "records_used", "rate_ratio", "rate_correlation", "velocity", "rows", "quality", "records_skipped"}
 
@@ -52,15 +50,6 @@ def test_calibrate_writes_what_the_program_can_load(files, tmp_path, capsys):
     assert "R² = " in printed
 
 
-def test_the_calibration_can_rain(files, tmp_path):
-    out = tmp_path / "cal.yaml"
-    assert calibrate(files, out, "--resamples", "0", "--name", "mine") == 0
-    assert load_calibration(str(out)).name == "mine"
-    assert rain_properties(RainSettings(intensity_mm_h=3.0), load_calibration(str(out))).implied_mm_h == pytest.approx(
-        3
-    )
-
-
 @pytest.fixture(scope="module")
 def disagreeing(tmp_path_factory):
     """A day of snow, as a Parsivel counts it: more than twice the rain that it reports."""
@@ -90,20 +79,6 @@ def test_rates_that_disagree_end_with_one_line_unless_forced(disagreeing, tmp_pa
     assert "its drops give 2.3" in load_calibration(str(out)).source
 
 
-def test_the_summary_comes_also_where_there_is_too_little_rain(tmp_path, capsys):
-    log = tmp_path / "log.txt"
-    log.write_text("\n".join([station_line(0), station_line(20, rain(), "0000.772"), station_line(40, rate="x")]))
-    assert run(["calibrate", str(log), "-o", str(tmp_path / "cal.yaml")]) == BAD_INPUT
-    said = capsys.readouterr()
-    assert "too few drops to fit" in said.err
-    for words in (
-        "log.txt: OTT Parsivel, 2 records of 60 s",
-        "1 unreadable: rain rate 'x' is not a number",
-        "1 without a drop",
-    ):
-        assert words in said.out
-
-
 def test_info_prints_what_calibrate_prints(disagreeing, files, tmp_path, capsys):
     numbers = tmp_path / "numbers.json"
     assert run(["info", disagreeing, "--json", str(numbers)]) == 0
@@ -115,15 +90,6 @@ def test_info_prints_what_calibrate_prints(disagreeing, files, tmp_path, capsys)
     assert set(report) >= {"instrument", "drops", "rain_mm", "rejected", "rate_ratio", "rate_correlation", "quality"}
     assert run(["info", files[0]]) == 0
     assert "agrees)" in capsys.readouterr().out
-
-
-def test_info_of_a_file_of_no_kind_lists_what_is_known(tmp_path, capsys):
-    file = tmp_path / "notes.txt"
-    file.write_text("not rain at all\n")
-    assert run(["info", str(file)]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert f"{file}: no known scene format: the name must end in " in error
-    assert "DISDRODB" in error and error.count("gsrain:") == 1
 
 
 def test_any_table_by_its_columns(tmp_path, capsys):

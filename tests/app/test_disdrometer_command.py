@@ -31,15 +31,6 @@ def test_reports_what_was_asked_for_and_what_fell(tmp_path, capsys):
     assert "beyond calibration" not in said
 
 
-def test_says_what_the_paper_preset_really_rains(tmp_path, capsys):
-    numbers = tmp_path / "numbers.json"
-    assert disdrometer("--preset", "paper", "--json", str(numbers)) == 0
-    report = json.loads(numbers.read_text())
-    assert (report["requested_mm_h"], report["implied_mm_h"]) == (8.5, pytest.approx(6.59, abs=0.005))
-    assert abs(report["measured_mm_h"] - report["implied_mm_h"]) < 3 * report["standard_error_mm_h"]
-    assert "8.5 mm/h asked, 6.59 mm/h drawn" in capsys.readouterr().out
-
-
 def test_writes_spectra_that_read_back(tmp_path, capsys):
     file = tmp_path / "new" / "rain.nc"
     assert disdrometer("--rain", "20", "--seconds", "25", "--record", "10", "--seed", "2", "-o", str(file)) == 0
@@ -49,13 +40,6 @@ def test_writes_spectra_that_read_back(tmp_path, capsys):
     spectra = read_disdrometer(file).spectra
     assert spectra.seconds.tolist() == [10, 10, 5]
     assert spectra.rate_mm_h == pytest.approx([20, 20, 20], rel=0.05)
-
-
-def test_no_rain_measures_nothing(tmp_path):
-    numbers = tmp_path / "numbers.json"
-    assert disdrometer("--rain", "0", "--json", str(numbers)) == 0
-    report = json.loads(numbers.read_text())
-    assert (report["measured_mm_h"], report["drops_counted"], report["mean_diameter_mm"]) == (0, 0, None)
 
 
 def test_the_seed_is_another_rain_and_the_same_seed_the_same(tmp_path):

@@ -86,20 +86,6 @@ def test_inception_gives_fid_and_its_features_are_kept(sets, tmp_path, capsys):
     assert json.loads((tmp_path / "kept.json").read_text())["rows"][0]["frechet"] == 0  # it took what was kept
 
 
-def test_bad_sets_end_in_one_line(sets, tmp_path, capsys, caplog):
-    def said(*folders):
-        assert fid(*folders, "--extractor", "pixels16") == BAD_INPUT
-        return capsys.readouterr().err.splitlines()[-1]
-
-    assert "FAKE requires an argument" in said(sets[0])
-    assert "no such file or folder; did you mean real?" in said(tmp_path / "reel", sets[1])
-    few = write_pictures(tmp_path / "few", 3, 5)
-    assert f"{few}: 3 pictures; a distribution takes at least 4" in said(sets[0], few)
-    (sets[1] / "003.png").write_bytes((sets[1] / "003.png").read_bytes()[:-40])
-    assert fid(*sets, "--extractor", "pixels16", "--resamples", "20") == 0
-    assert "1 of 14 pictures are left out" in caplog.text
-
-
 def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
     pytest.importorskip("safetensors")
     from evaluation.random_lpips import random_weights
@@ -132,17 +118,3 @@ def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
     ):
         assert convert(source, output) == BAD_INPUT
         assert said in capsys.readouterr().err
-
-
-def test_doctor_looks_for_inception(tmp_path, monkeypatch):
-    pytest.importorskip("torch")
-    from app.doctor import find_inception
-    from evaluation.random_networks import write_inception
-
-    missing = find_inception()
-    assert not missing.found
-    assert "pt_inception-2015-12-05" in missing.what
-    monkeypatch.setenv(INCEPTION_PLACE, str(write_inception(tmp_path / "inception.npz")))
-    assert find_inception().found
-    (tmp_path / "inception.npz").write_bytes(b"torn")
-    assert "inception.npz: not a readable .npz" in find_inception().what

@@ -63,15 +63,6 @@ def test_a_scene_is_scanned_and_rained_on(scene, tmp_path, capsys):
     assert all(each in page for each in (report["command"], *report["inputs"].values()))
 
 
-def test_the_same_command_writes_the_same_bytes(scene, tmp_path):
-    sensor = tmp_path / "sensor.yaml"
-    sensor.write_text(SENSOR)
-    for name in ("a", "b"):
-        assert lidar(scene, "-o", tmp_path / name, "--sensor", sensor, "--rain", "30", "--seeds", 1) == 0
-    for name in ("lidar.csv", "lidar.png", "sweeps/scan0000_rain30_seed0.npz"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-
-
 def test_a_real_sweep_is_rained_on(test_data, tmp_path, capsys):
     capture = test_data / "weather/rainsense/clear/scene_0/case_000"
     options = ("--rain", "0,9.245", "--seeds", "1", "--no-write-sweeps", "--json", "-")

@@ -141,17 +141,6 @@ def test_pictures_from_elsewhere_are_compared_as_far_as_there_are_any(tmp_path, 
     assert "1 views have no picture" in caplog.text
 
 
-def test_test_pictures_of_a_training_are_compared_without_neighbours(tmp_path, files):
-    clear = write_pictures(tmp_path / "sunny", 8, 3)
-    pictures = {"clear": [{"path": str(clear)}], "rainy": [{"path": str(files / "real")}], "test_share": 0.7}
-    told = settings(pictures=pictures)
-    del told["source"], told["real"]
-    assert transfers(tmp_path, told) == 0
-    row = json.loads((tmp_path / "out" / "table.json").read_text())["rows"][0]
-    assert (row["fake_pictures"], row["real_pictures"]) == (6, 4)
-    assert (row["pairs"], row["ratio"]) == (0, None)
-
-
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
@@ -179,13 +168,3 @@ def test_bad_input_ends_in_one_line_before_anything_starts(tmp_path, capsys, cha
     assert expected in said
     assert len(said.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_what_methods_leave_out_is_said_in_the_comparison(tmp_path, files, capsys):
-    clear = write_pictures(tmp_path / "sunny", 5, 3)
-    assert transfers(tmp_path, settings(source=str(clear))) == 0
-    sentence = "wet, 4 of 4 views: only light, colors and the sky where it is sure"
-    assert sentence in capsys.readouterr().out
-    notes = json.loads((tmp_path / "out" / "table.json").read_text())["notes"]
-    assert len(notes) == 1 and notes[0].startswith(sentence)
-    assert sentence in (tmp_path / "out" / "report.html").read_text()

@@ -13,16 +13,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app import main, train, translate
-from app.console import Console, Table, bold, print_lines, progress_bar, run_with_progress, use_any_encoding
+from app import main
+from app.console import Console, Table, bold, print_lines, use_any_encoding
 from app.console import print as print_line
 from app.doctor import Finding
 from app.main import run
-from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
 from gsrain_engine.safe_io.text_files import escape_invisible, figure_words
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import small_scene
 from sweep.small_sweep import write_road, write_scenario
@@ -213,21 +211,6 @@ def test_nor_in_a_terminal(place, capsys, monkeypatch):
     clean(_STYLES.sub("", err).replace("\r", ""))
 
 
-def test_titles_and_messages_of_progress(capsys, monkeypatch):
-    def work():
-        yield Progress(0.5, f"1 of 2: {NAME}")
-        return 3
-
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "200")
-    with progress_bar(f"Timing {NAME}", 1) as advance:
-        advance()
-    assert run_with_progress(work()) == 3
-    printed = clean(_STYLES.sub("", capsys.readouterr().err).replace("\r", ""))
-    assert f"Timing {SHOWN}" in printed
-
-
 def test_cells_titles_and_bold_ones(capsys):
     table = Table(f"name {NAME}", title=f"title {NAME}", box=None)
     table.add_row(f"[bold]{NAME}")
@@ -241,24 +224,6 @@ def test_cells_titles_and_bold_ones(capsys):
     for words in (f"name {SHOWN}", f"title {SHOWN}", f"[bold]{SHOWN}", f"bold {SHOWN}", f":warning: {SHOWN}"):
         assert words in printed
     assert f"\n{SHOWN} 3\n" in printed and printed.endswith("\ntwo\n")
-
-
-def test_results_of_long_commands(capsys):
-    """Names of views in results that take minutes or torch to make."""
-
-    class Anything:
-        """A result whose every word is such, and whose every figure is 1."""
-
-        problems, views, table, losses = (NAME,), (), ((NAME, "clear", 3, 1),), {f"loss_{NAME}": 1.0}
-        warning, weights, grid = NAME, Path(FILE), Path(FILE)
-        perceptual, steps, seconds = False, 1, 1.0
-
-    translate._print(Anything())
-    with pytest.raises(AttributeError):  # the problems are printed before what is missing here
-        train._print_recolor(Anything(), Capture("c", (), problems=(NAME,)))
-    with pytest.raises(AttributeError):
-        train._print(Anything())
-    assert clean(capsys.readouterr().out).count("\\u202e") >= 6
 
 
 def test_records_of_the_log(capsys, monkeypatch):
@@ -282,11 +247,6 @@ def test_letters_that_an_encoding_lacks(tmp_path, monkeypatch):
         use_any_encoding()
         print_line("Straße \udcff")
     assert (tmp_path / "out").read_text() == "Stra\\xdfe \\udcff\n"
-
-
-def test_a_closed_stream_takes_nothing(monkeypatch):
-    monkeypatch.setattr(sys, "stdout", None)  # as after >&- in a shell
-    print_line("nobody reads it")
 
 
 def test_a_page_names_them_as_they_are():

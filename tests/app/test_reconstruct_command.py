@@ -80,11 +80,6 @@ def test_the_own_body_is_looked_for_in_a_drive(capture: Path, tmp_path: Path) ->
     assert EgoMaskReport.planned(replace(drive, ego=None), True).searched
 
 
-def test_nothing_held_out_is_said(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--held-out", "0"]) == 0
-    assert "No view was held out" in capsys.readouterr().out
-
-
 def test_other_pictures_take_the_place_of_the_own_ones(capture: Path, tmp_path: Path) -> None:
     images = tmp_path / "red"
     images.mkdir()

@@ -147,13 +147,3 @@ def test_jpegs_are_stills_and_frames_in_srgb(project, tmp_path, capsys):
     capsys.readouterr()
     assert render(project, tmp_path / "no.jpg", "--depth") == BAD_INPUT
     assert "no.jpg: JPEG holds colors alone; for the pass depth take PNG" in capsys.readouterr().err
-
-
-def test_what_is_in_the_way_of_a_pass_is_told_before_anything_is_drawn(project, tmp_path, capsys):
-    (tmp_path / "still.depth.png").mkdir()
-    assert render(project, tmp_path / "still.png", "--depth") == BAD_INPUT
-    assert "still.depth.png: can't be written, for it is a folder" in capsys.readouterr().err
-    (tmp_path / "frames.clear").write_text("mine")
-    assert render(project, tmp_path / "frames", "--twin", "--to", "0.1") == BAD_INPUT
-    assert "frames.clear: can't be written, for it is a file" in capsys.readouterr().err
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["frames.clear", "still.depth.png"]

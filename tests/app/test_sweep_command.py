@@ -3,18 +3,12 @@
 import csv
 import io
 import json
-import pickle
-from functools import partial
 
 import pytest
 
 from app.main import BAD_INPUT, run
 from app.sweep import SOME_FAILED
 from gsrain_engine import trusted_code
-from gsrain_engine.sweep.expansion import jobs_of
-from gsrain_engine.sweep.settings import load_sweep
-from gsrain_engine.sweep.worker import run_job
-from gsrain_engine.trusted_code import read_code
 from sweep.small_sweep import write_road, write_scenario
 
 
@@ -156,11 +150,3 @@ def test_an_answer_holds_for_this_content(with_code, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(_DRIVER + "# changed\n")
     monkeypatch.setattr(trusted_code, "_trusted", set())
     assert run(["sweep", str(with_code), "--workers", "0"]) == BAD_INPUT
-
-
-def test_a_worker_runs_nothing_that_it_was_not_handed(with_code, tmp_path):
-    (job, *_) = jobs_of(load_sweep(with_code))
-    refused = pickle.loads(pickle.dumps(partial(run_job, clips=tmp_path / "clips")))(job)
-    assert refused.stops and "names Python code" in refused.error and not (tmp_path / "ran").exists()
-    handed = partial(run_job, clips=tmp_path / "clips", trusted=(read_code(tmp_path / "mine.py").digest,))
-    assert pickle.loads(pickle.dumps(handed))(job).error is None

@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +7,8 @@ from PIL import Image
 
 from app.main import run
 from gsrain_engine.appearance.output_folder import read_transferred
-from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.datasets.geometry import scaled_camera
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.rain.wetness import wetness
-from gsrain_engine.recolor.recolor import RecolorOptions
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from tests.training.drive_capture import drive_capture
 from tests.training.small_street import small_street
@@ -88,13 +83,6 @@ def test_the_learned_method_runs_from_a_file_of_weights(files, tmp_path):
     assert all(view.film is None for view in views)
 
 
-def test_rain_says_how_wet_it_is(files, tmp_path):
-    out = tmp_path / "out"
-    command = ["transfer", str(files / "scene"), "-o", str(out), "--count", "1", "--width", "48", "--rain", "1.2"]
-    assert run(command) == 0
-    assert read_transferred(out).record.settings["wetness"] == wetness(1.2)
-
-
 def test_pictures_of_a_capture_become_rainy(files, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(["transfer", str(files / "drive"), "-o", str(out), "--count", "1", "--width", "48"]) == 0
@@ -166,36 +154,3 @@ def test_pictures_without_poses_do_not_attend_to_each_other(tmp_path, capsys):
     assert "attention" not in capsys.readouterr().out
     for name in ("a.png", "b.png"):
         assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
-
-
-def test_pictures_stay_as_wide_as_they_are_up_to_960_px(files, tmp_path, capsys):
-    wide = drive_capture(1)[0]
-    large = replace(
-        wide,
-        name="wide",
-        camera=scaled_camera(wide.camera, 1200, 40),
-        image_source=np.full((40, 1200, 3), 120, np.uint8),
-    )
-    middle = replace(
-        large, name="middle", camera=scaled_camera(wide.camera, 700, 24), image_source=large.image[:24, :700]
-    )
-    list(write_views(tmp_path / "drive", [large, middle]))
-    out, numbers = tmp_path / "out", tmp_path / "n.json"
-    assert run(["transfer", str(tmp_path / "drive"), "-o", str(out), "--json", str(numbers)]) == 0
-    assert {view.name: view.camera.width for view in open_capture(out)} == {"wide": 960, "middle": 700}
-    assert json.loads(numbers.read_text())["width_px"] == 960
-    assert read_transferred(out).record.settings["width_px"] == 960
-    assert "960 px wide" in capsys.readouterr().out
-    assert run(["transfer", str(tmp_path / "drive"), "-o", str(tmp_path / "small"), "--width", "300"]) == 0
-    assert [view.camera.width for view in open_capture(tmp_path / "small")] == [300, 300]
-
-
-def test_views_of_a_scene_have_their_camera_s_width_up_to_960_px(files):
-    scene = read_scene(files / "scene")
-    rig = chosen_cameras(scene, ViewChoice(count=1, source="rig"), None, OWN_WIDTH_PX)
-    own = next(iter(scene.rigs.values()))[0].width
-    assert [each.camera.width for each in rig] == [min(own, 960)]
-    assert {each.camera.width for each in chosen_cameras(scene, ViewChoice(source="around"), None, OWN_WIDTH_PX)} == {
-        960
-    }
-    assert RecolorOptions().width_px == OWN_WIDTH_PX == 960
