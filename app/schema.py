@@ -23,7 +23,7 @@ SETTINGS = {
 }
 """Type and title of each kind of settings file, by its folder in sample_configs."""
 
-Kind = Literal["rain", "calibrations", "scenarios", "sweeps", "reconstruct", "finetune", "comparisons", "detectors"]
+Kind = Literal[*SETTINGS]
 
 
 def settings_type(kind: str) -> Any:

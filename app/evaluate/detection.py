@@ -116,8 +116,8 @@ def detection(
     # Average precision, which needs one of these packages, is computed last.
     if missing := [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]:
         raise ValueError(f"gsrain evaluate detection needs {' and '.join(missing)}: pip install 'gsrain[evaluate]'")
-    seen = (views or ViewOptions()).settings(ViewChoice(width_px=960))
-    check_within("--width", seen.width_px, 64, 16384, "px")
+    view_choice = (views or ViewOptions()).settings(ViewChoice(width_px=960))
+    check_within("--width", view_choice.width_px, 64, 16384, "px")
     intensities = parse_intensities(rain)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--frames", frames, 1, 10_000)
@@ -126,7 +126,9 @@ def detection(
     check_ending("--video", video, VIDEO_SUFFIXES)
     claim_outputs(video, json, folders=[output], locked=[video])
     detectors = _detectors(detector, description)
-    chosen = DetectionSource(source, capture, truth, frames, first, last, seen.sensors, seen.width_px, wet)
+    chosen = DetectionSource(
+        source, capture, truth, frames, first, last, view_choice.sensors, view_choice.width_px, wet
+    )
     base = load_preset(preset) if preset is not None else RainSettings()
     with open_renderer(backend) as renderer:
         prepared = opened_source(renderer, chosen, (weather or WeatherOptions()).settings(base))

@@ -171,7 +171,7 @@ def commands() -> Iterator[str]:
     yield "view"
     yield from main.COMMANDS
     yield from (f"bench {name}" for name in main.benchmarks if not name.startswith("-"))
-    yield from (f"evaluate {name}" for name in main._OUR_EVALUATIONS if not name.startswith("-"))
+    yield from (f"evaluate {name}" for name in main.OUR_EVALUATIONS if not name.startswith("-"))
 
 
 def test_the_table_has_every_command():
