@@ -157,6 +157,7 @@ WAYS = (
     Way("bench render", _missing("bench", "render", "--scenes", "{}")),
     Way("bench loading", _missing("bench", "loading", "--scenes", "{}")),
     Way("bench recoloring", _missing("bench", "recoloring", "--scenes", "{}")),
+    Way("schema", _missing("schema", "{}")),
     Way("doctor", lambda place: ["doctor"], 0),
     Way("view", _missing("{}")),
 )

@@ -28,6 +28,7 @@ OUTPUTS = {
     "train-transfer": ["tiny -o OUT", "tiny -o ok --json OUT"],
     "drive": ["-o OUT", "-o ok --json OUT"],
     "doctor": ["--json OUT"],
+    "schema": ["rain -o OUT.json"],
     "bench": ["--json OUT"],
     "bench render": ["--json OUT"],
     "bench loading": ["--json OUT"],
