@@ -77,10 +77,11 @@ def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path):
 def test_colors_can_be_polished_and_everything_refined(files, tmp_path):
     pytest.importorskip("torch")
     from gsrain_engine.datasets.open_capture import open_capture
+    from gsrain_engine.recolor.problem import RecolorSettings
     from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
 
     scene, capture = read_scene(files / "clear"), open_capture(files / "capture")
-    options = RecolorOptions(held_out=5)
+    solver = RecolorSettings(iterations=4)
 
     def result(options):
         work = recolor_to_capture(scene, capture, options)
@@ -92,11 +93,11 @@ def test_colors_can_be_polished_and_everything_refined(files, tmp_path):
                 assert fractions == sorted(fractions)
                 return end.value
 
-    plain = result(options)
-    polished = result(RecolorOptions(held_out=5, polish=30))
+    plain = result(RecolorOptions(held_out=5, colors=solver))
+    polished = result(RecolorOptions(held_out=5, colors=solver, polish=15))
     assert polished.numbers["psnr_db"] != plain.numbers["psnr_db"]
     assert polished.numbers["psnr_held_out_db"] > plain.numbers["psnr_held_out_db"] - 0.5
-    refined = result(RecolorOptions(held_out=5, refine=6)).scene.member("layers/street")
+    refined = result(RecolorOptions(held_out=5, colors=solver, refine=3)).scene.member("layers/street")
     before = scene.member("layers/street")
     moved = np.abs(refined.gaussians.means - before.gaussians.means).max()
     assert 0 < moved < 0.05
