@@ -133,22 +133,6 @@ def test_info_reports_what_is_in_a_scene(room, tmp_path, capsys):
     assert "900" in capsys.readouterr().out
 
 
-def test_info_names_a_sky_around_what_is_in_a_file(tmp_path, capsys):
-    rng, f = np.random.default_rng(5), np.float32
-    ways = rng.normal(size=(1300, 3))
-    ways[300:] = rng.uniform(-1, 1, (1000, 3))
-    ways[:300] *= 80 / np.linalg.norm(ways[:300], axis=1, keepdims=True)
-    sizes = np.repeat(np.array([12, 0.05], f), [300, 1000])[:, None].repeat(3, axis=1)
-    turns = np.tile(np.array([1, 0, 0, 0], f), (1300, 1))
-    both = Gaussians(ways.astype(f), sizes, turns, np.full(1300, 0.9, f), np.zeros((1300, 1, 3), f))
-    write_scene(Scene("ball", (Layer("ball", both),)), tmp_path / "ball.ply")
-    assert run(["info", str(tmp_path / "ball.ply"), "--json", str(tmp_path / "info.json")]) == 0
-    report = json.loads((tmp_path / "info.json").read_text())
-    assert report["shell"] == {"gaussians": 300, "share": 0.2308, "radius_m": pytest.approx(80, abs=2)}
-    assert max(map(abs, report["core_m"]["minimum"] + report["core_m"]["maximum"])) < 1.2
-    assert "far shell, such as a sky: 300 Gaussians (23 %)" in " ".join(capsys.readouterr().out.split())
-
-
 def test_convert_says_which_way_is_up_and_how_long_a_metre_is(room, tmp_path):
     before = read_scene(room).layers[0].gaussians.means
     options = ["--up", "z", "--metres-per-unit", "2.5"]

@@ -64,12 +64,6 @@ raise SystemExit(run(["info", str(path)]))
     assert list(tmp_path.iterdir()) == [tmp_path / "Straße é.ply"]
 
 
-def test_names_that_the_terminal_has_no_letters_for_are_printed_as_escapes(tmp_path):
-    program = "import sys; from app.main import run; raise SystemExit(run(sys.argv[1:]))"
-    code, _, said = python(program, "info", tmp_path / "雨", PYTHONIOENCODING="ascii:strict")
-    assert code == BAD_INPUT and r"\u96e8" in said and len(said.splitlines()) == 1
-
-
 def test_output_that_nobody_reads_ends_without_a_word():
     program = """
 import sys

@@ -91,16 +91,6 @@ def test_other_pictures_take_the_place_of_the_own_ones(capture: Path, tmp_path: 
     assert np.median(sh[:, 0]) > np.median(sh[:, 1]) + 0.5
 
 
-def test_lpips_is_reported_with_weights(capture: Path, tmp_path: Path) -> None:
-    from evaluation.random_lpips import random_weights
-
-    weights, numbers = tmp_path / "alex.npz", tmp_path / "numbers.json"
-    random_weights("alex").write(weights)
-    asked = ["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--held-out", "4"]
-    assert run([*asked, "--lpips", str(weights), "--json", str(numbers)]) == 0
-    assert json.loads(numbers.read_text())["lpips_held_out"] > 0
-
-
 def test_a_config_is_read_and_options_go_on_top(capture: Path, tmp_path: Path) -> None:
     config = tmp_path / "quick.yaml"
     config.write_text("steps: 5\ngaussians: 1500\nsh_degree: 0\n")

@@ -65,24 +65,6 @@ def test_what_another_program_made_of_the_views_takes_the_place_of_a_transfer(fi
         assert np.abs(view.image.mean(axis=2) - view.clear.image @ [0.299, 0.587, 0.114]).mean() < 0.02
 
 
-def test_the_learned_method_runs_from_a_file_of_weights(files, tmp_path):
-    pytest.importorskip("torch")
-    pytest.importorskip("diffusers")
-    from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny
-    from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
-
-    weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
-    save_weights(build_random_model(tiny(), True, LoraRanks(2, 2)), weights)
-    command = ["transfer", str(files / "scene"), "-o", str(out), "--count", "2", "--width", "64"]
-    assert run([*command, "--method", "cyclegan-turbo", "--weights", str(weights), "--no-mutual-attention"]) == 0
-    views = read_transferred(out)
-    assert views.record.method == "cyclegan-turbo"
-    assert views.record.settings["mutual_attention"] is False
-    assert [view.image.shape for view in views] == [(43, 64, 3)] * 2
-    assert all(view.film is None for view in views)
-
-
 def test_pictures_of_a_capture_become_rainy(files, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(["transfer", str(files / "drive"), "-o", str(out), "--count", "1", "--width", "48"]) == 0

@@ -193,11 +193,6 @@ def test_wet_colors(tmp_path, scene):
             gr.wet(scene, **given)
 
 
-def test_a_capture(tmp_path):
-    with pytest.raises((gr.CaptureError, OSError, ValueError), match="nothing"):
-        gr.capture(tmp_path / "nothing")
-
-
 def test_a_drive(tmp_path, scene):
     run = gr.drive(scene, gr.Rain(5), agent="constant-velocity")
     assert run.metrics.intensity_mm_h == 5 and run.metrics.collided is run.metrics.collision
