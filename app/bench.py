@@ -36,7 +36,16 @@ from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Scene
 
 from .console import Console, progress_bar, rows_table
-from .options import RAIN_OPTIONS, JsonFileOrScreen, check_within, converted_options, option, parse_size, split_list
+from .options import (
+    JsonFileOrScreen,
+    check_within,
+    converted_options,
+    option,
+    options_of,
+    parse_size,
+    setting,
+    split_list,
+)
 from .outputs import check_writable, table_stream, write_numbers
 
 Scenes = Annotated[
@@ -55,7 +64,7 @@ def render(
     backends: Annotated[str | None, option("auto, cpu, opengl, cuda, with commas; default: all but cuda.")] = None,
     sizes: Annotated[str, option("WIDTHxHEIGHT,... in pixels.")] = "960x640",
     rain: Annotated[
-        str, option("Intensities of the preset paper in mm/h; 0 is clear.", "--rain", "--intensity")
+        str, setting(RainSettings, "intensity_mm_h", "Several with commas; the rest is that of the preset paper.")
     ] = "0,8.5",
     frames: Annotated[int, option("Timed frames, after two untimed ones.")] = 20,
     json: JsonFileOrScreen = None,
@@ -199,7 +208,7 @@ def _simulation(intensity: str) -> RainSimulation:
     if not re.fullmatch(r"\d+(\.\d*)?", intensity):
         raise ValueError(f"--rain {intensity}: expected intensities in mm/h such as 0,8.5")
     values = msgspec.to_builtins(load_preset("paper")) | {"intensity_mm_h": float(intensity)}
-    return RainSimulation.start(converted_options(values, RainSettings, RAIN_OPTIONS))
+    return RainSimulation.start(converted_options(values, RainSettings))
 
 
 def _backends(text: str | None) -> list[Backend]:
@@ -322,19 +331,22 @@ _HALF_HEIGHT, _WET_SHARE = 0.5, 0.6
 """Below this share of the height, images are darker still, like wet ground: no global color map explains that."""
 
 
+SolverOptions = options_of(RecolorSettings, "bench recoloring")
+
+
 def recoloring(
     *,
     scenes: Scenes = "random-200k,street",
     views: Annotated[int, option("Number of images, along the scene's drive or around its middle.")] = 8,
     size: Annotated[str, option("WIDTHxHEIGHT of the images in pixels.")] = "480x320",
-    iterations: Annotated[int, option("Steps of conjugate gradients.")] = 12,
+    solver: SolverOptions | None = None,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
     """Time recoloring scenes to darkened images of themselves: setup, choosing, solving, measuring."""
     check_writable(json)
     check_within("--views", views, 1, 1000)
     width, height = parse_size(size)
-    settings = converted_options({"iterations": iterations}, RecolorSettings)
+    settings = (solver or SolverOptions()).settings()
     names = split_list("--scenes", scenes)
     rows: list[dict[str, Any]] = []
     with progress_bar("Recoloring", len(names)) as advance:

@@ -39,16 +39,16 @@ from gsrain_engine.sweep.expansion import software
 from .console import print, print_lines, progress_bar
 from .options import (
     BACKEND,
-    RAIN_OPTIONS,
-    Exposure,
     JsonFile,
     Preset,
+    StructOptions,
     Wet,
     check_within,
-    converted_options,
     flag,
     option,
+    options_of,
     parse_intensities,
+    setting,
     split_words,
 )
 from .outputs import check_writable, lock_outputs, provenance_lines, run_provenance, write_numbers, write_text
@@ -60,14 +60,12 @@ EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
 HUGSIM = "hugsim"
 """Agent that isn't in the registry: it needs a folder of pipes, and changes scene and scenario."""
 
-_MAX_S = 600.0  # maximum duration of a drive
-
 # Agents
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class DriverOptions:
+class DriverOptions(options_of(AgentOptions, "drive")):
     """Options about agents."""
 
     agent: Annotated[
@@ -78,11 +76,6 @@ class DriverOptions:
             "May be given several times. Default: camera-idm if a detector is found, else oracle-idm."
         ),
     ] = None
-    detector: Annotated[Path | None, option("ONNX file of camera-idm's detector.")] = None
-    description: Annotated[
-        str | None, option("Description of the detector: a shipped name such as yolox, or a YAML file.")
-    ] = None
-    url: Annotated[str | None, option("Address of the agent http, such as http://localhost:9000.")] = None
     hugsim_dir: Annotated[
         Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
     ] = None
@@ -118,7 +111,7 @@ class DriverOptions:
     @contextmanager
     def opened(self) -> Generator[list[Agent]]:
         """Open all agents for the duration of the block; prints why a default agent was substituted."""
-        options = AgentOptions(self.detector, self.description, self.url)
+        options = self.settings()
         names = self.names()
         if not names:
             name, reason = default_agent(options)
@@ -142,6 +135,10 @@ class DriverOptions:
         )  # fmt: skip
 
 
+RunOptions = options_of(Scenario, "drive", "Default: the scenario's.")
+WeatherOptions = options_of(RainSettings, "drive", "Default: the scenario's.")
+
+
 def drive(
     scenario: Annotated[
         str | None,
@@ -154,16 +151,12 @@ def drive(
     *,
     driver: DriverOptions | None = None,
     rain: Annotated[
-        str | None, option("Intensities in mm/h, with commas; default: the scenario's.", "--rain", "--intensity")
+        str | None, setting(RainSettings, "intensity_mm_h", "Several with commas. Default: the scenario's.")
     ] = None,
-    seed: Annotated[int | None, option("Same seed, same drops and the same drive; default: the scenario's.")] = None,
+    weather: WeatherOptions | None = None,
     preset: Preset = None,
-    exposure: Exposure = None,
-    scene: Annotated[str | None, option("Scene file or folder; default: the scenario's.")] = None,
+    run: RunOptions | None = None,
     wet: Wet = False,
-    rig: Annotated[str | None, option("Camera rig; default: the scenario's, else the first.")] = None,
-    width: Annotated[int | None, option("Width of the images in pixels; default: the scenario's.")] = None,
-    duration: Annotated[float | None, option("Maximum duration in seconds; default: the scenario's.")] = None,
     output: Annotated[Path | None, option("Output folder; default: drive-NAME.", "--output", "-o")] = None,
     video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
     fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
@@ -179,8 +172,8 @@ def drive(
     and a video. Without SCENARIO.yaml a car is stationary in the lane of the built-in street.
     """
     options = driver or DriverOptions()
-    test = _with_options(load_scenario(scenario or "stationary-lead"), scene, rig, width, duration)
-    rains = _rains(test.rain, rain, preset, exposure)
+    test: Scenario = (run or RunOptions()).settings(load_scenario(scenario or "stationary-lead"))
+    rains = _rains(test.rain, rain, preset, weather or WeatherOptions())
     folder = output or Path(f"drive-{file_word(test.name)}")
     files = DriveFiles(folder, frozenset(split_words(export)), fps)
     files.check()
@@ -199,15 +192,14 @@ def drive(
         doubled = next((name for name in names if names.count(name) > 1), None)
         if doubled is not None:
             raise ValueError(f"--agent: two agents are called {doubled!r}, and so would be their files")
-        own_seed = test.rain.seed if seed is None else seed
-        check_writable(json, *files.planned(test.name, names, rains_mm_h, own_seed, films=films))
+        check_writable(json, *files.planned(test.name, names, rains_mm_h, rains[0].seed, films=films))
         renderer = None
         if films or any(agent.needs.cameras for agent in agents):
             renderer = stack.enter_context(open_renderer(backend))
         runs: list[ScoredRun] = []
         problem: str | None = None
         for agent, each in product(agents, rains):
-            simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer, seed)
+            simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer)
             problem = _drive(simulation, agent)
             rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
             drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
@@ -261,27 +253,15 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
     return str(last.notes.get("problem", f"{agent.name} had no plan at {last.time_s:g} s"))
 
 
-def _with_options(
-    scenario: Scenario, scene: str | None, rig: str | None, width: int | None, duration: float | None
-) -> Scenario:
-    check_within("--duration", duration, 0, _MAX_S, "s", is_open=True)
-    if width is not None and not (64 <= width <= 4096 and width % 2 == 0):
-        raise ValueError(f"--width {width}: must be even and within 64..4096 px")
-    values = {"scene": scene, "rig": rig, "picture_width_px": width, "duration_s": duration}
-    changes = {name: value for name, value in values.items() if value is not None}
-    return msgspec.convert(msgspec.to_builtins(scenario) | changes, Scenario)
-
-
 def _rains(
-    own: RainSettings, intensities: str | None, preset: str | None, exposure: float | None
+    own: RainSettings, intensities: str | None, preset: str | None, options: StructOptions
 ) -> list[RainSettings]:
     """Return the rain settings of the runs, by default only the scenario's own."""
     base = own
     if preset is not None:
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
-    values = msgspec.to_builtins(base) | ({} if exposure is None else {"exposure_s": exposure})
     chosen = [base.intensity_mm_h] if intensities is None else parse_intensities(intensities)
-    return [converted_options(values | {"intensity_mm_h": each}, RainSettings, RAIN_OPTIONS) for each in chosen]
+    return [options.settings(base, intensity_mm_h=each) for each in chosen]
 
 
 # Output files

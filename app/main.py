@@ -47,6 +47,7 @@ COMMANDS = {
     "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
     "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
     "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),
+    "schema": ("app.schema:schema", "Print the JSON schema of a kind of settings file, for editors of YAML."),
     "doctor": ("app.doctor:doctor", "List which features of GSRAIN work on this machine, and how to get the others."),
 }
 _CONSISTENCY = """Agreement of neighboring views, before and after a transfer.
@@ -158,7 +159,7 @@ evaluations = App(name="evaluate", help="Compare rendered images with recorded o
 app.command(evaluations)
 for name, (function, summary) in _EVALUATIONS.items():
     evaluations.command(function, name=name, help=summary)
-_OUR_EVALUATIONS = frozenset(evaluations)
+OUR_EVALUATIONS = frozenset(evaluations)
 
 
 def run(arguments: list[str]) -> int:
@@ -193,10 +194,10 @@ def _run(arguments: list[str]) -> int:
     if not _HARMLESS.intersection(arguments) and not _has_working_directory():
         raise ValueError("the working directory was removed; cd to one that is there")
     if arguments[:1] == ["evaluate"]:
-        add_installed_evaluations(evaluations, _OUR_EVALUATIONS, arguments[1:])
+        add_installed_evaluations(evaluations, OUR_EVALUATIONS, arguments[1:])
     # Run in a separate context, so that permissions of one command end with it.
     code = copy_context().run(
-        app, list(_renamed(arguments)), exit_on_error=False, print_error=False, result_action="return_value"
+        app, list(renamed_options(arguments)), exit_on_error=False, print_error=False, result_action="return_value"
     )
     return code if isinstance(code, int) else 0
 
@@ -231,7 +232,7 @@ def _misspelled(arguments: list[str]) -> str | None:
     return f"{word}: no such command, and no such scene; did you mean gsrain {like[0]}?"
 
 
-def _renamed(arguments: Sequence[str]) -> Iterator[str]:
+def renamed_options(arguments: Sequence[str]) -> Iterator[str]:
     """Yield the arguments with the options of version 0.1 under their names of today."""
     command = " ".join(arguments[: 2 if arguments[:1] == ["evaluate"] else 1])
     names = dict(each.split("=") for each in OLD_OPTIONS.get(command, "").split())

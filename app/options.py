@@ -4,26 +4,15 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from pathlib import Path
-from types import UnionType
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 import lazy_loader
 from cyclopts import Parameter, Token, convert
 
+from gsrain_engine.fields import Field, field_of, fields_of, number_text, option_names
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.trusted_code import UntrustedCodeError, trust, trust_permanently
 
@@ -53,34 +42,28 @@ AllowOutside = Annotated[
     bool, flag("Read files that a capture's own files name outside of its folder: absolute, by .., or through links.")
 ]
 Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")]
-Exposure = Annotated[float | None, option("Shutter time in seconds; default: the camera's own.")]
 Wet = Annotated[bool, option("Compute wet colors of the scene first, as the wet look of the window does.")]
-RAIN = ("--rain", "--intensity")
-"""Names of the options for intensities."""
 BACKEND = option("Renderer; auto is OpenGL on a GPU, else the CPU.")
 
 
-# Options made from settings
+# Options made from the field table
 
 Settings = TypeVar("Settings")
 
 
 @dataclass(frozen=True, kw_only=True)
 class StructOptions:
-    """Options of a command that set fields of a msgspec struct, under the names of these; None changes nothing."""
+    """Options of a command that set fields of a settings struct, under the names of these; None changes nothing."""
 
     kind: ClassVar[type]
-    names: ClassVar[Mapping[str, str]] = {}
-    """Options of a field, separated by spaces and without dashes, if its name is another; the first is the main one."""
 
     def changes(self) -> dict[str, Any]:
         """Return the values of the options that were set, by field."""
-        own = [each.name for each in fields(self) if each.name in get_type_hints(self.kind)]
-        values = {name: value for name in own if (value := getattr(self, name)) is not None}
-        return {
-            name: split_words(value) if isinstance(value, str) and _is_tuple(self.kind, name) else value
-            for name, value in values.items()
-        }
+        found: dict[str, Any] = {}
+        for each in fields_of(self.kind):
+            if (value := getattr(self, each.name, None)) is not None:
+                found |= _values(self.kind, each, value)
+        return found
 
     def settings(self, base: Any = None, **values: Any) -> Any:
         """Return the struct: `base`, or its defaults, with the options set, and `values`.
@@ -88,92 +71,107 @@ class StructOptions:
         Raises ValueError, which names the option, for invalid ones.
         """
         plain = {} if base is None else msgspec.to_builtins(base)
-        return converted_options(plain | self.changes() | values, self.kind, self.names)
+        return converted_options(plain | self.changes() | values, self.kind)
 
 
 def options_of(
-    kind: type,
-    only: str,
-    names: Mapping[str, str] | None = None,
-    help: Mapping[str, str] | None = None,
-    default: str = "",
-    types: Mapping[str, Any] | None = None,
+    kind: type, command: str, default: str = "Default: {}.", defaults: Mapping[str, str] | None = None
 ) -> type[StructOptions]:
-    """Make the options of a command from fields of a msgspec struct: types, help texts, bounds and defaults.
+    """Make the options of a command from the fields of a settings struct that list it in `commands`.
 
     Args:
-        kind: The struct; `Meta` of its fields has the help text, the bounds and the unit.
-        only: The fields, in the order of the help, separated by spaces.
-        names: See `StructOptions.names`.
-        help: Help texts that replace those of the struct.
-        default: Sentence about the default for the help, such as "Default: {}."
-        types: Types with a `Parameter` that replace those of the struct.
+        kind: The struct; `gsrain_engine.fields` describes its metadata.
+        command: Name of the command, such as `render` or `evaluate lidar`.
+        default: Sentence about the default for the help; {} is the struct's.
+        defaults: Defaults of this command by field, as text.
     """
-    names, types = names or {}, types or {}
-    hints, plain = get_type_hints(kind, include_extras=True), get_type_hints(kind)
-    defaults = {each.name: each.default for each in msgspec.structs.fields(kind)}
-    made: list[tuple[str, Any, Any]] = []
-    for name in only.split():
-        if name not in types:
-            value = defaults[name]
-            value = ",".join(value) if isinstance(value, tuple) else _number(value) if type(value) is float else value
-            ending = "" if value is None or value is False or value == "" else default.format(value)
-            text = (help or {}).get(name) or _help(hints[name]) + " Several with commas." * _is_tuple(kind, name)
-            options = [f"--{each}" for each in names.get(name, name).replace("_", "-").split()]
-            parameter = option(f"{text} {ending}".rstrip(), *options)
-            made.append((name, Annotated[(str if _is_tuple(kind, name) else plain[name]) | None, parameter], None))
-        else:
-            made.append((name, types[name], None))
+    made: dict[tuple[str, ...], tuple[Any, ...]] = {}
+    for each in fields_of(kind):
+        if command in each.commands:
+            text = (defaults or {}).get(each.name, _spelled(each, each.default_text))
+            ending = default.format(text) if text or "{}" not in default else ""
+            annotated = Annotated[_option_type(kind, each) | None, setting(kind, each.name, ending)]
+            is_required = each.default is msgspec.NODEFAULT and "{}" in default  # else a file has it
+            made.setdefault(each.options, (each.name, annotated) if is_required else (each.name, annotated, None))
     made_class = make_dataclass(
-        f"{kind.__name__}Options", made, bases=(StructOptions,), frozen=True, kw_only=True,
-        namespace={"kind": kind, "names": names, "__doc__": f"Fields of {kind.__name__}.", "__module__": __name__},
+        f"{kind.__name__}Options", made.values(), bases=(StructOptions,), frozen=True, kw_only=True,
+        namespace={"kind": kind, "__doc__": f"Fields of {kind.__name__}.", "__module__": __name__},
     )  # fmt: skip
     return Parameter(name="*")(made_class)  # fields are options of the command, without a prefix
 
 
-def _is_tuple(kind: type, name: str) -> bool:
-    return get_origin(get_type_hints(kind)[name]) is tuple
+def setting(kind: type, name: str, ending: str = "") -> Parameter:
+    """Describe an option that sets a field of a struct: its names and its help, followed by `ending`."""
+    field = field_of(kind, name)
+    sharing, is_text = _sharing(kind, field), _option_type(kind, field) is str
+    form = "Several with commas." if is_text and any(each.item is not None for each in sharing) else ""
+    form = "As WIDTHxHEIGHT." if field.is_size else form
+    text = " ".join(filter(None, (*(each.described for each in sharing), form, ending)))
+    more: dict[str, Any] = {"negative": ""} if _is_struct(field.item) else {}
+    if "spelling" in field.extra:  # takes the values themselves, too
+
+        def spelled(kind: Any, tokens: Sequence[Token]) -> Any:
+            return convert(kind, [each.evolve(value=_spelled(field, each.value)) for each in tokens])
+
+        more["converter"] = spelled
+    return option(text, *field.options, **more)
 
 
-def _help(hint: Any) -> str:
-    """Return the help text of a field, with its bounds and unit."""
-    meta = _meta(hint)
-    extra = meta.extra or {}
-    low, high = meta.ge if meta.ge is not None else extra.get("ge"), meta.le if meta.le is not None else extra.get("le")
-    unit = f" {extra['unit']}" if "unit" in extra else ""
-    if low is None or high is None or high > 1e6:
-        return f"{meta.description}{unit and f' In{unit}.'}"
-    return f"{meta.description} Range {_number(low)}..{_number(high)}{unit}."
+def _sharing(kind: type, field: Field) -> list[Field]:
+    """Return the fields that an option sets: one; or two, of which the first takes a number and the other words."""
+    return [each for each in fields_of(kind) if each is field or (each.commands and each.options == field.options)]
 
 
-def _number(value: float) -> str:
-    return f"{value:f}".rstrip("0").rstrip(".")
+def _option_type(kind: type, field: Field) -> Any:
+    """Return the type that the command line converts an option to."""
+    if "spelling" in field.extra:
+        return Literal[tuple(field.extra["spelling"])]
+    if "on" in field.extra:
+        return bool
+    if _is_struct(field.item):
+        return list[Path]
+    if field.item is not None or field.is_size or len(_sharing(kind, field)) > 1:
+        return str
+    return Path if field.is_path else field.kind
 
 
-def _meta(hint: Any) -> "msgspec.Meta":
-    """Return the `Meta` with the description, at any depth of a type."""
-    if get_origin(hint) in (Union, UnionType):
-        return next(meta for each in get_args(hint) if each is not type(None) and (meta := _meta(each)) is not None)
-    return next(each for each in reversed(hint.__metadata__) if isinstance(each, msgspec.Meta))
+def _values(kind: type, field: Field, value: Any) -> dict[str, Any]:
+    """Return the values of the fields that an option sets."""
+    for words in _sharing(kind, field)[1:]:
+        number = {field.name: int(value), words.name: ()} if value.isdecimal() else None
+        return number or {words.name: split_words(value)}
+    if "on" in field.extra:
+        return {field.name: field.extra["on"]} if value else {}
+    if _is_struct(field.item):
+        value = [{"path": str(each)} for each in value]
+    elif field.item is not None:
+        value = [_as_number(each) if field.item is float else each for each in split_words(value)]
+    elif field.is_size:
+        value = parse_size(value, field.options[0])
+    elif "spelling" in field.extra:
+        value = field.extra["spelling"][value]
+    elif field.kind is str:
+        value = str(value)  # of a path
+    return {field.name: value}
 
 
-RAIN_OPTIONS = {"intensity_mm_h": "rain intensity", "exposure_s": "exposure", "closure": "drop-density"}
-"""Options of `RainSettings`, by field; see `StructOptions.names`."""
+def _spelled(field: Field, value: str) -> str:
+    """Return the word of the command line for a value, if it has another one."""
+    spelling = field.extra.get("spelling", {})
+    return next((word for word, meant in spelling.items() if meant == value), value)
 
 
-def _drop_density(kind: Any, tokens: Sequence[Token]) -> str:
-    values = {"flux": "density", "table": "published", "density": "density", "published": "published"}
-    return values.get(tokens[0].value) or convert(kind, tokens)
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-DropDensity = Annotated[
-    Literal["flux", "table"] | None,
-    option(
-        "Number of drops. flux: as many as the intensity needs; table: that of the calibration's table.",
-        "--drop-density",
-        converter=_drop_density,
-    ),
-]
+def _as_number(word: str) -> float | str:
+    """Return a number, or the word itself, which the conversion refuses with the name of the option."""
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
 
 # Conversion
 
@@ -181,29 +179,22 @@ _WORD = re.compile(r"\w+")
 _PLACE = re.compile(r" - at `\$.*?(\w+)(\[[^\]]*\])*`$")
 
 
-def converted_options(
-    values: Mapping[str, Any], kind: type[Settings], names: Mapping[str, str] | None = None
-) -> Settings:
-    """Convert option values to a type known to msgspec. Raises ValueError, which names the option.
-
-    `names` are those of `StructOptions.names`.
-    """
+def converted_options(values: Mapping[str, Any], kind: type[Settings]) -> Settings:
+    """Convert option values to a type known to msgspec. Raises ValueError, which names the option."""
     try:
         return convert_checked(values, kind)
     except msgspec.ValidationError as error:
-        raise ValueError(option_error(str(error), values, names or {})) from None
+        raise ValueError(option_error(str(error), kind)) from None
 
 
-def option_error(message: str, fields: Collection[str], names: Mapping[str, str]) -> str:
+def option_error(message: str, kind: type) -> str:
     """Return an error of msgspec that names options instead of fields."""
-
-    def named(name: str) -> str:
-        return f"--{names.get(name, name).split()[0].replace('_', '-')}"
-
+    names = option_names(kind)
     if place := _PLACE.search(message):
-        return f"{named(place[1])}: {message[: place.start()]}"
+        option = names.get(place[1]) or f"--{place[1].replace('_', '-')}"
+        return f"{option}: {message[: place.start()]}"
     # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
-    return _WORD.sub(lambda word: named(word[0]) if word[0] in fields or word[0] in names else word[0], message)
+    return _WORD.sub(lambda word: names.get(word[0], word[0]), message)
 
 
 def reject_non_finite(_kind: Any, value: Any) -> None:
@@ -216,8 +207,9 @@ def reject_non_finite(_kind: Any, value: Any) -> None:
             try:
                 reject_non_finite(each.type, getattr(value, each.name))
             except ValueError as error:
-                name = getattr(value, "names", {}).get(each.name, each.name).split()[0]
-                raise ValueError(f"--{name.replace('_', '-')}: {error}") from None
+                names = option_names(value.kind) if isinstance(value, StructOptions) else {}
+                option = names.get(each.name) or f"--{each.name.replace('_', '-')}"
+                raise ValueError(f"{option}: {error}") from None
     elif isinstance(value, list | tuple):
         for each in value:
             reject_non_finite(_kind, each)
@@ -272,7 +264,7 @@ def check_within(
     """
     if value is not None and (not low <= value <= high or (is_open and value == low)):
         bounds = "above {} and at most {}" if is_open else "within {}..{}"
-        allowed = bounds.format(_number(low), _number(high)) + (unit and f" {unit}")
+        allowed = bounds.format(number_text(low), number_text(high)) + (unit and f" {unit}")
         raise ValueError(f"{option} {value:g}: must be {allowed}")
 
 

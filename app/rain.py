@@ -22,15 +22,13 @@ from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 
 from .console import Console, Table, print, print_lines, progress_bar
-from .options import RAIN_OPTIONS, DropDensity, JsonFile, Preset, check_within, flag, option, options_of
+from .options import JsonFile, Preset, check_within, flag, option, options_of
 from .outputs import check_ending, check_writable, write_numbers
 from .scene import Columns
 
 _COLUMNS = 120  # table width, also if the output is a file
 
-CalibrationOptions = options_of(
-    FitOptions, "half_width smallest_mm resamples seed", {"intensities_mm_h": "intensities"}, default="Default: {}."
-)
+CalibrationOptions = options_of(FitOptions, "calibrate")
 
 
 def calibrate(
@@ -40,7 +38,6 @@ def calibrate(
     output: Annotated[Path, option("Calibration file to write, .yaml.", "--output", "-o")],
     plot: Annotated[Path | None, option("Figure of spectra, fits and closure: .png, .pdf or .svg.")] = None,
     name: Annotated[str | None, option("Name of the calibration; default: that of the file.")] = None,
-    intensities: Annotated[str | None, option("Centers of the bins in mm/h, with commas; default: 0.3 to 90.")] = None,
     fit: CalibrationOptions | None = None,
     columns: Columns = None,
     force: Annotated[
@@ -55,13 +52,7 @@ def calibrate(
     to 1.4, or r below 0.9: snow, insects, other classes), nothing is fitted without --force. `gsrain info FILE` prints
     the same.
     """
-    bins: dict[str, list[float]] = {}
-    if intensities is not None:
-        try:
-            bins["intensities_mm_h"] = [float(each) for each in intensities.split(",")]
-        except ValueError:
-            raise ValueError(f"--intensities {intensities}: expected numbers in mm/h such as 1.2,8.5,12") from None
-    options = (fit or CalibrationOptions()).settings(**bins)
+    options = (fit or CalibrationOptions()).settings()
     if output.suffix not in (".yaml", ".yml"):
         raise ValueError(f"{output}: expected a name that ends with .yaml")
     if plot is not None:
@@ -173,13 +164,8 @@ def _with_limits(value: float, limits: tuple[float, float] | None) -> str:
 _ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
 _MAX_S, _MAX_RECORDS = 86_400.0, 10_000
 
-DisdrometerOptions = options_of(
-    RainSettings,
-    "intensity_mm_h calibration closure seed",
-    RAIN_OPTIONS,
-    {"intensity_mm_h": "Rainfall intensity in mm/h, 0..100; default 8.5, or the preset's."},
-    types={"closure": DropDensity},
-)
+_RAIN = RainSettings(intensity_mm_h=8.5)  # without options
+DisdrometerOptions = options_of(RainSettings, "disdrometer", "Default: {}, or the preset's.", {"intensity_mm_h": "8.5"})
 
 
 def disdrometer(
@@ -199,7 +185,7 @@ def disdrometer(
     times = _times(seconds, record)
     check_ending("--output", output, (".nc",))
     check_writable(output, json)
-    base = load_preset(preset) if preset is not None else RainSettings(intensity_mm_h=8.5)
+    base = load_preset(preset) if preset is not None else _RAIN
     instrument = VirtualDisdrometer(RainSimulation.start((rain or DisdrometerOptions()).settings(base)), area)
     with progress_bar("Counting drops", len(times) - 1) as advance:
         counts = []

@@ -31,8 +31,6 @@ from gsrain_engine.scene.scene import Scene
 from .console import print, progress_bar, run_with_progress
 from .options import (
     BACKEND,
-    RAIN_OPTIONS,
-    DropDensity,
     JsonFile,
     Preset,
     StructOptions,
@@ -40,7 +38,6 @@ from .options import (
     check_within,
     option,
     options_of,
-    parse_size,
 )
 from .outputs import check_writable, lock_outputs, write_numbers
 from .scene import Orientation, TimedPath, timed_path
@@ -51,14 +48,7 @@ _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".jso
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class RainOptions(
-    options_of(
-        RainSettings,
-        "intensity_mm_h seed exposure_s closure calibration roofs haze streaks wetness",
-        RAIN_OPTIONS,
-        types={"closure": DropDensity},
-    )
-):
+class RainOptions(options_of(RainSettings, "render", "")):
     """Rain on the command line."""
 
     preset: Preset = None
@@ -70,25 +60,17 @@ class RainOptions(
         return self.settings(convert_checked(scene.rain, RainSettings) if scene.rain is not None else None)
 
 
-RecordingOptions = options_of(
-    ExportSettings,
-    "fps first_s last_s supersampling motion_blur cameras passes twin codec quality",
-    {"size_px": "size", "first_s": "time from", "last_s": "to", "twin": "clear-pair"},
-    {"quality": "Rate factor, lower is better: 0..51 (H.264), 0..63 (VP9, AV1); JPEG: 1..100, higher is better."},
-    default="Default: {}.",
-)
+RecordingOptions = options_of(ExportSettings, "render", defaults={"size_px": "960x640, or the camera's own"})
 
 
 def render(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
-    output: Annotated[Path, option("PNG, JPEG, EXR, NPY, MP4, WebM, or a folder for frames.", "--output", "-o")],
+    recording: RecordingOptions,
     rain: RainOptions | None = None,
-    recording: RecordingOptions | None = None,
     camera: Annotated[Path | None, option("Camera file (JSON) in the scene's own units and axes.")] = None,
     camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, or 3DGS's cameras.json.")] = None,
-    size: Annotated[str | None, option("WIDTHxHEIGHT in pixels; default 960x640, or the camera's own.")] = None,
     speed: Annotated[
         float | None, option("Speed on the camera path in m/s; default: its own, or walking pace.")
     ] = None,
@@ -104,7 +86,7 @@ def render(
 ) -> int:
     """Render a scene in the rain: an image, a video, frames, or raw floats (premultiplied, before tone mapping)."""
     rain_options = rain or RainOptions()
-    export = _export_settings(recording or RecordingOptions(), output, size, with_depth=depth or labels is not None)
+    export = _export_settings(recording, with_depth=depth or labels is not None)
     check_within("--duration", duration, 0, 36_000, "s", is_open=True)
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
@@ -168,13 +150,10 @@ def rendered_weather(options: RainOptions, scene: Scene) -> RainKeyframes | None
     return weather
 
 
-def _export_settings(options: StructOptions, output: Path, size: str | None, *, with_depth: bool) -> ExportSettings:
+def _export_settings(options: StructOptions, *, with_depth: bool) -> ExportSettings:
     """Check all options of the export. Raises `ValueError` for values out of bounds or in conflict."""
-    changes = options.changes()
-    check_within("--fps", changes.get("fps"), 0.1, 1000)
-    if with_depth:
-        changes["passes"] = list(dict.fromkeys([*changes.get("passes", ["color"]), "depth"]))
-    settings = options.settings(output=str(output), size_px=parse_size(size) if size else None, **changes)
+    passes = options.changes().get("passes", ["color"])
+    settings = options.settings(passes=list(dict.fromkeys([*passes, "depth"])) if with_depth else passes)
     settings.check()
     return settings
 

@@ -10,34 +10,33 @@ from typing import Annotated, Any
 
 import msgspec
 
-from gsrain_engine.backends import Backend
 from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
 from gsrain_engine.sweep.expansion import Shard, jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import SweepRun, agent_codes, run_sweep
-from gsrain_engine.sweep.settings import load_sweep, sweep_names
+from gsrain_engine.sweep.settings import DriveSweep, load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
 from .console import Console, counted, print, run_with_progress, table_of
-from .options import JsonFile, Trust, check_within, flag, option, split_words, with_trust
+from .options import JsonFile, Trust, check_within, flag, option, options_of, split_words, with_trust
 from .outputs import check_writable, lock_outputs, write_numbers
 
 SOME_FAILED, INTERRUPTED = 1, 130
+SweepOptions = options_of(DriveSweep, "sweep", "Default: the sweep's.")  # those of a `RenderSweep` are the same
 
 
 def sweep(
     sweep: Annotated[str, option(f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
     /,
     *,
-    output: Annotated[Path | None, option("Output folder; default: that of the sweep.", "--output", "-o")] = None,
+    options: SweepOptions | None = None,
     workers: Annotated[int | None, option("Processes; default: half of the cores; 0: this process.")] = None,
     shard: Annotated[str | None, option("Run only share i of n, as i/n from 1, such as 1/8.")] = None,
     dask: Annotated[str | None, option("Run on a Dask cluster: address of its scheduler.")] = None,
     dask_resources: Annotated[str, option("Resources that a job needs, as NAME=AMOUNT, with commas: GPU=1.")] = "",
     retry_failed: Annotated[bool, flag("Repeat jobs that have failed.")] = False,
     summarize_only: Annotated[bool, flag("Run nothing; write tables and figures of existing rows.")] = False,
-    backend: Annotated[Backend | None, option("Renderer; default: that of the sweep.")] = None,
     trust: Trust = False,
     json: JsonFile = None,
 ) -> int:
@@ -48,11 +47,12 @@ def sweep(
     files run only with --trust, or once you have allowed their content in a terminal.
     """
     started = time.perf_counter()
-    settings = load_sweep(sweep)
-    settings = settings if backend is None else msgspec.structs.replace(settings, backend=backend)
+    chosen = (options or SweepOptions()).changes()
+    output = chosen.pop("output", None)
+    settings = msgspec.structs.replace(load_sweep(sweep), **chosen)
     if output is None and settings.output is None:
         raise ValueError(f"sweep {sweep}: expected --output DIR, for it has no `output` of its own")
-    folder = SweepFolder(output or Path(str(settings.output)))
+    folder = SweepFolder(Path(str(output or settings.output)))
     resources = _check_engine(workers, dask, dask_resources)
     check_writable(folder.path / "table.csv", folder.path / "report.html", json, folders=[folder.path])
     jobs = jobs_of(settings)

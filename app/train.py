@@ -5,13 +5,13 @@ from typing import Annotated, Any
 
 import msgspec
 
-from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import require_torch
 from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.recolor.problem import RecolorSettings
+from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
@@ -20,12 +20,10 @@ from .console import Console, Table, print, run_with_progress
 from .options import (
     AllowOutside,
     JsonFile,
-    converted_options,
     let_names_lead_outside,
     option,
     option_error,
     options_of,
-    split_words,
 )
 from .outputs import check_scene_folder, check_writable, lock_outputs, report_path, write_numbers
 
@@ -33,12 +31,7 @@ _COLUMNS = 110
 
 SceneFolder = Annotated[Path, option("Scene folder to write.", "--output", "-o")]
 Report = Annotated[Path | None, option("HTML report of the run; default: SCENE.report.html in the folder of SCENE.")]
-TrainingOptions = options_of(
-    TrainingSettings,
-    "steps width_px gaussians density sh_degree seed own_body device",
-    {"width_px": "width"},
-    default="Default: {}.",
-)
+TrainingOptions = options_of(TrainingSettings, "reconstruct")
 
 
 def reconstruct(
@@ -50,7 +43,6 @@ def reconstruct(
     masks: Annotated[Path | None, option("Folder with a mask for each camera: white is trained on.")] = None,
     config: Annotated[str | None, option(f"Settings: {', '.join(settings_names())}, or a YAML file.")] = None,
     options: TrainingOptions | None = None,
-    held_out: Annotated[str | None, option("Hold out every Nth view (0: none), or these names, with commas.")] = None,
     resume: Annotated[bool, option("Continue from the checkpoint of a stopped run.")] = False,
     report: Report = None,
     lpips: Annotated[Path | None, option("Weights of LPIPS; default: those of this machine, if any.")] = None,
@@ -59,11 +51,10 @@ def reconstruct(
 ) -> None:
     """Fit Gaussians to a capture, and measure them on held-out views. Ctrl-C leaves a checkpoint."""
     let_names_lead_outside(allow_outside)
-    changes = (options or TrainingOptions()).changes() | _parse_held_out(held_out)
     try:
-        settings = load_settings(config, **changes)
+        settings = load_settings(config, **(options or TrainingOptions()).changes())
     except msgspec.ValidationError as error:
-        raise ValueError(option_error(str(error), changes, TrainingOptions.names)) from None
+        raise ValueError(option_error(str(error), TrainingSettings)) from None
     check_scene_folder(output)
     lock_outputs(output)
     page = report_path(output, report)
@@ -87,14 +78,6 @@ def reconstruct(
     print(f"{output}: {result.gaussians:,} Gaussians in {result.seconds:.0f} s")
     print(page)
     write_numbers(json, result.numbers)
-
-
-def _parse_held_out(text: str | None) -> dict[str, Any]:
-    if text is None:
-        return {}
-    if text.isdecimal():
-        return {"held_out": int(text), "held_out_views": ()}
-    return {"held_out_views": tuple(split_words(text))}
 
 
 def _print(result: Any) -> None:
@@ -130,21 +113,8 @@ def _print_held_out(console: Console, numbers: dict[str, Any], comparison: str) 
 
 # gsrain recolor
 
-_REFINE_STEPS = 300
-
-SolverOptions = options_of(
-    RecolorSettings,
-    "iterations sh_degree exposure robust memory_mb",
-    {"memory_mb": "memory"},
-    {
-        "iterations": "Steps of conjugate gradients.",
-        "sh_degree": "Highest degree of harmonics to solve for, 0..3.",
-        "exposure": "Fit an exposure for each image.",
-        "robust": "Reduce the weight of images that disagree with the others.",
-        "memory_mb": "Memory for stored weights in MB; views beyond it take longer, with 0 all of them.",
-    },
-    default="Default: {}.",
-)
+SolverOptions = options_of(RecolorSettings, "recolor")
+RunOptions = options_of(RecolorOptions, "recolor")
 
 
 def recolor(
@@ -154,44 +124,32 @@ def recolor(
     images: Annotated[Path, option("Capture with cameras; or, with --capture, a folder of changed images.")],
     output: SceneFolder,
     capture: Annotated[Path | None, option("Capture with the cameras; images are matched by name.")] = None,
-    replace: Annotated[bool, option("Replace the clear colors instead of adding wet ones.")] = False,
+    run: RunOptions | None = None,
     solver: SolverOptions | None = None,
-    held_out: Annotated[int, option("Hold out every Nth view for measuring; 0: none.")] = 8,
-    width: Annotated[int, option("Wider images are downscaled to this width in pixels.")] = OWN_WIDTH_PX,
-    photometric_steps: Annotated[int, option("Final steps on absolute differences and structure; needs torch.")] = 0,
-    refine: Annotated[bool, option(f"Train all parameters in {_REFINE_STEPS} final steps; needs torch")] = False,
     report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Solve a scene's colors for images; its geometry stays. The clear colors stay too, unless replaced."""
     let_names_lead_outside(allow_outside)
-    from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture  # kernels take a second to load
-
-    options = converted_options(
-        {
-            "width_px": width, "held_out": held_out, "polish": photometric_steps, "refine": _REFINE_STEPS * refine,
-            "replace_clear": replace, "colors": (solver or SolverOptions()).changes(),
-        },
-        RecolorOptions,
-        {"width_px": "width", "polish": "photometric-steps", **SolverOptions.names},
-    )  # fmt: skip
+    options = (run or RunOptions()).settings(colors=(solver or SolverOptions()).changes())
     check_scene_folder(output)
     lock_outputs(output)
     page = report_path(output, report)
     check_writable(page, json)
-    if photometric_steps or refine:
-        require_torch("--photometric-steps" if photometric_steps else "--refine")
+    if options.polish or options.refine:
+        require_torch("--photometric-steps" if options.polish else "--refine")
     pictures = open_capture(capture or images)
     if capture is not None:
         pictures = with_images(pictures, images)
-    run = run_with_progress(recolor_to_capture(load_scene(scene), pictures, options))
-    write_scene(run.scene, output)
-    _print_recolor(run, pictures)
-    print(f"{output}: {run.scene.gaussian_count:,} Gaussians, {'new' if replace else 'clear and wet'} colors")
-    write_report(page, run.report)
+    done = run_with_progress(recolor_to_capture(load_scene(scene), pictures, options))
+    write_scene(done.scene, output)
+    _print_recolor(done, pictures)
+    colors = "new" if options.replace_clear else "clear and wet"
+    print(f"{output}: {done.scene.gaussian_count:,} Gaussians, {colors} colors")
+    write_report(page, done.report)
     print(page)
-    write_numbers(json, run.numbers)
+    write_numbers(json, done.numbers)
 
 
 def _print_recolor(run: Any, images: Capture) -> None:

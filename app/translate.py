@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float64
 from gsrain_engine.appearance import output_folder
 from gsrain_engine.appearance.base import ClearView, RainyView, SkippedCounts, TransferSettings
 from gsrain_engine.appearance.capture_views import CaptureViews
+from gsrain_engine.appearance.finetune.dataset import ImageSettings
 from gsrain_engine.appearance.finetune.settings import (
     FinetuneResult,
     FinetuneTask,
@@ -47,36 +48,13 @@ from .outputs import check_image, check_writable, claim_outputs, lock_outputs, w
 from .scene import names_scene
 
 ViewChoiceOptions = options_of(
-    ViewChoice,
-    "source count width_px sensors",
-    {"source": "views", "width_px": "width", "sensors": "cameras"},
-    {
-        "source": "Of a scene: recorded (see --capture), rig (along the ego's path), path, around; default: auto.",
-        "count": "Number of views, evenly; default: 24, of a recording all.",
-        "width_px": "Width of images in px; a capture's are never enlarged. Default: their own, at most 960.",
-    },
+    ViewChoice, "transfer", defaults={"count": "24, of a recording all", "width_px": "their own, at most 960"}
 )
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class MethodOptions(
-    options_of(
-        TransferSettings,
-        "wetness seed images weights base normals normals_weights normals_checkout guide mutual_attention neighbours "
-        "side_px tile_px device precision",
-        {"guide": "conditioning", "mutual_attention": "cross-view-attention", "neighbours": "neighbors"}
-        | {"side_px": "side", "tile_px": "tile"},
-        {
-            "wetness": "wet: 0 dry, 1 soaked, from which gsrain recolor makes wet colors.",
-            "seed": "wet: positions of puddles and clouds.",
-            "normals_checkout": "Your own copy of DSINE's program.",
-            "base": "cyclegan-turbo: SD-Turbo's folder, else see gsrain doctor.",
-            "normals": "cyclegan-turbo: source of surface normals.",
-        },
-        default="Default: {}.",
-    )
-):
+class MethodOptions(options_of(TransferSettings, "transfer")):
     """Transfer method and its settings."""
 
     method: Annotated[
@@ -228,9 +206,8 @@ def source_views(source: str, choice: ViewChoice, capture: Path | None) -> Sourc
 
 _COLUMNS = 110
 
-FinetuneOptions = options_of(
-    FinetuningSettings, "device steps base clip lpips start seed", default="Default: what CONFIG says."
-)
+FinetuneOptions = options_of(FinetuningSettings, "train-transfer", "Default: what CONFIG says.")
+ImageOptions = options_of(ImageSettings, "train-transfer", "Default: what CONFIG says.")
 
 
 def train_transfer(
@@ -240,17 +217,14 @@ def train_transfer(
     output: Annotated[Path, option("Folder for weights, checkpoint, losses, samples.", "--output", "-o")],
     resume: Annotated[bool, flag("Continue from the checkpoint in FOLDER.")] = False,
     options: FinetuneOptions | None = None,
-    clear: Annotated[list[Path] | None, flag("Captures or folders of clear images, instead of CONFIG's.")] = None,
-    rainy: Annotated[list[Path] | None, flag("Captures or folders of rainy images, instead of CONFIG's.")] = None,
+    images: ImageOptions | None = None,
     trust: Trust = False,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint."""
     let_names_lead_outside(allow_outside)
-    changes = (options or FinetuneOptions()).changes()
-    for look, paths in (("clear", clear), ("rainy", rainy)):
-        changes |= {} if paths is None else {look: [{"path": str(path)} for path in paths]}
+    changes = (options or FinetuneOptions()).changes() | (images or ImageOptions()).changes()
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)
     claim_outputs(json, folders=[output])
     task = FinetuneTask(settings=settings, output=output, resume=resume)

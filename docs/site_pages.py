@@ -32,6 +32,7 @@ def on_files(files: Any, config: Any) -> Any:
     for source, page in ELSEWHERE.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, "commands.md", content=commands_page()))
+    files.append(File.generated(config, "settings.md", content=settings_page()))
     return files
 
 
@@ -61,8 +62,7 @@ def with_site_links(markdown: str, source: str, page: str) -> str:
 
 def commands_page() -> str:
     """Write the reference of the command line, from the program itself."""
-    if str(ROOT) not in sys.path:
-        sys.path.insert(0, str(ROOT))
+    _import_from_checkout()
     from app.main import app
 
     text = app.generate_docs(output_format="markdown")
@@ -79,3 +79,54 @@ def commands_page() -> str:
     )
     parts = [heading, how, usage, *rest]
     return "\n\n".join(part.strip() for part in parts) + "\n\n" + _EXAMPLE.sub(r"    \1", body)
+
+
+def settings_page() -> str:
+    """Write the reference of the settings files, from the field table."""
+    _import_from_checkout()
+    from app.schema import SETTINGS, settings_type
+    from gsrain_engine.fields import structs_of
+
+    parts = ["# Settings", _SETTINGS_TEXT]
+    listed: set[type] = set()
+    for kind, (_, title) in SETTINGS.items():
+        parts.append(f"## {title}\n\nFiles of `sample_configs/{kind}`; `gsrain schema {kind}`.")
+        for struct in structs_of(settings_type(kind)):
+            if struct not in listed:
+                parts += [f"### {struct.__name__}", (struct.__doc__ or "").strip().split("\n\n")[0], _table(struct)]
+            listed.add(struct)
+    return "\n\n".join(parts) + "\n"
+
+
+_SETTINGS_TEXT = (
+    "Fields of settings files (YAML), made from the program when this site was built. `gsrain schema KIND` prints the "
+    "same for editors. A field without a default is required; options are those of the commands in the last column."
+)
+
+
+def _table(struct: type) -> str:
+    from gsrain_engine.fields import fields_of
+
+    rows = ["| field | meaning | range | default | option |", "|---|---|---|---|---|"]
+    for each in fields_of(struct):
+        meaning = ": ".join(filter(None, (each.title if each.title != each.name else "", each.help)))
+        options = f"`{each.options[0]}` of {', '.join(each.commands)}" if each.commands else ""
+        allowed = each.range or ", ".join(each.choices) or each.unit
+        cells = (f"`{each.name}`", meaning, allowed, _default(each), options)
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(rows)
+
+
+def _default(field: Any) -> str:
+    from msgspec import NODEFAULT
+
+    if field.default is NODEFAULT:
+        return "required"
+    if field.kind is bool and field.default is not None:
+        return "on" if field.default else "off"
+    return "none" if field.default is None else field.default_text
+
+
+def _import_from_checkout() -> None:
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))

@@ -11,16 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.api import (
-    RainSettings,
-    RainSimulation,
-    VirtualDisdrometer,
-    calibrate,
-    load_calibration,
-    save_calibration,
-    write_plot,
-    write_spectra,
-)
+from gsrain import RainSettings
+from gsrain_engine.disdrometer.fit import calibrate
+from gsrain_engine.disdrometer.fit_plot import write_plot
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.rain.calibration import load_calibration, save_calibration
+from gsrain_engine.rain.simulation import RainSimulation
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.api import RainSettings, RainSimulation, VirtualDisdrometer, write_spectra
+from gsrain import RainSettings
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.rain.simulation import RainSimulation
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)

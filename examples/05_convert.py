@@ -8,16 +8,14 @@
 import sys
 from pathlib import Path
 
-from gsrain_engine.api import (
-    FORMATS,
-    RainSettings,
-    home_camera,
-    load_scene,
-    open_renderer,
-    psnr,
-    render_image,
-    write_scene,
-)
+from gsrain import RainSettings
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.editor.viewport.camera import home_camera
+from gsrain_engine.evaluation.image_metrics import psnr
+from gsrain_engine.render.sequence import render_image
+from gsrain_engine.scene.formats.registry import FORMATS
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.open import load_scene
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 scene = load_scene(sys.argv[2] if len(sys.argv) > 2 else "street")

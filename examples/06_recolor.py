@@ -12,23 +12,19 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.api import (
-    RainSettings,
-    RecolorSettings,
-    TargetView,
-    ViewChoice,
-    chosen_cameras,
-    home_camera,
-    load_scene,
-    open_renderer,
-    recolor_scene,
-    render_image,
-    run_to_end,
-    scene_views,
-    with_colors,
-    write_png,
-    write_scene,
-)
+from gsrain import RainSettings
+from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras, scene_views
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.editor.viewport.camera import home_camera
+from gsrain_engine.recolor.problem import RecolorSettings
+from gsrain_engine.recolor.recolor import recolor_scene
+from gsrain_engine.recolor.result import with_colors
+from gsrain_engine.recolor.views import TargetView
+from gsrain_engine.render.images import write_png
+from gsrain_engine.render.sequence import render_image
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.open import load_scene
+from gsrain_engine.scene.progress import run_to_end
 
 
 def dusk(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:

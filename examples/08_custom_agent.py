@@ -13,22 +13,13 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from gsrain_engine.api import (
-    SPACING_S,
-    Observation,
-    Rig,
-    ScoredRun,
-    SensorRequirements,
-    Simulation,
-    Trajectory,
-    compare_drives,
-    load_scenario,
-    load_scene,
-    open_agent,
-    results_table,
-    run_drive,
-    write_rollout,
-)
+from gsrain import load_scenario
+from gsrain_engine.scene.open import load_scene
+from gsrain_engine.simulation.agents.base import SPACING_S, Observation, Rig, SensorRequirements, Trajectory
+from gsrain_engine.simulation.agents.registry import open_agent
+from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table
+from gsrain_engine.simulation.rollout_io import write_rollout
+from gsrain_engine.simulation.simulation import Simulation, run_drive
 
 
 class TwoSecondsAgent:

@@ -10,7 +10,9 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from gsrain_engine.api import DriveSweep, Jitter, run_sweep_and_report, run_to_end
+from gsrain_engine.scene.progress import run_to_end
+from gsrain_engine.sweep.run import run_sweep_and_report
+from gsrain_engine.sweep.settings import DriveSweep, Jitter
 
 
 def main(out: Path, scene: str) -> None:

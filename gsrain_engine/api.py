@@ -12,12 +12,12 @@ _STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 _PLACES = {each.name: str(node.module) for node in _STUB if isinstance(node, ast.ImportFrom) for each in node.names}
 """Module of each name, relative to `gsrain_engine`."""
 
-_RENAMED = {ast.unparse(node.targets[0]): ast.unparse(node.value) for node in _STUB if isinstance(node, ast.Assign)}
+RENAMED = {ast.unparse(node.targets[0]): ast.unparse(node.value) for node in _STUB if isinstance(node, ast.Assign)}
 """Names of version 0.1, and those of today."""
 
 
 def __getattr__(name: str) -> Any:
-    present = _RENAMED.get(name, name)
+    present = RENAMED.get(name, name)
     if present not in _PLACES:
         raise AttributeError(f"gsrain_engine.api has no {name!r}")
     found = globals()[name] = getattr(import_module(f"gsrain_engine.{_PLACES[present]}"), present)

@@ -72,19 +72,19 @@ def needed(extra: str = "") -> tuple[set[str], set[str]]:
 def _requirements(package: str, extra: str) -> list[Requirement]:
     """What a package asks for by itself, or for one of its extras. Our own wishes are read where they are written."""
     if package == PROGRAM:
-        words = _project()["optional-dependencies"][extra] if extra else _project()["dependencies"]
+        words = project()["optional-dependencies"][extra] if extra else project()["dependencies"]
         return [Requirement(each) for each in words]
     asked = map(Requirement, metadata.requires(package) or [])
     return [each for each in asked if each.marker is None or each.marker.evaluate({"extra": extra})]
 
 
-def _project() -> dict[str, Any]:
+def project() -> dict[str, Any]:
     return tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
 
 
 def extras() -> list[str]:
     """The extras of the program."""
-    return list(_project()["optional-dependencies"])
+    return list(project()["optional-dependencies"])
 
 
 def licence_of(package: metadata.Distribution) -> str:

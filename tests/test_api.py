@@ -12,8 +12,8 @@ def test_every_name_is_there():
     for name in dir(api):
         found = getattr(api, name)
         assert getattr(found, "__name__", name) == name
-    assert api._RENAMED["Session"] == "Editor" and len(api._RENAMED) == 21
-    for old, name in api._RENAMED.items():
+    assert api.RENAMED["Session"] == "Editor" and len(api.RENAMED) == 21
+    for old, name in api.RENAMED.items():
         assert getattr(api, old) is getattr(api, name)
     with pytest.raises(AttributeError, match="gsrain_engine.api has no 'open_scenes'"):
         api.open_scenes  # noqa: B018

@@ -51,7 +51,7 @@ def test_every_page_is_in_the_menu_of_the_site(site_pages):
     in_docs = {str(page.relative_to("docs")) for page in PAGES if page.parts[0] == "docs"}
     listed = list(_in_nav(SITE["nav"]))
     assert len(listed) == len(set(listed))
-    assert set(listed) == in_docs | set(site_pages.ELSEWHERE.values()) | {"commands.md"}
+    assert set(listed) == in_docs | set(site_pages.ELSEWHERE.values()) | {"commands.md", "settings.md"}
     assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
 
 

@@ -47,25 +47,27 @@ from gsrain_engine.scene.scene import Scene
 from ..console import Console, print, progress_bar, table_of
 from ..options import (
     BACKEND,
-    RAIN_OPTIONS,
     AllowOutside,
-    Exposure,
     JsonFile,
     Preset,
     Wet,
     check_within,
-    converted_options,
     flag,
     let_names_lead_outside,
     option,
+    options_of,
     parse_intensities,
-    split_words,
+    setting,
 )
 from ..outputs import check_ending, claim_outputs, command_line, version_of, write_numbers
 from ..render import wet_look
 from ..scene import names_scene
 
 _COLUMNS = 150
+ViewOptions = options_of(
+    ViewChoice, "evaluate detection", defaults={"sensors": "the one ahead; of a capture, all", "width_px": "960"}
+)
+WeatherOptions = options_of(RainSettings, "evaluate detection", defaults={"exposure_s": "the camera's own"})
 
 
 def detection(
@@ -81,21 +83,18 @@ def detection(
         ),
     ] = None,
     rain: Annotated[
-        str, option("Intensities in mm/h, with commas; 0 is always included.", "--rain", "--intensity")
+        str, setting(RainSettings, "intensity_mm_h", "Several with commas; 0 is always included.")
     ] = "0,1.2,8.5,12",
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0 to N-1.")] = 5,
     frames: Annotated[int, option("Number of moments of the drive; of a capture, images of each camera.")] = 4,
     first: Annotated[float | None, option("First moment in seconds of scene time.", "--from")] = None,
     last: Annotated[float | None, option("Last moment in seconds of scene time.", "--to")] = None,
-    cameras: Annotated[
-        str, option("Rig cameras, with commas: RIG/NAME, NAME or all. Default: ahead; capture: all.")
-    ] = "",
-    width: Annotated[int, option("Width of the images in pixels.")] = 960,
+    views: ViewOptions | None = None,
     capture: Annotated[Path | None, option("Capture of the scene, whose images are tested too.")] = None,
     truth: Annotated[Path | None, option("COCO file with ground truth of the capture; default: its 3D boxes.")] = None,
     wet: Wet = False,
     preset: Preset = None,
-    exposure: Exposure = None,
+    weather: WeatherOptions | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     output: Annotated[
         Path | None, option("Folder for tables, figures, report.html and numbers.", "--output", "-o")
@@ -117,20 +116,22 @@ def detection(
     # Average precision, which needs one of these packages, is computed last.
     if missing := [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]:
         raise ValueError(f"gsrain evaluate detection needs {' and '.join(missing)}: pip install 'gsrain[evaluate]'")
+    view_choice = (views or ViewOptions()).settings(ViewChoice(width_px=960))
+    check_within("--width", view_choice.width_px, 64, 16384, "px")
     intensities = parse_intensities(rain)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--frames", frames, 1, 10_000)
-    check_within("--width", width, 64, 16384, "px")
     if first is not None and last is not None and not first < last:
         raise ValueError(f"--from {first:g} --to {last:g}: the second must be later")
     check_ending("--video", video, VIDEO_SUFFIXES)
     claim_outputs(video, json, folders=[output], locked=[video])
     detectors = _detectors(detector, description)
-    chosen = DetectionSource(source, capture, truth, frames, first, last, tuple(split_words(cameras)), width, wet)
+    chosen = DetectionSource(
+        source, capture, truth, frames, first, last, view_choice.sensors, view_choice.width_px, wet
+    )
     base = load_preset(preset) if preset is not None else RainSettings()
-    values = msgspec.to_builtins(base) | ({} if exposure is None else {"exposure_s": exposure})
     with open_renderer(backend) as renderer:
-        prepared = opened_source(renderer, chosen, converted_options(values, RainSettings, RAIN_OPTIONS))
+        prepared = opened_source(renderer, chosen, (weather or WeatherOptions()).settings(base))
         originals = all(frame.original is not None for frame in prepared.frames)
         trials = evaluation.conditions_of(
             tuple(intensities), tuple(range(seeds)), originals=originals, scene=not prepared.pictures.is_in_front

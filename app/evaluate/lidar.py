@@ -18,17 +18,33 @@ from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
 from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
 from gsrain_engine.scene.files import file_word
 from gsrain_engine.scene.open import file_hash, scene_hash
 
 from ..console import Console, Table, progress_bar, table_of
-from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option, parse_intensities
+from ..options import (
+    AllowOutside,
+    JsonFileOrScreen,
+    check_within,
+    converted_options,
+    let_names_lead_outside,
+    option,
+    options_of,
+    parse_intensities,
+    setting,
+)
 from ..outputs import claim_outputs, provenance_lines, run_provenance, table_stream, write_numbers, write_text
 from ..scene import names_scene
 
 _COLUMNS = 130
+DetectionOptions = options_of(
+    LidarSensor,
+    "evaluate lidar",
+    defaults={"range_m": "the sensor's; of a capture, estimated", "least_reflectance": "the sensor's"},
+)
 
 _Runs = Mapping[float, Sequence[RainRunCounts]]
 """Runs by intensity in mm/h."""
@@ -39,16 +55,11 @@ def lidar(
     /,
     *,
     output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
-    rain: Annotated[str, option("Intensities in mm/h, with commas between.", "--rain", "--intensity")] = "0,1.2,8.5,12",
+    rain: Annotated[str, setting(RainSettings, "intensity_mm_h", "Several with commas.")] = "0,1.2,8.5,12",
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0, 1, ...")] = 5,
     sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
     sensor: Annotated[str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
-    range_10: Annotated[
-        float | None, option("Range in m at which 10 % reflectance is detected; default: from a capture.")
-    ] = None,
-    min_reflectance: Annotated[
-        float | None, option("Minimum reflectance detected at close range, 0..0.1; 0: constant gain.")
-    ] = None,
+    detection: DetectionOptions | None = None,
     answer: Annotated[Answer, option("Reported echo of a beam.")] = "strongest",
     wet_road: Annotated[bool, option("Water on the road reflects grazing beams away.")] = True,
     full_intensity: Annotated[
@@ -72,8 +83,9 @@ def lidar(
     check_within("--reflectance", reflectance, 0, 1, is_open=True)
     check_within("--full-intensity", full_intensity, 0, 1e6, is_open=True)
     claim_outputs(output / "lidar.png", output / "report.html", json, folders=[output])
-    chosen = _sensor(sensor, range_10, min_reflectance)
-    count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, estimates_range=range_10 is None)
+    limits = (detection or DetectionOptions()).changes()
+    chosen = _sensor(sensor, limits)
+    count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, estimates_range="range_m" not in limits)
     by_intensity: dict[float, list[RainRunCounts]] = {}
     strongest: RainRun | None = None
     with progress_bar("Raining", count * len(intensities) * seeds) as advance:
@@ -132,7 +144,8 @@ def _turns(
     return min(count, len(capture.sweeps)), found
 
 
-def _sensor(name: str, range_10: float | None, min_reflectance: float | None) -> LidarSensor:
+def _sensor(name: str, limits: Mapping[str, float]) -> LidarSensor:
+    """Return a sensor by name or from a file, with other limits of detection."""
     sensor = SENSORS.get(name)
     if sensor is None:
         path = Path(name)
@@ -143,13 +156,8 @@ def _sensor(name: str, range_10: float | None, min_reflectance: float | None) ->
             sensor = convert_checked(yaml_values(data), LidarSensor)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
-    check_within("--range-10", range_10, 1, 1000, "m")
-    check_within("--min-reflectance", min_reflectance, 0, 0.1)
-    if range_10 is not None:
-        sensor = msgspec.structs.replace(sensor, range_m=range_10, farthest_m=max(sensor.farthest_m, range_10))
-    if min_reflectance is not None:
-        sensor = msgspec.structs.replace(sensor, least_reflectance=min_reflectance)
-    return sensor
+    farthest_m = max(sensor.farthest_m, limits.get("range_m", 0.0))
+    return converted_options(msgspec.to_builtins(sensor) | limits | {"farthest_m": farthest_m}, LidarSensor)
 
 
 # Numbers on the screen, as JSON and as CSV

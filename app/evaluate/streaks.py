@@ -5,7 +5,7 @@ import math
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
 from gsrain_engine.evaluation.streaks import (
@@ -21,10 +21,10 @@ from gsrain_engine.evaluation.streaks import (
 from gsrain_engine.rain.settings import RainSettings
 
 from ..console import Console, Table, progress_bar, table_of
-from ..options import JsonFileOrScreen, check_within, converted_options, option
+from ..options import JsonFileOrScreen, check_within, option, options_of, setting
 from ..outputs import check_writable, table_stream, write_numbers
 
-_OPTIONS = {"intensity_mm_h": "rain", "aperture_mm": "aperture", "rain_light": "blend-space"}
+RenderedOptions = options_of(RainSettings, "evaluate streaks", defaults={"intensity_mm_h": "that of each sequence"})
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _COLUMNS = 130
 _log = logging.getLogger(__name__)
@@ -34,18 +34,10 @@ def streaks(
     real: Annotated[Path, option("RainSense, or one or more of its sequences.", "REAL_DIR")],
     /,
     *,
-    rain: Annotated[
-        float | None, option("Rendered mm/h; default: that of each sequence.", "--rain", "--intensity")
-    ] = None,
-    exposure: Annotated[str, option("Rendered shutter times in seconds, with commas between.")] = "0.004,0.016",
+    rain: RenderedOptions | None = None,
+    exposure: Annotated[str, setting(RainSettings, "exposure_s", "Several with commas.")] = "0.004,0.016",
     frames: Annotated[int, option("Number of frames of each sequence to measure, and to render.")] = 16,
     window: Annotated[str | None, option("LEFT,TOP,WIDTH,HEIGHT in pixels; default: above the horizon.")] = None,
-    blend_space: Annotated[
-        Literal["linear", "display"], option("Space in which a drop's light adds: linear light, or display.")
-    ] = "linear",
-    streak_gain: Annotated[float, option("Multiplies the opacity of rendered streaks; 1 is physical.")] = 1.0,
-    aperture: Annotated[float, option("Lens opening in mm, which blurs drops nearer than its focus, 10 m.")] = 0.0,
-    seed: Annotated[int, option("Same seed, same drops.")] = 0,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Measure rain streaks in the frames of a static camera, and in our rain over the same background."""
@@ -54,12 +46,13 @@ def streaks(
     exposures = _exposures(exposure)
     part = _window(window) if window is not None else None
     sequences = _long_enough(real)
-    knobs = {"rain_light": blend_space, "streak_gain": streak_gain, "aperture_mm": aperture, "seed": seed}
+    options = rain or RenderedOptions()
+    plain = options.settings()
+    knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "aperture_mm", "seed")}
     rows: list[RealRainComparison] = []
     with progress_bar("Measuring", len(sequences)) as advance:
         for sequence in sequences:
-            values = {"intensity_mm_h": sequence.intensity_mm_h if rain is None else rain, **knobs}
-            ours = converted_options(values, RainSettings, _OPTIONS)
+            ours = options.settings(RainSettings(intensity_mm_h=sequence.intensity_mm_h))
             numbers = evenly_chosen(sequence, frames)
             rows.append(compare_with_real_rain(sequence, ours, exposures, numbers, part or above_horizon(sequence)))
             advance()

@@ -110,60 +110,58 @@ class Transfer(Protocol):
 _Side = Annotated[
     int,
     Meta(ge=64, le=4096, title="Side", description="A learned method sees pictures brought to this shorter side.",
-         extra={"unit": "px", "none": "as they are"}),
+         extra={"unit": "px", "none": "as they are", "commands": "transfer"}),
 ]  # fmt: skip
 _Tile = Annotated[
     int,
     Meta(ge=64, le=4096, multiple_of=64, title="Tile",
          description="Larger pictures go through it in overlapping tiles of this side.",
-         extra={"unit": "px", "none": "in one piece", "usual": 512}),
+         extra={"unit": "px", "none": "in one piece", "usual": 512, "commands": "transfer"}),
 ]  # fmt: skip
 
 
 class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """User settings of a transfer; each method uses only its own fields."""
 
-    wetness: Annotated[float, Meta(ge=0, le=1, title="Wetness")] = 1.0
-    """0 changes nothing, 1 is soaked. Wet colors are computed at 1; the scene's wetness blends them in."""
-    seed: Annotated[
-        int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Of what is left to chance: where puddles stand.")
-    ] = 0
-    weights: Annotated[Path | None, Meta(title="Weights", description="File with the weights of a learned method.")] = (
-        None
-    )
-    images: Annotated[
-        Path | None, Meta(title="Pictures", description="Folder with pictures that another program has made.")
-    ] = None
-    base: Annotated[Path | None, Meta(title="SD-Turbo", description="Its folder; none: see gsrain doctor.")] = None
-    normals: Annotated[
-        Literal["depth", "dsine", "marigold", "none"],
-        Meta(title="Normals", description="Source of the surface normals for a learned method; none: no normals."),
-    ] = "depth"
-    normals_weights: Annotated[
-        Path | None, Meta(title="Weights for normals", description="File of DSINE, or folder of Marigold.")
-    ] = None
-    normals_checkout: Annotated[
-        Path | None, Meta(title="DSINE's program", description="A person's own copy of it; non-commercial use only.")
-    ] = None
-    guide: Annotated[
-        Literal["up", "luma"],
-        Meta(
-            title="Guide",
-            description="How normals become the fourth channel: their upward component, or luma as in the paper.",
-        ),
-    ] = "up"
-    mutual_attention: Annotated[
-        bool, Meta(title="Mutual attention", description="Let each view attend to its neighbors (eq. 16-19).")
-    ] = True
-    neighbours: Annotated[
-        int, Meta(ge=0, le=16, title="Neighbors", description="Number of other views that each view attends to.")
-    ] = 2
+    # fmt: off
+    wetness: Annotated[float, Meta(
+        ge=0, le=1, title="Wetness", extra={"commands": "transfer"},
+        description="Of the wet look: 0 dry, 1 soaked, from which gsrain recolor makes wet colors.")] = 1.0
+    seed: Annotated[int, Meta(
+        ge=0, le=2**31 - 1, title="Seed", extra={"commands": "transfer"},
+        description="Of what is left to chance: positions of puddles and clouds.")] = 0
+    weights: Annotated[Path | None, Meta(
+        title="Weights", extra={"commands": "transfer"},
+        description="File with the weights of a learned method.")] = None
+    images: Annotated[Path | None, Meta(
+        title="Pictures", extra={"commands": "transfer"},
+        description="Folder with pictures that another program has made.")] = None
+    base: Annotated[Path | None, Meta(
+        title="SD-Turbo", extra={"commands": "transfer"},
+        description="Folder of SD-Turbo, the base of cyclegan-turbo; none: see gsrain doctor.")] = None
+    normals: Annotated[Literal["depth", "dsine", "marigold", "none"], Meta(
+        title="Normals", extra={"commands": "transfer"},
+        description="Source of the surface normals for a learned method; none: no normals.")] = "depth"
+    normals_weights: Annotated[Path | None, Meta(
+        title="Weights for normals", extra={"commands": "transfer"},
+        description="File of DSINE, or folder of Marigold.")] = None
+    normals_checkout: Annotated[Path | None, Meta(
+        title="DSINE's program", extra={"commands": "transfer"},
+        description="Your own copy of DSINE's program; non-commercial use only.")] = None
+    guide: Annotated[Literal["up", "luma"], Meta(
+        title="Guide", extra={"option": "conditioning", "commands": "transfer"},
+        description="How normals become the fourth channel: their upward component, or luma as in the paper.")] = "up"
+    mutual_attention: Annotated[bool, Meta(
+        title="Mutual attention", extra={"option": "cross-view-attention", "commands": "transfer"},
+        description="Let each view attend to its neighbors (eq. 16-19).")] = True
+    neighbours: Annotated[int, Meta(
+        ge=0, le=16, title="Neighbors", extra={"option": "neighbors", "commands": "transfer"},
+        description="Number of other views that each view attends to.")] = 2
     side_px: _Side | None = 512
     tile_px: _Tile | None = None
-    device: Annotated[
-        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="Device that a learned method runs on.")
-    ] = "auto"
-    precision: Annotated[
-        Literal["float32", "float16", "bfloat16"],
-        Meta(title="Precision", description="Of a learned method's numbers; halves are faster on GPUs, and coarser."),
-    ] = "float32"
+    device: Annotated[Literal["auto", "cpu", "cuda"], Meta(
+        title="Device", extra={"commands": "transfer"}, description="Device that a learned method runs on.")] = "auto"
+    precision: Annotated[Literal["float32", "float16", "bfloat16"], Meta(
+        title="Precision", extra={"commands": "transfer"},
+        description="Of a learned method's numbers; halves are faster on GPUs, and coarser.")] = "float32"
+    # fmt: on

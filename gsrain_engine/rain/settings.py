@@ -49,86 +49,106 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     # fmt: off
     intensity_mm_h: Annotated[float, Meta(
-        ge=0, le=100, title="Intensity", extra={"unit": "mm/h"},
+        ge=0, le=100, title="Intensity", extra={
+            "unit": "mm/h", "option": "rain intensity", "commands": "render, disdrometer, evaluate streaks"},
         description="Rainfall intensity R (eq. 8). Calibrated up to 13 mm/h.")] = 0.0
     exposure_s: Annotated[float | None, Meta(
-        title="Exposure", extra={"unit": "s", "ge": 1e-5, "le": 1.0},
+        title="Exposure", extra={
+            "unit": "s", "ge": 1e-5, "le": 1.0, "commands": "render, drive, evaluate detection"},
         description="Shutter time T (eq. 5); none takes the camera's own (4 ms by day).")] = None
-    seed: Annotated[int, Meta(ge=0, le=2**32 - 1, title="Seed", description="Same seed and time, same drops.")] = 0
+    seed: Annotated[int, Meta(
+        ge=0, le=2**32 - 1, title="Seed",
+        extra={"group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
+        description="Same seed and time, same drops.")] = 0
 
-    streaks: Annotated[bool, Meta(title="Streaks", description="Draw near drops as streaks (eq. 10-12).")] = True
-    haze: Annotated[bool, Meta(title="Haze", description="Draw far drops as haze (eq. 6, 7).")] = True
+    streaks: Annotated[bool, Meta(
+        title="Streaks", extra={"commands": "render"}, description="Draw near drops as streaks (eq. 10-12).")] = True
+    haze: Annotated[bool, Meta(
+        title="Haze", extra={"commands": "render"}, description="Draw far drops as haze (eq. 6, 7).")] = True
     roofs: Annotated[bool, Meta(
-        title="Shelter under roofs", description="No rain under bridges, canopies and trees.")] = False
+        title="Shelter under roofs", extra={"commands": "render"},
+        description="No rain under bridges, canopies and trees.")] = False
     streak_region: Annotated[RegionBox, Meta(
-        title="Streak region", description="Region in which drops are simulated one by one.")] = STREAK_REGION
+        title="Streak region", extra={"group": "Regions"},
+        description="Region in which drops are simulated one by one.")] = STREAK_REGION
     haze_region: Annotated[RegionBox, Meta(
-        title="Haze region", description="Region in which drops are haze Gaussians.")] = HAZE_REGION
+        title="Haze region", extra={"group": "Regions"},
+        description="Region in which drops are haze Gaussians.")] = HAZE_REGION
 
     wind_m_s: Annotated[tuple[float, float], Meta(
-        title="Wind", extra={"unit": "m/s", "ge": -40.0, "le": 40.0},
+        title="Wind", extra={"unit": "m/s", "ge": -40.0, "le": 40.0, "group": "Wind and seed"},
         description="Horizontal wind along world x and y.")] = (0.0, 0.0)
     gust_m_s: Annotated[float, Meta(
-        ge=0, le=20, title="Gusts", extra={"unit": "m/s"}, description="Amplitude of the wind's slow variation.")] = 0.0
+        ge=0, le=20, title="Gusts", extra={"unit": "m/s", "group": "Wind and seed"},
+        description="Amplitude of the wind's slow variation.")] = 0.0
 
     calibration: Annotated[str, Meta(
-        title="Calibration", description="Name of a shipped calibration, or a calibration file.")] = "published"
+        title="Calibration", extra={"commands": "render, disdrometer"},
+        description="Name of a shipped calibration, or a calibration file.")] = "published"
     closure: Annotated[Literal["density", "published"], Meta(
-        title="Closure",
-        description="density: as many drops as the intensity needs. published: the table as is.")] = "density"
+        title="Closure", extra={
+            "option": "drop-density", "commands": "render, disdrometer", "group": "Physics",
+            "spelling": {"flux": "density", "table": "published"}},
+        description="density, or flux: as many drops as the intensity needs. "
+        "published, or table: those of the calibration's table.")] = "density"
     velocity: Annotated[Literal["calibration", "atlas"], Meta(
-        title="Fall speed", description="V(D) (eq. 9): the calibration's fit, or Atlas 1973.")] = "calibration"
+        title="Fall speed", extra={"group": "Physics"},
+        description="V(D) (eq. 9): the calibration's fit, or Atlas 1973.")] = "calibration"
 
     streak_frame: Annotated[Literal["camera", "world"], Meta(
-        title="Streak frame",
+        title="Streak frame", extra={"group": "Physics"},
         description="camera: streaks follow the drop's motion seen from the moving camera.")] = "camera"
     rain_light: Annotated[Literal["linear", "display"], Meta(
-        title="Light",
+        title="Light", extra={"option": "blend-space", "commands": "evaluate streaks", "group": "Physics"},
         description="linear: a drop's light adds in linear space. display: the paper's mixing.")] = "linear"
     far_drops: Annotated[Literal["haze", "published"], Meta(
-        title="Far drops",
+        title="Far drops", extra={"group": "Physics"},
         description="haze: far drops are haze only. published: drawn with the haze opacity.")] = "haze"
     streak_reset: Annotated[Literal["lattice", "paper"], Meta(
-        title="Streak reset",
+        title="Streak reset", extra={"group": "Physics"},
         description="lattice: uniform density. paper: drops re-enter at the top only.")] = "lattice"
     haze_reset: Annotated[Literal["fade", "paper"], Meta(
-        title="Haze reset", description="fade: come and go slowly. paper: jump each frame.")] = "fade"
+        title="Haze reset", extra={"group": "Physics"},
+        description="fade: come and go slowly. paper: jump each frame.")] = "fade"
 
     critical_haze_coefficient: Annotated[float, Meta(
-        ge=0.1, le=50, title="Critical haze coefficient",
+        ge=0.1, le=50, title="Critical haze coefficient", extra={"group": "Appearance", "scale": "log"},
         description="phi (eq. 6, 7): drops beyond phi f D are haze.")] = 2.0
     max_copies: Annotated[int, Meta(
         ge=1, le=16, title="Gaussians a streak",
         description="n_max (eq. 10-12): at most so many Gaussians a streak.")] = 4
     haze_opacity: Annotated[float, Meta(
-        ge=0.001, le=0.5, title="Haze opacity",
+        ge=0.001, le=0.5, title="Haze opacity", extra={"group": "Appearance", "scale": "log"},
         description="alpha_m (eq. 7): largest alpha of a haze Gaussian.")] = 0.05
     haze_sigma_m: Annotated[float, Meta(
-        ge=0.05, le=5, title="Haze size", extra={"unit": "m"},
+        ge=0.05, le=5, title="Haze size", extra={"unit": "m", "group": "Appearance", "scale": "log"},
         description="s_h: standard deviation of a haze Gaussian.")] = 0.5
     haze_count: Annotated[int | None, Meta(
         title="Haze Gaussians", extra={"ge": 0, "le": 200_000},
         description="M: none takes as many as the extinction needs, and splits them up to be smooth.")] = None
     haze_gain: Annotated[float, Meta(
-        ge=0, le=50, title="Haze gain", description="Multiplies the extinction; 1 is physical.")] = 1.0
+        ge=0, le=50, title="Haze gain", extra={"group": "Appearance", "slider_to": 10.0},
+        description="Multiplies the extinction; 1 is physical.")] = 1.0
     streak_gain: Annotated[float, Meta(
         ge=0, le=50, title="Streak gain",
+        extra={"group": "Appearance", "slider_to": 10.0, "commands": "evaluate streaks"},
         description="Multiplies the streaks' opacity (eq. 5); 1 is physical.")] = 1.0
     aperture_mm: Annotated[float, Meta(
-        ge=0, le=50, title="Aperture", extra={"unit": "mm"},
+        ge=0, le=50, title="Aperture",
+        extra={"unit": "mm", "group": "Lens", "slider_to": 10.0, "commands": "evaluate streaks"},
         description="Diameter of the lens opening; drops out of focus blur with it. 0 is a pinhole: all sharp.")] = 0.0
     focus_distance_m: Annotated[float, Meta(
-        ge=0.2, le=10_000, title="Focus distance", extra={"unit": "m"},
+        ge=0.2, le=10_000, title="Focus distance", extra={"unit": "m", "group": "Lens", "scale": "log"},
         description="Distance at which the lens is focused. Matters with an aperture above 0.")] = 10.0
     drop_color: Annotated[Vector | None, Meta(
         title="Drop color",
         description="Display color of a drop (eq. 3); none takes the mean of the scene's sky.")] = None
 
     wetness: Annotated[float | None, Meta(
-        title="Wetness", extra={"ge": 0.0, "le": 1.0},
+        title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
         description="Share of the soaked colors, 0..1; none follows the intensity (docs/physics.md, 11).")] = None
     drying_s: Annotated[float, Meta(
-        ge=0, le=7200, title="Drying", extra={"unit": "s"},
+        ge=0, le=7200, title="Drying", extra={"unit": "s", "group": "Appearance", "slider_to": 600.0},
         description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0
     # fmt: on
 

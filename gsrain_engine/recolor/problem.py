@@ -54,12 +54,14 @@ class Solution:
 class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the color solver."""
 
-    iterations: Annotated[int, Meta(ge=1, le=200, title="Iterations")] = 12
-    """Conjugate-gradient steps in total."""
+    iterations: Annotated[int, Meta(
+        ge=1, le=200, title="Iterations", extra={"commands": "recolor, bench recoloring"},
+        description="Steps of conjugate gradients, in total.")] = 12  # fmt: skip
     rounds: Annotated[int, Meta(ge=1, le=10, title="Rounds")] = 2
     """Number of times that exposures and trust are re-estimated; the iterations are divided among them."""
-    sh_degree: Annotated[int, Meta(ge=0, le=3, title="Degree of harmonics")] = 3
-    """Highest degree that is solved for; never above the scene's own degree."""
+    sh_degree: Annotated[int, Meta(
+        ge=0, le=3, title="Degree of harmonics", extra={"commands": "recolor"},
+        description="Highest degree of harmonics to solve for; never above the scene's own.")] = 3  # fmt: skip
     tikhonov: Annotated[float, Meta(ge=1e-6, le=1e6)] | None = None
     """Prior weight of the mapped clear colors: the evidence at which a Gaussian moves halfway; None selects it by
     cross-validation."""
@@ -67,12 +69,16 @@ class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Factor of the prior weight on each harmonic above degree 0."""
     per_view: Annotated[float, Meta(ge=0, le=10, title="Pull by views")] = 0.1
     """Extra prior weight above degree 0 as a share of one view's evidence, since one view can't separate directions."""
-    exposure: bool = True
-    """Estimate an exposure and white balance for each image."""
-    robust: bool = True
-    """Reduce the weight of images and pixels that disagree with the others."""
-    memory_mb: Annotated[float, Meta(ge=0, title="Memory", extra={"unit": "MB"})] = 4096.0
-    """Limit for stored weights; views beyond it recompute their tiles on each use. With 0, solving the street with 24
+    exposure: Annotated[bool, Meta(
+        title="Exposures", extra={"commands": "recolor"},
+        description="Fit an exposure and white balance for each image.")] = True  # fmt: skip
+    robust: Annotated[bool, Meta(
+        title="Robust", extra={"commands": "recolor"},
+        description="Reduce the weight of images and pixels that disagree with the others.")] = True  # fmt: skip
+    memory_mb: Annotated[float, Meta(
+        ge=0, title="Memory", extra={"unit": "MB", "commands": "recolor"},
+        description="Memory for stored weights; views beyond it take longer; 0: all do.")] = 4096.0  # fmt: skip
+    """Views beyond it recompute their tiles on each use. With 0, solving the street with 24
     views of 640 px took 7 times as long in total, 1.2 times the CPU time, and 0.73 of the memory."""
 
 

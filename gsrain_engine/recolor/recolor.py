@@ -182,16 +182,23 @@ _COMPARED = 6
 class RecolorOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of a recoloring besides those of the solver."""
 
-    width_px: Annotated[int, Meta(ge=16, le=16384, title="Width of pictures", extra={"unit": "px"})] = 960
-    """Wider images are downscaled; others are unchanged."""
-    held_out: Annotated[int, Meta(ge=0, title="Held out")] = 8
-    """Hold out every Nth view to measure the result; 0 for none."""
-    polish: Annotated[int, Meta(ge=0, le=100_000, title="Polish steps")] = 0
-    """Steps of L1 and D-SSIM after least squares, on colors alone."""
-    refine: Annotated[int, Meta(ge=0, le=100_000, title="Refine steps")] = 0
-    """Steps that train all parameters."""
-    replace_clear: bool = False
-    """Replace the clear colors instead of adding wet colors."""
+    # fmt: off
+    width_px: Annotated[int, Meta(
+        ge=16, le=16384, title="Width of pictures", extra={"unit": "px", "commands": "recolor"},
+        description="Wider images are downscaled to this width.")] = 960
+    held_out: Annotated[int, Meta(
+        ge=0, title="Held out", extra={"commands": "recolor"},
+        description="Hold out every Nth view for measuring; 0: none.")] = 8
+    polish: Annotated[int, Meta(
+        ge=0, le=100_000, title="Polish steps", extra={"option": "photometric-steps", "commands": "recolor"},
+        description="Final steps on absolute differences and structure (D-SSIM), of colors alone; needs torch.")] = 0
+    refine: Annotated[int, Meta(
+        ge=0, le=100_000, title="Refine steps", extra={"on": 300, "commands": "recolor"},
+        description="Final steps that train all parameters; needs torch.")] = 0
+    replace_clear: Annotated[bool, Meta(
+        title="Replace clear colors", extra={"option": "replace", "commands": "recolor"},
+        description="Replace the clear colors instead of adding wet ones.")] = False
+    # fmt: on
     colors: RecolorSettings = msgspec.field(default_factory=RecolorSettings)
 
 

@@ -37,39 +37,43 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     # fmt: off
     output: Annotated[str, Meta(
-        title="Output",
+        title="Output", extra={"option": "output o", "path": True, "commands": "render"},
         description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.")]
     size_px: Annotated[tuple[Pixels, Pixels] | None, Meta(
-        title="Size", extra={"unit": "px"}, description="Width and height; none takes each rig camera's own.")] = None
+        title="Size", extra={"unit": "px", "commands": "render"},
+        description="Width and height; none takes each rig camera's own.")] = None
     fps: Annotated[float, Meta(
-        ge=0.1, le=1000, title="Frame rate", extra={"unit": "1/s"}, description="Frames a second.")] = 30.0
+        ge=0.1, le=1000, title="Frame rate", extra={"unit": "1/s", "commands": "render"},
+        description="Frames a second.")] = 30.0
     first_s: Annotated[float, Meta(
-        ge=-36000, le=36000, title="From", extra={"unit": "s"}, description="Moment of the first frame.")] = 0.0
+        ge=-36000, le=36000, title="From", extra={"unit": "s", "option": "time from", "commands": "render"},
+        description="Moment of the first frame.")] = 0.0
     last_s: Annotated[float | None, Meta(
-        title="To", extra={"unit": "s"},
+        title="To", extra={"unit": "s", "option": "to", "commands": "render"},
         description="Moment at which the clip ends; none: where the path ends.")] = None
     supersampling: Annotated[int, Meta(
-        ge=1, le=4, title="Supersampling",
+        ge=1, le=4, title="Supersampling", extra={"commands": "render"},
         description="Draw so many times wider and higher, and take the mean. Which drops exist stays the same.")] = 1
     motion_blur: Annotated[int, Meta(
-        ge=1, le=64, title="Motion blur",
+        ge=1, le=64, title="Motion blur", extra={"commands": "render"},
         description="k sub-frames over the exposure T, with T/k each, averaged in linear light. 1 is none.")] = 1
     cameras: Annotated[tuple[str, ...], Meta(
-        title="Cameras",
+        title="Cameras", extra={"commands": "render"},
         description="Rig cameras: RIG, RIG/NAME, NAME, or all; each gets a file of its own. None takes the path.")] = ()
     passes: Annotated[tuple[Pass, ...], Meta(
-        min_length=1, title="Passes",
+        min_length=1, title="Passes", extra={"commands": "render"},
         description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",
     )] = ("color",)
     twin: Annotated[bool, Meta(
-        title="Also render without rain",
+        title="Also render without rain", extra={"option": "clear-pair", "commands": "render"},
         description="The same at 0 mm/h, as NAME.clear, for paired tests.")] = False
     codec: Annotated[Codec, Meta(
-        title="Codec", description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames.")] = "auto"
+        title="Codec", extra={"commands": "render"},
+        description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames.")] = "auto"
     quality: Annotated[int | None, Meta(
-        title="Quality", extra={"ge": 0, "le": 63},
-        description="Constant rate factor of a video, lower is better; none: 18 (H.264), 24 (VP9), 28 (AV1). "
-        "Of JPEG 1 to 100, higher is better; none: 93.")] = None
+        title="Quality", extra={"commands": "render"},
+        description="Constant rate factor of a video, lower is better: 0..51 (H.264; none: 18), 0..63 (VP9, none: 24; "
+        "AV1, none: 28). Of JPEG 1..100, higher is better; none: 93.")] = None
     # fmt: on
 
     def __post_init__(self) -> None:

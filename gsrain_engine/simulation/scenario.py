@@ -68,13 +68,16 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     name: Annotated[str, Meta(min_length=1, title="Name")]
     description: str = ""
-    scene: Annotated[str, Meta(title="Scene", description="Scene file or folder, or street (the built-in one).")] = (
-        "street"
-    )
-    rig: Annotated[str | None, Meta(title="Rig", description="Of the scene's; none takes its first.")] = None
-    picture_width_px: Annotated[
-        int, Meta(ge=64, le=4096, multiple_of=2, title="Picture width", extra={"unit": "px"})
-    ] = 800
+    scene: Annotated[str, Meta(
+        title="Scene", extra={"commands": "drive"},
+        description="Scene file or folder, or street (the built-in one).")] = "street"  # fmt: skip
+    rig: Annotated[str | None, Meta(
+        title="Rig", extra={"commands": "drive"},
+        description="Camera rig of the scene; none takes its first.")] = None  # fmt: skip
+    picture_width_px: Annotated[int, Meta(
+        ge=64, le=4096, multiple_of=2, title="Picture width",
+        extra={"unit": "px", "option": "width", "commands": "drive"},
+        description="Width of the images, an even number.")] = 800  # fmt: skip
     start_s: Annotated[
         float,
         Meta(title="Start", description="Scene time at which it begins: the ego vehicle starts where it then was.",
@@ -101,7 +104,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     step_s: Annotated[float, Meta(gt=0, le=1, title="Step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})] = (
         0.25
     )
-    duration_s: Annotated[float, Meta(gt=0, le=600, title="Longest duration", extra={"unit": "s"})] = 15.0
+    duration_s: Annotated[float, Meta(
+        gt=0, le=600, title="Longest duration", extra={"unit": "s", "commands": "drive"},
+        description="The drive ends then at the latest.")] = 15.0  # fmt: skip
     leave_m: Annotated[
         float,
         Meta(gt=0, le=1000, title="Off the route", description="Farther from the route ends it.", extra={"unit": "m"}),

@@ -27,7 +27,10 @@ _FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "c
 Intensities = Annotated[
     tuple[Annotated[float, Meta(ge=0, le=100)], ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
 ]
-DrawnBy = Annotated[Backend, Meta(title="Back end", description="Renderer; cpu gives the same bytes on every machine.")]
+DrawnBy = Annotated[Backend, Meta(title="Back end", extra={"commands": "sweep"},
+                                  description="Renderer; cpu gives the same bytes on every machine.")]  # fmt: skip
+OutputFolder = Annotated[str | None, Meta(title="Output", description="Folder of rows, tables and clips.",
+                                          extra={"option": "output o", "path": True, "commands": "sweep"})]  # fmt: skip
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
 
@@ -88,7 +91,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         Jitter()
     )
     backend: DrawnBy = "auto"
-    output: Annotated[str | None, Meta(title="Output", description="Folder of rows and tables.")] = None
+    output: OutputFolder = None
 
 
 class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
@@ -108,7 +111,7 @@ class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
         LabelFormat | None, Meta(title="Labels", description="coco or kitti; needs a scene with actors.")
     ] = None
     backend: DrawnBy = "auto"
-    output: Annotated[str | None, Meta(title="Output", description="Folder of rows, clips and tables.")] = None
+    output: OutputFolder = None
 
 
 Sweep = DriveSweep | RenderSweep

@@ -39,7 +39,14 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Settings of the fit of Gaussians to images. Defaults take about ten minutes on a two-core CPU."""
 
     steps: Annotated[
-        int, Meta(ge=1, le=1_000_000, title="Steps", description="Number of training steps; each renders one view.")
+        int,
+        Meta(
+            ge=1,
+            le=1_000_000,
+            title="Steps",
+            description="Number of training steps; each renders one view.",
+            extra={"commands": "reconstruct"},
+        ),
     ] = 2000
     width_px: Annotated[
         int,
@@ -48,29 +55,65 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             le=16384,
             title="Width",
             description="Pictures wider than this are made smaller, lens distortion removed.",
-            extra={"unit": "px"},
+            extra={"unit": "px", "commands": "reconstruct"},
         ),
     ] = 480
     gaussians: Annotated[
-        int, Meta(ge=100, le=100_000_000, title="Gaussians", description="Most there may be in the static scene.")
+        int,
+        Meta(
+            ge=100,
+            le=100_000_000,
+            title="Gaussians",
+            description="Most there may be in the static scene.",
+            extra={"commands": "reconstruct"},
+        ),
     ] = 120_000
     density: Annotated[
         Literal["adaptive", "mcmc"],
         Meta(
             title="Density control",
             description="adaptive: clone, split and prune (3DGS). mcmc: relocate and explore (3DGS-MCMC).",
+            extra={"commands": "reconstruct"},
         ),
     ] = "adaptive"
     sh_degree: Annotated[
-        int, Meta(ge=0, le=3, title="SH degree", description="Highest degree of the harmonics; low for few views.")
+        int,
+        Meta(
+            ge=0,
+            le=3,
+            title="SH degree",
+            description="Highest degree of the harmonics; low for few views.",
+            extra={"commands": "reconstruct"},
+        ),
     ] = 1
     held_out: Annotated[
-        int, Meta(ge=0, le=10_000, title="Held out", description="Keep every Nth view for measuring; 0: none.")
+        int,
+        Meta(
+            ge=0,
+            le=10_000,
+            title="Held out",
+            description="Keep every Nth view for measuring; 0: none.",
+            extra={"commands": "reconstruct"},
+        ),
     ] = 8
     held_out_views: Annotated[
-        tuple[str, ...], Meta(title="Held-out views", description="Keep these views for measuring, by name, instead.")
+        tuple[str, ...],
+        Meta(
+            title="Held-out views",
+            description="Or these views, by name.",
+            extra={"option": "held-out", "commands": "reconstruct"},
+        ),
     ] = ()
-    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
+    seed: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=2**31 - 1,
+            title="Seed",
+            description="Same seed, same bytes.",
+            extra={"commands": "reconstruct"},
+        ),
+    ] = 0
     rates: Annotated[LearningRates, Meta(title="Learning rates")] = LearningRates()
     haste: Annotated[
         float, Meta(ge=0.1, le=20, title="Haste", description="Multiplies the learning rates of a run that is short.")
@@ -122,6 +165,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             title="Own body",
             description="Look for the vehicle's own body in the pictures, and leave it out; none: where the capture is "
             "a drive (a rig on a vehicle, or odometry).",
+            extra={"commands": "reconstruct"},
         ),
     ] = None
     actors: Annotated[
@@ -134,7 +178,12 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         int, Meta(ge=0, le=1_000_000, title="Saved every", description="Steps between checkpoints; 0: none.")
     ] = 200
     device: Annotated[
-        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it and gsplat are there.")
+        Literal["auto", "cpu", "cuda"],
+        Meta(
+            title="Device",
+            description="auto: CUDA where it and gsplat are there.",
+            extra={"commands": "reconstruct"},
+        ),
     ] = "auto"
 
 

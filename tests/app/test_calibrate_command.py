@@ -9,10 +9,8 @@ from PIL import Image
 from app.main import BAD_INPUT, run
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.properties import rain_properties
-from gsrain_engine.rain.settings import RainSettings
 from measured_rain import measured_rain
-from parsivel_text import rain, station_line, velocity_major
+from parsivel_text import rain, velocity_major
 
 KEYS = {"records", "records_used", "rate_ratio", "rate_correlation", "velocity", "rows", "quality", "records_skipped"}
 
@@ -52,49 +50,6 @@ def test_calibrate_writes_what_the_program_can_load(files, tmp_path, capsys):
     assert "R² = " in printed
 
 
-def test_the_calibration_can_rain(files, tmp_path):
-    out = tmp_path / "cal.yaml"
-    assert calibrate(files, out, "--resamples", "0", "--name", "mine") == 0
-    assert load_calibration(str(out)).name == "mine"
-    assert rain_properties(RainSettings(intensity_mm_h=3.0), load_calibration(str(out))).implied_mm_h == pytest.approx(
-        3
-    )
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--intensities", "1,x"], "--intensities 1,x: expected numbers in mm/h"),
-        (["--intensities", "1,-2"], "--intensities: Expected `float` > 0.0"),
-        (["--half-width", "1.5"], "--half-width: Expected `float` < 1.0"),
-        (["--smallest-mm", "9"], "--smallest-mm: Expected `float` < 8.0"),
-        (["--resamples", "-1"], "--resamples: Expected `int` >= 0"),
-        (["--plot", "plot.txt"], "plot.txt: expected a name that ends with .png"),
-        (["--intensities", "30,40"], "of 2 bins 0 have them"),
-    ],
-)
-def test_bad_options_end_with_one_line(files, tmp_path, capsys, options, says):
-    out = tmp_path / "cal.yaml"
-    assert run(["calibrate", *files, "-o", str(out), *options]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("gsrain:") == 1
-    assert not out.exists()
-
-
-def test_bad_files_end_with_one_line(tmp_path, capsys):
-    out = tmp_path / "cal.yaml"
-    for name, content in (("missing.dat", None), ("notes.txt", "not rain at all\n")):
-        file = tmp_path / name
-        if content is not None:
-            file.write_text(content)
-        assert run(["calibrate", str(file), "-o", str(out)]) == BAD_INPUT
-        assert name in capsys.readouterr().err
-    assert run(["calibrate", str(tmp_path / "x.dat"), "-o", str(tmp_path / "cal.json")]) == BAD_INPUT
-    assert "ends with .yaml" in capsys.readouterr().err
-    assert not out.exists()
-
-
 @pytest.fixture(scope="module")
 def disagreeing(tmp_path_factory):
     """A day of snow, as a Parsivel counts it: more than twice the rain that it reports."""
@@ -124,20 +79,6 @@ def test_rates_that_disagree_end_with_one_line_unless_forced(disagreeing, tmp_pa
     assert "its drops give 2.3" in load_calibration(str(out)).source
 
 
-def test_the_summary_comes_also_where_there_is_too_little_rain(tmp_path, capsys):
-    log = tmp_path / "log.txt"
-    log.write_text("\n".join([station_line(0), station_line(20, rain(), "0000.772"), station_line(40, rate="x")]))
-    assert run(["calibrate", str(log), "-o", str(tmp_path / "cal.yaml")]) == BAD_INPUT
-    said = capsys.readouterr()
-    assert "too few drops to fit" in said.err
-    for words in (
-        "log.txt: OTT Parsivel, 2 records of 60 s",
-        "1 unreadable: rain rate 'x' is not a number",
-        "1 without a drop",
-    ):
-        assert words in said.out
-
-
 def test_info_prints_what_calibrate_prints(disagreeing, files, tmp_path, capsys):
     numbers = tmp_path / "numbers.json"
     assert run(["info", disagreeing, "--json", str(numbers)]) == 0
@@ -149,15 +90,6 @@ def test_info_prints_what_calibrate_prints(disagreeing, files, tmp_path, capsys)
     assert set(report) >= {"instrument", "drops", "rain_mm", "rejected", "rate_ratio", "rate_correlation", "quality"}
     assert run(["info", files[0]]) == 0
     assert "agrees)" in capsys.readouterr().out
-
-
-def test_info_of_a_file_of_no_kind_lists_what_is_known(tmp_path, capsys):
-    file = tmp_path / "notes.txt"
-    file.write_text("not rain at all\n")
-    assert run(["info", str(file)]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert f"{file}: no known scene format: the name must end in " in error
-    assert "DISDRODB" in error and error.count("gsrain:") == 1
 
 
 def test_any_table_by_its_columns(tmp_path, capsys):

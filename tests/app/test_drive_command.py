@@ -7,13 +7,10 @@ import av
 import numpy as np
 import pytest
 
-from app import drive as drive_command
 from app.main import BAD_INPUT, run
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Layer
-from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
 from gsrain_engine.simulation.rollout_io import read_rollout
-from gsrain_engine.simulation.scenario_io import load_scenario, scenario_names
 from small_scene import patch, small_scene
 
 LEAD = """
@@ -78,45 +75,6 @@ def test_an_oracle_stops_at_every_intensity(scenario, tmp_path):
     assert "| standing | oracle-idm | Clear | No |" in (tmp_path / "table.md").read_text()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("nowhere",), "scenario nowhere: no such file"),
-        (("--agent", "nobody"), "there is only constant-velocity"),
-        (("--rain", "a lot"), "--rain a lot: expected mm/h"),
-        (("--rain", "101"), "--rain 101: expected mm/h within 0..100"),
-        (("--export", "csv"), "--export csv: there is only parquet, mcap, xosc"),
-        (("--fps", "0"), "--fps 0: must be within 1..60"),
-        (("--rig", "none", "--agent", "oracle-idm"), "has no rig 'none'"),
-        (("--agent", "hugsim"), "--hugsim-dir DIR"),
-        (("--scene", "nowhere"), "nowhere"),
-        (("--seed", "-1", "--agent", "oracle-idm"), "seed -1: must be within 0..4294967295"),
-    ],
-)
-def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert drive(*arguments) == BAD_INPUT
-    said = capsys.readouterr().err
-    assert says in said and said.count("\n") == 1
-
-
-def test_what_an_export_needs_is_told_before_the_drive(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(drive_command.EXPORTS, "mcap", "a_package_that_is_not_there")
-    assert drive("--export", "mcap") == BAD_INPUT
-    said = capsys.readouterr().err
-    assert "--export mcap needs a_package_that_is_not_there: pip install 'gsrain[drive]'" in said
-    assert said.count("\n") == 1 and not list(tmp_path.iterdir())
-
-
-def test_a_name_is_no_way_into_another_folder(scenario, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "odd.yaml").write_text(scenario.read_text().replace("name: standing", 'name: "../8.5 mm/h"'))
-    assert drive("odd.yaml", "--agent", "oracle-idm", "--no-video") == 0
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["drive--8.5 mm-h", "odd.yaml"]
-    assert (tmp_path / "drive--8.5 mm-h" / "-8.5 mm-h_oracle-idm_8.5mm_seed0.jsonl").is_file()
-
-
 def test_a_scene_without_cameras_is_driven_through_but_not_filmed(scenario, tmp_path, capsys):
     write_scene(replace(small_scene(), rigs={}), tmp_path / "blind")
     asked = (scenario, "--agent", "oracle-idm", "--scene", tmp_path / "blind", "-o", tmp_path / "out")
@@ -138,27 +96,6 @@ def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, ca
     assert "begins inside" not in capsys.readouterr().out
 
 
-def test_an_agent_that_cannot_be_is_told_before_the_scene_is_read(scenario, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("app.drive.load_sorted_scene", lambda name: pytest.fail("the scene was read"))
-    assert drive(scenario, "--agent", "http", "-o", tmp_path / "out") == BAD_INPUT
-    assert "agent http: say where it listens" in capsys.readouterr().err
-
-
-class _Broken(ConstantVelocityAgent):
-    def plan(self, observation):
-        if observation.step == 2:
-            raise ValueError("no such way")
-        return super().plan(observation)
-
-
-def test_what_was_driven_until_an_agent_failed_is_written(scenario, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(drive_command, "open_agent", lambda name, options: _Broken())
-    assert drive(scenario, "--agent", "constant-velocity", "-o", tmp_path, "--no-video") == BAD_INPUT
-    assert "agent constant-velocity: no such way" in capsys.readouterr().err
-    rollout = read_rollout(tmp_path / "standing_constant-velocity_8.5mm_seed0.jsonl")
-    assert (rollout.end, len(rollout.steps)) == ("stopped", 3)
-
-
 def test_a_driver_of_ones_own_may_fail_as_it_likes(scenario, tmp_path, capsys):
     own = tmp_path / "mine.py"
     own.write_text(
@@ -174,13 +111,6 @@ def test_a_driver_of_ones_own_may_fail_as_it_likes(scenario, tmp_path, capsys):
     assert drive(scenario, "--agent", f"{own}:Mine", "-o", tmp_path / "none", "--no-video") == BAD_INPUT
 
 
-def test_the_papers_scenarios_are_shipped():
-    assert {"stationary-lead", "cut-in"} <= set(scenario_names())
-    standing, cutting = load_scenario("stationary-lead"), load_scenario("cut-in")
-    assert (standing.speed_m_s, standing.road_users[0].ahead_m, standing.road_users[0].speed_m_s) == (10, 40, 0)
-    assert (cutting.speed_m_s, cutting.road_users[0].ahead_m, cutting.road_users[0].speed_m_s) == (5, 10, 5)
-
-
 def test_a_scenario_of_any_name_is_driven_and_its_files_are_found(scenario, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = scenario.read_text().replace("duration_s: 6.0", "duration_s: 0.5")
@@ -194,13 +124,3 @@ def test_a_scenario_of_any_name_is_driven_and_its_files_are_found(scenario, tmp_
         assert len(list(folder.glob("*.jsonl"))) == len(list(folder.glob("*.parquet"))) == 1
         assert len(list(folder.glob("*.png"))) == 1
         assert "8.5mm_seed0" in " ".join(each.name for each in folder.iterdir())
-
-
-def test_names_that_are_in_the_way_are_told_before_the_drive(scenario, tmp_path, capsys):
-    (tmp_path / "out" / "standing_constant-velocity_8.5mm_seed0.mp4").mkdir(parents=True)
-    line = (scenario, "--agent", "constant-velocity", "--backend", "cpu", "-o", tmp_path / "out")
-    assert drive(*line) == BAD_INPUT
-    assert "seed0.mp4: can't be written, for it is a folder" in capsys.readouterr().err
-    assert drive(*line, "--no-video", "--rain", "1,1.00000001") == BAD_INPUT
-    assert "two outputs have this name" in capsys.readouterr().err
-    assert not list((tmp_path / "out").glob("*.jsonl"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.main import BAD_INPUT, run
+from app.main import run
 from gsrain_engine.datasets.rainsense import find_rain_sequences
 
 WIDTH, HEIGHT, FRAMES = 256, 192, 8
@@ -109,50 +109,3 @@ def test_options_change_our_rain(real, tmp_path):
     assert mean_std("--light", "display")[1] < plain - 0.03
     assert mean_std("--aperture", "8")[1] < plain - 0.03
     assert mean_std("--seed", "1")[1] != plain
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--frames", "4"], "--frames 4: must be within 5..200"),
-        (["--exposure", "0.004,,0.01"], "--exposure 0.004,,0.01: expected seconds"),
-        (["--exposure", "3"], "--exposure 3: expected seconds within 0.00001..1"),
-        (["--window", "1,2,3"], "--window 1,2,3: expected LEFT,TOP,WIDTH,HEIGHT"),
-        (["--window", "0,0,300,64"], "window 0,0,300,64: must be 32 px or more within 256x192"),
-        (["--rain", "200"], "--rain"),
-    ],
-)
-def test_bad_options_end_in_one_line(real, capsys, options, said):
-    assert streaks(real, *options) == BAD_INPUT
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert said in error
-
-
-def test_bad_data_sets_end_in_one_line(real, tmp_path, capsys):
-    def said(folder):
-        assert streaks(folder) == BAD_INPUT
-        return capsys.readouterr().err.splitlines()[-1]
-
-    (tmp_path / "empty").mkdir()
-    assert "no RainSense sequence in it" in said(tmp_path / "empty")
-    write_sequence(tmp_path / "short", 2.0, frames=3)
-    assert "no sequence of 5 frames or more" in said(tmp_path / "short")
-    case = real / "a" / "case_000"
-    (case / "image" / "image_002.jpg").write_bytes(b"no picture")
-    assert "image_002.jpg: not a readable picture" in said(case)
-    (case / "timestamps.txt").write_text("timestamps,index\n1.0,0\n")
-    assert "timestamps.txt: 1 time stamps, expected at least 8" in said(case)
-    (case / "context" / "camera_intrinsics.txt").write_text("K_cam:\n1 2 3\n")
-    assert "camera_intrinsics.txt: 3 numbers, expected 14" in said(case)
-    (case / "context" / "rainfall_intensity.txt").write_text("current intensity:-3")
-    assert "-3.0 mm/h, expected 0 to 500" in said(case)
-
-
-def test_real_sequences_are_read(test_data):
-    folder = test_data / "weather" / "rainsense"
-    if not folder.is_dir():
-        pytest.skip(f"no RainSense at {folder}")
-    sequences = find_rain_sequences(folder)
-    assert [each.intensity_mm_h for each in sequences] == [0, 1.376, 2.654, 4.75, 9.245]
-    assert sequences[-1].gray_image(0).shape == (1080, 1920)
-    assert sequences[-1].camera.fx == pytest.approx(1916.124)

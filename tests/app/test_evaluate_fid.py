@@ -1,11 +1,12 @@
 """`gsrain evaluate fid` and the converters of weights, as a user runs them."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from app.main import BAD_INPUT, run
+from app.main import run
 from gsrain_engine.evaluation.fid import PLACE as CACHE
 from gsrain_engine.evaluation.fid_torch_features import INCEPTION_PLACE
 
@@ -86,81 +87,16 @@ def test_inception_gives_fid_and_its_features_are_kept(sets, tmp_path, capsys):
     assert json.loads((tmp_path / "kept.json").read_text())["rows"][0]["frechet"] == 0  # it took what was kept
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ([], "no weights of Inception (for FID)"),
-        (["--extractor", "fid"], "--extractor fid: expected one of inception, pixels16"),
-        (["--extractor", "pixels16,inception", "--weights", "a.pth"], "--weights: belongs to one extractor"),
-        (["--extractor", "pixels16", "--resamples", "3"], "--resamples 3: must be within 20..10000"),
-        (["--weights", "nothing.pth"], "nothing.pth: no such file"),
-        (["--device", "tpu"], "--device"),
-    ],
-)
-def test_bad_options_end_in_one_line(sets, capsys, options, said):
-    if "--extractor" not in options:
-        pytest.importorskip("torch")
-    assert fid(*sets, *options) == BAD_INPUT
-    assert said in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_bad_sets_end_in_one_line(sets, tmp_path, capsys, caplog):
-    def said(*folders):
-        assert fid(*folders, "--extractor", "pixels16") == BAD_INPUT
-        return capsys.readouterr().err.splitlines()[-1]
-
-    assert "FAKE requires an argument" in said(sets[0])
-    assert "no such file or folder; did you mean real?" in said(tmp_path / "reel", sets[1])
-    few = write_pictures(tmp_path / "few", 3, 5)
-    assert f"{few}: 3 pictures; a distribution takes at least 4" in said(sets[0], few)
-    (sets[1] / "003.png").write_bytes((sets[1] / "003.png").read_bytes()[:-40])
-    assert fid(*sets, "--extractor", "pixels16", "--resamples", "20") == 0
-    assert "1 of 14 pictures are left out" in caplog.text
-
-
-def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
+def test_lpips_weights_become_plain_arrays_and_back(tmp_path):
     pytest.importorskip("safetensors")
     from evaluation.random_lpips import random_weights
     from gsrain_engine.evaluation.lpips_weights import read_lpips_weights
 
     weights = random_weights("alex")
     weights.write(tmp_path / "alex.npz")
-
-    def convert(source, output):
-        return run(["evaluate", "lpips-weights", str(source), "-o", str(output)])
-
-    assert convert(tmp_path / "alex.npz", tmp_path / "new" / "alex.safetensors") == 0
-    assert "LPIPS of AlexNet, 9.9 MB, SHA-256" in capsys.readouterr().out
-    again = read_lpips_weights(tmp_path / "new" / "alex.safetensors")
-    for mine, theirs in (
-        (weights.kernels, again.kernels),
-        (weights.biases, again.biases),
-        (weights.heads, again.heads),
-    ):
-        assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
-    assert convert(tmp_path / "new" / "alex.safetensors", tmp_path / "back.npz") == 0
+    files = [str(tmp_path / name) for name in ("alex.npz", "new/alex.safetensors", "back.npz")]
+    for source, output in pairwise(files):
+        assert run(["evaluate", "lpips-weights", source, "-o", output]) == 0
+    between = read_lpips_weights(tmp_path / "new" / "alex.safetensors")
+    assert all(np.array_equal(a, b) for a, b in zip(weights.kernels, between.kernels, strict=True))
     assert (tmp_path / "back.npz").read_bytes() == (tmp_path / "alex.npz").read_bytes()
-    for source, output, said in (
-        (
-            tmp_path / "alex.npz",
-            tmp_path / "alex.onnx",
-            "alex.onnx: expected a name that ends in .safetensors or .npz",
-        ),
-        (tmp_path / "none.pth", tmp_path / "a.npz", "none.pth: no such file"),
-    ):
-        assert convert(source, output) == BAD_INPUT
-        assert said in capsys.readouterr().err
-
-
-def test_doctor_looks_for_inception(tmp_path, monkeypatch):
-    pytest.importorskip("torch")
-    from app.doctor import find_inception
-    from evaluation.random_networks import write_inception
-
-    missing = find_inception()
-    assert not missing.found
-    assert "pt_inception-2015-12-05" in missing.what
-    monkeypatch.setenv(INCEPTION_PLACE, str(write_inception(tmp_path / "inception.npz")))
-    assert find_inception().found
-    (tmp_path / "inception.npz").write_bytes(b"torn")
-    assert "inception.npz: not a readable .npz" in find_inception().what

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from app.main import BAD_INPUT, run
-from gsrain_engine.evaluation.image_metrics import mean_interval, psnr, ssim
+from gsrain_engine.evaluation.image_metrics import psnr, ssim
 
 from .picture_sets import write_pictures
 
@@ -97,35 +97,6 @@ def test_lpips_stands_beside(folders, tmp_path, capsys):
     numbers = json.loads((tmp_path / "numbers.json").read_text())
     assert all(row["lpips"] > 0 for row in numbers["rows"])
     assert "LPIPS" in capsys.readouterr().out
-
-
-def test_bad_input_ends_in_one_line(folders, tmp_path, capsys):
-    def said(*arguments):
-        assert images(*arguments) == BAD_INPUT
-        return capsys.readouterr().err.splitlines()[-1]
-
-    other = write_pictures(tmp_path / "other", 2, 0)
-    for file in sorted(other.iterdir()):
-        file.rename(other / f"x{file.name}")
-    assert "no picture of the one has the name of one of the other" in said(folders[0], other)
-    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(folders[0] / "002.png")
-    assert "002: pictures of one size are compared, not 40x30 px with " in said(*folders)
-    assert "none.pth: no such file" in said(*folders, "--lpips", tmp_path / "none.pth")
-
-
-def test_the_interval_of_a_mean_covers_it_and_is_seeded():
-    random = np.random.default_rng(0)
-    covers = sum(
-        interval.low <= 3 <= interval.high
-        for interval in (mean_interval(list(random.normal(3, 2, 40)), seed) for seed in range(100))
-    )
-    assert 88 <= covers <= 99
-    values = list(random.normal(0, 1, 20))
-    assert mean_interval(values) == mean_interval(values) != mean_interval(values, 1)
-    assert mean_interval([2.0]) == (2, 2, 2)
-    assert mean_interval([np.inf, np.inf]) == (np.inf, np.inf, np.inf)
-    with pytest.raises(ValueError, match="at least one value"):
-        mean_interval([])
 
 
 def test_two_pictures_are_a_pair_whatever_they_are_called(folders, tmp_path, capsys):

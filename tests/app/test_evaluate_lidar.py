@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from app.main import BAD_INPUT, run
+from app.main import run
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
@@ -34,12 +34,12 @@ least_reflectance: 0.0001
 def test_a_scene_is_scanned_and_rained_on(scene, tmp_path, capsys):
     sensor, out = tmp_path / "sensor.yaml", tmp_path / "out"
     sensor.write_text(SENSOR)
-    options = ("--sensor", sensor, "--rain", "0,8.5,50", "--seeds", 2, "--sweeps", 2, "--json", tmp_path / "n.json")
+    options = ("--sensor", sensor, "--rain", "0,50", "--seeds", 2, "--sweeps", 1, "--json", tmp_path / "n.json")
     assert lidar(scene, "-o", out, *options) == 0
     report = json.loads((tmp_path / "n.json").read_text())
     assert report["sensor"]["name"] == "four rings"
     rows = report["rows"]
-    assert len(rows) == 3 * 2 * 2
+    assert len(rows) == 2 * 2
     dry, heavy = ([row for row in rows if row["intensity_mm_h"] == rain] for rain in (0, 50))
     assert all(row["kept"] == row["clear"] > 100 and row["false"] == row["dropped"] == 0 for row in dry)
     assert sum(row["dropped"] for row in heavy) > 0 and sum(row["false"] for row in heavy) > 0
@@ -63,15 +63,6 @@ def test_a_scene_is_scanned_and_rained_on(scene, tmp_path, capsys):
     assert all(each in page for each in (report["command"], *report["inputs"].values()))
 
 
-def test_the_same_command_writes_the_same_bytes(scene, tmp_path):
-    sensor = tmp_path / "sensor.yaml"
-    sensor.write_text(SENSOR)
-    for name in ("a", "b"):
-        assert lidar(scene, "-o", tmp_path / name, "--sensor", sensor, "--rain", "30", "--seeds", 1) == 0
-    for name in ("lidar.csv", "lidar.png", "sweeps/scan0000_rain30_seed0.npz"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-
-
 def test_a_real_sweep_is_rained_on(test_data, tmp_path, capsys):
     capture = test_data / "weather/rainsense/clear/scene_0/case_000"
     options = ("--rain", "0,9.245", "--seeds", "1", "--no-write-sweeps", "--json", "-")
@@ -82,34 +73,3 @@ def test_a_real_sweep_is_rained_on(test_data, tmp_path, capsys):
     assert 200 < dry["range_10_m"] < 350
     assert 0.9 < wet["kept"] / wet["clear"] < 0.999
     assert not (tmp_path / "sweeps").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--rain", "1,-2"), "--rain 1,-2: expected mm/h"),
-        (("--rain", "101"), "--rain 101: expected mm/h"),
-        (("--seeds", "0"), "--seeds 0: must be within 1..1000"),
-        (("--reflectance", "1.5"), "--reflectance 1.5: must be above 0"),
-        (("--sensor", "99"), "--sensor 99: expected 32, 64, 128, 1550, or"),
-        (("--least-reflectance", "0.2"), "--min-reflectance 0.2: must be within 0..0.1"),
-        (("--range-10", "0"), "--range-10 0: must be within 1..1000 m"),
-    ],
-)
-def test_bad_options_end_with_one_line(tmp_path, capsys, options, said):
-    assert lidar("street", "-o", tmp_path / "out", *options) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_bad_sensor_file_names_the_field(scene, tmp_path, capsys):
-    sensor = tmp_path / "sensor.yaml"
-    sensor.write_text(SENSOR + "divergence_mrad: 100\n")
-    assert lidar(scene, "-o", tmp_path / "out", "--sensor", sensor) == BAD_INPUT
-    assert "$.divergence_mrad" in capsys.readouterr().err
-
-
-def test_a_capture_without_lidar_is_refused(test_data, tmp_path, capsys):
-    assert lidar(test_data / "driving/nuscenes_rear_26", "-o", tmp_path / "out") == BAD_INPUT
-    assert "no lidar sweeps" in capsys.readouterr().err

@@ -121,51 +121,15 @@ def test_what_stands_is_kept_and_only_what_changed_runs_again(tmp_path, capsys):
     assert json.loads(numbers.read_text())["kept"] == ["wet"]
 
 
-def test_pictures_from_elsewhere_are_compared_as_far_as_there_are_any(tmp_path, caplog):
-    assert transfers(tmp_path, settings(), "--only", "wet") == 0
-    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    assert not (out / "clear").exists()
-    shutil.copytree(out / "wet" / "clear", elsewhere)
-    sorted(elsewhere.iterdir())[0].unlink()
-    Image.new("RGB", (64, 43)).save(elsewhere / "more.png")
-    methods = [*settings()["methods"], {"name": "other", "method": "images", "images": str(elsewhere)}]
-    told = settings(methods=methods, views={"count": 5, "width_px": 64})
-    shutil.rmtree(elsewhere)
-    assert transfers(tmp_path, settings(views=told["views"]), "--only", "clear") == 0
-    shutil.copytree(out / "clear" / "clear", elsewhere)
-    sorted(elsewhere.iterdir())[0].unlink()
-    assert transfers(tmp_path, told) == 0
-    clear, _, other = json.loads((out / "table.json").read_text())["rows"]
-    assert (clear["fake_pictures"], other["fake_pictures"]) == (5, 4)
-    assert 0 < other["pairs"] < clear["pairs"]
-    assert "1 views have no picture" in caplog.text
-
-
-def test_test_pictures_of_a_training_are_compared_without_neighbours(tmp_path, files):
-    clear = write_pictures(tmp_path / "sunny", 8, 3)
-    pictures = {"clear": [{"path": str(clear)}], "rainy": [{"path": str(files / "real")}], "test_share": 0.7}
-    told = settings(pictures=pictures)
-    del told["source"], told["real"]
-    assert transfers(tmp_path, told) == 0
-    row = json.loads((tmp_path / "out" / "table.json").read_text())["rows"][0]
-    assert (row["fake_pictures"], row["real_pictures"]) == (6, 4)
-    assert (row["pairs"], row["ratio"]) == (0, None)
-
-
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"sources": "street"}, "unknown field `sources`"),
         ({"source": "nowhere"}, "nowhere: no such file or folder"),
         ({"real": []}, "expected folders of real rainy pictures - at `$.real`"),
-        ({"real": ["missing"]}, "missing"),
         ({"source": None}, "either source or pictures"),
-        ({"views": {"count": 2, "width_px": 64}}, "2 pictures; a distribution takes at least 4"),
-        ({"extractor": "eyes"}, "extractor 'eyes': expected one of inception"),
         ({"methods": [{"name": "a", "method": "dry"}]}, "no method 'dry', only clear, wet"),
         ({"methods": [{"name": "a", "method": "wet"}, {"name": "A", "method": "wet"}]}, "'A' is there twice"),
         ({"methods": [{"name": "../a", "method": "wet"}]}, "$.methods[0].name"),
-        ({"methods": [{"name": "a", "method": "images"}]}, "method 'a': needs images"),
         ({"methods": [{"name": "a", "method": "images", "images": "no"}]}, "method 'a': images no: no such file"),
         ({"methods": [{"name": "a", "method": "wet"}, {"name": "b", "method": "cyclegan-turbo"}]},
          "method 'b': no transfer weights at"),
@@ -179,18 +143,3 @@ def test_bad_input_ends_in_one_line_before_anything_starts(tmp_path, capsys, cha
     assert expected in said
     assert len(said.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_an_unknown_name_is_told(tmp_path, capsys):
-    assert transfers(tmp_path, settings(), "--only", "wet,dry") == BAD_INPUT
-    assert "no method 'dry', only clear, wet" in capsys.readouterr().err
-
-
-def test_what_methods_leave_out_is_said_in_the_comparison(tmp_path, files, capsys):
-    clear = write_pictures(tmp_path / "sunny", 5, 3)
-    assert transfers(tmp_path, settings(source=str(clear))) == 0
-    sentence = "wet, 4 of 4 views: only light, colors and the sky where it is sure"
-    assert sentence in capsys.readouterr().out
-    notes = json.loads((tmp_path / "out" / "table.json").read_text())["notes"]
-    assert len(notes) == 1 and notes[0].startswith(sentence)
-    assert sentence in (tmp_path / "out" / "report.html").read_text()

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,25 +78,6 @@ def test_real_drive_is_described_and_checked(
     assert sum(numbers["boxes"].values()) == 69
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["{tmp}/gardn"], "gardn"),
-        (["{tmp}/empty"], "empty: neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"),
-        (["street", "--check"], "--check and --overlay are for captures"),
-        (["{tmp}/broken"], "transforms.json: not a JSON file"),
-    ],
-)
-def test_bad_input_ends_in_one_line(small: Path, tmp_path: Path, arguments, told: str, capsys) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "broken").mkdir()
-    (tmp_path / "broken" / "transforms.json").write_text("{")
-    assert run(["info", *(each.format(tmp=tmp_path) for each in arguments)]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert told in error
-    assert error.count("\n") == 1
-
-
 def test_the_folder_that_street_writes_is_scene_and_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_scene(small_scene("town"), tmp_path / "town" / "scene")
     list(write_views(tmp_path / "town" / "images", capture_views()))
@@ -115,41 +95,6 @@ def test_the_folder_that_street_writes_is_scene_and_capture(tmp_path: Path, caps
     assert "town: " in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("columns", ["60", "200"])
-def test_names_are_printed_whole(
-    tmp_path: Path, columns: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", columns)
-    layer, long = small_scene().layers[0], "a layer of asphalt with a name that is longer than any terminal, " * 4
-    front = small_scene().rigs["one"][0]
-    rigs = {"a rig with many cameras": tuple(replace(front, name=f"CAMERA_OF_THE_ROOF_{k}") for k in range(8))}
-    write_scene(replace(small_scene(), layers=(replace(layer, name=long),), rigs=rigs), tmp_path / "scene")
-    assert run(["info", str(tmp_path / "scene")]) == 0
-    printed = capsys.readouterr().out
-    assert long in printed and ", ".join(f"CAMERA_OF_THE_ROOF_{k}" for k in range(8)) in printed
-    assert "..." not in printed and "\u2026" not in printed
-    folder = "front_left_camera_of_the_roof_" * 6
-    write_binary(tmp_path / "garden/sparse/0", (f"{folder}/a.png", "right/b.png"))
-    write_pictures(tmp_path / "garden/images", (f"{folder}/a.png", "right/b.png"))
-    assert run(["info", str(tmp_path / "garden")]) == 0
-    assert folder in capsys.readouterr().out
-
-
-def test_a_unit_that_nobody_gave_is_said_to_be_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file, folder = tmp_path / "wall.ply", tmp_path / "wall"
-    write_scene(small_scene(), file)
-    numbers = tmp_path / "n.json"
-    for path, options in ((file, []), (folder, ["convert"])):
-        if options:
-            assert run(["convert", str(file), str(folder)]) == 0
-        assert run(["info", str(path), "--json", str(numbers)]) == 0
-        assert "1 unit = 1 m (assumed), up" in capsys.readouterr().out
-        assert json.loads(numbers.read_text())["metres_per_unit_is_assumed"]
-    assert run(["convert", str(folder), str(tmp_path / "metric"), "--metres-per-unit", "1"]) == 0
-    assert run(["info", str(tmp_path / "metric")]) == 0
-    assert "1 unit = 1 m, up" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("meta", ['{"title": "photos"}', "[]", "{", '{"means": 1' + " " * (1 << 20) + "}"])
 def test_a_meta_json_alone_is_no_sog(tmp_path: Path, meta: str, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "photos"
@@ -160,14 +105,3 @@ def test_a_meta_json_alone_is_no_sog(tmp_path: Path, meta: str, capsys: pytest.C
     assert run(["render", str(folder), "-o", str(tmp_path / "a.png")]) == BAD_INPUT
     error = capsys.readouterr().err
     assert "its meta.json is none of SOG" in error and error.count("\n") == 1
-
-
-def test_sizes_of_all_pictures_of_a_camera_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, size in (("a", (80, 60)), ("b", (60, 64)), ("c", (70, 70)), ("d", (80, 60))):  # the first is neither end
-        Image.new("RGB", size).save(tmp_path / f"{name}.png")
-    assert run(["info", str(tmp_path), "--check", "--json", str(tmp_path / "n.json")]) == 0
-    printed = capsys.readouterr()
-    assert "60x64 to 70x70 (3 sizes)" in printed.out
-    assert "2/2" in printed.err  # the bar ends, also where there is nothing to check
-    [sensor] = json.loads((tmp_path / "n.json").read_text())["sensors"]
-    assert (sensor["width"], sensor["sizes"], sensor["smallest_px"]) == (80, 3, [60, 64])

@@ -33,21 +33,6 @@ def test_a_working_directory_that_is_gone_is_told(tmp_path, monkeypatch, capsys)
     monkeypatch.chdir(tmp_path)
 
 
-def test_the_street_is_photographed_without_libraries_of_x(tmp_path):
-    (tmp_path / "pyglet").mkdir()
-    (tmp_path / "pyglet" / "__init__.py").write_text("raise ImportError('XRenderFindVisualFormat')\n")
-    program = """
-import sys
-import numpy as np
-from gsrain_engine.datasets.street import MeshRasterizer
-stage = MeshRasterizer()
-stage.add(np.zeros((1, 4, 3), np.float32), np.ones((1, 4, 4)), np.eye(4))
-assert "pyglet" not in sys.modules
-"""
-    code, _, said = python(program, PYTHONPATH=f"{tmp_path}{os.pathsep}{REPOSITORY}")
-    assert code == 0, said
-
-
 def test_a_library_that_can_t_be_loaded_is_one_sentence(monkeypatch, capsys):
     missing = "libGL.so.1: cannot open shared object file"
     monkeypatch.setattr("app.scene.load_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
@@ -77,12 +62,6 @@ raise SystemExit(run(["info", str(path)]))
     assert (tmp_path / "Straße é.ply").read_text() == "whole"
     assert code == BAD_INPUT and said.startswith("gsrain: ") and "UnicodeEncodeError" not in said
     assert list(tmp_path.iterdir()) == [tmp_path / "Straße é.ply"]
-
-
-def test_names_that_the_terminal_has_no_letters_for_are_printed_as_escapes(tmp_path):
-    program = "import sys; from app.main import run; raise SystemExit(run(sys.argv[1:]))"
-    code, _, said = python(program, "info", tmp_path / "雨", PYTHONIOENCODING="ascii:strict")
-    assert code == BAD_INPUT and r"\u96e8" in said and len(said.splitlines()) == 1
 
 
 def test_output_that_nobody_reads_ends_without_a_word():

@@ -1,11 +1,17 @@
-"""The options that scripts and papers rely on: each command says of each of them what it does."""
+"""Options: those that scripts and papers rely on, old names, values that none takes, and errors in their names."""
 
+import math
 import re
+from dataclasses import dataclass
 
 import pytest
 from cyclopts import CycloptsError
 
-from app.main import BAD_INPUT, OLD_OPTIONS, _renamed, app, run
+from app.main import OLD_OPTIONS, app, renamed_options, run
+from app.options import converted_options, reject_non_finite
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.recolor.recolor import RecolorOptions
+from gsrain_engine.render.export_settings import ExportSettings
 
 OPTIONS = {
     "render": "--rain --intensity --preset --camera --camera-path --size --fps --duration --time --seed --exposure "
@@ -18,25 +24,26 @@ OPTIONS = {
     "reconstruct": "--output -o --images --json",
     "transfer": "--output -o --method --weights --no-normals --no-cross-view-attention --json",
     "recolor": "--images --output -o --refine --json",
-    "train-transfer": "--output -o",
+    "train-transfer": "--output -o --clear --rainy",
     "evaluate fid": "--weights --json",
     "evaluate consistency": "--json",
     "evaluate detection": "--detector --rain --seeds --json",
     "drive": "--agent --rain --hugsim-dir --json",
-    "sweep": "--shard --dask --json",
+    "sweep": "--output -o --shard --dask --json",
     "bench": "--json",
     "bench render": "--json",
     "bench loading": "--json",
     "bench recoloring": "--json",
     "doctor": "--json",
+    "schema": "--output -o",
 }
 
 
 @pytest.mark.parametrize("command", OPTIONS)
 def test_a_command_has_the_options_that_are_relied_on(command, capsys):
     assert run([*command.split(), "--help"]) == 0
-    said = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", capsys.readouterr().out))
-    assert set(OPTIONS[command].split()) - said == set()
+    printed = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", capsys.readouterr().out))
+    assert set(OPTIONS[command].split()) - printed == set()
 
 
 @pytest.mark.parametrize("command", OLD_OPTIONS)
@@ -47,20 +54,64 @@ def test_options_of_version_0_1_are_read_and_not_listed(command, capsys):
         old, new = pair.split("=")
         assert f"--{new}" in listed and f"--{old}" not in listed
         for words in ([f"--{old}=x"], [f"--no-{old}"], [f"--{old}", "x"]):
-            assert list(_renamed([*command.split(), *words]))[-len(words) :] == [words[0].replace(old, new), *words[1:]]
-    assert list(_renamed(["info", "--", "--twin"])) == ["info", "--", "--twin"]
-    assert list(_renamed(["info", "--twin"])) == ["info", "--twin"]
+            renamed = list(renamed_options([*command.split(), *words]))
+            assert renamed[-len(words) :] == [words[0].replace(old, new), *words[1:]]
+    assert list(renamed_options(["info", "--", "--twin"])) == ["info", "--", "--twin"]
 
 
 @pytest.mark.parametrize("words", ["--drop-density flux", "--drop-density density", "--closure density"])
 def test_values_of_the_drop_density_have_old_names_too(words):
-    _, bound, _ = app.parse_args(list(_renamed(["disdrometer", *words.split()])), exit_on_error=False)
+    _, bound, _ = app.parse_args(list(renamed_options(["disdrometer", *words.split()])), exit_on_error=False)
     assert bound.arguments["rain"].changes() == {"closure": "density"}
     with pytest.raises(CycloptsError, match="flux"):
         app.parse_args(["disdrometer", "--drop-density", "even"], exit_on_error=False, print_error=False)
 
 
-def test_the_rain_rate_has_two_names(capsys):
-    for name in ("--rain", "--intensity"):
-        assert run(["disdrometer", name, "-1"]) == BAD_INPUT
-        assert capsys.readouterr().err.startswith("gsrain: --rain: Expected `float` >= 0.0")
+@pytest.mark.parametrize(
+    ("line", "changes"),
+    [
+        ("calibrate a.nc -o a.yaml --intensities 1,2.5", {"fit": {"intensities_mm_h": [1.0, 2.5]}}),
+        ("reconstruct a -o b --held-out 4", {"options": {"held_out": 4, "held_out_views": ()}}),
+        ("reconstruct a -o b --held-out x,y", {"options": {"held_out_views": ["x", "y"]}}),
+        ("recolor a --images b -o c --refine", {"run": {"refine": 300}}),
+        ("recolor a --images b -o c --no-refine --no-robust", {"run": {}, "solver": {"robust": False}}),
+        ("render -o a.png --size 96x64", {"recording": {"output": "a.png", "size_px": (96, 64)}}),
+        ("train-transfer tiny -o a --clear b --clear c", {"images": {"clear": [{"path": "b"}, {"path": "c"}]}}),
+        ("evaluate lidar -o a --range-10 50", {"detection": {"range_m": 50.0}}),
+    ],
+)
+def test_options_set_fields(line, changes):
+    _, bound, _ = app.parse_args(line.split(), exit_on_error=False, print_error=False)
+    assert {name: bound.arguments[name].changes() for name in changes} == changes
+
+
+@dataclass
+class Grouped:
+    first_s: float
+    bounds: tuple[float, float] = (0.0, 1.0)
+
+
+def test_no_option_takes_nan_however_deep_it_stands():
+    for value in (1.0, (1.0, 2.0), [1.0], Grouped(1.0), "nan", None):
+        reject_non_finite(None, value)
+    for value in (math.nan, (1.0, math.inf), [-math.inf]):
+        with pytest.raises(ValueError, match="finite"):
+            reject_non_finite(None, value)
+    for value, name in ((Grouped(math.nan), "--first-s"), (Grouped(0.0, (0.0, math.nan)), "--bounds")):
+        with pytest.raises(ValueError, match=name):
+            reject_non_finite(None, value)
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "name"),
+    [
+        ({"intensity_mm_h": 200}, RainSettings, "^--rain: "),
+        ({"exposure_s": 3.0}, RainSettings, "^--exposure must be"),
+        ({"output": "a.mp4", "passes": ["color", "heat"]}, ExportSettings, "^--passes: "),
+        ({"output": "a.mp4", "first_s": 2.0, "last_s": 1.0}, ExportSettings, "^--to must be above --time"),
+        ({"colors": {"iterations": 0}}, RecolorOptions, "^--iterations: "),
+    ],
+)
+def test_an_error_names_the_option(values, kind, name):
+    with pytest.raises(ValueError, match=name):
+        converted_options(values, kind)

@@ -80,11 +80,6 @@ def test_the_own_body_is_looked_for_in_a_drive(capture: Path, tmp_path: Path) ->
     assert EgoMaskReport.planned(replace(drive, ego=None), True).searched
 
 
-def test_nothing_held_out_is_said(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--held-out", "0"]) == 0
-    assert "No view was held out" in capsys.readouterr().out
-
-
 def test_other_pictures_take_the_place_of_the_own_ones(capture: Path, tmp_path: Path) -> None:
     images = tmp_path / "red"
     images.mkdir()
@@ -94,48 +89,6 @@ def test_other_pictures_take_the_place_of_the_own_ones(capture: Path, tmp_path: 
     assert run(asked) == 0
     sh = read_scene(tmp_path / "scene").member("layers/background").gaussians.sh[:, 0]
     assert np.median(sh[:, 0]) > np.median(sh[:, 1]) + 0.5
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        (["--steps", "0"], "--steps: Expected `int` >= 1"),
-        (["--width", "3"], "--width: Expected `int` >= 16"),
-        (["--held-out", "nowhere"], "no view is named 'nowhere'; the first is '0.00m'"),
-        (["--held-out", "1"], "all 4 views would be held out"),
-        (["--config", "nowhere.yaml"], "none of the shipped ones (draft, full, laptop)"),
-        (["--resume"], "there is no checkpoint to resume from"),
-        (["--images", "nowhere"], "--images nowhere: no such folder"),
-        (["--lpips", "nowhere.npz"], "nowhere.npz"),
-    ],
-)
-def test_bad_input_ends_with_one_line(
-    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
-) -> None:
-    assert run(["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *more]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.strip().count("\n") == 0
-    assert not (tmp_path / "scene").exists()
-
-
-def test_lpips_is_reported_with_weights(capture: Path, tmp_path: Path) -> None:
-    from evaluation.random_lpips import random_weights
-
-    weights, numbers = tmp_path / "alex.npz", tmp_path / "numbers.json"
-    random_weights("alex").write(weights)
-    asked = ["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--held-out", "4"]
-    assert run([*asked, "--lpips", str(weights), "--json", str(numbers)]) == 0
-    assert json.loads(numbers.read_text())["lpips_held_out"] > 0
-
-
-def test_a_folder_that_is_no_scene_is_not_replaced(
-    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    assert run(["reconstruct", str(capture), "-o", str(tmp_path)]) == 2
-    assert "expected a new folder, or a scene folder to replace" in capsys.readouterr().err
-    assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 def test_a_config_is_read_and_options_go_on_top(capture: Path, tmp_path: Path) -> None:

@@ -3,18 +3,12 @@
 import csv
 import io
 import json
-import pickle
-from functools import partial
 
 import pytest
 
 from app.main import BAD_INPUT, run
 from app.sweep import SOME_FAILED
 from gsrain_engine import trusted_code
-from gsrain_engine.sweep.expansion import jobs_of
-from gsrain_engine.sweep.settings import load_sweep
-from gsrain_engine.sweep.worker import run_job
-from gsrain_engine.trusted_code import read_code
 from sweep.small_sweep import write_road, write_scenario
 
 
@@ -75,28 +69,6 @@ def test_a_failure_is_said_and_done_again_when_asked(sweep, tmp_path, capsys):
     assert len((tmp_path / "out" / "log.jsonl").read_text().splitlines()) == 8
     assert run(["sweep", str(sweep), "--workers", "0", "--retry-failed"]) == SOME_FAILED
     assert len((tmp_path / "out" / "log.jsonl").read_text().splitlines()) == 16
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--shard", "0/2"], "shares are counted from 1 to n, as by sbatch --array=1-2"),
-        (["--workers", "2", "--dask", "tcp://127.0.0.1:1"], "--workers and --dask exclude each other"),
-        (["--dask-resources", "GPU=1"], "expected --dask ADDRESS with it"),
-        (["--workers", "-1"], "--workers -1: must be within 0..4096"),
-        (["--summarize-only"], "there are no rows of this sweep yet"),
-    ],
-)
-def test_what_is_wrong_is_one_line(sweep, capsys, options, said):
-    assert run(["sweep", str(sweep), *options]) == BAD_INPUT
-    error = capsys.readouterr().err
-    assert said in error and len(error.splitlines()) == 1
-
-
-def test_a_sweep_without_a_folder_asks_for_one(sweep, capsys):
-    sweep.write_text("".join(line for line in sweep.read_text().splitlines(True) if not line.startswith("output")))
-    assert run(["sweep", str(sweep)]) == BAD_INPUT
-    assert "expected --output DIR" in capsys.readouterr().err
 
 
 def test_ctrl_c_says_how_it_goes_on(sweep, tmp_path, capsys, monkeypatch):
@@ -178,11 +150,3 @@ def test_an_answer_holds_for_this_content(with_code, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(_DRIVER + "# changed\n")
     monkeypatch.setattr(trusted_code, "_trusted", set())
     assert run(["sweep", str(with_code), "--workers", "0"]) == BAD_INPUT
-
-
-def test_a_worker_runs_nothing_that_it_was_not_handed(with_code, tmp_path):
-    (job, *_) = jobs_of(load_sweep(with_code))
-    refused = pickle.loads(pickle.dumps(partial(run_job, clips=tmp_path / "clips")))(job)
-    assert refused.stops and "names Python code" in refused.error and not (tmp_path / "ran").exists()
-    handed = partial(run_job, clips=tmp_path / "clips", trusted=(read_code(tmp_path / "mine.py").digest,))
-    assert pickle.loads(pickle.dumps(handed))(job).error is None

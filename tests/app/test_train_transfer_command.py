@@ -55,20 +55,3 @@ def test_a_training_from_start_to_weights(
     assert "holds a training already" in capsys.readouterr().err
     assert run([*command, "--resume"]) == BAD_INPUT
     assert "1 iterations are done" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["nothing.yaml"], "nothing.yaml: no such file"),
-        (["own.yaml", "--steps", "0"], "`$.steps`"),
-        (["own.yaml"], "nothing"),
-        (["own.yaml", "--clear", "clear", "--rainy", "rainy", "--start", "nowhere.pkl"], "nowhere.pkl: no such file"),
-    ],
-)
-def test_bad_input_is_one_line(work: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str) -> None:
-    pytest.importorskip("diffusers")
-    assert run(["train-transfer", *arguments, "-o", "run"]) == BAD_INPUT
-    told = capsys.readouterr().err.strip().splitlines()
-    assert said in told[-1] and told[-1].startswith("gsrain: ")
-    assert not Path("run/weights.safetensors").exists()

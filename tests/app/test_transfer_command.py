@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +7,8 @@ from PIL import Image
 
 from app.main import run
 from gsrain_engine.appearance.output_folder import read_transferred
-from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.datasets.geometry import scaled_camera
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.editor.jobs import training
-from gsrain_engine.rain.wetness import wetness
-from gsrain_engine.recolor.recolor import RecolorOptions
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from tests.training.drive_capture import drive_capture
 from tests.training.small_street import small_street
@@ -71,31 +65,6 @@ def test_what_another_program_made_of_the_views_takes_the_place_of_a_transfer(fi
         assert np.abs(view.image.mean(axis=2) - view.clear.image @ [0.299, 0.587, 0.114]).mean() < 0.02
 
 
-def test_the_learned_method_runs_from_a_file_of_weights(files, tmp_path):
-    pytest.importorskip("torch")
-    pytest.importorskip("diffusers")
-    from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny
-    from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
-
-    weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
-    save_weights(build_random_model(tiny(), True, LoraRanks(2, 2)), weights)
-    command = ["transfer", str(files / "scene"), "-o", str(out), "--count", "2", "--width", "64"]
-    assert run([*command, "--method", "cyclegan-turbo", "--weights", str(weights), "--no-mutual-attention"]) == 0
-    views = read_transferred(out)
-    assert views.record.method == "cyclegan-turbo"
-    assert views.record.settings["mutual_attention"] is False
-    assert [view.image.shape for view in views] == [(43, 64, 3)] * 2
-    assert all(view.film is None for view in views)
-
-
-def test_rain_says_how_wet_it_is(files, tmp_path):
-    out = tmp_path / "out"
-    command = ["transfer", str(files / "scene"), "-o", str(out), "--count", "1", "--width", "48", "--rain", "1.2"]
-    assert run(command) == 0
-    assert read_transferred(out).record.settings["wetness"] == wetness(1.2)
-
-
 def test_pictures_of_a_capture_become_rainy(files, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(["transfer", str(files / "drive"), "-o", str(out), "--count", "1", "--width", "48"]) == 0
@@ -113,46 +82,6 @@ def test_recorded_cameras_of_a_scene_are_those_of_its_capture(files, tmp_path):
     command = ["transfer", str(files / "scene"), "-o", str(out), "--views", "recorded", "--width", "48"]
     assert run([*command, "--capture", str(files / "drive")]) == 0
     assert [view.name for view in open_capture(out)] == ["0", "1"]
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"SOURCE": "nowhere"}, "nowhere: no such file or folder"),
-        ({"--method": "dry"}, "no transfer method 'dry'"),
-        ({"--method": "images"}, "--method images needs --images"),
-        (
-            {"--method": "cyclegan-turbo"},
-            "--method cyclegan-turbo needs torch, which is not installed: pip install 'gsrain[diffusion]'",
-        ),
-        ({"--method": "cyclegan-turbo", "--weights": "no.pkl"}, "--weights no.pkl: no such file"),
-        ({"--method": "cyclegan-turbo", "--weights": "scene/scene.json"}, "needs torch"),
-        ({"--wetness": "2"}, "--wetness"),
-        ({"--wetness": "0.5", "--rain": "3"}, "exclude each other"),
-        ({"--rain": "-1"}, "--rain -1: must be within 0..100 mm/h"),
-        ({"--count": "0"}, "--count"),
-        ({"--width": "3"}, "--width"),
-        ({"--side": "3"}, "--side"),
-        ({"--views": "path"}, "has no camera path"),
-        ({"--views": "recorded"}, "--views recorded needs --capture"),
-        ({"SOURCE": "drive", "--views": "rig"}, "--views rig: drive is a capture"),
-        ({"SOURCE": "drive", "--capture": "drive"}, "--capture: drive is a capture itself"),
-        ({"--cameras": "roof"}, "no camera roof, only front, left"),
-        ({"-o": "notes"}, "notes: holds other things"),
-        ({"-o": "notes/mine.txt"}, "mine.txt: can't be written, for it is a file"),
-        ({"--sheet": "notes/mine.txt/a.png"}, "can't be written"),
-    ],
-)
-def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):
-    monkeypatch.chdir(files)
-    monkeypatch.setattr(training, "has_torch", lambda: False)
-    options = {"SOURCE": "scene", "-o": "out"} | changes
-    source = options.pop("SOURCE")
-    assert run(["transfer", source, *(word for pair in options.items() for word in pair)]) == 2
-    told = capsys.readouterr().err
-    assert expected in told
-    assert len(told.strip().splitlines()) == 1
-    assert not (files / "out").exists()
 
 
 def street_pictures(folder: Path) -> Path:
@@ -207,36 +136,3 @@ def test_pictures_without_poses_do_not_attend_to_each_other(tmp_path, capsys):
     assert "attention" not in capsys.readouterr().out
     for name in ("a.png", "b.png"):
         assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
-
-
-def test_pictures_stay_as_wide_as_they_are_up_to_960_px(files, tmp_path, capsys):
-    wide = drive_capture(1)[0]
-    large = replace(
-        wide,
-        name="wide",
-        camera=scaled_camera(wide.camera, 1200, 40),
-        image_source=np.full((40, 1200, 3), 120, np.uint8),
-    )
-    middle = replace(
-        large, name="middle", camera=scaled_camera(wide.camera, 700, 24), image_source=large.image[:24, :700]
-    )
-    list(write_views(tmp_path / "drive", [large, middle]))
-    out, numbers = tmp_path / "out", tmp_path / "n.json"
-    assert run(["transfer", str(tmp_path / "drive"), "-o", str(out), "--json", str(numbers)]) == 0
-    assert {view.name: view.camera.width for view in open_capture(out)} == {"wide": 960, "middle": 700}
-    assert json.loads(numbers.read_text())["width_px"] == 960
-    assert read_transferred(out).record.settings["width_px"] == 960
-    assert "960 px wide" in capsys.readouterr().out
-    assert run(["transfer", str(tmp_path / "drive"), "-o", str(tmp_path / "small"), "--width", "300"]) == 0
-    assert [view.camera.width for view in open_capture(tmp_path / "small")] == [300, 300]
-
-
-def test_views_of_a_scene_have_their_camera_s_width_up_to_960_px(files):
-    scene = read_scene(files / "scene")
-    rig = chosen_cameras(scene, ViewChoice(count=1, source="rig"), None, OWN_WIDTH_PX)
-    own = next(iter(scene.rigs.values()))[0].width
-    assert [each.camera.width for each in rig] == [min(own, 960)]
-    assert {each.camera.width for each in chosen_cameras(scene, ViewChoice(source="around"), None, OWN_WIDTH_PX)} == {
-        960
-    }
-    assert RecolorOptions().width_px == OWN_WIDTH_PX == 960

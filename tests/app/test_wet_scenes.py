@@ -58,16 +58,6 @@ def test_convert_bakes_the_clear_colours_or_a_blend(project, tmp_path, capsys):
     np.testing.assert_array_equal(soaked.layers[0].gaussians.sh, scene.layers[0].wet_sh)
 
 
-@pytest.mark.parametrize(
-    ("wetness", "words"), [("1.5", "--wetness 1.5: must be within 0..1"), ("0.5", "has no wet colors")]
-)
-def test_convert_refuses_what_it_can_not_do(wetness, words, tmp_path, capsys):
-    write_scene(small_scene(), tmp_path / "dry")
-    assert run(["convert", str(tmp_path / "dry"), str(tmp_path / "x.ply"), "--wetness", wetness]) == BAD_INPUT
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "x.ply").exists()
-
-
 def test_render_gets_as_wet_as_it_rains_or_as_it_is_told(project, tmp_path, capsys):
     clear, wet = mean(project, tmp_path / "0.png"), mean(project, tmp_path / "12.png", "--rain", "12")
     assert wet < mean(project, tmp_path / "1.png", "--rain", "1.2") - 3 < clear - 6

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import gsrain as gr
 from app.main import run
+from editor.files.open_document import settle
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.actors import drive_along_own_path, retime_actor, set_ego_start, set_origin, turn_actor
 from gsrain_engine.editor.edits.floaters import FloaterRules
@@ -45,7 +46,6 @@ from gsrain_engine.editor.steps import (
     EditError,
     EditStep,
     apply_steps,
-    document_of,
     edit_help,
     python_program,
     shell_command,
@@ -60,8 +60,6 @@ from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Actor, ColorGrading
 from small_scene import patch, small_scene
-
-from editor.files.open_document import settle
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-9, 2**53) | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -226,7 +224,8 @@ def test_wrong_steps_are_refused_by_name(text, names):
 def act(editor):
     """Make one step of each kind, by what panels, tools and commands call."""
     document, selection, path = editor.document, editor.selection, editor.camera_path
-    view = RenderView(Camera(96, 64, 60, 60, 48, 32, gr.look_at(np.array([2, 0, 1.5]), np.array([20, 0, 1.5]), np.array([0, 0, 1.0]))))
+    eye, target, up = np.array([[2.0, 0, 1.5], [20, 0, 1.5], [0, 0, 1]])
+    view = RenderView(Camera(96, 64, 60, 60, 48, 32, gr.look_at(eye, target, up)))
     pixels = np.zeros((64, 96), bool)
     pixels[20:50, 20:70] = True
     road, car = "layers/road", "actors/car"

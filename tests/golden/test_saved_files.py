@@ -75,20 +75,6 @@ def test_members_of_the_scene_folder():
     }  # fmt: skip
 
 
-def test_numbers_of_the_scene_folder():
-    scene = read_scene(SAVED / "crossing")
-    for member, file in zip(scene.members, sorted((SAVED / "crossing").glob("*/*.ply"), key=lambda each: each.name),
-                            strict=True):  # fmt: skip
-        columns = _columns(file)
-        found = member.gaussians
-        assert np.array_equal(found.means, columns["x", "y", "z"])
-        assert np.array_equal(found.sh[:, 0], columns["f_dc_0", "f_dc_1", "f_dc_2"])
-        assert np.allclose(found.scales, np.exp(columns["scale_0", "scale_1", "scale_2"]), rtol=1e-6)
-        assert np.allclose(found.opacities, 0.95, atol=1e-6)
-        if member.wet_sh is not None:
-            assert np.array_equal(member.wet_sh, np.load(file.with_name(_wet_file(file))))
-
-
 def test_what_belongs_to_the_whole_scene_folder():
     scene = read_scene(SAVED / "crossing")
     assert (scene.name, scene.ground_m, scene.up, scene.metres_per_unit) == ("crossing", 0.0, (0.0, 0.0, 1.0), 1.0)
@@ -210,22 +196,3 @@ def _leaves(values):
         inner = values.values() if isinstance(values, dict) else values
         return sorted((leaf for each in inner for leaf in _leaves(each)), key=str)
     return [json.dumps(float(values) if isinstance(values, int) and not isinstance(values, bool) else values)]
-
-
-class _Columns:
-    def __init__(self, names, table):
-        self._names, self._table = names, table
-
-    def __getitem__(self, names):
-        return self._table[:, [self._names.index(name) for name in names]]
-
-
-def _columns(file):
-    head, _, body = file.read_bytes().partition(b"end_header\n")
-    names = [line.split()[2] for line in head.decode().splitlines() if line.startswith("property")]
-    return _Columns(names, np.frombuffer(body, "<f4").reshape(-1, len(names)))
-
-
-def _wet_file(file):
-    (found,) = file.parent.glob(f"{file.name.rpartition('-')[0]}-*.wet.npy")
-    return found.name

@@ -72,7 +72,7 @@ def test_the_page_names_every_direct_dependency(licences):
     page = (REPOSITORY / "THIRD_PARTY_LICENCES.md").read_text("utf-8")
     named = {canonicalize_name(row.split("|")[1].strip()) for row in page.splitlines() if row.startswith("| ")}
     named |= {canonicalize_name(name) for name in page.rpartition("was written:")[2].strip(" .\n").split(", ")}
-    project = licences._project()
+    project = licences.project()
     shipped = (
         each for name, each in project["optional-dependencies"].items() if name not in ("dev", "docs", "oracles")
     )

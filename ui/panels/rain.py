@@ -9,9 +9,10 @@ from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.live_rain import LiveRain
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.fields import fields_of
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.properties import intensity_for_density
-from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, RainSettings, load_preset
+from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, RainSettings, RegionBox, load_preset
 
 from ..widgets import fields
 from ..widgets.fields import (
@@ -39,6 +40,10 @@ _PRESETS = {
 
 _PRESETS_PER_ROW = 3
 PICK_TOOL = "Pick sky color"
+_WIND = "Wind and seed"
+GROUPS = (_WIND, "Regions", "Physics", "Lens", "Appearance")
+"""Headings below which the fields with this `group` are drawn."""
+
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."
 
 
@@ -54,28 +59,17 @@ def rain_panel(document: Document, viewport: ViewportState, playback: Playback, 
     wetness_fields(document, live_rain)
     if document.rain.exaggeration:
         imgui.text_colored(WARNING, document.rain.exaggeration)
-    if imgui.collapsing_header("Wind and seed"):
-        _wind(document, viewport, playback)
-        fields.slider(document, "gust_m_s")
-        fields.integer(document, "seed")
-    if imgui.collapsing_header("Regions"):
-        view, help_text = viewport.options, "Draw the region's edges in the viewport."
-        view.show_streak_region = checkbox("Show streak region", view.show_streak_region, help_text)
-        fields.box(document, "streak_region")
-        view.show_haze_region = checkbox("Show haze region", view.show_haze_region, help_text)
-        fields.box(document, "haze_region")
-    if imgui.collapsing_header("Physics"):
-        for name in ("closure", "velocity", "streak_frame", "rain_light", "far_drops", "streak_reset", "haze_reset"):
-            fields.choice(document, name)
-    if imgui.collapsing_header("Lens"):
-        fields.slider(document, "aperture_mm", high=10.0)
-        fields.slider(document, "focus_distance_m", logarithmic=True)
-    if imgui.collapsing_header("Appearance"):
-        for name in ("streak_gain", "haze_gain"):
-            fields.slider(document, name, high=10.0)
-        for name in ("critical_haze_coefficient", "haze_opacity", "haze_sigma_m"):
-            fields.slider(document, name, logarithmic=True)
-        fields.slider(document, "drying_s", high=600.0)
+    for group in GROUPS:
+        if imgui.collapsing_header(group):
+            if group == _WIND:
+                _wind(document, viewport, playback)
+            for each in fields_of(RainSettings):
+                if each.group != group or each.name == "wind_m_s":
+                    continue
+                if each.kind is RegionBox:
+                    _region(document, viewport, each.name)
+                else:
+                    fields.rain_field(document, each.name)
 
 
 def wetness_fields(document: Document, live_rain: LiveRain) -> None:
@@ -165,6 +159,14 @@ def _wind(document: Document, viewport: ViewportState, playback: Playback) -> No
         document.change_rain("Wind", "wind_m_s", wind_m_s=tuple(wind))
     fields.end_gesture_when_released(document)
     keyframe_button(document, viewport, playback, "wind_m_s")
+
+
+def _region(document: Document, viewport: ViewportState, name: str) -> None:
+    shows = f"show_{name}"
+    title = f"Show {fields.field_info(name).title.lower()}"
+    is_shown = checkbox(title, getattr(viewport.options, shows), "Draw the region's edges in the viewport.")
+    setattr(viewport.options, shows, is_shown)
+    fields.box(document, name)
 
 
 def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain) -> None:

@@ -3,10 +3,8 @@
 import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 
 import msgspec
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, im_file_dialog, imgui
@@ -15,6 +13,7 @@ from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.fields import Field, field_of
 from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.scene.formats.registry import writable_suffixes
@@ -22,46 +21,12 @@ from gsrain_engine.scene.formats.registry import writable_suffixes
 _LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
 
-@dataclass(frozen=True)
-class FieldInfo:
-    """Metadata of a field."""
-
-    title: str
-    unit: str
-    help: str
-    low: float
-    high: float
-    choices: tuple[str, ...]
-    multiple_of: int = 1
-    none: str | None = None
-    """Text for an optional number that is None; None if the number is required."""
-    initial: float = 0.0
-    """Value of an optional number when it is enabled."""
-
-    @property
-    def label(self) -> str:
-        return f"{self.title} ({self.unit})" if self.unit else self.title
+def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> Field:
+    """Return the declaration of a field, of the rain or of another struct."""
+    return field_of(owner, name)
 
 
-@cache
-def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> FieldInfo:
-    """Read the declaration of a field, of the rain or of another struct."""
-    hint = get_type_hints(owner, include_extras=True)[name]
-    is_optional = type(None) in get_args(hint)
-    hint = next((each for each in get_args(hint) if get_origin(each) is Annotated), hint)  # if it may be None
-    kind, meta = (hint.__origin__, hint.__metadata__[0]) if get_origin(hint) is Annotated else (hint, msgspec.Meta())
-    extra: dict[str, Any] = meta.extra or {}
-    choices = tuple(each for each in get_args(kind) if isinstance(each, str))
-    low = meta.ge if meta.ge is not None else extra.get("ge", 0.0)
-    high = meta.le if meta.le is not None else extra.get("le", 1.0)
-    none = str(extra.get("none", "none")) if is_optional and kind in (int, float) else None
-    default = next(each for each in msgspec.structs.fields(owner) if each.name == name).default
-    initial = extra.get("usual", default if isinstance(default, int | float) else low)
-    multiple, unit = int(meta.multiple_of or 1), extra.get("unit", "")
-    return FieldInfo(meta.title or name, unit, meta.description or "", low, high, choices, multiple, none, initial)
-
-
-def label(name: str) -> FieldInfo:
+def label(name: str) -> Field:
     """Draw a field's title with its help as tooltip, and move to the position of its widget."""
     info = field_info(name)
     plain_label(info.label, info.help)
@@ -79,16 +44,23 @@ def plain_label(text: str, help_text: str) -> None:
     imgui.set_next_item_width(-1)
 
 
-def slider(
-    document: Document, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
-) -> None:
+def rain_field(document: Document, name: str) -> None:
+    """Draw the widget of a rain setting that its type selects."""
+    info = field_info(name)
+    if info.choices:
+        choice(document, name)
+    else:
+        {bool: toggle, int: integer, float: slider}[info.kind](document, name)
+
+
+def slider(document: Document, name: str, *, high: float | None = None, beside_px: float = 0.0) -> None:
     """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
     info = label(name)
     if beside_px:
         imgui.set_next_item_width(-beside_px)
-    flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
+    flags = LOGARITHMIC if info.is_logarithmic else CLAMPED
     value = getattr(document.rain_now, name)
-    changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.high, "%.4g", flags)
+    changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.slider_high, "%.4g", flags)
     if changed:
         document.change_rain(info.title, name, **{name: value})
     end_gesture_when_released(document)
@@ -189,7 +161,7 @@ def path_field(
     imgui.set_item_tooltip("Choose a file..." if kinds else "Choose a folder...")
 
 
-def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
+def _optional_toggle(name: str, info: Field, value: float | None) -> tuple[bool, float | None]:
     """Draw the checkbox of an optional number, with the text for None if off; the number's widget comes after it."""
     changed, is_on = imgui.checkbox(f"##{name} given", value is not None)
     imgui.set_item_tooltip(f"{info.help}\nOff: {info.none}.")
@@ -414,7 +386,7 @@ def number(
     return new if changed else value  # the widget rounds to single precision
 
 
-def settings_label(owner: type[msgspec.Struct], name: str) -> FieldInfo:
+def settings_label(owner: type[msgspec.Struct], name: str) -> Field:
     """Draw the label of a field, and move to the position of its widget; returns the field's metadata."""
     info = field_info(name, owner)
     plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)

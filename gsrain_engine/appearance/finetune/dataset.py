@@ -103,8 +103,12 @@ class ImageSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Two unpaired sets of images, their framing, and the guide for the encoder's fourth channel."""
 
-    clear: Annotated[tuple[ImageSource, ...], Meta(min_length=1, title="Clear", description="In dry weather.")]
-    rainy: Annotated[tuple[ImageSource, ...], Meta(min_length=1, title="Rainy", description="In rain.")]
+    clear: Annotated[tuple[ImageSource, ...], Meta(
+        min_length=1, title="Clear", extra={"commands": "train-transfer"},
+        description="Captures or folders of images in dry weather.")]  # fmt: skip
+    rainy: Annotated[tuple[ImageSource, ...], Meta(
+        min_length=1, title="Rainy", extra={"commands": "train-transfer"},
+        description="Captures or folders of images in rain.")]  # fmt: skip
     test_share: Annotated[
         float, Meta(ge=0, lt=1, title="Test share", description="Share of each source that is never trained on.")
     ] = 0.2

@@ -66,23 +66,29 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = "sd-turbo"
     base: Annotated[
         str | None,
-        Meta(title="SD-Turbo", description="Folder of SD-Turbo; none: found by GSRAIN_SD_TURBO or the hub's cache."),
-    ] = None
+        Meta(title="SD-Turbo", extra={"commands": "train-transfer"},
+             description="Folder of SD-Turbo; none: found by GSRAIN_SD_TURBO or the hub's cache."),
+    ] = None  # fmt: skip
     clip: Annotated[
         str | None,
-        Meta(title="CLIP",
+        Meta(title="CLIP", extra={"commands": "train-transfer"},
              description="Folder of CLIP ViT-B/32, by which discriminators see; none: found like SD-Turbo."),
     ] = None  # fmt: skip
     lpips: Annotated[
-        str | None, Meta(title="LPIPS", description="File of LPIPS's VGG weights; none: those of this machine, if any.")
-    ] = None
+        str | None,
+        Meta(title="LPIPS", extra={"commands": "train-transfer"},
+             description="File of LPIPS's VGG weights; none: those of this machine, if any."),
+    ] = None  # fmt: skip
     start: Annotated[
         str | None,
-        Meta(title="Start", description="Weights to go on from, such as clear2rainy.pkl; none: SD-Turbo itself."),
-    ] = None
+        Meta(title="Start", extra={"commands": "train-transfer"},
+             description="Weights to go on from, such as clear2rainy.pkl; none: SD-Turbo itself."),
+    ] = None  # fmt: skip
     steps: Annotated[
-        int, Meta(ge=1, le=10_000_000, title="Steps", description="Iterations, each with one picture of each look.")
-    ] = 20_000
+        int,
+        Meta(ge=1, le=10_000_000, title="Steps", extra={"commands": "train-transfer"},
+             description="Iterations, each with one picture of each look."),
+    ] = 20_000  # fmt: skip
     losses: Annotated[LossWeights, Meta(title="Losses")] = LossWeights()
     optimizer: Annotated[OptimizerSettings, Meta(title="Optimizer")] = OptimizerSettings()
     lora: Annotated[LoraSettings, Meta(title="LoRA")] = LoraSettings()
@@ -98,10 +104,15 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
         Meta(title="Precision", description="bfloat16 halves memory, but is known to end in models that only "
              "reconstruct: their first changes are smaller than its steps."),
     ] = "float32"  # fmt: skip
-    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
+    seed: Annotated[
+        int,
+        Meta(ge=0, le=2**31 - 1, title="Seed", extra={"commands": "train-transfer"},
+             description="Same seed, same bytes."),
+    ] = 0  # fmt: skip
     device: Annotated[
-        Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it is there.")
-    ] = "auto"
+        Literal["auto", "cpu", "cuda"],
+        Meta(title="Device", extra={"commands": "train-transfer"}, description="auto: CUDA where it is there."),
+    ] = "auto"  # fmt: skip
     samples: Annotated[
         int, Meta(ge=1, le=16, title="Samples", description="So many clear pictures, of those for testing, are shown.")
     ] = 4

@@ -4,10 +4,11 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
 
 from ...evaluation.detection.detector import find_detector
 from ...plugins import AGENTS, Extension, find_extension, find_extensions
@@ -18,15 +19,18 @@ from .idm import OracleIDMAgent
 from .neuroncap import NeuroNCAPBaselineAgent
 
 
-@dataclass(frozen=True, slots=True)
-class AgentOptions:
+class AgentOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of agents."""
 
-    detector: Path | None = None
-    """ONNX file of a detector."""
-    description: str | None = None
-    """Description of the detector: a shipped name or a YAML file."""
-    url: str | None = None
+    detector: Annotated[Path | None, Meta(
+        title="Detector", extra={"commands": "drive"},
+        description="ONNX file of an object detector, for agents that look at pictures.")] = None  # fmt: skip
+    description: Annotated[str | None, Meta(
+        title="Its description", extra={"commands": "drive"},
+        description="A shipped detector description such as yolox, or a YAML file.")] = None  # fmt: skip
+    url: Annotated[str | None, Meta(
+        title="Address", extra={"commands": "drive"},
+        description="URL of a driving agent that runs elsewhere, such as http://localhost:9000.")] = None  # fmt: skip
 
 
 def _camera_idm(options: AgentOptions) -> Agent:

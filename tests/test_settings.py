@@ -1,0 +1,187 @@
+"""The field table: one declaration makes widget, option, settings file, documentation and JSON schema of a setting."""
+
+import importlib.util
+import inspect
+import json
+import os
+import subprocess
+import sys
+from types import ModuleType
+from typing import get_args
+
+import msgspec
+import pytest
+import yaml
+from cyclopts import App
+
+from app.main import COMMANDS, OLD_OPTIONS, app, benchmarks, evaluations, run
+from app.schema import SETTINGS, Kind, settings_type
+from gsrain_engine.disdrometer.tables import TableColumns
+from gsrain_engine.fields import Field, field_of, fields_of, number_text, option_names, schema_of, structs_of
+from gsrain_engine.presets import shipped_folder
+from gsrain_engine.rain.settings import RainSettings
+from repository import REPOSITORY
+from ui.panels.rain import GROUPS
+
+NEW_LINE = (
+    '    splash_gain: Annotated[float, Meta(ge=0, le=9, title="Splash gain", description="Light of splashes.", '
+    'extra={"group": "Appearance", "commands": "render"})] = 1.5\n'
+)
+
+WITH_CHANGED_FILE = """
+import contextlib, importlib.util, io, pathlib, sys
+import gsrain_engine.rain
+
+def module_of(name, file):
+    spec = importlib.util.spec_from_file_location(name, file)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+changed, repository = map(pathlib.Path, sys.argv[1:])
+gsrain_engine.rain.settings = module_of("gsrain_engine.rain.settings", changed)
+site_pages = module_of("site_pages", repository / "docs" / "site_pages.py")
+from app.main import run
+from app.render import RainOptions
+from window_driver import Driver
+
+def printed(*arguments):
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        run([*arguments])
+    return text.getvalue()
+
+assert "Light of splashes. Range 0..9." in printed("render", "--help"), "help"
+assert RainOptions(splash_gain=2.0).settings().splash_gain == 2.0, "option"
+assert '"splash_gain"' in printed("schema", "rain"), "schema"
+(changed.parent / "mine.yaml").write_text("splash_gain: 4")
+assert gsrain_engine.rain.settings.load_preset(changed.parent / "mine.yaml").splash_gain == 4, "YAML"
+row = "| `splash_gain` | Splash gain: Light of splashes. | 0..9 | 1.5 | `--splash-gain` of render |"
+assert row in site_pages.settings_page() and "--splash-gain" in site_pages.commands_page(), "docs"
+driver = Driver(changed.parent)
+
+def script():
+    driver.click("//Rain/Appearance")
+    assert driver.ctx.item_exists("//Rain/##splash_gain"), "panel"
+    print("found in all")
+
+driver.run(script)
+"""
+
+
+def test_a_new_setting_is_one_line(tmp_path):
+    """With one more line in the file of `RainSettings`, panel, --help, YAML, schema and documentation have it."""
+    text = (REPOSITORY / "gsrain_engine" / "rain" / "settings.py").read_text("utf-8")
+    changed = tmp_path / "settings.py"
+    changed.write_text(text.replace("    # fmt: on\n", NEW_LINE + "    # fmt: on\n", 1), "utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", WITH_CHANGED_FILE, str(changed), str(REPOSITORY)],
+        check=False, capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": f"{REPOSITORY}{os.pathsep}{REPOSITORY / 'tests'}", "COLUMNS": "200"},
+    )  # fmt: skip
+    assert "found in all" in done.stdout, done.stderr[-3000:]
+
+
+# Options by hand: none that a settings field of the command's module has
+
+
+def commands():
+    for name in COMMANDS:
+        yield name, app[name]
+    for group, apps in (("bench", benchmarks), ("evaluate", evaluations)):
+        yield from ((f"{group} {name}", apps[name]) for name in apps if not name.startswith("-"))
+
+
+@pytest.mark.parametrize(("name", "command"), list(commands()), ids=lambda each: each if isinstance(each, str) else "")
+def test_no_option_is_written_by_hand_that_a_settings_field_has(name: str, command: App):
+    module = inspect.getmodule(command.default_command)
+    fields = list(_settings_of(module))
+    for argument in command.assemble_argument_collection():
+        for option in argument.names:
+            made = [each.described for each in fields if option in _names(each)]
+            is_made = any(argument.parameter.help.startswith(text) for text in made)
+            assert is_made or not made, f"{option} of gsrain {name} is a settings field"
+
+
+def _settings_of(module: ModuleType):
+    """Fields of the settings structs that a module of commands uses."""
+    for kind in vars(module).values():
+        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+            yield from (each for each in fields_of(kind) if each.title != each.name)
+
+
+def _names(field: Field) -> set[str]:
+    return {*field.options, f"--{field.name.replace('_', '-')}"}
+
+
+def test_fields_name_commands_that_there_are():
+    known = {name for name, _ in commands()}
+    for kind, *_ in SETTINGS.items():
+        for struct in structs_of(settings_type(kind)):
+            for each in fields_of(struct):
+                assert set(each.commands) <= known, each
+                assert not each.group or each.group in GROUPS
+    assert option_names(RainSettings)["intensity_mm_h"] == "--rain"
+    assert set(OLD_OPTIONS) <= known
+
+
+# The table itself
+
+
+@pytest.mark.parametrize(
+    ("name", "range", "default", "options"),
+    [
+        ("intensity_mm_h", "0..100 mm/h", "0", ("--rain", "--intensity")),
+        ("exposure_s", "0.00001..1 s", "", ("--exposure",)),
+        ("seed", "", "0", ("--seed",)),
+        ("wind_m_s", "-40..40 m/s", "0,0", ("--wind",)),
+        ("closure", "", "density", ("--drop-density",)),
+        ("haze_count", "0..200000", "", ("--haze-count",)),
+    ],
+)
+def test_fields_have_bounds_default_and_option(name, range, default, options):
+    field = field_of(RainSettings, name)
+    assert (field.range, field.default_text, field.options) == (range, default, options)
+
+
+def test_numbers_are_written_as_people_do():
+    assert [number_text(each) for each in (30.0, 1e-5, 0.1, 1.6e-6, -40)] == [
+        "30",
+        "0.00001",
+        "0.1",
+        "0.0000016",
+        "-40",
+    ]
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+def test_shipped_files_fit_their_schema(kind, capsys):
+    assert set(SETTINGS) == set(get_args(Kind)) == {each.name for each in shipped_folder("sample_configs").iterdir()}
+    assert run(["schema", kind]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    objects = [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in schema.get("anyOf", [schema])]
+    for file in (shipped_folder("sample_configs") / kind).iterdir():
+        names = set(yaml.safe_load(file.read_bytes()) or {})
+        assert any(set(each["required"]) <= names <= set(each["properties"]) for each in objects), file
+
+
+def test_a_schema_has_units_bounds_and_help(tmp_path):
+    assert run(["schema", "rain", "-o", str(tmp_path / "rain.json")]) == 0
+    fields = json.loads((tmp_path / "rain.json").read_text())["$defs"]["RainSettings"]["properties"]
+    assert fields["exposure_s"]["x-unit"] == "s" and fields["exposure_s"]["anyOf"][0]["minimum"] == 1e-5
+    assert (fields["gust_m_s"]["maximum"], fields["gust_m_s"]["title"]) == (20, "Gusts")
+    assert schema_of(RainSettings)["$defs"]["RainSettings"]["additionalProperties"] is False
+
+
+def test_the_page_of_settings_lists_every_field():
+    spec = importlib.util.spec_from_file_location("site_pages", REPOSITORY / "docs" / "site_pages.py")
+    site_pages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(site_pages)
+    page = site_pages.settings_page()
+    for kind in SETTINGS:
+        for struct in structs_of(settings_type(kind)):
+            assert all(f"| `{each.name}` |" in page for each in fields_of(struct))
+
+
+def test_the_page_of_formats_names_every_field_of_a_table():
+    text = (REPOSITORY / "docs" / "formats.md").read_text("utf-8")
+    assert [each.name for each in fields_of(TableColumns) if f"`{each.name}`" not in text] == []
