@@ -102,10 +102,23 @@ class RenderQueue:
             first_s=session.clock.time_s,
             last_s=None,
         )
-        scene = saved_scene(session)
-        if not session.view.follow_path:
-            scene = replace(scene, path=self._standing())
-        self._begin(still, scene)
+        self._begin(still, self.still_scene())
+
+    def still_scene(self) -> Scene:
+        """The scene to save, with the viewport's camera as its path, unless that follows the scene's own path."""
+        session, scene = self._session, saved_scene(self._session)
+        if session.view.follow_path:
+            return scene
+        camera = session.shot(*(self.settings.size_px or (960, 640))).camera
+        pose = camera.camera_to_world
+        path = CameraPath(
+            np.array([session.clock.time_s]),
+            pose[None, :3, 3],
+            quaternions_from_matrices(pose[None, :3, :3]),
+            np.array([camera.vertical_fov_deg]),
+            camera.exposure_s,
+        )
+        return replace(scene, path=path.moved(np.linalg.inv(scene.scene_to_world)))
 
     def _begin(self, recording: ExportSettings, scene: Scene) -> None:
         try:
@@ -137,16 +150,3 @@ class RenderQueue:
             recording = msgspec.structs.replace(recording, output=f"clip{recording.default_suffix}")
         is_own = session.scene.path is not None
         return export_sequences(recording, session.scene, session.rainfall, session.path, in_scene_time=is_own)
-
-    def _standing(self) -> CameraPath:
-        """A path of one keyframe at the viewport's camera, in scene units and axes."""
-        session = self._session
-        camera = session.shot(*(self.settings.size_px or (960, 640))).camera
-        pose = camera.camera_to_world
-        return CameraPath(
-            np.array([session.clock.time_s]),
-            pose[None, :3, 3],
-            quaternions_from_matrices(pose[None, :3, :3]),
-            np.array([camera.vertical_fov_deg]),
-            camera.exposure_s,
-        ).moved(np.linalg.inv(session.scene.scene_to_world))
