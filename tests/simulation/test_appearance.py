@@ -23,17 +23,6 @@ def test_a_vehicle_fills_its_box_and_stands_on_the_ground(model):
     assert vehicle_model(model, small_scene()) is look
 
 
-def test_paint_paints():
-    def color(model):
-        look = vehicle_model(model, small_scene())
-        upper = look.gaussians.means[:, 2] > 0.5
-        return (SH_C0 * look.gaussians.sh[upper, 0] + 0.5).mean(axis=0)
-
-    red, green = color("saloon/red"), color("saloon/green")
-    assert red[0] > red[1] + 0.1 and green[1] > green[0]
-    assert color("van/white").mean() > color("van/black").mean() + 0.2
-
-
 def test_an_actor_of_the_scene_in_meters():
     scene = replace(small_scene(), actors=(box_actor(),), metres_per_unit=2.0)
     look = vehicle_model("actor:box", scene)

@@ -12,7 +12,7 @@ from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Layer, PoseTrack, Scene
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.simulation.geometry import PlanarBox
-from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, HeightGrid, road_surface_of
+from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, RoadSurface, road_surface_of
 from gsrain_engine.simulation.obstacles import CELL_M, drivable_of, occupied_space_of
 from simulation.small_drive import in_other_units
 from small_scene import patch, small_scene
@@ -60,17 +60,12 @@ def test_where_nothing_lies_it_is_below_the_drive():
 
 def test_heights_are_interpolated_bilinearly_and_one_place_is_as_many():
     rng = np.random.default_rng(1)
-    grid = HeightGrid((-3.0, 2.0), 0.5, rng.normal(size=(7, 9)))
+    grid = RoadSurface((-3.0, 2.0), 0.5, rng.normal(size=(7, 9)))
     places = rng.uniform((-6, 0), (4, 8), size=(200, 2))
-    singly = [grid.at(float(x), float(y)) for x, y in places]
-    np.testing.assert_allclose(singly, grid.at_all(places), rtol=0, atol=1e-12)
-    assert grid.at(-3.0, 2.0) == grid.heights_m[0, 0] and grid.at(-100.0, 100.0) == grid.heights_m[-1, 0]
-    assert grid.at(-2.75, 2.25) == pytest.approx(grid.heights_m[:2, :2].mean())
-
-
-def test_the_same_scene_is_searched_once():
-    scene = slope(0.02)
-    assert road_surface_of(scene) is road_surface_of(scene) is not road_surface_of(replace(scene))
+    singly = [grid.height_m(float(x), float(y)) for x, y in places]
+    np.testing.assert_allclose(singly, grid.heights_at(places), rtol=0, atol=1e-12)
+    assert grid.height_m(-3.0, 2.0) == grid.heights_m[0, 0] and grid.height_m(-100.0, 100.0) == grid.heights_m[-1, 0]
+    assert grid.height_m(-2.75, 2.25) == pytest.approx(grid.heights_m[:2, :2].mean())
 
 
 # Obstacles

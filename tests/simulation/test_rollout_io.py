@@ -2,7 +2,6 @@
 
 import sys
 
-import msgspec
 import pytest
 from msgspec.structs import replace
 
@@ -62,15 +61,6 @@ def test_torn_lines_are_refused(run, damage, place, tmp_path):
     file.write_bytes(b"\n".join(damage(file.read_bytes().splitlines())) + b"\n")
     with pytest.raises(ValueError, match=f"run.jsonl: .*{place}"):
         read_rollout(file)
-
-
-def test_files_without_the_number_of_steps_can_be_read(run, tmp_path):
-    write_rollout(tmp_path / "run.jsonl", run)
-    first, *rest = (tmp_path / "run.jsonl").read_bytes().splitlines()
-    header = msgspec.json.decode(first)
-    del header["moments"]
-    (tmp_path / "run.jsonl").write_bytes(b"\n".join([msgspec.json.encode(header), *rest]))
-    assert read_rollout(tmp_path / "run.jsonl") == run
 
 
 def test_other_parquet_files_are_refused(run, tmp_path):

@@ -252,10 +252,3 @@ def test_a_road_user_is_placed_along_the_route_or_straight_ahead_of_where_the_eg
 def test_a_scenario_that_does_not_fit_its_scene_is_refused(fields, scene, word):
     with pytest.raises(ValueError, match=word):
         Simulation(scenario(**fields), scene)
-
-
-def test_a_scenario_of_the_street_elsewhere_logs_a_warning(caplog: pytest.LogCaptureFixture):
-    for name, own, warnings in (("yard", "street", 1), ("street", "street", 0), ("yard", "out/yard", 0)):
-        caplog.clear()
-        Simulation(scenario(scene=own), replace(small_scene(), name=name))
-        assert len(caplog.records) == warnings

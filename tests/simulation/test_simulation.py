@@ -229,12 +229,3 @@ def test_cameras_need_a_renderer_and_a_rig():
         for name in ("front", "all", "FRONT"):
             with pytest.raises(ValueError, match="rig"):
                 Simulation(scenario(), blind, SensorRequirements(cameras=(name,)), renderer)
-
-
-def test_the_rig_is_as_high_as_the_scene_has_it():
-    """A data set whose vehicle frame lies on the ground: cameras hang where they hung when it was recorded."""
-    scene = small_scene()
-    low = replace(scene, ego=replace(scene.ego, positions=scene.ego.positions - [0, 0, 1.5]))
-    simulation = Simulation(scenario(), low)
-    simulation.reset()
-    assert simulation.rig_to_world[2, 3] == pytest.approx(0.0, abs=0.01) == simulation.rig.height_m

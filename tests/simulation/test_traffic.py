@@ -23,7 +23,7 @@ from gsrain_engine.simulation.traffic.base import (
     changed_speed,
     find_vehicle_ahead,
 )
-from gsrain_engine.simulation.traffic.models import BehaviorSettings, quintic, quintic_rate
+from gsrain_engine.simulation.traffic.models import BehaviorSettings
 from gsrain_engine.simulation.traffic.tracks import RecordedTrack
 from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box
 from small_rollout import ego, rollout, step, user
@@ -86,14 +86,6 @@ def test_the_idm_settles_at_the_equilibrium_gap():
     assert last.speed_m_s == pytest.approx(8.0, abs=0.01)
 
 
-def test_the_idm_stops_behind_one_that_stands_never_rolls_back_and_yields_to_the_ego_vehicle():
-    path = moves(settings(kind="idm"), car(0, speed=12), 40.0, others=[car(80)])
-    assert path[-1].speed_m_s < 0.1 and 0.5 < 80 - path[-1].x_m - 4.0 < 2.5
-    assert all(later.x_m >= earlier.x_m for earlier, later in pairwise(path))
-    free = moves(settings(kind="idm"), car(0, speed=10), 3.0)[-1]
-    assert moves(settings(kind="idm"), car(0, speed=10), 3.0, ego=car(15, speed=5))[-1].speed_m_s < free.speed_m_s - 1
-
-
 @pytest.mark.parametrize(("y", "matters"), [(0.0, True), (1.9, True), (2.1, False), (-3.4, False)])
 def test_only_who_overlaps_the_lane_matters(y, matters):
     assert (find_vehicle_ahead(STRAIGHT, car(0), (car(20, y),)) is not None) == matters
@@ -128,15 +120,6 @@ def test_a_place_in_a_lane_and_back(x, y, turn, with_route, distance):
 # Maneuvers
 
 
-def test_the_quintic_begins_and_ends_without_lateral_speed_or_acceleration():
-    shares = np.linspace(0, 1, 101)
-    share, rate = (np.array([curve(float(u)) for u in shares]) for curve in (quintic, quintic_rate))
-    np.testing.assert_allclose(share + share[::-1], 1.0)
-    np.testing.assert_allclose(np.gradient(share, shares)[1:-1], rate[1:-1], atol=1e-3)
-    assert share[0] == rate[0] == rate[-1] == 0.0 and rate[50] == pytest.approx(1.875)
-    assert abs(np.gradient(rate, shares)[[0, -1]]).max() < 0.6  # 5.8 in between
-
-
 def test_a_cut_in_takes_its_time_and_heads_where_it_goes():
     path = moves(settings(kind="cut-in", after_s=1.0, duration_s=2.0), car(10, 3.4, 5), 4.0, dt_s=0.01)
     x, y = (np.array([getattr(each, axis) for each in path]) for axis in ("x_m", "y_m"))
@@ -165,11 +148,6 @@ def test_a_cut_in_takes_its_time_and_heads_where_it_goes():
 def test_where_a_maneuver_has_led_after_six_seconds(fields, start, end):
     last = moves(settings(**fields), car(*start), 6.0)[-1]
     assert (last.x_m, last.y_m, last.speed_m_s) == pytest.approx(end, abs=1e-9)
-
-
-def test_in_a_bend_a_cut_in_ends_on_the_route():
-    last = moves(settings(kind="cut-in", after_s=0.5), car(0, 3.4, 8), 6.0, route=bend(60))[-1]
-    assert np.hypot(last.x_m, last.y_m - 60) == pytest.approx(60, abs=0.01)
 
 
 @given(st.floats(0, 30), st.floats(0, 30), st.floats(0, 10), st.floats(0.01, 4))

@@ -173,10 +173,7 @@ def test_a_node_that_is_gone_or_silent_is_not_waited_for(node):
     [
         (b"not json", "/infer"),
         (b'{"plan": []}', "`trajectory`"),
-        (b'{"trajectory": [[NaN, 1]]}', "/infer"),
         (b'{"trajectory": [[1, 2, 3]]}', "pairs"),
-        (b'{"trajectory": []}', r"shape \(0, 2\)"),
-        (b'{"trajectory": [[1e7, 0]]}', "10 km"),
         (b'{"trajectory": ' + b"[" * 5000 + b"]" * 5000 + b"}", "/infer"),
         (422, '422 .*: {"detail": "no images"}'),
         (302, "302"),
@@ -243,18 +240,12 @@ def repeated(start, piece, pause_s):
 HEAD, CHUNKED = b"HTTP/1.1 200 OK\r\n", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"
 INFORMATION = b"HTTP/1.1 100 Continue\r\n\r\n"
 ENDLESS = {
-    "header": (HEAD + b"X-A: ", b"a"),
     "headers": (HEAD, b"X-A: a\r\n"),
     "100 continue": (b"", INFORMATION),
     "body without length": (HEAD + b"\r\n", b"a"),
-    "chunks": (CHUNKED, b"a\r\n0123456789\r\n"),
-    "chunk extension": (CHUNKED + b"1;", b"a"),
     "trailers": (CHUNKED + b"0\r\n", b"X: a\r\n"),
 }
-SLOW = {
-    "nothing": (b"", b""), "status": (b"", b"H"), "reason": (b"HTTP/1.1 200 ", b"O"),
-    "body": (HEAD + b"Content-Length: 1000\r\n\r\n", b"a"), "chunk size": (CHUNKED, b"1"),
-}  # fmt: skip
+SLOW = {"nothing": (b"", b""), "status": (b"", b"H"), "chunk size": (CHUNKED, b"1")}
 
 
 @pytest.mark.parametrize("kind", [*ENDLESS, *SLOW])
@@ -281,16 +272,11 @@ def test_a_flood_ends_at_the_budget(raw, kind, monkeypatch):
     ("answer", "word"),
     [
         (b"", "/infer"),
-        (b"\x1b[31m\r\n\r\n", "/infer"),
         (HEAD + b"Content-Length: 100\r\n\r\nabc", "3 bytes, expected 100"),
         (HEAD + b"Content-Length: -1\r\n\r\nabc", "/infer"),
-        (HEAD + b"Content-Length: 100000000000000000000\r\n\r\nabc", "/infer"),
         (HEAD + b"Content-Length: 9000000000\r\n\r\nabc", "8 MiB"),
         (HEAD + b"Content-Length: 3\r\nContent-Length: 4\r\n\r\nabcd", "conflicting"),
-        (HEAD + b"Content-Length: three\r\n\r\nabc", "/infer"),
         (CHUNKED + b"3\r\nab", "incomplete chunked"),
-        (CHUNKED + b"-3\r\nabc\r\n0\r\n\r\n", "/infer"),
-        (HEAD + b"Transfer-Encoding: gzip\r\n\r\nabc", "/infer"),
         (b"HTTP/1.1 101 Switching Protocols\r\n\r\n", "/infer"),
         (b"HTTP/1.1 500 \x1b]0;x\xe2\x80\xae\r\nContent-Length: 5\r\n\r\n\x1b[31m",
          r"500 \\x1b\]0;x[^\x1b]*: \\x1b\[31m$"),

@@ -173,16 +173,6 @@ def test_the_nearest_in_the_lane_or_on_the_way_into_it_leads(users, route, expec
     assert found is None or (found.lead.gap_m, found.lead.speed_m_s) == pytest.approx(expected[1:], abs=0.3)
 
 
-def test_the_oracle_brakes_for_its_lead_and_records_it():
-    agent = OracleIDMAgent()
-    agent.reset(0, RIG)
-    free = agent.plan(observation(state()))
-    assert free.points[:, 0] == pytest.approx(np.arange(1, 7) * 5.0) and free.notes == {"lead": None}
-    behind = agent.plan(observation(state(), users=(car("lead", 20.0, state()),)))
-    assert behind.points[-1, 0] < 20
-    assert behind.notes["lead"] == {"id": "lead", "gap_m": pytest.approx(20.0), "speed_m_s": 0.0}
-
-
 def test_neuroncaps_baseline_stops_for_whose_middle_is_in_its_corridor_and_keeps_the_corridor():
     agent = NeuroNCAPBaselineAgent()
     agent.reset(0, RIG)
@@ -270,13 +260,6 @@ def test_gap_and_speed_come_out_of_noise(lead_m_s):
     last = tracked([[gap] for gap in noisy], error_m=1.0)[-1]
     assert last.lead.gap_m == pytest.approx(gaps[-1], abs=1.2)
     assert last.lead.speed_m_s == pytest.approx(lead_m_s, abs=1.5)
-
-
-def test_the_speed_begins_at_half_the_own_and_is_known_sooner_the_smaller_the_error():
-    gaps = [[gap] for gap in 40 - 10.0 * DT * np.arange(6)]
-    slow, fast = (tracked(gaps, error_m=error) for error in (4.0, 0.3))
-    assert slow[0].lead == VehicleAhead(40.0, 5.0)
-    assert abs(fast[-1].lead.speed_m_s) < 0.5 < slow[-1].lead.speed_m_s
 
 
 @pytest.mark.parametrize(

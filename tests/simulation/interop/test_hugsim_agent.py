@@ -137,17 +137,6 @@ def test_a_failing_client_is_an_error(mode, word, moment, tmp_path):
     assert not (tmp_path / "evil-ran").exists()
 
 
-def test_a_failing_client_leaves_what_was_driven(renderer, tmp_path):
-    agent = HugsimAgent(tmp_path, command("die"))
-    simulated = simulation(renderer, agent.needs)
-    with pytest.raises(ClientError, match="out of oil"):
-        for _ in drive(simulated, agent):
-            pass
-    agent.close()
-    rollout = simulated.rollout(agent.name)
-    assert (rollout.end, len(rollout.steps)) == ("stopped", 2)
-
-
 @pytest.mark.parametrize("broken", ["no-such-program-anywhere", "", "zsh 'open"])
 def test_a_command_that_is_none(moment, tmp_path, broken):
     with pytest.raises(ClientError, match="client"):

@@ -4,7 +4,6 @@ import io
 import os
 import pickle
 import struct
-import subprocess
 
 import numpy as np
 import pytest
@@ -51,28 +50,6 @@ def test_values_come_back_writable_and_the_stream_names_numpy_and_nothing_inside
     assert back["nested"] == [(0.5, "text", None)]
     with pytest.raises(TypeError, match="object"):
         old_pickle(np.array([object()]))
-
-
-@pytest.fixture
-def old_numpy():
-    """Runs code in a Python with NumPy 1."""
-    python = os.environ.get("GSRAIN_OLD_NUMPY_PYTHON")
-    if python is None:
-        pytest.skip("no Python with NumPy 1 (set GSRAIN_OLD_NUMPY_PYTHON)")
-    return lambda code, *arguments: (
-        subprocess.run([python, "-c", code, *arguments], capture_output=True, check=True).stdout
-    )
-
-
-def test_numpy_1_reads_ours_and_writes_what_is_read(old_numpy, tmp_path):
-    (tmp_path / "value.pkl").write_bytes(old_pickle(VALUE))
-    code = (
-        "import pickle, sys, numpy as np; v = pickle.load(open(sys.argv[1], 'rb')); v['image'][0, 0, 0] = 7;"
-        "print(np.__version__.split('.')[0], v['image'].sum(), v['turned'][0, 3], v['depth'].dtype, v['float'])"
-    )
-    assert old_numpy(code, tmp_path / "value.pkl").split() == [b"1", b"283", b"1.0", b"float32", b"0.1"]
-    code = "import pickle, sys, numpy as np; sys.stdout.buffer.write(pickle.dumps(np.arange(12.).reshape(6, 2)))"
-    np.testing.assert_array_equal(read_reply(old_numpy(code)), PLAN)
 
 
 # Read

@@ -1,7 +1,5 @@
 """Planned collisions, time to collision, gaps and HUGSIM's score, worked out by hand."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +7,6 @@ from hypothesis import strategies as st
 
 from gsrain_engine.simulation.metrics.collisions import (
     LoggedTraffic,
-    PlannedCollisions,
     ego_box,
     first_collision,
     gaps_m,
@@ -106,19 +103,6 @@ def test_between_two_moments_others_are_between_them():
     traffic = LoggedTraffic(rollout(moments, step_s=0.2))
     assert [traffic.at(time_s)[0].x_m for time_s in (0.1, 0.2, 9.0)] == pytest.approx([1.5, 3.0, 6.0])
     assert [abs(traffic.at(time_s)[0].yaw_rad) for time_s in (0.1, 0.3)] == pytest.approx([np.pi] * 2)  # shorter turn
-
-
-@pytest.mark.parametrize(
-    ("printed", "frames", "hits"), [("8.9", 56, 5), ("7.1", 42, 3), ("7.5", 40, 3), ("4.9", 41, 2), ("7.3", 41, 3)]
-)
-def test_the_papers_printed_rates_are_shares_of_frames(printed, frames, hits):
-    by_frame = PlannedCollisions(((True,) + 4 * (False,),) * hits + ((False,) * 5,) * (frames - hits))
-    assert f"{100 * by_frame.frame_rate:.1f}" == printed
-    assert by_frame.point_rate == pytest.approx(hits / (5 * frames))
-    whole = PlannedCollisions(((True,) * 5,) * hits + ((False,) * 5,) * (frames - hits))
-    assert Fraction(whole.point_rate).limit_denominator(1000) == Fraction(hits, frames)
-    # One point more or less would not be printed so: by points, all five of a frame collide together.
-    assert f"{100 * (5 * hits + 1) / (5 * frames):.1f}" != printed
 
 
 # Time to collision: the own box reaches from -1 to 3 m, another 2 m to either side of its middle

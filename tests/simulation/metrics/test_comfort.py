@@ -118,15 +118,3 @@ def test_headings_wrap_and_motion_to_the_side_is_never_felt(side):
     motion = planned_motion(np.column_stack([np.arange(6.0), np.zeros(6), yaws]), 0.5)
     assert motion.yaw_rate_rad_s[:2] == pytest.approx([side * (2 * np.pi - 6.2) / 0.5, side * 0.1])
     assert (motion.lateral_m_s2 == 0).all()
-
-
-@pytest.mark.parametrize(
-    ("printed", "frames", "fine"),
-    [("0.500", 56, 28), ("0.571", 56, 32), ("0.881", 42, 37), ("0.875", 40, 35), ("0.854", 41, 35), ("0.805", 41, 33)],
-)
-def test_the_papers_printed_comfort_is_a_share_of_frames(printed, frames, fine):
-    gentle, harsh = straight(10.0), straight(10.0, acceleration=-4.5)
-    moments = [step(i, ego(), plan=gentle if i < fine else harsh) for i in range(frames)]
-    planned = comfort_planned(rollout([*moments, step(frames, ego())]))
-    executed = comfort_executed(driven(ego(), *(ego(acceleration=0.0 if i < fine else 2.5) for i in range(frames))))
-    assert f"{planned:.3f}" == f"{executed:.3f}" == printed
