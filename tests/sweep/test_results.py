@@ -16,7 +16,7 @@ from PIL import Image
 
 from boxy_scene import boxy_scene
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.simulation.metrics.summary import DriveMetrics
+from gsrain_engine.simulation.metrics.summary import DriveMetrics, table_csv
 from gsrain_engine.simulation.rollout_io import read_rollout
 from gsrain_engine.sweep import results
 from gsrain_engine.sweep.executors import SerialExecutor
@@ -26,7 +26,6 @@ from gsrain_engine.sweep.results import (
     SweepFolder,
     columns_of,
     row_of,
-    rows_csv,
     rows_in,
     rows_parquet,
     summarized,
@@ -77,7 +76,7 @@ def test_a_failed_row_has_its_parameters_and_its_error(jobs):
     data = rows_parquet([row], "drive")
     assert rows_in(data) == [row] and rows_parquet([row], "drive") == data
     assert (row["status"], row["seed"], row["intensity_mm_h"], row["min_ttc_s"]) == ("failed", 1, 8.5, None)
-    read = next(csv.DictReader(io.StringIO(rows_csv([row], "drive"))))
+    read = next(csv.DictReader(io.StringIO(table_csv(list(columns_of("drive")), [row]))))
     assert read["error"] == row["error"] and read["min_ttc_s"] == "" and read["intensity_mm_h"] == "8.5"
 
 

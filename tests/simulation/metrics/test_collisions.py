@@ -16,6 +16,7 @@ from gsrain_engine.simulation.metrics.collisions import (
     with_start,
 )
 from gsrain_engine.simulation.metrics.hd_score import hd_score
+from gsrain_engine.simulation.obstacles import CELL_M, Drivable, OccupiedSpace, cell_keys
 from small_rollout import CAR, approach, ego, rollout, step, straight, user
 
 # Planned poses
@@ -44,14 +45,10 @@ def test_plans_that_stand_or_repeat_a_point_keep_their_heading_but_not_in_hugsim
 # Planned collisions
 
 
-class Wall:
+def wall(x_m):
     """Stands across the road from a distance on."""
-
-    def __init__(self, x_m):
-        self.x_m = x_m
-
-    def touches(self, box):
-        return bool(box.corners[:, 0].max() >= self.x_m)
+    x, y = np.mgrid[x_m + CELL_M / 2 : 60 : CELL_M, -1:1:CELL_M]
+    return OccupiedSpace(np.unique(cell_keys(np.stack([x.ravel(), y.ravel()], axis=1), CELL_M)))
 
 
 def crossing(late_s):
@@ -70,7 +67,7 @@ F, T = False, True
 
 
 @pytest.mark.parametrize(
-    ("steps", "wall", "hits", "hugsim"),
+    ("steps", "wall_m", "hits", "hugsim"),
     [
         # The vehicle covers p - 1 .. p + 3, the car 19 .. 23: only the point at 20 is in it.
         (two([user(21.0)], [user(21.0)]), None, [F, F, F, T, F, F], [F, F, F, T, F]),
@@ -85,8 +82,8 @@ F, T = False, True
         (two([], []), 24, [F, F, F, F, T, T], [F, F, F, F, T]),
     ],
 )
-def test_points_that_collide(steps, wall, hits, hugsim):
-    run, occupied = rollout(steps), None if wall is None else Wall(wall)
+def test_points_that_collide(steps, wall_m, hits, hugsim):
+    run, occupied = rollout(steps), None if wall_m is None else wall(wall_m)
     for reading, expected in (("all", hits), ("hugsim", hugsim)):
         found = planned_collisions(run, occupied, reading)
         assert found.frames == (tuple(expected),) and found.points_per_frame == len(expected)
@@ -182,7 +179,7 @@ def frame(users, plan=None, completion=0.45):
         (frame([user(-2.0)]), None, 0, 1, 1, 0.0),  # at its rear bumper: the vehicle's own place counts as planned
         (frame([], straight(10.0, acceleration=-4.5)), None, 1, 1, 0, 5 / 7),
         (frame([], straight(10, points=3)), None, 1, 1, 1, 1.0),
-        (frame([]), Wall(30), 1, 0, 1, 2 / 7),  # the fifth point reaches 28 m
+        (frame([]), wall(30), 1, 0, 1, 2 / 7),  # the fifth point reaches 28 m
     ],
 )
 def test_parts_of_the_hd_score(run, occupied, nc, ttc, c, pdms):
@@ -192,15 +189,14 @@ def test_parts_of_the_hd_score(run, occupied, nc, ttc, c, pdms):
 
 
 @pytest.mark.parametrize(
-    ("quarters", "dac"),
-    [([[1, 1], [1, 1]], 1.0), ([[0.01, 1], [0, 0]], 1.0), ([[0.4, 0], [0, 0]], 0.0), ([[0, 0], [0, 0]], 0.0)],
+    ("x_m", "y_m", "dac"),
+    [(60, -5.0, 1.0), (60, 0.0, 1.0), (60, 0.25, 1.0), (26, 0.25, 0.0), (26, -5.0, 1.0), (-60, -5.0, 0.0)],
 )
-def test_drivable_area_counts_quarters_with_any_road(quarters, dac):
-    class Strip:
-        def share_on_road(self, box):
-            return np.array(quarters, float)
-
-    score = hd_score(frame([]), drivable=Strip())
+def test_drivable_area_counts_quarters_with_any_road(x_m, y_m, dac):
+    """The road ends at x_m, and begins at y_m on its right; the last box counted reaches from 24 to 28 m."""
+    x, y = np.mgrid[-60.125:x_m:0.25, y_m + 0.125 : 5 : 0.25]
+    road = Drivable(np.unique(cell_keys(np.stack([x.ravel(), y.ravel()], axis=1), 0.25)))
+    score = hd_score(frame([]), drivable=road)
     assert score.dac == score.pdms == dac
 
 
