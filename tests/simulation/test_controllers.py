@@ -110,12 +110,6 @@ def test_derivatives_are_those_of_finite_differences(at, heading, speed, steer, 
         np.testing.assert_allclose(effect[:, j], numeric, rtol=1e-6, atol=1e-6)
 
 
-def test_a_standstill_is_linearized_as_if_it_crept():
-    for speed, sign in ((0.0, 1), (-0.001, -1)):
-        slope, _ = derivatives(np.array([0.0, 0, 0, speed, 0]), (0.0, 0.0), EULER)
-        assert slope[2, 4] == pytest.approx(sign * 0.01 * DT / WHEELBASE)
-
-
 @pytest.mark.parametrize("at", [EULER, MIDPOINT])
 def test_the_step_back_agrees_with_one_linear_system(at):
     random = np.random.default_rng(3)
@@ -284,14 +278,6 @@ def test_the_published_tracker_swerves_where_it_should_stop():
     """One of the two departures from it; the other is the midpoint."""
     stop = stopped(tracker(heading_reference="hugsim"), VehicleState(0.0, 0.0, 0.0, 8.0, 0.2))
     assert abs(stop[-1].yaw_rad) > 0.8
-
-
-def test_harder_braking_is_a_setting():
-    state = VehicleState(0.0, 0.0, 0.0, 10.0)
-    assert tracker().control(CAR, state, STAND, 0.5).acceleration_m_s2 == -3.0
-    hard = tracker(most_braking_m_s2=8.0)
-    assert hard.control(CAR, state, STAND, 0.5).acceleration_m_s2 == -8.0
-    assert stopped(hard, state)[-1].x_m == pytest.approx(10.0**2 / (2 * 8), abs=0.1)
 
 
 def test_pure_pursuit_takes_the_acceleration_of_the_plan_and_stops_straight():

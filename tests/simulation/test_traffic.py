@@ -24,7 +24,6 @@ from gsrain_engine.simulation.traffic.base import (
     find_vehicle_ahead,
 )
 from gsrain_engine.simulation.traffic.models import BehaviorSettings
-from gsrain_engine.simulation.traffic.tracks import RecordedTrack
 from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box
 from small_rollout import ego, rollout, step, user
 from small_scene import patch, small_scene
@@ -266,12 +265,6 @@ def test_a_kept_actor_follows_its_track_and_others_are_gone(other_units):
     assert traffic(hidden, keep="all").users == ()
     with pytest.raises(ValueError, match="'box'"):
         traffic(scene, keep=["box"], road_users=[lead(id="box")])
-
-
-def test_a_track_has_its_full_speed_where_it_begins_and_ends():
-    scene = scene_with_box()
-    track = RecordedTrack(scene, scene.actors[0], 0.0)
-    assert [track.at(t).speed_m_s for t in (0.0, 0.02, 2.0, 3.98, 4.0, 5.0)] == pytest.approx([2.0] * 5 + [0.0])
 
 
 def test_everybody_moves_by_where_the_others_were():

@@ -57,12 +57,6 @@ def test_a_circle_at_constant_speed_is_exact():
         assert (state.x_m, state.y_m, state.yaw_rad) == pytest.approx((*place, turned), abs=1e-9)
 
 
-def test_braking_ends_at_standstill_and_only_wheels_turn_there():
-    stopped = step_bicycle(CAR, VehicleState(0.0, 0.0, 0.0, 1.0), Control(-8.0, 0.0), 0.25)
-    assert (stopped.x_m, stopped.speed_m_s) == (0.125, 0.0)
-    assert step_bicycle(CAR, stopped, Control(-8.0, 0.4), 0.5) == VehicleState(0.125, 0.0, 0.0, 0.0, 0.2)
-
-
 @pytest.mark.parametrize(
     ("state", "asked", "done"),
     [

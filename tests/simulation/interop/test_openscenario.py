@@ -126,24 +126,6 @@ def test_actors_that_are_kept_follow_trajectories_and_are_kept_again(tmp_path):
     assert load_scenario(path).keep == ("neighbour",)
 
 
-def test_places_are_those_in_the_world(tmp_path):
-    path = tmp_path / "curved.xosc"
-    test = scenario(road_users=[user("lead", "stationary", left_m=0.0, speed_m_s=0.0)], start_s=4.0)
-    write_openscenario(path, test, curved_scene())
-    found = {
-        each.get("entityRef"): each.find(".//WorldPosition").attrib
-        for each in ElementTree.parse(path).getroot().iter("Private")
-    }
-    ego, lead = (np.array([float(found[name][axis]) for axis in "xyh"]) for name in ("Ego", "lead"))
-    for place, along in ((ego, 20.0), (lead, 20.0 + 20.0 + test.vehicle.middle_m)):
-        turned = along / RADIUS_M
-        there = [RADIUS_M * np.sin(turned), RADIUS_M * (1 - np.cos(turned)), turned]
-        np.testing.assert_allclose(place, there, atol=0.06)
-    back = load_scenario(path).road_users[0]
-    gap = np.array([back.ahead_m + test.vehicle.middle_m, back.left_m])
-    assert np.linalg.norm(gap) == pytest.approx(np.linalg.norm(lead[:2] - ego[:2]), abs=1e-5)
-
-
 def test_the_road_follows_the_route_without_gaps(tmp_path):
     path = tmp_path / "curved.xosc"
     write_openscenario(path, scenario(road_users=[]), curved_scene())

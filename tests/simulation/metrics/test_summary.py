@@ -163,16 +163,6 @@ def test_seeds_become_means_with_bands():
     assert row[3] == "1 of 4" and ".." in row[4]
 
 
-def test_markdown_and_text_have_all_cells():
-    odd = ScoredRun(replace(runs()[1].metrics, scenario="a|b"))
-    table = results_table(compare_drives([*runs(), odd]))
-    lines = table.markdown.replace("a\\|b", "a.b").splitlines()
-    assert lines[0].startswith("| Scenario | Agent |") and len({line.count("|") for line in lines[:6]}) == 1
-    assert table.text.splitlines()[2].split()[:4] == ["made-up", "hand", "Clear", "No"]
-    assert all(each in " ".join(table.text.split()) and each in table.markdown for each in table.definitions)
-    assert max(map(len, table.text.splitlines())) <= max(80, len(table.text.splitlines()[1])), "definitions wrap"
-
-
 # Figures
 
 
