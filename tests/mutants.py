@@ -51,7 +51,7 @@ TESTS = (
     "tests/rain",
     "tests/scene/formats",
     "tests/simulation/metrics",
-    "tests/simulation/interop/test_pipes.py",
+    "tests/simulation/interop/test_hugsim_protocol.py",
     "tests/evaluation/test_image_metrics.py",
     "tests/evaluation/test_lpips.py",
     "tests/evaluation/test_lpips_loss.py",

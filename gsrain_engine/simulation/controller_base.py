@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
 
-from .geometry import wrap_angle
+from .geometry import arc_lengths, points_along, wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
 
 
@@ -28,6 +28,9 @@ class Controller(Protocol):
         ...
 
 
+HeadingReference = Literal["tangent", "hugsim"]
+
+
 class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Choice of a controller and its limits."""
 
@@ -36,7 +39,7 @@ class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         Meta(title="Controller", description="nuPlan's tracker, as HUGSIM uses it, or the plain geometric one."),
     ] = "ilqr"
     heading_reference: Annotated[
-        Literal["tangent", "hugsim"],
+        HeadingReference,
         Meta(
             title="Heading reference",
             description="Heading that the tracker wants: the plan's own, or HUGSIM's published arctan2 of swapped "
@@ -80,12 +83,12 @@ class PurePursuit:
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Control:
         points = np.concatenate([np.zeros((1, 2)), plan])
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        along = arc_lengths(points)
         point = min(_SPEED_POINTS, len(plan))
         time_s = point * spacing_s
         acceleration = 2 * (float(along[point]) - state.speed_m_s * time_s) / time_s**2
         reach = max(_SHORTEST_M, _AHEAD_S * state.speed_m_s)
-        ahead = np.array([np.interp(reach, along, points[:, axis]) for axis in range(2)])
+        (ahead,) = points_along(points, along, np.array([reach]))
         distance2 = float(ahead @ ahead)
         curvature = 2 * float(ahead[1]) / distance2 if distance2 > 0.25 else 0.0
         steer = float(np.arctan(vehicle.wheelbase_m * curvature))
@@ -104,14 +107,13 @@ def make_reachable(
     if np.linalg.norm(plan, axis=1).max() < SHORTEST_M:
         plan = np.zeros_like(plan)
     line = np.concatenate([np.zeros((1, 2)), plan])
-    steps = np.diff(line, axis=0)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+    along = arc_lengths(line)
     times = np.minimum(spacing_s * np.arange(1, len(plan) + 1), speed_m_s / braking_m_s2)
     shortest = speed_m_s * times - 0.5 * braking_m_s2 * times**2
     near = along[1:] < shortest
-    heading = float(directions(steps)[-1])
+    heading = float(directions(np.diff(line, axis=0))[-1])
     beyond = np.maximum(shortest - along[-1], 0.0)[:, None] * (np.cos(heading), np.sin(heading))
-    moved = np.stack([np.interp(shortest, along, line[:, axis]) for axis in range(2)], axis=1) + beyond
+    moved = points_along(line, along, shortest) + beyond
     return np.where(near[:, None], moved, plan), bool(near[-1])
 
 
@@ -119,9 +121,6 @@ def make_reachable(
 
 SHORTEST_M = 0.1
 """Minimum distance between points that define a direction; closer points are jitter around a stop."""
-
-
-HeadingReference = Literal["tangent", "hugsim"]
 
 
 def tracked_states(plan: Float64[np.ndarray, "n 2"], reference: HeadingReference) -> Float64[np.ndarray, "points 5"]:

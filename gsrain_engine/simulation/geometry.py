@@ -67,6 +67,18 @@ class PlanarBox:
         return bool(self.polygon.intersects(other.polygon))
 
 
+def arc_lengths(points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, " n"]:
+    """Return the distance of each point of a polyline from its first, along it."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def points_along(
+    points: Float64[np.ndarray, "n d"], along_m: Float64[np.ndarray, " n"], at_m: Float64[np.ndarray, " m"]
+) -> Float64[np.ndarray, "m d"]:
+    """Return points of a polyline at distances from its first; `along_m` are those of its own points."""
+    return np.stack([np.interp(at_m, along_m, column) for column in points.T], axis=1)
+
+
 class RouteCoordinates(NamedTuple):
     """Position relative to a route."""
 
@@ -115,4 +127,4 @@ class Route:
 
     @cached_property
     def _along(self) -> Float64[np.ndarray, " n"]:
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+        return arc_lengths(self.points)

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from ..scene.gaussians import Gaussians, scene_cache
 from ..scene.geometry import matrices_from_quaternions
 from ..scene.scene import Scene
-from .geometry import Route
+from .geometry import Route, arc_lengths, points_along
 
 SENSOR_HEIGHT_M = 1.5
 """Height of the rig frame's origin above the road if the scene does not state it (paper, sec. on rain regions)."""
@@ -20,32 +20,22 @@ _LOWEST_RIG_M, _HIGHEST_RIG_M = -0.5, 4.0  # plausible range of the rig origin's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeightGrid:
-    """Heights at cell centers, bilinearly interpolated and clamped at the border."""
+class RoadSurface:
+    """Ground as a grid of heights, interpolated bilinearly; vehicles on it stay upright on any slope."""
 
     corner_m: tuple[float, float]
     """x and y of the center of the first cell."""
     cell_m: float
     heights_m: Float64[np.ndarray, "rows columns"]
-    """Rows run along y."""
+    """Heights at cell centers; rows run along y."""
+    rig_height_m: float = SENSOR_HEIGHT_M
+    """Height of the rig frame's origin above it along the recorded drive."""
 
-    @staticmethod
-    def level(height_m: float) -> "HeightGrid":
-        return HeightGrid((0.0, 0.0), 1.0, np.full((1, 1), float(height_m)))
+    def height_m(self, x_m: float, y_m: float) -> float:
+        """Return the height at a point; outside the grid that of the nearest cell."""
+        return float(self.heights_at(np.array([[x_m, y_m]]))[0])
 
-    def at(self, x_m: float, y_m: float) -> float:
-        """Return the height at a point, without array overhead."""
-        rows, columns = self.heights_m.shape
-        u = min(max((x_m - self.corner_m[0]) / self.cell_m, 0.0), columns - 1.0)
-        v = min(max((y_m - self.corner_m[1]) / self.cell_m, 0.0), rows - 1.0)
-        i, j = int(u), int(v)
-        right, up = min(i + 1, columns - 1), min(j + 1, rows - 1)
-        s, t = u - i, v - j
-        near = (1 - s) * self.heights_m[j, i] + s * self.heights_m[j, right]
-        far = (1 - s) * self.heights_m[up, i] + s * self.heights_m[up, right]
-        return float((1 - t) * near + t * far)
-
-    def at_all(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
+    def heights_at(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
         rows, columns = self.heights_m.shape
         u, v = np.clip((places - self.corner_m) / self.cell_m, 0.0, (columns - 1.0, rows - 1.0)).T
         i, j = u.astype(np.int64), v.astype(np.int64)
@@ -54,22 +44,6 @@ class HeightGrid:
         near = (1 - s) * self.heights_m[j, i] + s * self.heights_m[j, right]
         far = (1 - s) * self.heights_m[up, i] + s * self.heights_m[up, right]
         return (1 - t) * near + t * far
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RoadSurface:
-    """Ground as a height field; vehicles on it stay upright on any slope."""
-
-    grid: HeightGrid
-    rig_height_m: float = SENSOR_HEIGHT_M
-    """Height of the rig frame's origin above it along the recorded drive."""
-
-    def height_m(self, x_m: float, y_m: float) -> float:
-        """Return the height at a point; outside the grid that of the nearest cell."""
-        return self.grid.at(x_m, y_m)
-
-    def heights_m(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-        return self.grid.at_all(places)
 
 
 @scene_cache(maxsize=2)
@@ -82,10 +56,9 @@ def road_surface_of(scene: Scene) -> RoadSurface:
     """
     drive = recorded_ego_positions(scene)
     if not len(drive):
-        return RoadSurface(HeightGrid.level(scene.ground_m or 0.0))
+        return RoadSurface((0.0, 0.0), 1.0, np.full((1, 1), float(scene.ground_m or 0.0)))
     below = np.nan if scene.ground_m is None else float(drive[0, 2]) - scene.ground_m
-    known = below if _LOWEST_RIG_M < below < _HIGHEST_RIG_M else None
-    return RoadSurface(*find_road_surface(scene, drive, known, SENSOR_HEIGHT_M))
+    return _fitted_surface(scene, drive, below if _LOWEST_RIG_M < below < _HIGHEST_RIG_M else None)
 
 
 # Road surface from the recorded drive
@@ -104,21 +77,19 @@ _ABOVE_COUNTS = 0.25
 _ENOUGH = 0.05  # cell coverage at which the update has half its weight
 
 
-def find_road_surface(
-    scene: Scene, drive: Float64[np.ndarray, "n 3"], below_m: float | None, else_m: float
-) -> tuple[HeightGrid, float]:
-    """Fit the ground around a drive; returns it and its depth below the rig frame's origin.
+def _fitted_surface(scene: Scene, drive: Float64[np.ndarray, "n 3"], below_m: float | None) -> RoadSurface:
+    """Fit the ground around a drive; `below_m` is its depth below the rig frame's origin if known.
 
-    `below_m` is the depth if known; `else_m` the default if nothing flat lies below the drive. The surface starts
-    parallel to the drive and moves iteratively to the smoothed mean of parts in a band around it, while smoothing and
-    band narrow. It thus follows slopes and passes under cars and bushes. Empty areas keep the coarser result.
+    The surface starts parallel to the drive and moves iteratively to the smoothed mean of parts in a band around it,
+    while smoothing and band narrow. It thus follows slopes and passes under cars and bushes. Empty areas keep the
+    coarser result.
     """
     low, high = _around(drive)
     reach = WorldRegion(low - [0, 0, _DEEPEST_M + 2], high + [0, 0, _HIGHEST_M + 2])
     grid = _followed(drive, reach)
     pieces = gaussian_pieces(scene, reach, _CELL_M)
     if below_m is None:
-        below_m = _depth_below(drive, pieces, else_m)
+        below_m = _depth_below(drive, pieces)
     heights = grid.heights_m - below_m
     rows, columns = heights.shape
     place = np.rint((pieces.places[:, :2] - grid.corner_m) / grid.cell_m).astype(np.int64)
@@ -135,18 +106,18 @@ def find_road_surface(
                 _smoothed(each.astype(np.float64).reshape(rows, columns), scale_m / grid.cell_m) for each in sums
             )  # bincount gives integers without values
             level = level + (moved / (known + _ENOUGH)).ravel()
-    return HeightGrid(grid.corner_m, grid.cell_m, level.reshape(rows, columns)), below_m
+    return RoadSurface(grid.corner_m, grid.cell_m, level.reshape(rows, columns), below_m)
 
 
 class HeightSlab(NamedTuple):
     """The space between two heights above the ground."""
 
-    ground: HeightGrid
+    ground: RoadSurface
     low_m: float
     high_m: float
 
     def above_m(self, places: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-        return places[:, 2] - self.ground.at_all(places[:, :2])
+        return places[:, 2] - self.ground.heights_at(places[:, :2])
 
 
 class WorldRegion(NamedTuple):
@@ -157,7 +128,7 @@ class WorldRegion(NamedTuple):
     slab: HeightSlab | None = None
 
 
-def _followed(drive: Float64[np.ndarray, "n 3"], reach: WorldRegion) -> HeightGrid:
+def _followed(drive: Float64[np.ndarray, "n 3"], reach: WorldRegion) -> RoadSurface:
     """Return a surface at the height of the nearest point of the drive, smoothed."""
     low, high = reach.low[:2], reach.high[:2]
     cell = max(_CELL_M, float((high - low).max()) / _MAX_CELLS)
@@ -166,18 +137,17 @@ def _followed(drive: Float64[np.ndarray, "n 3"], reach: WorldRegion) -> HeightGr
     path = _dense(drive)
     nearest = scipy.spatial.KDTree(path[:, :2]).query(np.stack([x.ravel() + low[0], y.ravel() + low[1]], axis=1))[1]
     heights = path[np.asarray(nearest), 2].reshape(rows, columns)
-    return HeightGrid((float(low[0]), float(low[1])), cell, _smoothed(heights, 2.0 / cell))
+    return RoadSurface((float(low[0]), float(low[1])), cell, _smoothed(heights, 2.0 / cell))
 
 
 def _dense(drive: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
     """Return the drive resampled to at most half a meter."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(drive[:, :2], axis=0), axis=1))])
-    steps = np.linspace(0.0, along[-1], int(along[-1] / _CELL_M) + 2)
-    return np.stack([np.interp(steps, along, drive[:, axis]) for axis in range(3)], axis=1)
+    along = arc_lengths(drive[:, :2])
+    return points_along(drive, along, np.linspace(0.0, along[-1], int(along[-1] / _CELL_M) + 2))
 
 
-def _depth_below(drive: Float64[np.ndarray, "n 3"], pieces: "GaussianPieces", else_m: float) -> float:
-    """Return the most frequent depth of flat parts below the drive."""
+def _depth_below(drive: Float64[np.ndarray, "n 3"], pieces: "GaussianPieces") -> float:
+    """Return the most frequent depth of flat parts below the drive; SENSOR_HEIGHT_M if nothing flat is there."""
     path = _dense(drive)
     away, nearest = scipy.spatial.KDTree(path[:, :2]).query(pieces.places[:, :2])
     under = np.asarray(away) < _UNDER_M
@@ -186,7 +156,7 @@ def _depth_below(drive: Float64[np.ndarray, "n 3"], pieces: "GaussianPieces", el
     histogram = np.convolve(np.histogram(depth, edges, weights=area)[0], np.ones(3), mode="same")
     best = int(np.argmax(histogram))
     if histogram[best] < _MIN_M2:
-        return else_m
+        return SENSOR_HEIGHT_M
     near = np.abs(depth - (edges[best] + _BIN_M / 2)) < 2 * _BIN_M
     return float(np.average(depth[near], weights=area[near]))
 

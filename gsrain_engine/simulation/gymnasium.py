@@ -108,20 +108,16 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1 / chosen.step_s)}
         self._action, self._reward = action, reward or Reward()
-        self._resources = ExitStack()
         needs = SensorRequirements(tuple(cameras), depth, semantic)
         draws = bool(cameras) or render_mode is not None
-        self._renderer = self._resources.enter_context(open_renderer(backend)) if draws else None
-        try:
+        with ExitStack() as stack:
+            self._renderer = stack.enter_context(open_renderer(backend)) if draws else None
             self.simulation = Simulation(chosen, opened, needs, self._renderer if cameras else None)
             """The simulation; its `rollout("NAME")` records the current episode."""
-        except ValueError:
-            self.close()
-            raise
-        mounted = self.simulation.rig.cameras
-        if draws and not mounted:
-            self.close()
-            raise ValueError(f"scene {opened.name!r} has no rig: there is no camera to see through")
+            mounted = self.simulation.rig.cameras
+            if draws and not mounted:
+                raise ValueError(f"scene {opened.name!r} has no rig: there is no camera to see through")
+            self._resources = stack.pop_all()
         self._front: RigRenderer | None = None
         self._now: Observation | None = None
         self.action_space = control_space() if action == "control" else plan_space()

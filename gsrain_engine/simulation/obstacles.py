@@ -49,8 +49,8 @@ def occupied_space_of(scene: Scene, ground: RoadSurface) -> OccupiedSpace:
     matter (HUGSIM counts Gaussians: more than a hundred of opacity over 0.8).
     """
     low, high = recorded_extent(scene)
-    low[2], high[2] = ground.grid.heights_m.min() + LOW_M, ground.grid.heights_m.max() + HIGH_M
-    pieces = gaussian_pieces(scene, WorldRegion(low, high, HeightSlab(ground.grid, LOW_M, HIGH_M)), CELL_M)
+    low[2], high[2] = ground.heights_m.min() + LOW_M, ground.heights_m.max() + HIGH_M
+    pieces = gaussian_pieces(scene, WorldRegion(low, high, HeightSlab(ground, LOW_M, HIGH_M)), CELL_M)
     keys, area = _areas(pieces, pieces.side_m2, CELL_M)
     return OccupiedSpace(keys[_around(keys, area) >= POST_M * (HIGH_M - LOW_M)])
 
@@ -113,12 +113,12 @@ def drivable_of(scene: Scene, ground: RoadSurface, occupied: OccupiedSpace) -> D
     The road is the layers called "road" or "ground". Without them it is the flat, unoccupied part of the ground.
     """
     low, high = recorded_extent(scene)
-    low[2], high[2] = ground.grid.heights_m.min() - 1, ground.grid.heights_m.max() + 1
+    low[2], high[2] = ground.heights_m.min() - 1, ground.heights_m.max() + 1
     named = any(layer.name in ROAD_LAYERS and layer.visible for layer in scene.layers)
     pieces = gaussian_pieces(scene, WorldRegion(low, high), _CELL_M, ROAD_LAYERS if named else None)
     if not named:
         places = pieces.places[:, :2]
-        above = pieces.places[:, 2] - ground.heights_m(places)
+        above = pieces.places[:, 2] - ground.heights_at(places)
         flat = (np.abs(above) < _FLAT_M) & (pieces.top_m2 > pieces.side_m2) & ~occupied.holds(places)
         pieces = GaussianPieces(*(column[flat] for column in pieces))
     keys, area = _areas(pieces, pieces.top_m2, _CELL_M)

@@ -70,7 +70,7 @@ class Simulation:
         self._road = RoadScene(scene, self._traffic.looks)
         self._pictures: RigRenderer | None = None
         start = start_state(self.scenario, scene, self.route)
-        self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
+        self._start = self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
         self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
         if self._begins_m >= self.route.length_m:
             where = f"where the route of scene {scene.name!r} ends"
@@ -87,9 +87,7 @@ class Simulation:
         self._traffic.reset()
         if self._renderer is not None and self._needed:
             self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._needed, self._needs)
-        self.end, self._steps = None, []
-        start = start_state(self.scenario, self.scene, self.route)
-        self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
+        self.end, self._steps, self._moment = None, [], self._start
         self._judge()
         return self.observation()
 

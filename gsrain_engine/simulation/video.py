@@ -21,7 +21,7 @@ from ..render.video import VideoWriter
 from ..scene.camera import Camera
 from ..scene.progress import Progress
 from .agents.base import SensorRequirements
-from .geometry import PlanarBox
+from .geometry import PlanarBox, arc_lengths, points_along
 from .ground import road_surface_of
 from .metrics.collisions import LONGEST_S, gaps_m, times_to_collision_s
 from .obstacles import occupied_space_of
@@ -236,9 +236,8 @@ class _TopView:
 def _draw_plan(picture: RgbImage, camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float) -> None:
     """Draw planned points as a line with dots, in perspective on the road."""
     # Resampled to half a meter, so that a line from behind the camera is clipped near it.
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = np.append(np.arange(0.0, along[-1], 0.5), along[-1])
-    line = np.stack([np.interp(at, along, points[:, axis]) for axis in range(2)], axis=1)
+    along = arc_lengths(points)
+    line = points_along(points, along, np.append(np.arange(0.0, along[-1], 0.5), along[-1]))
     pixels, depth = _projected(camera, line, height_m)
     visible = [_fixed(pixel) for pixel, far in zip(pixels, depth, strict=True) if far > _NEAR_M]
     for width, color in ((5, (0, 40, 30)), (3, _PLAN)):

@@ -208,7 +208,7 @@ def _without_interrupts() -> Generator[None]:
 
 # Dask cluster
 
-_ANSWERS_WITHIN_S = 20
+ANSWERS_WITHIN_S = 20
 
 
 class DaskCluster:
@@ -224,7 +224,7 @@ class DaskCluster:
         except ModuleNotFoundError:
             raise ValueError("a Dask cluster takes the package distributed: pip install 'gsrain[drive]'") from None
         try:
-            self._client = Client(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
+            self._client = Client(address, timeout=ANSWERS_WITHIN_S, set_as_default=False)
         except (OSError, TimeoutError) as error:
             raise ValueError(f"no Dask scheduler answers at {address}: {' '.join(str(error).split())}") from None
         self._resources = dict(resources or {})

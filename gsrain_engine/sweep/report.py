@@ -18,6 +18,7 @@ from ..evaluation.report_charts import SeriesStyle, series_styles
 from ..rain.settings import CALIBRATED_UP_TO_MM_H
 from ..safe_io.text_files import figure_words
 from ..scene.files import shortened, whole_file
+from ..simulation.metrics.summary import table_csv
 from . import results
 from .expansion import DriveJob, Job
 from .results import MEASURED, MeanInterval95, Row, SummaryCell, SweepFolder, by_scenario
@@ -45,7 +46,7 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict
     figures = _written_figures(folder.path / "figures", by_scenario(cell for cell in cells if cell.runs))
     for name, data in (
         ("table.parquet", results.rows_parquet(rows, kind)),
-        ("table.csv", results.rows_csv(rows, kind).encode()),
+        ("table.csv", table_csv(list(results.columns_of(kind)), rows).encode()),
         ("summary.json", results.indented_json(numbers)),
     ):
         with whole_file(folder.path / name) as partial:

@@ -91,22 +91,6 @@ def rows_in(data: bytes) -> list[Row]:
         raise ValueError(f"no Parquet file: {printable_line(error)}") from None
 
 
-def rows_csv(rows: Sequence[Row], kind: str) -> str:
-    """Return rows as CSV; None is empty, booleans are true and false."""
-    lines = [",".join(columns_of(kind))]
-    lines += [",".join(map(_cell, (row.get(name) for name in columns_of(kind)))) for row in rows]
-    return "\n".join(lines) + "\n"
-
-
-def _cell(value: Value) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    text = str(value)
-    return '"' + text.replace('"', '""') + '"' if any(each in text for each in ',"\n\r') else text
-
-
 def parquet_modules() -> tuple[Any, Any]:
     """Import pyarrow and its Parquet module on first use."""
     try:

@@ -19,8 +19,8 @@ from gsrain_engine.sweep.results import columns_of, rows_in, rows_parquet
 from gsrain_engine.sweep.settings import load_sweep
 from small_rollout import approach
 from small_scene import small_scene
-from tests.simulation.interop.test_reply import tensor_pickle
-from tests.simulation.test_openscenario import foreign, scenario
+from tests.simulation.interop.test_hugsim_pickle import tensor_pickle
+from tests.simulation.interop.test_openscenario import foreign, scenario
 
 from .json_mutations import damaged_json
 from .mutations import damaged_bytes, damaged_text

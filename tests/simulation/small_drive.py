@@ -7,6 +7,7 @@ import numpy as np
 
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
+from gsrain_engine.scene.street.build import street_rigs
 from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
@@ -86,3 +87,12 @@ def driven(fields, scene, agent=None, **options):
     for _ in drive(simulation, agent):
         pass
     return simulation.rollout(agent.name)
+
+
+def longer_scene():
+    """The small scene with a recorded drive of 30 m, and a front and a back camera of nuScenes'."""
+    times = np.arange(6.0)
+    places = np.stack([6 * times, np.zeros(6), np.full(6, 1.5)], axis=1)
+    ego = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (6, 1)), np.ones(6, bool))
+    two = tuple(each for each in street_rigs()["nuscenes"] if each.name in ("CAM_FRONT", "CAM_BACK"))
+    return replace(small_scene(), ego=ego, rigs={"nuscenes": two})

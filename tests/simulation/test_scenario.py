@@ -1,24 +1,243 @@
-"""Valid scenarios: each value within bounds, ambiguous names are rejected."""
+"""Scenarios: what is valid, their files and HUGSIM's, where a drive starts, and the shipped ones."""
+
+from dataclasses import replace
+from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
+import yaml
 
+from curved_scene import RADIUS_M, curved_scene
+from gsrain_engine.scene.formats.registry import write_gaussians
+from gsrain_engine.simulation.ground import recorded_route
+from gsrain_engine.simulation.interop.hugsim_scenario import is_hugsim_scenario
+from gsrain_engine.simulation.scenario import Scenario, start_place, start_state
+from gsrain_engine.simulation.scenario_io import load_scenario, save_scenario
+from gsrain_engine.simulation.simulation import Simulation
+from gsrain_engine.simulation.traffic.appearance import built_in_vehicle, vehicle_model
+from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Control
 from simulation.small_drive import lead, scenario
+from small_scene import small_scene
 
 
 @pytest.mark.parametrize(
-    ("fields", "words"),
+    ("fields", "place"),
     [
-        ({"size_lwh_m": [-4.0, 2.0, 1.5]}, r"> 0.0 - at `\$.road_users\[0\].size_lwh_m\[0\]`"),
-        ({"size_lwh_m": [4.0, 0.0, 1.5]}, r"> 0.0 - at `\$.road_users\[0\].size_lwh_m\[1\]`"),
-        ({"size_lwh_m": [4.0, 2.0, float("nan")]}, r"at `\$.road_users\[0\].size_lwh_m\[2\]`"),
+        ({"size_lwh_m": [4.0, 2.0, float("nan")]}, r"size_lwh_m\[2\]`"),
         ({"behaviour": {"kind": "track", "points": [{"time_s": 1.0, "ahead_m": float("nan")}]}}, "ahead_m`"),
-        ({"behaviour": {"kind": "track", "points": [{"time_s": float("inf"), "ahead_m": 1.0}]}}, "time_s`"),
-        ({"id": "ego"}, "a road user can't be called 'ego'"),
-        ({"id": "background"}, "a road user can't be called 'background'"),
+        ({"behaviour": {"kind": "fly"}}, r"kind`"),
+        ({"behaviour": {"kind": "cut-in"}}, "`after_s`"),
+        ({"behaviour": {"kind": "track"}}, "`points`"),
+        ({"behaviour": {"kind": "track", "actor": "a", "points": [{"time_s": 1.0, "ahead_m": 1.0}]}}, "`points`"),
+        ({"behaviour": {"kind": "track", "points": [{"time_s": 2.0, "ahead_m": 1.0}] * 2}}, "`points`"),
+        ({"id": "ego"}, "'ego'"),
+        ({"id": "background"}, "'background'"),
     ],
 )
-def test_what_no_road_user_can_be_is_named(fields, words):
-    with pytest.raises(msgspec.ValidationError, match=words):
+def test_what_no_road_user_can_be_is_refused_by_its_field(fields, place):
+    with pytest.raises(msgspec.ValidationError, match=place):
         scenario(road_users=[lead(**fields)])
-    assert scenario(road_users=[lead(size_lwh_m=[4.0, 2.0, 1.5])]).road_users[0].id == "lead"
+
+
+# Files
+
+TEST = """
+name: mine
+scene: {scene}
+rain: {{calibration: {calibration}}}
+road_users:
+- {{id: a, model: {model}, behaviour: {{kind: stationary}}}}
+- {{id: b, model: van/red, behaviour: {{kind: replay, rollout: {rollout}, user: ego}}}}
+- {{id: c, model: 'actor:7', behaviour: {{kind: stationary}}}}
+"""
+
+
+@pytest.fixture
+def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a scenario and all that it names; the working folder is the one above."""
+    folder = tmp_path / "tests"
+    for name in ("cars", "road", "street", "published"):
+        (folder / name).mkdir(parents=True)
+    write_gaussians(built_in_vehicle("saloon").gaussians, folder / "cars/a.ply")
+    for name in ("rain.yaml", "drive.jsonl"):
+        (folder / name).write_text("")
+    text = TEST.format(scene="road", calibration="rain.yaml", model="cars/a.ply", rollout="./drive.jsonl")
+    (folder / "mine.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def test_names_count_from_the_scenarios_own_folder(beside: Path, monkeypatch: pytest.MonkeyPatch):
+    found = load_scenario("tests/mine.yaml")
+    assert found.scene == "tests/road" and found.rain.calibration == "tests/rain.yaml"
+    first, second, third = found.road_users
+    assert first.model == "tests/cars/a.ply" and vehicle_model(first.model, small_scene()).size_lwh_m[0] > 1
+    assert (second.model, second.behaviour.rollout, third.model) == ("van/red", "tests/drive.jsonl", "actor:7")
+    monkeypatch.chdir(beside / "cars")
+    assert load_scenario("../mine.yaml").scene == "../road"
+    assert load_scenario(beside / "mine.yaml").scene == str(beside / "road")
+
+
+def test_names_that_are_built_in_nowhere_or_in_the_working_folder_stay(beside: Path):
+    Path("far").mkdir()
+    text = TEST.format(scene="street", calibration="published", model="saloon", rollout="nowhere.jsonl")
+    (beside / "mine.yaml").write_text(text)
+    found = load_scenario("tests/mine.yaml")
+    assert (found.scene, found.rain.calibration, found.road_users[0].model) == ("street", "published", "saloon")
+    assert found.road_users[1].behaviour.rollout == "nowhere.jsonl"
+    (beside / "mine.yaml").write_text(text.replace("scene: street", "scene: far"))
+    assert load_scenario("tests/mine.yaml").scene == "far"
+
+
+def test_saved_elsewhere_it_names_the_same_files_and_is_the_same_value(beside: Path):
+    found = load_scenario("tests/mine.yaml")
+    Path("copies").mkdir()
+    for value in (found, msgspec.structs.replace(found, scene="of-hugsim"), Scenario(name="mine")):
+        save_scenario(value, Path("copies/copy.yaml"))
+        assert load_scenario("copies/copy.yaml") == value
+    save_scenario(found, Path("copies/copy.yaml"))
+    assert "scene: ../tests/road" in Path("copies/copy.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("road_users: [{id: a, behaviour: {kind: brak}}]", r"brake.*`\$\.road_users\[0\]\.behaviour\.kind`"),
+        ("controller: {kind: ilq}", r"pure-pursuit.*`\$\.controller\.kind`"),
+        ("rain: {intensity: 3}", r"`intensity_mm_h`.*`\$\.rain`"),
+        ("road_users: [{id: a, behaviour: {kind: brake, sped: 3}}]", r"`sped`.*`\$\.road_users\[0\]\.behaviour`"),
+        ("speed_m_s: .nan", r"`\$\.speed_m_s`"),
+        ("speed_m_s: 3\nspeed_m_s: 4", "line 3"),
+        ("road_users: [{id: a, behaviour: {kind: idm}}, {id: a, behaviour: {kind: idm}}]", "'a'"),
+    ],
+)
+def test_errors_name_the_file_the_field_and_what_would_be_right(text: str, place: str, tmp_path: Path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"name: mine\n{text}\n")
+    with pytest.raises(ValueError, match=rf"mine\.yaml: .*{place}"):
+        load_scenario(path)
+
+
+# HUGSIM's scenario files
+
+CAR = [2.0, 13.0, -0.3, 0.1, 2.0, "2024_07_05_10_58_02", "ConstantPlanner", {}]
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(*rows, **fields):
+        plain = {
+            "mode": "easy_00", "plan_list": list(rows), "load_HD_map": False, "start_euler": [0.0, 0.0, 0.0],
+            "start_ab": [0.0, 0.0], "start_velo": 1, "start_steer": 0, "scene_name": "scene-0383",
+            "iteration": 30000, **fields,
+        }  # fmt: skip
+        path = tmp_path / "scene-0383-easy-00.yaml"
+        path.write_text(yaml.safe_dump(plain))
+        return path
+
+    return write
+
+
+def test_a_vehicle_goes_where_hugsims_planner_takes_it(written):
+    """HUGSIM: a (right) -= v sin(yaw) dt, b (forward) += v cos(yaw) dt, from (2, 13): left by the yaw."""
+    test = load_scenario(written(CAR))
+    (car,) = test.road_users
+    assert (car.ahead_m, car.left_m, car.turned_deg, car.speed_m_s) == pytest.approx((13, -2, 5.72958, 2), abs=1e-4)
+    assert (test.name, test.scene, test.vehicle) == ("scene-0383-easy_00", "scene-0383", HUGSIM_VEHICLE)
+    simulation = Simulation(test, small_scene())
+    simulation.reset()
+    for _ in range(4):
+        simulation.advance(Control(0.0, 0.0))
+    (there,) = simulation.observation().road_users
+    # One second later; our x is its forward, our y its -right, and its world begins at the ego vehicle's middle.
+    assert (there.x_m, there.y_m) == pytest.approx((13 + 2 * 0.995004, -(2 - 2 * 0.0998334)), abs=1e-4)
+
+
+def test_a_turned_start_turns_everything(written):
+    test = load_scenario(written(CAR, start_ab=[1.0, 3.0], start_euler=[0.0, 90.0, 0.0]))
+    assert (test.ahead_m, test.left_m, test.turned_deg) == (3.0, -1.0, -90.0)
+    (car,) = test.road_users
+    # Looking right: what is 1 m to the right is ahead, what is 10 m forward is to the left.
+    assert (car.ahead_m, car.left_m, car.turned_deg) == pytest.approx((1.0, 10.0, 95.72958), abs=1e-4)
+
+
+def test_planners_become_behaviors(written):
+    rows = [*CAR[:6], "IDM", {}], [*CAR[:6], "UnicyclePlanner", {"uc_id": "6e29", "speed": 0.6}]
+    followed, recorded = (each.behaviour for each in load_scenario(written(*rows)).road_users)
+    assert (followed.desired_speed_m_s, followed.least_gap_m, followed.headway_s) == (30, 5, 2)
+    assert (recorded.actor, recorded.pace) == ("6e29", 0.6)
+
+
+@pytest.mark.parametrize(
+    ("rows", "fields", "place"),
+    [
+        ([[*CAR[:6], "AttackPlanner", {"best_k": 2}]], {}, "vehicle 1 of plan_list: AttackPlanner"),
+        ([CAR, [*CAR[:6], "Teleporter", {}]], {}, "vehicle 2 of plan_list: planner 'Teleporter'"),
+        ([[*CAR[:6], "UnicyclePlanner", {}]], {}, "vehicle 1 of plan_list: .*`actor`"),
+        ([[*CAR[:4], -3.0, *CAR[5:]]], {}, "vehicle 1 of plan_list: .*speed_m_s"),
+        ([CAR[:4]], {}, ".*plan_list"),
+        ([], {"start_steer": 0.2}, "start_steer"),
+        ([], {"start_euler": [0.0, 0.0, 30.0]}, "start_euler"),
+        ([], {"start_velo": "fast"}, ".*start_velo"),
+    ],
+)
+def test_what_cannot_be_taken_from_hugsim_is_named(written, rows, fields, place):
+    with pytest.raises(ValueError, match=f"scene-0383-easy-00.yaml: {place}"):
+        load_scenario(written(*rows, **fields))
+
+
+def test_hugsims_own_scenarios_are_recognized_and_ours_are_not_hugsims(test_data):
+    assert not is_hugsim_scenario(msgspec.to_builtins(load_scenario("stationary-lead")))
+    folder = test_data / "closed_loop" / "hugsim" / "configs" / "benchmark" / "nuscenes"
+    read = {path.stem: load_scenario(path) for path in sorted(folder.glob("*.yaml")) if "extreme" not in path.stem}
+    assert {name: len(each.road_users) for name, each in read.items()} == {
+        "scene-0013-easy-00": 1, "scene-0383-easy-00": 0, "scene-0383-hard-00": 2, "scene-0383-medium-00": 1,
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="AttackPlanner"):
+        load_scenario(folder / "scene-0383-extreme-00.yaml")
+
+
+# Start
+
+SCENE = curved_scene()
+ROUTE = recorded_route(SCENE)
+
+
+def on_the_curve(along_m, left_m=0.0):
+    """Place and heading at a distance along the curve."""
+    turned, radius = along_m / RADIUS_M, RADIUS_M - left_m
+    return radius * np.sin(turned), RADIUS_M - radius * np.cos(turned), turned
+
+
+def test_a_road_user_is_placed_along_the_route_or_straight_ahead_of_where_the_ego_vehicle_starts():
+    test = scenario(road_users=[lead(ahead_m=10.0, left_m=1.0, model="saloon")])
+    (along,) = test.road_users
+    ahead = test.vehicle.middle_m + 10.0
+    assert start_place(along, test, SCENE, ROUTE) == pytest.approx(on_the_curve(ahead, 1.0), abs=0.05)
+    turned = scenario(ahead_m=5.0, left_m=2.0, turned_deg=30.0, road_users=msgspec.to_builtins(test.road_users))
+    ego = start_state(turned, SCENE, ROUTE)
+    straight = msgspec.structs.replace(along, placed="straight", turned_deg=90.0)
+    x, y, heading = start_place(straight, turned, SCENE, ROUTE)
+    assert (x, y, heading) == pytest.approx((*ego.to_world(np.array([[ahead, 1.0]]))[0], ego.yaw_rad + np.pi / 2))
+    simulation = Simulation(msgspec.structs.replace(turned, road_users=(straight,)), SCENE)
+    observed = simulation.reset()
+    (there,) = observed.road_users
+    assert observed.state == ego and (there.x_m, there.y_m, there.yaw_rad) == (x, y, heading)
+
+
+@pytest.mark.parametrize(
+    ("fields", "scene", "word"),
+    [
+        ({"start_s": 6.0}, small_scene(), "it ends at 5 s"),
+        ({"start_s": float("nan")}, small_scene(), "at nan s"),
+        ({"ahead_m": 10.0}, small_scene(), "'small'"),
+        ({}, replace(small_scene(), ego=None), "no drive"),
+        ({"rig": "six"}, small_scene(), "'six', only one"),
+        ({"keep": ["bus"]}, small_scene(), "'bus'"),
+        ({"road_users": [lead(model="tank")]}, small_scene(), "model tank"),
+    ],
+)
+def test_a_scenario_that_does_not_fit_its_scene_is_refused(fields, scene, word):
+    with pytest.raises(ValueError, match=word):
+        Simulation(scenario(**fields), scene)

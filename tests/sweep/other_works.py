@@ -20,7 +20,7 @@ def die_once(job, folder):
     return answer(job)
 
 
-def die_over_one(job):
+def die_of_one(job):
     if job.seed == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return answer(job)

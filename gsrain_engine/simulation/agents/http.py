@@ -18,7 +18,7 @@ from .neuroncap import neuroncap_message
 ALIVE_WAIT_S, ANSWER_WAIT_S = 120.0, 60.0
 """Timeouts for the server to start, and for each reply."""
 
-_TRY_S, _PAUSE_S = 5.0, 0.5
+_TRY_S, PAUSE_S = 5.0, 0.5
 _MAX_OBJECTS = 100
 
 
@@ -59,9 +59,9 @@ class HttpAgent:
                 self._calls.call("GET", "/alive", None, min(_TRY_S, self._alive_wait_s))
                 break
             except ClientError as problem:
-                if time.monotonic() + _PAUSE_S > until:
+                if time.monotonic() + PAUSE_S > until:
                     raise ClientError(f"nobody is there within {self._alive_wait_s:g} s: {problem}") from None
-            time.sleep(_PAUSE_S)
+            time.sleep(PAUSE_S)
         self._calls.call("POST", "/reset", b"{}", self._answer_wait_s)
         self._rig = rig
 
@@ -92,7 +92,7 @@ def read_plan(data: bytes, url: str) -> Trajectory:
 
 # HTTP calls: one deadline and one size limit for a whole call
 
-_MAX_BYTES = 8 << 20  # maximum size of everything that a server sends, including headers
+MAX_BYTES = 8 << 20  # maximum size of everything that a server sends, including headers
 _PORTS = {"http": 80, "https": 443}
 _FAILURE_CHARACTERS = 200
 
@@ -126,7 +126,7 @@ class HttpCalls:
         except TimeoutError:
             raise ClientError(f"{where} has not answered within {within_s:g} s") from None
         except TooLargeError:
-            raise ClientError(f"{where} answers more than {_MAX_BYTES >> 20} MiB") from None
+            raise ClientError(f"{where} answers more than {MAX_BYTES >> 20} MiB") from None
         except OSError as problem:
             raise ClientError(f"{where} can't be reached: {problem.strerror or problem}") from None
         except h11.RemoteProtocolError as problem:
@@ -145,7 +145,7 @@ class HttpCalls:
         asked = [http.send(h11.Request(method=method, target=self._path + path, headers=headers))]
         asked += [http.send(h11.Data(data=body))] if body else []
         asked += [http.send(h11.EndOfMessage())]
-        budget = ByteBudget(_MAX_BYTES, self.url)
+        budget = ByteBudget(MAX_BYTES, self.url)
         wire = ServerConnection(self._host, self._port, deadline, budget, is_secure=self._secure)
         try:
             for part in asked:
@@ -156,7 +156,7 @@ class HttpCalls:
                     reply = event
                     for header, value in reply.headers:
                         if header == b"content-length":
-                            ByteBudget(_MAX_BYTES, self.url).spend(int(value))
+                            ByteBudget(MAX_BYTES, self.url).spend(int(value))
                 elif isinstance(event, h11.Data):
                     data += event.data
         finally:

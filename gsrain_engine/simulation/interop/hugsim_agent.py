@@ -82,10 +82,8 @@ class HugsimAgent:
         drive = self._drive
         if drive is None:
             raise ClientError("there is no drive: reset the agent first")
-        timeouts = protocol.Timeouts(
-            self._first_wait_s if drive.world is None else self._later_wait_s,
-            lambda: self._client and self._client.ended,
-        )
+        wait_s = self._first_wait_s if drive.world is None else self._later_wait_s
+        timeouts = protocol.Timeouts(wait_s, self._ended)
         try:
             if drive.world is None:
                 drive.world = protocol.HugsimWorld.from_observation(drive.rig, observation)

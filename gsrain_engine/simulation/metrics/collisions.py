@@ -1,13 +1,14 @@
 """Collision metrics: executed collisions, planned collisions, and time to collision."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple
 
 import numpy as np
 import shapely
 from jaxtyping import Float64
 
 from ..geometry import PlanarBox, wrap_angle
+from ..obstacles import OccupiedSpace
 from ..rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord, planned_frames, run_setting
 from ..vehicle import Vehicle, VehicleState, vehicle_box
 
@@ -36,15 +37,6 @@ def first_collision(rollout: Rollout) -> Collision | None:
 
 
 # Planned collisions: the paper's rate by planned point, and HUGSIM's by frame
-
-
-@runtime_checkable
-class CollisionSpace(Protocol):
-    """Static obstacles, such as `OccupiedSpace`."""
-
-    def touches(self, box: PlanarBox) -> bool:
-        """Return whether a box on the ground hits an obstacle."""
-        ...
 
 
 class PlannedCollisions(NamedTuple):
@@ -78,7 +70,7 @@ but the last, which has no next point for its heading: UniAD's six points become
 
 
 def planned_collisions(
-    rollout: Rollout, occupied: CollisionSpace | None = None, reading: PlanReading = "all"
+    rollout: Rollout, occupied: OccupiedSpace | None = None, reading: PlanReading = "all"
 ) -> PlannedCollisions:
     """Test the vehicle's box at every planned point for collisions.
 
@@ -149,7 +141,7 @@ def pose_hits(
     poses: Float64[np.ndarray, "n 3"],
     times_s: Sequence[float] | Float64[np.ndarray, " n"],
     traffic: LoggedTraffic,
-    occupied: CollisionSpace | None,
+    occupied: OccupiedSpace | None,
 ) -> Iterator[bool]:
     """Yield, for each rear-axle pose and time, whether the vehicle hits a road user or the background."""
     for pose, time_s in zip(poses, times_s, strict=True):

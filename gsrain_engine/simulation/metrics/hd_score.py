@@ -1,28 +1,17 @@
 """HUGSIM's HD-score and its components."""
 
-from typing import Protocol, runtime_checkable
-
 import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ..geometry import PlanarBox
+from ..obstacles import Drivable, OccupiedSpace
 from ..rollout import Rollout, RolloutStep, planned_frames, run_setting
 from ..vehicle import Vehicle
-from .collisions import CollisionSpace, LoggedTraffic, ego_box, future_times_s, planned_poses, pose_hits, with_start
+from .collisions import LoggedTraffic, ego_box, future_times_s, planned_poses, pose_hits, with_start
 from .comfort import is_plan_comfortable
 
 _TTC_WEIGHT, _COMFORT_WEIGHT = 5.0, 2.0
 _LOOK_AHEAD_S = (0.5, 1.0)
-
-
-@runtime_checkable
-class DrivableArea(Protocol):
-    """Drivable area, such as `Drivable`."""
-
-    def share_on_road(self, box: PlanarBox) -> Float64[np.ndarray, "2 2"]:
-        """Return the share of each quarter of a box (front and rear by left and right) on the road, 0..1."""
-        ...
 
 
 class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -49,7 +38,7 @@ class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 def hd_score(
-    rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
+    rollout: Rollout, occupied: OccupiedSpace | None = None, drivable: Drivable | None = None
 ) -> HdScore | None:
     """Score a run like HUGSIM's `score_calculator`; None if no frame has a plan of two points.
 
@@ -69,7 +58,7 @@ def hd_score(
 
 
 class _HdScorer:
-    def __init__(self, rollout: Rollout, occupied: CollisionSpace | None, drivable: DrivableArea | None) -> None:
+    def __init__(self, rollout: Rollout, occupied: OccupiedSpace | None, drivable: Drivable | None) -> None:
         self._vehicle: Vehicle = run_setting(rollout).vehicle
         self._rollout, self._spacing_s = rollout, rollout.spacing_s
         self._traffic, self._occupied, self._drivable = LoggedTraffic(rollout), occupied, drivable

@@ -1,8 +1,9 @@
 """Metrics of drives: one summary per run, comparisons across rain intensities, CSV and result tables."""
 
 import csv
+import io
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -14,11 +15,12 @@ from msgspec import Meta
 from ...evaluation.image_metrics import MeanInterval, mean_interval
 from ...safe_io.text_files import escape_invisible
 from ...scene.files import whole_file
+from ..obstacles import Drivable, OccupiedSpace
 from ..rollout import Rollout, planned_frames, run_setting
 from ..rollout_io import write_rollout
-from .collisions import CollisionSpace, first_collision, gaps_m, planned_collisions, times_to_collision_s
+from .collisions import first_collision, gaps_m, planned_collisions, times_to_collision_s
 from .comfort import NUPLAN, comfort_executed, comfort_planned
-from .hd_score import DrivableArea, hd_score
+from .hd_score import hd_score
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 
@@ -73,7 +75,7 @@ class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 def measure_drive(
-    rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
+    rollout: Rollout, occupied: OccupiedSpace | None = None, drivable: Drivable | None = None
 ) -> DriveMetrics:
     """Measure a run. `occupied` and `drivable` describe its world; without them they are not scored.
 
@@ -135,7 +137,7 @@ class ScoredRun(NamedTuple):
 
     @classmethod
     def of(
-        cls, rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
+        cls, rollout: Rollout, occupied: OccupiedSpace | None = None, drivable: Drivable | None = None
     ) -> "ScoredRun":
         """Measure a roll-out."""
         return cls(measure_drive(rollout, occupied, drivable), rollout)
@@ -200,14 +202,21 @@ def compare_drives(runs: Iterable[ScoredRun]) -> tuple[DriveComparison, ...]:
 
 
 def write_metrics_csv(path: Path, metrics: Sequence[DriveMetrics]) -> None:
-    """Write all metrics atomically; undefined values are empty, numbers are not rounded."""
-    with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, list(DriveMetrics.__struct_fields__), lineterminator="\n")
-        writer.writeheader()
-        for each in metrics:
-            values = msgspec.structs.asdict(each)
-            flags = {key: str(value).lower() for key, value in values.items() if isinstance(value, bool)}
-            writer.writerow(values | flags)
+    """Write all metrics atomically."""
+    with whole_file(path) as partial:
+        text = table_csv(DriveMetrics.__struct_fields__, [msgspec.structs.asdict(each) for each in metrics])
+        partial.write_bytes(text.encode())
+
+
+def table_csv(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:
+    """Return rows as CSV; None is empty, booleans are true and false, numbers are not rounded."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows:
+        values = (row.get(name) for name in columns)
+        writer.writerow([str(value).lower() if isinstance(value, bool) else value for value in values])
+    return stream.getvalue()
 
 
 # Results table, as in the paper: one row per scenario, agent and intensity, followed by definitions

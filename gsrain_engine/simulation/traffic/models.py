@@ -1,6 +1,8 @@
 """Behaviors of road users by `kind`: IDM, brake, constant velocity, stationary, cut-in."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -36,7 +38,7 @@ class IntelligentDriver(
     most_braking_m_s2: Annotated[float, Meta(gt=0, le=20, title="Most braking", extra={"unit": "m/s2"})] = 8.0
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        return _IDMBehavior(self)
+        return _LaneKeeper(partial(_idm_speed, self))
 
     def acceleration(self, speed_m_s: float, gap_m: float | None, closing_m_s: float = 0.0) -> float:
         """Return the IDM acceleration (eq. 2 and 3), limited by maximum braking; a gap of None is a free road.
@@ -90,7 +92,7 @@ class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     to_speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed after", extra={"unit": "m/s"})] = 0.0
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        return _BrakeBehavior(self)
+        return _LaneKeeper(partial(_braking_speed, self, Trigger(self)))
 
 
 class ConstantVelocity(
@@ -153,40 +155,33 @@ BehaviorSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | B
 
 
 class _LaneKeeper(Behavior):
-    """Keeps its lane; subclasses control the speed."""
+    """Keeps its lane."""
 
-    _place: LanePosition | None = None
+    def __init__(self, speed: Callable[[RoadUser, TrafficState, float], tuple[float, float]]) -> None:
+        """Use `speed(me, around, dt_s)`, which returns the speed after a step and the distance covered."""
+        self._speed = speed
+        self._place: LanePosition | None = None
 
     def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser:
         speed, distance = self._speed(me, around, dt_s)
         self._place = (self._place or LanePosition.of(around.route, me)).ahead(around.route, distance)
         return self._place.user(around.route, me, speed)
 
-    def _speed(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
-        """Return the speed after a step, and the distance covered."""
-        raise NotImplementedError
+
+def _idm_speed(idm: IntelligentDriver, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+    ahead = find_vehicle_ahead(around.route, me, (around.ego, *around.others))
+    closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
+    rate = idm.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
+    to = me.speed_m_s + rate * dt_s
+    return changed_speed(me.speed_m_s, max(0.0, to) if rate < 0 else to, abs(rate), dt_s)
 
 
-class _IDMBehavior(_LaneKeeper):
-    def __init__(self, settings: IntelligentDriver) -> None:
-        self._settings = settings
-
-    def _speed(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
-        ahead = find_vehicle_ahead(around.route, me, (around.ego, *around.others))
-        closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
-        rate = self._settings.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
-        to = me.speed_m_s + rate * dt_s
-        return changed_speed(me.speed_m_s, max(0.0, to) if rate < 0 else to, abs(rate), dt_s)
-
-
-class _BrakeBehavior(_LaneKeeper):
-    def __init__(self, settings: Brake) -> None:
-        self._settings, self._trigger = settings, Trigger(settings)
-
-    def _speed(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
-        is_off = self._trigger.watch(me, around) is None
-        to = me.speed_m_s if is_off else min(me.speed_m_s, self._settings.to_speed_m_s)
-        return changed_speed(me.speed_m_s, to, self._settings.deceleration_m_s2, dt_s)
+def _braking_speed(
+    brake: Brake, trigger: "Trigger", me: RoadUser, around: TrafficState, dt_s: float
+) -> tuple[float, float]:
+    is_off = trigger.watch(me, around) is None
+    to = me.speed_m_s if is_off else min(me.speed_m_s, brake.to_speed_m_s)
+    return changed_speed(me.speed_m_s, to, brake.deceleration_m_s2, dt_s)
 
 
 class _ConstantVelocityBehavior(Behavior):

@@ -1,6 +1,8 @@
 """Behaviors along given tracks: recorded actors, replays of roll-outs, and scripted tracks."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -74,7 +76,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         moments = _moments(read_any_rollout(path), self.user)
         if not len(moments):
             raise ValueError(f"{path}: nobody is called {self.user!r} in this roll-out")
-        return _ReplayBehavior(moments)
+        return _TimedBehavior(partial(_replayed, moments))
 
 
 def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
@@ -95,7 +97,11 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
 
 
 class _TimedBehavior(Behavior):
-    """Depends on time alone; subclasses implement `_at`."""
+    """Depends on time alone."""
+
+    def __init__(self, at: Callable[[RoadUser, float], RoadUser | None]) -> None:
+        """Use `at(me, time_s)`, the state at a time since the scenario began; all else is as in `me`."""
+        self._at = at
 
     def start(self, placed: RoadUser) -> RoadUser | None:
         return self._at(placed, 0.0)
@@ -103,29 +109,21 @@ class _TimedBehavior(Behavior):
     def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser | None:
         return self._at(me, around.time_s + dt_s)
 
-    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
-        """Return the state at a time since the scenario began; fields that it does not set are those of `me`."""
-        raise NotImplementedError
 
-
-class _ReplayBehavior(_TimedBehavior):
-    def __init__(self, moments: Float64[np.ndarray, "n 5"]) -> None:
-        self._moments = moments
-
-    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
-        """Return the state at a time; after the end of the roll-out it stands at the last place."""
-        times = self._moments[:, 0]
-        later = int(np.searchsorted(times, time_s - 1e-9))
-        if later >= len(times):
-            return _moved(me, self._moments[-1] * [1, 1, 1, 1, 0])
-        earlier = max(later - 1, 0)
-        span = times[later] - times[earlier]
-        share = (time_s - times[earlier]) / span if span > 0 else 1.0
-        first, last = self._moments[earlier], self._moments[later].copy()
-        if share > 1 - 1e-9:
-            return _moved(me, last)
-        last[3] = first[3] + wrap_angle(float(last[3] - first[3]))
-        return _moved(me, (1 - share) * first + share * last)
+def _replayed(moments: Float64[np.ndarray, "n 5"], me: RoadUser, time_s: float) -> RoadUser | None:
+    """Return the state at a time; after the end of the roll-out it stands at the last place."""
+    times = moments[:, 0]
+    later = int(np.searchsorted(times, time_s - 1e-9))
+    if later >= len(times):
+        return _moved(me, moments[-1] * [1, 1, 1, 1, 0])
+    earlier = max(later - 1, 0)
+    span = times[later] - times[earlier]
+    share = (time_s - times[earlier]) / span if span > 0 else 1.0
+    first, last = moments[earlier], moments[later].copy()
+    if share > 1 - 1e-9:
+        return _moved(me, last)
+    last[3] = first[3] + wrap_angle(float(last[3] - first[3]))
+    return _moved(me, (1 - share) * first + share * last)
 
 
 def _moved(me: RoadUser, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
@@ -175,21 +173,16 @@ class ScriptedTrack(
             return _WaypointBehavior(self.points)
         for actor in scene.actors:
             if actor.id == self.actor:
-                return _ActorTrackBehavior(RecordedTrack(scene, actor, start_s), self.pace)
+                return _TimedBehavior(partial(_on_track, RecordedTrack(scene, actor, start_s), self.pace))
         known = ", ".join(each.id for each in scene.actors) or "none"
         raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
 
 
-class _ActorTrackBehavior(_TimedBehavior):
-    def __init__(self, track: RecordedTrack, pace: float) -> None:
-        self._track, self._pace = track, pace
-
-    def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
-        there = self._track.at(time_s * self._pace)
-        if there is None:
-            return None
-        speed = there.speed_m_s * self._pace
-        return replace(me, x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=speed)
+def _on_track(track: RecordedTrack, pace: float, me: RoadUser, time_s: float) -> RoadUser | None:
+    there = track.at(time_s * pace)
+    if there is None:
+        return None
+    return replace(me, x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=there.speed_m_s * pace)
 
 
 class _WaypointBehavior(Behavior):

@@ -1,13 +1,15 @@
-"""Agents by name: shipped, of other packages, and where nobody is named."""
+"""Agents by name: shipped, of other packages, in Python files, and where nobody is named."""
 
 import sys
 
+import numpy as np
 import pytest
 
+from extension_package import installed
 from gsrain_engine.evaluation.detection.detector import PLACE, find_detector
 from gsrain_engine.simulation.agents import registry
 from gsrain_engine.simulation.agents.base import Agent
-from gsrain_engine.simulation.agents.registry import AgentOptions, agent_names, default_agent, open_agent
+from gsrain_engine.simulation.agents.registry import AgentOptions, agent_file, agent_names, default_agent, open_agent
 
 _MODULE = """
 from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
@@ -23,26 +25,15 @@ def broken(options):
 def other(options):
     return 3
 """
-_ENTRIES = """[gsrain.agents]
-slow = slow_driver:Slow
-broken = slow_driver:broken
-other = slow_driver:other
-absent = no_such_module_of_slow:Agent
-oracle-idm = slow_driver:Slow
-"""
+_ENTRIES = {"slow": "Slow", "broken": "broken", "other": "other", "oracle-idm": "Slow"}
 
 
 @pytest.fixture
-def package(tmp_path, monkeypatch):
-    """An installed package with agents."""
-    (tmp_path / "slow_driver.py").write_text(_MODULE, encoding="utf-8")
-    info = tmp_path / "slow_driver-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: slow-driver\nVersion: 1.0\n", encoding="utf-8")
-    (info / "entry_points.txt").write_text(_ENTRIES, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    yield
-    sys.modules.pop("slow_driver", None)
+def package(tmp_path):
+    entries = {name: f"slow_driver:{maker}" for name, maker in _ENTRIES.items()}
+    entries["absent"] = "no_such_module_of_slow:Agent"
+    with installed(tmp_path, "slow-driver", {"slow_driver.py": _MODULE}, {"gsrain.agents": entries}):
+        yield
 
 
 @pytest.fixture
@@ -55,39 +46,41 @@ def nowhere(tmp_path, monkeypatch):
 
 def test_agents_of_installed_packages_come_after_ours(package):
     names = agent_names()
-    assert names[:3] == ["constant-velocity", "oracle-idm", "camera-idm"]
+    assert names[:3] == ["constant-velocity", "oracle-idm", "camera-idm"] and names.count("oracle-idm") == 1
     assert names[-4:] == ["absent", "broken", "other", "slow"]
-    assert names.count("oracle-idm") == 1
     agent = open_agent("slow", AgentOptions(url="http://localhost:9000"))
-    assert isinstance(agent, Agent)
-    assert (agent.name, agent.url) == ("slow", "http://localhost:9000")
+    assert isinstance(agent, Agent) and (agent.name, agent.url) == ("slow", "http://localhost:9000")
     assert open_agent("oracle-idm").name == "oracle-idm"  # nobody can pass for a shipped one
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "place"),
     [
-        ("absent", r"agent absent \(no_such_module_of_slow:Agent of slow-driver\): No module named"),
-        ("broken", r"agent broken \(slow_driver:broken of slow-driver\): line 10 of slow_driver.py: no weights"),
-        ("other", "makes a int, which has not"),
-        ("nobody", "agent nobody: there is none of that name, only constant-velocity, .*slow"),
+        ("absent", r"absent \(no_such_module_of_slow:Agent of slow-driver\)"),
+        ("broken", r"broken \(slow_driver:broken of slow-driver\): line 10 of slow_driver.py: no weights"),
+        ("other", "other .*slow-driver.*int"),
+        ("nobody", "nobody: .*constant-velocity, .*slow"),
+        ("http", "http: .*--url"),
     ],
 )
-def test_what_fails_is_named_with_its_package(package, name, says):
-    with pytest.raises(ValueError, match=says):
+def test_agents_that_fail_are_named_with_their_package(package, name, place):
+    with pytest.raises(ValueError, match=f"agent {place}"):
         open_agent(name)
 
 
-def test_without_a_detector_the_oracle_drives_and_it_is_said_why(nowhere):
+def test_without_a_detector_the_oracle_drives(nowhere, tmp_path):
     name, reason = default_agent(AgentOptions())
     assert name == "oracle-idm"
     assert str(nowhere) in reason and "yolox_nano.onnx" in reason and PLACE in reason
     pytest.importorskip("onnxruntime")
-    with pytest.raises(ValueError, match="agent camera-idm: no detector"):
+    with pytest.raises(ValueError, match="camera-idm"):
         open_agent("camera-idm")
+    (tmp_path / "bad.onnx").write_bytes(b"not a network")
+    with pytest.raises(ValueError, match=r"bad\.onnx"):
+        open_agent("camera-idm", AgentOptions(detector=tmp_path / "bad.onnx"))
 
 
-def test_a_detector_is_found_in_the_persons_folder_and_by_the_variable(nowhere, tmp_path, monkeypatch):
+def test_a_detector_in_the_persons_folder_or_by_the_variable_lets_a_camera_drive(nowhere, tmp_path, monkeypatch):
     nowhere.mkdir(parents=True)
     for name in ("b.onnx", "a.onnx", "a.yaml"):
         (nowhere / name).touch()
@@ -98,24 +91,85 @@ def test_a_detector_is_found_in_the_persons_folder_and_by_the_variable(nowhere, 
         find_detector()
     own.touch()
     assert find_detector() == own
-    monkeypatch.setenv(PLACE, str(nowhere))
-    assert find_detector() == nowhere / "a.onnx"
-
-
-def test_where_a_camera_can_see_it_drives(nowhere, monkeypatch):
     monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: object())
-    assert default_agent(AgentOptions(detector=nowhere / "x.onnx")) == ("camera-idm", None)
-    nowhere.mkdir(parents=True)
-    (nowhere / "a.onnx").touch()
-    assert default_agent(AgentOptions()) == ("camera-idm", None)
+    for options in (AgentOptions(), AgentOptions(detector=nowhere / "x.onnx")):
+        assert default_agent(options) == ("camera-idm", None)
     monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: None)
     name, reason = default_agent(AgentOptions())
     assert name == "oracle-idm" and "gsrain[drive]" in reason
 
 
-def test_a_file_that_is_no_detector_is_named(tmp_path):
-    pytest.importorskip("onnxruntime")
-    bad = tmp_path / "bad.onnx"
-    bad.write_bytes(b"not a network")
-    with pytest.raises(ValueError, match=r"bad\.onnx"):
-        open_agent("camera-idm", AgentOptions(detector=bad))
+# Python files
+
+_AGENT = """
+import numpy as np
+from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
+from beside_it import SPEED
+
+class Slow:
+    name = "slow"
+    needs = SensorRequirements()
+    def reset(self, seed, rig): pass
+    def plan(self, observation): return Trajectory(np.array([[SPEED * 0.5, 0.0]]))
+    def close(self): pass
+
+class Helper:
+    def help(self): pass
+"""
+_SECOND = """
+class Named(Slow):
+    def __init__(self, options):
+        self.url = options.url
+
+def made(options):
+    return Named(options)
+
+def nothing():
+    return 3
+"""
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    """Write a driver, and next to it what it imports."""
+    (tmp_path / "beside_it.py").write_text("SPEED = 4.0\n", encoding="utf-8")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+
+    def write(text):
+        path = tmp_path / "my_driver.py"
+        path.write_text(text, encoding="utf-8")
+        return str(path)
+
+    yield write
+    for name in ("beside_it", "gsrain_agent_my_driver"):
+        sys.modules.pop(name, None)
+
+
+def test_an_agent_in_a_file_alone_or_one_of_several_by_name_with_options(written):
+    assert agent_file("oracle-idm") is None
+    assert str(agent_file("a/b.py")) == str(agent_file("a/b.py:Slow")) == "a/b.py"
+    agent = open_agent(written(_AGENT))
+    assert agent.name == "slow"
+    np.testing.assert_array_equal(agent.plan(None).points, [[2.0, 0.0]])
+    path = written(_AGENT + _SECOND)
+    for name in ("Named", "made"):
+        assert open_agent(f"{path}:{name}", AgentOptions(url="http://here")).url == "http://here"
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "words"),
+    [
+        (_AGENT + _SECOND, "", "Slow, Named"),
+        (_AGENT + _SECOND, ":absent", "absent"),
+        (_AGENT + _SECOND, ":nothing", "int.* name, needs, reset, plan, close"),
+        ("class A:\n    pass\n", "", "reset, plan, close"),
+        ("x = 1\nraise RuntimeError('no weights')\n", "", "line 2: no weights"),
+        ("x = 1\nclass\n", "", "line 2: "),
+        (_AGENT.replace("def reset(self", "def __init__(self): raise RuntimeError('cold')\n    def reset(self"), "",
+         "cold"),
+        ("", "x.py", "no such file"),
+    ],
+)  # fmt: skip
+def test_a_file_without_an_agent_is_refused_with_its_line(written, text, name, words):
+    with pytest.raises(ValueError, match=rf"my_driver\.py.*{words}"):
+        open_agent(written(text) + name)

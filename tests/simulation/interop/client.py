@@ -1,6 +1,6 @@
 """A HUGSIM client, written from a description of the protocol alone: NumPy, plain pickles, two named pipes.
 
-    python client.py FOLDER [keep|brake|float32|list|none|garbage|evil|shape|nan|die|die-reading|hang|deaf]
+    python client.py FOLDER [keep|brake|list|none|garbage|die|die-reading|hang|deaf]
 
 It imports nothing of the project, and runs under any Python 3.8 or NumPy 1.2x that stacks are pinned to.
 """
@@ -69,25 +69,7 @@ def plan_for(info, mode, cruise):
     times = SPACING * np.arange(1, 7)
     speed = 0.0 if mode == "brake" and ahead_of(info) < NEAR else cruise
     plan = np.stack([np.zeros(6), speed * times], axis=1)
-    if mode == "float32":
-        return plan.astype(np.float32)
-    if mode == "list":
-        return plan.tolist()
-    if mode == "shape":
-        return plan[:, :1]
-    if mode == "nan":
-        return np.full((6, 2), np.nan)
-    return plan
-
-
-class Evil:
-    """A reply that would write a file if it were simply unpickled."""
-
-    def __init__(self, folder):
-        self.folder = folder
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.folder / "evil-ran"),)
+    return plan.tolist() if mode == "list" else plan
 
 
 def main():
@@ -114,17 +96,9 @@ def main():
             sys.exit("the engine is out of oil")
         if late and mode == "hang":
             signal.pause()
-        if late and mode == "garbage":
-            reply = b"\x00\x01 no pickle at all"
-        elif late and mode == "evil":
-            reply = pickle.dumps(Evil(folder))
-        elif late and mode == "none":
-            reply = pickle.dumps(None)
-        else:
-            late_mode = mode if late or mode not in ("shape", "nan") else "keep"
-            reply = pickle.dumps(plan_for(info, late_mode, cruise))
+        reply = None if late and mode == "none" else plan_for(info, mode, cruise)
         with plan_pipe.open("wb") as pipe:
-            pipe.write(reply)
+            pipe.write(b"no pickle" if late and mode == "garbage" else pickle.dumps(reply))
         if late and mode == "none":
             break
         if mode == "deaf":

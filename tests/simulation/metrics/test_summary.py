@@ -1,76 +1,73 @@
-"""All metrics of a run in one value, and that they do not depend on where in the world it was."""
+"""Metrics of a run in one value, runs side by side, the paper's table, figures and the report page."""
 
 import math
+from functools import cache
 
 import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.colors import to_rgba
 from msgspec.structs import replace
 
-from gsrain_engine.simulation.metrics.summary import DriveMetrics, measure_drive, write_metrics_csv
+from gsrain_engine.evaluation.report import report_page
+from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
+from gsrain_engine.simulation.geometry import Route
+from gsrain_engine.simulation.metrics.figures import (
+    birds_eye_sheet,
+    curve_band,
+    curve_over_time,
+    kinematics_figure,
+    rain_colors,
+    write_figure,
+)
+from gsrain_engine.simulation.metrics.report import drive_report_page, rollout_hash
+from gsrain_engine.simulation.metrics.summary import (
+    NOT_MEASURED,
+    DriveMetrics,
+    ScoredRun,
+    compare_drives,
+    measure_drive,
+    results_table,
+    write_metrics_csv,
+)
+from gsrain_engine.simulation.obstacles import drivable_of
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.simulation import Simulation, run_drive
 from small_rollout import approach, ego, rollout, step, user
-
-_PROMISED = (
-    "collision", "min_ttc_s", "planned_point_collision_rate", "planned_frame_collision_rate", "comfort_executed",
-    "comfort_planned", "steps", "agent", "intensity_mm_h",
-)  # fmt: skip
+from small_scene import small_scene
 
 
 def test_a_run_into_a_standing_car():
     metrics = measure_drive(approach(lead_x=40.0, moments=20, intensity_mm_h=8.5, seed=3))
-    plain = msgspec.json.decode(msgspec.json.encode(metrics))
-    assert set(_PROMISED) <= set(plain)
-    assert metrics.collision and metrics.collided_with == "lead" and metrics.collision_time_s == 3.5
-    assert (metrics.min_ttc_s, metrics.min_ttc_time_s, metrics.min_gap_m) == (0.0, 3.5, 0.0)
-    assert (metrics.steps, metrics.frames, metrics.planned_points) == (14, 14, 6)
-    assert metrics.intensity_mm_h == 8.5 and metrics.seed == 3 and metrics.duration_s == 3.5
-    assert metrics.distance_m == pytest.approx(35.0) and metrics.mean_speed_m_s == pytest.approx(10.0)
-    assert metrics.hardest_braking_m_s2 == 0.0 and not metrics.with_background and metrics.dac is None
-    assert msgspec.convert(plain, DriveMetrics) == metrics
+    expected = {
+        "collision": True, "collided_with": "lead", "collision_time_s": 3.5, "min_ttc_s": 0.0, "min_ttc_time_s": 3.5,
+        "min_gap_m": 0.0, "steps": 14, "frames": 14, "planned_points": 6, "intensity_mm_h": 8.5, "seed": 3,
+        "duration_s": 3.5, "distance_m": 35.0, "mean_speed_m_s": 10.0, "hardest_braking_m_s2": 0.0,
+        "with_background": False, "dac": None, "agent": "hand",
+    }  # fmt: skip
+    assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
+    assert msgspec.json.decode(msgspec.json.encode(metrics), type=DriveMetrics) == metrics and metrics.collided
 
 
-def test_a_moment_is_enough():
-    metrics = measure_drive(rollout([step(0, ego())], end="agent"))
-    assert (metrics.steps, metrics.mean_speed_m_s, metrics.comfort_executed, metrics.hdscore) == (0, 0.0, None, None)
-    assert metrics.min_ttc_s == 10.0 and metrics.min_gap_m is None
-
-
-def test_a_run_that_begins_later_is_the_same_run():
-    """Only moments in time move along: a recorded drive starts at its own clock."""
-    run = approach(lead_x=33.0, moments=20)
-    later = replace(run, steps=tuple(replace(each, time_s=each.time_s + 7.5) for each in run.steps))
-    moments = {"min_ttc_time_s", "collision_time_s"}
-    here, there = (msgspec.structs.asdict(measure_drive(each)) for each in (run, later))
-    assert here["duration_s"] == 3.0 and here["mean_speed_m_s"] == pytest.approx(10)
-    for name, value in here.items():
-        expected = value + 7.5 if name in moments else value
-        assert there[name] == (pytest.approx(expected) if isinstance(value, float) else expected), name
-
-
-def test_the_hardest_braking_is_the_largest_deceleration():
-    def hardest(*accelerations):
-        steps = [step(i, ego(2.5 * i, acceleration=a)) for i, a in enumerate(accelerations)]
-        return measure_drive(rollout(steps)).hardest_braking_m_s2
-
-    assert hardest(-1.0, 2.0, -3.5, 0.5) == 3.5
-    assert hardest(1.0, 2.0, 0.5) == 0.0
-
-
-def test_the_share_of_the_route_is_the_farthest_that_was_reached():
-    steps = [step(i, ego(2.5 * i), completion=c) for i, c in enumerate((0.0, 0.3, 0.25))]
-    metrics = measure_drive(rollout(steps))
-    assert metrics.route_completion == 0.3
-    assert metrics.mean_speed_m_s == pytest.approx(10.0)  # also of half a second
-
-
-def test_the_least_gap_counts_where_somebody_is_ahead_for_a_while():
-    """A car 12 m on from the start, middle to rear axle, leaves the lane at the third moment: 12 - 2.5 - 3 - 2 m."""
-    steps = [step(i, ego(2.5 * i), [user(12.0, y=0.0 if i < 2 else 30.0)]) for i in range(4)]
-    metrics = measure_drive(rollout(steps))
-    assert metrics.min_gap_m == pytest.approx(4.5)
-    assert metrics.min_ttc_s == pytest.approx(0.45) and metrics.min_ttc_time_s == 0.25
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ([step(0, ego())], {"steps": 0, "mean_speed_m_s": 0.0, "comfort_executed": None, "hdscore": None,
+                            "min_ttc_s": 10.0, "min_gap_m": None}),
+        ([step(i, ego(2.5 * i, acceleration=a)) for i, a in enumerate((-1.0, 2.0, -3.5, 0.5))],
+         {"hardest_braking_m_s2": 3.5, "mean_speed_m_s": 10.0}),
+        ([step(i, ego(2.5 * i, acceleration=a)) for i, a in enumerate((1.0, 2.0, 0.5))], {"hardest_braking_m_s2": 0.0}),
+        ([step(i, ego(2.5 * i), completion=c) for i, c in enumerate((0.0, 0.3, 0.25))], {"route_completion": 0.3}),
+        # A car 12 m on from the start, middle to rear axle, leaves the lane at the third moment: 12 - 2.5 - 3 - 2 m.
+        ([step(i, ego(2.5 * i), [user(12.0, y=0.0 if i < 2 else 30.0)]) for i in range(4)],
+         {"min_gap_m": 4.5, "min_ttc_s": 0.45, "min_ttc_time_s": 0.25}),
+    ],
+)  # fmt: skip
+def test_single_metrics(steps, expected):
+    metrics = measure_drive(rollout(steps, end="agent"))
+    assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
 
 
 def test_a_vehicle_that_can_not_be_read_is_named():
@@ -79,17 +76,9 @@ def test_a_vehicle_that_can_not_be_read_is_named():
 
 
 @settings(max_examples=15)
-@given(st.floats(-math.pi, math.pi), st.floats(-500, 500), st.floats(-500, 500))
-def test_metrics_do_not_depend_on_where_the_world_begins(turn, x, y):
-    run = approach(lead_x=33.0, moments=9)
-    here, there = measure_drive(run), measure_drive(_elsewhere(run, turn, x, y))
-    for name, value in msgspec.structs.asdict(here).items():
-        other = getattr(there, name)
-        assert other == (pytest.approx(value, abs=1e-6) if isinstance(value, float) else value), name
-
-
-def _elsewhere(run, turn, x, y):
-    cosine, sine = np.cos(turn), np.sin(turn)
+@given(st.floats(-math.pi, math.pi), st.floats(-500, 500), st.floats(-500, 500), st.sampled_from([0.0, 7.5]))
+def test_metrics_depend_on_neither_the_worlds_origin_nor_the_clocks(turn, x, y, later_s):
+    run, (cosine, sine) = approach(lead_x=33.0, moments=20), (np.cos(turn), np.sin(turn))
 
     def moved(record):
         return replace(
@@ -97,16 +86,148 @@ def _elsewhere(run, turn, x, y):
             y_m=float(sine * record.x_m + cosine * record.y_m + y), yaw_rad=float(record.yaw_rad + turn),
         )  # fmt: skip
 
-    steps = [replace(each, ego=moved(each.ego), road_users=tuple(map(moved, each.road_users))) for each in run.steps]
-    return replace(run, steps=tuple(steps))
+    steps = tuple(
+        replace(each, ego=moved(each.ego), road_users=tuple(map(moved, each.road_users)), time_s=each.time_s + later_s)
+        for each in run.steps
+    )
+    here, there = (msgspec.structs.asdict(measure_drive(each)) for each in (run, replace(run, steps=steps)))
+    here["min_ttc_time_s"] += later_s
+    here["collision_time_s"] += later_s
+    assert there == pytest.approx(here, abs=1e-6)
 
 
 def test_metrics_as_csv(tmp_path):
-    metrics = [measure_drive(approach(moments=5)), measure_drive(approach(moments=20))]
+    metrics = [measure_drive(approach(moments=count)) for count in (5, 20)]
     write_metrics_csv(tmp_path / "runs.csv", metrics)
-    first, *rest = (tmp_path / "runs.csv").read_text().splitlines()
-    columns = first.split(",")
+    columns, *rows = (line.split(",") for line in (tmp_path / "runs.csv").read_text().splitlines())
     assert columns == list(DriveMetrics.__struct_fields__)
-    rows = [dict(zip(columns, line.split(","), strict=True)) for line in rest]
-    assert [row["collision"] for row in rows] == ["false", "true"]
-    assert rows[0]["collided_with"] == "" and float(rows[0]["min_ttc_s"]) == metrics[0].min_ttc_s
+    first, second = (dict(zip(columns, row, strict=True)) for row in rows)
+    assert (first["collision"], second["collision"], first["collided_with"]) == ("false", "true", "")
+    assert float(first["min_ttc_s"]) == metrics[0].min_ttc_s
+
+
+@pytest.mark.parametrize(("speed", "hits"), [(10.0, True), (2.0, False)])
+def test_a_drive_in_a_scene_is_measured_against_its_walls_and_its_road(tmp_path, speed, hits):
+    """The road ends at a wall at 40 m: from 7 m on the last planned point, 30 m ahead, puts the bumper into it."""
+    simulation = Simulation(Scenario(name="to the wall", speed_m_s=speed), small_scene())
+    run = run_drive(simulation, ConstantVelocityAgent())
+    drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
+    scored, bare = ScoredRun.of(run, simulation.occupied, drivable), ScoredRun.of(run)
+    metrics = scored.metrics
+    assert run.end == "completed" and not metrics.collision and metrics.route_completion == metrics.rc == 1.0
+    assert metrics.with_background and (0 < metrics.planned_point_collision_rate < 0.2) == hits
+    assert not bare.metrics.with_background and bare.metrics.planned_point_collision_rate == 0.0
+    assert hits or (metrics.dac, metrics.nc, metrics.hdscore) == (1.0, 1.0, metrics.pdms)
+    assert metrics.comfort_executed == 1.0 and metrics.mean_speed_m_s == pytest.approx(speed)
+    scored.save(tmp_path / "run.jsonl")
+    with pytest.raises(ValueError, match="none.jsonl"):
+        ScoredRun(metrics).save(tmp_path / "none.jsonl")
+
+
+# Comparison and table
+
+
+@cache
+def runs():
+    """Clear, light and heavy rain; the last one ends in a collision."""
+    return [ScoredRun.of(approach(intensity_mm_h=r, moments=m)) for r, m in ((0.0, 9), (1.2, 9), (12.0, 20))]
+
+
+def test_rows_go_by_intensity_and_seed_and_agents_stay_apart():
+    several = [ScoredRun.of(approach(intensity_mm_h=r, seed=s, moments=5)) for r in (8.5, 0.0) for s in (1, 0)]
+    other = ScoredRun(replace(several[0].metrics, agent="other"))
+    first, second = compare_drives([*several, other])
+    assert [each.intensity_mm_h for each in first.weathers] == [0.0, 8.5] and first.title == "made-up, hand"
+    assert [run.metrics.seed for run in first.runs] == [0, 1, 0, 1]
+    assert (second.agent, len(second.runs)) == ("other", 1)
+
+
+def test_the_table_is_the_papers():
+    table = results_table(compare_drives(runs()[::-1]))
+    assert table.columns[2:6] == ("R (mm/h)", "Coll.", "Min. TTC (s)", "C")
+    clear, light, heavy = table.rows
+    rate = 100 * runs()[0].metrics.planned_point_collision_rate
+    # At the end of 9 moments it is at 20 m: 15 m of gap at 10 m/s.
+    assert clear[2:6] == ("Clear", "No", "1.500", f"{rate:.1f} %") and light[2] == "1.2"
+    assert heavy[2:] == ("12", "Yes", "0.000", *(4 * (NOT_MEASURED,)))
+    assert any("N = 6" in each for each in table.definitions)
+
+
+def test_seeds_become_means_with_bands():
+    several = [ScoredRun.of(approach(speed=v, seed=i, moments=9)) for i, v in enumerate((8.0, 9.0, 10.0))]
+    (only,) = compare_drives([*several, ScoredRun.of(approach(seed=3, moments=20))])
+    (weather,) = only.weathers
+    interval, free = weather.mean("min_ttc_s"), weather.mean("min_ttc_s", without_collision=True)
+    assert weather.collisions == 1 and interval.low < interval.mean < interval.high and free.mean > interval.mean
+    row = results_table([only]).rows[0]
+    assert row[3] == "1 of 4" and ".." in row[4]
+
+
+# Figures
+
+
+def test_curves_of_a_run_and_bands_of_the_runs_that_go_on():
+    run = approach(lead_x=40.0, moments=20)
+    assert curve_over_time(run, "speed_m_s") == pytest.approx(np.full(15, 10.0))
+    assert curve_over_time(run, "acceleration_m_s2") == pytest.approx([np.nan, *[0.0] * 14], nan_ok=True)
+    assert curve_over_time(run, "gap_m")[:2] == pytest.approx([35.0, 32.5])
+    assert curve_over_time(run, "ttc_s")[-1] == 0.0
+    several = [ScoredRun.of(approach(speed=v, seed=i, moments=m)) for i, (v, m) in enumerate(((8.0, 5), (10.0, 9)))]
+    comparison = compare_drives(several)[0]
+    times, mean, low, high = curve_band(comparison.weathers[0], "speed_m_s")
+    assert times[-1] == 2.0 and mean == pytest.approx([9.0] * 5 + [10.0] * 4)
+    assert (low[0], high[0], low[-1], high[-1]) == (8.0, 10.0, 10.0, 10.0)
+    assert "(2 seeds)" in kinematics_figure(comparison).axes[0].lines[0].get_label()
+
+
+def test_runs_without_a_common_curve_are_refused():
+    bare = compare_drives([ScoredRun(each.metrics) for each in runs()])[0]
+    odd = compare_drives([ScoredRun.of(replace(approach(seed=s, moments=5), step_s=0.25 + s / 4)) for s in (0, 1)])[0]
+    for comparison, word in ((bare, "0 mm/h"), (odd, r"0\.25 s and of 0\.5 s")):
+        with pytest.raises(ValueError, match=word):
+            kinematics_figure(comparison)
+    with pytest.raises(ValueError, match="no run"):
+        birds_eye_sheet([])
+
+
+def test_all_intensities_are_in_every_panel_darker_in_heavier_rain_and_the_collision_is_marked():
+    figure = kinematics_figure(compare_drives(runs())[0])
+    assert len(figure.axes) == 4
+    for panel in figure.axes:
+        assert sum(len(line.get_xdata()) > 2 for line in panel.lines) == 3
+        (cross,) = [line for line in panel.lines if line.get_marker() == "X"]
+        assert cross.get_xdata()[0] == 3.5
+    assert [line.get_label() for line in figure.axes[0].lines[:2]] == ["clear", "1.2 mm/h"]
+    colors = rain_colors([12.0, 0.0, 1.2])
+    luma = {rain: np.dot(to_rgba(color)[:3], (0.3, 0.59, 0.11)) for rain, color in colors.items()}
+    assert luma[1.2] > luma[12.0] and to_rgba(colors[0.0])[0] > to_rgba(colors[0.0])[2]
+
+
+def test_from_above_each_run_has_a_panel_on_one_scale():
+    figure = birds_eye_sheet([each.rollout for each in runs()], Route(np.array([[0.0, 0], [50, 0]])))
+    assert len(figure.axes) == 3 and len({each.get_xlim() for each in figure.axes}) == 1
+    titles = [each.get_title(loc="left") for each in figure.axes]
+    assert "hits lead at 3.5 s with 10.0 m/s" in titles[2] and "hits" not in titles[0]
+    (cross,) = [line for line in figure.axes[2].lines if line.get_marker() == "X"]
+    assert cross.get_xdata()[0] == pytest.approx(38.0)  # the front at 35 + 3 m touches the rear at 38 m
+
+
+def test_the_same_runs_give_the_same_bytes(tmp_path):
+    figures = {"png": lambda: birds_eye_sheet([runs()[2].rollout]), "svg": lambda: kinematics_figure(comparison)}
+    comparison = compare_drives(runs())[0]
+    for kind, make in figures.items():
+        for name in "ab":
+            write_figure(tmp_path / f"{name}.{kind}", make())
+        assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+    with pytest.raises(ValueError, match=r"a\.gif"):
+        write_figure(tmp_path / "a.gif", figures["png"]())
+
+
+def test_the_page_has_results_figures_and_origins():
+    page = report_page(drive_report_page(runs(), settings={"command": "gsrain drive <x>"}))
+    assert page.count("<img") == 2
+    for word in ("Driving in rain: made-up", "gsrain drive &lt;x&gt;", rollout_hash(runs()[0].rollout)[:16], "shapely"):
+        assert word in page
+    only_numbers = report_page(drive_report_page([ScoredRun(each.metrics) for each in runs()]))
+    assert "<img" not in only_numbers and "Every run" in only_numbers
+    assert rollout_hash(approach(moments=5)) == rollout_hash(approach(moments=5)) != rollout_hash(approach(moments=6))

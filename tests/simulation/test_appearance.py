@@ -1,0 +1,71 @@
+"""Models of road users: built-in vehicles in their paints, actors of the scene, files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsrain_engine.scene.formats.registry import write_gaussians
+from gsrain_engine.scene.gaussians import SH_C0, Gaussians
+from gsrain_engine.simulation.traffic.appearance import vehicle_model
+from simulation.small_drive import box_actor
+from small_scene import small_scene
+
+
+@pytest.mark.parametrize("model", ["hatchback", "saloon/red", "estate", "van/white", "truck", "truck/green"])
+def test_a_vehicle_fills_its_box_and_stands_on_the_ground(model):
+    look = vehicle_model(model, small_scene())
+    body = look.gaussians.take(np.flatnonzero(look.gaussians.means[:, 2] > 0.1))
+    low, high = body.means.min(axis=0), body.means.max(axis=0)
+    half = np.array(look.size_lwh_m[:2]) / 2
+    np.testing.assert_allclose([low[:2], high[:2]], [-half, half], atol=0.2)
+    assert high[2] == pytest.approx(look.size_lwh_m[2], abs=0.1) and look.gaussians.means[:, 2].min() >= 0
+    assert vehicle_model(model, small_scene()) is look
+
+
+def test_an_actor_of_the_scene_in_meters():
+    scene = replace(small_scene(), actors=(box_actor(),), metres_per_unit=2.0)
+    look = vehicle_model("actor:box", scene)
+    assert look.size_lwh_m == (8.0, 4.0, 3.0)
+    np.testing.assert_allclose(look.gaussians.means, 2 * scene.actors[0].gaussians.means)
+
+
+def box(at, size, strays=0, opacity=0.9):
+    """Gaussians all over a box, and strays far away."""
+    means = np.random.default_rng(5).uniform(-0.5, 0.5, size=(4000, 3)) * size + at
+    means[:strays] *= 40
+    n, f = len(means), np.float32
+    return Gaussians(means.astype(f), np.full((n, 3), 0.02, f), np.tile(np.array([1, 0, 0, 0], f), (n, 1)),
+                     np.full(n, opacity, f), np.zeros((n, 1, 3), f))  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", [".ply", ".splat", ".spz"])
+def test_a_file_is_stood_on_the_ground_in_a_shadow_and_measured_without_its_strays(tmp_path, ending):
+    path = tmp_path / f"car{ending}"
+    write_gaussians(box((0.4, -0.1, 1.0), (4.0, 1.8, 1.4), strays=4), path)
+    look = vehicle_model(str(path), small_scene())
+    assert look.size_lwh_m == pytest.approx((4.0, 1.8, 1.4), abs=0.05)
+    np.testing.assert_allclose(np.median(look.gaussians.means[-4000:], axis=0), (0, 0, 0.7), atol=0.1)
+    shadow = look.gaussians.take(slice(0, len(look.gaussians) - 4000))
+    assert len(shadow) > 100 and shadow.means[:, 2].max() < 0.1 and (SH_C0 * shadow.sh[:, 0] + 0.5).max() < 0.3
+    assert vehicle_model(str(path), small_scene()) is look
+    write_gaussians(box((0, 0, 0.7), (5.0, 1.8, 1.4)).take(slice(0, 3000)), path)  # read anew when it changes
+    assert vehicle_model(str(path), small_scene()).size_lwh_m[0] > 4.8
+
+
+@pytest.mark.parametrize(
+    ("model", "word"),
+    [
+        ("tank", "saloon"),
+        ("van/pink", "'pink'"),
+        ("actor:bus", "'small'"),
+        (box((0, 0, 0), (400.0, 180.0, 140.0)), "car.ply.*meters"),
+        (box((0, 0, 0), (4.0, 1.8, 1.4), opacity=0.01), "car.ply"),
+    ],
+)
+def test_what_can_be_no_road_user_is_refused(tmp_path, model, word):
+    if not isinstance(model, str):
+        write_gaussians(model, tmp_path / "car.ply")
+        model = str(tmp_path / "car.ply")
+    with pytest.raises(ValueError, match=word):
+        vehicle_model(model, small_scene())

@@ -1,0 +1,309 @@
+"""Controllers: reference states, the iLQR kernels against plain algebra, and drives along lines without a scene."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsrain_engine.simulation.controller_base import (
+    Controller,
+    ControllerSettings,
+    PurePursuit,
+    make_reachable,
+    tracked_states,
+)
+from gsrain_engine.simulation.controllers import (
+    linearize_dynamics,
+    open_controller,
+    roll_out,
+    solve_lqr_policy,
+    step_state,
+)
+from gsrain_engine.simulation.geometry import Route
+from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, step_bicycle
+
+CAR = Vehicle()
+AHEAD = np.stack([2.5 * np.arange(1, 7), np.zeros(6)], axis=1)
+STAND = np.zeros((6, 2))
+AT_5 = VehicleState(0.0, 0.0, 0.0, 5.0)
+WIGGLE = np.cumsum([[2.5, 0.1], [2.6, 0.4], [2.4, 0.3], [2.5, 0.0], [2.4, -0.1]], axis=0)
+
+
+# Reference states
+
+
+def headings(points, reference="tangent"):
+    return tracked_states(np.array(points, np.float64), reference)[1:, 2]
+
+
+def test_headings_are_half_way_between_the_steps_and_go_on_beyond_half_a_turn():
+    states = tracked_states(np.array([[2.0, 0], [4.0, 2.0], [4.0, 4.0]]), "tangent")
+    np.testing.assert_allclose(states[:, 2], np.radians([0, 22.5, 67.5, 112.5]))
+    np.testing.assert_array_equal(states[:, :2], [[0, 0], [2, 0], [4, 2], [4, 4]])
+    turn = np.linspace(0, 2 * np.pi, 13)[1:]
+    found = headings(np.stack([10 * np.sin(turn), 10 * (1 - np.cos(turn))], axis=1))
+    np.testing.assert_allclose(found, turn, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("points", "reference", "expected"),
+    [
+        (STAND, "tangent", [0] * 6),
+        ([[0.01, 0.04], [-0.02, 0.03]], "tangent", [0, 0]),
+        ([[2, 2], [2.01, 1.99], [1.9, 1.9]], "tangent", [np.pi / 4] * 3),  # a stop keeps the last
+        ([[3.0, 0.0]], "tangent", [0]),
+        ([[2.5, 0], [5, 0]], "hugsim", [-np.pi / 2] * 2),  # to its right, which is negative here
+        ([[2.5, 2.5]], "hugsim", [np.pi / 4]),
+        ([[0.0, 0.0]], "hugsim", [0]),
+    ],
+)
+def test_headings_of_special_plans(points, reference, expected):
+    np.testing.assert_allclose(headings(points, reference), expected)
+
+
+@pytest.mark.parametrize(
+    ("plan", "speed", "braking", "moved", "expected"),
+    [
+        (np.cumsum([[4.0, 0.1], [3.5, 0.2], [3.0, 0.3]], axis=0), 8.0, 3.0, False, None),
+        (STAND, 0.0, 3.0, False, None),
+        (STAND, 8.0, 4.0, True, [[x, 0] for x in (3.5, 6.0, 7.5, 8.0, 8.0, 8.0)]),
+        # Round a corner 1.75, 3 (at the plan's end), 3.75 and 4 m of path: the last two beyond the end, as it pointed.
+        ([[1.0, 0], [2.0, 0], [2.0, 1.0], [2.0, 1.0]], 4.0, 2.0, True, [[1.75, 0], [2, 1], [2, 1.75], [2, 2]]),
+    ],
+)
+def test_a_stop_that_brakes_cannot_make_is_moved_along_the_plan(plan, speed, braking, moved, expected):
+    points, full = make_reachable(np.array(plan), speed, braking, 0.5)
+    assert full == moved
+    np.testing.assert_allclose(points, plan if expected is None else expected, atol=1e-12)
+
+
+# Kernels
+
+DT, WHEELBASE = 0.5, 2.7
+LIMITS = np.array([3.0, 3.0, 0.4, np.pi / 3])
+WEIGHTS = np.array([1, 1, 10, 0, 0, 1, 10, *[1] * 7], np.float64)
+EULER, MIDPOINT = 0.0, 0.5
+
+
+def after(state, control, at):
+    reached = np.empty(5)
+    step_state(state, np.array(control, np.float64), DT, at, WHEELBASE, LIMITS, reached)
+    return reached
+
+
+def derivatives(state, control, at):
+    slope, effect = np.empty((5, 5)), np.empty((5, 2))
+    linearize_dynamics(state, np.array(control, np.float64), DT, at, WHEELBASE, slope, effect)
+    return slope, effect
+
+
+@pytest.mark.parametrize("at", [EULER, MIDPOINT])
+@given(st.floats(-3, 3), st.floats(2, 20), st.floats(-0.8, 0.8), st.floats(-2, 2), st.floats(-0.3, 0.3))
+def test_derivatives_are_those_of_finite_differences(at, heading, speed, steer, acceleration, rate):
+    state, control, h = np.array([3.0, -2.0, heading, speed, steer]), np.array([acceleration, rate]), 1e-6
+    slope, effect = derivatives(state, control, at)
+    for j, step in enumerate(h * np.eye(5)):
+        numeric = (after(state + step, control, at) - after(state - step, control, at)) / (2 * h)
+        np.testing.assert_allclose(slope[:, j], numeric, rtol=1e-6, atol=1e-6)
+    for j, step in enumerate(h * np.eye(2)):
+        numeric = (after(state, control + step, at) - after(state, control - step, at)) / (2 * h)
+        np.testing.assert_allclose(effect[:, j], numeric, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("at", [EULER, MIDPOINT])
+def test_the_step_back_agrees_with_one_linear_system(at):
+    random = np.random.default_rng(3)
+    start, controls = np.array([0.0, 0, 0.1, 6, 0.05]), random.normal(0, (0.5, 0.05), (5, 2))
+    reference = np.concatenate([start[None], np.cumsum(random.normal((3, 0.2, 0.1, 0, 0), 0.2, (5, 5)), axis=0)])
+    states = np.empty((6, 5))
+    roll_out(start, controls, DT, at, WHEELBASE, LIMITS, states)
+    gains, offsets = np.empty((5, 2, 5)), np.empty((5, 2))
+    solve_lqr_policy(states, controls, reference, DT, at, WHEELBASE, WEIGHTS, gains, offsets)
+    np.testing.assert_allclose(offsets, _by_one_system(states, controls, reference, at), atol=1e-8)
+
+
+def _by_one_system(states, controls, reference, at):
+    """The changes of all inputs that minimize the linearized cost, as one linear system, and what stays of them.
+
+    Offsets answer to no deviation before: each is the first of the inputs from its own moment on.
+    """
+    offsets = np.empty_like(controls)
+    for first in range(len(controls)):
+        count = len(controls) - first
+        effect = np.zeros((count + 1, 5, 2 * count))
+        for k in range(count):
+            slope, by_input = derivatives(states[first + k], controls[first + k], at)
+            effect[k + 1] = slope @ effect[k]
+            effect[k + 1][:, 2 * k : 2 * k + 2] += by_input
+        error = states[first + 1 :] - reference[first + 1 :]
+        errors, trusted = np.diag(WEIGHTS[:5]), np.diag(WEIGHTS[7:12])
+        matrix = sum(each.T @ (errors + trusted) @ each for each in effect[1:])
+        matrix = matrix + np.kron(np.eye(count), np.diag(WEIGHTS[5:7] + WEIGHTS[12:14]))
+        gradient = sum(each.T @ errors @ e for each, e in zip(effect[1:], error, strict=True))
+        gradient = gradient + (controls[first:] * WEIGHTS[5:7]).ravel()
+        offsets[first] = -np.linalg.solve(matrix, gradient)[:2]
+    return offsets
+
+
+# The tracker
+
+
+def tracker(**fields) -> Controller:
+    return open_controller(ControllerSettings(**fields))
+
+
+def test_the_published_heading_gives_the_published_controls():
+    # Measured with HUGSIM's own code on a straight plan at 5 m/s: +0.298 m/s2 and +0.117 rad/s to its right.
+    published = tracker(heading_reference="hugsim")
+    assert published.control(CAR, AT_5, AHEAD, 0.5) == pytest.approx((0.298, -0.117), abs=5e-4)
+    hair = 0.01 * np.arange(1, 7)[:, None] * (0, 1)  # a hair to a side turns it
+    rates = [published.control(CAR, AT_5, AHEAD + side * hair, 0.5)[1] for side in (-1, 1)]
+    assert rates[0] < -0.1 and rates[0] == pytest.approx(-rates[1], abs=1e-4)
+
+
+def test_left_and_right_are_mirrored_and_a_straight_drive_is_left_alone():
+    left, right = (
+        tracker().control(CAR, VehicleState(0, 0, 0, 5.0, 0.1 * side), WIGGLE * (1, side), 0.5) for side in (1, -1)
+    )
+    assert right == pytest.approx((left[0], -left[1]), abs=1e-6)
+    assert tracker().control(CAR, AT_5, AHEAD, 0.5) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_inputs_are_a_minimum_of_the_cost():
+    """Any small change of the inputs makes the cost, in plain numbers, larger."""
+    plan = np.cumsum([[2.5, 0.1], [2.6, 0.3], [2.7, 0.4], [2.7, 0.5]], axis=0)
+    found = tracker().inputs(CAR, AT_5, plan, 0.5)
+    for change in np.eye(8).reshape(8, 4, 2) * 1e-3:
+        assert min(_cost(found + change, plan), _cost(found - change, plan)) > _cost(found, plan)
+
+
+def _cost(inputs, plan):
+    x = y = heading = steer = 0.0
+    speed, cost, dt = 5.0, 0.0, 0.5
+    steps = np.diff(np.concatenate([[(0.0, 0.0)], plan]), axis=0)
+    along = np.arctan2(steps[:, 1], steps[:, 0])
+    references = np.concatenate([(along[1:] + along[:-1]) / 2, [along[-1] + (along[-1] - along[-2]) / 2]])
+    for (acceleration, rate), point, reference in zip(inputs, plan, references, strict=True):
+        mean_speed, mean_steer = speed + acceleration * dt / 2, steer + rate * dt / 2
+        turn = mean_speed * np.tan(mean_steer) / CAR.wheelbase_m * dt
+        x += mean_speed * np.cos(heading + turn / 2) * dt
+        y += mean_speed * np.sin(heading + turn / 2) * dt
+        heading, speed, steer = heading + turn, speed + acceleration * dt, steer + rate * dt
+        cost += (x - point[0]) ** 2 + (y - point[1]) ** 2 + 10 * (heading - reference) ** 2
+        cost += acceleration**2 + 10 * rate**2
+    return cost
+
+
+# Drives of both controllers
+
+STRAIGHT = Route(np.array([[0.0, 0], [500, 0]]))
+
+
+def circle(radius_m):
+    """Three quarters of a circle to the left that begins at the origin, along x."""
+    turn = np.linspace(0, 1.5 * np.pi, 500)
+    return Route(radius_m * np.stack([np.sin(turn), 1 - np.cos(turn)], axis=1))
+
+
+def lane_change(offset_m=3.5, start_m=20.0, length_m=40.0):
+    """Straight, over to the left by a quintic, straight."""
+    x = np.arange(0, 300, 0.5)
+    s = np.clip((x - start_m) / length_m, 0, 1)
+    return Route(np.stack([x, offset_m * (10 * s**3 - 15 * s**4 + 6 * s**5)], axis=1))
+
+
+def driven(controller, route, speed_m_s, state=None, steps=60):
+    """Follow a line at a speed; returns states, distances from the line and controls of each step."""
+    state = state or VehicleState(0.0, 0.0, 0.0, speed_m_s)
+    states, left, controls = [], [], []
+    for _ in range(steps):
+        along = route.nearest(state.x_m, state.y_m).along_m
+        plan = state.from_world(np.array([route.at(along + speed_m_s * 0.5 * k)[:2] for k in range(1, 7)]))
+        controls.append(controller.control(CAR, state, plan, 0.5))
+        state = step_bicycle(CAR, state, controls[-1], 0.25)
+        states.append(state)
+        left.append(route.nearest(state.x_m, state.y_m).left_m)
+    return states, np.array(left), np.array(controls)
+
+
+def stopped(controller, state, steps=40, noise=0.0):
+    """Ask for a full stop at every step; returns all states."""
+    random, states = np.random.default_rng(0), [state]
+    for _ in range(steps):
+        plan = noise * random.normal(size=(6, 2))
+        states.append(step_bicycle(CAR, states[-1], controller.control(CAR, states[-1], plan, 0.5), 0.25))
+    return states
+
+
+BOTH = pytest.mark.parametrize("kind", ["ilqr", "pure-pursuit"])
+
+
+@BOTH
+@pytest.mark.parametrize("speed", [1.0, 5.0, 15.0])
+def test_a_straight_line_is_held_at_any_speed(kind, speed):
+    states, left, controls = driven(tracker(kind=kind), STRAIGHT, speed, steps=30)
+    assert max(np.abs(left).max(), np.abs(controls).max()) < 1e-9
+    assert states[-1].speed_m_s == pytest.approx(speed, abs=1e-6)
+
+
+@BOTH
+def test_a_circle_of_20_m_is_held(kind):
+    states, left, _ = driven(tracker(kind=kind), circle(20.0), 5.0)
+    assert np.abs(left).max() < 0.35  # the wheels have to be turned first
+    assert np.abs(left[30:]).max() < (0.02 if kind == "ilqr" else 0.05)
+    assert states[-1].steer_rad == pytest.approx(np.arctan(CAR.wheelbase_m / 20), abs=0.01)
+
+
+@BOTH
+def test_a_lane_change_is_driven(kind):
+    states, left, controls = driven(tracker(kind=kind), lane_change(), 8.0)
+    assert np.abs(left).max() < (0.06 if kind == "ilqr" else 0.2)
+    assert states[-1].y_m == pytest.approx(3.5, abs=0.02)
+    assert np.abs(np.diff(controls[:, 1])).max() < (0.05 if kind == "ilqr" else 0.5)  # the tracker does not hunt
+
+
+@pytest.mark.parametrize("steer", [0.0, 0.2])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_full_stop_is_braked_straight(steer, noise):
+    states = stopped(tracker(), VehicleState(0.0, 0.0, 0.0, 8.0, steer), noise=noise)
+    end = states[-1]
+    assert states[10].x_m == pytest.approx(8.0**2 / (2 * 3), abs=0.2)
+    assert all(abs(state.steer_rad) <= steer + 0.01 for state in states)
+    assert end.speed_m_s == 0.0 and abs(end.steer_rad) < 0.01 and abs(end.yaw_rad) < (0.2 if steer else 0.01)
+    held = stopped(tracker(), end, steps=10)[-1]
+    assert (held.x_m, held.y_m, held.speed_m_s) == pytest.approx((end.x_m, end.y_m, 0.0), abs=1e-9)
+
+
+def test_the_published_tracker_swerves_where_it_should_stop():
+    """One of the two departures from it; the other is the midpoint."""
+    stop = stopped(tracker(heading_reference="hugsim"), VehicleState(0.0, 0.0, 0.0, 8.0, 0.2))
+    assert abs(stop[-1].yaw_rad) > 0.8
+
+
+def test_pure_pursuit_takes_the_acceleration_of_the_plan_and_stops_straight():
+    times = 0.5 * np.arange(1, 7)
+    for acceleration in (-4.0, 0.0, 1.5):
+        along = 8.0 * times + 0.5 * acceleration * times**2
+        plan = np.stack([along, np.zeros(6)], axis=1)[: 3 if acceleration < 0 else 6]
+        control = PurePursuit().control(CAR, VehicleState(0, 0, 0, 8.0), plan, 0.5)
+        assert control == pytest.approx((acceleration, 0.0))
+    end = stopped(PurePursuit(), VehicleState(0.0, 0.0, 0.0, 8.0, 0.2), steps=60)[-1]
+    assert end.speed_m_s < 1e-4 and end.x_m < 5.0 and end.steer_rad == pytest.approx(0.0, abs=1e-6)
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(st.tuples(st.floats(-60, 60), st.floats(-60, 60)), min_size=1, max_size=8),
+    st.floats(0, 50),
+    st.floats(-1.047, 1.047),
+    st.sampled_from(
+        [{"heading_reference": "tangent"}, {"heading_reference": "hugsim"}, {"kind": "pure-pursuit"}],
+    ),
+)
+def test_whatever_is_planned_controls_are_finite_and_the_trackers_within_limits(plan, speed, steer, fields):
+    controller = tracker(**fields)
+    assert isinstance(controller, Controller)
+    control = controller.control(CAR, VehicleState(0.0, 0.0, 0.0, speed, steer), np.array(plan, np.float64), 0.5)
+    assert np.isfinite(control).all()
+    if "kind" not in fields:
+        assert abs(control.acceleration_m_s2) <= 3.0 and abs(control.steer_rate_rad_s) <= 0.4 + 1e-12
