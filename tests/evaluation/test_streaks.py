@@ -23,14 +23,34 @@ from gsrain_engine.evaluation.streaks import (
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 
-from .drawn_streaks import SHAPE, SKY, box, frames
-
+SHAPE = (160, 200)
+SKY = 220.0
+SAMPLES = 8
 FRAMES = 9
 NOTHING = np.zeros(SHAPE)
 ALPHA = 0.03
 RISE_LEVELS = 16.2
 """Rise of gray 45 by 0.03 of the light of gray 220."""
+
+
+def box(center, angle_deg, length, width, shape=SHAPE):
+    """Share of each pixel that a box covers; the angle is from the vertical, lower end to the right."""
+    side = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    y = (np.arange(shape[0])[:, None] + side).ravel()[:, None] - center[1]
+    x = (np.arange(shape[1])[:, None] + side).ravel()[None] - center[0]
+    sine, cosine = np.sin(np.radians(angle_deg)), np.cos(np.radians(angle_deg))
+    inside = (np.abs(x * sine + y * cosine) <= length / 2) & (np.abs(x * cosine - y * sine) <= width / 2)
+    return inside.reshape(shape[0], SAMPLES, shape[1], SAMPLES).mean(axis=(1, 3))
+
+
+def frames(alphas, background=45.0, noise=1.5, seed=3):
+    """One frame for each alpha image: the light of the sky added in linear light, then noise and whole levels."""
+    random = np.random.default_rng(seed)
+    behind, light = srgb_to_linear(np.array([background, SKY]) / 255)
+    lit = [255 * linear_to_srgb((1 - a) * behind + a * light) + noise * random.standard_normal(a.shape) for a in alphas]
+    return np.stack([np.clip(np.rint(each), 0, 255) for each in lit]).astype(np.uint8)
 
 
 def with_streaks(*streaks, number=4, **options):
@@ -80,6 +100,11 @@ def test_opacity_and_exposure_of_measured_sizes():
     assert table.opacity == pytest.approx([9 * np.pi / 65, 1 / 20])
 
 
+@pytest.mark.parametrize("streak", [((100, 8), 0, 40, 4, 0.03), ((100, 80), 0, 12, 12, 0.05)], ids=["cut off", "round"])
+def test_what_the_edge_cuts_off_and_what_is_round_is_no_streak(streak):
+    assert len(find_streaks(with_streaks(streak), SKY)) == 0
+
+
 def test_noise_alone_gives_no_streaks():
     found = median_residuals(frames([NOTHING] * 30, noise=2.5))
     assert len(find_streaks(found, SKY)) + len(find_streaks(found, SKY, darker=True)) <= 1
@@ -94,14 +119,6 @@ def test_two_streaks_stay_two_and_dark_ones_are_apart():
     table = find_streaks(darker, SKY, darker=True)
     assert len(table) == 1
     assert table.coverage_px2[0] == pytest.approx(0.013 * 160, rel=0.2)
-
-
-def test_streaks_that_the_edge_cuts_off_are_left_out():
-    assert len(find_streaks(with_streaks(((100, 8), 0, 40, 4, 0.03)), SKY)) == 0
-
-
-def test_round_spots_are_no_streaks():
-    assert len(find_streaks(with_streaks(((100, 80), 0, 12, 12, 0.05)), SKY)) == 0
 
 
 def test_what_moves_all_the_time_counts_nowhere():
@@ -127,18 +144,16 @@ def test_residual_statistics_of_known_rain():
     assert statistics.share_below < 1e-4
 
 
-def test_automatic_exposure_is_taken_out():
-    shown = frames([NOTHING] * FRAMES)
-    shown[2:6] += 12
-    assert residual_statistics(median_residuals(shown)).share_above < 1e-3
-
-
-def test_too_few_frames_or_nothing_still_says_so():
-    with pytest.raises(ValueError, match="4 frames: a temporal median"):
+def test_automatic_exposure_is_removed_and_too_few_or_restless_frames_are_refused():
+    exposed = frames([NOTHING] * FRAMES)
+    exposed[2:6] += 12
+    assert residual_statistics(median_residuals(exposed)).share_above < 1e-3
+    with pytest.raises(ValueError, match="4 frames"):
         median_residuals(frames([NOTHING] * 4))
-    random = np.random.default_rng(1)
-    with pytest.raises(ValueError, match="no pixel stands still"):
-        residual_statistics(median_residuals(random.integers(0, 255, (7, 40, 50)).astype(np.uint8)))
+    restless = median_residuals(np.random.default_rng(1).integers(0, 255, (7, 40, 50)).astype(np.uint8))
+    assert RESTLESS_LEVELS < 60 and not restless.still.any()
+    with pytest.raises(ValueError, match="no pixel"):
+        residual_statistics(restless)
 
 
 def test_statistics_count_what_the_band_holds():
@@ -181,10 +196,6 @@ def rendered(rain, noise=1.0, background=45):
     return np.stack(list(made))
 
 
-def test_clear_sky_renders_the_background():
-    assert (rendered(RainSettings(), noise=0) == 45).all()
-
-
 @pytest.mark.parametrize("exposure_s", [0.004, 0.008])
 def test_our_rain_tells_the_exposure_it_was_rendered_with(exposure_s):
     found = median_residuals(rendered(RainSettings(intensity_mm_h=2.0, exposure_s=exposure_s, haze=False)))
@@ -200,7 +211,7 @@ def test_display_mixing_is_fainter_before_dark():
     linear, display = (
         rendered(RainSettings(**rain, rain_light=light), noise=0).astype(float) - 45 for light in ("linear", "display")
     )
-    assert linear.min() >= 0
+    assert linear.min() >= 0 and (rendered(RainSettings(), noise=0) == 45).all()  # no rain: the background
     assert 2 < linear.mean() / display.mean() < 8
 
 
@@ -222,10 +233,3 @@ def test_frames_are_chosen_around_the_middle(pictures, spacing_s, count, chosen)
     sequence = RainSequence("made up", 5.0, camera, np.zeros(5), (Path("a.png"),) * pictures, times)
     assert evenly_chosen(sequence, count) == chosen
     assert evenly_chosen(sequence, 1) == [(pictures - 1) // 2]
-
-
-def test_nothing_still_has_no_statistics():
-    found = median_residuals(np.random.default_rng(1).integers(0, 255, (9, 40, 40), np.uint8).astype(np.uint8))
-    assert RESTLESS_LEVELS < 60 and not found.still.any()
-    with pytest.raises(ValueError, match="no pixel stands still"):
-        residual_statistics(found)
