@@ -50,15 +50,14 @@ def finished(work):
             return end.value
 
 
-def test_shipped_comparisons_are_whole():
-    assert shipped_config_names("comparisons") == ["paper", "tiny"]
-    paper, tiny = load_comparison("paper"), load_comparison("tiny")
-    assert [each.method for each in paper.methods] == [
-        "clear", "cyclegan-turbo", "cyclegan-turbo", "cyclegan-turbo", "wet", "images", "images",
-    ]  # fmt: skip
-    ours, flat, alone = paper.methods[1:4]
+def test_shipped_comparisons_load():
+    found = {name: load_comparison(name) for name in shipped_config_names("comparisons")}
+    assert found.keys() == {"paper", "tiny"} and found["tiny"].extractor == "pixels16"
+    _, ours, flat, alone, *_ = found["paper"].methods
     assert (ours.settings.normals, flat.settings.normals, alone.settings.mutual_attention) == ("dsine", "none", False)
-    assert tiny.extractor == "pixels16"
+    assert [each.name for each in found["paper"].only((ours.name,)).methods] == [ours.name]
+    with pytest.raises(ValueError, match="'none'"):
+        found["paper"].only(("none",))
 
 
 def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
@@ -77,20 +76,6 @@ def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
     assert again.reused == ("clear", "wet")
     assert markdown_table(again.rows) == markdown_table(result.rows)
     assert (again.figure == result.figure).all()
-
-
-def test_a_folder_made_with_other_settings_is_made_again(started, tmp_path):
-    comparison, _ = started
-    source = capture_source(drive_capture(4), 48, "drive")
-    other = capture_source(drive_capture(4), 48, "another drive")
-
-    def was_kept(method, where):
-        made = list(method_folder(method, where, comparison, tmp_path))[-1]
-        assert isinstance(made, MethodFolder)
-        return made.was_reused
-
-    assert [was_kept(WET, source), was_kept(WET, source), was_kept(WET, other)] == [False, True, False]
-    assert not was_kept(ComparedMethod(name="wet", method="wet", wetness=0.5), other)
 
 
 def test_clear_views_agree_as_before_and_a_missing_view_is_passed_by(started, tmp_path):
