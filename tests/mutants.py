@@ -210,7 +210,7 @@ def passive_parts(tree: ast.Module) -> Iterator[ast.AST]:
 
 
 def changes(node: ast.AST) -> Iterator[str]:
-    """What a place becomes: a neighboring comparison, another operator or function, a larger number, nothing."""
+    """Replacements of a place: a neighboring comparison, another operator or function, a larger number, nothing."""
     match node:
         case ast.Compare(left, [operator], others) if type(operator) in COMPARE:
             yield ast.unparse(ast.Compare(left, [COMPARE[type(operator)]()], others))
