@@ -57,10 +57,10 @@ def test_a_scene_format_is_read_and_written(rain_lab, scene, tmp_path, capsys):
     assert run(["convert", str(scene), str(scan)]) == 0
     first, second = scan.read_text().splitlines()[:2]
     assert first == str(read_scene(scene).gaussian_count) and len(second.split()) == 7
-    again, flat = read_scene(scan), tmp_path / "flat.ply"
+    converted, flat = read_scene(scan), tmp_path / "flat.ply"
     write_scene(read_scene(scene), flat)
-    expected, found = read_scene(flat).layers[0].gaussians, again.layers[0].gaussians
-    assert again.name == "scan"
+    expected, found = read_scene(flat).layers[0].gaussians, converted.layers[0].gaussians
+    assert converted.name == "scan"
     away = found.means - expected.means
     assert np.abs(away - away.round()).max() < 2e-3  # moved by whole meters, for float32
     assert np.abs(found.sh[:, 0] - expected.sh[:, 0]).max() < 0.02

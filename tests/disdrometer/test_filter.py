@@ -46,12 +46,12 @@ DIRT = (0.15, 0.45, 1), (1.05, 6.95, 2), (1.05, 1.45, 4), (5.05, 1.05, 8)
 )  # fmt: skip
 def test_each_mask_takes_its_own(dirt, options, removed):
     dirty = spectra(*dirt)
-    kept, report = apply_quality_control(dirty, **options)
+    trusted, report = apply_quality_control(dirty, **options)
     found = {mask.name: mask for mask in report.masks}
     assert {name: found[name].drops for name in removed} == removed
     assert report.drops == dirty.counts.sum() == 20 + sum(count for *_, count in dirt)
-    assert report.drops - sum(mask.drops for mask in report.masks) == report.drops_kept == kept.counts.sum()
-    assert report.records - sum(mask.records for mask in report.masks) == report.records_kept == len(kept)
+    assert report.drops - sum(mask.drops for mask in report.masks) == report.drops_kept == trusted.counts.sum()
+    assert report.records - sum(mask.records for mask in report.masks) == report.records_kept == len(trusted)
     for line, mask in zip(report.lines[1:], report.masks, strict=True):
         assert line.startswith(f"{mask.name} ({mask.rule}): {mask.drops:.0f} drops, {mask.records} records")
 
@@ -59,16 +59,16 @@ def test_each_mask_takes_its_own(dirt, options, removed):
 def test_without_speeds_the_masks_of_speed_are_left_out_and_named():
     measured = spectra((1.05, 9.95, 5), (0.15, 0.45, 3))
     flat = replace(measured, velocity_edges_m_s=None, counts=measured.counts.sum(axis=2, keepdims=True))
-    kept, report = apply_quality_control(flat)
-    assert kept.counts.sum() == 25
+    trusted, report = apply_quality_control(flat)
+    assert trusted.counts.sum() == 25
     assert [mask.name for mask in report.masks if mask.not_applied] == ["margin fallers", "splashes", "fall speed"]
     assert "not applied" in report.lines[3]
 
 
 def test_noise_adds_up_and_classes_must_fit():
     noisy = replace(spectra(), counts=np.random.default_rng(3).poisson(0.01, (2, 100, 150)).astype(float))
-    kept, report = apply_quality_control(noisy)
-    assert report.drops - sum(mask.drops for mask in report.masks) == report.drops_kept == kept.counts.sum() > 0
-    assert report.records - sum(mask.records for mask in report.masks) == report.records_kept == len(kept)
+    trusted, report = apply_quality_control(noisy)
+    assert report.drops - sum(mask.drops for mask in report.masks) == report.drops_kept == trusted.counts.sum() > 0
+    assert report.records - sum(mask.records for mask in report.masks) == report.records_kept == len(trusted)
     with pytest.raises(ValueError, match="classes"):
         apply_quality_control(spectra(), classes=MASK[:50])

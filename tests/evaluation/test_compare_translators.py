@@ -1,4 +1,4 @@
-"""Comparisons without a command: settings, what is kept when a run is stopped, stamps, the figure's empty places."""
+"""Comparisons without a command: settings, what a stopped run leaves, stamps, the figure's empty places."""
 
 import os
 
@@ -72,10 +72,10 @@ def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
     assert is_transferred_folder(tmp_path / "out" / "clear")
     result = finished(work())
     assert result.reused == ("clear",)
-    again = finished(work())
-    assert again.reused == ("clear", "wet")
-    assert markdown_table(again.rows) == markdown_table(result.rows)
-    assert (again.figure == result.figure).all()
+    second = finished(work())
+    assert second.reused == ("clear", "wet")
+    assert markdown_table(second.rows) == markdown_table(result.rows)
+    assert (second.figure == result.figure).all()
 
 
 def test_clear_views_agree_as_before_and_a_missing_view_is_passed_by(started, tmp_path):

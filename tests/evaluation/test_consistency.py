@@ -87,17 +87,17 @@ def test_errors_are_those_of_a_plain_computation():
     random = np.random.default_rng(2)
     view, other = random.random((2, 8, 9, 3)).astype(np.float32)
     mask = random.random((8, 9)) > 0.5
-    seen = []
+    calls = []
 
     def perceived(first, second, where):
-        seen.append((first is other, second is view, where is mask))
+        calls.append((first is other, second is view, where is mask))
         return 0.25
 
     found = warp_error(view, other, mask, perceived)
     squares = [(other[y, x, c] - view[y, x, c]) ** 2 for y, x in np.argwhere(mask) for c in range(3)]
     assert found.rmse == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-6)
     assert found.contrast == pytest.approx(np.sqrt(np.var(view[mask], axis=0).mean()), rel=1e-6)
-    assert (found.lpips, seen) == (0.25, [(True, True, True)])
+    assert (found.lpips, calls) == (0.25, [(True, True, True)])
     with pytest.raises(ValueError, match="no pixel"):
         warp_error(view, other, np.zeros((8, 9), bool))
 

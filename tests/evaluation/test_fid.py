@@ -340,7 +340,7 @@ class Means:
 
 
 def test_features_are_kept_by_content_and_extractor(tmp_path, monkeypatch):
-    monkeypatch.setenv(PLACE, str(tmp_path / "kept"))
+    monkeypatch.setenv(PLACE, str(tmp_path / "cache"))
     folder = write_pictures(tmp_path / "a", 5, 0)
     means, other, unkept = Means("means"), Means("other"), Means(None)
 
@@ -349,18 +349,18 @@ def test_features_are_kept_by_content_and_extractor(tmp_path, monkeypatch):
 
     first = features()
     sorted(folder.iterdir())[0].rename(folder / "zebra.png")  # a name is no content
-    again = features()
-    assert means.runs == 5 and sorted(first.hashes) == sorted(again.hashes)
-    np.testing.assert_array_equal(first.features[0], again.features[4])
+    renamed = features()
+    assert means.runs == 5 and sorted(first.hashes) == sorted(renamed.hashes)
+    np.testing.assert_array_equal(first.features[0], renamed.features[4])
     for each in (other, unkept, unkept):
         features(each)
     assert (other.runs, unkept.runs) == (5, 10)
     Image.fromarray(np.zeros((9, 9, 3), np.uint8)).save(folder / "zebra.png")
     features()
     assert means.runs == 6
-    for file in (tmp_path / "kept" / "means").rglob("*.npy"):
+    for file in (tmp_path / "cache" / "means").rglob("*.npy"):
         file.write_bytes(b"torn")
-    np.testing.assert_array_equal(features().features[:4], again.features[:4])
+    np.testing.assert_array_equal(features().features[:4], renamed.features[:4])
     assert means.runs == 11
     flat = np.arange(24, dtype=np.uint8)
     assert image_hash(flat.reshape(2, 4, 3)) != image_hash(flat.reshape(4, 2, 3))

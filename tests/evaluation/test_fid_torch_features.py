@@ -81,9 +81,9 @@ def test_torchs_own_file_gives_the_same_arrays(inception_file, tmp_path):
     arrays = read_arrays(inception_file)
     torch.save({name: torch.from_numpy(array) for name, array in arrays.items()}, tmp_path / "inception.pth")
     assert not is_torchscript(tmp_path / "inception.pth")
-    again = inception_weights(tmp_path / "inception.pth")
-    assert set(again) == set(arrays) - {"fc.weight"}
-    assert all(np.array_equal(again[name], arrays[name]) for name in again)
+    found = inception_weights(tmp_path / "inception.pth")
+    assert set(found) == set(arrays) - {"fc.weight"}
+    assert all(np.array_equal(found[name], arrays[name]) for name in found)
 
 
 class _Pooled(torch.nn.Module):

@@ -77,15 +77,15 @@ def test_a_known_streak_comes_back(angle, length, width):
     assert table.rise_levels[0] == pytest.approx(RISE_LEVELS, rel=0.25)
 
 
-def test_exposure_is_told_at_any_distance():
+def test_exposure_is_estimated_at_any_distance():
     """Near and far drops of one shutter: length and width shrink alike, the exposure stays."""
-    aspect, told = 10.0, []
+    aspect, estimates = 10.0, []
     for length in (30.0, 60.0):
         width = length / aspect
         # A disc of diameter w, smeared over length L: coverage pi/4 w^2, alpha w/L pi/4.
         found = with_streaks(((100, 80), 5, length, width, np.pi / 4 / aspect))
-        told.append(find_streaks(found, SKY).exposure_s[0])
-    np.testing.assert_allclose(told, FALL_BY_DIAMETER_S * aspect, rtol=0.1)
+        estimates.append(find_streaks(found, SKY).exposure_s[0])
+    np.testing.assert_allclose(estimates, FALL_BY_DIAMETER_S * aspect, rtol=0.1)
 
 
 def test_opacity_and_exposure_of_measured_sizes():
@@ -176,8 +176,8 @@ def test_statistics_count_what_the_band_holds():
 
 
 def test_coverage_undoes_linear_mixing():
-    shown = frames([np.full(SHAPE, 0.4)], noise=0).astype(np.float32)
-    np.testing.assert_allclose(coverage(np.full((1, *SHAPE), 45, np.float32), shown - 45, SKY), 0.4, rtol=0.02)
+    lit = frames([np.full(SHAPE, 0.4)], noise=0).astype(np.float32)
+    np.testing.assert_allclose(coverage(np.full((1, *SHAPE), 45, np.float32), lit - 45, SKY), 0.4, rtol=0.02)
 
 
 def standing_camera():
@@ -220,7 +220,7 @@ def test_display_mixing_is_fainter_before_dark():
     [
         (20, 0.1, 5, [5, 7, 9, 11, 13]),  # 0.2 s apart around the middle, not the 0.4 s that there is room for
         (20, 0.04, 5, [1, 5, 9, 13, 17]),  # room for 4 pictures, 0.16 s
-        (7, 1.0, 3, [2, 3, 4]),  # a second apart: farther than wanted, one by one
+        (7, 1.0, 3, [2, 3, 4]),  # a second apart: farther than allowed, one by one
         (7, 0.13, 3, [1, 3, 5]),  # 0.2 s are 1.5 of these: two
         (4, 0.1, 9, [0, 1, 2, 3]),
         (3, 0.0, 3, [0, 1, 2]),

@@ -78,5 +78,5 @@ def test_yolox_is_told_from_its_grids(test_data: Path):
 def test_the_same_picture_gives_the_same_numbers(test_data: Path):
     picture = cv2.imread(str(test_data / "weather/img2img_turbo/clear2rainy_input.png"))
     image = np.ascontiguousarray(picture[..., ::-1])
-    first, again = (_opened(test_data, "yolox_nano") for _ in range(2))
-    assert first.detect(image) == again.detect(image) == first.detect(image)
+    first, second = (_opened(test_data, "yolox_nano") for _ in range(2))
+    assert first.detect(image) == second.detect(image) == first.detect(image)

@@ -82,8 +82,8 @@ def test_every_rain_has_every_seed_and_what_is_clear_stands_for_all(pictures, fr
 
 def test_pictures_are_the_same_every_time_and_wetter_with_the_rain(pictures, frame):
     rainy = Condition("rainy", 50.0, (3,))
-    first, again = pictures.take(frame, rainy), pictures.take(frame, rainy)
-    np.testing.assert_array_equal(first, again)
+    first, second = pictures.take(frame, rainy), pictures.take(frame, rainy)
+    np.testing.assert_array_equal(first, second)
     clear = pictures.take(frame, Condition("clear", 0.0, SEEDS)).astype(int)
     light = pictures.take(frame, Condition("rainy", 1.2, (3,))).astype(int)
     assert 0 < np.abs(light - clear).mean() < np.abs(first - clear).mean()

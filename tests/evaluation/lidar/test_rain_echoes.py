@@ -49,9 +49,9 @@ def integrated(sensor, state, start_m, end_m):
 def test_the_expected_number_is_the_integral_of_the_spectrum(intensity):
     state = RainSimulation.start(RainSettings(intensity_mm_h=intensity)).state
     found = DropReturnModel(SENSOR, state).expected_up_to(np.array([2.0, 4.0, 50.0]))
-    wanted = [integrated(SENSOR, state, 0.0, end) for end in (2.0, 4.0, 12.0)]
-    assert wanted[0] > 1e-5
-    np.testing.assert_allclose(found, wanted, rtol=0.03)  # 16,384 classes are coarse for the few largest drops
+    integrals = [integrated(SENSOR, state, 0.0, end) for end in (2.0, 4.0, 12.0)]
+    assert integrals[0] > 1e-5
+    np.testing.assert_allclose(found, integrals, rtol=0.03)  # 16,384 classes are coarse for the few largest drops
 
 
 def test_far_drops_are_as_many_as_the_integral_and_where_it_says():
@@ -102,12 +102,12 @@ def test_a_drop_of_the_field_is_found_in_the_beam_that_is_aimed_at_it():
     assert len(places) > 10_000
     assert np.all(np.abs(places - np.clip(places, STREAK_REGION.minimum_m, STREAK_REGION.maximum_m)) < 1e-6)
     ranges = np.linalg.norm(places, axis=1)
-    seen = np.flatnonzero(drops.class_index >= SIGNALS.first_detected(ranges))[:5]
-    assert len(seen) == 5
-    beams = wall_beams(np.full(5, np.inf), directions=places[seen] / ranges[seen, None])
+    aimed = np.flatnonzero(drops.class_index >= SIGNALS.first_detected(ranges))[:5]
+    assert len(aimed) == 5
+    beams = wall_beams(np.full(5, np.inf), directions=places[aimed] / ranges[aimed, None])
     found = drop_field_returns(field, beams, np.full(5, 50.0), SIGNALS)
     for k in range(5):
-        assert np.min(np.abs(found.ranges_m[found.beams == k] - ranges[seen[k]])) < 1e-9
+        assert np.min(np.abs(found.ranges_m[found.beams == k] - ranges[aimed[k]])) < 1e-9
 
 
 def test_the_span_of_a_beam_in_a_turned_box():

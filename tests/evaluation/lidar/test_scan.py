@@ -109,21 +109,21 @@ def test_more_rain_keeps_fewer_and_adds_drops():
     rng = np.random.default_rng(1)
     walls = wall_beams(rng.uniform(5, 100, 4000), directions=sky_beams(4000).directions)
     walls = replace(walls, reflectances=SENSOR.detectable(walls.ranges_m) * rng.uniform(1, 3, 4000))
-    kept, false = [], []
+    detected, false = [], []
     for intensity in (0.0, 8.5, 30.0):
         back = rained(walls, intensity)
-        kept.append(set(np.flatnonzero(back.fates != ReturnOutcome.DROPPED).tolist()))
+        detected.append(set(np.flatnonzero(back.fates != ReturnOutcome.DROPPED).tolist()))
         false.append(int(rained(sky_beams(8000), intensity).is_false.sum()))
-    for less, more in zip(kept[1:], kept[:-1], strict=True):
+    for less, more in zip(detected[1:], detected[:-1], strict=True):
         assert less < more
     assert false[0] == 0 < false[1]
     assert false == sorted(false)
 
 
 def test_the_seed_fixes_everything_and_another_one_changes_the_drops():
-    first, again, other = (rained(sky_beams(5000), 20.0, seed) for seed in (3, 3, 4))
-    assert first.sweep.points_m.tobytes() == again.sweep.points_m.tobytes()
-    assert first.beams.tobytes() == again.beams.tobytes()
+    first, second, other = (rained(sky_beams(5000), 20.0, seed) for seed in (3, 3, 4))
+    assert first.sweep.points_m.tobytes() == second.sweep.points_m.tobytes()
+    assert first.beams.tobytes() == second.beams.tobytes()
     assert len(first.beams) > 20
     assert first.sweep.points_m.tobytes() != other.sweep.points_m.tobytes()
 
