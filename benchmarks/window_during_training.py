@@ -1,4 +1,4 @@
-"""Does the window keep its frame rate while a capture is reconstructed beside it? Prints JSON, then a line.
+"""Measures the frame rate of the window while a capture is reconstructed. Prints JSON, then a line.
 
 The built-in street is drawn frame by frame by a turning camera, as the window does it: alone, then while the job
 "Reconstruct" trains on a capture in its own process, then alone again.
@@ -38,14 +38,14 @@ def main() -> None:
         while job.state == "running" and not job.progress.message.startswith("Step"):
             turning.frame()
         message = job.progress.message
-        found["beside training"] = _summary([turning.frame() for _ in range(arguments.frames)])
+        found["during training"] = _summary([turning.frame() for _ in range(arguments.frames)])
         steps = f"{message} ... {job.progress.message}"
         job.cancel()
         session.close()
     context.release()
     print(json.dumps({"frames": found, "job": steps, "error": job.error, "machine": describe_machine()}, indent=1))
-    ratio = found["beside training"]["median_ms"] / found["alone"]["median_ms"]
-    print(f"a frame beside training takes {ratio:.2f} times as long as alone")
+    ratio = found["during training"]["median_ms"] / found["alone"]["median_ms"]
+    print(f"a frame during training takes {ratio:.2f} times as long as alone")
 
 
 def _summary(frames: list[FrameCost]) -> dict[str, float]:
