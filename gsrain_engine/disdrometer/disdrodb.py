@@ -1,17 +1,18 @@
 """DISDRODB products in NetCDF (L0 to L2E): spectra with their classes and sensor."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float64, Int64, Shaped
+from jaxtyping import Float64, Int64
 
 from ..safe_io.text_files import printable_line
 from . import two_dvd
 from .instruments import PARSIVEL, THIES, Instrument
-from .netcdf import in_m_s, in_mm, record_seconds, record_times, reported_rates, usable_records
-from .spectra import MAX_COUNTS, DisdrometerFileError, DisdrometerReading, DropSpectra, no_record_left
+from .netcdf import in_m_s, in_mm, usable_records
+from .spectra import DisdrometerFileError, DisdrometerReading
 
 _PRODUCT, _ROLLED, _SENSOR = "disdrodb_product", "disdrodb_rolled_product", "sensor_name"
 _COUNTS = ("raw_drop_number", "drop_number", "raw_drop_counts", "drop_counts")
@@ -54,71 +55,29 @@ def read_disdrodb(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
         raise DisdrometerFileError(
             path, f"{name} has the dimensions {', '.join(map(str, dataset[name].dims))}, not {', '.join(dims)}"
         )
-    if dataset[name].size > MAX_COUNTS:
-        raise DisdrometerFileError(path, f"{dataset.sizes['time']} spectra: split the file by days")
-    if dataset.sizes["time"] == 0:
-        raise DisdrometerFileError(path, no_record_left(()))
-    counts = dataset[name].transpose(*dims).to_numpy().astype(np.float64)
-    times = record_times(dataset, "time")
-    seconds, reported = record_seconds(dataset, "time", times), reported_rates(dataset, "time")
-    usable, skipped = usable_records(counts.reshape(len(counts), -1), times)
-    if str(dataset.attrs.get(_ROLLED, "")).lower() == "true":
-        overlapping = _overlapping(times, seconds)
-        skipped += [
-            f"record {i + 1} ({times[i]}): it overlaps the one before (sums that roll on)"
-            for i in np.flatnonzero(usable & overlapping)
-        ]
-        usable &= ~overlapping
-    if not usable.any():
-        raise DisdrometerFileError(path, no_record_left(skipped))
-    picked = np.flatnonzero(usable)[np.argsort(times[usable], kind="stable")]
-    return _reading(path, dataset, counts[picked], times[picked], seconds[picked], reported[picked], skipped)
-
-
-def _reading(
-    path: Path,
-    dataset: xr.Dataset,
-    counts: Float64[np.ndarray, "records diameters *velocities"],
-    times: Shaped[np.ndarray, " records"],
-    seconds: Float64[np.ndarray, " records"],
-    reported_mm_h: Float64[np.ndarray, " records"],
-    skipped: list[str],
-) -> DisdrometerReading:
+    is_rolling = str(dataset.attrs.get(_ROLLED, "")).lower() == "true"
+    records = usable_records(path, dataset, dataset[name].transpose(*dims), is_rolling=is_rolling)
     sensor = str(dataset.attrs[_SENSOR])
     kind = sensor.upper().replace("-", "").removeprefix("OTT_").removeprefix("THIES_")
     diameters = _edges(path, dataset, _DIAMETER, in_mm, _LARGEST_MM)
-    velocities = _edges(path, dataset, _VELOCITY, in_m_s, _FASTEST_M_S) if counts.ndim == 3 else None
+    velocities = _edges(path, dataset, _VELOCITY, in_m_s, _FASTEST_M_S) if measures_speed else None
     maker = _MAKERS.get(kind)
     if maker is not None and velocities is not None:
         rows = _places(path, "diameter", diameters, maker.diameter_edges_mm, _CLOSE_MM)
         columns = _places(path, "velocity", velocities, maker.velocity_edges_m_s, _CLOSE_M_S)
-        whole = np.zeros((len(counts), *maker.shape))
-        whole[:, rows[:, None], columns] = counts
-        return maker.reading(
-            path, whole.reshape(len(whole), -1), "diameters first", times, seconds, reported_mm_h, skipped
-        )
+        whole = np.zeros((len(records.counts), *maker.shape))
+        whole[:, rows[:, None], columns] = records.counts.reshape(-1, len(rows), len(columns))
+        return maker.reading(path, replace(records, counts=whole.reshape(len(whole), -1)), "diameters first")
     if maker is not None or kind not in _OTHERS:
         known = ", ".join((*_MAKERS, *_OTHERS))
         needed = "has no fall speeds" if maker is not None else f"is none whose area is known ({known})"
         raise DisdrometerFileError(path, f"{_SENSOR} {printable_line(sensor, 60)} {needed}")
     name, area_m2 = _OTHERS[kind]
     area = np.full(len(diameters) - 1, area_m2)
-    if velocities is not None:
-        other = Instrument(name=name, diameter_edges_mm=diameters, velocity_edges_m_s=velocities, area_m2=area)
-        return other.reading(
-            path, counts.reshape(len(counts), -1), "diameters first", times, seconds, reported_mm_h, skipped
-        )
-    spectra = DropSpectra(
-        instrument=name,
-        times=times,
-        seconds=seconds,
-        diameter_edges_mm=diameters,
-        velocity_edges_m_s=None,
-        counts=counts[:, :, None],
-        area_m2=area,
-        reported_mm_h=reported_mm_h,
-    )
-    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
+    if velocities is None:
+        return records.by_diameter(name, diameters, area)
+    other = Instrument(name=name, diameter_edges_mm=diameters, velocity_edges_m_s=velocities, area_m2=area)
+    return other.reading(path, records, "diameters first")
 
 
 def _edges(
@@ -161,20 +120,3 @@ def _places(
         # The last bound is not compared: an open class may end anywhere.
         raise DisdrometerFileError(path, f"{axis}_bin_lower: its classes are not those of the sensor that it names")
     return np.arange(first, first + len(edges) - 1)
-
-
-def _overlapping(
-    times: Shaped[np.ndarray, " records"], seconds: Float64[np.ndarray, " records"]
-) -> Bool[np.ndarray, " records"]:
-    """Mask of records that begin before the last accepted record has ended; times are ends."""
-    overlapping = np.zeros(len(times), bool)
-    ends = times.astype("datetime64[ms]")
-    last_end = None
-    for i in np.argsort(ends, kind="stable"):
-        if np.isnat(ends[i]):
-            continue
-        start = ends[i] - np.timedelta64(round(1000 * float(seconds[i])), "ms")
-        overlapping[i] = last_end is not None and start < last_end
-        if not overlapping[i]:
-            last_end = ends[i]
-    return overlapping

@@ -11,7 +11,6 @@ import platformdirs
 from jaxtyping import Float64
 
 from ..rain.calibration import Calibration, Interval, Provenance, SourceFile, VelocityFit, save_calibration
-from ..rain.properties import DropSizes, flux_mm_h
 from ..rain.settings import RainSettings
 from ..safe_io.limits import open_file
 from ..safe_io.text_files import printable_line
@@ -23,8 +22,6 @@ from .fit_models import (
     ClassSpeeds,
     FitOptions,
     FittedCalibration,
-    FittedRow,
-    IntensityBinFit,
     Minutes,
     assumed_velocity,
     fit_axis_ratio,
@@ -67,7 +64,7 @@ def fit_calibration(
     speeds = None if trusted[0].velocity_edges_m_s is None else _class_speeds(minutes, trusted[0].diameters_mm)
     middles = trusted[0].diameters_mm
     velocity = assumed_velocity() if speeds is None else fit_velocity(middles, speeds.mean_m_s, speeds.drops)
-    bins, passed_over = fit_rows(minutes, edges, classes, options)
+    bins, passed_over = fit_rows(minutes, edges, classes, velocity, options)
     if len(bins) < 2:
         seen = [reason for reason in passed_over if NO_RAIN not in reason]
         raise ValueError(
@@ -79,7 +76,7 @@ def fit_calibration(
         calibration=Calibration(
             name=name, source=source, rows=tuple(each.row for each in bins), velocity=_rounded(velocity)
         ),
-        rows=tuple(_with_rates(each, velocity) for each in bins),
+        rows=tuple(bins),
         passed_over=tuple(passed_over),
         diameter_edges_mm=edges,
         fitted_range_mm=(float(edges[classes.start]), float(edges[classes.stop])),
@@ -91,22 +88,6 @@ def fit_calibration(
         records_used=int(minutes.records[np.any([each.picked for each in bins], axis=0)].sum()),
         minute_rate_mm_h=minutes.rate_mm_h,
         minute_reported_mm_h=minutes.reported_mm_h,
-    )
-
-
-def _with_rates(fit: IntensityBinFit, velocity: VelocityFit) -> FittedRow:
-    moments = DropSizes(float(fit.moments.shape[0]), float(fit.moments.scale_mm[0]))
-    return FittedRow(
-        middle_mm_h=fit.middle_mm_h,
-        row=fit.row,
-        minutes=int(fit.picked.sum()),
-        records=fit.records,
-        drops=fit.drops,
-        spectrum_m3_mm=fit.spectrum_m3_mm,
-        moments_shape=moments.shape,
-        moments_scale_mm=moments.scale_mm,
-        implied_mm_h=flux_mm_h(fit.row.density_m3, DropSizes(fit.row.shape, fit.row.scale_mm), velocity),
-        moments_implied_mm_h=flux_mm_h(fit.row.density_m3, moments, velocity),
     )
 
 

@@ -18,7 +18,7 @@ from ..rain.calibration import (
     VelocityFit,
     atlas_velocity,
 )
-from ..rain.properties import LARGEST_MM, SMALLEST_MM
+from ..rain.properties import LARGEST_MM, SMALLEST_MM, DropSizes, flux_mm_h
 from .file_summary import RateCheck
 from .spectra import DropSpectra, SingleDrops
 
@@ -355,16 +355,30 @@ _MIN_OF_A_CLASS = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class IntensityBinFit:
-    """Fit of one intensity bin, before the fall speed is known."""
+class FittedRow:
+    """One intensity bin: its spectrum, and the row fitted to it."""
 
     middle_mm_h: float
+    """Center of the bin; the row's own intensity is the mean of its minutes."""
     row: CalibrationRow
     picked: Bool[np.ndarray, " minutes"]
+    """Mask of the bin's minutes."""
     records: int
     drops: int
+    """Counted drops in the fitted classes."""
     spectrum_m3_mm: Float64[np.ndarray, " diameters"]
-    moments: GammaLaws
+    """Measured N(D) in 1/(m^3 mm), all classes."""
+    moments_shape: float
+    moments_scale_mm: float
+    """Shape and scale by the method of moments, as a cross-check."""
+    implied_mm_h: float
+    """Rain rate from density, size law and fitted fall speed: 6e-4 pi N E[V D^3]."""
+    moments_implied_mm_h: float
+    """Rain rate with the law by moments."""
+
+    @property
+    def minutes(self) -> int:
+        return int(self.picked.sum())
 
 
 def fitted_classes(minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"], smallest_mm: float) -> slice:
@@ -430,17 +444,21 @@ class FitOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def fit_rows(
-    minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"], classes: slice, options: FitOptions
-) -> tuple[list[IntensityBinFit], list[str]]:
+    minutes: Minutes,
+    edges_mm: Float64[np.ndarray, " d_and_one"],
+    classes: slice,
+    velocity: VelocityFit,
+    options: FitOptions,
+) -> tuple[list[FittedRow], list[str]]:
     """Fit a row for each bin with enough drops; return a sentence with the reason for each other bin."""
     generator = np.random.default_rng(options.seed)
-    fits: list[IntensityBinFit] = []
+    fits: list[FittedRow] = []
     passed_over: list[str] = []
     for middle in sorted(set(options.intensities_mm_h)):
         picked = np.abs(minutes.rate_mm_h - middle) <= options.half_width * middle
         reason = _why_not(minutes, classes, picked)
         if not reason:
-            fit = _fit_bin(minutes, edges_mm, classes, picked, middle, options.resamples, generator)
+            fit = _fit_bin(minutes, edges_mm, classes, picked, middle, velocity, options.resamples, generator)
             if not fits or fit.row.intensity_mm_h > fits[-1].row.intensity_mm_h:
                 fits.append(fit)
                 continue
@@ -465,9 +483,10 @@ def _fit_bin(
     classes: slice,
     picked: Bool[np.ndarray, " minutes"],
     middle_mm_h: float,
+    velocity: VelocityFit,
     resamples: int,
     generator: np.random.Generator,
-) -> IntensityBinFit:
+) -> FittedRow:
     seconds, in_air = minutes.seconds[picked], minutes.density_seconds[picked]
     edges = edges_mm[classes.start : classes.stop + 1]
     density = in_air.sum(axis=0) / seconds.sum()
@@ -484,20 +503,26 @@ def _fit_bin(
             shape=percentile_interval(others.shape),
             scale_mm=percentile_interval(others.scale_mm),
         )
-    return IntensityBinFit(
+    row = CalibrationRow(
+        intensity_mm_h=round_significant(float(minutes.rate_mm_h[picked] @ seconds / seconds.sum())),
+        density_m3=round_significant(number[0]),
+        shape=round_significant(laws.shape[0]),
+        scale_mm=round_significant(laws.scale_mm[0]),
+        confidence=confidence,
+    )
+    by_moments = fit_by_moments(density[None, classes], edges)
+    moments = DropSizes(float(by_moments.shape[0]), float(by_moments.scale_mm[0]))
+    return FittedRow(
         middle_mm_h=middle_mm_h,
-        row=CalibrationRow(
-            intensity_mm_h=round_significant(float(minutes.rate_mm_h[picked] @ seconds / seconds.sum())),
-            density_m3=round_significant(number[0]),
-            shape=round_significant(laws.shape[0]),
-            scale_mm=round_significant(laws.scale_mm[0]),
-            confidence=confidence,
-        ),
+        row=row,
         picked=picked,
         records=int(minutes.records[picked].sum()),
         drops=int(minutes.drops[picked, classes].sum()),
         spectrum_m3_mm=density / np.diff(edges_mm),
-        moments=fit_by_moments(density[None, classes], edges),
+        moments_shape=moments.shape,
+        moments_scale_mm=moments.scale_mm,
+        implied_mm_h=flux_mm_h(row.density_m3, DropSizes(row.shape, row.scale_mm), velocity),
+        moments_implied_mm_h=flux_mm_h(row.density_m3, moments, velocity),
     )
 
 
@@ -510,28 +535,6 @@ def _whole_density(
 
 
 # Results
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class FittedRow:
-    """One intensity bin: its spectrum, and the row fitted to it."""
-
-    middle_mm_h: float
-    """Center of the bin; the row's own intensity is the mean of its minutes."""
-    row: CalibrationRow
-    minutes: int
-    records: int
-    drops: int
-    """Counted drops in the fitted classes."""
-    spectrum_m3_mm: Float64[np.ndarray, " diameters"]
-    """Measured N(D) in 1/(m^3 mm), all classes."""
-    moments_shape: float
-    moments_scale_mm: float
-    """Shape and scale by the method of moments, as a cross-check."""
-    implied_mm_h: float
-    """Rain rate from density, size law and fitted fall speed: 6e-4 pi N E[V D^3]."""
-    moments_implied_mm_h: float
-    """Rain rate with the law by moments."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -18,6 +18,7 @@ from .spectra import (
     DisdrometerFileError,
     DisdrometerReading,
     DropSpectra,
+    SpectrumRecords,
     UnknownKindError,
     median_step_s,
     no_record_left,
@@ -84,7 +85,7 @@ def record_seconds(
     dataset: xr.Dataset, dimension: str, times: Shaped[np.ndarray, " records"]
 ) -> Float64[np.ndarray, " records"]:
     """Length of each record in s: as stated in the file, otherwise the median step between records."""
-    step = median_step_s(list(np.sort(times)))
+    step = median_step_s(np.sort(times))
     for name in _INTERVALS:
         if name in dataset and dataset[name].dims in ((), (dimension,)):
             stated = dataset[name].to_numpy().astype(np.float64)
@@ -94,9 +95,21 @@ def record_seconds(
 
 
 def usable_records(
-    counts: Float64[np.ndarray, "records classes"], times: Shaped[np.ndarray, " records"]
-) -> tuple[Bool[np.ndarray, " records"], list[str]]:
-    """Mask of records with only nonnegative counts, and a sentence for each of the others."""
+    path: Path, dataset: xr.Dataset, variable: xr.DataArray, *, is_rolling: bool = False
+) -> SpectrumRecords:
+    """Records of a variable of counts, its first dimension that of the records.
+
+    Records with a missing or negative count are skipped, and of rolling sums those that overlap the one before. Raises
+    `DisdrometerFileError` if none is left, or if there are too many.
+    """
+    if variable.size > MAX_COUNTS:
+        raise DisdrometerFileError(path, f"{len(variable)} spectra: split the file by days")
+    if not len(variable):
+        raise DisdrometerFileError(path, no_record_left(()))
+    time = str(variable.dims[0])
+    counts = variable.to_numpy().astype(np.float64).reshape(len(variable), -1)
+    times = record_times(dataset, time)
+    seconds, reported = record_seconds(dataset, time, times), reported_rates(dataset, time)
     good = (counts >= 0) & (counts <= MAX_DROPS)
     usable = np.asarray(good.all(axis=1))
     wrong = "drop counts are missing, negative or beyond any rain"
@@ -104,7 +117,39 @@ def usable_records(
         f"record {i + 1} ({times[i]}): {int((~good[i]).sum())} of {counts.shape[1]} {wrong}"
         for i in np.flatnonzero(~usable)
     ]
-    return usable, skipped
+    if is_rolling:
+        overlapping = _overlapping(times, seconds)
+        skipped += [
+            f"record {i + 1} ({times[i]}): it overlaps the one before (sums that roll on)"
+            for i in np.flatnonzero(usable & overlapping)
+        ]
+        usable &= ~overlapping
+    if not usable.any():
+        raise DisdrometerFileError(path, no_record_left(skipped))
+    picked = np.flatnonzero(usable)[np.argsort(times[usable], kind="stable")]
+    return SpectrumRecords(
+        times=times[picked],
+        seconds=seconds[picked],
+        reported_mm_h=reported[picked],
+        counts=counts[picked],
+        skipped=tuple(skipped),
+    )
+
+
+def _overlapping(
+    times: Shaped[np.ndarray, " records"], seconds: Float64[np.ndarray, " records"]
+) -> Bool[np.ndarray, " records"]:
+    """Mask of records that begin before the last accepted record has ended; times are ends."""
+    overlapping = np.zeros(len(times), bool)
+    last_end = None
+    for i in np.argsort(times, kind="stable"):
+        if np.isnat(times[i]):
+            continue
+        start = times[i] - np.timedelta64(round(1000 * float(seconds[i])), "ms")
+        overlapping[i] = last_end is not None and start < last_end
+        if not overlapping[i]:
+            last_end = times[i]
+    return overlapping
 
 
 # GSRAIN's drop-spectra format: NetCDF-4 (CF-1.10)
@@ -236,20 +281,7 @@ def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> DisdrometerReadi
     """
     axes = _axes(path, dataset)
     spectrum = dataset[axes.variable].transpose(axes.time, axes.diameter, axes.velocity)
-    if spectrum.size > MAX_COUNTS:
-        raise DisdrometerFileError(path, f"{spectrum.shape[0]} spectra: split the file by days")
-    if spectrum.shape[0] == 0:
-        raise DisdrometerFileError(path, no_record_left(()))
-    instrument = _instrument(path, dataset, axes)
-    raw = spectrum.to_numpy().astype(np.float64).reshape(spectrum.shape[0], -1)
-    times = record_times(dataset, axes.time)
-    usable, skipped = usable_records(raw, times)
-    if not usable.any():
-        raise DisdrometerFileError(path, no_record_left(skipped))
-    picked = np.flatnonzero(usable)[np.argsort(times[usable], kind="stable")]
-    seconds = record_seconds(dataset, axes.time, times)[picked]
-    reported = reported_rates(dataset, axes.time)[picked]
-    return instrument.reading(path, raw[picked], "diameters first", times[picked], seconds, reported, skipped)
+    return _instrument(path, dataset, axes).reading(path, usable_records(path, dataset, spectrum), "diameters first")
 
 
 def _axes(path: Path, dataset: xr.Dataset) -> _Axes:

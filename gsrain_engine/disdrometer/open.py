@@ -16,8 +16,8 @@ from .hdf5_trial import LARGEST_DATASET, passes_trial
 from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra, with_whole_records
 from .parsivel import (
     is_parsivel_asdo,
+    is_parsivel_log,
     is_parsivel_telegrams,
-    parsivel_log_dialect,
     read_parsivel_asdo,
     read_parsivel_log,
     read_parsivel_telegrams,
@@ -26,11 +26,11 @@ from .spectra import DisdrometerFileError, DisdrometerReading, SingleDrops, Unkn
 from .tables import (
     TableColumns,
     is_minute_table,
+    is_named_table,
     is_rainsense_intensity,
     read_minute_table,
     read_rainsense_intensity,
     read_table,
-    table_columns,
 )
 from .thies import is_thies, read_thies
 from .two_dvd import (
@@ -45,6 +45,9 @@ from .two_dvd import (
 __all__ = ["DisdrometerFileError", "DisdrometerReading", "SingleDrops", "UnknownKindError", "read_disdrometer"]
 
 _TEXTS = (
+    (is_parsivel_log, read_parsivel_log),
+    (is_parsivel_asdo, read_parsivel_asdo),
+    (is_named_table, read_table),
     (is_parsivel_telegrams, read_parsivel_telegrams),
     (is_thies, read_thies),
     (is_minute_table, read_minute_table),
@@ -80,14 +83,6 @@ def _with_cut(reading: DisdrometerReading, contents: FileContents) -> Disdromete
 
 def _read_text(path: Path, contents: FileContents) -> DisdrometerReading:
     lines = contents.lines
-    dialect = parsivel_log_dialect(lines)
-    if dialect is not None:
-        return read_parsivel_log(path, lines, dialect)
-    if is_parsivel_asdo(lines):
-        return read_parsivel_asdo(path, lines)
-    columns = table_columns(lines)
-    if columns is not None:
-        return read_table(path, lines, columns)
     for recognizes, read in _TEXTS:
         if recognizes(lines):
             return read(path, lines)
@@ -108,6 +103,13 @@ def _unknown_kind(contents: FileContents, where: str) -> UnknownKindError:
 
 # NetCDF
 
+_DATASETS = (
+    (is_gsrain_spectra, read_gsrain_spectra),
+    (is_two_dvd, read_two_dvd),
+    (is_two_dvd_minutes, read_two_dvd_minutes),
+    (is_disdrodb, read_disdrodb),
+    (is_joss_waldvogel, read_joss_waldvogel),
+)
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -133,22 +135,10 @@ def read_netcdf(path: Path, data: bytes) -> DisdrometerReading:
             lost = f"record {whole + 1}: the file ends in it, and {expected - whole - 1} more are missing"
             if whole == 0:
                 raise DisdrometerFileError(path, f"no record can be used: {lost}")
-    reading = _read(path, _opened(path, data))
+    dataset = _opened(path, data)
+    read = next((read for recognizes, read in _DATASETS if recognizes(dataset)), read_instrument_spectra)
+    reading = read(path, dataset)
     return replace(reading, skipped=(*reading.skipped, lost)) if lost else reading
-
-
-def _read(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
-    if is_gsrain_spectra(dataset):
-        return read_gsrain_spectra(path, dataset)
-    if is_two_dvd(dataset):
-        return read_two_dvd(path, dataset)
-    if is_two_dvd_minutes(dataset):
-        return read_two_dvd_minutes(path, dataset)
-    if is_disdrodb(dataset):
-        return read_disdrodb(path, dataset)
-    if is_joss_waldvogel(dataset):
-        return read_joss_waldvogel(path, dataset)
-    return read_instrument_spectra(path, dataset)
 
 
 def _opened(path: Path, data: bytes) -> xr.Dataset:

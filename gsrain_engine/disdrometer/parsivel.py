@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -58,8 +59,8 @@ def read_parsivel_asdo(path: Path, lines: list[str]) -> DisdrometerReading:
     Raises `DisdrometerFileError` if no record is usable, or if the header lacks a rain rate or changes.
     """
     columns = _columns_of(path, lines)
-    records, skipped = parse_records(path, _records(path, lines, columns), lambda line: _record(line, columns))
-    return PARSIVEL.reading_of(path, records, "velocities first", skipped)
+    records = parse_records(path, _records(path, lines, columns), lambda line: _record(line, columns))
+    return PARSIVEL.reading(path, records, "velocities first")
 
 
 def _columns_of(path: Path, lines: list[str]) -> _Columns:
@@ -128,8 +129,7 @@ def _record(line: str, columns: _Columns) -> SpectrumRecord:
 _LOG_LOOK_AHEAD = 20
 
 
-@dataclass(frozen=True, slots=True)
-class Dialect:
+class Dialect(NamedTuple):
     """Record format of one kind of log."""
 
     marks: re.Pattern[str]
@@ -138,17 +138,22 @@ class Dialect:
     """Line parser; raises `RecordError` if the line is unusable."""
 
 
-def parsivel_log_dialect(lines: list[str]) -> Dialect | None:
-    """The dialect of a log by its first lines; None if it is not a known log."""
+def is_parsivel_log(lines: list[str]) -> bool:
+    """Return whether one of the first lines has the marks of a dialect."""
+    return _dialect(lines) is not None
+
+
+def read_parsivel_log(path: Path, lines: list[str]) -> DisdrometerReading:
+    """Read a station's log; raises `DisdrometerFileError` if no record is usable."""
+    dialect = _dialect(lines)
+    assert dialect is not None
+    return PARSIVEL.reading(path, parse_records(path, numbered_lines(lines), dialect.parse), "velocities first")
+
+
+def _dialect(lines: list[str]) -> Dialect | None:
     start = [line for line in lines[: 2 * _LOG_LOOK_AHEAD] if line.strip()][:_LOG_LOOK_AHEAD]
     found = (dialect for dialect in _DIALECTS if any(dialect.marks.search(line) for line in start))
     return next(found, None)
-
-
-def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> DisdrometerReading:
-    """Read a log of this dialect; raises `DisdrometerFileError` if no record is usable."""
-    records, skipped = parse_records(path, numbered_lines(lines), dialect.parse)
-    return PARSIVEL.reading_of(path, records, "velocities first", skipped)
 
 
 def parsivel_counts(text: str, separator: str) -> Float64[np.ndarray, " 1024"]:
@@ -213,8 +218,7 @@ def is_parsivel_telegrams(lines: list[str]) -> bool:
 
 def read_parsivel_telegrams(path: Path, lines: list[str]) -> DisdrometerReading:
     """Read telegrams that begin with field 01; raises `DisdrometerFileError` if none is complete."""
-    records, skipped = parse_records(path, _telegrams(lines), _telegram_record)
-    return PARSIVEL.reading_of(path, records, "velocities first", skipped)
+    return PARSIVEL.reading(path, parse_records(path, _telegrams(lines), _telegram_record), "velocities first")
 
 
 def _telegrams(lines: list[str]) -> Iterator[tuple[str, str]]:

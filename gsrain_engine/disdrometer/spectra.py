@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -177,13 +176,46 @@ class SpectrumRecord:
     """Counts in file order."""
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SpectrumRecords:
+    """The usable records of a file, in order of time."""
+
+    times: Shaped[np.ndarray, " records"]
+    """End of each record, UTC, datetime64[ms]."""
+    seconds: Float64[np.ndarray, " records"]
+    reported_mm_h: Float64[np.ndarray, " records"]
+    counts: Float64[np.ndarray, "records classes"]
+    """Counts in file order."""
+    skipped: tuple[str, ...] = ()
+    """One sentence with the reason for each unusable record."""
+
+    def by_diameter(
+        self,
+        instrument: str,
+        edges_mm: Float64[np.ndarray, " classes_and_one"],
+        area_m2: Float64[np.ndarray, " classes"],
+    ) -> DisdrometerReading:
+        """Reading of an instrument that measures no fall speed."""
+        spectra = DropSpectra(
+            instrument=instrument,
+            times=self.times,
+            seconds=self.seconds,
+            diameter_edges_mm=edges_mm,
+            velocity_edges_m_s=None,
+            counts=self.counts[:, :, None],
+            area_m2=area_m2,
+            reported_mm_h=self.reported_mm_h,
+        )
+        return DisdrometerReading(spectra=spectra, skipped=self.skipped)
+
+
 def parse_records(
     path: Path, numbered: Iterable[tuple[str, str]], parse: Callable[[str], SpectrumRecord]
-) -> tuple[list[SpectrumRecord], list[str]]:
+) -> SpectrumRecords:
     """Parse each record; unusable ones become sentences.
 
-    `numbered` gives each record's position ("line 7") and text. Returns the records in order of time, each with its
-    length. Raises `DisdrometerFileError` if none is left, or if they exceed `MAX_COUNTS`.
+    `numbered` gives each record's position ("line 7") and text. A record without a length gets the median step. Raises
+    `DisdrometerFileError` if none is left, or if they exceed `MAX_COUNTS`.
     """
     records: list[SpectrumRecord] = []
     skipped: list[str] = []
@@ -204,7 +236,16 @@ def parse_records(
         records.append(record)
     if not records:
         raise DisdrometerFileError(path, no_record_left(skipped))
-    return _with_seconds(sorted(records, key=lambda record: record.time)), skipped
+    records.sort(key=lambda record: record.time)
+    times = np.array([record.time for record in records])
+    seconds = np.array([record.seconds for record in records])
+    return SpectrumRecords(
+        times=times,
+        seconds=np.where(np.isnan(seconds), median_step_s(times), seconds),
+        reported_mm_h=np.array([record.reported_mm_h for record in records]),
+        counts=np.stack([record.counts for record in records]),
+        skipped=tuple(skipped),
+    )
 
 
 def numbered_lines(lines: Iterable[str]) -> Iterator[tuple[str, str]]:
@@ -220,18 +261,11 @@ def no_record_left(skipped: Sequence[str]) -> str:
     return f"no record can be used: {skipped[0]}{more}"
 
 
-def median_step_s(times: Sequence[np.datetime64]) -> float:
-    """Median time between records in s; `FACTORY_SECONDS` if no step is usable."""
-    steps = [float((later - earlier) / np.timedelta64(1, "s")) for earlier, later in pairwise(times)]
-    near = [step for step in steps if 0 < step <= LONGEST_RECORD_S]
-    return float(np.median(near)) if near else FACTORY_SECONDS
-
-
-def _with_seconds(records: list[SpectrumRecord]) -> list[SpectrumRecord]:
-    if not any(np.isnan(record.seconds) for record in records):
-        return records
-    step = median_step_s([record.time for record in records])
-    return [replace(record, seconds=step) if np.isnan(record.seconds) else record for record in records]
+def median_step_s(times: Shaped[np.ndarray, " records"]) -> float:
+    """Median time between sorted records in s; `FACTORY_SECONDS` if no step is usable."""
+    steps = np.diff(times) / np.timedelta64(1, "s")
+    near = steps[(steps > 0) & (steps <= LONGEST_RECORD_S)]
+    return float(np.median(near)) if near.size else FACTORY_SECONDS
 
 
 def parse_drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " classes"]:

@@ -1,10 +1,12 @@
 """Text tables of disdrometer records: NASA's minute tables, rain rates without drops, and YAML-described tables."""
 
 import csv
+import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,15 +18,15 @@ from msgspec import Meta
 from ..rain.calibration import atlas_velocity
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import printable_line, read_whole, yaml_values
-from . import instruments, two_dvd
+from . import two_dvd
 from .instruments import PARSIVEL, THIES, Instrument, Order
 from .spectra import (
     LONGEST_RECORD_S,
     DisdrometerFileError,
     DisdrometerReading,
-    DropSpectra,
     RecordError,
     SpectrumRecord,
+    SpectrumRecords,
     numbered_lines,
     parse_drop_counts,
     parse_interval_s,
@@ -58,14 +60,14 @@ def read_minute_table(path: Path, lines: list[str]) -> DisdrometerReading:
     """
     first = next(line for line in lines if line.strip())
     classes = len(first.split()) - _STAMP
-    records, skipped = parse_records(path, numbered_lines(lines), lambda row: _record(row, classes))
-    values = np.stack([record.counts for record in records])
+    records = parse_records(path, numbered_lines(lines), lambda row: _record(row, classes))
     if classes == _COUNTS:
         name, edges, area = "2DVD", TWO_DVD_EDGES_MM, np.full(_COUNTS, TWO_DVD_AREA_M2)
     else:
-        name, edges, area = "APU (OTT Parsivel)", instruments.PARSIVEL_DIAMETER_EDGES_MM, instruments.PARSIVEL_AREA_M2
-    counts = values if "." not in first else drops_of_densities(values, edges, area, MINUTE_S)
-    return _diameter_reading(name, records, counts, edges, area, skipped)
+        name, edges, area = "APU (OTT Parsivel)", PARSIVEL.diameter_edges_mm, PARSIVEL.area_m2
+    if "." in first:
+        records = replace(records, counts=drops_of_densities(records.counts, edges, area, records.seconds))
+    return records.by_diameter(name, edges, area)
 
 
 def _record(row: str, classes: int) -> SpectrumRecord:
@@ -87,11 +89,11 @@ def drops_of_densities(
     density_m3_mm: Float64[np.ndarray, "records diameters"],
     edges_mm: Float64[np.ndarray, " diameters_and_one"],
     area_m2: float | Float64[np.ndarray, " diameters"],
-    seconds: float | Float64[np.ndarray, " records"],
+    seconds: Float64[np.ndarray, " records"],
 ) -> Float64[np.ndarray, "records diameters"]:
     """Expected drop counts, fractional: N(D) dD swept at the fall speed of Atlas et al. (1973)."""
     swept_m3_s = atlas_velocity(0.5 * (edges_mm[:-1] + edges_mm[1:])) * area_m2
-    return density_m3_mm * np.diff(edges_mm) * swept_m3_s * np.reshape(seconds, (-1, 1))
+    return density_m3_mm * np.diff(edges_mm) * swept_m3_s * seconds[:, None]
 
 
 # Rain rates without drops
@@ -116,36 +118,18 @@ def read_rainsense_intensity(path: Path, lines: list[str]) -> DisdrometerReading
         raise DisdrometerFileError(path, f"line 1: {error}") from None
     if np.isnan(rate):
         raise DisdrometerFileError(path, "line 1: it says no intensity")
-    nowhere = np.datetime64("NaT", "ms")
-    record = SpectrumRecord(time=nowhere, seconds=float("nan"), reported_mm_h=rate, counts=np.zeros(0))
-    return rates_reading("RainSense rain gauge", [record], [])
-
-
-def rates_reading(instrument: str, records: list[SpectrumRecord], skipped: list[str]) -> DisdrometerReading:
-    """Reading without diameter classes; only times and reported rates are meaningful."""
-    return _diameter_reading(instrument, records, np.zeros((len(records), 0)), np.zeros(1), np.zeros(0), skipped)
-
-
-def _diameter_reading(
-    instrument: str,
-    records: list[SpectrumRecord],
-    counts: Float64[np.ndarray, "records diameters"],
-    edges_mm: Float64[np.ndarray, " diameters_and_one"],
-    area_m2: Float64[np.ndarray, " diameters"],
-    skipped: list[str],
-) -> DisdrometerReading:
-    """Reading of an instrument that measures no fall speed."""
-    spectra = DropSpectra(
-        instrument=instrument,
-        times=np.array([record.time for record in records]),
-        seconds=np.array([record.seconds for record in records]),
-        diameter_edges_mm=edges_mm,
-        velocity_edges_m_s=None,
-        counts=counts[:, :, None],
-        area_m2=area_m2,
-        reported_mm_h=np.array([record.reported_mm_h for record in records]),
+    record = SpectrumRecords(
+        times=np.array(["NaT"], "datetime64[ms]"),
+        seconds=np.full(1, np.nan),
+        reported_mm_h=np.array([rate]),
+        counts=np.zeros((1, 0)),
     )
-    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
+    return rates_reading("RainSense rain gauge", record)
+
+
+def rates_reading(instrument: str, records: SpectrumRecords) -> DisdrometerReading:
+    """Reading without diameter classes; only times and reported rates are meaningful."""
+    return records.by_diameter(instrument, np.zeros(1), np.zeros(0))
 
 
 # Text tables
@@ -279,6 +263,11 @@ def load_columns(path: Path | str) -> TableColumns:
         raise ValueError(f"{path}: {error}".replace(f"{path}: {path}: ", f"{path}: ")) from None
 
 
+def is_named_table(lines: list[str]) -> bool:
+    """Return whether `table_columns` finds a description in the header."""
+    return table_columns(lines) is not None
+
+
 def table_columns(lines: Sequence[str]) -> TableColumns | None:
     """Description of a table whose header names a time and all drops; None without such a header.
 
@@ -294,21 +283,22 @@ def table_columns(lines: Sequence[str]) -> TableColumns | None:
     return None
 
 
-def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> DisdrometerReading:
-    """Read a described table; raises `DisdrometerFileError` if columns are missing or no row is usable."""
+def read_table(path: Path, lines: list[str], columns: TableColumns | None = None) -> DisdrometerReading:
+    """Read a table that is described, by default by its header.
+
+    Raises `DisdrometerFileError` if columns are missing or no row is usable.
+    """
+    columns = columns or table_columns(lines)
+    assert columns is not None
     layout = _layout(path, lines, columns)
-    records, skipped = parse_records(
-        path, _table_rows(lines, columns), lambda line: _table_record(line, columns, layout)
-    )
+    records = parse_records(path, _table_rows(lines, columns), lambda line: _table_record(line, columns, layout))
     classes = columns.instrument_classes()
     if classes is not None:
-        return classes.reading_of(path, records, _order(columns), skipped)
+        return classes.reading(path, records, _order(columns))
     edges, area = columns.diameter_classes()
-    counts = np.stack([record.counts for record in records])
     if columns.quantity == "drops_m3_mm":
-        counts = drops_of_densities(counts, edges, area, np.array([record.seconds for record in records]))
-    areas = np.full(len(edges) - 1, area)
-    return _diameter_reading(columns.instrument, records, counts, edges, areas, skipped)
+        records = replace(records, counts=drops_of_densities(records.counts, edges, area, records.seconds))
+    return records.by_diameter(columns.instrument, edges, np.full(len(edges) - 1, area))
 
 
 # Headers
@@ -362,19 +352,15 @@ def _is_rate(name: str) -> bool:
 
 def _drops_of(names: Sequence[str]) -> tuple[str, Column | ColumnRange] | None:
     """The instrument whose number of classes matches a run of columns of one stem, and those columns."""
-    stems, start = [_stem(name) for name in names], 0
-    for i in range(1, len(names) + 1):
-        if i < len(names) and stems[i] is not None and stems[i] == stems[start]:
-            continue
-        count, stem = i - start, stems[start]
-        drops = ColumnRange(first=start + 1, last=i)
-        if count == PARSIVEL.shape[0] * PARSIVEL.shape[1]:
-            return PARSIVEL.name, drops
-        if count == THIES.shape[0] * THIES.shape[1]:
-            return THIES.name, drops
+    sizes = {math.prod(each.shape): each.name for each in (PARSIVEL, THIES)}
+    stems = [_stem(name) for name in names]
+    for stem, run in groupby(range(len(names)), key=lambda i: i if stems[i] is None else stems[i]):
+        first, *rest = run
+        count, drops = 1 + len(rest), ColumnRange(first=first + 1, last=first + 1 + len(rest))
+        if count in sizes:
+            return sizes[count], drops
         if count == len(two_dvd.RD80_EDGES_MM) - 1 and stem == "n":
             return two_dvd.NAME, drops
-        start = i
     name = _named(names, _ALL_DROPS_NAMES)
     return None if name is None else (PARSIVEL.name, names.index(name) + 1)
 

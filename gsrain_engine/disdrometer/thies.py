@@ -36,9 +36,8 @@ def read_thies(path: Path, lines: list[str]) -> DisdrometerReading:
     """
     numbered = list(_telegrams(lines))
     if all(len(_values(text)) <= _SHORT for _, text in numbered):
-        return rates_reading(THIES.name, *parse_records(path, numbered, _short_record))
-    records, skipped = parse_records(path, numbered, _record)
-    return THIES.reading_of(path, records, "diameters first", skipped)
+        return rates_reading(THIES.name, parse_records(path, numbered, _short_record))
+    return THIES.reading(path, parse_records(path, numbered, _record), "diameters first")
 
 
 def _telegrams(lines: list[str]) -> Iterator[tuple[str, str]]:

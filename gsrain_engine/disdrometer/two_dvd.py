@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float64, Shaped
 
-from .netcdf import in_mm, record_seconds, record_times, reported_rates, usable_records
+from .netcdf import in_mm, record_times, usable_records
 from .spectra import DisdrometerFileError, DisdrometerReading, DropSpectra, SingleDrops, no_record_left
 
 DIAMETER_EDGES_MM = np.round(0.2 * np.arange(51), 6)
@@ -58,27 +58,12 @@ def is_two_dvd_minutes(dataset: xr.Dataset) -> bool:
 
 def read_two_dvd_minutes(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read drops by diameter, with the instrument's own rain rate. Raises `DisdrometerFileError`."""
-    time, middles = str(dataset[_NUMBER].dims[0]), in_mm(dataset[_CLASS])
+    middles = in_mm(dataset[_CLASS])
     known = 0.5 * (DIAMETER_EDGES_MM[:-1] + DIAMETER_EDGES_MM[1:])
     if middles is None or middles.shape != known.shape or not np.allclose(middles, known, atol=0.01):
         raise DisdrometerFileError(path, f"{_CLASS}: a 2DVD has {len(known)} classes of 0.2 mm, from 0 to 10 mm")
-    counts = dataset[_NUMBER].to_numpy().astype(np.float64)
-    times = record_times(dataset, time)
-    usable, skipped = usable_records(counts, times)
-    if not usable.any():
-        raise DisdrometerFileError(path, no_record_left(skipped))
-    picked = np.flatnonzero(usable)[np.argsort(times[usable], kind="stable")]
-    spectra = DropSpectra(
-        instrument="2DVD",
-        times=times[picked],
-        seconds=record_seconds(dataset, time, times)[picked],
-        diameter_edges_mm=DIAMETER_EDGES_MM,
-        velocity_edges_m_s=None,
-        counts=counts[picked, :, None],
-        area_m2=np.full(len(known), NOMINAL_AREA_M2),
-        reported_mm_h=reported_rates(dataset, time)[picked],
-    )
-    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
+    records = usable_records(path, dataset, dataset[_NUMBER])
+    return records.by_diameter("2DVD", DIAMETER_EDGES_MM, np.full(len(known), NOMINAL_AREA_M2))
 
 
 def drops_by_minute(drops: SingleDrops, areas_m2: Float64[np.ndarray, " drops"]) -> DropSpectra:
@@ -156,25 +141,10 @@ def is_joss_waldvogel(dataset: xr.Dataset) -> bool:
 
 def read_joss_waldvogel(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read the drops of each minute; raises `DisdrometerFileError` if no record is usable."""
-    time, _ = (str(dimension) for dimension in dataset["num_drop"].dims)
     middles = dataset["mean_diam_drop_class"].to_numpy().astype(np.float64)
     widths = dataset["delta_diam"].to_numpy().astype(np.float64)
     edges = np.round(middles[0] - widths[0] / 2 + np.concatenate([[0.0], np.cumsum(widths)]), 4)
     if not (edges[0] >= 0 and edges[-1] < _LARGEST_MM and (np.diff(edges) > 0).all()):
         raise DisdrometerFileError(path, f"delta_diam: the diameter classes must rise within 0 to {_LARGEST_MM} mm")
-    counts = dataset["num_drop"].to_numpy().astype(np.float64)
-    times = record_times(dataset, time)
-    usable, skipped = usable_records(counts, times)
-    if not usable.any():
-        raise DisdrometerFileError(path, no_record_left(skipped))
-    spectra = DropSpectra(
-        instrument=NAME,
-        times=times,
-        seconds=record_seconds(dataset, time, times),
-        diameter_edges_mm=edges,
-        velocity_edges_m_s=None,
-        counts=counts[:, :, None],
-        area_m2=np.full(len(widths), AREA_M2),
-        reported_mm_h=reported_rates(dataset, time),
-    )
-    return DisdrometerReading(spectra=spectra[usable], skipped=tuple(skipped))
+    records = usable_records(path, dataset, dataset["num_drop"])
+    return records.by_diameter(NAME, edges, np.full(len(widths), AREA_M2))

@@ -197,7 +197,7 @@ def _read(file: Path, features: int) -> Float32[np.ndarray, " d"] | None:
 # Frechet distance
 
 FeatureCounts = Int64[np.ndarray, " _"]
-_MANY = 256  # minimum number of images and features for the faster method
+MANY = 256  # minimum number of images and features for the faster method
 _TOLERANCE = 5e-7
 _ROUNDING = float(np.finfo(np.float64).eps)
 
@@ -223,7 +223,7 @@ def frechet_distance(
     (first, left), (second, right) = _moments(real, real_counts), _moments(fake, fake_counts)
     between = float(np.sum((first - second) ** 2))
     spreads = float(np.vdot(left, left) + np.vdot(right, right))
-    if min(len(left), len(right), left.shape[1]) >= _MANY:
+    if min(len(left), len(right), left.shape[1]) >= MANY:
         common, uncertain = nuclear_norm(left, right)
         distance = between + spreads - 2 * common
         if 2 * uncertain <= _TOLERANCE * distance:
@@ -300,7 +300,7 @@ def _check(real: Features, fake: Features) -> None:
 
 # Kernel distance
 
-_BLOCK_ROWS = 512
+BLOCK_ROWS = 512
 
 
 def weighted_distances(
@@ -333,13 +333,13 @@ def _within(features: Features, weights: Weights) -> Float64[np.ndarray, " k"]:
     """Mean over pairs of one set: pairs below the diagonal count twice, the diagonal is excluded."""
     total = np.zeros(weights.shape[1])
     points = features.astype(np.float64)
-    for start in range(0, len(points), _BLOCK_ROWS):
-        block = slice(start, start + _BLOCK_ROWS)
-        kernel = _kernel(points[block], points[: start + _BLOCK_ROWS])
+    for start in range(0, len(points), BLOCK_ROWS):
+        block = slice(start, start + BLOCK_ROWS)
+        kernel = _kernel(points[block], points[: start + BLOCK_ROWS])
         at = np.arange(len(kernel))
         kernel[at, start + at] = 0
         kernel[:, :start] *= 2
-        total += np.sum((kernel @ weights[: start + _BLOCK_ROWS]) * weights[block], axis=0)
+        total += np.sum((kernel @ weights[: start + BLOCK_ROWS]) * weights[block], axis=0)
     return _mean(total, np.sum(weights, axis=0) ** 2 - np.sum(weights**2, axis=0))
 
 
@@ -349,8 +349,8 @@ def _across(
     total = np.zeros(real_weights.shape[1])
     pairs = np.sum(real_weights, axis=0) * np.sum(fake_weights, axis=0)
     first, second = real.astype(np.float64), fake.astype(np.float64)
-    for start in range(0, len(first), _BLOCK_ROWS):
-        block = slice(start, start + _BLOCK_ROWS)
+    for start in range(0, len(first), BLOCK_ROWS):
+        block = slice(start, start + BLOCK_ROWS)
         kernel = _kernel(first[block], second)
         if shared is not None:
             kernel[shared[block]] = 0

@@ -5,9 +5,8 @@ import zipfile
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import platformdirs
@@ -145,11 +144,23 @@ def matched_inception(arrays: Mapping[str, np.ndarray], source: str) -> dict[str
 # named as in the published weights. It differs from torchvision's in three ways: average pools exclude the padding from
 # the mean (blocks A, C and E), the last block uses max pooling, and there are 1008 classes.
 
-Shape = tuple[int, int, tuple[int, int], int, tuple[int, int]]
-"""Channels in and out, size, stride and padding (height, width) of a convolution."""
 
-Branch = list[str | dict[str, Shape]]
-"""Steps of a branch: a pool, or parallel convolutions by name, whose outputs are concatenated."""
+class Convolution(NamedTuple):
+    """A convolution of the network, with its name in the published weights."""
+
+    name: str
+    channels: int
+    """Of the output; the input has those of the step before."""
+    height: int = 1
+    width: int = 0
+    """0: as the height."""
+    stride: int = 1
+    pads: bool = True
+    """Keep the size if the stride is 1."""
+
+
+Branch = list[str | Convolution | list[Convolution]]
+"""Steps of a branch: a pool, a convolution, or parallel convolutions whose outputs are concatenated."""
 
 
 class Inception(torch.nn.Module):
@@ -157,55 +168,68 @@ class Inception(torch.nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        for name, shape in _STEM.items():
-            self.add_module(name, _Convolution(shape))
+        channels = 3
+        for step in _STEM:
+            channels = _add(self, step, channels)
         for name, branches in _BLOCKS.items():
-            self.add_module(name, _Block(branches))
+            block = _Block(branches, channels)
+            self.add_module(name, block)
+            channels = block.channels
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Return features of images; TensorFlow's scaling of 2015 is (v - 128) / 128."""
-        flow = (pictures - 128) / 128
-        for name in _STEM:
-            flow = getattr(self, name)(flow)
-            if name in _POOLED_AFTER:
-                flow = torch.nn.functional.max_pool2d(flow, 3, 2)
+        flow = _through(self, _STEM, (pictures - 128) / 128)
         for name in _BLOCKS:
             flow = getattr(self, name)(flow)
         return flow.mean(dim=(2, 3))
 
 
-class _Convolution(torch.nn.Module):
-    def __init__(self, shape: Shape) -> None:
+class _Block(torch.nn.Module):
+    """Branches from the same input, whose outputs are concatenated."""
+
+    def __init__(self, branches: list[Branch], inward: int) -> None:
         super().__init__()
-        inward, outward, size, stride, padding = shape
-        self.conv = torch.nn.Conv2d(inward, outward, size, stride, padding, bias=False)
-        self.bn = FrozenNorm(outward)
+        self._branches, self.channels = branches, 0
+        for branch in branches:
+            channels = inward
+            for step in branch:
+                channels = _add(self, step, channels)
+            self.channels += channels
+
+    def forward(self, flow: Tensor) -> Tensor:
+        return torch.cat([_through(self, branch, flow) for branch in self._branches], 1)
+
+
+class _Normalized(torch.nn.Module):
+    def __init__(self, step: Convolution, inward: int) -> None:
+        super().__init__()
+        size = step.height, step.width or step.height
+        padding = (size[0] // 2, size[1] // 2) if step.pads and step.stride == 1 else (0, 0)
+        self.conv = torch.nn.Conv2d(inward, step.channels, size, step.stride, padding, bias=False)
+        self.bn = FrozenNorm(step.channels)
 
     def forward(self, flow: Tensor) -> Tensor:
         return self.bn(self.conv(flow)).relu()
 
 
-class _Block(torch.nn.Module):
-    """Branches from the same input, whose outputs are concatenated."""
+def _add(module: Any, step: str | Convolution | list[Convolution], inward: int) -> int:
+    """Add the convolutions of a step to a module, and return its number of output channels."""
+    if isinstance(step, str):
+        return inward
+    parallel = [step] if isinstance(step, Convolution) else step
+    for each in parallel:
+        module.add_module(each.name, _Normalized(each, inward))
+    return sum(each.channels for each in parallel)
 
-    def __init__(self, branches: list[Branch]) -> None:
-        super().__init__()
-        self._branches = branches
-        for step in chain.from_iterable(branches):
-            if not isinstance(step, str):
-                for name, shape in step.items():
-                    self.add_module(name, _Convolution(shape))
 
-    def forward(self, flow: Tensor) -> Tensor:
-        return torch.cat([self._through(branch, flow) for branch in self._branches], 1)
-
-    def _through(self, branch: Branch, flow: Tensor) -> Tensor:
-        for step in branch:
-            if isinstance(step, str):
-                flow = _POOLS[step](flow)
-            else:
-                flow = torch.cat([getattr(self, name)(flow) for name in step], 1)
-        return flow
+def _through(module: Any, branch: Branch, flow: Tensor) -> Tensor:
+    for step in branch:
+        if isinstance(step, str):
+            flow = _POOLS[step](flow)
+        else:
+            parallel = [step] if isinstance(step, Convolution) else step
+            flow = torch.cat([getattr(module, each.name)(flow) for each in parallel], 1)
+    return flow
 
 
 _POOLS: dict[str, Any] = {
@@ -213,100 +237,73 @@ _POOLS: dict[str, Any] = {
     "maximum": partial(torch.nn.functional.max_pool2d, kernel_size=3, stride=1, padding=1),
     "halving": partial(torch.nn.functional.max_pool2d, kernel_size=3, stride=2),
 }
+_C = Convolution
+_STEM: Branch = [
+    _C("Conv2d_1a_3x3", 32, 3, stride=2),
+    _C("Conv2d_2a_3x3", 32, 3, pads=False),
+    _C("Conv2d_2b_3x3", 64, 3),
+    "halving",
+    _C("Conv2d_3b_1x1", 80),
+    _C("Conv2d_4a_3x3", 192, 3, pads=False),
+    "halving",
+]
 
 
-def _shape(inward: int, outward: int, height: int = 1, width: int = 0, stride: int = 1, pad: bool = True) -> Shape:
-    width = width or height
-    return inward, outward, (height, width), stride, (height // 2, width // 2) if pad and stride == 1 else (0, 0)
+def _chain(name: str, *steps: tuple[int, int, int]) -> Branch:
+    """Convolutions of (channels, height, width), numbered from 1."""
+    return [_C(f"{name}_{number}", *step, stride=1) for number, step in enumerate(steps, 1)]
 
 
-_STEM: dict[str, Shape] = {
-    "Conv2d_1a_3x3": _shape(3, 32, 3, stride=2),
-    "Conv2d_2a_3x3": _shape(32, 32, 3, pad=False),
-    "Conv2d_2b_3x3": _shape(32, 64, 3),
-    "Conv2d_3b_1x1": _shape(64, 80),
-    "Conv2d_4a_3x3": _shape(80, 192, 3, pad=False),
-}
-_POOLED_AFTER = ("Conv2d_2b_3x3", "Conv2d_4a_3x3")
-
-
-def _block_a(inward: int, pooled: int) -> list[Branch]:
+def _block_a(pooled: int) -> list[Branch]:
     return [
-        [{"branch1x1": _shape(inward, 64)}],
-        [{"branch5x5_1": _shape(inward, 48)}, {"branch5x5_2": _shape(48, 64, 5)}],
-        [
-            {"branch3x3dbl_1": _shape(inward, 64)},
-            {"branch3x3dbl_2": _shape(64, 96, 3)},
-            {"branch3x3dbl_3": _shape(96, 96, 3)},
-        ],
-        ["average", {"branch_pool": _shape(inward, pooled)}],
+        [_C("branch1x1", 64)],
+        _chain("branch5x5", (48, 1, 1), (64, 5, 5)),
+        _chain("branch3x3dbl", (64, 1, 1), (96, 3, 3), (96, 3, 3)),
+        ["average", _C("branch_pool", pooled)],
     ]
 
 
-def _block_c(inward: int, inner: int) -> list[Branch]:
+def _block_c(inner: int) -> list[Branch]:
     return [
-        [{"branch1x1": _shape(inward, 192)}],
-        [
-            {"branch7x7_1": _shape(inward, inner)},
-            {"branch7x7_2": _shape(inner, inner, 1, 7)},
-            {"branch7x7_3": _shape(inner, 192, 7, 1)},
-        ],
-        [
-            {"branch7x7dbl_1": _shape(inward, inner)},
-            {"branch7x7dbl_2": _shape(inner, inner, 7, 1)},
-            {"branch7x7dbl_3": _shape(inner, inner, 1, 7)},
-            {"branch7x7dbl_4": _shape(inner, inner, 7, 1)},
-            {"branch7x7dbl_5": _shape(inner, 192, 1, 7)},
-        ],
-        ["average", {"branch_pool": _shape(inward, 192)}],
+        [_C("branch1x1", 192)],
+        _chain("branch7x7", (inner, 1, 1), (inner, 1, 7), (192, 7, 1)),
+        _chain("branch7x7dbl", (inner, 1, 1), (inner, 7, 1), (inner, 1, 7), (inner, 7, 1), (192, 1, 7)),
+        ["average", _C("branch_pool", 192)],
     ]
 
 
-def _block_e(inward: int, pool: str) -> list[Branch]:
+def _block_e(pool: str) -> list[Branch]:
     return [
-        [{"branch1x1": _shape(inward, 320)}],
+        [_C("branch1x1", 320)],
+        [_C("branch3x3_1", 384), [_C("branch3x3_2a", 384, 1, 3), _C("branch3x3_2b", 384, 3, 1)]],
         [
-            {"branch3x3_1": _shape(inward, 384)},
-            {"branch3x3_2a": _shape(384, 384, 1, 3), "branch3x3_2b": _shape(384, 384, 3, 1)},
+            *_chain("branch3x3dbl", (448, 1, 1), (384, 3, 3)),
+            [_C("branch3x3dbl_3a", 384, 1, 3), _C("branch3x3dbl_3b", 384, 3, 1)],
         ],
-        [
-            {"branch3x3dbl_1": _shape(inward, 448)},
-            {"branch3x3dbl_2": _shape(448, 384, 3)},
-            {"branch3x3dbl_3a": _shape(384, 384, 1, 3), "branch3x3dbl_3b": _shape(384, 384, 3, 1)},
-        ],
-        [pool, {"branch_pool": _shape(inward, 192)}],
+        [pool, _C("branch_pool", 192)],
     ]
 
 
 _BLOCKS: dict[str, list[Branch]] = {
-    "Mixed_5b": _block_a(192, 32),
-    "Mixed_5c": _block_a(256, 64),
-    "Mixed_5d": _block_a(288, 64),
+    "Mixed_5b": _block_a(32),
+    "Mixed_5c": _block_a(64),
+    "Mixed_5d": _block_a(64),
     "Mixed_6a": [
-        [{"branch3x3": _shape(288, 384, 3, stride=2)}],
-        [
-            {"branch3x3dbl_1": _shape(288, 64)},
-            {"branch3x3dbl_2": _shape(64, 96, 3)},
-            {"branch3x3dbl_3": _shape(96, 96, 3, stride=2)},
-        ],
+        [_C("branch3x3", 384, 3, stride=2)],
+        [*_chain("branch3x3dbl", (64, 1, 1), (96, 3, 3)), _C("branch3x3dbl_3", 96, 3, stride=2)],
         ["halving"],
     ],
-    "Mixed_6b": _block_c(768, 128),
-    "Mixed_6c": _block_c(768, 160),
-    "Mixed_6d": _block_c(768, 160),
-    "Mixed_6e": _block_c(768, 192),
+    "Mixed_6b": _block_c(128),
+    "Mixed_6c": _block_c(160),
+    "Mixed_6d": _block_c(160),
+    "Mixed_6e": _block_c(192),
     "Mixed_7a": [
-        [{"branch3x3_1": _shape(768, 192)}, {"branch3x3_2": _shape(192, 320, 3, stride=2)}],
-        [
-            {"branch7x7x3_1": _shape(768, 192)},
-            {"branch7x7x3_2": _shape(192, 192, 1, 7)},
-            {"branch7x7x3_3": _shape(192, 192, 7, 1)},
-            {"branch7x7x3_4": _shape(192, 192, 3, stride=2)},
-        ],
+        [_C("branch3x3_1", 192), _C("branch3x3_2", 320, 3, stride=2)],
+        [*_chain("branch7x7x3", (192, 1, 1), (192, 1, 7), (192, 7, 1)), _C("branch7x7x3_4", 192, 3, stride=2)],
         ["halving"],
     ],
-    "Mixed_7b": _block_e(1280, "average"),
-    "Mixed_7c": _block_e(2048, "maximum"),
+    "Mixed_7b": _block_e("average"),
+    "Mixed_7c": _block_e("maximum"),
 }
 
 

@@ -1,6 +1,7 @@
 """Tables of text: dialects that their header tells, and tables that a YAML file describes."""
 
 import gzip
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,11 @@ import pytest
 from extension_package import titled_blocks
 from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.open import read_disdrometer
-from gsrain_engine.disdrometer.spectra import DisdrometerFileError, UnknownKindError
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from gsrain_engine.disdrometer.tables import TableColumns, drops_of_densities, load_columns
 from gsrain_engine.disdrometer.two_dvd import RD80_EDGES_MM
-from parsivel_text import DRY, RAIN_MM_H, rain, velocity_major
+from parsivel_text import DRY, pyatmoslogger, rain, scamp, velocity_major
 from repository import REPOSITORY
-
-FIELDS_32 = [f"{i:02d}" for i in range(32)]
 
 
 def written(folder: Path, *lines: str, end: str = "\n") -> Path:
@@ -29,39 +28,6 @@ def described(folder: Path, text: str) -> Path:
     return folder / "columns.yaml"
 
 
-def pyatmoslogger(rows: list[tuple[str, str, np.ndarray]]) -> list[str]:
-    names = ["datetime_utc", "rain rate [mm/h]", "rain accum [mm]", "Z [dBz]", "sample interval [s]"]
-    names += ["Rain intensity 16 bit low [mm/h]", *(f"N{i}" for i in FIELDS_32), *(f"v{i}" for i in FIELDS_32)]
-    names += [f"M_{i}_{j}" for i in range(32) for j in range(32)]
-    rest = ["99", *["-9.999"] * 32, *["00.000"] * 32]
-    lines = [
-        ";".join([time, rate, "0003.69", "-9.999", "00060", *rest, *velocity_major(counts)])
-        for time, rate, counts in rows
-    ]
-    return [";".join(names), *lines]
-
-
-def scamp(rows: list[tuple[str, str, np.ndarray]]) -> list[str]:
-    names = "time;rainfall_rate_32bit;rainfall_accumulated_32bit;sample_interval;sensor_time;station_name;"
-    names += "raw_drop_concentration;raw_drop_average_velocity;raw_drop_number"
-    spectra = ",".join(["-9.999"] * 32)
-    return [names] + [
-        f"{time};{rate};0019.25;00060;01:32:00;SCAMP;{spectra};{spectra};{','.join(velocity_major(counts))}"
-        for time, rate, counts in rows
-    ]
-
-
-def campbell(rows: list[tuple[str, str, np.ndarray]]) -> list[str]:
-    header = '"TIMESTAMP","RECORD","Intensity","AccumulatedAmount","Code4680","Error","FieldN","Fieldv","RowData"'
-    fields = '"-9.999,-9.999,","00.000,00.000,"'
-    lines = [
-        f'"{time}",{i},"{rate}","0000.00","00","000",{fields},"{",".join(velocity_major(counts))},"'
-        for i, (time, rate, counts) in enumerate(rows)
-    ]
-    begin = ['"TOA5","7481","CR1000","7481","CR1000.Std.11","CPU:Parsivel.CR1","49567","Parsiv1"', header]
-    return [*begin, '"TS","RN","","","","","","",""', '"","","Smp","Smp","Smp","Smp","Smp","Smp","Smp"', *lines]
-
-
 ROWS = [
     ("2024-02-19 00:01:00", "0000.772", rain()),
     ("2024-02-19 00:02:00", "0000.000", DRY),
@@ -69,51 +35,19 @@ ROWS = [
 ]
 
 
-@pytest.mark.parametrize("dialect", [pyatmoslogger, scamp, campbell])
-def test_parsivel_tables_told_by_their_header(tmp_path: Path, dialect):
-    reading = read_disdrometer(written(tmp_path, *dialect(ROWS), end="\r\n"))
-    spectra = reading.spectra
-    assert (spectra.instrument, reading.skipped) == ("OTT Parsivel", ())
-    np.testing.assert_array_equal(spectra.counts, [rain(), DRY, rain()])
-    np.testing.assert_array_equal(spectra.seconds, [60, 60, 60])
-    np.testing.assert_array_equal(spectra.reported_mm_h, [0.772, 0, 0.772])
-    np.testing.assert_allclose(spectra.rate_mm_h[0], RAIN_MM_H, rtol=1e-4)
-    assert spectra.times[0] == np.datetime64("2024-02-19T00:01", "ms")
-
-
-def test_a_stated_interval_is_the_length_and_none_is_the_step(tmp_path: Path):
-    lines = [line.replace(";00060;", ";00030;") for line in pyatmoslogger(ROWS)]
-    np.testing.assert_array_equal(read_disdrometer(written(tmp_path, *lines)).spectra.seconds, [30, 30, 30])
-    lines = [
-        line.replace("00:0", "00:00:0") for line in campbell([(f"2024-02-19 01:00:{s}", "0", DRY) for s in (10, 20)])
-    ]
-    np.testing.assert_array_equal(read_disdrometer(written(tmp_path, *lines)).spectra.seconds, [10, 10])
-
-
-def test_a_logger_that_starts_anew_writes_its_header_again(tmp_path: Path):
-    for dialect in (campbell, pyatmoslogger):
-        whole = dialect(ROWS)
-        reading = read_disdrometer(written(tmp_path, *whole, *dialect([("2024-02-19 01:00:00", "NAN", DRY)])))
-        assert len(reading.spectra) == 4 and reading.skipped == ()
-        assert np.isnan(reading.spectra.reported_mm_h[-1])
-
-
 def test_broken_rows_of_a_table_are_left_out_and_named(tmp_path: Path):
     lines = pyatmoslogger(ROWS)
     cut, word = lines[1][:3000], lines[3].replace(";020;", ";many;", 1)
     reading = read_disdrometer(written(tmp_path, *lines, cut, word, lines[2].replace("2024-02", "2024-99")))
     assert len(reading.spectra) == 3
-    first, second, third = reading.skipped
-    assert first.startswith("line 5: ") and first.endswith("columns instead of 1094: the record is cut off")
-    assert second == "line 6: drop count 356 is 'many', not a number"
-    assert third == "line 7: time '2024-99-19 00:02:00' can't be read"
-
-
-def test_a_missing_count_is_no_zero(tmp_path: Path):
+    for sentence, words in zip(
+        reading.skipped, ("line 5: .* instead of 1094", "line 6: drop count 356 is 'many'", "line 7: time '2024-99"),
+        strict=True,
+    ):  # fmt: skip
+        assert re.match(words, sentence)
     lines = scamp(ROWS)
-    with_blank = lines[1].rsplit(",020,", 1)
-    reading = read_disdrometer(written(tmp_path, lines[0], ",,".join(with_blank), *lines[2:]))
-    assert len(reading.spectra) == 2 and "is '', not a number" in reading.skipped[0]
+    reading = read_disdrometer(written(tmp_path, lines[0], ",,".join(lines[1].rsplit(",020,", 1)), *lines[2:]))
+    assert len(reading.spectra) == 2 and "is ''" in reading.skipped[0]  # a missing count is no zero
 
 
 RD80 = (
@@ -193,6 +127,15 @@ def test_any_table_by_the_description_of_its_columns(tmp_path: Path):
     np.testing.assert_allclose(spectra.rate_mm_h[1], volume / 10_000 * 30)
 
 
+def test_a_described_density_is_counted_too(tmp_path: Path):
+    path = written(tmp_path, "time,d1,d2,d3", "2024-05-01T10:00:00,100,0,0")
+    columns = "{instrument: densities, time: time, seconds: 60, drops: {first: d1, last: d3}, quantity: drops_m3_mm, "
+    columns += "diameter_edges_mm: [1, 1.5, 2, 2.5], area_m2: 0.005}"
+    spectra = read_disdrometer(path, load_columns(described(tmp_path, columns))).spectra
+    fall = 9.65 - 10.3 * np.exp(-0.6 * 1.25)
+    np.testing.assert_allclose(spectra.counts[0, :, 0], [100 * 0.5 * fall * 0.005 * 60, 0, 0])
+
+
 def test_columns_by_number_and_a_column_of_all_drops(tmp_path: Path):
     counts = "/".join(velocity_major(rain()))
     path = written(tmp_path, f"20240219000100 0.772 60 {counts}", f"20240219000200 0.772 60 {counts}")
@@ -204,100 +147,69 @@ def test_columns_by_number_and_a_column_of_all_drops(tmp_path: Path):
     np.testing.assert_array_equal(spectra.seconds, [60, 60])
 
 
-def test_densities_become_the_drops_that_make_them(tmp_path: Path):
-    path = written(tmp_path, "time,d1,d2,d3", "2024-05-01T10:00:00,100,0,0")
-    columns = "{instrument: densities, time: time, seconds: 60, drops: {first: d1, last: d3}, quantity: drops_m3_mm, "
-    columns += "diameter_edges_mm: [1, 1.5, 2, 2.5], area_m2: 0.005}"
-    spectra = read_disdrometer(path, load_columns(described(tmp_path, columns))).spectra
-    fall = 9.65 - 10.3 * np.exp(-0.6 * 1.25)
-    np.testing.assert_allclose(spectra.counts[0, :, 0], [100 * 0.5 * fall * 0.005 * 60, 0, 0])
+OTT, DVD = "instrument: OTT Parsivel\ntime: t\n", "instrument: 2DVD\ntime: t\ndrops: x\n"
+OTHER = "instrument: X\ntime: t\ndrops: x\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"),
+    ("text", "field"),
     [
-        ("instrument: OTT Parsivel\ntime: t\ndrop: x", "unknown field `drop`; did you mean `drops`?"),
-        ("instrument: OTT Parsivel\ndrops: x", "missing required field `time`"),
-        ("instrument: OTT Parsivel\ntime: t\ndrops: 0", ">= 1 - at `$.drops`"),
-        (
-            "instrument: Pluvio\ntime: t\ndrops: x",
-            "`instrument` Pluvio is none of OTT Parsivel, Thies LNM, Joss-Waldvogel, 2DVD",
-        ),
-        ("instrument: X\ntime: t\ndrops: x\ndiameter_edges_mm: [1, 2, 3, 4]", "give `area_m2`, too"),
-        (
-            "instrument: X\ntime: t\ndrops: x\narea_m2: 1\ndiameter_edges_mm: [1, 3, 2, 4]",
-            "`diameter_edges_mm` must rise",
-        ),
-        ("instrument: X\ntime: t\ndrops: x\narea_m2: 1\ndiameter_edges_mm: [1, 3, 20, 400]", "must lie within 0 to 50"),
-        ("instrument: 2DVD\ntime: t\ndrops: x\nseconds: 0", ">= 1.0 - at `$.seconds`"),
-        ("instrument: 2DVD\ntime: t\ndrops: x\nseconds: .nan", "finite"),
-        ("instrument: 2DVD\ntime: t\ndrops: x\nrate_unit: inch", "expected m/s, mm/h, mm/min, mm/s"),
-        ("instrument: 2DVD\ntime: t\ndrops: x\ntime_format: '%H:%M'", "must name year, month, day and hour"),
-        ("instrument: 2DVD\ntime: t\ndrops: x\ntime_format: '%Y-%q'", "`time_format` %Y-%q: "),
-        ("instrument: OTT Parsivel\ntime: t\ndrops: x\nquantity: drops_m3_mm", "a number density has no fall speeds"),
-        ("instrument: 2DVD\ntime: t\ndrops: x\nseparator: ','\ndecimal: ','", "a comma can't separate numbers and be"),
-        ("[1, 2]", "Expected `object`, got `array`"),
-        ("a: *b", "not readable as YAML"),
+        (OTT + "drop: x", "`drop`; did you mean `drops`"),
+        ("instrument: OTT Parsivel\ndrops: x", "`time`"),
+        (OTT + "drops: 0", r"\$.drops"),
+        ("instrument: Pluvio\ntime: t\ndrops: x", "`instrument` Pluvio .*Thies LNM"),
+        (OTHER + "diameter_edges_mm: [1, 2, 3, 4]", "`area_m2`"),
+        (DVD + "area_m2: 1", "`area_m2` and `velocity_edges_m_s`"),
+        (OTHER + "area_m2: 1\ndiameter_edges_mm: [1, 3, 2, 4]", "`diameter_edges_mm` must rise"),
+        (OTHER + "area_m2: 1\ndiameter_edges_mm: [1, 3, 20, 400]", "`diameter_edges_mm` .*0 to 50"),
+        (DVD + "seconds: 0", r"\$.seconds"),
+        (DVD + "seconds: .nan", "seconds"),
+        (DVD + "rate_unit: inch", "m/s, mm/h"),
+        (DVD + "time_format: '%H:%M'", "`time_format` %H:%M must name"),
+        (DVD + "time_format: '%Y-%q'", "`time_format` %Y-%q: "),
+        (OTT + "drops: x\nquantity: drops_m3_mm", "`quantity`"),
+        (DVD + "separator: ','\ndecimal: ','", "`decimal`"),
+        ("[1, 2]", "Expected `object`"),
+        ("a: *b", "YAML"),
     ],
 )
-def test_a_wrong_description_is_one_sentence(tmp_path: Path, text: str, reason: str):
+def test_a_wrong_description_names_its_field(tmp_path: Path, text: str, field: str):
     path = described(tmp_path, text)
-    with pytest.raises(ValueError) as caught:
+    with pytest.raises(ValueError, match=f"^{re.escape(str(path))}: .*{field}"):
         load_columns(path)
-    assert str(caught.value).startswith(f"{path}: ") and reason in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("change", "field"),
     [
-        ("rate: Rian", "`rate`: no column is called Rian (there are Day, Clock, Rain, Battery, 0.5-1, 1-2, 2-3)"),
-        ("header_line: 9", "header_line is 9, and it has 4 lines"),
-        ('drops: {first: "2-3", last: "1-2"}', "`drops`: its last column, 6, stands before its first, 7"),
-        ('drops: {first: "1-2", last: "2-3"}', "`drops`: 2 columns, and Our counter has 3 classes"),
-        ("header_line: 1", "`drops.first`: no column is called 0.5-1 (there are a logger of our own)"),
+        ("rate: Rian", "`rate`: .*Rian .*Day, Clock, Rain, Battery"),
+        ("header_line: 9", "header_line is 9"),
+        ('drops: {first: "2-3", last: "1-2"}', "`drops`: its last column, 6"),
+        ('drops: {first: "1-2", last: "2-3"}', "`drops`: 2 columns"),
+        ("header_line: 1", "`drops.first`"),
     ],
 )
-def test_a_description_that_does_not_fit_is_one_sentence(tmp_path: Path, change: str, reason: str):
-    path = written(
-        tmp_path, "a logger of our own", "Day;Clock;Rain;Battery;0.5-1;1-2;2-3", "13/05/2024;14.02;0;1;0;0;0"
-    )
-    key = change.partition(":")[0]
-    lines = [line for line in OWN.strip().splitlines() if not line.startswith(f"{key}:")]
+def test_a_description_that_does_not_fit_names_its_field(tmp_path: Path, change: str, field: str):
+    header = "a logger of our own", "Day;Clock;Rain;Battery;0.5-1;1-2;2-3"
+    path = written(tmp_path, *header, "13/05/2024;14.02;0;1;0;0;0")
+    lines = [line for line in OWN.strip().splitlines() if not line.startswith(f"{change.partition(':')[0]}:")]
     columns = load_columns(described(tmp_path, "\n".join([*lines, change])))
-    with pytest.raises(DisdrometerFileError) as caught:
+    with pytest.raises(DisdrometerFileError, match=f"^{re.escape(str(path))}: {field}"):
         read_disdrometer(path, columns)
-    assert str(caught.value) == f"{path}: {reason}"
 
 
 def test_a_start_without_a_length_can_not_be_an_end(tmp_path: Path):
     path = written(tmp_path, "time,n", "2024-05-01 10:00:00," + "0 " * 50)
     columns = load_columns(described(tmp_path, "{instrument: 2DVD, time: time, time_is: start, drops: n}"))
-    with pytest.raises(DisdrometerFileError, match="its length is not known: give `seconds`"):
+    with pytest.raises(DisdrometerFileError, match="`seconds`"):
         read_disdrometer(path, columns)
-
-
-def test_a_refusal_lists_the_kinds_that_are_known(tmp_path: Path):
-    with pytest.raises(UnknownKindError) as caught:
-        read_disdrometer(written(tmp_path, "time,rain", "2024-05-01 10:00:00,3"))
-    for words in (
-        "Campbell TOA5",
-        "pyAtmosLogger",
-        "SCAMP",
-        "DISDRODB",
-        "RD-80",
-        "Thies LNM",
-        "2DVD",
-        "APU",
-        "--columns",
-    ):
-        assert words in str(caught.value)
 
 
 def test_columns_do_not_describe_what_is_no_text(tmp_path: Path):
     path = tmp_path / "table.gz"
     columns = load_columns(described(tmp_path, "{instrument: 2DVD, time: time, drops: n}"))
     path.write_bytes(gzip.compress(bytes(range(256))))
-    with pytest.raises(DisdrometerFileError, match="not a text: columns describe a table of text"):
+    with pytest.raises(DisdrometerFileError, match="not a text"):
         read_disdrometer(path, columns)
 
 

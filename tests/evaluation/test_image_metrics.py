@@ -1,9 +1,21 @@
-"""Image metrics against values worked out by hand and by loops, and the torch losses against them."""
+"""Image metrics against values worked out by hand and by loops, and intervals against the literature."""
+
+import math
 
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.image_metrics import check_pair, psnr, ssim, ssim_map, window
+from gsrain_engine.evaluation.image_metrics import (
+    check_pair,
+    fitted_affine,
+    mean_interval,
+    psnr,
+    ssim,
+    ssim_map,
+    wilson_interval,
+    window,
+    with_affine,
+)
 
 
 def _pictures(height: int = 24, width: int = 31) -> tuple[np.ndarray, np.ndarray]:
@@ -31,19 +43,14 @@ def test_the_window_is_a_gaussian_of_sigma_1_5():
     assert window() == pytest.approx([*half, 0.2660117, *half[::-1]], rel=1e-4)
 
 
-def test_psnr_of_known_differences():
+def test_psnr_of_known_differences_inside_the_mask():
     truth = np.full((4, 5, 3), 0.5)
-    assert psnr(truth + 0.1, truth) == pytest.approx(20.0)
+    rendered, mask = truth + 0.1, np.zeros((4, 5), bool)
+    mask[:, :2] = True
+    assert psnr(rendered, truth) == pytest.approx(20.0)
     assert psnr(truth + 0.01, truth) == pytest.approx(40.0)
     assert psnr(truth, truth) == float("inf")
-
-
-def test_psnr_counts_only_the_mask():
-    truth = np.full((4, 5, 3), 0.5)
-    rendered, mask = truth.copy(), np.zeros((4, 5), bool)
-    mask[:, :2] = True
-    rendered[:, :2] += 0.1
-    rendered[:, 2:] += 0.4
+    rendered[:, 2:] += 0.3
     assert psnr(rendered, truth, mask) == pytest.approx(20.0)
     with pytest.raises(ValueError, match="no pixel"):
         psnr(rendered, truth, np.zeros((4, 5), bool))
@@ -76,15 +83,6 @@ def test_what_the_mask_leaves_out_changes_nothing():
     assert ssim_map(x, y, mask)[3, 15, 0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_smallest_picture_has_one_window():
-    x, y = _pictures(11, 11)
-    assert ssim_map(x, y).shape == (1, 1, 3)
-    assert ssim_map(x, y)[0, 0, 1] == pytest.approx(_ssim_at(x[..., 1], y[..., 1], 0, 0), rel=1e-9)
-    for short in (np.s_[:10], np.s_[:, :10]):
-        with pytest.raises(ValueError, match="at least 11"):
-            ssim(x[short], y[short])
-
-
 def test_ssim_is_the_mean_over_the_middles_that_the_mask_leaves():
     x, y = _pictures()
     mask = np.zeros(x.shape[:2], bool)
@@ -108,13 +106,49 @@ def test_a_speck_at_the_rim_of_a_window_counts_fully():
     assert ssim_map(x, y, mask)[0, 0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_pictures_that_cannot_be_compared_are_refused():
-    x, y = _pictures()
-    with pytest.raises(ValueError, match="one size"):
-        check_pair((24, 31, 3), (23, 31, 3), None)
-    with pytest.raises(ValueError, match="one size"):
-        check_pair((24, 31), (24, 31), None)
-    with pytest.raises(ValueError, match="mask is"):
-        check_pair((24, 31, 3), (24, 31, 3), (31, 24))
-    with pytest.raises(ValueError, match="at least 11"):
-        ssim(x[:10], y[:10])
+def test_the_smallest_picture_has_one_window_and_others_are_refused():
+    x, y = _pictures(11, 11)
+    assert ssim_map(x, y).shape == (1, 1, 3)
+    assert ssim_map(x, y)[0, 0, 1] == pytest.approx(_ssim_at(x[..., 1], y[..., 1], 0, 0), rel=1e-9)
+    for short in (np.s_[:10], np.s_[:, :10]):
+        with pytest.raises(ValueError, match="at least 11"):
+            ssim(x[short], y[short])
+    for shapes in (((24, 31, 3), (23, 31, 3), None), ((24, 31), (24, 31), None), ((24, 31, 3), (24, 31, 3), (31, 24))):
+        with pytest.raises(ValueError, match="31"):
+            check_pair(*shapes)
+
+
+def test_an_affine_map_of_colors_comes_back():
+    x, _ = _pictures()
+    affine, mask = np.array([[0.5, 0.1, 0, 0.1], [0, 0.6, 0.1, 0], [0.1, 0, 0.7, 0.05]]), np.ones(x.shape[:2], bool)
+    assert fitted_affine(x, with_affine(x, affine), mask) == pytest.approx(affine, abs=0.02)
+    assert (fitted_affine(x, x, ~mask) == np.eye(3, 4)).all()
+    assert with_affine(np.full((1, 1, 3), 0.9), np.eye(3, 4) * 2).max() == 1
+
+
+def test_wilsons_intervals_of_the_literature():
+    # Newcombe (1998), table 1: 81 of 263, 15 of 148, 0 of 20, 1 of 29.
+    for (hits, of), ends in {
+        (81, 263): (0.2553, 0.3662), (15, 148): (0.0624, 0.1605), (0, 20): (0.0, 0.1611), (1, 29): (0.0061, 0.1718),
+    }.items():  # fmt: skip
+        assert wilson_interval(hits, of) == pytest.approx(ends, abs=5e-5)
+    assert wilson_interval(20, 20) == pytest.approx((1 - 0.1611, 1.0), abs=5e-5)
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+
+
+def test_a_mean_lies_within_twice_its_standard_error():
+    """Of 400 normal values: the ends are 1.96 s / sqrt(n) from the mean, to what 2000 resamples tell (5 %)."""
+    values = np.random.default_rng(4).normal(30, 2, 400)
+    mean, low, high = mean_interval(values.tolist())
+    error = 1.96 * values.std() / math.sqrt(400)
+    assert mean == pytest.approx(values.mean())
+    assert (mean - low, high - mean) == pytest.approx((error, error), rel=0.1)
+    assert mean_interval(values.tolist()) == (mean, low, high) != mean_interval(values.tolist(), seed=1)
+
+
+def test_means_of_one_value_of_none_and_of_infinity():
+    assert mean_interval([7.5]) == (7.5, 7.5, 7.5)
+    with pytest.raises(ValueError, match="at least one value"):
+        mean_interval([])
+    mean, low, high = mean_interval([30.0] * 99 + [math.inf])
+    assert mean == high == math.inf and low == 30

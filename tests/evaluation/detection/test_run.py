@@ -1,6 +1,6 @@
-"""Detectors over views, rains and seeds."""
+"""Detectors over views, rains and seeds, and results of an earlier run."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,11 +9,12 @@ from boxy_scene import boxy_scene
 from gsrain_engine.appearance.scene_views import PlacedCamera
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, TrackedBox
 from gsrain_engine.evaluation.detection.detector import Detection
-from gsrain_engine.evaluation.detection.ground_truth import LabeledObject, is_same_class, label_class
+from gsrain_engine.evaluation.detection.ground_truth import LabeledObject
 from gsrain_engine.evaluation.detection.run import (
     Condition,
     ConditionRenderer,
     EvaluatedFrame,
+    ResultCache,
     conditions_of,
     evaluate_detections,
     evaluate_images,
@@ -63,35 +64,26 @@ def pictures():
     return ConditionRenderer(CpuRenderer(), boxy_scene(), RainSettings(), SKY)
 
 
-def test_every_rain_has_every_seed_and_what_is_clear_stands_for_all():
+def test_every_rain_has_every_seed_and_what_is_clear_stands_for_all(pictures, frame):
     trials = conditions_of((0.0, 1.2, 8.5), SEEDS, originals=True, scene=True)
     assert trials[:2] == [Condition("original", 0.0, SEEDS), Condition("clear", 0.0, SEEDS)]
     assert trials[2:] == [Condition("rainy", rate, (seed,)) for rate in (1.2, 8.5) for seed in SEEDS]
-    assert conditions_of((8.5,), (0,), originals=True, scene=False)[0].kind == "original"
-
-
-def test_rows_pair_seeds_across_intensities(pictures, frame):
     trials = conditions_of((12.0,), SEEDS, originals=False, scene=True)
-    shown = list(evaluate_images(pictures, [Believer(frame.truths)], [frame], trials))
-    rows = [row for each in shown for row in object_rows(each.judgements["believer"])]
+    images = evaluate_images(pictures, [Believer(frame.truths)], [frame], trials)
+    rows = [row for each in images for row in object_rows(each.judgements["believer"])]
     keys = {(row.intensity_mm_h, row.seed, row.object) for row in rows}
     asked = [each.id for each in frame.truths if each.counts]
     assert keys == {(rate, seed, name) for rate in (0.0, 12.0) for seed in SEEDS for name in asked}
     assert len(rows) == len(keys) == 4 * len(asked) >= 4
     assert all(row.iou == pytest.approx(1.0) for row in rows)
-    clear = [row.confidence for row in rows if row.intensity_mm_h == 0]
-    assert len(set(clear)) == 1
+    assert len({row.confidence for row in rows if row.intensity_mm_h == 0}) == 1
     assert len({row.confidence for row in rows if row.intensity_mm_h == 12}) == 2  # two seeds, two pictures
-    line = rows[0].plain()
-    wanted = {"detector", "intensity_mm_h", "seed", "frame", "object", "class", "confidence", "iou"}
-    assert wanted <= line.keys()
-    assert line["class"] == "car"
 
 
 def test_pictures_are_the_same_every_time_and_wetter_with_the_rain(pictures, frame):
     rainy = Condition("rainy", 50.0, (3,))
-    first, again = pictures.take(frame, rainy), pictures.take(frame, rainy)
-    np.testing.assert_array_equal(first, again)
+    first, second = pictures.take(frame, rainy), pictures.take(frame, rainy)
+    np.testing.assert_array_equal(first, second)
     clear = pictures.take(frame, Condition("clear", 0.0, SEEDS)).astype(int)
     light = pictures.take(frame, Condition("rainy", 1.2, (3,))).astype(int)
     assert 0 < np.abs(light - clear).mean() < np.abs(first - clear).mean()
@@ -134,73 +126,108 @@ def test_recorded_views_have_their_pictures_and_what_is_in_them():
         recorded_frames(Scene("world"), placed, replace(capture, boxes=()))
 
 
-def detection(box, name="car", confidence=0.9):
-    return Detection(name, confidence, box)
-
-
-def test_finding_what_is_not_asked_for_is_no_mistake():
-    large = LabeledObject("large", "car", (0.0, 0.0, 40.0, 40.0))
-    small = LabeledObject("small", "car", (60.0, 0.0, 70.0, 10.0))
-    frame = EvaluatedFrame("f", RenderView(Camera(100, 100, 50.0, 50.0, 50.0, 50.0)), (large, small))
-    on_large, on_small, wrong = detection(large.box_xyxy), detection(small.box_xyxy), detection((60, 60, 90, 90))
-    found = evaluate_detections("d", frame, Condition("clear", 0.0, (0,)), [on_large, on_small, wrong])
-    assert found.truths == (large,)
-    assert found.detections == (on_large, wrong)
-    assert found.matches[0].confidence == 0.9
-
-
-def test_misses_and_flips_are_rows_too():
-    car = LabeledObject("a", "car", (0.0, 0.0, 40.0, 40.0))
-    frame = EvaluatedFrame("f", RenderView(Camera(100, 100, 50.0, 50.0, 50.0, 50.0)), (car,))
-    (flipped,) = object_rows(
-        evaluate_detections("d", frame, Condition("clear", 0.0, (0,)), [detection(car.box_xyxy, "truck", 0.7)])
-    )
-    assert (flipped.confidence, flipped.iou, flipped.class_seen) == (0.0, 0.0, "truck")
-    assert (flipped.confidence_any_class, flipped.iou_any_class) == (0.7, 1.0)
-    (missed,) = object_rows(evaluate_detections("d", frame, Condition("clear", 0.0, (0,)), []))
-    assert (missed.confidence, missed.class_seen) == (0.0, None)
-
-
-SIGN, CAR, WAYMO = (
+SIGN, CAR, WAYMO, SMALL = (
     LabeledObject("s", "sign", (0.0, 0.0, 20.0, 40.0)),
     LabeledObject("c", "car", (100.0, 0.0, 140.0, 40.0)),
     LabeledObject("v", "vehicle", (200.0, 0.0, 240.0, 40.0)),
+    LabeledObject("small", "car", (60.0, 0.0, 70.0, 10.0)),
 )
+CLEAR = Condition("clear", 0.0, (0,))
 
 
-@pytest.mark.parametrize(
-    ("detected", "labelled", "right"),
-    [
-        ("car", "car", True), ("Car", "car", True), ("Pedestrian", "person", True), ("bus", "truck", False),
-        ("car", "vehicle", True), ("truck", "vehicle", True), ("bus", "vehicle", True), ("Van", "vehicle", True),
-        ("trailer", "vehicle", True), ("vehicle", "vehicle", True), ("vehicle", "truck", True),
-        ("person", "vehicle", False), ("bicycle", "vehicle", False), ("vehicle", "person", False),
-        ("TYPE_VEHICLE", "bus", True), ("sign", "stop sign", False),
-    ],
-)  # fmt: skip
-def test_words_of_a_detector_name_classes_of_labels(detected, labelled, right):
-    assert is_same_class(detected, labelled) == right
+def frame_of(*truths):
+    return EvaluatedFrame("f", RenderView(Camera(300, 100, 50.0, 50.0, 150.0, 50.0)), truths)
 
 
-def test_labels_of_data_sets_fall_into_classes():
-    names = ["TYPE_VEHICLE", "vehicle", "vehicle.car", "vehicle.bus.rigid", "Van", "human.pedestrian.adult", "Cyclist"]
-    assert [label_class(each) for each in names] == ["vehicle", "vehicle", "car", "bus", "car", "person", "cyclist"]
+def test_misses_and_flips_are_rows_and_what_is_not_asked_for_is_no_mistake():
+    boxes = (("truck", 0.7, CAR.box_xyxy), ("car", 0.9, SMALL.box_xyxy), ("car", 0.8, (60, 60, 90, 90)))
+    found = [Detection(*each) for each in boxes]
+    result = evaluate_detections("d", frame_of(CAR, SMALL), CLEAR, found)
+    assert (result.truths, result.detections) == ((CAR,), (found[0], found[2]))
+    (flipped,) = object_rows(result)
+    assert (flipped.confidence, flipped.iou, flipped.class_seen) == (0.0, 0.0, "truck")
+    assert (flipped.confidence_any_class, flipped.iou_any_class) == (0.7, 1.0)
+    (missed,) = object_rows(evaluate_detections("d", frame_of(CAR), CLEAR, []))
+    assert (missed.confidence, missed.class_seen) == (0.0, None)
+    assert missed.plain()["class"] == "car"
 
 
 def test_what_a_detector_has_no_word_for_is_listed_apart():
-    frame = EvaluatedFrame("f", RenderView(Camera(300, 100, 50.0, 50.0, 150.0, 50.0)), (SIGN, CAR, WAYMO))
-    seen = [
-        Detection("truck", 0.9, WAYMO.box_xyxy), Detection("car", 0.8, CAR.box_xyxy),
-        Detection("person", 0.7, SIGN.box_xyxy),
-    ]  # fmt: skip
-    trial = Condition("clear", 0.0, (0,))
-    found = evaluate_detections("d", frame, trial, seen, ("person", "car", "truck"))
-    assert found.truths == (CAR, WAYMO) and found.not_named == (SIGN,)
-    assert [each.confidence for each in found.matches] == [0.8, 0.9]
-    assert [each.flipped_to for each in found.matches] == [None, None]
-    assert [each.class_name for each in found.detections] == ["truck", "car"]  # nobody is wrong about the sign
-    assert {row.class_name for row in object_rows(found)} == {"car", "vehicle"}
-    (score,) = scores(list(object_rows(found)), [found])
+    frame = frame_of(SIGN, CAR, WAYMO)
+    boxes = (("truck", 0.9, WAYMO.box_xyxy), ("car", 0.8, CAR.box_xyxy), ("person", 0.7, SIGN.box_xyxy))
+    found = [Detection(*each) for each in boxes]
+    result = evaluate_detections("d", frame, CLEAR, found, ("person", "car", "truck"))
+    assert result.truths == (CAR, WAYMO) and result.not_named == (SIGN,)
+    assert [each.confidence for each in result.matches] == [0.8, 0.9]
+    assert [each.flipped_to for each in result.matches] == [None, None]
+    assert [each.class_name for each in result.detections] == ["truck", "car"]  # nobody is wrong about the sign
+    (score,) = scores(list(object_rows(result)), [result])
     assert (score.recall.mean, score.flips.mean, score.map50.mean) == (1.0, 0.0, pytest.approx(1.0))
-    everything = evaluate_detections("d", frame, trial, seen)
+    everything = evaluate_detections("d", frame, CLEAR, found)
     assert everything.not_named == () and len(everything.truths) == 3
+
+
+# Results of an earlier run
+
+CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+TRUTHS = (LabeledObject("a", "car", (4.0, 5.0, 40.0, 45.0), 0.9, np.float64(1 / 3)),)
+FRAME = EvaluatedFrame("first", RenderView(CAMERA, 1.5, np.array([10.0, 0.0, 0.0])), TRUTHS)
+RAINY = Condition("rainy", 8.5, (3,))
+FOUND = evaluate_detections("net", FRAME, RAINY, [Detection("car", np.float64(1 / 7), (4.1, 5.0, 40.0, 44.9))])
+
+
+def opened(place, inputs=None, detectors=None):
+    return ResultCache(place, inputs or {"scene": "1234"}, detectors or {"net": "abcd"})
+
+
+@pytest.fixture
+def file(tmp_path):
+    """With one result in it."""
+    with opened(tmp_path / "finished.jsonl") as memory:
+        memory.keep(FOUND, FRAME)
+    return tmp_path / "finished.jsonl"
+
+
+def test_a_result_comes_back_as_it_was(file):
+    memory = opened(file)
+    assert memory.known("net", FRAME, RAINY) is None  # not read yet
+    assert memory.read([FRAME]) == 1
+    assert asdict(memory.known("net", FRAME, RAINY)) == asdict(FOUND)
+    assert memory.known("net", FRAME, RAINY._replace(seeds=(4,))) is None
+    assert memory.known("net", FRAME, RAINY._replace(intensity_mm_h=8.6)) is None
+    with opened(file) as memory:
+        memory.keep(replace(FOUND, trial=Condition("clear", 0.0, (0, 1))), FRAME)
+    memory = opened(file)
+    assert memory.read([FRAME]) == 2
+    more = Condition("clear", 0.0, (0, 1, 2, 3))  # a clear image represents any seeds
+    assert asdict(memory.known("net", FRAME, more)) == asdict(replace(FOUND, trial=more))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"inputs": {"scene": "1235"}},
+        {"detectors": {"net": "abce"}},
+        {"frame": replace(FRAME, name="second")},
+        {"frame": replace(FRAME, shot=RenderView(CAMERA, 1.6, np.array([10.0, 0.0, 0.0])))},
+        {"frame": replace(FRAME, shot=RenderView(CAMERA, 1.5, np.array([10.1, 0.0, 0.0])))},
+        {"frame": replace(FRAME, shot=RenderView(replace(CAMERA, fx=50.1), 1.5, np.array([10.0, 0.0, 0.0])))},
+        {"frame": replace(FRAME, truths=(replace(TRUTHS[0], box_xyxy=(4.0, 5.0, 40.0, 45.1)),))},
+    ],
+)
+def test_nothing_holds_for_other_inputs_and_the_file_forgets_it(file, other):
+    frame = other.pop("frame", FRAME)
+    assert opened(file, **other).read([frame]) == 0
+    assert file.read_bytes() == b""
+
+
+def test_a_torn_line_is_dropped_and_the_next_one_starts_afresh(file):
+    whole = file.read_bytes()
+    for cut in (1, len(whole) // 2, len(whole) - 1):
+        file.write_bytes(whole + whole[:cut])
+        memory = opened(file)
+        assert memory.read([FRAME]) == 1
+        assert file.read_bytes() == whole
+    with memory:
+        memory.keep(replace(FOUND, trial=Condition("rainy", 12.0, (0,))), FRAME)
+    assert opened(file).read([FRAME]) == 2

@@ -1,4 +1,4 @@
-"""Comparisons without a command: settings, what is kept when a run is stopped, stamps, the figure's empty places."""
+"""Comparisons without a command: settings, what a stopped run leaves, stamps, the figure's empty places."""
 
 import os
 
@@ -36,10 +36,10 @@ CLEAR, WET = (ComparedMethod(name=name, method=name) for name in ("clear", "wet"
 def started(tmp_path):
     """A comparison of a drive of four views, and how it is run."""
     real = real_images([write_pictures(tmp_path / "real", 5, 0)], 48)
-    told = TransferComparison(source="drive", real=(tmp_path / "real",), methods=(CLEAR, WET), resamples=20)
+    comparison = TransferComparison(source="drive", real=(tmp_path / "real",), methods=(CLEAR, WET), resamples=20)
     source = capture_source(drive_capture(4), 48, "drive")
     extractor = open_extractor(ExtractorChoice(name="pixels16"))
-    return told, lambda: run_comparison(told, source, real, extractor, None, tmp_path / "out")
+    return comparison, lambda: run_comparison(comparison, source, real, extractor, None, tmp_path / "out")
 
 
 def finished(work):
@@ -50,60 +50,39 @@ def finished(work):
             return end.value
 
 
-def test_shipped_comparisons_are_whole():
-    assert shipped_config_names("comparisons") == ["paper", "tiny"]
-    paper, tiny = load_comparison("paper"), load_comparison("tiny")
-    assert [each.method for each in paper.methods] == [
-        "clear", "cyclegan-turbo", "cyclegan-turbo", "cyclegan-turbo", "wet", "images", "images",
-    ]  # fmt: skip
-    ours, flat, alone = paper.methods[1:4]
+def test_shipped_comparisons_load():
+    found = {name: load_comparison(name) for name in shipped_config_names("comparisons")}
+    assert found.keys() == {"paper", "tiny"} and found["tiny"].extractor == "pixels16"
+    _, ours, flat, alone, *_ = found["paper"].methods
     assert (ours.settings.normals, flat.settings.normals, alone.settings.mutual_attention) == ("dsine", "none", False)
-    assert tiny.extractor == "pixels16"
+    assert [each.name for each in found["paper"].only((ours.name,)).methods] == [ours.name]
+    with pytest.raises(ValueError, match="'none'"):
+        found["paper"].only(("none",))
 
 
 def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
     _, work = started
     first = work()
-    messages = [next(first).message for _ in range(6)]
-    assert messages[-1] == "wet: view 2 of 4"
+    steps = [next(first) for _ in range(6)]
+    fractions = [step.fraction for step in steps]
+    assert fractions == sorted(fractions) and 0 < fractions[0] < fractions[-1] < 1
     first.close()
+    assert all(view.image.shape[1] == 48 for view in real_images([tmp_path / "real"], 48))  # no wider than the others
     assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["clear"]  # no part of wet is left over
     assert is_transferred_folder(tmp_path / "out" / "clear")
     result = finished(work())
     assert result.reused == ("clear",)
-    again = finished(work())
-    assert again.reused == ("clear", "wet")
-    assert markdown_table(again.rows) == markdown_table(result.rows)
-    assert (again.figure == result.figure).all()
-
-
-def test_progress_never_falls_and_real_pictures_are_no_larger_than_the_others(started, tmp_path):
-    _, work = started
-    fractions = [step.fraction for step in work()]
-    assert fractions == sorted(fractions)
-    assert 0 < fractions[0] < fractions[-1] < 1
-    assert all(view.image.shape[1] == 48 for view in real_images([tmp_path / "real"], 48))
-
-
-def test_a_folder_made_with_other_settings_is_made_again(started, tmp_path):
-    told, _ = started
-    source = capture_source(drive_capture(4), 48, "drive")
-    other = capture_source(drive_capture(4), 48, "another drive")
-
-    def was_kept(method, where):
-        made = list(method_folder(method, where, told, tmp_path))[-1]
-        assert isinstance(made, MethodFolder)
-        return made.was_reused
-
-    assert [was_kept(WET, source), was_kept(WET, source), was_kept(WET, other)] == [False, True, False]
-    assert not was_kept(ComparedMethod(name="wet", method="wet", wetness=0.5), other)
+    second = finished(work())
+    assert second.reused == ("clear", "wet")
+    assert markdown_table(second.rows) == markdown_table(result.rows)
+    assert (second.figure == result.figure).all()
 
 
 def test_clear_views_agree_as_before_and_a_missing_view_is_passed_by(started, tmp_path):
-    told, work = started
+    comparison, work = started
     finished(work())
     source = capture_source(drive_capture(3), 48, "short")
-    short = list(method_folder(ComparedMethod(name="short", method="clear"), source, told, tmp_path / "out"))[-1]
+    short = list(method_folder(ComparedMethod(name="short", method="clear"), source, comparison, tmp_path / "out"))[-1]
     clear = MethodFolder(CLEAR, tmp_path / "out" / "clear", None, False)
     paired = ComparisonPairs([short.folder, clear.folder], 2)
     count, everywhere, dry = paired.agreement(clear.folder)
