@@ -1,6 +1,6 @@
 """Progress of background jobs: the one message type that jobs yield."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -20,6 +20,8 @@ class Progress(NamedTuple):
     """A small preview image; only the newest is shown."""
     warning: str | None = None
     """One sentence about the work so far, such as that a training goes wrong."""
+    metrics: Mapping[str, float] = {}
+    """Measurements of the current step by name, such as the loss of a training."""
 
 
 def run_to_end(work: Generator[Progress, None, _Result], tell: Callable[[Progress], object] | None = None) -> _Result:

@@ -189,19 +189,6 @@ class FinetuneResult:
         }  # fmt: skip
 
 
-_WARNING = ". Warning: "
-
-
-def with_warning(message: str, warning: str | None) -> str:
-    """Append a warning, if any, to a progress message."""
-    return message if warning is None else f"{message}{_WARNING}{warning}"
-
-
-def warning_in(message: str) -> str | None:
-    """Warning of a message, if any; the inverse of `with_warning`."""
-    return message.partition(_WARNING)[2] or None
-
-
 # Settings files: shipped ones by name, the user's by path, with changes applied on top
 
 _FOLDER = "finetune"

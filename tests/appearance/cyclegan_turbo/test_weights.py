@@ -17,8 +17,8 @@ from gsrain_engine.appearance.cyclegan_turbo.weights import (  # noqa: E402
     save_weights,
 )
 
-from .loaded_weights import load_weights  # noqa: E402
 from .published_checkpoints import (  # noqa: E402
+    load_weights,
     pristine,
     published,
     to_train,
