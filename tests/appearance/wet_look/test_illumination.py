@@ -1,4 +1,4 @@
-"""Overcast light: shadows lifted, the sun lowered, its warmth gone, nothing brighter than the cloud."""
+"""Light: told from the ground of views, then overcast: shadows lifted, the sun lowered, a sky of cloud."""
 
 from dataclasses import replace
 
@@ -20,8 +20,27 @@ from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.scene.geometry import srgb_to_linear
 
+
+def test_sun_and_shadow_are_told_apart():
+    light = estimate_illumination([dry_view(shadow=0.8)])
+    assert light.sun == 1
+    # A display factor of 0.2^(1/2.2) is a little more than a fifth in linear light.
+    assert 2.0 < light.sunlit_ev - light.shadow_ev < 2.5
+    lit = np.log2(srgb_to_linear(np.array([0.5, 0.48, 0.45])) @ LUMINANCE)
+    assert light.sunlit_ev == pytest.approx(lit, abs=0.05)
+    even = estimate_illumination([dry_view()])
+    assert even.sun == estimate_illumination([dry_view(shadow=0.3)]).sun == 0
+    assert even.sunlit_tint_ev[0] > 0.05 and even.sunlit_tint_ev[2] < -0.05  # warm
+
+
+def test_without_ground_nothing_is_told():
+    view = dry_view()
+    light = estimate_illumination([replace(view, depth=0 * view.depth, normals=0 * view.normals)])
+    assert light.sun == 0 and light.sunlit_ev == light.shadow_ev == light.level_ev
+    assert light == estimate_illumination([])
+
+
 LEFT, RIGHT = (slice(-8, None), slice(0, 24)), (slice(-8, None), slice(-24, None))
-"""Positions of the road's shadowed and sunlit halves."""
 
 
 def overcast(view, **settings):

@@ -38,62 +38,55 @@ def rainy(views, surroundings, **settings):
     return list(WetTransfer(WetSettings(**settings), surroundings).transferred(views))
 
 
-def test_wetness_0_changes_no_byte(views, surroundings):
-    for clear, made in zip(views, rainy(views, surroundings, wetness=0.0), strict=True):
-        assert made.clear is clear
-        assert made.image.tobytes() == clear.image.tobytes()
-        assert made.film.max() == 0
+@pytest.fixture(scope="module")
+def soaked(views, surroundings):
+    return rainy(views, surroundings)
 
 
-def test_same_bytes_twice_and_in_order(views, surroundings):
+def test_the_same_bytes_twice_in_order_and_none_changed_at_wetness_0(views, surroundings, soaked):
     transfer = WetTransfer(WetSettings(), surroundings)
-    assert isinstance(transfer, Transfer)
-    assert transfer.name == "wet"
-    one, two = (list(transfer.transferred(views)) for _ in range(2))
-    assert [each.clear.name for each in one] == [each.name for each in views]
-    for a, b in zip(one, two, strict=True):
-        assert a.image.tobytes() == b.image.tobytes()
-        assert a.film.tobytes() == b.film.tobytes()
+    assert isinstance(transfer, Transfer) and transfer.name == "wet"
+    for clear, one, two in zip(views, soaked, transfer.transferred(views), strict=True):
+        assert one.clear is two.clear is clear
+        assert one.image.tobytes() == two.image.tobytes() and one.film.tobytes() == two.film.tobytes()
+    for clear, made in zip(views, rainy(views, surroundings, wetness=0.0), strict=True):
+        assert made.image.tobytes() == clear.image.tobytes() and made.film.max() == 0
 
 
-def test_more_wetness_is_more_of_everything(views, surroundings):
-    made = [rainy(views[:1], surroundings, wetness=w)[0] for w in (0.0, 0.25, 0.5, 0.75, 1.0)]
+def test_more_wetness_is_more_of_everything(views, surroundings, soaked):
+    made = [rainy(views[:1], surroundings, wetness=w)[0] for w in (0.25, 0.5, 0.75)] + soaked[:1]
     film = [float(each.film.sum()) for each in made]
-    assert film == sorted(film)
-    assert film[0] == 0 < film[1] < film[-1]
-    clear = made[0].image
-    change = [np.abs(each.image - clear) for each in made]
+    assert film == sorted(film) and 0 < film[0] < film[-1]
+    change = [np.abs(each.image - views[0].image) for each in made]
     sums = [float(each.sum()) for each in change]
-    assert sums == sorted(sums)
-    assert sums[1] > 0.05 * sums[-1]
+    assert sums == sorted(sums) and sums[0] > 0.05 * sums[-1]
     dry = made[-1].film == 0
     for less, more in itertools.pairwise(change):
         assert (more - less)[dry].min() > -0.005
 
 
-def test_the_road_is_dark_and_the_blue_sky_is_gone(views, surroundings):
-    view, made = views[0], rainy(views, surroundings)[0]
+def test_the_road_is_dark_and_the_blue_sky_is_gone(views, soaked):
+    view, made = views[0], soaked[0]
     sky, road = view.sky > 0.9, (view.normals[..., 2] > 0.9) & (made.film < DRY) & (view.depth > 0)
-    assert sky.any() and road.any()
     clear, wet = srgb_to_linear(view.image), srgb_to_linear(made.image)
     sunlit = road & (np.arange(192) > 110)
     assert wet[sunlit].mean() < 0.5 * clear[sunlit].mean()
     blueness = [float((light[sky][:, 2] - light[sky][:, 0]).mean()) for light in (clear, wet)]
-    assert blueness[1] < 0.5 * blueness[0]
-    assert made.image[sky].min() > 0.5
+    assert blueness[1] < 0.5 * blueness[0] and made.image[sky].min() > 0.5
 
 
-def test_light_given_is_light_used(views, surroundings):
-    own = rainy(views[:1], surroundings)[0].image
-    told = WetTransfer(WetSettings(), surroundings, WetTransfer(WetSettings(), surroundings).light_of(views[:1]))
-    assert next(told.transferred(views[:1])).image.tobytes() == own.tobytes()
-    brighter = replace(told.light_of(views[:1]), level_ev=0.0, sunlit_ev=0.0, shadow_ev=0.0)
+def test_light_given_is_light_used(views, surroundings, soaked):
+    ground = views[0].depth > 0
+    light = WetTransfer(WetSettings(), surroundings).light_of(views)
+    same = WetTransfer(WetSettings(), surroundings, light)
+    assert next(same.transferred(views[:1])).image.tobytes() == soaked[0].image.tobytes()
+    brighter = replace(light, level_ev=0.0, sunlit_ev=0.0, shadow_ev=0.0)
     darker = next(WetTransfer(WetSettings(), surroundings, brighter).transferred(views[:1])).image
-    assert darker[views[0].depth > 0].mean() < own[views[0].depth > 0].mean() - 0.02
+    assert darker[ground].mean() < soaked[0].image[ground].mean() - 0.02
 
 
-def test_views_agree_as_well_as_the_clear_ones(views, surroundings):
-    here, there = rainy(views, surroundings)
+def test_views_agree_as_well_as_the_clear_ones(soaked):
+    here, there = soaked
     found = correspondence(here.clear, there.clear)
     film = warped(np.ascontiguousarray(there.film[..., None]), found)[..., 0]
     counted = found.valid & (here.film < DRY) & (film < DRY)
@@ -120,12 +113,10 @@ def alone(view, **changes):
     return replace(view, depth=nothing, normals=np.zeros_like(view.normals), known_share=0.0, **changes)
 
 
-def test_pictures_alone_get_light_and_sky_and_no_water(views, surroundings):
+def test_pictures_alone_get_light_and_sky_and_no_water(views, surroundings, soaked):
     view = alone(views[0])
     made = rainy([view], surroundings)[0]
-    assert made.film.max() == 0
-    assert "not known" in made.left_out
-    assert rainy(views[:1], surroundings)[0].left_out == ""
+    assert made.film.max() == 0 and "not known" in made.left_out and soaked[0].left_out == ""
     sky, below = view.sky > 0.99, view.sky < 0.01
     assert np.ptp(made.image[sky].mean(axis=0)) < 0.1  # it was blue
     clear, wet = (np.round(each.image[below], 6) for each in (view, made))
@@ -133,14 +124,11 @@ def test_pictures_alone_get_light_and_sky_and_no_water(views, surroundings):
     order = np.random.default_rng(0).permutation(np.flatnonzero(below))
     mixed = view.image.copy().reshape(-1, 3)
     mixed[np.flatnonzero(below)] = mixed[order]
-    again = rainy([replace(view, image=mixed.reshape(view.image.shape))], surroundings)[0].image.reshape(-1, 3)
+    shuffled = rainy([replace(view, image=mixed.reshape(view.image.shape))], surroundings)[0].image.reshape(-1, 3)
     # One curve for all pixels: nothing depends on where it is, so nothing can be taken for a road.
-    np.testing.assert_allclose(again[np.flatnonzero(below)], made.image.reshape(-1, 3)[order], atol=2e-5)
-
-
-def test_depth_that_is_mostly_guessed_makes_nothing_wet(views, surroundings):
-    made = rainy([replace(views[0], known_share=0.3)], surroundings)[0]
-    assert made.film.max() == 0 and made.left_out
+    np.testing.assert_allclose(shuffled[np.flatnonzero(below)], made.image.reshape(-1, 3)[order], atol=2e-5)
+    guessed = rainy([replace(views[0], known_share=0.3)], surroundings)[0]
+    assert guessed.film.max() == 0 and guessed.left_out
 
 
 def test_a_night_stays_a_night(surroundings):
