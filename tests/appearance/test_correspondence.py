@@ -93,15 +93,6 @@ def test_a_wall_hides_what_is_behind_it():
     assert unknown.outcome[15, 25] == MatchOutcome.UNKNOWN
 
 
-def test_what_lies_behind_the_other_camera_is_outside():
-    turned = _plane_camera(yaw=np.pi)
-    found = correspondence(
-        made_view(_plane_camera(), np.full((30, 40), 5.0)), made_view(turned, np.full((30, 40), 5.0))
-    )
-    assert (found.outcome == MatchOutcome.OUTSIDE).all()
-    assert (found.places == -1).all()
-
-
 def test_the_sky_turns_and_does_not_shift():
     camera, away, turned = _plane_camera(), _plane_camera(3.0), _plane_camera(yaw=0.1)
     nothing, sky = np.zeros((30, 40)), np.ones((30, 40))
@@ -155,27 +146,6 @@ def test_maps_of_features_are_warped_as_plain_averages_say():
     assert (grid[~valid] == -2).all()
 
 
-def test_grid_sample_of_a_view_onto_itself_changes_nothing():
-    torch = pytest.importorskip("torch")
-    view = street_views()["first"]
-    grid, valid = correspondence(view, view, skips_edges=False).at(30, 45)
-    assert valid.all()
-    features = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 8, 30, 45)).astype(np.float32))
-    same = torch.nn.functional.grid_sample(features, torch.from_numpy(grid)[None], align_corners=False)
-    torch.testing.assert_close(same, features, atol=2e-5, rtol=0)
-
-
-def test_another_size_of_the_other_picture_is_allowed():
-    view = street_views()["first"]
-    camera = replace(view.camera, width=180, height=120, fx=view.camera.fx / 2, fy=view.camera.fy / 2, cx=90, cy=60)
-    small = made_view(camera, view.depth[::2, ::2], view.image[::2, ::2], view.sky[::2, ::2])
-    found = correspondence(view, small)
-    np.testing.assert_allclose(found.places[found.valid], centers(360, 240)[found.valid] / 2, atol=1e-3)
-    grid, valid = found.at(24, 36)
-    row, column = np.argwhere(valid)[100]
-    assert np.abs(grid[row, column] - (2 * (column + 0.5) / 36 - 1, 2 * (row + 0.5) / 24 - 1)).max() < 1e-3
-
-
 # Neighbors
 
 
@@ -187,12 +157,6 @@ def test_the_nearest_on_the_way_come_first_and_another_camera_has_a_place():
     measured = np.random.default_rng(1).random((240, 360)) < 0.004  # a few lidar points are enough
     sparse = [replace(each, depth=np.where(measured, each.depth, 0), sky=np.zeros_like(each.sky)) for each in views]
     assert rank_neighbors(sparse, 1)[:3] == [(1,), (0,), (1,)]
-
-
-def test_opposite_views_and_views_without_depth_have_no_neighbours():
-    views, camera = street_views(), street_camera(0.0, np.pi)
-    away, blind = made_view(camera, np.full((240, 360), 5.0)), made_view(camera, np.zeros((240, 360)))
-    assert rank_neighbors([views["first"], views["second"], away, blind], 3) == [(1,), (0,), (), ()]
 
 
 def test_views_of_unknown_pose_and_pictures_of_other_places_have_no_neighbours():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.appearance.base import ClearView, RainyView, Transfer, TransferSettings
+from gsrain_engine.appearance.base import ClearView, RainyView, TransferSettings
 from gsrain_engine.appearance.output_folder import (
     ContactSheet,
     PrecomputedTransfer,
@@ -18,7 +18,7 @@ from gsrain_engine.appearance.output_folder import (
     read_transferred,
     write_transferred,
 )
-from gsrain_engine.appearance.registry import METHODS, find_method, open_transfer
+from gsrain_engine.appearance.registry import open_transfer
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
@@ -63,16 +63,6 @@ def test_what_is_written_comes_back(tmp_path):
         np.testing.assert_allclose(getattr(back.clear, name), getattr(one.clear, name), atol=0.5 / 255 + 1e-6)
     np.testing.assert_allclose(back.clear.depth, one.clear.depth, rtol=1e-6)
     np.testing.assert_allclose(back.clear.normals, one.clear.normals, atol=1e-3)
-
-
-def test_the_folder_is_a_capture_of_rainy_pictures(tmp_path):
-    view = rainy("a")
-    capture = open_capture(written(tmp_path / "out", view))
-    assert capture.problems == ()
-    assert capture.is_metric and capture.up == (0, 0, 1)
-    np.testing.assert_array_equal(capture[0].image, np.rint(view.image * 255).astype(np.uint8))
-    np.testing.assert_array_equal(capture[0].sky, view.clear.sky >= 0.5)
-    np.testing.assert_array_equal(capture[0].depth, view.clear.depth)
 
 
 def test_cameras_are_in_the_units_and_axes_of_what_it_was_made_of(tmp_path):
@@ -157,18 +147,6 @@ def clear(name: str, sensor: str = "") -> ClearView:
 
 def picture(value: int, size: tuple[int, int] = (30, 20)) -> Image.Image:
     return Image.new("RGB", size, (value, value, value))
-
-
-def test_methods_have_names_of_their_own_and_known_settings():
-    assert len({each.name for each in METHODS}) == len(METHODS) == 3
-    fields = set(TransferSettings.__struct_fields__)
-    assert all({*each.uses, *filter(None, [each.needs])} <= fields for each in METHODS)
-    opened = open_transfer("wet", TransferSettings(), ImageEnvironment())
-    assert isinstance(opened, Transfer) and opened.name == "wet"
-    with pytest.raises(ValueError, match="--images"):
-        open_transfer("images", TransferSettings(), ImageEnvironment())
-    with pytest.raises(ValueError, match="'dry', only wet, cyclegan-turbo, images"):
-        find_method("dry")
 
 
 def test_pictures_stand_in_by_the_names_of_views(tmp_path, caplog):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.capture_views import CaptureViews, color_guided_filter
+from gsrain_engine.appearance.capture_views import CaptureViews
 from gsrain_engine.appearance.scene_views import (
     CACHED_VIEWS,
     DEFAULT_PIXELS,
@@ -23,11 +23,10 @@ from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame, 
 from gsrain_engine.datasets.capture_folder import camera_without_calibration
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import circle_path, orbit_path
-from gsrain_engine.scene.scene import ColorGrading, Scene
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street.layout import Label
 from rasterized import rasterize
-from tests.training.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture, world_depth
+from tests.training.drive_capture import HEIGHT, ROAD_Z, WIDTH, drive_capture, world_depth
 from tests.training.small_street import FORWARD, LEFT, small_street, still_track
 
 # Cameras in a scene
@@ -89,16 +88,6 @@ def test_without_a_track_views_surround_the_middle():
         np.testing.assert_allclose(forward_of(ring.camera), to_middle, atol=1e-9)
         np.testing.assert_allclose(outward.camera.position, middle, atol=1e-9)
     assert len({tuple(np.round(forward_of(view.camera), 6)) for view in views}) == 8
-
-
-def test_views_on_a_path_are_in_metres_whatever_the_scenes_unit():
-    path = orbit_path(np.array([9.0, 0, 1]), BELOW, 4.0)
-    scene = replace(small_street(), path=path, metres_per_unit=2.0)
-    views = cameras_of(scene, 3, source="path")
-    assert [view.time_s for view in views] == [0, 2, 4]
-    np.testing.assert_allclose(views[1].camera.position, 2 * path.camera(2.0, 48, 32).position)
-    loop = replace(scene, path=circle_path(np.array([9.0, 0, 1]), BELOW, 4.0))
-    assert [view.time_s for view in cameras_of(loop, 4, source="path")] == [0, 1, 2, 3]
 
 
 def test_recorded_and_rig_cameras_can_be_chosen_by_sensor_and_indices_are_spread():
@@ -168,16 +157,6 @@ def test_road_sky_and_car_are_told_apart():
     assert (reds[:, 0] > reds[:, 1] + 0.2).mean() > 0.9
 
 
-def test_what_lies_on_the_road_under_a_vehicle_is_its_shadow():
-    scene = small_street()
-    car = scene.actors[0]
-    low = replace(car.gaussians, means=car.gaussians.means * np.float32([1, 1, 0.02]))
-    view = scene_view(scene.with_member(car.key, gaussians=low), AHEAD)
-    assert view.vehicles.max() == 0
-    truck = replace(scene, actors=(replace(car, class_name="pedestrian"),))
-    assert scene_view(truck, AHEAD).vehicles.max() == 0
-
-
 def test_without_a_sky_layer_nothing_above_the_horizon_is_sky_and_nothing_below_is():
     scene = small_street()
     bare = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
@@ -187,15 +166,6 @@ def test_without_a_sky_layer_nothing_above_the_horizon_is_sky_and_nothing_below_
     below = scene_view(bare, PlacedCamera("b", Camera.from_fov(40, 30, 40, down)))
     empty = scene_view(Scene("empty"), AHEAD)
     assert below.sky.max() == below.depth.max() == empty.depth.max() == 0 and empty.sky[0].min() == 1
-
-
-def test_grading_and_wet_colors_are_left_out():
-    scene = small_street()
-    plain = scene_view(scene, AHEAD)
-    graded = scene.with_member("layers/street", grading=ColorGrading(exposure_ev=-2.0))
-    wet = scene.with_member("layers/street", wet_sh=scene.layers[0].gaussians.sh * 0)
-    for other in (graded, wet):
-        np.testing.assert_array_equal(scene_view(other, AHEAD).image, plain.image)
 
 
 def test_views_are_drawn_when_asked_for_and_kept_for_a_while():
@@ -241,16 +211,6 @@ def test_lidar_becomes_dense_depth_and_normals_and_the_sky_is_found():
     np.testing.assert_array_equal(view.image, capture[2].image.astype(np.float32) / np.float32(255))
 
 
-def test_boxes_of_vehicles_are_their_pixels_without_the_road_under_them():
-    car, walker = box("car", (12.0, 0.0), 0.0), box("man", (12.0, 6.0), 0.0, label="Pedestrian")
-    capture = drive_capture(3, boxes=(car, walker), sweeps=())
-    flagged = CaptureViews(capture, WIDTH)[0].vehicles > 0
-    assert flagged.any() and not flagged[:, : WIDTH // 3].any()
-    assert not CaptureViews(replace(capture, boxes=(walker,)), WIDTH)[0].vehicles.any()
-    with_lidar = CaptureViews(replace(capture, sweeps=drive_capture(3).sweeps), WIDTH)[0]
-    assert not with_lidar.vehicles[-10:].any()  # the scan went through where the box is: all road
-
-
 def test_what_a_capture_knows_is_taken_as_it_is():
     plain = drive_capture(2)
     truth = [world_depth(view.camera) for view in plain]
@@ -290,39 +250,6 @@ def test_a_capture_in_other_units_and_axes_comes_into_the_world():
     assert views.to_world[:3, :3] @ Y_UP[:3, 2] == pytest.approx([0, 0, 2], abs=0.15)
 
 
-def _gray_road() -> np.ndarray:
-    """Grass, and a gray road that runs to the horizon."""
-    image = np.full((HEIGHT, WIDTH, 3), (40, 120, 40), np.uint8)
-    image[: HEIGHT // 2] = (120, 160, 230)
-    for row in range(HEIGHT // 2, HEIGHT):
-        half = 8 + (row - HEIGHT // 2)
-        image[row, WIDTH // 2 - half : WIDTH // 2 + half] = 110
-    return image
-
-
-def test_where_nothing_was_measured_nothing_is_taken_for_road():
-    capture = drive_capture(1)
-    bare = replace(capture, sweeps=(), views=(replace(capture[0], image_source=_gray_road()),))
-    view = CaptureViews(bare, WIDTH)[0]
-    assert not view.depth.any() and not view.normals.any()
-    assert not view.has_surfaces
-    assert view.sky[: HEIGHT // 2 - 4].min() > 0.9
-    assert view.sky[HEIGHT // 2 + 4 :].max() < 0.1
-
-
-def test_a_few_points_say_nothing_of_surfaces_and_a_lidar_does():
-    capture = drive_capture(2)
-    assert CaptureViews(capture, WIDTH)[0].has_surfaces
-    points = np.concatenate([sweep.points_m for sweep in capture.sweeps]).astype(np.float64)
-    some = np.random.default_rng(0).choice(len(points), 60, replace=False)
-    sparse = replace(capture, sweeps=(), points_m=points[some])
-    view = CaptureViews(sparse, WIDTH)[0]
-    assert view.depth.any() and not view.has_surfaces  # good enough to match views, not to tell cars from the road
-    partly = replace(capture[1], depth_source=np.full((HEIGHT, WIDTH), 5, np.float32))
-    views = CaptureViews(replace(capture, sweeps=(), views=(capture[0], partly)), WIDTH)
-    assert [view.has_surfaces for view in views] == [False, True]
-
-
 def test_poses_that_are_all_the_same_are_none():
     plain = replace(drive_capture(2), sweeps=())
     assert all(view.has_pose for view in CaptureViews(plain, WIDTH))
@@ -345,17 +272,6 @@ def test_the_edge_of_the_sky_follows_the_picture():
     assert sky[22:36, 44:48].max() < 0.2
     assert sky[22:36, 60:76].max() < 0.2
     assert sky[42:].max() < 0.2
-
-
-def test_what_is_guessed_goes_along_the_pictures_edges():
-    guide = np.zeros((60, 90, 3), np.float32)
-    guide[:, 40:] = 0.8
-    values = np.where(np.arange(90) < 47, 1.0, 3.0)[None].repeat(60, axis=0).astype(np.float32)
-    known = np.ones((60, 90), np.bool_)
-    smooth = color_guided_filter(values, guide, known, 12, 0.05)
-    assert smooth[30, 38] < 1.2 and smooth[30, 42] > 1.7
-    known[:, 45:] = False
-    np.testing.assert_allclose(color_guided_filter(values * known, guide, known, 12, 0.05)[30, :60], 1, atol=0.02)
 
 
 def test_only_what_the_lens_saw_is_learned_from_and_no_picture_grows():

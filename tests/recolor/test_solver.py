@@ -105,29 +105,7 @@ def test_forth_and_back_in_one_pass_is_forth_then_back_and_has_the_squares_on_it
     np.testing.assert_allclose(stored.squared_sums(ones), walked.squared_sums(ones)[stored.rows], rtol=2e-2, atol=0.01)
 
 
-def test_pictures_whose_size_is_no_multiple_of_a_tile():
-    camera = Camera.from_fov(37, 21, 40, look_at(np.array([4.0, 0, 0]), np.zeros(3), np.array([0.0, 0, 1])))
-    view = color_operator([ball()], camera)
-    stored = weights_of(view)
-    colors = np.ones((len(stored.rows), 3), np.float32)
-    np.testing.assert_allclose(
-        stored.blend(colors)[..., 0], view.blend(np.ones((len(view.splats), 3), np.float32))[..., 0], atol=0.01
-    )
-    assert stored.accumulate(stored.blend(colors)).shape == (len(stored.rows), 3)
-
-
 # Solver
-
-
-def test_the_normal_operator_is_symmetric_and_never_negative():
-    part = ball()
-    targets = views_of(part, truth_of(300))
-    r = np.random.default_rng(1)
-    a, b = (r.normal(size=(300, 4, 3)).astype(np.float32) for _ in range(2))
-    left, right = np.vdot(a, apply_normal(targets, b)), np.vdot(apply_normal(targets, a), b)
-    size = np.linalg.norm(apply_normal(targets, a)) * np.linalg.norm(b)
-    assert abs(left - right) < 1e-5 * size
-    assert np.vdot(a, apply_normal(targets, a)) > 0
 
 
 def test_known_colors_explain_the_views_to_the_same_bytes():

@@ -46,10 +46,6 @@ def test_what_lies_before_a_surface_or_on_the_trajectory_is_in_free_space(share,
     assert bool(space.holds(np.array([point], np.float32))[0]) == expected
 
 
-def test_without_depth_nothing_is_known() -> None:
-    assert carving(measured=False) is None
-
-
 def test_free_space_is_cleared_periodically_and_at_the_end() -> None:
     space = carving()
     assert space is not None

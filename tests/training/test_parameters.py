@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Actor, PoseTrack
 
 from .random_splats import random_splats
@@ -47,23 +46,6 @@ def test_gaussians_come_back_to_rounding(degree: int, seed: int) -> None:
     np.testing.assert_allclose(after.scales, before.scales, rtol=2e-6)
     np.testing.assert_allclose(after.opacities, before.opacities, rtol=2e-6)
     np.testing.assert_allclose(after.quaternions, before.quaternions, atol=3e-7)
-
-
-def test_what_has_no_logarithm_stays_finite() -> None:
-    g = random_splats(2, 3)
-    flat = Gaussians(g.means, np.zeros_like(g.scales), g.quaternions, np.array([0, 1], np.float32), g.sh)
-    back = SplatParameters.from_gaussians(flat, 3).to_gaussians()
-    assert np.isfinite(back.scales).all() and back.scales.max() < 1e-11
-    np.testing.assert_allclose(back.opacities, [0, 1], atol=1e-6)
-
-
-def test_harmonics_are_padded_and_cut() -> None:
-    g = random_splats(5, 2)
-    more = SplatParameters.from_gaussians(g, 3)
-    assert more.sh.shape == (5, 16, 3) and float(more.sh[:, 9:].detach().abs().max()) == 0
-    assert SplatParameters.from_gaussians(g, 0).tensors["sh_rest"].shape == (5, 0, 3)
-    assert more.sh_up_to(1).shape == (5, 4, 3)
-    assert np.array_equal(more.sh_up_to(0).detach().numpy(), g.sh[:, :1])
 
 
 def test_steps_are_those_of_torchs_adam() -> None:
@@ -195,14 +177,6 @@ def test_an_actor_is_drawn_and_learned_where_its_track_has_it() -> None:
     learned, moved = splats.actors["van"].tensors["means"].grad.numpy(), both["means"].grad[50:].numpy()
     assert np.linalg.norm(moved) > 0
     np.testing.assert_allclose(TURN.apply(learned), moved, rtol=1e-3, atol=1e-3 * np.abs(moved).max())
-
-
-def test_an_actor_that_is_not_there_takes_no_part() -> None:
-    splats = model()
-    picture = splats.render(camera(), 1.5)
-    assert picture.actor_rows == {}
-    alone = SplatModel(splats.background, None, {}, {}).render(camera(), 1.5)
-    assert torch.equal(picture.color, alone.color)
 
 
 def test_a_model_goes_back_to_its_state_actors_too() -> None:

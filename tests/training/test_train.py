@@ -1,40 +1,33 @@
 """Training as a whole: it learns, is repeatable to the byte, and goes on from a checkpoint as if never stopped."""
 
 import hashlib
-import pickle
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
 import pytest
-from PIL import Image
 
 pytest.importorskip("torch")
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame
-from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.scene.camera import Camera
+from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.progress import Progress, run_to_end
 from gsrain_engine.training.data import ReconstructionTask
 from gsrain_engine.training.evaluation import score, validation_indices
-from gsrain_engine.training.model import recorded_path
 from gsrain_engine.training.settings import (
     TrainingSchedule,
     TrainingSettings,
-    camera_extent,
     load_settings,
-    settings_names,
     view_order,
 )
 from gsrain_engine.training.train import TrainingReport, reconstruct
 from gsrain_engine.training_run import CheckpointError
 from small_capture import small_capture
 
-QUICK = {"steps": 40, "gaussians": 3000, "held_out": 4, "measured_every": 20, "saved_every": 15}
+QUICK = {
+    "steps": 40, "gaussians": 3000, "held_out": 4, "measured_every": 20, "saved_every": 15, "device": "cpu",
+}  # fmt: skip
 
 
 def task_of(folder: Path, resume: bool = False, snapshot: Path | None = None, **changes: object) -> ReconstructionTask:
@@ -75,8 +68,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
 
 
 def test_views_that_it_never_saw_become_more_alike(whole: Whole) -> None:
+    """By as much as in earlier versions: any change of initial Gaussians, losses or rates moves these figures."""
     numbers = whole.report.numbers
-    assert numbers["psnr_held_out_db"] > max(numbers["psnr_before_db"] + 1, 22)
+    assert numbers["psnr_before_db"] == pytest.approx(29.49, abs=0.05)
+    assert numbers["psnr_held_out_db"] == pytest.approx(43.35, abs=0.1)
+    assert numbers["psnr_held_out_exposed_db"] == pytest.approx(43.55, abs=0.1)
+    assert numbers["ssim_held_out"] == pytest.approx(0.9871, abs=1e-3)
+    assert whole.report.curves.losses[-1] == pytest.approx(0.01125, rel=0.01)
     assert [each["name"] for each in numbers["held_out"]] == ["2.00m"]
     page = (whole.folder / "report.html").read_text()
     assert "Reconstruction of small street" in page and "held-out PSNR" in page
@@ -102,12 +100,6 @@ def test_the_scene_has_what_the_capture_had(whole: Whole) -> None:
     assert scene.ego is not None
     assert scene.ground_m == pytest.approx(0.0, abs=1e-6)
     assert not (whole.folder / "scene.checkpoint.npz").exists()
-
-
-def test_the_seed_alone_decides_the_bytes(whole: Whole, tmp_path: Path) -> None:
-    for name, seed in (("same", 0), ("other", 1)):
-        finished(task_of(tmp_path / name, seed=seed))
-        assert (bytes_of(tmp_path / name / "scene") == bytes_of(whole.folder / "scene")) == (seed == 0)
 
 
 def test_a_stopped_training_goes_on_as_if_it_never_was(whole: Whole, tmp_path: Path) -> None:
@@ -143,33 +135,10 @@ def test_checkpoints_of_other_trainings_and_damaged_ones_are_refused(tmp_path: P
 
 
 def test_monte_carlo_density_learns_too(tmp_path: Path) -> None:
-    numbers = finished(task_of(tmp_path, density="mcmc")).numbers
-    assert numbers["psnr_held_out_db"] > numbers["psnr_before_db"] + 1
+    assert finished(task_of(tmp_path, density="mcmc")).numbers["psnr_held_out_db"] == pytest.approx(43.06, abs=0.1)
 
 
-def test_a_task_travels_to_a_worker_and_needs_poses(tmp_path: Path) -> None:
-    task = task_of(tmp_path, density="mcmc")
-    assert pickle.loads(pickle.dumps(task)) == task
-    for k in range(3):
-        Image.fromarray(np.full((64, 96, 3), 40 * k, np.uint8)).save(tmp_path / f"{k}.png")
-    with pytest.raises(CaptureError, match="COLMAP"):
-        run_to_end(reconstruct(task))
-
-
-def test_a_picture_that_only_decoding_finds_broken_is_named_and_left_out(tmp_path: Path) -> None:
-    for _ in write_views(tmp_path, small_capture()):
-        pass
-    first = sorted(tmp_path.glob("*m.png"))[0]
-    content = bytearray(first.read_bytes())
-    middle = len(content) // 2
-    content[middle : middle + 200] = bytes(200)
-    first.write_bytes(content)
-    capture = task_of(tmp_path).read()
-    assert len(capture) == 3
-    assert any(first.stem in problem for problem in capture.problems)
-
-
-# Held-out views, their scores, and the recorded path
+# Held-out views and their scores
 
 
 def test_held_out_views_lie_inside_every_stretch_or_are_named():
@@ -194,20 +163,7 @@ def test_an_exposure_counts_in_the_raw_score_and_not_in_the_exposed_one() -> Non
     assert score("v", spoiled, truth, mask).psnr_db == pytest.approx(score("v", darker, truth, mask).psnr_db)
 
 
-def test_the_recorded_way_goes_through_the_cameras_of_one_sensor():
-    capture = small_capture()
-    way = recorded_path(capture.views)
-    assert way is not None
-    assert way.positions[:, 0] == pytest.approx([0, 1, 2, 3])
-    assert np.allclose(way.camera(0.0, 96, 64).world_to_camera, capture[0].camera.world_to_camera, atol=1e-9)
-    still = tuple(replace(view, time_s=0.0) for view in capture)
-    again = recorded_path(still)
-    assert again is not None and not again.is_timed and way.is_timed
-    assert again.times_s == pytest.approx(np.arange(4) / 1.4), "a walk: nobody knows how fast it was"
-    assert recorded_path(still[:1]) is None
-
-
-# Schedule and settings
+# Schedule
 
 
 def test_the_means_slow_down_exponentially_from_the_papers_first_rate_to_its_last():
@@ -236,37 +192,3 @@ def test_every_view_comes_once_an_epoch_in_changing_order():
     assert len({tuple(epoch) for epoch in epochs}) > 1
     assert order == view_order(7, 30, seed=5) != view_order(7, 30, seed=6)
     assert view_order(7, 10, seed=5) == order[:10]
-
-
-def test_the_extent_is_that_of_the_cameras():
-    views = []
-    for x in (0.0, 20.0):
-        pose = np.eye(4)
-        pose[0, 3] = -x
-        views.append(CaptureFrame(str(x), Camera(8, 8, 8, 8, 4, 4, pose), np.zeros((8, 8, 3), np.uint8)))
-    assert camera_extent(views) == pytest.approx(11)
-    assert camera_extent(views[:1]) == 1
-
-
-def test_shipped_settings_are_valid_and_the_defaults_are_the_laptop_ones() -> None:
-    assert settings_names() == ["draft", "full", "laptop"]
-    assert load_settings("laptop") == TrainingSettings() == load_settings()
-    assert load_settings("draft").steps < load_settings("full").steps
-    for name in set(TrainingSettings.__struct_fields__) - {"rates"}:
-        assert len(get_type_hints(TrainingSettings, include_extras=True)[name].__metadata__[-1].description) > 15
-
-
-@pytest.mark.parametrize(
-    ("text", "field"),
-    [("stps: 5\n", "stps"), ("d_ssim: 2\n", r"\$\.d_ssim"), ("- 5\n", "mapping"), ("steps: [\n", "YAML")],
-)
-def test_a_bad_file_is_named_with_its_field(tmp_path: Path, text: str, field: str) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text("steps: 77\nrates: {means: 0.001}\n")
-    settings = load_settings(file, width_px=99, seed=None)
-    assert (settings.steps, settings.width_px, settings.seed, settings.rates.means) == (77, 99, 0, 0.001)
-    file.write_text(text)
-    with pytest.raises(ValueError, match=rf"(?s)mine\.yaml.*{field}|{field}.*mine\.yaml"):
-        load_settings(file)
-    with pytest.raises(msgspec.ValidationError, match=r"\$\.steps"):
-        load_settings(None, steps=0)

@@ -83,15 +83,6 @@ def test_a_picture_is_translated_the_same_each_time_and_differently_in_each_dire
     assert made.isfinite().all() and (made - there).abs().mean() < 0.1
 
 
-def test_the_same_seed_gives_the_same_model_and_leaves_the_generator_alone() -> None:
-    torch.manual_seed(5)
-    before = torch.get_rng_state()
-    one, other = build_random_model(tiny(), False, seed=1), build_random_model(tiny(), True, seed=1)
-    assert torch.equal(torch.get_rng_state(), before)
-    assert torch.equal(one.unet.conv_in.weight, other.unet.conv_in.weight)
-    assert not torch.equal(one.unet.conv_in.weight, pristine().unet.conv_in.weight)
-
-
 def test_the_fourth_channel_changes_no_bit_and_gets_gradients() -> None:
     pictures, guides = _noise(4, 1, 3, 32, 32), _noise(5, 1, 1, 32, 32)
     narrow, wide = pristine(), untrained(normals=True)
@@ -122,18 +113,6 @@ def test_without_skips_it_is_diffusers_autoencoder() -> None:
         with_skips = decode_latents(vae, latents, skips)
         assert not torch.equal(with_skips, plain)
         torch.testing.assert_close(with_skips, plain, atol=1e-2, rtol=0)
-
-
-def test_pictures_guides_and_captions_of_other_sizes_are_refused() -> None:
-    model = pristine()
-    for match, call in (
-        ("multiples of 8 px", lambda: _out(model, _noise(1, 1, 3, 20, 32))),
-        ("fourth channel", lambda: _out(model, _noise(1, 1, 3, 16, 16), _noise(1, 1, 1, 16, 16))),
-        ("caption b2a", lambda: model.set_captions(torch.zeros(1, 77, 16), torch.zeros(1, 3, 16))),
-    ):
-        with pytest.raises(ValueError, match=match):
-            call()
-    assert model.captions["a2b"].abs().max() > 0
 
 
 def test_adapters_change_nothing_before_training_and_count_as_published() -> None:

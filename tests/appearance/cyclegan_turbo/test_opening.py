@@ -174,20 +174,6 @@ def test_places_are_tried_in_order(base: Path, monkeypatch: pytest.MonkeyPatch) 
         weight_paths.find_base_model(base.parent / "elsewhere")
 
 
-def test_weights_are_found_where_they_are_put(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(FileNotFoundError, match=r"clear2rainy\.pkl there, or name a file by --weights"):
-        weight_paths.find_transfer_weights()
-    folder = weight_paths.data_folder() / "transfer"
-    folder.mkdir(parents=True)
-    for name in ("a.safetensors", "clear2rainy.pkl", "notes.txt"):
-        (folder / name).touch()
-    assert weight_paths.find_transfer_weights().name == "clear2rainy.pkl"
-    (folder / "clear2rainy.pkl").unlink()
-    assert weight_paths.find_transfer_weights().name == "a.safetensors"
-    monkeypatch.setenv(weight_paths.WEIGHTS_VARIABLE, str(folder / "notes.txt"))
-    assert weight_paths.find_transfer_weights().name == "notes.txt"
-
-
 def test_a_published_checkpoint_upon_a_base(base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gsrain_engine.appearance.cyclegan_turbo.pretrained.sd_turbo", tiny)
     monkeypatch.setitem(ARCHITECTURES, "sd-turbo", tiny)

@@ -172,15 +172,6 @@ def test_views_look_at_neighbours_and_the_anchor_does_not(model, views):
     assert changed(neighbours=0) == []
 
 
-def test_cameras_only_look_at_what_was_seen_at_their_moment(model, views):
-    apart = [replace(view, time_s=float(i)) for i, view in enumerate(views)]
-    cameras = images(model, apart, replace_mutual(ALONE, among="cameras"))
-    for name, image in images(model, apart, ALONE).items():
-        assert np.array_equal(image, cameras[name])
-    with_time = images(model, apart, replace_mutual(ALONE, among="time"))
-    assert not np.array_equal(with_time["left"], cameras["left"])
-
-
 def test_it_holds_only_what_is_still_looked_at(model):
     row = Rendered(8)
     names, held = [], []
@@ -222,16 +213,6 @@ def test_normals_guide_it_from_the_view_or_an_estimator(model, views):
     assert np.array_equal(estimated.image, guided)
     narrow = build_random_model(tiny(), normals=False)
     assert images(narrow, views, RunSettings(side_px=None)).keys() == {"left", "center", "right"}
-
-
-def test_tiles_come_together_without_a_seam(model):
-    large = wall("large", 0.0, width=256, height=128)
-    tiled = images(model, [large], RunSettings(side_px=None, mutual=None, tile_px=128, overlap_px=64))["large"]
-    whole = images(model, [large], ALONE)["large"]
-    assert tiled.shape == whole.shape
-    steps = np.abs(np.diff(tiled, axis=1)).mean(axis=(0, 2))
-    assert steps[[63, 64, 127, 128, 191]].max() < 1.5 * steps.max()
-    assert np.abs(tiled - whole).mean() < 0.1
 
 
 def test_tiles_look_at_other_views_as_whole_pictures_do(model):

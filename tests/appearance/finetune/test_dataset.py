@@ -11,9 +11,7 @@ from gsrain_engine.appearance.finetune.dataset import (
     ConditioningImages,
     ImageSettings,
     ImageSource,
-    is_daylight,
     open_images,
-    weather_of,
 )
 from gsrain_engine.datasets.capture import CaptureError, CaptureFrame
 from gsrain_engine.scene.camera import Camera
@@ -87,13 +85,6 @@ def test_composition_of_the_papers_table(bdd100k, rainsense):
         assert len({picture.name for picture in train + test}) == 161
 
 
-def test_rainy_pictures_come_from_all_sequences_alike(rainsense):
-    split = open_images(settings([(rainsense, 22)], [(rainsense, 22)], test_share=0.0))
-    cases = [picture.view.sensor for picture in split.train.target]
-    assert sorted(cases.count(case) for case in set(cases)) == [7, 7, 8]
-    assert {picture.view.attributes["rain_mm_h"] for picture in split.train.target} == {"1.376", "4.75", "9.245"}
-
-
 def test_seed_alone_decides_the_split_and_night_and_other_weather_are_left_out(bdd100k):
     def tested(seed):
         split = open_images(settings([(bdd100k, 20)], [(bdd100k, 20)], seed=seed))
@@ -122,18 +113,6 @@ def test_pictures_are_framed(tmp_path):
     np.testing.assert_allclose(cropped[..., 0], 1.0, atol=0.01)
 
 
-def test_broken_picture_is_named_and_left_out(tmp_path):
-    for look in ("clear", "rainy"):
-        for number in range(3):
-            save(tmp_path / look / f"{number}.png", number)
-    whole = (tmp_path / "clear" / "1.png").read_bytes()
-    (tmp_path / "clear" / "1.png").write_bytes(whole[: len(whole) // 2])
-    sources = {look: (ImageSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
-    split = open_images(ImageSettings(**sources, guide="none", test_share=0.0))
-    assert len(split.train.source) == 2
-    assert any("1" in problem and "left out" in problem for problem in split.problems)
-
-
 @pytest.mark.parametrize(
     ("changes", "name"),
     [
@@ -151,21 +130,6 @@ def test_sources_without_enough_pictures_are_named(bdd100k, tmp_path, changes, n
     source = ImageSource(**changes | {"path": str(path)})
     with pytest.raises(CaptureError, match=rf"{path.name}.*{name}"):
         open_images(ImageSettings(clear=(source,), rainy=(ImageSource(path=str(bdd100k)),), guide="none"))
-
-
-@pytest.mark.parametrize(
-    ("attributes", "weather", "is_light"),
-    [
-        ({"weather": "partly cloudy", "timeofday": "daytime"}, "clear", True),
-        ({"weather": "rainy", "timeofday": "dawn/dusk"}, "rainy", False),
-        ({"weather": "snowy"}, "other", True),
-        ({"weather": "undefined"}, None, True),
-        ({"rain_mm_h": "0"}, "clear", True),
-        ({"rain_mm_h": "1.376"}, "rainy", True),
-    ],
-)
-def test_words_for_weather_and_light(attributes, weather, is_light):
-    assert weather_of(attributes) == weather and is_daylight(attributes) == is_light
 
 
 class Upward:

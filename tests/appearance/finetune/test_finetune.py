@@ -17,15 +17,12 @@ from gsrain_engine.appearance.finetune.loss_log import (  # noqa: E402
     CollapseMonitor,
     LossLog,
     color_distance,
-    distance_sample,
     read_losses,
 )
 from gsrain_engine.appearance.finetune.run import finetune  # noqa: E402
 from gsrain_engine.appearance.finetune.settings import (  # noqa: E402
     FinetuneResult,
     FinetuneTask,
-    FinetuningSettings,
-    finetuning_names,
     load_finetuning,
 )
 from gsrain_engine.appearance.finetune.step import FinetuneTrainer  # noqa: E402
@@ -155,42 +152,6 @@ def test_missing_memory_and_missing_weights_are_explained(tmp_path: Path, monkey
 # Settings
 
 
-def test_shipped_settings_are_whole() -> None:
-    assert finetuning_names() == ["paper", "tiny"]
-    paper = load_finetuning("paper")
-    assert (paper.steps, paper.pictures.width_px, paper.pictures.height_px, paper.pictures.test_share) == (
-        20_000, 512, 512, 0.2,
-    )  # fmt: skip
-    assert (paper.losses.cycle, paper.losses.identity, paper.losses.gan) == (1.0, 1.0, 0.5)
-    assert paper.precision == "float32"
-    for name in ("losses", "optimizer", "lora", "steps"):
-        assert getattr(paper, name) == {f.name: f.default for f in msgspec.structs.fields(FinetuningSettings)}[name]
-
-
-_PICTURES = "pictures: {clear: [{path: a}], rainy: [{path: b}]}\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "field"),
-    [
-        (f"{_PICTURES}step: 4", "step"), (f"{_PICTURES}steps: 0", r"\$\.steps"),
-        (f"{_PICTURES}losses: {{gam: 1}}", r"gam.*\$\.losses"), ("steps: 4", r"clear.*\$\.pictures"),
-        ("[1, 2]", "YAML"),
-    ],
-)  # fmt: skip
-def test_settings_come_back_from_their_file_and_wrong_ones_are_refused(tmp_path: Path, text: str, field: str) -> None:
-    file = tmp_path / "own.yaml"
-    settings = load_finetuning("tiny", steps=7, clear=[{"path": "a"}, {"path": "b", "count": 3}])
-    file.write_bytes(msgspec.yaml.encode(settings))
-    assert load_finetuning(file) == settings
-    assert [source.path for source in settings.pictures.clear] == ["a", "b"]
-    file.write_text(text)
-    with pytest.raises(ValueError, match=f"own.yaml.*{field}"):
-        load_finetuning(file)
-    with pytest.raises(ValueError, match="nothing.yaml.*paper, tiny"):
-        load_finetuning("nothing.yaml")
-
-
 # Losses and early warning
 
 
@@ -238,13 +199,6 @@ def test_a_collapsed_training_is_warned_of(change: float, judged: float, step: i
     assert found is None if warning is None else found is not None and re.search(warning, found)
 
 
-def test_only_recent_iterations_count() -> None:
-    warning = CollapseMonitor(0.2, _GAN, warned_after=1)
-    for change in [0.0] * 200 + [0.2] * 100:
-        warning.add(_losses(change))
-    assert warning.verdict(300).share == pytest.approx(1.0)
-
-
 def test_the_distance_is_what_any_translation_must_change() -> None:
     """Of a shift it is the shift, whatever the pictures show; no change of pictures into the others is smaller."""
     random = np.random.default_rng(1)
@@ -255,8 +209,3 @@ def test_the_distance_is_what_any_translation_must_change() -> None:
     other = [random.uniform(0, 1, (8, 9, 3)).astype(np.float32) ** 2 for _ in range(20)]
     change = float(np.mean([np.abs(a - b).mean() for a, b in zip(clear, other, strict=True)]))
     assert 0.05 < color_distance(clear, other) < change
-
-
-def test_pictures_are_counted_evenly() -> None:
-    assert distance_sample(range(3)) == [0, 1, 2]
-    assert len(distance_sample(range(1000))) == 64 and distance_sample(range(1000))[-1] == 999

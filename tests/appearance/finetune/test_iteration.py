@@ -11,7 +11,6 @@ transformers = pytest.importorskip("transformers")
 from gsrain_engine.appearance.finetune.dataset import open_images  # noqa: E402
 from gsrain_engine.appearance.finetune.discriminator import (  # noqa: E402
     ClipFeatures,
-    Discriminator,
     area_resized,
     augment_images,
 )
@@ -47,6 +46,14 @@ def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
     assert fingerprint(replace(pictures, source=pictures.source[:-1])) != fingerprint(pictures)
 
 
+_FIRST_LOSSES = {
+    "cycle_clear": 0.4996, "cycle_rainy": 0.4361, "gan_rainy": 1.2336, "gan_clear": 0.9885, "identity_rainy": 0.3944,
+    "identity_clear": 0.4785, "judge_rainy_made": 0.4498, "judge_clear_made": 0.6129, "judge_rainy_real": 0.6616,
+    "judge_clear_real": 0.4216, "change": 0.2529,
+}  # fmt: skip
+"""Losses of earlier versions, augmentation and discriminators included."""
+
+
 def _changed(before: dict[str, object], after: dict[str, object]) -> set[str]:
     return {name for name in before if not torch.equal(before[name], after[name])}
 
@@ -62,6 +69,7 @@ def test_only_what_is_learned_moves_and_checkpointing_changes_no_number(tmp_path
     clip = training.rainy_judge.shared_features[0]
     frozen = {name: each.clone() for name, each in clip.state_dict().items()}
     losses = training.iterate(0).losses
+    assert losses == pytest.approx(_FIRST_LOSSES, abs=2e-3)
     moved = _changed(before, _weights(training.model))
     learned = {name for group in trained_parameters(training.model) for name in group}
     assert moved <= learned
@@ -208,33 +216,7 @@ def test_clip_is_read_from_a_persons_folder(tmp_path: Path, monkeypatch: pytest.
         ClipFeatures.read(None)
 
 
-def test_a_discriminator_learns_to_tell_bright_from_dark(features: ClipFeatures) -> None:
-    judge = Discriminator(features, (), channels=16)
-    assert not any("vision" in name for name in judge.state_dict())
-    logits = judge(_pictures(), _random(1))
-    assert [each.shape[1:] for each in logits] == [(1, 2, 2), (1, 2, 2), (1,)]
-    adam = torch.optim.Adam(judge.parameters(), 5e-3)
-    bright, dark = _pictures() * 0.3 + 0.6, _pictures() * 0.3 - 0.6
-    losses = []
-    for step in range(15):
-        loss = adversarial(judge(bright, _random(step)), True) + adversarial(judge(dark, _random(step)), False)
-        adam.zero_grad()
-        loss.backward()
-        adam.step()
-        losses.append(loss.item())
-    assert losses[-1] < 0.8 * losses[0]
-    for layer in (judge.maps[0].first, judge.whole[0]):
-        assert float(torch.linalg.matrix_norm(layer.weight.detach().flatten(1), 2)) < 1.2
-
-
 # Augmentation
-
-
-def test_augmentation_follows_its_seed() -> None:
-    pictures, kinds = _pictures(), ("color", "translation", "cutout")
-    one, same, other = (augment_images(pictures, kinds, _random(seed)) for seed in (4, 4, 5))
-    assert torch.equal(one, same) and not torch.equal(one, other)
-    assert torch.equal(augment_images(pictures, (), _random(4)), pictures)
 
 
 def test_translation_moves_and_uncovers_grey() -> None:
@@ -252,17 +234,3 @@ def test_translation_moves_and_uncovers_grey() -> None:
         shifts.add((dy, dx))
         assert int((after == 0).all(0).sum()) == 40 * 40 - (40 - abs(dy)) * (40 - abs(dx))
     assert len(shifts) > 4
-
-
-def test_cutout_leaves_a_hole_of_at_most_a_quarter() -> None:
-    holes = (augment_images(_pictures(count=32), ("cutout",), _random(2)) == 0).all(1).flatten(1).float().mean(1)
-    assert float(holes.max()) <= 0.25 and float(holes.min()) >= 0.25 / 4 * 0.9 and len(holes.unique()) > 8
-
-
-def test_colours_change_as_drawn() -> None:
-    pictures = _pictures(count=64)
-    changed = augment_images(pictures, ("color",), _random(2))
-    means = (changed - pictures).mean((1, 2, 3))
-    assert float(means.abs().max()) <= 0.5 + 1e-5 and float(means.std()) == pytest.approx(1 / 12**0.5, rel=0.25)
-    contrasts = changed.mean(1).std((1, 2)) / pictures.mean(1).std((1, 2))
-    assert 0.5 <= float(contrasts.min()) < 0.7 and 1.3 < float(contrasts.max()) <= 1.5

@@ -11,11 +11,9 @@ from gsrain_engine.appearance.wet_look.illumination import overcast_sky
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.materials import (
     WATER_INDEX,
-    add_clear_coat,
     add_emissive_lights,
     apply_fog,
     emissive_share,
-    porosity_wetness,
     reflectance,
     unshadowed,
     wet_albedo,
@@ -33,13 +31,6 @@ ROAD, WALL = (56, 48), (24, 48)
 @pytest.mark.parametrize(("degrees", "share"), [(0, 0.0204), (30, 0.0212), (60, 0.0597), (80, 0.3479), (90, 1.0)])
 def test_water_mirrors_what_optics_tables_say(degrees, share):
     assert reflectance(np.cos(np.radians(degrees)), WATER_INDEX) == pytest.approx(share, abs=4e-4)
-
-
-def test_half_of_one_polarization_is_mirrored_at_brewsters_angle_and_more_the_flatter_the_ray():
-    # At Brewster's angle a + b = 90 degrees, and the mean is half of sin^2(a - b) / sin^2(a + b).
-    angle = np.arctan(WATER_INDEX)
-    assert reflectance(np.cos(angle), WATER_INDEX) == pytest.approx(0.5 * np.cos(2 * angle) ** 2, rel=1e-9)
-    assert (np.diff([reflectance(c, WATER_INDEX) for c in np.linspace(1, 0, 50)]) > 0).all()
 
 
 @pytest.mark.parametrize(("slope", "degrees"), [(0.3, 10), (0.2, 3), (0.2, 60)])
@@ -83,53 +74,6 @@ def test_ground_darkens_most_walls_less_vehicles_not():
     assert wet[ROAD][0] / wet[ROAD][2] > 1.1 * 3  # stronger colors
 
 
-def test_grass_keeps_more_of_its_brightness_than_the_road():
-    view = dry_view()
-    image = view.image.copy()
-    image[50:, :48] = (0.3, 0.45, 0.15)
-    view = replace(view, image=image)
-    surfaces = surfaces_of(view)
-    assert surfaces.plants[56, 20] > 0.9
-    assert surfaces.plants[56, 80] == 0
-    soaked = porosity_wetness(surfaces, PLAIN)
-    assert soaked[56, 20] < 0.5 * soaked[56, 80]
-
-
-def test_streaks_run_down_walls_only():
-    surfaces = surfaces_of(dry_view())
-    wall = porosity_wetness(surfaces, WetSettings(streaks=1.0))[18:30]
-    across, down = np.diff(wall, axis=1).std(), np.diff(wall, axis=0).std()
-    assert across > 2 * down > 0
-    np.testing.assert_array_equal(
-        porosity_wetness(surfaces, WetSettings(streaks=1.0))[50:], porosity_wetness(surfaces, PLAIN)[50:]
-    )
-
-
-def test_dark_gaps_between_leaves_are_leaves():
-    image = dry_view().image.copy()
-    image[10:34, 10:60] = (0.3, 0.45, 0.15)
-    image[12:32:4, 12:58:4] = 0.02
-    found = surfaces_of(replace(dry_view(), image=image)).plants
-    assert found[20, 24] > 0.9  # a gap
-    assert found[20, 80] == 0  # the bare wall
-    assert found[56, 40] == 0  # the road
-
-
-def test_paint_mirrors_more_at_grazing_angles():
-    view = dry_view(vehicles=np.ones((64, 96)))
-    rays = view_rays(view.camera)
-    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    roof = np.broadcast_to(np.array([0.0, 0.0, 1.0], np.float32), view.normals.shape)
-    surfaces = replace(surfaces_of(view), normals=roof, vehicles=view.vehicles)
-    black = np.zeros_like(view.image)
-    gloss = add_clear_coat(black, surfaces, directions, WetSettings())[..., 1]
-    assert (gloss[:, 48] >= 0).all()
-    assert gloss[36, 48] > 2 * gloss[60, 48] > 0.01
-    assert add_clear_coat(black, surfaces, directions, WetSettings(gloss=0.0)).max() == 0
-    dry = replace(surfaces, vehicles=0 * view.vehicles)
-    assert add_clear_coat(black, dry, directions, WetSettings()).max() == 0
-
-
 # Lamps
 
 
@@ -157,36 +101,6 @@ def test_a_red_lamp_keeps_shining_and_glows():
     np.testing.assert_array_equal(without[50:], dim[50:])
 
 
-@pytest.mark.parametrize(
-    ("color", "where"),
-    [
-        ((1.0, 0.8, 0.1), (slice(56, 58), slice(48, 50))),  # a yellow line on the road
-        ((1.0, 1.0, 1.0), (slice(24, 26), slice(48, 50))),  # a white window
-        ((0.4, 0.05, 0.05), (slice(24, 26), slice(48, 50))),  # a dark red door
-        ((0.1, 0.3, 1.0), (slice(24, 26), slice(48, 50))),  # a blue sign
-        ((1.0, 0.15, 0.1), (slice(20, 32), slice(0, 96))),  # a red house
-    ],
-)
-def test_what_is_no_lamp_stays_as_it_is(color, where):
-    view = lamp_view(color, where)
-    share = emissive_share(view, surfaces_of(view))
-    assert share.max() < 0.1
-
-
-def test_tail_lamps_are_lit_but_red_cars_are_not():
-    where, vehicles = (slice(30, 32), slice(44, 46)), np.zeros((64, 96))
-    vehicles[22:36, 36:60] = 1
-    for body, is_found in (((0.2, 0.25, 0.4), True), ((0.8, 0.15, 0.15), False)):
-        view = dry_view(vehicles=vehicles)
-        image = view.image.copy()
-        image[22:36, 36:60] = body
-        image[where] = (0.8, 0.15, 0.15)
-        view = replace(view, image=image)
-        surfaces = surfaces_of(view)
-        assert (emissive_share(view, surfaces)[where].min() > 0.7) == is_found
-        assert emissive_share(view, surfaces, tail_lamps=False).max() < 0.2
-
-
 # Mist
 
 
@@ -201,18 +115,3 @@ def test_mist_fades_to_the_horizon_by_distance():
     assert faded[63, 48].max() < faded[WALL].min()
     assert faded[2, 2].max() == 0  # the sky has no distance
     np.testing.assert_array_equal(apply_fog(black, view, rays, WetSettings(mist_km=0.0)), black)
-
-
-def test_mist_has_the_edges_of_the_picture_and_no_others():
-    view, settings = dry_view(), WetSettings(mist_km=10.0)
-    depth = view.depth.copy()
-    depth[WALL] = 0  # a gap in what is known
-    depth[16:32, 70:] *= 3  # a step that the picture does not show
-    rays = view_rays(view.camera)
-    black = np.zeros_like(view.image)
-    right, wrong = (apply_fog(black, each, rays, settings)[..., 1] for each in (view, replace(view, depth=depth)))
-    assert wrong[WALL] == pytest.approx(right[WALL], rel=0.02)
-    step = np.abs(np.diff(apply_fog(black, replace(view, depth=depth), rays, settings)[20:28, 64:76, 1], axis=1))
-    assert step.max() < 0.6 * (wrong[24, 80] - wrong[24, 60])
-    edge = slice(5, 30), 10
-    assert np.abs(np.diff(right[edge])).max() > 0.05  # the wall's top

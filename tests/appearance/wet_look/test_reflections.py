@@ -10,11 +10,9 @@ from gsrain_engine.appearance.base import ClearView
 from gsrain_engine.appearance.normals import view_rays
 from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, SceneEnvironment
-from gsrain_engine.appearance.wet_look.glossy import build_ripmap
 from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane
 from gsrain_engine.appearance.wet_look.masks import VisibleGround
 from gsrain_engine.appearance.wet_look.reflections import (
-    PlanarReflection,
     fill_reflection_holes,
     mirror_camera,
     screen_space_reflection,
@@ -51,17 +49,6 @@ def room(top_m=4.0):
     return view, VisibleGround(LEVEL, share, nothing, points, normals, nothing)
 
 
-def test_mirror_camera_covers_what_level_water_mirrors():
-    camera = mirror_camera(EYE, LEVEL, 0.5)
-    lowest = np.array([EYE.fx, EYE.fy, 1.0])  # of the eye's picture: the mirror shows its bottom row highest
-    bottom = (EYE.height - EYE.cy) / lowest[1]
-    assert camera.cy / camera.fy > bottom
-    rays = view_rays(camera)
-    rises = rays[..., 2] / np.linalg.norm(rays, axis=-1)
-    assert rises[0].min() > 0.4
-    assert -0.1 < rises[-1].max() < 0.02
-
-
 def mirrored_room(top_m: float = 4.0, scale: float = 1.0):
     """Reflection found in the view, the mirrored camera's rays, and the height at which each meets the wall."""
     view, ground = room(top_m)
@@ -86,13 +73,6 @@ def test_rays_find_what_the_view_shows_above_the_ground():
     np.testing.assert_allclose(found.depth[both], WALL_M / rays[..., 0][both], rtol=0.02)
 
 
-def test_rays_over_the_wall_find_the_sky_or_leave():
-    found, _, rays, height = mirrored_room(top_m=2.0)
-    over = (height > 2.3) & (np.abs(rays[..., 1] / rays[..., 0]) < 0.4)
-    assert (found.depth[over] == 0).all() and (found.found | found.left)[over].all()
-    assert found.found[over].any() and found.left[over].any() and not (found.found & found.left).any()
-
-
 def test_what_is_hidden_looks_like_what_is_next_to_it():
     found, *_ = mirrored_room(scale=0.5)
     hole = np.zeros_like(found.found)
@@ -111,21 +91,6 @@ def empty_view(camera):
     return ClearView("beyond", camera, 0.0, color, nothing, color, nothing, nothing)
 
 
-def test_pictures_are_put_together_from_the_view_and_beyond():
-    view, _ = room()
-    camera = mirror_camera(EYE, LEVEL, 0.5)
-    size = (camera.height, camera.width)
-    beyond = empty_view(camera)
-    places = np.full((*size, 2), 60.5, np.float32)
-    known = np.zeros(size, np.float32)
-    known[:, : size[1] // 2] = 1
-    made = PlanarReflection(beyond, places, known, np.zeros(size, np.float32)).picture(
-        view.image, np.full((*size, 3), 9, np.float32)
-    )
-    np.testing.assert_allclose(made[:, : size[1] // 2], view.image[60, 60, 0], atol=1e-6)
-    assert (made[:, size[1] // 2 :] == 9).all()
-
-
 def test_gaps_at_the_horizon_are_closed_from_above_and_others_are_sky():
     camera = mirror_camera(EYE, LEVEL, 0.5)
     view = empty_view(camera)
@@ -141,19 +106,6 @@ def test_gaps_at_the_horizon_are_closed_from_above_and_others_are_sky():
     assert (closed.sky[rise > 0.35] == 1).all()
     assert (closed.sky[:, :20] == 1).all()
     assert (closed.sky[closed.depth > 0] == 0).all()
-
-
-def test_blurred_pictures_keep_their_mean():
-    image = np.random.default_rng(0).random((64, 96, 3)).astype(np.float32)
-    made = build_ripmap(image)
-    for start, rows, columns in made.table.reshape(-1, 3):
-        part = made.values[start : start + rows * columns * 3].reshape(rows, columns, 3)
-        np.testing.assert_allclose(part.mean(axis=(0, 1)), image.mean(axis=(0, 1)), rtol=1e-4)
-    down, across = made.table[3, 0], made.table[0, 3]
-    assert tuple(down[1:]) == (8, 96)
-    assert tuple(across[1:]) == (64, 12)
-    halved = image.reshape(8, 8, 96, 3).mean(axis=1)
-    np.testing.assert_allclose(made.values[down[0] : down[0] + halved.size].reshape(8, 96, 3), halved, atol=1e-5)
 
 
 # Water
@@ -227,15 +179,6 @@ def test_a_reflection_begins_at_the_foot_and_ends_where_the_mirrored_top_is(kind
     assert np.abs(beside).max() < 0.08
 
 
-def test_reflections_are_stretched_and_sharp_at_the_foot():
-    """Near the foot of the pole the reflection is as wide as it; farther down it has grown paler, not much wider."""
-    red = np.maximum(redness(wet()), 0)
-    u, foot = (round(x) for x in pixel(FOOT))
-    near, far = red[foot + 4, u - 12 : u + 13], red[foot + 16, u - 12 : u + 13]
-    assert near.max() > far.max()
-    assert np.count_nonzero(near > near.max() / 2) <= 7 and np.count_nonzero(far > far.max() / 2) <= 12
-
-
 def test_water_is_on_the_ground_only_and_mirrors_more_at_flat_angles():
     view, found = visible()[1], wet()
     u, foot = (round(x) for x in pixel(FOOT))
@@ -255,13 +198,6 @@ def test_no_wetness_is_no_water_more_is_more_and_the_bytes_are_the_same_twice():
     second = water()
     for name in ("color", "share", "through"):
         assert getattr(wet(), name).tobytes() == getattr(second, name).tobytes()
-
-
-def test_a_view_without_ground_has_no_water():
-    scene, _ = visible()
-    up = scene_view(scene, PlacedCamera("up", pole_camera(target=(9.0, 0.0, 6.0))))
-    for surroundings in (SceneEnvironment(scene), ImageEnvironment()):
-        assert water_layer_of(up, look(up), surroundings, look, 1.0, 0) is None
 
 
 def test_what_is_beyond_the_world_is_mirrored_as_sky():

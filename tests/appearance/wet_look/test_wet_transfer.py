@@ -2,9 +2,11 @@
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from appearance.wet_look.dry_view import camera, dry_view
 from gsrain_engine.appearance.base import Transfer
@@ -12,7 +14,6 @@ from gsrain_engine.appearance.correspondence import correspondence, warped
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.appearance.wet_look.translator import WetTransfer
-from gsrain_engine.scene.geometry import srgb_to_linear
 
 ALLOWED = 1.1
 """Of the clear views' own disagreement."""
@@ -53,6 +54,42 @@ def test_the_same_bytes_twice_in_order_and_none_changed_at_wetness_0(views, surr
         assert made.image.tobytes() == clear.image.tobytes() and made.film.max() == 0
 
 
+def everything_in_one_view():
+    """A shadow, a car with a tail lamp, a lamp on the wall, grass, leaves before the sky, and unmasked sky."""
+    vehicles = np.zeros((128, 192))
+    vehicles[66:84, 120:150] = 1
+    view = dry_view(
+        shadow=0.7, texture=0.2, seen_from=camera(ahead=(1.0, 0.0, -0.1), width=192, height=128),
+        vehicles=vehicles,
+    )  # fmt: skip
+    image, sky = view.image.copy(), view.sky.copy()
+    for rows, columns, color in (
+        ((66, 84), (120, 150), (0.2, 0.25, 0.4)), ((76, 78), (124, 127), (0.8, 0.15, 0.15)),
+        ((36, 38), (60, 62), (1.0, 0.15, 0.1)), ((100, 128), (0, 70), (0.3, 0.45, 0.15)),
+        ((2, 16), (20, 23), (0.2, 0.15, 0.1)),
+    ):  # fmt: skip
+        image[slice(*rows), slice(*columns)] = color
+    sky[2:16, 20:23] = sky[:, 170:] = 0
+    return replace(view, image=image, sky=sky)
+
+
+GOLDEN = Path(__file__).with_name("golden.png")
+
+
+def wet_pictures(surroundings):
+    """Wet images of the view with its geometry and without, and the film of water, below each other."""
+    view = everything_in_one_view()
+    known, unknown = rainy([view], surroundings, wetness=0.8)[0], rainy([alone(view)], surroundings)[0]
+    rows = [known.image, unknown.image, known.film[..., None].repeat(3, axis=2)]
+    return np.rint(np.concatenate(rows) * 255).astype(np.uint8)
+
+
+def test_the_pictures_are_the_golden_ones(surroundings):
+    """To write them anew: `python -m tests.appearance.wet_look.test_wet_transfer`."""
+    difference = np.abs(wet_pictures(surroundings).astype(int) - np.asarray(Image.open(GOLDEN)))
+    assert difference.mean() < 0.1 and np.mean(difference > 3) < 0.002
+
+
 def test_more_wetness_is_more_of_everything(views, surroundings, soaked):
     made = [rainy(views[:1], surroundings, wetness=w)[0] for w in (0.25, 0.5, 0.75)] + soaked[:1]
     film = [float(each.film.sum()) for each in made]
@@ -63,16 +100,6 @@ def test_more_wetness_is_more_of_everything(views, surroundings, soaked):
     dry = made[-1].film == 0
     for less, more in itertools.pairwise(change):
         assert (more - less)[dry].min() > -0.005
-
-
-def test_the_road_is_dark_and_the_blue_sky_is_gone(views, soaked):
-    view, made = views[0], soaked[0]
-    sky, road = view.sky > 0.9, (view.normals[..., 2] > 0.9) & (made.film < DRY) & (view.depth > 0)
-    clear, wet = srgb_to_linear(view.image), srgb_to_linear(made.image)
-    sunlit = road & (np.arange(192) > 110)
-    assert wet[sunlit].mean() < 0.5 * clear[sunlit].mean()
-    blueness = [float((light[sky][:, 2] - light[sky][:, 0]).mean()) for light in (clear, wet)]
-    assert blueness[1] < 0.5 * blueness[0] and made.image[sky].min() > 0.5
 
 
 def test_light_given_is_light_used(views, surroundings, soaked):
@@ -96,15 +123,6 @@ def test_views_agree_as_well_as_the_clear_ones(soaked):
         for mine, theirs in ((here.clear.image, there.clear.image), (here.image, there.image))
     )
     assert 0.001 < wet < ALLOWED * clear
-
-
-def test_grass_mirrors_nothing_even_where_it_is_bare(views, surroundings):
-    view = views[0]
-    image = view.image.copy()
-    image[70:, :96] = (0.3, 0.45, 0.15)
-    image[90:96, 40:44] = (0.45, 0.4, 0.3)
-    bare, paved = (rainy([each], surroundings)[0].film[85:100, 30:60] for each in (replace(view, image=image), view))
-    assert bare.max() < 0.01 < paved.mean()
 
 
 def alone(view, **changes):
@@ -150,3 +168,7 @@ def test_where_up_is_wrong_no_wall_is_a_ground(views, surroundings):
     )
     assert surroundings.ground(views[0]) is not None
     assert surroundings.ground(tipped) is None
+
+
+if __name__ == "__main__":
+    Image.fromarray(wet_pictures(ImageEnvironment())).save(GOLDEN)
