@@ -1,28 +1,22 @@
-"""The trained model: static Gaussians, sky and actors, with scene export and checkpoints."""
+"""The trained model: static Gaussians, sky and actors, with scene export."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Float64, Shaped
 
 from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
 from ..render.autodiff.differentiable import Rendered, render_gaussians
-from ..safe_io.numpy_files import read_archive
-from ..safe_io.text_files import printable_line
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.camera_path_edit import WALKING_M_S, with_constant_speed
-from ..scene.files import whole_file
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Actor, Layer, RigCamera, Scene, rotation_to_z_up
 from .parameters import SplatParameters, rotate_quaternions
-from .settings import TrainingSettings
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -197,68 +191,3 @@ def _rigs(capture: Capture) -> dict[str, tuple[RigCamera, ...]]:
                 np.linalg.inv(pose) @ camera.camera_to_world, camera.exposure_s,
             )  # fmt: skip
     return {RIG: tuple(mounted.values())} if mounted else {}
-
-
-# Checkpoints
-# NumPy archives without pickles, written atomically.
-
-_VERSION = 1
-_FREE = frozenset({"measured_every", "saved_every"})
-"""Settings that may change on resume, since no result depends on them."""
-
-
-class TrainingCheckpointError(ValueError):
-    """A checkpoint that can't be resumed; the message names the file and the reason."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainingCheckpoint:
-    """The full state of an unfinished training."""
-
-    step: int
-    seconds: float
-    arrays: Mapping[str, Shaped[np.ndarray, "..."]]
-
-
-class _TrainingHeader(msgspec.Struct, frozen=True, kw_only=True):
-    version: int
-    step: int
-    seconds: float
-    capture: str
-    settings: TrainingSettings
-
-
-def write_training_checkpoint(
-    file: Path, checkpoint: TrainingCheckpoint, settings: TrainingSettings, capture: str
-) -> None:
-    """Write a checkpoint; `capture` is a text that identifies the capture and its views."""
-    head = _TrainingHeader(
-        version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, capture=capture, settings=settings
-    )
-    named = {"head": np.frombuffer(msgspec.json.encode(head), np.uint8), **checkpoint.arrays}
-    with whole_file(file) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **named)
-
-
-def read_training_checkpoint(file: Path, settings: TrainingSettings, capture: str) -> TrainingCheckpoint:
-    """Read a checkpoint of the same training; raises `TrainingCheckpointError` if it is damaged or of another."""
-    if not file.is_file():
-        raise TrainingCheckpointError(
-            f"{file}: there is no checkpoint to resume from; leave --resume out to begin anew"
-        )
-    try:
-        arrays = read_archive(file)
-        head = msgspec.json.decode(arrays.pop("head").tobytes(), type=_TrainingHeader)
-    except (OSError, ValueError, KeyError, RecursionError, msgspec.MsgspecError) as error:
-        raise TrainingCheckpointError(f"{file}: not a checkpoint, or a damaged one: {printable_line(error)}") from None
-    if head.version != _VERSION:
-        raise TrainingCheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
-    if head.capture != capture:
-        raise TrainingCheckpointError(
-            f"{file}: made from other views ({printable_line(head.capture)}), now they are {capture}"
-        )
-    for name in settings.__struct_fields__:
-        before, now = getattr(head.settings, name), getattr(settings, name)
-        if before != now and name not in _FREE:
-            raise TrainingCheckpointError(f"{file}: made with {name} {before}, now it is {now}")
-    return TrainingCheckpoint(head.step, head.seconds, arrays)

@@ -113,30 +113,14 @@ class SplatParameters:
                 continue
             self._steps[name] += 1
             shares = 1 - FIRST_DECAY ** self._steps[name], 1 - SECOND_DECAY ** self._steps[name]
-            with torch.no_grad():
-                if values.device.type == "cpu":
-                    self._step_cpu(name, rate, shares, rows)
-                else:
-                    self._step_device(name, rate, shares, rows)
-
-    def _step_cpu(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
-        n = len(self)
-        four = (self.tensors[name], self.tensors[name].grad, self._first[name], self._second[name])
-        values, slope, first, second = (each.detach().contiguous().numpy().reshape(n, -1) for each in four)
-        mask = np.zeros(0, np.bool_) if rows is None else rows.numpy()
-        adam_step(values, slope, first, second, mask, rate, shares[0], shares[1])
-
-    def _step_device(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
-        values, first, second = self.tensors[name], self._first[name], self._second[name]
-        slope = values.grad
-        if rows is not None:
-            values, first, second, slope = values[rows], first[rows], second[rows], slope[rows]
-        first.mul_(FIRST_DECAY).add_(slope, alpha=1 - FIRST_DECAY)
-        second.mul_(SECOND_DECAY).addcmul_(slope, slope, value=1 - SECOND_DECAY)
-        divisor = second.sqrt().div_(shares[1] ** 0.5).add_(EPSILON)
-        values.addcdiv_(first, divisor, value=-rate / shares[0])
-        if rows is not None:
-            self.tensors[name][rows], self._first[name][rows], self._second[name][rows] = values, first, second
+            first, second = self._first[name], self._second[name]
+            if values.device.type == "cpu":
+                four = (values.detach(), values.grad, first, second)
+                value, slope, mean, square = (each.contiguous().numpy().reshape(len(self), -1) for each in four)
+                mask = np.zeros(0, np.bool_) if rows is None else rows.numpy()
+                adam_step(value, slope, mean, square, mask, rate, *shares)
+            else:
+                torch_adam_step(values.detach(), values.grad, first, second, rows, rate, *shares)
 
     def keep(self, rows: Tensor) -> None:
         """Keep these rows ((n,) bool, or indices in a new order) with their moments; gradients are cleared."""
@@ -241,3 +225,17 @@ def adam_step(values, gradients, first, second, rows, rate, first_share, second_
                     first[i, c] = mean
                     second[i, c] = square
                     values[i, c] -= pace * mean / (np.sqrt(square) * spread + epsilon)
+
+
+def torch_adam_step(
+    values: Tensor, gradients: Tensor, first: Tensor, second: Tensor, rows: Tensor | None, rate: float,
+    first_share: float, second_share: float,
+) -> None:  # fmt: skip
+    """Do the same on any device; without `rows` all are updated."""
+    parts = [each if rows is None else each[rows] for each in (values, gradients, first, second)]
+    value, slope, mean, square = parts
+    mean.mul_(FIRST_DECAY).add_(slope, alpha=1 - FIRST_DECAY)
+    square.mul_(SECOND_DECAY).addcmul_(slope, slope, value=1 - SECOND_DECAY)
+    value.addcdiv_(mean, square.sqrt().div_(second_share**0.5).add_(EPSILON), value=-rate / first_share)
+    if rows is not None:
+        values[rows], first[rows], second[rows] = value, mean, square

@@ -260,16 +260,19 @@ def _similarity(means: tuple[Tensor, ...]) -> Tensor:
 
 
 def _blurred(values: Tensor) -> Tensor:
-    if values.device.type == "cpu":
-        return _CpuBlur.apply(values)
+    return OpenCVBlur.apply(values) if values.device.type == "cpu" else convolved(values)
+
+
+def convolved(values: Tensor) -> Tensor:
+    """(h - 10, w - 10, c) Gaussian window means by torch, on any device."""
     taps = torch.as_tensor(window(), dtype=values.dtype, device=values.device)
     planes = values.permute(2, 0, 1)[:, None]
     rows = torch.nn.functional.conv2d(planes, taps.view(1, 1, -1, 1))
     return torch.nn.functional.conv2d(rows, taps.view(1, 1, 1, -1))[:, 0].permute(1, 2, 0)
 
 
-class _CpuBlur(torch.autograd.Function):
-    """Gaussian window means by OpenCV, several times faster than torch's single-channel convolution."""
+class OpenCVBlur(torch.autograd.Function):
+    """The same by OpenCV, several times faster on the CPU than torch's single-channel convolution."""
 
     @staticmethod
     def forward(context: Any, values: Tensor) -> Tensor:

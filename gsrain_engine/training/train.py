@@ -1,7 +1,6 @@
 """Reconstruction of a scene from a capture: a generator of `Progress` that may be stopped at any step."""
 
 import logging
-import time
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
@@ -11,7 +10,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Shaped, UInt8
 
 from ..datasets.capture import Capture, CaptureError, CaptureFrame
 from ..datasets.depth_maps import DepthPriors, depth_priors
@@ -21,23 +20,18 @@ from ..evaluation.lpips import Lpips
 from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
 from ..evaluation.report import ReportCurve, RunReport, write_report
 from ..evaluation.report_charts import ImageComparison
+from ..safe_io.numpy_files import read_archive
 from ..scene.formats.scene_files import write_scene
 from ..scene.gaussians import Gaussians
 from ..scene.progress import Progress
+from ..training_run import CheckpointFormat, CheckpointHeader, PeriodicAction, TrainingRun
 from .data import ReconstructionTask, TrainingView, training_views
 from .ego_mask import mask_ego_vehicle
 from .evaluation import RenderScore, TrainingCurves, mean_of
 from .free_space import FreeSpaceCarving
 from .init import actor_layers, initial_gaussians, initial_sky
 from .mcmc import MCMCSettings, MCMCStrategy
-from .model import (
-    SplatModel,
-    TrainingCheckpoint,
-    TrainingCheckpointError,
-    read_training_checkpoint,
-    scene_of,
-    write_training_checkpoint,
-)  # fmt: skip
+from .model import SplatModel, scene_of
 from .parameters import SplatParameters
 from .settings import TrainingSchedule, TrainingSettings, camera_extent
 from .step import Trainer, comparison_image
@@ -47,7 +41,6 @@ from .surfels import camera_trajectory
 torch: Any = import_module("torch")
 logger = logging.getLogger("gsrain")
 _STARTED, _TRAINED = 0.04, 0.95  # shares of the total progress at which training starts and ends
-_PREVIEW_INTERVAL_S = 2.0
 _QUICK_VIEWS = 4  # number of held-out views evaluated during training; all of them at the end
 _LEARNED_VIEWS = 4  # number of training views evaluated at the end, for comparison
 
@@ -144,14 +137,14 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
     """Fit Gaussians to a capture (read from the task if None) and write the scene and the requested report.
 
     Yields progress at least once a step; if it is stopped there, the last checkpoint remains. Raises `CaptureError` if
-    the capture can't be read or has nothing to train on, and `TrainingCheckpointError` if `resume` finds no checkpoint,
+    the capture can't be read or has nothing to train on, and `CheckpointError` if `resume` finds no checkpoint,
     or one of another training.
     """
     yield Progress(0.0, "Reading the capture")
     capture = task.read() if opened is None else opened
-    began = time.perf_counter()
+    run = TrainingRun(task.settings.steps, (_STARTED, _TRAINED))
     started = yield from start_training(capture, task.settings, task.held_out(capture), task.lpips)
-    learning = _TrainingLoop(task, capture, started, began)
+    learning = _Reconstruction(task, capture, started, run)
     yield from learning.resume() if task.resume else learning.look_before()
     yield from learning.learn()
     result = yield from learning.measure()
@@ -175,16 +168,37 @@ class PreparedTraining:
     own_body: "EgoMaskReport"
 
 
-class _TrainingLoop:
+class _TrainingHeader(CheckpointHeader, frozen=True, kw_only=True):
+    capture: str
+    """Text that identifies the capture and its views."""
+    settings: TrainingSettings
+
+
+def _save(file: Path, header: bytes, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+    with file.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, head=np.frombuffer(header, np.uint8), **arrays)
+
+
+def _load(file: Path) -> tuple[bytes, dict[str, Shaped[np.ndarray, "..."]]]:
+    arrays = read_archive(file)
+    return arrays.pop("head").tobytes(), arrays
+
+
+_CHECKPOINTS: CheckpointFormat[_TrainingHeader] = CheckpointFormat(
+    _save, _load, frozenset({"measured_every", "saved_every"})
+)
+"""NumPy archives without pickles."""
+
+
+class _Reconstruction:
     """One training from its first step to its last, with its records."""
 
-    def __init__(self, task: ReconstructionTask, capture: Capture, started: PreparedTraining, began: float) -> None:
-        self._task, self._capture, self._began = task, capture, began
+    def __init__(self, task: ReconstructionTask, capture: Capture, started: PreparedTraining, run: TrainingRun) -> None:
+        self._task, self._capture, self._run = task, capture, run
         self._settings, self._training = task.settings, started.training
         self._held, self._perceived, self._own_body = started.held_out, started.perceived, started.own_body
-        self._first, self._curves = 0, TrainingCurves()
+        self._curves = TrainingCurves()
         self._before: tuple[RenderScore, ...] = ()
-        self._preview_at = -np.inf
 
     def look_before(self) -> Generator[Progress]:
         yield Progress(_STARTED, "Measuring what it starts from")
@@ -194,49 +208,54 @@ class _TrainingLoop:
     def resume(self) -> Generator[Progress]:
         file = self._task.checkpoint
         yield Progress(_STARTED, f"Reading {file.name}")
-        checkpoint = read_training_checkpoint(file, self._settings, self._task.fingerprint(self._capture))
-        try:
-            self._training.restore(checkpoint.arrays)
-            self._curves = TrainingCurves.restored(checkpoint.arrays)
-            scores = checkpoint.arrays["before"].tolist()
-            self._before = tuple(RenderScore(view.name, *row) for view, row in zip(self._held, scores, strict=True))
-        except KeyError as error:
-            raise TrainingCheckpointError(f"{file}: holds no {error}; begin anew without --resume") from None
-        self._first = checkpoint.step
-        self._began -= checkpoint.seconds
+        self._run.continue_from(_CHECKPOINTS.resume(file, self._header(0), self._restore))
 
     def learn(self) -> Generator[Progress]:
         settings = self._settings
-        for number in range(self._first, settings.steps):
-            done = self._training.step(number)
-            self._curves.add(done.loss, self._training.model.count, self._seconds)
-            count, loss, preview = self._training.model.count, self._curves.recent_loss(), None
-            if time.perf_counter() - self._preview_at > _PREVIEW_INTERVAL_S:
-                self._preview_at, preview = time.perf_counter(), comparison_image(done.exposed, done.truth)
-            message = f"Step {number + 1:,} of {settings.steps:,}: loss {loss:.4f}, {count:,} Gaussians"
-            step = self._progress_at(number, f"{message} ({done.change})" if done.change else message, preview)
-            yield step._replace(metrics={"step": number + 1, "loss": loss})
-            if _is_due(settings.measured_every, number, settings.steps):
-                yield self._look(number)
-            if _is_due(settings.saved_every, number, settings.steps):
-                self._save(number + 1)
-                yield self._progress_at(number, f"Saved {self._task.checkpoint.name}")
+        actions = PeriodicAction(settings.measured_every, self._look), PeriodicAction(settings.saved_every, self._save)
+        yield from self._run.train(self._step, actions)
 
-    def _look(self, number: int) -> Progress:
+    def _step(self, number: int) -> Progress:
+        done = self._training.step(number)
+        count = self._training.model.count
+        self._curves.add(done.loss, count, self._run.seconds)
+        loss = self._curves.recent_loss()
+        preview = comparison_image(done.exposed, done.truth) if self._run.preview_is_due() else None
+        message = f"Step {number + 1:,} of {self._settings.steps:,}: loss {loss:.4f}, {count:,} Gaussians"
+        message = f"{message} ({done.change})" if done.change else message
+        return self._run.progress(number + 1, message, preview, {"loss": loss, "gaussians": count})
+
+    def _look(self, steps: int) -> Progress:
         """Write the snapshot scene if requested, and evaluate some held-out views."""
         if self._task.snapshot is not None:
             write_scene(scene_of(self._training.model, self._capture), self._task.snapshot)
         if not self._held:
-            return self._progress_at(number, f"After {number + 1:,} steps: loss {self._curves.recent_loss():.4f}")
-        self._note(number + 1, [self._training.measure(view) for view in self._held[:_QUICK_VIEWS]])
-        message = f"Held-out views after {number + 1:,} steps: {self._curves.measured_db[-1]:.2f} dB"
-        logger.info("%s, %.0f s", message, self._seconds)
-        metrics = {"step": number + 1, "PSNR (dB)": self._curves.measured_db[-1]}
-        return self._progress_at(number, message)._replace(metrics=metrics)
+            return self._run.progress(steps, f"After {steps:,} steps: loss {self._curves.recent_loss():.4f}")
+        self._note(steps, [self._training.measure(view) for view in self._held[:_QUICK_VIEWS]])
+        psnr_db = self._curves.measured_db[-1]
+        message = f"Held-out views after {steps:,} steps: {psnr_db:.2f} dB"
+        logger.info("%s, %.0f s", message, self._run.seconds)
+        return self._run.progress(steps, message, metrics={"psnr_held_out_db": psnr_db})
+
+    def _save(self, steps: int) -> Progress:
+        before = np.array([[each.psnr_db, each.ssim, each.psnr_exposed_db] for each in self._before]).reshape(-1, 3)
+        arrays = self._training.state() | self._curves.state() | {"before": before}
+        _CHECKPOINTS.write(self._task.checkpoint, self._header(steps), arrays)
+        return self._run.progress(steps, f"Saved {self._task.checkpoint.name}")
+
+    def _restore(self, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
+        self._training.restore(arrays)
+        self._curves = TrainingCurves.restored(arrays)
+        scores = arrays["before"].tolist()
+        self._before = tuple(RenderScore(view.name, *row) for view, row in zip(self._held, scores, strict=True))
+
+    def _header(self, steps: int) -> _TrainingHeader:
+        capture = self._task.fingerprint(self._capture)
+        return _TrainingHeader(step=steps, seconds=self._run.seconds, capture=capture, settings=self._settings)
 
     def measure(self) -> Generator[Progress, None, TrainingReport]:
         """Evaluate all held-out views and some training views."""
-        seconds = self._seconds
+        seconds = self._run.seconds
         views = self._training.views
         spread = np.linspace(0, len(views) - 1, min(_LEARNED_VIEWS, len(views))).round().astype(int)
         learned = [views[index] for index in np.unique(spread)]
@@ -256,31 +275,10 @@ class _TrainingLoop:
             tuple(pictures), dict(self._training.seconds_by_stage), self._own_body,
         )  # fmt: skip
 
-    @property
-    def _seconds(self) -> float:
-        return time.perf_counter() - self._began
-
-    def _progress_at(self, number: int, message: str, preview: np.ndarray | None = None) -> Progress:
-        done = (number + 1) / self._settings.steps
-        return Progress(_STARTED + (_TRAINED - _STARTED) * done, message, preview)
-
     def _note(self, steps: int, scores: Sequence[RenderScore]) -> None:
         mean = mean_of(scores, "psnr_db")
         if mean is not None:
             self._curves.measured(steps, mean)
-
-    def _save(self, steps: int) -> None:
-        file = self._task.checkpoint
-        file.parent.mkdir(parents=True, exist_ok=True)
-        before = np.array([[each.psnr_db, each.ssim, each.psnr_exposed_db] for each in self._before]).reshape(-1, 3)
-        arrays = self._training.state() | self._curves.state() | {"before": before}
-        checkpoint = TrainingCheckpoint(steps, self._seconds, arrays)
-        write_training_checkpoint(file, checkpoint, self._settings, self._task.fingerprint(self._capture))
-
-
-def _is_due(every: int, number: int, steps: int) -> bool:
-    """True if a periodic action is due after a step, counted from 0; never after the last step."""
-    return every > 0 and (number + 1) % every == 0 and number + 1 < steps
 
 
 # Preparation

@@ -1,12 +1,12 @@
-"""Matching: true views of the street agree, walls hide, the sky only turns, vehicles move."""
+"""Matching: true views of the street agree, walls hide, the sky only turns, vehicles move; and neighbors share most."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from appearance.street_views import made_view, street_views
-from gsrain_engine.appearance.correspondence import MatchOutcome, correspondence, warped
+from appearance.street_views import made_view, street_camera, street_views
+from gsrain_engine.appearance.correspondence import MatchOutcome, correspondence, rank_neighbors, warped
 from gsrain_engine.scene.camera import Camera
 
 
@@ -25,6 +25,10 @@ def _plain_place(of, to, u, v, depth):
     world = np.linalg.inv(of.world_to_camera[:3, :3]) @ (local - of.world_to_camera[:3, 3])
     x, y, z = k_to @ (to.world_to_camera[:3, :3] @ world + to.world_to_camera[:3, 3])
     return x / z, y / z
+
+
+def centers(width: int, height: int) -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=2)
 
 
 def test_places_are_those_of_the_papers_equations():
@@ -57,23 +61,18 @@ def test_true_views_of_the_street_agree_where_they_match(of, to, least):
     assert np.sqrt(np.mean(beside**2)) > 2 * np.sqrt(np.mean(wrong**2))
 
 
-def test_there_and_back_leads_home():
+def test_there_and_back_leads_home_and_a_view_matches_itself_to_the_last_bit():
     views = street_views()
     there, back = correspondence(views["second"], views["first"]), correspondence(views["first"], views["second"])
     returns = warped(back.places, there)
     known = there.valid & (warped(back.valid[..., None].astype(np.float32), there)[..., 0] > 0.999)
-    own = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in known.shape[::-1])), axis=2)
     assert known.mean() > 0.4
-    away = np.abs(returns - own).max(axis=2)[known]
-    assert np.mean(away > 0.1) < 0.005
-    assert away.max() < 1.5
-
-
-def test_a_view_matches_itself_to_the_last_bit():
-    view = street_views()["first"]
-    found = correspondence(view, view, skips_edges=False)
-    assert found.valid.all()
-    np.testing.assert_array_equal(warped(view.image, found), view.image)
+    away = np.abs(returns - centers(360, 240)).max(axis=2)[known]
+    assert np.mean(away > 0.1) < 0.005 and away.max() < 1.5
+    view = views["first"]
+    own = correspondence(view, view, skips_edges=False)
+    assert own.valid.all()
+    np.testing.assert_array_equal(warped(view.image, own), view.image)
 
 
 def test_a_wall_hides_what_is_behind_it():
@@ -94,26 +93,16 @@ def test_a_wall_hides_what_is_behind_it():
     assert unknown.outcome[15, 25] == MatchOutcome.UNKNOWN
 
 
-def test_what_lies_behind_the_other_camera_is_outside():
-    turned = _plane_camera(yaw=np.pi)
-    found = correspondence(
-        made_view(_plane_camera(), np.full((30, 40), 5.0)), made_view(turned, np.full((30, 40), 5.0))
-    )
-    assert (found.outcome == MatchOutcome.OUTSIDE).all()
-    assert (found.places == -1).all()
-
-
 def test_the_sky_turns_and_does_not_shift():
     camera, away, turned = _plane_camera(), _plane_camera(3.0), _plane_camera(yaw=0.1)
     nothing, sky = np.zeros((30, 40)), np.ones((30, 40))
-    shifted = correspondence(made_view(camera, nothing, sky=sky), made_view(away, nothing, sky=sky))
+    here = made_view(camera, nothing, sky=sky)
+    shifted = correspondence(here, made_view(away, nothing, sky=sky))
     assert shifted.valid.all()
-    own = np.stack(np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5), axis=2)
-    np.testing.assert_allclose(shifted.places, own, atol=1e-5)
-    rotated = correspondence(made_view(camera, nothing, sky=sky), made_view(turned, nothing, sky=sky))
-    middle = rotated.places[15, 19:21, 0].mean()
-    assert abs(middle - 20) == pytest.approx(20 * np.tan(0.1), rel=0.01)
-    wall = correspondence(made_view(camera, nothing, sky=sky), made_view(away, np.full((30, 40), 1e4)))
+    np.testing.assert_allclose(shifted.places, centers(40, 30), atol=1e-5)
+    rotated = correspondence(here, made_view(turned, nothing, sky=sky))
+    assert abs(rotated.places[15, 19:21, 0].mean() - 20) == pytest.approx(20 * np.tan(0.1), rel=0.01)
+    wall = correspondence(here, made_view(away, np.full((30, 40), 1e4)))
     assert (wall.outcome == MatchOutcome.HIDDEN).all()
 
 
@@ -134,16 +123,11 @@ def test_vehicles_match_only_at_one_moment():
 def test_lidar_alone_matches_where_it_measured_and_still_knows_what_hides():
     here, beside = _plane_camera(0.0, 80, 60), _plane_camera(0.5, 80, 60)
     measured = np.random.default_rng(5).random((60, 80)) < 0.06
-    found = correspondence(
-        made_view(here, np.where(measured, 10.0, 0)), made_view(beside, np.where(np.roll(measured, 7), 10.0, 0))
-    )
+    of = made_view(here, np.where(measured, 10.0, 0))
+    found = correspondence(of, made_view(beside, np.where(np.roll(measured, 7), 10.0, 0)))
     inside = measured & (found.outcome != MatchOutcome.OUTSIDE)
-    assert found.valid[inside].mean() > 0.95
-    assert not found.valid[~measured].any()
-    nearer = correspondence(
-        made_view(here, np.where(measured, 10.0, 0)), made_view(beside, np.where(np.roll(measured, 7), 5.0, 0))
-    )
-    assert not nearer.valid.any()
+    assert found.valid[inside].mean() > 0.95 and not found.valid[~measured].any()
+    assert not correspondence(of, made_view(beside, np.where(np.roll(measured, 7), 5.0, 0))).valid.any()
 
 
 def test_maps_of_features_are_warped_as_plain_averages_say():
@@ -151,40 +135,51 @@ def test_maps_of_features_are_warped_as_plain_averages_say():
     found = correspondence(views["second"], views["left"])
     height, width = 30, 45  # 8 x 8 pixels a cell
     grid, valid = found.at(height, width)
-    assert grid.shape == (height, width, 2)
     shares = found.valid.reshape(height, 8, width, 8).mean(axis=(1, 3))
     np.testing.assert_array_equal(valid, shares >= 0.5)
-    assert 0.1 < valid.mean() < 0.9
+    assert grid.shape == (height, width, 2) and 0.1 < valid.mean() < 0.9
     row, column = np.argwhere(valid)[len(np.argwhere(valid)) // 2]
     cell = np.s_[8 * row : 8 * row + 8, 8 * column : 8 * column + 8]
-    inside = found.valid[cell]
-    own = np.stack(np.meshgrid(np.arange(360) + 0.5, np.arange(240) + 0.5), axis=2)
-    way = ((found.places - own)[cell][inside]).mean(axis=0) / (360, 240)
+    way = ((found.places - centers(360, 240))[cell][found.valid[cell]]).mean(axis=0) / (360, 240)
     expected = 2 * ((np.array([column, row]) + 0.5) / (width, height) + way) - 1
     np.testing.assert_allclose(grid[row, column], expected, atol=1e-4)
     assert (grid[~valid] == -2).all()
 
 
-def test_grid_sample_of_a_view_onto_itself_changes_nothing():
-    torch = pytest.importorskip("torch")
-    view = street_views()["first"]
-    grid, valid = correspondence(view, view, skips_edges=False).at(30, 45)
-    assert valid.all()
-    features = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 8, 30, 45)).astype(np.float32))
-    same = torch.nn.functional.grid_sample(features, torch.from_numpy(grid)[None], align_corners=False)
-    torch.testing.assert_close(same, features, atol=2e-5, rtol=0)
+# Neighbors
 
 
-def test_another_size_of_the_other_picture_is_allowed():
-    view = street_views()["first"]
-    half = view.depth[::2, ::2], view.image[::2, ::2], view.sky[::2, ::2]
-    camera = view.camera
-    small = made_view(
-        replace(camera, width=180, height=120, fx=camera.fx / 2, fy=camera.fy / 2, cx=90, cy=60), half[0], *half[1:]
-    )
-    found = correspondence(view, small)
-    own = np.stack(np.meshgrid(np.arange(360) + 0.5, np.arange(240) + 0.5), axis=2)
-    np.testing.assert_allclose(found.places[found.valid], own[found.valid] / 2, atol=1e-3)
-    grid, valid = found.at(24, 36)
-    row, column = np.argwhere(valid)[100]
-    assert np.abs(grid[row, column] - (2 * (column + 0.5) / 36 - 1, 2 * (row + 0.5) / 24 - 1)).max() < 1e-3
+def test_the_nearest_on_the_way_come_first_and_another_camera_has_a_place():
+    views = list(street_views().values())  # first, second, third, left
+    assert rank_neighbors(views, 1)[:3] == [(1,), (0,), (1,)]
+    assert rank_neighbors(views, 2)[1] == (0, 3) and rank_neighbors(views, 3)[0] == (1, 2, 3)
+    assert rank_neighbors([replace(view, sensor="") for view in views], 2)[1] == (0, 2)  # all of one camera
+    measured = np.random.default_rng(1).random((240, 360)) < 0.004  # a few lidar points are enough
+    sparse = [replace(each, depth=np.where(measured, each.depth, 0), sky=np.zeros_like(each.sky)) for each in views]
+    assert rank_neighbors(sparse, 1)[:3] == [(1,), (0,), (1,)]
+
+
+def test_views_of_unknown_pose_and_pictures_of_other_places_have_no_neighbours():
+    views = list(street_views().values())
+    assert rank_neighbors([replace(view, has_pose=False) for view in views], 2) == [(), (), (), ()]
+    some = rank_neighbors([views[0], replace(views[1], has_pose=False), *views[2:]], 2)
+    assert some[1] == ()
+    assert 2 in some[0] and not any(1 in others for others in some)
+    at_rest = [views[0], replace(views[0], name="later", time_s=1.0, image=0.8 * views[0].image)]
+    assert rank_neighbors(at_rest, 1) == [(1,), (0,)]
+    noise = np.random.default_rng(3).random(views[0].image.shape).astype(np.float32)
+    stand_in = [views[0], replace(views[0], name="elsewhere", image=noise)]  # the same pose, another street
+    assert rank_neighbors(stand_in, 1) == [(), ()]
+
+
+def test_a_sky_that_two_views_share_makes_no_neighbours():
+    camera = street_camera(0.0, 0.0)
+    depth = np.full((240, 360), 8.0)
+    depth[:120] = 0
+    view = made_view(camera, depth)
+    view = replace(view, sky=(np.arange(240)[:, None] < 120).astype(np.float32).repeat(360, axis=1))
+    below = replace(
+        view, name="b", camera=street_camera(0.3, 0.0), depth=3 * view.depth
+    )  # what stands there is another thing
+    assert rank_neighbors([view, replace(view, name="c", camera=street_camera(0.3, 0.0))], 1) == [(1,), (0,)]
+    assert rank_neighbors([view, below], 1) == [(), ()]

@@ -69,7 +69,7 @@ class Discriminator(torch.nn.Module):
 
     def __init__(self, features: ClipFeatures, augmentations: Sequence[str], channels: int = 256) -> None:
         super().__init__()
-        self._features = (features,)  # the tuple keeps the features out of this module's parameters and state
+        self.shared_features = (features,)  # the tuple keeps the features out of this module's parameters and state
         self._augmentations = tuple(augmentations)
         self.maps = torch.nn.ModuleList(_MapHead(features.map_channels, channels) for _ in features.taps)
         self.whole = torch.nn.Sequential(
@@ -80,7 +80,7 @@ class Discriminator(torch.nn.Module):
 
     def forward(self, pictures: Tensor, generator: Any) -> list[Tensor]:
         """Logits of "real" for images (b, 3, h, w) in -1..1, one tensor per level; augments with `generator`."""
-        *maps, whole = self._features[0](augment_images(pictures, self._augmentations, generator))
+        *maps, whole = self.shared_features[0](augment_images(pictures, self._augmentations, generator))
         return [*(head(each) for head, each in zip(self.maps, maps, strict=True)), self.whole(whole)]
 
 

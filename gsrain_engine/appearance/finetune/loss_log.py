@@ -2,6 +2,7 @@
 
 import csv
 import logging
+import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from ...scene.files import whole_file
 logger = logging.getLogger("gsrain")
 FILE = "losses.csv"
 _STEP = "step"
+_FLUSHED_EVERY_S = 1.0
 
 
 class LossLog:
@@ -34,6 +36,7 @@ class LossLog:
                 _write_rows(stream, self.earlier_rows)
         self._stream = file.open("a" if self.earlier_rows else "w", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._stream, list(self.earlier_rows[0])) if self.earlier_rows else None
+        self._flushed_at = -np.inf
         self._board: Any = None
         if find_spec("tensorboard") is None:
             logger.info("TensorBoard is not installed: losses go to %s only", file)
@@ -59,12 +62,16 @@ class LossLog:
         if self._board is not None:
             for name, value in losses.items():
                 self._board.add_scalar(name.replace("_", "/", 1), value, step)
+        if time.perf_counter() - self._flushed_at > _FLUSHED_EVERY_S:
+            self.flush()
 
     def show(self, step: int, grid: UInt8[np.ndarray, "h w 3"]) -> None:
         if self._board is not None:
             self._board.add_image("samples", grid, step, dataformats="HWC")
 
     def flush(self) -> None:
+        """Write everything to the files; also done once a second, so that they can be followed."""
+        self._flushed_at = time.perf_counter()
         self._stream.flush()
         if self._board is not None:
             self._board.flush()

@@ -5,9 +5,9 @@ The caller provides LPIPS.
 
 import logging
 import os
-import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,24 +17,25 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...render.images import write_png
+from ...safe_io.limits import check_file
 from ...scene.files import hold_for_writing
 from ...scene.progress import Progress
+from ...training_run import CheckpointError, CheckpointFormat, CheckpointHeader, PeriodicAction, TrainingRun
 from ..cyclegan_turbo.lora import LoraRanks
 from ..cyclegan_turbo.model import build_random_model, tiny
 from ..cyclegan_turbo.pretrained import open_model
 from ..cyclegan_turbo.weights import save_weights
-from . import checkpoint
 from .dataset import DatasetImage, ImageSplit, UnpairedImages, open_images
 from .discriminator import ClipFeatures, Discriminator
 from .loss_log import CollapseMonitor, LossLog, color_distance, distance_sample, read_losses
 from .settings import FinetuneResult, FinetuneTask, FinetuningSettings
 from .step import FinetuneStepResult, FinetuneTrainer, PairSampler, Perceptual, fingerprint
 
+safetensors: Any = import_module("safetensors")
+safetensors_torch: Any = import_module("safetensors.torch")
 torch: Any = import_module("torch")
 logger = logging.getLogger("gsrain")
 _STARTED, _TRAINED = 0.02, 0.99  # progress at which training begins and ends
-_PREVIEW_INTERVAL_S = 2.0
-_FLUSHED_EVERY_S = 1.0
 _EARLIER_POINTS = 400  # maximum number of iterations before a resumption whose losses are reported once more
 _RECENT = 100  # number of last iterations that the result's losses are averaged over
 
@@ -47,7 +48,7 @@ def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Genera
 
     Raises:
         CaptureError: For unreadable images.
-        FinetuningCheckpointError: If `resume` finds no checkpoint, or one of another training.
+        CheckpointError: If `resume` finds no checkpoint, or one of another training.
         FileNotFoundError: If SD-Turbo or CLIP is missing, with download instructions.
         ValueError: If files don't fit each other, or the folder holds another training.
         DivergedError, MemoryError: If the training diverged, or the device has too little memory.
@@ -68,8 +69,41 @@ def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Genera
             training = start_finetuning(task.settings, split.train, perceptual)
             loop = _FinetuneLoop(task, split, training, perceptual is not None)
             yield from loop.train()
-        yield Progress(1.0, "Trained", warning=loop.warned)
+        yield Progress(1.0, "Trained", warning=loop.run.warning)
         return loop.result()
+
+
+class _FinetuneHeader(CheckpointHeader, frozen=True, kw_only=True):
+    perceptual: bool
+    """True if LPIPS is one of the losses."""
+    pictures: str
+    """Text that identifies the sets of images; their order and all random numbers follow from the step."""
+    settings: FinetuningSettings
+
+
+_HEAD = "gsrain"  # key of the header in the file's metadata
+
+
+def _save(file: Path, header: bytes, arrays: Mapping[str, Any]) -> None:
+    safetensors_torch.save_file(dict(arrays), str(file), metadata={_HEAD: header.decode()})
+
+
+def _load(file: Path) -> tuple[bytes, dict[str, Any]]:
+    check_file(file)
+    try:
+        with safetensors.safe_open(str(file), "pt") as opened:
+            header: str = (opened.metadata() or {})[_HEAD]
+            return header.encode(), {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    except safetensors.SafetensorError as error:
+        raise ValueError(error) from None
+
+
+_FREE = frozenset(
+    {"steps", "samples", "sampled_every", "saved_every", "warned_after", "gradient_checkpointing", "device", "base",
+     "clip", "lpips", "start"}
+)  # fmt: skip
+_CHECKPOINTS: CheckpointFormat[_FinetuneHeader] = CheckpointFormat(_save, _load, _FREE)
+"""Files of safetensors."""
 
 
 class _FinetuneLoop:
@@ -78,45 +112,67 @@ class _FinetuneLoop:
     def __init__(self, task: FinetuneTask, split: ImageSplit, training: FinetuneTrainer, perceptual: bool) -> None:
         self._task, self._split, self._training, self._perceptual = task, split, training, perceptual
         self._settings = task.settings
-        self._pictures = fingerprint(split.train)
-        self._began, self._first = time.perf_counter(), 0
+        self.run = TrainingRun(task.settings.steps, (_STARTED, _TRAINED))
         if task.resume:
-            self._restore()
+            checkpoint = _CHECKPOINTS.resume(task.checkpoint, self._header(0), training.restore)
+            if checkpoint.step >= task.settings.steps:
+                raise CheckpointError(
+                    f"{task.checkpoint}: {checkpoint.step:,} iterations are done; ask for more with steps"
+                )
+            self.run.continue_from(checkpoint)
         test_images = split.test.source or split.train.source
         self._sample_images = [test_images[i] for i in distance_sample(test_images, task.settings.samples)]
         distance = color_distance(_small(split.train.source), _small(split.train.target))
         self._monitor = CollapseMonitor(distance, task.settings.losses.gan, task.settings.warned_after)
-        self.warned: str | None = None
-        self._previewed_at = self._flushed_at = -np.inf
         self._grid: Path = task.samples
         task.config.write_bytes(msgspec.yaml.encode(task.settings))
 
     def train(self) -> Generator[Progress]:
         settings = self._settings
-        with LossLog(self._task.output, self._first) as log:
+        with LossLog(self._task.output, self.run.first) as log:
             for row in log.earlier_rows[-_RECENT:]:
                 self._monitor.add(row)
             for row in log.earlier_rows[:: len(log.earlier_rows) // _EARLIER_POINTS + 1]:
                 yield Progress(_STARTED, "Reading the losses so far", metrics=row)
-            for number in range(self._first, settings.steps):
-                done = self._iterate(number)
-                self._monitor.add(done.losses)
-                log.add(number + 1, done.losses)
-                step = self._progress_at(number, self._message(number, done), self._preview(done))
-                yield step._replace(metrics={"step": number + 1, **done.losses})
-                if _is_due(settings.sampled_every, number, settings.steps):
-                    grid = sample_grid(self._training, self._sample_images)
-                    self._grid = self._task.samples / f"step_{number + 1:06d}.png"
-                    write_png(self._grid, grid)
-                    log.show(number + 1, grid)
-                    yield self._progress_at(number, f"Samples after {number + 1:,} iterations", grid)
-                if _is_due(settings.saved_every, number, settings.steps):
-                    log.flush()  # first, so that a resumed training finds the losses before its checkpoint
-                    self._save(number + 1)
-                    yield self._progress_at(number, f"Saved {self._task.checkpoint.name}")
-                if (now := time.perf_counter()) - self._flushed_at > _FLUSHED_EVERY_S:
-                    log.flush()
-                    self._flushed_at = now
+            actions = (
+                PeriodicAction(settings.sampled_every, partial(self._sample, log), at_end=True),
+                PeriodicAction(settings.saved_every, partial(self._save, log), at_end=True),
+            )
+            yield from self.run.train(partial(self._step, log), actions)
+
+    def _step(self, log: LossLog, number: int) -> Progress:
+        done = self._iterate(number)
+        losses = done.losses
+        self._monitor.add(losses)
+        log.add(number + 1, losses)
+        verdict = self._monitor.verdict(number + 1)
+        self.run.warn(verdict.warning)
+        cycle, gan = (losses[f"{kind}_clear"] + losses[f"{kind}_rainy"] for kind in ("cycle", "gan"))
+        message = (
+            f"{number + 1:,} of {self._settings.steps:,}: cycle {cycle:.3f}, GAN {gan:.2f}, "
+            f"change {verdict.share:.0%} of the distance between the looks"
+        )
+        preview = join_horizontally(done.clear, done.translated) if self.run.preview_is_due() else None
+        return self.run.progress(number + 1, message, preview, losses)
+
+    def _sample(self, log: LossLog, steps: int) -> Progress:
+        grid = sample_grid(self._training, self._sample_images)
+        self._grid = self._task.samples / f"step_{steps:06d}.png"
+        write_png(self._grid, grid)
+        log.show(steps, grid)
+        return self.run.progress(steps, f"Samples after {steps:,} iterations", grid)
+
+    def _save(self, log: LossLog, steps: int) -> Progress:
+        log.flush()  # first, so that a resumed training finds the losses before its checkpoint
+        _CHECKPOINTS.write(self._task.checkpoint, self._header(steps), self._training.state())
+        save_weights(self._training.model, self._task.weights)
+        return self.run.progress(steps, f"Saved {self._task.checkpoint.name}")
+
+    def _header(self, steps: int) -> _FinetuneHeader:
+        return _FinetuneHeader(
+            step=steps, seconds=self.run.seconds, perceptual=self._perceptual,
+            pictures=fingerprint(self._split.train), settings=self._settings,
+        )  # fmt: skip
 
     def _iterate(self, number: int) -> FinetuneStepResult:
         try:
@@ -134,62 +190,11 @@ class _FinetuneLoop:
         names = [name for name in recent[-1] if name != "step"]
         verdict = self._monitor.verdict(self._settings.steps)
         return FinetuneResult(
-            weights=self._task.weights, grid=self._grid, steps=self._settings.steps, seconds=self._seconds,
+            weights=self._task.weights, grid=self._grid, steps=self._settings.steps, seconds=self.run.seconds,
             losses={name: sum(row[name] for row in recent) / len(recent) for name in names},
             share=verdict.share, warning=verdict.warning, perceptual=self._perceptual,
             table=self._split.table, problems=self._split.problems,
         )  # fmt: skip
-
-    def _restore(self) -> None:
-        file = self._task.checkpoint
-        read = checkpoint.read_finetune_checkpoint(file, self._settings, self._pictures, self._perceptual)
-        if read.step >= self._settings.steps:
-            done = f"{read.step:,} iterations are done; ask for more with steps"
-            raise checkpoint.FinetuningCheckpointError(f"{file}: {done}")
-        try:
-            self._training.restore(read.tensors)
-        except (KeyError, RuntimeError) as error:
-            raise checkpoint.FinetuningCheckpointError(f"{file}: doesn't fit the model: {error}") from None
-        self._first = read.step
-        self._began -= read.seconds
-
-    def _save(self, step: int) -> None:
-        state = checkpoint.FinetuneCheckpoint(step, self._seconds, self._training.state(), self._perceptual)
-        checkpoint.write_finetune_checkpoint(self._task.checkpoint, state, self._settings, self._pictures)
-        save_weights(self._training.model, self._task.weights)
-
-    def _message(self, number: int, done: FinetuneStepResult) -> str:
-        """Return the progress message of an iteration; a new warning is also logged once."""
-        verdict = self._monitor.verdict(number + 1)
-        if verdict.warning is not None and self.warned is None:
-            logger.warning("%s", verdict.warning)
-        self.warned = verdict.warning
-        losses = done.losses
-        cycle, gan = (losses[f"{kind}_clear"] + losses[f"{kind}_rainy"] for kind in ("cycle", "gan"))
-        message = (
-            f"{number + 1:,} of {self._settings.steps:,}: cycle {cycle:.3f}, GAN {gan:.2f}, "
-            f"change {verdict.share:.0%} of the distance between the looks"
-        )
-        return message
-
-    def _preview(self, done: FinetuneStepResult) -> UInt8[np.ndarray, "h w 3"] | None:
-        now = time.perf_counter()
-        if now - self._previewed_at < _PREVIEW_INTERVAL_S:
-            return None
-        self._previewed_at = now
-        return join_horizontally(done.clear, done.translated)
-
-    def _progress_at(self, number: int, message: str, preview: UInt8[np.ndarray, "h w 3"] | None = None) -> Progress:
-        share = (number + 1) / self._settings.steps
-        return Progress(_STARTED + (_TRAINED - _STARTED) * share, message, preview, warning=self.warned)
-
-    @property
-    def _seconds(self) -> float:
-        return time.perf_counter() - self._began
-
-
-def _is_due(every: int, number: int, steps: int) -> bool:
-    return number + 1 == steps or (every > 0 and (number + 1) % every == 0)
 
 
 @contextmanager

@@ -137,7 +137,7 @@ def reconstruction_job(capture: Path, settings: TrainingSettings, *, allow_outsi
     return Job(
         "reconstruct", f"Reconstruct {capture.name}", reconstruct_capture, lambda folder: read_scene(folder / "scene"),
         inputs, snapshot, report=report, progress=_STARTING,
-        plots={"Loss": ("loss",), "Held-out views": ("PSNR (dB)",)},
+        plots={"Loss": ("loss",), "PSNR of held-out views (dB)": ("psnr_held_out_db",)},
     )  # fmt: skip
 
 

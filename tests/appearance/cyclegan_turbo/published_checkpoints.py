@@ -3,10 +3,12 @@
 from copy import deepcopy
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from gsrain_engine.appearance.cyclegan_turbo.lora import VAE_LAYERS, LoraRanks, unet_targets
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build_random_model, tiny
+from gsrain_engine.appearance.cyclegan_turbo.weights import apply_adapter_weights, open_weights
 
 torch: Any = import_module("torch")
 
@@ -88,6 +90,11 @@ def with_mask_channel() -> CycleGanTurbo:
             weight = vae.encoder.conv_in.base_layer.weight
             weight[:, 3:] = weight[:, :3].mean(1, keepdim=True)
     return wide
+
+
+def load_weights(model: CycleGanTurbo, path: Path, weather: str = "rainy") -> None:
+    """Put the weights of a file into a model: merged, or into its peft adapters where it has them."""
+    apply_adapter_weights(model, open_weights(path).delta(model, weather))
 
 
 def _adapter(model: CycleGanTurbo, name: str) -> dict[str, Any]:

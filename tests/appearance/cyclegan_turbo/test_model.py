@@ -1,6 +1,5 @@
 """CycleGAN-Turbo: the step, the skips, the fourth channel, and what training starts from."""
 
-from copy import deepcopy
 from typing import Any
 
 import pytest
@@ -12,7 +11,6 @@ from gsrain_engine.appearance.cyclegan_turbo import lora  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
     CycleGanTurbo,
     OneStep,
-    add_guide_channel,
     add_skips,
     build_random_model,
     decode_latents,
@@ -22,7 +20,7 @@ from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
 )
 from gsrain_engine.appearance.cyclegan_turbo.weights import plain_layers  # noqa: E402
 
-from .published_checkpoints import pristine, trained_model, untrained  # noqa: E402
+from .published_checkpoints import pristine, untrained  # noqa: E402
 
 
 def _noise(seed: int, *shape: int) -> Any:
@@ -69,29 +67,20 @@ def test_the_real_architecture_has_the_published_layers() -> None:
     assert skips == [(512, 512), (512, 256), (512, 128), (256, 128)]
     assert model.vae.encoder.conv_in.weight.shape == (128, 4, 3, 3)
     assert sum(each.numel() for each in model.unet.parameters()) == 865_910_724
-    assert sd_turbo().side_multiple == 8
-    assert sd_turbo().caption_shape == (1, 77, 1024)
-    assert [model.unet.attn_processors.keys()] == [pristine().unet.attn_processors.keys()]  # tiny() has the same blocks
+    assert (sd_turbo().side_multiple, sd_turbo().caption_shape) == (8, (1, 77, 1024))
+    assert model.unet.attn_processors.keys() == pristine().unet.attn_processors.keys()  # tiny() has the same blocks
 
 
-def test_a_picture_is_translated_the_same_way_each_time_and_differently_each_way() -> None:
+def test_a_picture_is_translated_the_same_each_time_and_differently_in_each_direction() -> None:
     model, pictures = pristine(), _noise(3, 2, 3, 24, 40)
     there = _out(model, pictures)
-    assert there.shape == pictures.shape
-    assert there.abs().max() <= 1
+    assert there.shape == pictures.shape and there.abs().max() <= 1
     assert torch.equal(there, _out(model, pictures))
     assert not torch.equal(there, _out(model, pictures, direction="b2a"))
     torch.testing.assert_close(there[1:], _out(model, pictures[1:]), atol=1e-4, rtol=0)
     torch.testing.assert_close(there, model.translate(pictures), atol=1e-4, rtol=0)  # with gradients: all at once
-
-
-def test_the_same_seed_gives_the_same_model_and_leaves_the_generator_alone() -> None:
-    torch.manual_seed(5)
-    before = torch.get_rng_state()
-    one, other = build_random_model(tiny(), False, seed=1), build_random_model(tiny(), True, seed=1)
-    assert torch.equal(torch.get_rng_state(), before)
-    assert torch.equal(one.unet.conv_in.weight, other.unet.conv_in.weight)
-    assert not torch.equal(one.unet.conv_in.weight, pristine().unet.conv_in.weight)
+    made = _out(untrained().to(torch.bfloat16), pictures.to(torch.bfloat16)).float()
+    assert made.isfinite().all() and (made - there).abs().mean() < 0.1
 
 
 def test_the_fourth_channel_changes_no_bit_and_gets_gradients() -> None:
@@ -110,18 +99,6 @@ def test_the_fourth_channel_changes_no_bit_and_gets_gradients() -> None:
     assert not torch.equal(_out(wide, pictures, guides), expected)
 
 
-def test_the_fourth_channel_changes_no_bit_at_real_widths() -> None:
-    picture, guide = _noise(6, 1, 3, 64, 64), _noise(7, 1, 1, 64, 64)
-    narrow = torch.nn.Conv2d(3, 128, 3, padding=1)
-    holder = torch.nn.Module()
-    holder.encoder = torch.nn.Module()
-    holder.encoder.conv_in = narrow
-    holder.register_to_config = lambda **_: None
-    add_guide_channel(holder)
-    with torch.no_grad():
-        assert torch.equal(holder.encoder.conv_in(torch.cat([picture, guide], 1)), narrow(picture))
-
-
 def test_without_skips_it_is_diffusers_autoencoder() -> None:
     torch.manual_seed(0)
     vae = diffusers.AutoencoderKL(**tiny().vae).eval()
@@ -138,33 +115,6 @@ def test_without_skips_it_is_diffusers_autoencoder() -> None:
         torch.testing.assert_close(with_skips, plain, atol=1e-2, rtol=0)
 
 
-def test_gradient_checkpointing_gives_the_same_gradients() -> None:
-    pictures, gradients = _noise(9, 1, 3, 16, 16), []
-    for checkpointing in (False, True):
-        model = deepcopy(trained_model())
-        if checkpointing:
-            for part in (model.unet, model.vae, model.vae_b2a):
-                part.enable_gradient_checkpointing()
-            model.train()
-        model.translate(pictures).square().mean().backward()
-        named = {name: each.grad for name, each in model.named_parameters() if each.grad is not None}
-        gradients.append(named)
-    assert gradients[0].keys() == gradients[1].keys()
-    for name, gradient in gradients[0].items():
-        torch.testing.assert_close(gradients[1][name], gradient, rtol=1e-3, atol=1e-6)
-
-
-def test_what_it_can_not_take() -> None:
-    model = pristine()
-    with pytest.raises(ValueError, match="multiples of 8 px"):
-        _out(model, _noise(1, 1, 3, 20, 32))
-    with pytest.raises(ValueError, match="no fourth channel"):
-        _out(model, _noise(1, 1, 3, 16, 16), _noise(1, 1, 1, 16, 16))
-    with pytest.raises(ValueError, match=r"caption b2a is \(1, 3, 16\)"):
-        model.set_captions(torch.zeros(1, 77, 16), torch.zeros(1, 3, 16))
-    assert model.captions["a2b"].abs().max() > 0
-
-
 def test_adapters_change_nothing_before_training_and_count_as_published() -> None:
     pytest.importorskip("peft")
     pictures = _noise(10, 1, 3, 16, 16)
@@ -176,11 +126,3 @@ def test_adapters_change_nothing_before_training_and_count_as_published() -> Non
     assert model.unet.active_adapters() == list(lora.UNET_ADAPTERS)
     trained = {name.split(".")[-3] for name, each in model.named_parameters() if each.requires_grad}
     assert trained == {"lora_A", "lora_B"}
-
-
-def test_half_precision_stays_close() -> None:
-    pictures = _noise(11, 1, 3, 16, 16)
-    half = untrained().to(torch.bfloat16)
-    made = _out(half, pictures.to(torch.bfloat16)).float()
-    assert made.isfinite().all()
-    assert (made - _out(pristine(), pictures)).abs().mean() < 0.1

@@ -1,6 +1,5 @@
 """A fine-tuning that is over in a second: two looks of small pictures, and networks of one level."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,9 @@ from PIL import Image
 
 from gsrain_engine.appearance.cyclegan_turbo.model import TurboArchitecture, tiny
 from gsrain_engine.appearance.finetune.dataset import open_images
-from gsrain_engine.appearance.finetune.run import finetune, start_finetuning
-from gsrain_engine.appearance.finetune.settings import FinetuneResult, FinetuneTask, FinetuningSettings, load_finetuning
+from gsrain_engine.appearance.finetune.run import start_finetuning
+from gsrain_engine.appearance.finetune.settings import FinetuningSettings, load_finetuning
 from gsrain_engine.appearance.finetune.step import FinetuneTrainer
-from gsrain_engine.scene.progress import Progress
 
 SIDE_PX = 16
 
@@ -55,20 +53,9 @@ def small_settings(folder: Path, **changes: Any) -> FinetuningSettings:
         write_pictures(folder)
     sources = {look: [{"path": str(folder / look)}] for look in ("clear", "rainy")}
     pictures = sources | {"width_px": SIDE_PX, "height_px": SIDE_PX}
-    usual = {"pictures": pictures, "lora": {"unet": 4, "vae": 4}, "sampled_every": 0, "saved_every": 0, "samples": 1}
-    return load_finetuning("tiny", **(usual | changes))
+    default = {"pictures": pictures, "lora": {"unet": 4, "vae": 4}, "sampled_every": 0, "saved_every": 0, "samples": 1}
+    return load_finetuning("tiny", **(default | changes))
 
 
 def small_start(settings: FinetuningSettings) -> FinetuneTrainer:
     return start_finetuning(settings, open_images(settings.pictures).train)
-
-
-def run(task: FinetuneTask) -> tuple[FinetuneResult, Sequence[Progress]]:
-    """Fine-tune to the end."""
-    work = finetune(task)
-    steps: list[Progress] = []
-    while True:
-        try:
-            steps.append(next(work))
-        except StopIteration as end:
-            return end.value, steps

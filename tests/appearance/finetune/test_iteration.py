@@ -1,21 +1,57 @@
-"""An iteration: who learns from what, what is held, and what a checkpoint of it holds."""
+"""An iteration of fine-tuning: the order of images, losses, what learns from what, optimizer and discriminators."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 torch = pytest.importorskip("torch")
+transformers = pytest.importorskip("transformers")
 
-from gsrain_engine.appearance.finetune.settings import OptimizerSettings  # noqa: E402
+from gsrain_engine.appearance.finetune.dataset import open_images  # noqa: E402
+from gsrain_engine.appearance.finetune.discriminator import (  # noqa: E402
+    ClipFeatures,
+    area_resized,
+    augment_images,
+)
+from gsrain_engine.appearance.finetune.settings import PLACE, OptimizerSettings  # noqa: E402
 from gsrain_engine.appearance.finetune.step import (  # noqa: E402
     DivergedError,
     NamedOptimizer,
+    PairSampler,
     adversarial,
     difference,
+    fingerprint,
     trained_parameters,
 )
 
 from .small_training import small_settings, small_start  # noqa: E402
+
+
+def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
+    pictures = open_images(small_settings(tmp_path).pictures).train
+    order = PairSampler(pictures, seed=3, guided=True, device="cpu")
+    count = len(pictures.source)
+    means = [float(order.pair(i).clear.mean()) for i in range(3 * count)]
+    turns = [tuple(means[i : i + count]) for i in range(0, len(means), count)]
+    assert all(sorted(turn) == sorted(turns[0]) and len(set(turn)) == count for turn in turns)
+    assert len(set(turns)) > 1
+    repeated = PairSampler(pictures, seed=3, guided=True, device="cpu")
+    assert float(repeated.pair(count + 1).clear.mean()) == means[count + 1]
+
+    pair = order.pair(0)
+    assert pair.clear.shape == (1, 3, 16, 16) and -1 <= float(pair.clear.min()) < float(pair.clear.max()) <= 1
+    assert pair.clear_guide is not None and not pair.clear_guide.any()
+    assert PairSampler(pictures, 3, guided=False, device="cpu").pair(0).clear_guide is None
+    assert fingerprint(replace(pictures, source=pictures.source[:-1])) != fingerprint(pictures)
+
+
+_FIRST_LOSSES = {
+    "cycle_clear": 0.4996, "cycle_rainy": 0.4361, "gan_rainy": 1.2336, "gan_clear": 0.9885, "identity_rainy": 0.3944,
+    "identity_clear": 0.4785, "judge_rainy_made": 0.4498, "judge_clear_made": 0.6129, "judge_rainy_real": 0.6616,
+    "judge_clear_real": 0.4216, "change": 0.2529,
+}  # fmt: skip
+"""Losses of earlier versions, augmentation and discriminators included."""
 
 
 def _changed(before: dict[str, object], after: dict[str, object]) -> set[str]:
@@ -27,14 +63,14 @@ def _weights(model: object) -> dict[str, object]:
 
 
 @pytest.mark.usefixtures("small_networks")
-def test_only_what_is_learned_moves(tmp_path: Path) -> None:
+def test_only_what_is_learned_moves_and_checkpointing_changes_no_number(tmp_path: Path) -> None:
     training = small_start(small_settings(tmp_path))
-    before = _weights(training.model)
-    judged = _weights(training.rainy_judge)
-    seen = {name: each.clone() for name, each in training.rainy_judge._features[0].state_dict().items()}
-    training.iterate(0)
+    before, judged = _weights(training.model), _weights(training.rainy_judge)
+    clip = training.rainy_judge.shared_features[0]
+    frozen = {name: each.clone() for name, each in clip.state_dict().items()}
+    losses = training.iterate(0).losses
+    assert losses == pytest.approx(_FIRST_LOSSES, abs=2e-3)
     moved = _changed(before, _weights(training.model))
-
     learned = {name for group in trained_parameters(training.model) for name in group}
     assert moved <= learned
     assert {name for name in learned if "lora_" not in name} - moved == {
@@ -42,10 +78,10 @@ def test_only_what_is_learned_moves(tmp_path: Path) -> None:
         f"{vae}.encoder.conv_in.base_layer.weight"
         for vae in ("vae", "vae_b2a")
     }
-    assert "unet.conv_in.base_layer.weight" in moved
-    assert any("skip_conv_1.base_layer" in name for name in moved)
+    assert "unet.conv_in.base_layer.weight" in moved and any("skip_conv_1.base_layer" in name for name in moved)
     assert _changed(judged, _weights(training.rainy_judge)) == set(judged)
-    assert not _changed(seen, training.rainy_judge._features[0].state_dict())
+    assert not _changed(frozen, clip.state_dict())
+    assert small_start(small_settings(tmp_path, gradient_checkpointing=True)).iterate(0).losses == losses
 
 
 @pytest.mark.usefixtures("small_networks")
@@ -66,22 +102,20 @@ def test_the_columns_of_the_colours_keep_every_bit(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("small_networks")
 def test_a_state_brings_everything_back(tmp_path: Path) -> None:
-    settings = small_settings(tmp_path)
-    first = small_start(settings)
+    first = small_start(small_settings(tmp_path))
     first.iterate(0)
     second = small_start(small_settings(tmp_path, seed=5))
     second.restore(first.state())
-    second.order = first.order
     own, theirs = first.state(), second.state()
     assert set(own) == set(theirs) and not _changed(own, theirs)
     missing = {name: each for name, each in own.items() if not name.endswith("conv_in.base_layer.weight")}
     with pytest.raises(KeyError, match="conv_in"):
         second.restore(missing)
-
-
-def test_a_model_without_adapters_is_refused() -> None:
-    with pytest.raises(ValueError, match="no LoRA"):
+    with pytest.raises(ValueError, match="LoRA"):
         trained_parameters(torch.nn.Linear(2, 2))
+
+
+# Optimizer and losses
 
 
 def test_the_rate_follows_from_the_iteration() -> None:
@@ -107,18 +141,96 @@ def test_gradients_are_clipped_and_their_length_is_told() -> None:
     assert torch.equal(number, before)
 
 
-def test_adversarial_losses_are_cross_entropies() -> None:
+def test_losses_are_cross_entropies_and_weighted_differences() -> None:
     logits = [torch.randn(2, 1, 3, 3, generator=torch.Generator().manual_seed(1)), torch.tensor([[2.0], [-1.0]])]
     for real in (True, False):
         each = [torch.nn.functional.binary_cross_entropy_with_logits(x, torch.full_like(x, real)) for x in logits]
         assert float(adversarial(logits, real)) == pytest.approx(float(sum(each)))
+    found, truth = torch.full((1, 3, 4, 4), 0.5), torch.zeros(1, 3, 4, 4)
+    assert float(difference(found, truth, 2.0, 10.0, None)) == pytest.approx(1.0)
+    assert float(difference(found, truth, 2.0, 10.0, lambda a, b: (a - b).square().mean())) == pytest.approx(3.5)
 
 
-def test_a_difference_is_weighted() -> None:
-    shown, truth = torch.full((1, 3, 4, 4), 0.5), torch.zeros(1, 3, 4, 4)
+# Discriminators
 
-    def perceptual(a: object, b: object) -> object:
-        return (a - b).square().mean()
 
-    assert float(difference(shown, truth, 2.0, 10.0, None)) == pytest.approx(1.0)
-    assert float(difference(shown, truth, 2.0, 10.0, perceptual)) == pytest.approx(3.5)
+def _random(seed: int) -> object:
+    return torch.Generator().manual_seed(seed)
+
+
+def _pictures(count: int = 2, side: int = 40) -> object:
+    return torch.rand(count, 3, side, side, generator=_random(0)) * 2 - 1
+
+
+@pytest.fixture
+def features() -> ClipFeatures:
+    torch.manual_seed(0)
+    return ClipFeatures.tiny()
+
+
+@pytest.mark.parametrize("size", [(512, 512), (40, 96), (7, 5), (32, 31)])
+def test_areas_are_torchs_areas(size: tuple[int, int]) -> None:
+    pictures = torch.rand(1, 2, *size, generator=_random(3))
+    expected = torch.nn.functional.interpolate(pictures, (32, 32), mode="area")
+    assert torch.allclose(area_resized(pictures, 32), expected, atol=1e-6)
+
+
+def test_features_are_those_after_their_blocks_and_pass_gradients_though_frozen(features: ClipFeatures) -> None:
+    pictures = _pictures(side=32).requires_grad_(True)
+    features.train()
+    first, second, whole = features(pictures)
+    assert first.shape == second.shape == (2, 16, 4, 4) and whole.shape == (2, 16)
+    model = features.vision.vision_model
+    flow = model.pre_layrnorm(model.embeddings((pictures * 0.5 + 0.5 - features.mean) / features.deviation))
+    assert features.taps == (1, 2)
+    for block, found in zip(model.encoder.layers, (first, second), strict=False):
+        flow = block(flow, attention_mask=None)
+        flow = flow[0] if isinstance(flow, tuple) else flow
+        assert torch.allclose(found[1, :, 2, 3], flow[1, 1 + 2 * 4 + 3], atol=1e-5)
+    whole.sum().backward()
+    assert pictures.grad.abs().sum() > 0
+    assert not features.vision.training and all(each.grad is None for each in features.parameters())
+
+
+def test_clip_is_read_from_a_persons_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 6, "num_attention_heads": 2,
+              "image_size": 32, "patch_size": 8, "projection_dim": 24}  # fmt: skip
+    text = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
+            "vocab_size": 32}  # fmt: skip
+    clip = transformers.CLIPModel(transformers.CLIPConfig(text_config=text, vision_config=vision, projection_dim=24))
+    clip.save_pretrained(tmp_path / "clip")
+    read = ClipFeatures.read(tmp_path / "clip")
+    assert read.taps == (2, 4) and read.whole_channels == 24
+    assert torch.equal(read.vision.visual_projection.weight, clip.visual_projection.weight)
+    monkeypatch.setenv(PLACE, str(tmp_path / "clip"))
+    assert ClipFeatures.read(None).map_channels == 16
+
+    state = {name: each for name, each in clip.state_dict().items() if "visual_projection" not in name}
+    clip.save_pretrained(tmp_path / "half", state_dict=state)
+    with pytest.raises(ValueError, match=r"1 weights .* visual_projection\.weight"):
+        ClipFeatures.read(tmp_path / "half")
+    with pytest.raises(FileNotFoundError, match="clip-vit-base-patch32"):
+        ClipFeatures.read(tmp_path)
+    monkeypatch.setenv(PLACE, str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match=f"nowhere.*{PLACE}"):
+        ClipFeatures.read(None)
+
+
+# Augmentation
+
+
+def test_translation_moves_and_uncovers_grey() -> None:
+    pictures = _pictures(count=8, side=40)
+    moved = augment_images(pictures, ("translation",), _random(2))
+    shifts = set()
+    for before, after in zip(pictures, moved, strict=True):
+        found = [
+            (dy, dx)
+            for dy in range(-5, 6)
+            for dx in range(-5, 6)
+            if torch.equal(after[:, 10:30, 10:30], before[:, 10 - dy : 30 - dy, 10 - dx : 30 - dx])
+        ]
+        ((dy, dx),) = found
+        shifts.add((dy, dx))
+        assert int((after == 0).all(0).sum()) == 40 * 40 - (40 - abs(dy)) * (40 - abs(dx))
+    assert len(shifts) > 4

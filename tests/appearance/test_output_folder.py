@@ -1,12 +1,25 @@
+"""Transfers by name, and their folders: written whole or not at all, read back, and taken as a capture."""
+
 import json
+import logging
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from gsrain_engine.appearance.base import ClearView, RainyView
-from gsrain_engine.appearance.output_folder import TransferRecord, read_record, read_transferred, write_transferred
+from gsrain_engine.appearance.base import ClearView, RainyView, TransferSettings
+from gsrain_engine.appearance.output_folder import (
+    ContactSheet,
+    PrecomputedTransfer,
+    TransferRecord,
+    read_record,
+    read_transferred,
+    write_transferred,
+)
+from gsrain_engine.appearance.registry import open_transfer
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at
@@ -52,16 +65,6 @@ def test_what_is_written_comes_back(tmp_path):
     np.testing.assert_allclose(back.clear.normals, one.clear.normals, atol=1e-3)
 
 
-def test_the_folder_is_a_capture_of_rainy_pictures(tmp_path):
-    view = rainy("a")
-    capture = open_capture(written(tmp_path / "out", view))
-    assert capture.problems == ()
-    assert capture.is_metric and capture.up == (0, 0, 1)
-    np.testing.assert_array_equal(capture[0].image, np.rint(view.image * 255).astype(np.uint8))
-    np.testing.assert_array_equal(capture[0].sky, view.clear.sky >= 0.5)
-    np.testing.assert_array_equal(capture[0].depth, view.clear.depth)
-
-
 def test_cameras_are_in_the_units_and_axes_of_what_it_was_made_of(tmp_path):
     view = rainy("a")
     folder = written(tmp_path / "out", view, record=TransferRecord("wet", "model", {}, TURNED))
@@ -77,14 +80,15 @@ def test_cameras_are_in_the_units_and_axes_of_what_it_was_made_of(tmp_path):
     np.testing.assert_allclose(back.normals, view.clear.normals, atol=2e-3)
 
 
-def test_what_may_not_be_learned_from_is_told(tmp_path):
-    mask = np.zeros(SIZE, np.bool_)
+def test_masks_and_missing_depth_come_back(tmp_path):
+    mask, view = np.zeros(SIZE, np.bool_), rainy("b")
     mask[3:] = True
-    record = TransferRecord("wet", "drive")
-    list(write_transferred(tmp_path / "out", [rainy("a"), rainy("b")], record, {"a": mask}.get))
+    bare = replace(view, clear=replace(view.clear, depth=view.clear.depth * 0, normals=view.clear.normals * 0))
+    list(write_transferred(tmp_path / "out", [rainy("a"), bare], TransferRecord("wet", "drive"), {"a": mask}.get))
     one, other = open_capture(tmp_path / "out")
     np.testing.assert_array_equal(one.mask, mask)
-    assert other.mask is None
+    assert other.mask is None and other.depth is None and one.depth is not None
+    assert not read_transferred(tmp_path / "out")[1].clear.normals.any()
 
 
 def test_names_of_a_data_set_become_file_names(tmp_path):
@@ -108,34 +112,79 @@ def test_stopping_leaves_what_was_there(tmp_path):
 
 
 def test_other_folders_and_files_are_left_alone(tmp_path):
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos" / "mine.png").write_bytes(b"x")
-    with pytest.raises(ValueError, match="holds other things"):
-        written(tmp_path / "photos", rainy("a"))
-    with pytest.raises(ValueError, match="is a file"):
-        written(tmp_path / "photos" / "mine.png", rainy("a"))
-    assert [each.name for each in (tmp_path / "photos").iterdir()] == ["mine.png"]
+    file = tmp_path / "photos" / "mine.png"
+    file.parent.mkdir()
+    file.write_bytes(b"x")
+    for place, views, match in (
+        (file.parent, [rainy("a")], "photos"), (file, [rainy("a")], r"mine\.png"), (tmp_path / "none", [], "none"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=match):
+            written(place, *views)
+    assert [each.name for each in file.parent.iterdir()] == ["mine.png"] and not (tmp_path / "none").exists()
     (tmp_path / "empty").mkdir()
     assert len(read_transferred(written(tmp_path / "empty", rainy("a")))) == 1
-    with pytest.raises(ValueError, match="no view to write"):
-        written(tmp_path / "none")
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
-    [({"version": 9}, "version 9 is newer"), ({"to_world": [1]}, "similarity"), ({"method": None}, None)],
+    ("change", "name"), [({"version": 9}, "version 9"), ({"to_world": [1]}, "to_world"), (None, "transfer")]
 )
-def test_records_are_checked(tmp_path, change, expected):
+def test_records_are_checked(tmp_path, change, name):
     file = written(tmp_path / "out", rainy("a")) / "transfer.json"
-    values = json.loads(file.read_text()) | change
-    file.write_text(json.dumps(values if expected else {}))
-    with pytest.raises(CaptureError, match=expected or "not the record of a transfer"):
+    file.write_text(json.dumps({} if change is None else json.loads(file.read_text()) | change))
+    with pytest.raises(CaptureError, match=rf"transfer\.json.*{name}"):
         read_record(tmp_path / "out")
 
 
-def test_a_view_without_depth_or_normals_comes_back_without(tmp_path):
-    view = rainy("a")
-    bare = replace(view, clear=replace(view.clear, depth=view.clear.depth * 0, normals=view.clear.normals * 0))
-    folder = written(tmp_path / "out", bare)
-    assert open_capture(folder)[0].depth is None
-    assert not read_transferred(folder)[0].clear.normals.any()
+# Methods
+
+NOTHING = np.zeros((20, 30), np.float32)
+
+
+def clear(name: str, sensor: str = "") -> ClearView:
+    grey = np.full((20, 30, 3), 0.5, np.float32)
+    return ClearView(name, Camera(30, 20, 30, 30, 15, 10), 0.0, grey, NOTHING, grey * 0, NOTHING, NOTHING, sensor)
+
+
+def picture(value: int, size: tuple[int, int] = (30, 20)) -> Image.Image:
+    return Image.new("RGB", size, (value, value, value))
+
+
+def test_pictures_stand_in_by_the_names_of_views(tmp_path, caplog):
+    (tmp_path / "CAM").mkdir()
+    picture(10).save(tmp_path / "one.png")
+    picture(20, (60, 40)).save(tmp_path / "CAM" / "two.jpg")
+    picture(30).save(tmp_path / "other.png")
+    stand_in = open_transfer("images", TransferSettings(images=tmp_path), ImageEnvironment())
+    with caplog.at_level(logging.WARNING):
+        made = list(stand_in.transferred([clear("one"), clear("x/two.jpg", "CAM"), clear("three")]))
+    assert [round(float(each.image.mean()) * 255) for each in made] == [10, 20]
+    assert all(each.image.shape == (20, 30, 3) and each.film is None for each in made)
+    assert "'three'" in caplog.text and "'other'" in caplog.text
+    caplog.clear()
+    rainy_one = RainyView(clear("one"), np.full((20, 30, 3), 0.25, np.float32), NOTHING)
+    (made,) = PrecomputedTransfer(written(tmp_path / "t", rainy_one)).transferred([clear("one")])
+    assert made.image.mean() == pytest.approx(0.25, abs=0.01)
+    assert caplog.messages == []  # the folder's other files are no pictures of views
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "expected"),
+    [("other", (30, 20), "has no picture of a view; expected one.png"), ("one", (20, 20), "other proportions")],
+)
+def test_pictures_that_cannot_be_those_of_the_views_are_refused(tmp_path, name, size, expected):
+    picture(10, size).save(tmp_path / f"{name}.png")
+    with pytest.raises(CaptureError, match=expected):
+        list(PrecomputedTransfer(tmp_path).transferred([clear("one")]))
+    with pytest.raises(CaptureError, match="no such folder"):
+        PrecomputedTransfer(tmp_path / "nowhere")
+
+
+def test_views_before_and_after_stand_side_by_side():
+    sheet = ContactSheet(9, at_most=3, width_px=60)
+    for i in range(9):
+        sheet.add(RainyView(clear(f"{i}"), np.full((20, 30, 3), i / 10, np.float32)))
+    pixels = np.asarray(sheet.picture())
+    assert pixels.shape == (3 * (40 + 24) + 8, 2 * 60 + 24, 3)
+    rows = [8 + 16 + 20 + k * 64 for k in range(3)]
+    assert [int(pixels[row, 30, 0]) for row in rows] == [128] * 3
+    assert [int(pixels[row, 110, 0]) for row in rows] == [0, 102, 204]

@@ -1,0 +1,140 @@
+"""One training step: losses and their gradients, masks of what contradicts, exposures, views at three sizes."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from gsrain_engine.evaluation.image_metrics import ssim, window  # noqa: E402
+from gsrain_engine.render.autodiff.differentiable import Footprint, Rendered  # noqa: E402
+from gsrain_engine.scene.camera import Camera  # noqa: E402
+from gsrain_engine.training.data import PyramidLevel, half_size  # noqa: E402
+from gsrain_engine.training.model import TrainingRender  # noqa: E402
+from gsrain_engine.training.settings import TrainingSettings  # noqa: E402
+from gsrain_engine.training.step import (  # noqa: E402
+    OpenCVBlur,
+    TrainingTarget,
+    convolved,
+    d_ssim,
+    l1,
+    robust_mask,
+    view_loss,
+)
+
+
+def pictures(height: int = 17, width: int = 23, dtype: object = torch.float64):
+    """A noisy picture, its truth, and a mask with a hole."""
+    generator = np.random.default_rng(5)
+    truth = generator.random((height, width, 3))
+    mask = np.ones((height, width), bool)
+    mask[4:9, 12:] = False
+    noisy = np.clip(truth + generator.normal(0, 0.1, truth.shape), 0, 1)
+    return torch.tensor(noisy, dtype=dtype), torch.tensor(truth, dtype=dtype), torch.tensor(mask)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 2e-6)])
+def test_d_ssim_is_one_minus_the_metric(masked: bool, dtype: object, tolerance: float):
+    x, y, mask = pictures()
+    expected = 1 - ssim(x.numpy(), y.numpy(), mask.numpy() if masked else None)
+    assert float(d_ssim(x.to(dtype), y.to(dtype), mask if masked else None)) == pytest.approx(expected, abs=tolerance)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("loss", [l1, d_ssim])
+def test_gradients_are_those_of_finite_differences_and_none_comes_from_beyond_the_mask(masked: bool, loss):
+    x, truth, mask = pictures(13, 14)
+    chosen, rendered = mask if masked else None, x.requires_grad_()
+    assert torch.autograd.gradcheck(lambda value: loss(value, truth, chosen), (rendered,), rtol=1e-5, atol=1e-9)
+    loss(rendered, truth, chosen).backward()
+    assert not masked or torch.all(rendered.grad[~mask] == 0)
+
+
+def test_window_means_of_the_gpu_are_those_of_the_processor():
+    values = pictures()[0]
+    assert torch.allclose(OpenCVBlur.apply(values), convolved(values), atol=1e-14)
+    taps = torch.tensor(np.outer(window(), window()))
+    assert float(convolved(values)[2, 3, 1]) == pytest.approx(float((values[2:13, 3:14, 1] * taps).sum()))
+
+
+# Depth and cover
+
+SHAPE = (20, 20)
+CAMERA = Camera(20, 20, 9, 9, 9, 9)
+
+
+def flat_picture(color, alpha, depth, sky=None):
+    return TrainingRender(
+        color, Rendered(color, alpha, depth, Footprint(torch.zeros(0))), slice(0, 0), {},
+        None if sky is None else Rendered(color, alpha, depth, Footprint(torch.zeros(0))),
+    )  # fmt: skip
+
+
+def test_depth_counts_where_it_was_measured_alike_for_near_and_far():
+    color, settings = torch.full((*SHAPE, 3), 0.5), TrainingSettings(d_ssim=0.0, depth=1.0, cover=0.0)
+    for distance in (2.0, 50.0):
+        depth = np.zeros(SHAPE, np.float32)
+        depth[3, 4] = distance
+        truth = TrainingTarget.of(PyramidLevel(CAMERA, np.full((*SHAPE, 3), 127, np.uint8), None, depth, None), "cpu")
+        picture = flat_picture(color, torch.full(SHAPE, 0.8), torch.full(SHAPE, 0.8 * 1.1 * distance))
+        assert float(view_loss(picture, color, truth, settings).depth) == pytest.approx(0.1 / 2.1, rel=1e-4)
+
+
+def test_holes_before_a_surface_and_veils_before_the_sky_cost():
+    depth, sky = np.zeros(SHAPE, np.float32), np.zeros(SHAPE, bool)
+    depth[10:], sky[:10] = 3, True
+    truth = TrainingTarget.of(PyramidLevel(CAMERA, np.zeros((*SHAPE, 3), np.uint8), None, depth, sky), "cpu")
+    settings, color = TrainingSettings(d_ssim=0.0, depth=0.0, cover=1.0), torch.zeros((*SHAPE, 3))
+    for above, below, cost in ((0.0, 1.0, 0.0), (0.3, 1.0, 0.3), (0.0, 0.6, 0.4)):
+        alpha = torch.cat([torch.full((10, 20), above), torch.full((10, 20), below)])
+        cover = view_loss(flat_picture(color, alpha, 3 * alpha, sky=True), color, truth, settings).cover
+        assert float(cover) == pytest.approx(cost, rel=1e-4, abs=1e-6)
+
+
+# Transient objects, which other images of the training contradict
+
+
+def test_a_patch_that_contradicts_is_left_out_and_noise_is_not() -> None:
+    truth = torch.rand(60, 100, 3, generator=torch.Generator().manual_seed(0)) * 0.1
+    shown = truth + 0.01
+    shown[20:30, 40:55] += 0.5
+    counts = robust_mask(shown, truth, None, max_share=0.2)
+    assert not counts[22:28, 42:53].any()
+    assert counts[:15].all() and counts[:, 70:].all()
+    assert robust_mask(truth + 0.05, truth, None, max_share=0.2).all()
+
+
+def test_no_more_is_left_out_than_allowed_and_masks_stay() -> None:
+    truth, mask = torch.zeros(60, 100, 3), torch.ones(60, 100, dtype=torch.bool)
+    mask[:5] = False
+    shown = truth.clone()
+    shown[:40, :60] = 1.0
+    counts = robust_mask(shown, truth, mask, max_share=0.1)
+    assert not counts[:5].any()
+    assert float(counts.sum()) >= 0.89 * float(mask.sum())
+    assert not robust_mask(shown, truth, torch.zeros_like(mask), max_share=0.1).any()
+
+
+# Exposures
+
+
+# Sizes of views
+
+
+def level(height=100, width=120):
+    depth = np.zeros((height, width), np.float32)
+    depth[::4, ::6] = 7
+    depth[1::4, ::6] = 5
+    mask = np.ones((height, width), bool)
+    mask[0, 0] = False
+    image = np.full((height, width, 3), 100, np.uint8)
+    image[::2] = 200
+    return PyramidLevel(Camera(width, height, 90, 80, 61, 52), image, mask, depth, np.zeros((height, width), bool))
+
+
+def test_halving_averages_colours_takes_the_nearest_depth_and_is_strict_with_masks():
+    half = half_size(level())
+    assert (half.camera.width, half.camera.height, half.camera.fx, half.camera.cx) == (60, 50, 45, 30.5)
+    assert np.all(half.image == 150)
+    assert set(np.unique(half.depth)) == {0, 5}
+    assert not half.mask[0, 0] and half.mask.sum() == half.mask.size - 1
