@@ -60,7 +60,6 @@ TESTS = (
     "tests/evaluation/detection/test_summary.py",
     "tests/safe_io",
     "tests/fuzz/test_limits.py",
-    "tests/fuzz/test_settings_limits.py",
     "tests/fuzz/test_settings_values.py",
     "tests/app/test_calibrate_command.py",
     "tests/app/test_disdrometer_command.py",
