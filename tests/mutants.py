@@ -50,6 +50,7 @@ TESTS = (
     "tests/editor",
     "tests/safe_io",
     "tests/fuzz/test_limits.py",
+    "tests/fuzz/test_settings_values.py",
     "tests/app/test_disdrometer_command.py",
     "tests/app/test_evaluate_images.py",
     "tests/app/test_evaluate_fid.py",

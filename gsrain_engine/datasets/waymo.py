@@ -613,7 +613,7 @@ _PACKAGE = "gsrain.waymo"
 
 def parsed(message: str, content: bytes) -> Any:
     """Parse a message by its name. Raises `CaptureError` if it is damaged or protobuf is not installed."""
-    kind = _kinds()[message]
+    kind = message_kinds()[message]
     found = kind()
     try:
         found.ParseFromString(content)
@@ -623,7 +623,7 @@ def parsed(message: str, content: bytes) -> Any:
 
 
 @cache
-def _kinds() -> dict[str, Any]:
+def message_kinds() -> dict[str, Any]:
     try:
         descriptor = import_module("google.protobuf.descriptor_pb2")
         pool = import_module("google.protobuf.descriptor_pool").DescriptorPool()

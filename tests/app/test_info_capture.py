@@ -10,7 +10,7 @@ from PIL import Image
 
 from app.main import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures
-from datasets.test_capture_folder import views as capture_views
+from datasets.sample_captures import views as capture_views
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.files import load_document
 from gsrain_engine.scene.formats.scene_files import write_scene

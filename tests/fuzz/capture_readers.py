@@ -15,14 +15,19 @@ from gsrain_engine.datasets.capture_folder import write_views, write_world
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.datasets.summary import summarized
 from gsrain_engine.scene.camera import Camera
-from mini_drive import FOCAL, HEIGHT, WIDTH, MiniDrive
-from tests.datasets.test_dgp import write_dgp
-from tests.datasets.test_kitti_odometry import write_sequence
-from tests.datasets.test_kitti_raw import drive_on_the_road, write_kitti
-from tests.datasets.test_nuscenes import write_nuscenes
-from tests.datasets.test_nuscenes_infos import write_infos
-from tests.datasets.test_waymo_records import write_frames
-from tests.datasets.test_waymo_tables import segment_tables, write_segment
+from mini_drive import MiniDrive
+from tests.datasets.sample_captures import points_ply, write_bdd100k, write_odd_pictures, write_rainsense
+from tests.datasets.sample_drives import (
+    drive_on_the_road,
+    segment_tables,
+    write_dgp,
+    write_frames,
+    write_infos,
+    write_kitti,
+    write_nuscenes,
+    write_segment,
+    write_sequence,
+)
 from tfrecord_framing import framed
 
 from .containers import Damage, inside_records, inside_zip
@@ -79,14 +84,6 @@ def _check_pixels(view: CaptureFrame) -> None:
             assert name not in ("depth", "normals") or pixels is None or np.isfinite(pixels).all(), f"endless {name}"
 
 
-def _written(write: Callable[[Path], Any], below: str = ".") -> Callable[[Path], Path]:
-    def written(folder: Path) -> Path:
-        write(folder)
-        return folder / below
-
-    return written
-
-
 def _capture_folder(folder: Path) -> None:
     pixels = np.random.default_rng(4).integers(0, 256, (48, 64, 3), np.uint8)
     camera = Camera.from_fov(64, 48, 50.0, np.eye(4))
@@ -100,13 +97,9 @@ def _capture_folder(folder: Path) -> None:
     write_world(folder, (0.0, -1.0, 0.1), is_metric=False)
 
 
-def _colmap(write: Callable[[Path], None]) -> Callable[[Path], Path]:
-    def written(folder: Path) -> Path:
-        write(folder / "sparse/0")
-        write_pictures(folder / "images")
-        return folder
-
-    return written
+def _colmap(write: Callable[[Path], None], folder: Path) -> None:
+    write(folder / "sparse/0")
+    write_pictures(folder / "images")
 
 
 def _nerfstudio(kind: str, folder: Path) -> None:
@@ -114,11 +107,7 @@ def _nerfstudio(kind: str, folder: Path) -> None:
     np.save(folder / "depth.npy", np.full((48, 64), 2.5, np.float32))
     Image.fromarray(np.full((48, 64), 2500, np.uint16)).save(folder / "depth.png")
     Image.fromarray(np.full((48, 64), 255, np.uint8)).save(folder / "mask.png")
-    rows = np.zeros(4, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
-    names = "".join(f"property {'float' if name in 'xyz' else 'uchar'} {name}\n" for name in rows.dtype.names or ())
-    header = f"ply\nformat {kind} 1.0\nelement vertex 4\n{names}end_header\n"
-    text = "".join(f"{k} 2.5 -1 10 20 30\n" for k in range(4)).encode()
-    (folder / "points.ply").write_bytes(header.encode() + (text if kind == "ascii" else rows.tobytes()))
+    (folder / "points.ply").write_bytes(points_ply(kind, [(float(k), 2.5, -1.0, 10, 20, 30) for k in range(4)]))
     frames = []
     for k, name in enumerate("abc"):
         pose = np.eye(4)
@@ -130,58 +119,12 @@ def _nerfstudio(kind: str, folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps({**once, "ply_file_path": "points.ply", "frames": frames}))
 
 
-def _rainsense(folder: Path) -> None:
-    for name in ("image", "context", "lidar", "label"):
-        (folder / name).mkdir()
-    write_pictures(folder / "image", ("image_000.jpg", "image_001.jpg"))
-    matrix = f"{FOCAL} 0 {WIDTH / 2}\n0 {FOCAL} {HEIGHT / 2}\n0 0 1\n"
-    (folder / "context/camera_intrinsics.txt").write_text(f"K:\n{matrix}D: 0.1 0.2 0.01 0.02 0.3\n")
-    (folder / "context/rainfall_intensity.txt").write_text("rainfall intensity: 2.654 mm/h\n".replace(" mm/h", ""))
-    (folder / "context/calib_lid_to_cam.txt").write_text("0 -1 0 0.1\n0 0 -1 0.2\n1 0 0 0.3\n0 0 0 1\n")
-    (folder / "timestamps.txt").write_text("timestamp\n10.0,1\n10.5,2\n")
-    for k in range(2):
-        (folder / f"lidar/frame_{k:03d}.csv").write_text("X,Y,Z,Reflectivity\n1.5,2,3,9\n4,5,6,20\n7,8,9,3\n")
-        (folder / f"label/label_{k:03d}.txt").write_text("Car 0 0 0 1 2 3 4 1.5 1.8 4.2 1 1.6 12 0.3\n")
-
-
-def _bdd100k(folder: Path) -> None:
-    names = ("0000f77c-6257be58", "0000f77c-cb820c98")
-    write_pictures(folder / "images/100k/train", tuple(f"{name}.jpg" for name in names))
-    rows = [{"name": f"{name}.jpg", "attributes": {"weather": "rainy", "scene": "city"}} for name in names]
-    (folder / "labels").mkdir()
-    (folder / "labels/det_train.json").write_text(json.dumps(rows))
-
-
-def _pictures(folder: Path) -> None:
-    write_pictures(folder, tuple(f"{suffix}.{suffix}" for suffix in ("png", "jpg", "webp", "bmp", "tif")))
-    noise = np.random.default_rng(1).integers(0, 65535, (20, 30)).astype(np.uint16)
-    Image.fromarray(noise).save(folder / "gray.png")
-    Image.fromarray((noise % 4).astype(np.uint8), mode="L").convert("P").save(folder / "palette.png")
-    Image.fromarray(noise.astype(np.uint8)).convert("CMYK").save(folder / "cmyk.jpg")
-
-
-def _infos(layout: str, folder: Path) -> None:
-    write_infos(folder, _SMALL, layout)
-
-
-def _kitti_raw(folder: Path) -> None:
-    write_kitti(folder, drive_on_the_road())
-
-
-def _waymo_records(folder: Path) -> None:
-    write_frames(folder / "a.tfrecord", _SMALL)
-
-
-def _waymo_tables(folder: Path) -> None:
-    write_segment(folder, segment_tables(_SMALL))
-
-
-def _row(name: str, kind: str, write: Callable[[Path], Path], *damage: tuple[str, Damage]) -> Reader:
+def _row(name: str, kind: str, write: Callable[[Path], Any], *damage: tuple[str, Damage]) -> Reader:
     def written(folder: Path) -> Path:
-        path = write(folder)
-        found = capture_format(path)
+        write(folder)
+        found = capture_format(folder)
         assert found is not None and found.name == kind, f"{name}: taken for {found}"
-        return path
+        return folder
 
     return Reader(name, written, _read, CaptureError, (*damage, *_PICTURES))
 
@@ -191,22 +134,30 @@ _NPY, _PKL = ("*.npy", damaged_bytes), ("*.pkl", damaged_bytes)
 _PLY = ("*.ply", damaged_header(b"end_header\n"))
 _NPZ = ("*.npz", inside_zip(lambda _: damaged_bytes))
 
+_INFOS = "nuScenes (MMDetection3D)"
+_XML, _RECORD = ("*.xml", damaged_text), ("*.tfrecord", inside_records(framed))
+
 CAPTURE_READERS = (
-    _row("capture-folder", "capture folder", _written(_capture_folder), _JSON, _NPY),
-    _row("colmap-binary", "COLMAP", _colmap(write_binary), _BYTES),
-    _row("colmap-text", "COLMAP", _colmap(write_text), _TEXT),
-    _row("nerfstudio", "nerfstudio", _written(partial(_nerfstudio, "ascii")), _JSON, _NPY, _PLY),
-    _row("nerfstudio-binary", "nerfstudio", _written(partial(_nerfstudio, "binary_little_endian")), _JSON, _NPY, _PLY),
-    _row("dgp", "DGP", _written(lambda folder: write_dgp(folder, _SMALL)), _JSON, _NPZ),
-    _row("nuscenes", "nuScenes", _written(lambda folder: write_nuscenes(folder, _SMALL)), _JSON, _BYTES),
-    _row("nuscenes-infos", "nuScenes (MMDetection3D)", _written(partial(_infos, "1.x")), _PKL, _BYTES),
-    _row("nuscenes-infos-old", "nuScenes (MMDetection3D)", _written(partial(_infos, "0.x")), _PKL, _BYTES),
-    _row("kitti-raw", "KITTI raw", _written(_kitti_raw), _TEXT, _BYTES, ("*.xml", damaged_text)),
-    _row("kitti-odometry", "KITTI odometry", _written(write_sequence), _TEXT, _BYTES),
-    _row("waymo-records", "Waymo Perception v1", _written(_waymo_records), ("*.tfrecord", inside_records(framed))),
-    _row("waymo-tables", "Waymo Perception v2", _written(_waymo_tables), ("*.parquet", damaged_bytes)),
-    _row("rainsense", "RainSense", _written(_rainsense), _TEXT, ("*.csv", damaged_text)),
-    _row("bdd100k", "BDD-100K", _written(_bdd100k), _JSON),
-    _row("pictures", "image folder", _written(_pictures)),
-)  # fmt: skip
+    _row("capture-folder", "capture folder", _capture_folder, _JSON, _NPY),
+    _row("colmap-binary", "COLMAP", partial(_colmap, write_binary), _BYTES),
+    _row("colmap-text", "COLMAP", partial(_colmap, write_text), _TEXT),
+    _row("nerfstudio", "nerfstudio", partial(_nerfstudio, "ascii"), _JSON, _NPY, _PLY),
+    _row("nerfstudio-binary", "nerfstudio", partial(_nerfstudio, "binary_little_endian"), _JSON, _NPY, _PLY),
+    _row("dgp", "DGP", lambda folder: write_dgp(folder, _SMALL), _JSON, _NPZ),
+    _row("nuscenes", "nuScenes", lambda folder: write_nuscenes(folder, _SMALL), _JSON, _BYTES),
+    _row("nuscenes-infos", _INFOS, lambda folder: write_infos(folder, _SMALL, "1.x"), _PKL, _BYTES),
+    _row("nuscenes-infos-old", _INFOS, lambda folder: write_infos(folder, _SMALL, "0.x"), _PKL, _BYTES),
+    _row("kitti-raw", "KITTI raw", lambda folder: write_kitti(folder, drive_on_the_road()), _TEXT, _BYTES, _XML),
+    _row("kitti-odometry", "KITTI odometry", write_sequence, _TEXT, _BYTES),
+    _row("waymo-records", "Waymo Perception v1", lambda folder: write_frames(folder / "a.tfrecord", _SMALL), _RECORD),
+    _row(
+        "waymo-tables",
+        "Waymo Perception v2",
+        lambda folder: write_segment(folder, segment_tables(_SMALL)),
+        ("*.parquet", damaged_bytes),
+    ),
+    _row("rainsense", "RainSense", write_rainsense, _TEXT, ("*.csv", damaged_text)),
+    _row("bdd100k", "BDD-100K", write_bdd100k, _JSON),
+    _row("pictures", "image folder", write_odd_pictures),
+)
 """Captures, and what looks at them and at their pixels."""

@@ -1,6 +1,7 @@
 """Files that are something else than what they were given as are called what they are, without words of libraries."""
 
 import gzip
+import io
 import zipfile
 from pathlib import Path
 
@@ -51,20 +52,15 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_commands_say_what_a_file_is(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    write, told = FILES[name]
-    file = write(tmp_path)
-    for command in (["info", str(file)], ["render", str(file), "-o", str(tmp_path / "out.png")]):
+def test_commands_name_what_a_file_is(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write, kind = FILES[name]
+    file, out = write(tmp_path), str(tmp_path / "out.png")
+    commands = [["info", str(file)], ["render", str(file), "-o", out], ["transfer", str(file), "-o", out]]
+    for command in commands if name in ("zip", "video", "picture") else commands[:2]:
         assert run(command) == BAD_INPUT
         printed = capsys.readouterr().err
-        assert told in printed and file.name in printed and printed.count("\n") == 1
-
-
-@pytest.mark.parametrize("name", ["zip", "video", "picture"])
-def test_transfers_say_what_a_file_is(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    write, told = FILES[name]
-    assert run(["transfer", str(write(tmp_path)), "-o", str(tmp_path / "out")]) == BAD_INPUT
-    assert told in capsys.readouterr().err
+        assert kind in printed and printed.count("\n") == 1
+        assert file.name in printed or command[0] == "transfer"
 
 
 def test_archives_are_no_disdrometers(tmp_path: Path) -> None:
@@ -77,42 +73,31 @@ def test_archives_are_no_disdrometers(tmp_path: Path) -> None:
         read_disdrometer(written(tmp_path / "notes.txt", b"some words\nof a diary\n"))
 
 
+def cut_png() -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(np.random.default_rng(1).integers(0, 256, (64, 64, 3), np.uint8)).save(file, "PNG")
+    return file.getvalue()[:2000]
+
+
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("name", "data", "problem"),
     [
-        (POINTER, "it is a pointer of Git LFS"),
-        (b"", "it is an empty file"),
-        (bytes(range(200)), "it is of no format that is known"),
-        (b"\0\0\0\x18ftypheic" + bytes(300), "it is an HEIC or AVIF picture: convert it"),
+        ("a.jpg", POINTER, "not a readable picture: it is a pointer of Git LFS"),
+        ("a.jpg", b"", "not a readable picture: it is an empty file"),
+        ("a.jpg", bytes(range(200)), "not a readable picture: it is of no format that is known"),
+        ("a.jpg", b"\0\0\0\x18ftypheic" + bytes(300), "it is an HEIC or AVIF picture: convert it"),
+        ("a.png", cut_png(), "not a readable picture: it is damaged, or cut off"),
+        ("a.sog", b"PK\x03\x04abc", "not a whole zip file"),
+        ("a.spz", b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + b"\xff" * 60, "the gzip stream is damaged"),
     ],
 )
-def test_broken_pictures_are_named_without_words_of_pillow(tmp_path: Path, data: bytes, told: str) -> None:
-    file = written(tmp_path / "a.jpg", data)
-    for read in (image_size, read_color):
-        with pytest.raises(CaptureError, match=f"a.jpg: not a readable picture: {told}") as error:
+def test_damage_is_named_without_words_of_libraries(tmp_path: Path, name: str, data: bytes, problem: str) -> None:
+    file = written(tmp_path / name, data)
+    for read in (read_color, image_size) if name == "a.jpg" else (read_color if name == "a.png" else read_scene,):
+        with pytest.raises((CaptureError, SceneFormatError), match=f"{name}: .*{problem}") as error:
             read(file)
-        assert "identify" not in str(error.value) and "BytesIO" not in str(error.value)
-
-
-def test_cut_pictures_are_named_without_words_of_pillow(tmp_path: Path) -> None:
-    file = tmp_path / "a.png"
-    Image.fromarray(np.random.default_rng(1).integers(0, 256, (64, 64, 3), np.uint8)).save(file)
-    written(file, file.read_bytes()[:2000])
-    with pytest.raises(CaptureError, match=r"a.png: not a readable picture: it is damaged, or cut off$"):
-        read_color(file)
-
-
-def test_damaged_streams_are_named_without_words_of_libraries(tmp_path: Path) -> None:
-    for name, told in (
-        ("a.sog", "not a whole zip file: its list of contents"),
-        ("b.spz", "the gzip stream is damaged"),
-    ):
-        file = written(
-            tmp_path / name, b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + b"\xff" * 60 if "spz" in name else b"PK\x03\x04abc"
-        )
-        with pytest.raises(SceneFormatError, match=told) as error:
-            read_scene(file)
-        assert not any(word in str(error.value) for word in ("Error -3", "not a zip", "decompress"))
+        words = ("identify", "BytesIO", "Error -3", "not a zip file", "decompress")
+        assert not any(word in str(error.value) for word in words)
 
 
 def test_what_a_name_says_is_no_surprise_where_readers_go_by_names(tmp_path: Path) -> None:

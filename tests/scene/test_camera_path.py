@@ -1,108 +1,273 @@
+"""Camera paths: through their keyframes, by splines or lines, in loops, eased; and their files, ours and others'."""
+
 import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import CameraPath, circle_path, orbit_path
-from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
+from gsrain_engine.scene.camera_path import CameraPath, apply_easing, circle_path, orbit_path
+from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
+from gsrain_engine.scene.camera_path_io import (
+    frame_times,
+    read_camera_path,
+    write_camera_path,
+    write_nerfstudio_path,
+    write_training_cameras,
+)
 from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.rig import rig_camera_path
 from gsrain_engine.scene.scene import PoseTrack, RigCamera, Scene
+from small_scene import AHEAD, small_scene
 
-LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera that looks along +x, z up
-
-
-def straight(speed=10.0, keys=5):
-    times = np.arange(keys, dtype=float)
-    quaternion = Rotation.from_matrix(LEVEL).as_quat()[[3, 0, 1, 2]]
-    positions = np.stack([speed * times, np.zeros(keys), np.full(keys, 1.5)], axis=1)
-    return CameraPath(times, positions, np.tile(quaternion, (keys, 1)), np.full(keys, 40.0))
+EASINGS = ["none", "in and out", "at each key"]
+KNOTS = np.array([0.0, 1.0, 2.5, 3.0])
 
 
-def test_straight_keys_give_constant_speed():
-    path = straight()
-    for t in (0.0, 0.3, 2.5, 4.0):
-        camera = path.camera(t, 96, 64)
-        assert camera.position == pytest.approx([10 * t, 0, 1.5])
-        assert camera.world_to_camera[2, :3] == pytest.approx([1, 0, 0])
-        assert camera.vertical_fov_deg == pytest.approx(40)
-        assert path.velocity(t) == pytest.approx([10, 0, 0])
-    assert path.velocity(4.5) == pytest.approx([0, 0, 0])
-    assert path.camera(9.0, 96, 64).position == pytest.approx([40, 0, 1.5])
+def path_of(keys: int = 6, seed: int = 2, **fields: Any) -> CameraPath:
+    rng = np.random.default_rng(seed)
+    turns = Rotation.random(keys, random_state=seed).as_quat()[:, [3, 0, 1, 2]]
+    times = np.cumsum(rng.uniform(0.5, 2, keys))
+    return CameraPath(times, rng.normal(0, 5, (keys, 3)), turns, rng.uniform(30, 60, keys), **fields)
 
 
-def test_path_goes_through_its_keys():
-    rng = np.random.default_rng(2)
-    turns = Rotation.random(6, random_state=4)
-    path = CameraPath(
-        np.cumsum(rng.uniform(0.5, 2, 6)), rng.normal(0, 5, (6, 3)), turns.as_quat()[:, [3, 0, 1, 2]],
-        rng.uniform(30, 60, 6),
-    )  # fmt: skip
+# Between keyframes
+
+
+def test_a_spline_goes_through_its_keys_and_is_scipys_to_the_bit() -> None:
+    path = path_of()
+    positions = CubicSpline(path.times_s, path.positions, bc_type="natural")
+    rotations = RotationSpline(path.times_s, Rotation.from_quat(path.quaternions_wxyz[:, [1, 2, 3, 0]]))
+    fov = PchipInterpolator(path.times_s, path.vertical_fov_deg)
+    for t in np.linspace(path.times_s[0], path.times_s[-1], 23).tolist():
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotations(t).as_matrix(), positions(t)
+        camera = path.camera(t, 90, 60)
+        assert camera.world_to_camera.tobytes() == np.linalg.inv(pose).tobytes()
+        assert camera.fy == 0.5 * 60 / np.tan(np.radians(float(fov(t))) / 2)
+        assert path.velocity(t).tobytes() == positions(t, 1).tobytes()
     for k, t in enumerate(path.times_s):
         camera = path.camera(t, 90, 60)
         assert camera.position == pytest.approx(path.positions[k], abs=1e-9)
-        assert np.allclose(camera.camera_to_world[:3, :3], turns[k].as_matrix(), atol=1e-9)
         assert camera.vertical_fov_deg == pytest.approx(path.vertical_fov_deg[k])
 
 
-def test_a_path_flies_through_cameras():
+def test_lines_are_straight_and_so_is_the_last_stretch_of_their_loop() -> None:
+    path = path_of(interpolation="linear")
+    for k in range(5):
+        start, end = path.times_s[k : k + 2]
+        for share in (0.0, 0.25, 0.9):
+            t = start + share * (end - start)
+            camera = path.camera(t, 90, 60)
+            assert camera.position == pytest.approx((1 - share) * path.positions[k] + share * path.positions[k + 1])
+            fov = (1 - share) * path.vertical_fov_deg[k] + share * path.vertical_fov_deg[k + 1]
+            assert camera.vertical_fov_deg == pytest.approx(fov)
+            assert path.velocity(t) == pytest.approx((path.positions[k + 1] - path.positions[k]) / (end - start))
+    a, b = (Rotation.from_quat(q[[1, 2, 3, 0]]) for q in path.quaternions_wxyz[:2])
+    half = a * Rotation.from_rotvec(0.5 * (a.inv() * b).as_rotvec())
+    assert np.allclose(path.turns(path.times_s[:2].mean(keepdims=True))[0], half.as_matrix(), atol=1e-9)
+    loop = replace(path_of(3, interpolation="linear"), loop=True)
+    camera = loop.camera(float(0.75 * loop.times_s[-1] + 0.25 * loop.end_s), 9, 6)
+    assert camera.position == pytest.approx(0.75 * loop.positions[-1] + 0.25 * loop.positions[0])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(2, 6), st.integers(0, 50), st.sampled_from(EASINGS))
+def test_a_loop_closes_in_place_and_speed(keys: int, seed: int, easing: str) -> None:
+    path = path_of(keys, seed, loop=True, easing=easing)
+    assert path.duration_s == pytest.approx((path.times_s[-1] - path.times_s[0]) * keys / (keys - 1))
+    h = 1e-6
+    for seam in (path.start_s, path.end_s, path.start_s + 3 * path.duration_s):
+        before, after = path.camera(seam - h, 9, 6), path.camera(seam + h, 9, 6)
+        assert np.allclose(before.camera_to_world, after.camera_to_world, atol=1e-3)
+        assert path.velocity(seam - h) == pytest.approx(path.velocity(seam + h), abs=1e-3)
+        turns = path.turns(np.array([seam - 2 * h, seam - h, seam + h, seam + 2 * h]))
+        rates = [(turns[i].T @ turns[i + 1] - np.eye(3)) / h for i in (0, 2)]
+        assert np.allclose(rates[0], rates[1], atol=1e-2)
+    later = path.camera(path.start_s + 0.3 + 2 * path.duration_s, 9, 6)
+    assert np.allclose(later.world_to_camera, path.camera(path.start_s + 0.3, 9, 6).world_to_camera, atol=1e-9)
+    for k, t in enumerate(path.times_s):
+        assert path.camera(float(t), 9, 6).position == pytest.approx(path.positions[k], abs=1e-9)
+
+
+@pytest.mark.parametrize("easing", EASINGS)
+def test_easing_is_monotone_and_rests_where_it_should(easing: Any) -> None:
+    t = np.linspace(0, 3, 3001)
+    times, rates = apply_easing(easing, KNOTS, t)
+    assert np.all(np.diff(times) >= 0) and np.all(rates >= 0)
+    middle = (times[2:] - times[:-2]) / (t[2:] - t[:-2])
+    assert middle == pytest.approx(rates[1:-1], abs=6e-3)
+    assert np.abs(np.diff(rates)).max() < 0.02  # no jumps, at keys neither
+    at_keys = apply_easing(easing, KNOTS, KNOTS)
+    assert at_keys.times_s == pytest.approx(KNOTS)
+    rests = {"none": [], "in and out": [0, 3], "at each key": [0, 1, 2, 3]}[easing]
+    assert [k for k in range(4) if at_keys.rates[k] < 1e-9] == rests
+
+
+@settings(max_examples=25)
+@given(st.integers(1, 6), st.booleans(), st.sampled_from(EASINGS), st.floats(0.05, 0.95))
+def test_velocities_are_derivatives_and_many_moments_at_once_are_one_by_one(
+    keys: int, loop: bool, easing: str, share: float
+) -> None:
+    path, h = path_of(keys, loop=loop and keys > 1, easing=easing), 1e-6
+    t = path.start_s + share * max(path.duration_s, 1e-3)
+    if keys > 1:
+        change = (path.camera(t + h, 9, 6).position - path.camera(t - h, 9, 6).position) / (2 * h)
+        assert path.velocity(t) == pytest.approx(change, rel=1e-3, abs=1e-3)
+    times = np.linspace(path.start_s - 1, path.end_s + 1, 9)
+    for k, time in enumerate(times.tolist()):
+        camera = path.camera(time, 9, 6)
+        assert path.places(times)[k] == pytest.approx(camera.position, abs=1e-9)
+        assert np.allclose(path.turns(times)[k], camera.camera_to_world[:3, :3], atol=1e-9)
+        assert np.array_equal(path.velocities(times)[k], path.velocity(time))
+
+
+def test_before_and_after_a_path_the_camera_stands() -> None:
+    path = path_of(easing="in and out")
+    for t, key in ((path.start_s - 1, 0), (path.end_s + 9, -1)):
+        assert path.camera(t, 9, 6).position == pytest.approx(path.positions[key])
+        assert path.velocity(t) == pytest.approx([0, 0, 0])
+
+
+# Made of cameras, of drives and around things
+
+
+def test_a_path_flies_through_cameras() -> None:
     up = np.array([0.0, 0, 1])
     eyes = np.array([[0.0, 0, 2], [5, 1, 3], [9, -2, 8]])
-    cameras = [Camera.from_fov(90, 60, fov, look_at(eye, np.array([30.0, 0, 0]), up))
-               for eye, fov in zip(eyes, (30, 40, 50), strict=True)]  # fmt: skip
+    cameras = [
+        Camera.from_fov(90, 60, fov, look_at(eye, np.array([30.0, 0, 0]), up))
+        for eye, fov in zip(eyes, (30, 40, 50), strict=True)
+    ]
     path = CameraPath.through([1.0, 2.5, 3.0], [replace(cameras[0], exposure_s=0.02), *cameras[1:]])
     assert (path.start_s, path.end_s, path.exposure_s) == (1.0, 3.0, 0.02)
     for t, camera in zip((1.0, 2.5, 3.0), cameras, strict=True):
         found = path.camera(t, 90, 60)
         assert np.allclose(found.world_to_camera, camera.world_to_camera, atol=1e-9)
         assert found.fy == pytest.approx(camera.fy)
+    for times, count, reason in (([], 0, "at least one"), ([0.0], 2, "1 for 2"), ([1.0, 1.0], 2, "rising")):
+        with pytest.raises(ValueError, match=reason):
+            CameraPath.through(times, cameras[:count])
 
 
-@pytest.mark.parametrize(("times", "cameras", "reason"),
-                         [([], 0, "at least one"), ([0.0], 2, "1 for 2"), ([1.0, 1.0], 2, "rising")])  # fmt: skip
-def test_cameras_without_rising_moments_are_refused(times, cameras, reason):
-    with pytest.raises(ValueError, match=reason):
-        CameraPath.through(times, [Camera.from_fov(90, 60, 40.0, np.eye(4))] * cameras)
+def test_a_moved_path_has_moved_cameras_and_what_lies_between_its_keys() -> None:
+    similarity = np.array([[0, 0, 2.0, 5], [-2.0, 0, 0, 6], [0, -2.0, 0, 7], [0, 0, 0, 1]])
+    path = path_of(loop=True, easing="at each key", interpolation="linear", exposure_s=0.002)
+    moved = path.moved(similarity)
+    there = path.camera(1.3, 96, 64).moved(similarity).world_to_camera
+    assert np.allclose(moved.camera(1.3, 96, 64).world_to_camera, there, atol=1e-9)
+    assert (moved.loop, moved.easing, moved.interpolation, moved.exposure_s) == (True, "at each key", "linear", 0.002)
 
 
-def test_velocity_is_the_derivative_of_the_position():
-    path = straight()
-    bent = CameraPath(
-        path.times_s, path.positions + np.sin(path.times_s)[:, None], path.quaternions_wxyz, path.vertical_fov_deg
-    )
-    h = 1e-6
-    difference = (bent.camera(1.7 + h, 9, 6).position - bent.camera(1.7 - h, 9, 6).position) / (2 * h)
-    assert bent.velocity(1.7) == pytest.approx(difference, rel=1e-5)
+def test_the_path_of_a_rig_camera_rides_with_the_ego() -> None:
+    times = np.arange(3.0)
+    places = np.stack([5 * times, np.zeros(3), np.full(3, 1.5)], axis=1)
+    ego = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (3, 1)), np.ones(3, bool))
+    mount = np.eye(4)
+    mount[:3, :3], mount[:3, 3] = AHEAD, [1.0, 0, 0.5]
+    front = RigCamera("FRONT", 1920, 1280, 2060.0, 2060.0, 960.0, 640.0, mount, 0.003)
+    path = rig_camera_path(Scene("s", ego=ego, rigs={"r": (front,)}), front, 960, 640)
+    camera = path.camera(1.0, 960, 640)
+    assert camera.position == pytest.approx([6, 0, 2.0])
+    assert (camera.fx, camera.exposure_s) == (pytest.approx(1030), 0.003)
+    assert path.velocity(1.0) == pytest.approx([5, 0, 0])
+    with pytest.raises(ValueError, match="no ego track"):
+        rig_camera_path(Scene("s"), front, 960, 640)
 
 
-def test_own_file_comes_back(tmp_path):
-    file = tmp_path / "path.json"
-    write_camera_path(file, straight())
-    again = read_camera_path(file)
-    assert np.array_equal(again.positions, straight().positions)
-    assert np.allclose(again.quaternions_wxyz, straight().quaternions_wxyz, atol=1e-15)
+@pytest.mark.parametrize("is_circle", [True, False])
+def test_orbits_and_circles_keep_their_distance_and_their_sight(is_circle: bool) -> None:
+    start = Camera.from_fov(96, 64, 50.0, look_at(np.array([10.0, 0, 2]), np.zeros(3), np.array([0.0, 0, 1])))
+    path = circle_path(np.zeros(3), start, 8.0) if is_circle else orbit_path(np.zeros(3), start, 8.0, 60.0)
+    at_start = path.camera(0.0 if is_circle else 4.0, 96, 64)
+    assert path.duration_s == 8 and np.allclose(at_start.world_to_camera, start.world_to_camera, atol=1e-9)
+    for t in np.linspace(0, 16 if is_circle else 8, 33).tolist():
+        camera = path.camera(t, 96, 64)
+        assert np.linalg.norm(camera.position[:2]) == pytest.approx(10, rel=1e-3)
+        assert camera.world_to_camera[:2, 3] == pytest.approx([0, 0], abs=0.02)
+        if is_circle:
+            assert np.linalg.norm(path.velocity(t)) == pytest.approx(2 * np.pi * 10 / 8, rel=0.01)
+    if is_circle:
+        assert path.camera(4.0, 96, 64).position == pytest.approx([-10, 0, 2], abs=1e-9)
 
 
-def test_nerfstudio_and_3dgs_files_show_the_same_flight(tmp_path):
+# Files
+
+
+def same_view(a: Camera, b: Camera) -> None:
+    assert np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-9)
+    assert a.fy == pytest.approx(b.fy)
+
+
+@pytest.mark.parametrize("changes", [{}, {"interpolation": "linear", "easing": "at each key", "loop": True}])
+def test_our_own_file_comes_back(changes: dict[str, Any], tmp_path: Path) -> None:
+    file, path = tmp_path / "path.json", path_of(4, **changes)
+    write_camera_path(file, path)
+    assert json.loads(file.read_text())["version"] == (2 if changes else 1)  # older programs can read version 1
+    found = read_camera_path(file)
+    assert (found.interpolation, found.easing, found.loop) == (path.interpolation, path.easing, path.loop)
+    for t in np.linspace(path.start_s, path.end_s, 5).tolist():
+        same_view(found.camera(t, 96, 64), path.camera(t, 96, 64))
+
+
+def test_a_file_of_nerfstudio_comes_back_frame_by_frame(tmp_path: Path) -> None:
+    file, path = tmp_path / "camera_path.json", replace(path_of(4), times_s=np.array([0.0, 1, 2, 4]))
+    write_nerfstudio_path(file, path, 10.0, 1920, 1080)
+    values = json.loads(file.read_text())
+    assert (values["render_width"], values["fps"], values["seconds"]) == (1920, 10, 4)
+    assert len(values["camera_path"]) == 41
+    assert [key["override_transition_sec"] for key in values["keyframes"]] == [1, 1, 2, 0]
+    found = read_camera_path(file)
+    assert found.times_s == pytest.approx(np.arange(41) / 10)
+    for t in (0.0, 0.3, 2.0, 3.9, 4.0):
+        same_view(found.camera(t, 96, 64), path.camera(t, 96, 64))
+    with pytest.raises(OSError, match="camera_path.json"):
+        write_nerfstudio_path(file / "path.json", path, 10.0)
+
+
+def test_cameras_of_3dgs_come_back_without_times(tmp_path: Path) -> None:
+    file, path = tmp_path / "cameras.json", replace(path_of(4), times_s=np.array([0.0, 1, 2, 4]))
+    write_training_cameras(file, path, 2.0, 600, 400)
+    names = {"id", "img_name", "width", "height", "position", "rotation", "fx", "fy"}
+    assert set(json.loads(file.read_text())[0]) == names
+    found = read_camera_path(file)
+    assert len(found.times_s) == 9 and not found.is_timed
+    for number in range(9):
+        same_view(found.camera(float(found.times_s[number]), 600, 400), path.camera(number / 2, 600, 400))
+
+
+def test_nerfstudio_and_3dgs_files_show_the_same_flight(tmp_path: Path) -> None:
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = LEVEL, [1, 2, 3]
-    gl = pose.copy()
-    gl[:3, :3] = pose[:3, :3] @ np.diag([1, -1, -1])
-    nerfstudio = tmp_path / "camera_path.json"
-    nerfstudio.write_text(json.dumps({"seconds": 4, "camera_path": [
-        {"camera_to_world": gl.ravel().tolist(), "fov": 50.0, "aspect": 1.5}] * 2}))  # fmt: skip
-    fy = 0.5 * 400 / np.tan(np.radians(25))
-    cameras = tmp_path / "cameras.json"
-    cameras.write_text(json.dumps([{"id": 0, "img_name": "a", "width": 600, "height": 400, "position": [1, 2, 3],
-                                    "rotation": LEVEL.tolist(), "fx": fy, "fy": fy}]))  # fmt: skip
+    pose[:3, :3], pose[:3, 3] = AHEAD, [1, 2, 3]
+    gl = pose @ np.diag([1.0, -1, -1, 1])
+    nerfstudio, cameras = tmp_path / "camera_path.json", tmp_path / "cameras.json"
+    key = {"camera_to_world": gl.ravel().tolist(), "fov": 50.0, "aspect": 1.5}
+    nerfstudio.write_text(json.dumps({"seconds": 4, "camera_path": [key] * 2}))
+    cameras.write_text(json.dumps(training_cameras(["a"], fy=0.5 * 400 / np.tan(np.radians(25)), place=[1, 2, 3])))
     for file in (nerfstudio, cameras):
         camera = read_camera_path(file).camera(0.0, 600, 400)
         assert np.allclose(camera.camera_to_world, pose, atol=1e-12)
         assert camera.vertical_fov_deg == pytest.approx(50)
-    assert read_camera_path(nerfstudio).duration_s == 4
+    assert read_camera_path(nerfstudio).duration_s == 4 and read_camera_path(nerfstudio).is_timed
+    nerfstudio.write_text(json.dumps({"camera_path": [key, key]}))
+    assert not read_camera_path(nerfstudio).is_timed
+
+
+def training_cameras(names: list[str | None], fy: float = 400.0, place: list[float] | None = None) -> list[Any]:
+    """Rows of the file that 3DGS writes; 7 units apart along x."""
+    rest = {"width": 600, "height": 400, "rotation": AHEAD.tolist(), "fx": fy, "fy": fy}
+    return [
+        {"position": place or [7.0 * k, 0, 0], **rest, **({} if name is None else {"img_name": name})}
+        for k, name in enumerate(names)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -113,85 +278,55 @@ def test_nerfstudio_and_3dgs_files_show_the_same_flight(tmp_path):
         ([None, "a", "b", "c"], [0, 1, 2, 3]),
     ],
 )
-def test_training_cameras_are_flown_in_the_order_of_their_names(tmp_path, names, order):
-    values = [{"width": 600, "height": 400, "position": [k, 0, 0], "rotation": LEVEL.tolist(), "fx": 400, "fy": 400}
-              | ({} if name is None else {"img_name": name}) for k, name in enumerate(names)]  # fmt: skip
-    (tmp_path / "cameras.json").write_text(json.dumps(values))
-    assert read_camera_path(tmp_path / "cameras.json").positions[:, 0].tolist() == order
+def test_training_cameras_are_flown_in_the_order_of_their_names(
+    tmp_path: Path, names: list[str | None], order: list[int]
+) -> None:
+    (tmp_path / "cameras.json").write_text(json.dumps(training_cameras(names)))
+    path = read_camera_path(tmp_path / "cameras.json")
+    assert (path.positions[:, 0] / 7).tolist() == order
+    steps = np.abs(np.diff(path.positions[:, 0]))
+    assert np.diff(path.times_s) == pytest.approx(steps / WALKING_M_S)  # as fast as one walks
+
+
+def test_a_scene_folder_holds_whether_its_path_has_times(tmp_path: Path) -> None:
+    path = with_constant_speed(path_of(3), WALKING_M_S)
+    write_scene(replace(small_scene(), path=path), tmp_path / "scene")
+    found = read_scene(tmp_path / "scene").path
+    assert found is not None and not found.is_timed
+
+
+def test_frames_of_a_loop_do_not_show_its_start_twice() -> None:
+    path = replace(path_of(4), times_s=np.array([0.0, 1, 2, 4]))
+    assert frame_times(path, 2.0).tolist() == [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4]
+    loop = replace(path, loop=True)
+    assert len(frame_times(loop, 3.0)) == round(3 * loop.duration_s)
+    assert frame_times(replace(path, times_s=path.times_s + 7), 1.0)[0] == 7
+
+
+KEY = {"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0], "vertical_fov_deg": 40}
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("values", "field"),
     [
-        ("[]", "expected keyframes"),
-        ("{}", "expected keyframes"),
-        ("nothing", "not a JSON file"),
-        ('{"version": 3, "keyframes": []}', "newer than 2"),
-        ('{"keyframes": []}', "at least one keyframe"),
-        ('{"keyframes": [{"time_s": 0}]}', "no field 'position'"),
-        ('{"keyframes": [{"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0], '
-         '"vertical_fov_deg": 180}]}', "below 180"),
-        ('{"keyframes": [{"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [0, 0, 0, 0], '
-         '"vertical_fov_deg": 40}]}', "its quaternion must be finite and not 0"),
+        ([], "expected keyframes"),
+        ({}, "expected keyframes"),
+        ({"version": 3, "keyframes": []}, "newer than 2"),
+        ({"keyframes": []}, "at least one keyframe"),
+        ({"keyframes": [{"time_s": 0}]}, "'position'"),
+        ({"keyframes": [KEY | {"vertical_fov_deg": 180}]}, "below 180"),
+        ({"keyframes": [KEY | {"quaternion_wxyz": [0, 0, 0, 0]}]}, "quaternion"),
+        ({"keyframes": [KEY], "interpolation": "cubic"}, "interpolation 'cubic'"),
+        ({"keyframes": [KEY], "easing": "bounce"}, "easing 'bounce'"),
     ],
-)  # fmt: skip
-def test_bad_paths_say_what_is_wrong(tmp_path, text, words):
+)
+def test_bad_paths_are_named(tmp_path: Path, values: Any, field: str) -> None:
     file = tmp_path / "path.json"
-    file.write_text(text)
-    with pytest.raises(SceneFormatError) as error:
+    file.write_text(json.dumps(values))
+    with pytest.raises(SceneFormatError, match=rf"path\.json: .*{field}"):
         read_camera_path(file)
-    assert words in str(error.value)
-
-
-def test_missing_file_is_one_sentence(tmp_path):
+    file.write_text("nothing")
+    with pytest.raises(SceneFormatError, match="not a JSON file"):
+        read_camera_path(file)
     with pytest.raises(SceneFormatError, match="No such file"):
         read_camera_path(tmp_path / "nowhere.json")
-
-
-def test_moving_a_path_moves_its_cameras():
-    similarity = np.array([[0, 0, 2.0, 5], [-2.0, 0, 0, 6], [0, -2.0, 0, 7], [0, 0, 0, 1]])
-    path = straight()
-    there = path.moved(similarity).camera(1.3, 96, 64)
-    assert np.allclose(there.world_to_camera, path.camera(1.3, 96, 64).moved(similarity).world_to_camera, atol=1e-12)
-
-
-def test_drive_path_rides_with_the_ego():
-    times = np.arange(3.0)
-    ego = PoseTrack(times, np.stack([5 * times, np.zeros(3), np.full(3, 1.5)], axis=1), np.tile([1.0, 0, 0, 0], (3, 1)),
-                np.ones(3, bool))  # fmt: skip
-    mount = np.eye(4)
-    mount[:3, :3], mount[:3, 3] = LEVEL, [1.0, 0, 0.5]
-    front = RigCamera("FRONT", 1920, 1280, 2060.0, 2060.0, 960.0, 640.0, mount, 0.003)
-    path = rig_camera_path(Scene("s", ego=ego, rigs={"r": (front,)}), front, 960, 640)
-    camera = path.camera(1.0, 960, 640)
-    assert camera.position == pytest.approx([6, 0, 2.0])
-    assert camera.fx == pytest.approx(1030)
-    assert camera.exposure_s == 0.003
-    assert path.velocity(1.0) == pytest.approx([5, 0, 0])
-    with pytest.raises(ValueError, match="no ego track"):
-        rig_camera_path(Scene("s"), front, 960, 640)
-
-
-def test_orbit_keeps_its_distance_and_its_sight():
-    start = Camera.from_fov(96, 64, 50.0, look_at(np.array([10.0, 0, 2]), np.zeros(3), np.array([0.0, 0, 1])))
-    path = orbit_path(np.zeros(3), start, 4.0, 60.0)
-    middle = path.camera(2.0, 96, 64)
-    assert np.allclose(middle.world_to_camera, start.world_to_camera, atol=1e-9)
-    for t in (0.0, 1.0, 3.7):
-        camera = path.camera(t, 96, 64)
-        assert np.linalg.norm(camera.position) == pytest.approx(np.hypot(10, 2), rel=1e-3)
-        assert camera.world_to_camera[:3, 3][:2] == pytest.approx([0, 0], abs=0.02)
-
-
-def test_a_circle_closes_and_keeps_its_distance():
-    start = Camera.from_fov(96, 64, 50.0, look_at(np.array([10.0, 0, 2]), np.zeros(3), np.array([0.0, 0, 1])))
-    path = circle_path(np.zeros(3), start, 8.0)
-    assert path.duration_s == 8
-    assert np.allclose(path.camera(0.0, 96, 64).world_to_camera, start.world_to_camera, atol=1e-9)
-    opposite = path.camera(4.0, 96, 64)
-    assert opposite.position == pytest.approx([-10, 0, 2], abs=1e-9)
-    for t in np.linspace(0, 16, 33).tolist():
-        camera = path.camera(t, 96, 64)
-        assert np.linalg.norm(camera.position[:2]) == pytest.approx(10, rel=1e-3)
-        assert camera.world_to_camera[:2, 3] == pytest.approx([0, 0], abs=0.02)
-        assert np.linalg.norm(path.velocity(t)) == pytest.approx(2 * np.pi * 10 / 8, rel=0.01)

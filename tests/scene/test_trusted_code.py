@@ -30,11 +30,21 @@ from gsrain_engine.trusted_code import (
 )
 
 
+@pytest.fixture
+def another_process(monkeypatch):
+    """Forgets what this process has been allowed, and leaves what is written down."""
+
+    def begin():
+        for name in ("_trusted", "_named_by_files"):
+            monkeypatch.setattr(trusted_code, name, set())
+
+    return begin
+
+
 @pytest.fixture(autouse=True)
-def nobody_has_said_anything(tmp_path, monkeypatch):
+def nothing_is_allowed_yet(tmp_path, monkeypatch, another_process):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(trusted_code, "_trusted", set())
-    monkeypatch.setattr(trusted_code, "_named_by_files", set())
+    another_process()
     monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
     before = set(sys.modules)
     yield
@@ -52,27 +62,20 @@ def driver(tmp_path):
     return tmp_path / "driver.py"
 
 
-def test_the_digest_of_a_file_alone_is_its_sha256(tmp_path):
-    file = tmp_path / "alone.py"
-    file.write_text("import os, json\n")
-    assert read_code(file).digest == hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def test_what_it_imports_near_it_counts(driver):
+def test_the_digest_covers_a_file_and_what_it_imports_near_it(driver, tmp_path):
+    alone = tmp_path / "alone.py"
+    alone.write_text("import os, json\n")
+    assert read_code(alone).digest == hashlib.sha256(alone.read_bytes()).hexdigest()
     code = read_code(driver)
     assert set(code.files) == {"", "near_it", "far_from_it"} and code.others == ["far_from_it.py", "near_it.py"]
-    for name, text in (("far_from_it", "SPEED = 9.0\n"), ("near_it", "SPEED = 9.0\n"), ("driver", "SPEED = 9.0\n")):
+    for name, text in (("far_from_it", "SPEED = 9.0\n"), ("near_it", "SPEED = 9.0\n"), ("driver", "import json\n")):
         before = read_code(driver).digest
-        (driver.parent / f"{name}.py").write_text(text)
+        (tmp_path / f"{name}.py").write_text(text)
         assert read_code(driver).digest != before
-    assert (driver.parent / "unused.py").is_file() and read_code(driver).others == []
-
-
-def test_a_module_put_in_the_place_of_an_installed_one_counts(tmp_path):
-    (tmp_path / "driver.py").write_text("import json\n")
-    before = read_code(tmp_path / "driver.py").digest
-    (tmp_path / "json.py").write_text("import os\n")
-    assert read_code(tmp_path / "driver.py").digest != before
+    assert (tmp_path / "unused.py").is_file() and read_code(driver).others == []
+    before = read_code(driver).digest
+    (tmp_path / "json.py").write_text("import os\n")  # in the place of an installed module
+    assert read_code(driver).digest != before
 
 
 def test_only_what_was_read_runs(driver):
@@ -111,40 +114,31 @@ def test_a_folder_s_packages_run_from_memory_and_leave_no_trace(tmp_path):
     assert not {"models", "utils", "models.deep"} & set(sys.modules)
 
 
-def test_answers_are_remembered_by_content_in_a_private_file(driver):
+def test_answers_are_remembered_by_content_in_a_private_file(driver, another_process, caplog):
     code = read_code(driver)
-    with pytest.raises(
-        UntrustedCodeError, match=rf"s\.yaml: names Python code.*driver\.py \(SHA-256 {code.digest[:12]}"
-    ):
+    with pytest.raises(UntrustedCodeError, match=rf"s\.yaml: .*driver\.py \(SHA-256 {code.digest[:12]}"):
         check_trusted("s.yaml", [code])
     trust_permanently([code])
     assert stat.S_IMODE(answers_file().stat().st_mode) == 0o600
-    trusted_code._trusted.clear()  # another process
+    another_process()
     check_trusted("s.yaml", [read_code(driver)])
-    driver.rename(driver.with_name("renamed.py"))
-    assert is_trusted(read_code(driver.with_name("renamed.py")))
+    driver = driver.rename(driver.with_name("renamed.py"))
+    assert is_trusted(read_code(driver))
+    another_process()
+    answers_file().chmod(0o620)
+    assert not is_trusted(read_code(driver)) and "others could have written it" in caplog.text
+    trust_permanently([read_code(driver)])
+    another_process()
+    assert is_trusted(read_code(driver)) and stat.S_IMODE(answers_file().stat().st_mode) == 0o600
     driver.write_text("import os\n")
     with pytest.raises(UntrustedCodeError):
         check_trusted("s.yaml", [read_code(driver)])
     trust_permanently([read_code(driver)])
     assert len(json.loads(answers_file().read_bytes())["trusted"]) == 2
-
-
-def test_answers_that_others_could_have_written_do_not_count(driver, caplog):
-    trust_permanently([read_code(driver)])
-    trusted_code._trusted.clear()
-    answers_file().chmod(0o620)
-    assert not is_trusted(read_code(driver)) and "others could have written it" in caplog.text
-    trust_permanently([read_code(driver)])
-    trusted_code._trusted.clear()
-    assert is_trusted(read_code(driver)) and stat.S_IMODE(answers_file().stat().st_mode) == 0o600
-
-
-@pytest.mark.parametrize("text", ["", "{", '{"trusted": 3}', "\0" * 100])
-def test_a_damaged_file_of_answers_allows_nothing(driver, text):
-    answers_file().parent.mkdir(parents=True)
-    answers_file().write_text(text)
-    assert not is_trusted(read_code(driver))
+    for text in ("", "{", '{"trusted": 3}', "\0" * 100):  # a damaged file allows nothing
+        answers_file().write_text(text)
+        another_process()
+        assert not is_trusted(read_code(driver))
 
 
 def test_an_answer_that_can_not_be_written_down_holds_for_now(driver, tmp_path, caplog, monkeypatch):

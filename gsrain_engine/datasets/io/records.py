@@ -66,7 +66,7 @@ class ParquetFile:
     def _opened(self) -> Any:
         try:
             check_file(self.path)
-            return _parquet().ParquetFile(self.path)
+            return parquet_module().ParquetFile(self.path)
         except _DAMAGES as error:
             raise CaptureError(f"{self.path}: not a Parquet file that can be read ({error})") from None
 
@@ -75,7 +75,7 @@ class ParquetFile:
 def _group(path: Path, column: str, group: int) -> Any:
     try:
         check_file(path)
-        return _parquet().ParquetFile(path).read_row_group(group, columns=[column]).column(column)
+        return parquet_module().ParquetFile(path).read_row_group(group, columns=[column]).column(column)
     except _DAMAGES as error:
         raise CaptureError(f"{path}: can't be read ({error})") from None
 
@@ -89,7 +89,7 @@ def _plain(value: Any) -> Any:
 
 
 @cache
-def _parquet() -> Any:
+def parquet_module() -> Any:
     try:
         return import_module("pyarrow.parquet")
     except ImportError:

@@ -1,0 +1,445 @@
+"""Drives of the miniature world, written as each driving data set has them."""
+
+import json
+import pickle
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsrain_engine.datasets.kitti import CAMERA_HEIGHT_M, IMU_HEIGHT_M
+from gsrain_engine.datasets.waymo import parsed
+from mini_drive import BOX_LWH, FOCAL, HEIGHT, STEP_M, WIDTH, YAW, MiniDrive, quaternion, turned
+from tfrecord_framing import framed
+from waymo_lidar import BEAMS, LIDAR_TO_VEHICLE, pixel_poses, range_image
+
+Rows = dict[str, list[dict[str, Any]]]
+"""Rows of tables, by their names."""
+
+
+def text_row(values: np.ndarray, digits: int = 12) -> str:
+    return " ".join(f"{value:.{digits}e}" for value in values.ravel())
+
+
+# DGP
+
+
+def write_dgp(folder: Path, drive: MiniDrive, camera_lens: dict[str, float] | None = None) -> Path:
+    scene = folder / "scene_07"
+    for name in ("calibration", "ontology", "bounding_box_3d/LIDAR", "rgb/CAM", "point_cloud/LIDAR"):
+        (scene / name).mkdir(parents=True)
+    lens = {"fx": FOCAL, "fy": FOCAL, "cx": WIDTH / 2 - 0.5, "cy": HEIGHT / 2 - 0.5, "skew": 0.0, **(camera_lens or {})}
+    zero = dict.fromkeys(lens, 0.0)
+    calibration = {
+        "names": ["LIDAR", "CAM"],
+        "extrinsics": [_pose(drive.lidar_to_vehicle), _pose(drive.camera_to_vehicle)],
+        "intrinsics": [zero, lens],
+    }
+    (scene / "calibration" / "cal.json").write_text(json.dumps(calibration))
+    (scene / "ontology" / "ont.json").write_text(json.dumps({"items": [{"id": 4, "name": "Car"}]}))
+    data: list[dict[str, Any]] = []
+    samples: list[dict[str, Any]] = []
+    for k in range(drive.samples):
+        vehicle = drive.vehicle_to_world(k)
+        stamp = f"2464-11-12T01:04:{10 + 0.5 * k:09.6f}Z"
+        (scene / f"rgb/CAM/{k}.jpg").write_bytes(drive.jpeg(k))
+        points = drive.lidar_points(k).astype(np.float64)
+        np.savez_compressed(
+            scene / f"point_cloud/LIDAR/{k}.npz", data=np.column_stack([points, np.full(len(points), 0.5)])
+        )
+        box = np.linalg.inv(drive.lidar_to_vehicle) @ drive.box_to_vehicle(k)
+        sides = dict(zip(("length", "width", "height"), BOX_LWH, strict=True))
+        row = {"class_id": 4, "instance_id": 7, "num_points": 60, "box": {**sides, "pose": _pose(box)}}
+        (scene / f"bounding_box_3d/LIDAR/{k}.json").write_text(json.dumps({"annotations": [row]}))
+        cloud = {
+            "filename": f"point_cloud/LIDAR/{k}.npz",
+            "point_format": ["X", "Y", "Z", "INTENSITY"],
+            "annotations": {"1": f"bounding_box_3d/LIDAR/{k}.json"},
+            "pose": _pose(vehicle @ drive.lidar_to_vehicle),
+        }
+        image = {"filename": f"rgb/CAM/{k}.jpg", "width": WIDTH, "height": HEIGHT}
+        image["pose"] = _pose(vehicle @ drive.camera_to_vehicle)
+        for key, kind, value in ((f"l{k}", "point_cloud", cloud), (f"c{k}", "image", image)):
+            name = "LIDAR" if kind == "point_cloud" else "CAM"
+            data.append({"key": key, "id": {"name": name, "timestamp": stamp}, "datum": {kind: value}})
+        samples.append({"id": {"timestamp": stamp}, "calibration_key": "cal", "datum_keys": [f"l{k}", f"c{k}"]})
+    file = scene / "scene_abc.json"
+    file.write_text(json.dumps({"name": "mini", "data": data, "samples": samples, "ontologies": {"1": "ont"}}))
+    splits = {"0": {"filenames": ["scene_07/scene_abc.json", "scene_09/scene_abc.json"]}}
+    (folder / "scene_dataset_v1.json").write_text(json.dumps({"scene_splits": splits}))
+    return file
+
+
+def _pose(matrix: np.ndarray) -> dict[str, Any]:
+    turn = dict(zip(("qw", "qx", "qy", "qz"), quaternion(matrix), strict=True))
+    return {"translation": dict(zip("xyz", matrix[:3, 3].tolist(), strict=True)), "rotation": turn}
+
+
+# nuScenes, its own tables and the info files of MMDetection3D
+
+
+def write_nuscenes(root: Path, drive: MiniDrive, scenes: tuple[str, ...] = ("scene-0061",)) -> Rows:
+    """The tables of the devkit's schema; the drive happens in each scene, 100 s apart."""
+    length, width, height = BOX_LWH
+    matrix = [[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]]
+    tables: Rows = {
+        "sensor": [
+            {"token": "s-cam", "channel": "CAM_FRONT", "modality": "camera"},
+            {"token": "s-top", "channel": "LIDAR_TOP", "modality": "lidar"},
+            {"token": "s-radar", "channel": "RADAR_FRONT", "modality": "radar"},
+        ],
+        "calibrated_sensor": [
+            {"token": "c-cam", "sensor_token": "s-cam", **_placed(drive.camera_to_vehicle), "camera_intrinsic": matrix},
+            {"token": "c-top", "sensor_token": "s-top", **_placed(drive.lidar_to_vehicle), "camera_intrinsic": []},
+            {"token": "c-radar", "sensor_token": "s-radar", **_placed(np.eye(4)), "camera_intrinsic": []},
+        ],
+        "category": [{"token": "car", "name": "vehicle.car", "description": ""}],
+        "instance": [],
+        "scene": [],
+        "sample": [],
+        "sample_data": [],
+        "ego_pose": [],
+        "sample_annotation": [],
+    }
+    for channel in ("CAM_FRONT", "LIDAR_TOP", "RADAR_FRONT"):
+        (root / "samples" / channel).mkdir(parents=True, exist_ok=True)
+    for number, scene in enumerate(scenes):
+        tables["scene"].append({"token": f"t-{scene}", "name": scene, "nbr_samples": drive.samples, "description": ""})
+        tables["instance"].append({"token": f"i-{scene}", "category_token": "car", "nbr_annotations": drive.samples})
+        for k in range(drive.samples):
+            key, time = f"{scene}-{k}", int(drive.time(k) * 1e6) + number * 100_000_000
+            tables["sample"].append(
+                {"token": key, "timestamp": time, "scene_token": f"t-{scene}", "prev": "", "next": ""}
+            )
+            tables["ego_pose"].append({"token": f"e-{key}", "timestamp": time, **_placed(drive.vehicle_to_world(k))})
+            box = _placed(drive.box_to_world())
+            row = {
+                "token": f"a-{key}",
+                "sample_token": key,
+                "instance_token": f"i-{scene}",
+                "size": [width, length, height],
+            }
+            tables["sample_annotation"].append({**row, **box, "num_lidar_pts": 60})
+            for channel, sensor, suffix in (("CAM_FRONT", "c-cam", "jpg"), ("LIDAR_TOP", "c-top", "pcd.bin")):
+                file = f"samples/{channel}/{key}.{suffix}"
+                tables["sample_data"].append(
+                    {
+                        "token": f"d-{channel}-{key}",
+                        "sample_token": key,
+                        "ego_pose_token": f"e-{key}",
+                        "calibrated_sensor_token": sensor,
+                        "filename": file,
+                        "timestamp": time,
+                        "is_key_frame": True,
+                    }
+                )
+                points = drive.lidar_points(k)
+                rows = np.column_stack([points, np.full(len(points), 9.0), np.zeros(len(points))]).astype(np.float32)
+                (root / file).write_bytes(drive.jpeg(k) if suffix == "jpg" else rows.tobytes())
+    # A picture between two samples, and a radar, which is nothing for us.
+    between = {**tables["sample_data"][0], "token": "between", "is_key_frame": False}
+    tables["sample_data"].append({**between, "timestamp": between["timestamp"] + 83_000})
+    tables["sample_data"].append(
+        {**between, "token": "radar", "calibrated_sensor_token": "c-radar", "is_key_frame": True}
+    )
+    write_tables(root, tables)
+    return tables
+
+
+def write_tables(root: Path, tables: Rows) -> None:
+    (root / "v1.0-mini").mkdir(exist_ok=True)
+    for name, rows in tables.items():
+        (root / "v1.0-mini" / f"{name}.json").write_text(json.dumps(rows))
+
+
+def _placed(pose: np.ndarray) -> dict[str, Any]:
+    return {"translation": pose[:3, 3].tolist(), "rotation": quaternion(pose)}
+
+
+def write_infos(folder: Path, drive: MiniDrive, layout: str, times: list[float] | None = None) -> Path:
+    """An info file of version 1.x, or of one before with boxes as of then ("0.x") or of its last candidates ("rc")."""
+    matrix = [[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]]
+    rows: list[dict[str, Any]] = []
+    for k in range(drive.samples):
+        for name in ("samples/CAM_FRONT", "samples/LIDAR_TOP"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / f"samples/CAM_FRONT/{k}.jpg").write_bytes(drive.jpeg(k))
+        points = drive.lidar_points(k)
+        columns = np.column_stack([points, np.full((len(points), 2), 3.0, np.float32)])
+        columns.astype(np.float32).tofile(folder / f"samples/LIDAR_TOP/{k}.pcd.bin")
+        vehicle, time = drive.vehicle_to_world(k), (times or [drive.time(s) for s in range(drive.samples)])[k]
+        box = np.linalg.inv(drive.lidar_to_vehicle) @ drive.box_to_vehicle(k)
+        yaw = float(np.arctan2(box[1, 0], box[0, 0]))
+        length, width, height = BOX_LWH
+        if layout == "1.x":
+            lidar_to_camera = np.linalg.inv(drive.camera_to_vehicle) @ drive.lidar_to_vehicle
+            camera = {
+                "img_path": f"{k}.jpg",
+                "cam2img": matrix,
+                "lidar2cam": lidar_to_camera.tolist(),
+                "timestamp": time,
+            }
+            rows.append(
+                {
+                    "timestamp": time,
+                    "ego2global": vehicle.tolist(),
+                    "images": {"CAM_FRONT": camera},
+                    "lidar_points": {
+                        "lidar_path": f"{k}.pcd.bin",
+                        "num_pts_feats": 5,
+                        "lidar2ego": drive.lidar_to_vehicle.tolist(),
+                    },
+                    "instances": [{"bbox_3d": [*box[:3, 3], length, width, height, yaw], "bbox_label_3d": 0}],
+                }
+            )
+            continue
+        sides, turn = ([width, length], -yaw - np.pi / 2) if layout == "0.x" else ([length, width], yaw)
+        placed = {"ego2global_translation": vehicle[:3, 3], "ego2global_rotation": quaternion(vehicle)}
+        seen = {
+            "data_path": f"./data/nuscenes/samples/CAM_FRONT/{k}.jpg",
+            "timestamp": time * 1e6,
+            "cam_intrinsic": np.array(matrix),
+            "sensor2ego_translation": drive.camera_to_vehicle[:3, 3],
+            "sensor2ego_rotation": quaternion(drive.camera_to_vehicle),
+        }
+        rows.append(
+            {
+                "lidar_path": f"./data/nuscenes/samples/LIDAR_TOP/{k}.pcd.bin",
+                "timestamp": time * 1e6,
+                **placed,
+                "lidar2ego_translation": drive.lidar_to_vehicle[:3, 3],
+                "lidar2ego_rotation": quaternion(drive.lidar_to_vehicle),
+                "cams": {"CAM_FRONT": {**seen, **placed}},
+                "gt_boxes": np.array([[*box[:3, 3], *sides, height, turn]]),
+                "gt_names": np.array(["Car"]),
+            }
+        )
+    metainfo = {"categories": {"Car": 0}, "dataset": "nuscenes"}
+    values = {"metainfo": metainfo, "data_list": rows} if layout == "1.x" else {"infos": rows, "metadata": {}}
+    file = folder / "nuscenes_infos_train.pkl"
+    file.write_bytes(pickle.dumps(values))
+    return file
+
+
+# KITTI, raw and odometry
+
+EARTH_M = 6378137.0
+LATITUDE, LONGITUDE, ALTITUDE = 49.011, 8.417, 112.8
+BASELINE_M = 0.06
+
+
+def drive_on_the_road() -> MiniDrive:
+    return MiniDrive(road_m=-IMU_HEIGHT_M, offset=(0.0, 0.0, 0.0))
+
+
+def write_kitti(day: Path, drive: MiniDrive, name: str = "2011_09_26_drive_0005_sync") -> Path:
+    """A drive as the raw data has it; the lidar's frame here is turned a little, and rectification turns too."""
+    folder = day / name
+    for part in ("oxts/data", "image_02/data", "velodyne_points/data"):
+        (folder / part).mkdir(parents=True)
+    lidar_to_imu = turned(np.radians(2.0), (1.0, 0.1, 1.8 - IMU_HEIGHT_M))
+    baseline = np.eye(4)
+    baseline[0, 3] = BASELINE_M
+    first_to_imu = drive.camera_to_vehicle @ baseline
+    rectify = np.eye(4)
+    cosine, sine = np.cos(0.01), np.sin(0.01)
+    rectify[1:3, 1:3] = [[cosine, -sine], [sine, cosine]]
+    to_camera = np.linalg.inv(rectify) @ np.linalg.inv(first_to_imu) @ lidar_to_imu
+    matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
+    projection = matrix @ baseline[:3]
+    lines = [
+        "calib_time: 09-Jan-2012 13:57:47",
+        f"R_rect_00: {text_row(rectify[:3, :3])}",
+        f"P_rect_02: {text_row(projection)}",
+    ]
+    (day / "calib_cam_to_cam.txt").write_text("\n".join(lines) + "\n")
+    for file, pose in (("velo_to_cam", to_camera), ("imu_to_velo", np.linalg.inv(lidar_to_imu))):
+        text = (
+            f"calib_time: 15-Mar-2012 11:37:16\nR: {text_row(pose[:3, :3])}\nT: {text_row(pose[:3, 3])}\ndelta_f: 0 0\n"
+        )
+        (day / f"calib_{file}.txt").write_text(text)
+    scale = np.cos(np.radians(LATITUDE))
+    poses = ""
+    for k in range(drive.samples):
+        x, y, _ = drive.vehicle_to_world(k)[:3, 3]
+        start = np.log(np.tan(np.pi / 4 + np.radians(LATITUDE) / 2))
+        latitude = np.degrees(2 * np.arctan(np.exp(y / (EARTH_M * scale) + start)) - np.pi / 2)
+        longitude = LONGITUDE + np.degrees(x / (EARTH_M * scale))
+        record = [latitude, longitude, ALTITUDE, 0.0, 0.0, YAW, *([0.0] * 24)]
+        (folder / f"oxts/data/{k:010d}.txt").write_text(" ".join(f"{value:.14g}" for value in record))
+        (folder / f"image_02/data/{k:010d}.jpg").write_bytes(drive.jpeg(k))
+        local = drive.lidar_points(k) @ drive.lidar_to_vehicle[:3, :3].T + drive.lidar_to_vehicle[:3, 3]
+        back = np.linalg.inv(lidar_to_imu)
+        points = local @ back[:3, :3].T + back[:3, 3]
+        rows = np.column_stack([points, np.full(len(points), 0.25)]).astype(np.float32)
+        rows.tofile(folder / f"velodyne_points/data/{k:010d}.bin")
+        box = back @ drive.box_to_vehicle(k)
+        angle = np.arctan2(box[1, 0], box[0, 0])
+        place = [box[0, 3], box[1, 3], box[2, 3] - BOX_LWH[2] / 2]
+        numbers = "".join(f"<{n}>{v:.9g}</{n}>" for n, v in zip(("tx", "ty", "tz", "rz"), (*place, angle), strict=True))
+        poses += f"<item>{numbers}<rx>0</rx><ry>0</ry><state>2</state></item>"
+    stamps = "".join(f"2011-09-26 13:02:{25 + 0.5 * k:012.9f}\n" for k in range(drive.samples))
+    for sensor in ("oxts", "image_02", "velodyne_points"):
+        (folder / sensor / "timestamps.txt").write_text(stamps)
+    length, width, height = BOX_LWH
+    sizes = f"<objectType>Car</objectType><h>{height}</h><w>{width}</w><l>{length}</l><first_frame>0</first_frame>"
+    item = f"<item>{sizes}<poses><count>3</count>{poses}</poses><finished>1</finished></item>"
+    (folder / "tracklet_labels.xml").write_text(
+        '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>\n<!DOCTYPE boost_serialization>\n'
+        f"<boost_serialization><tracklets><count>1</count>{item}</tracklets></boost_serialization>\n"
+    )
+    return folder
+
+
+TO_OPENCV = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+STEREO_M = 0.54
+ODOMETRY_LIDAR = turned(np.radians(1.0), (-0.27, 0.0, 0.08))
+TURN = np.radians(4.0)
+
+
+def odometry_pose(sample: int) -> np.ndarray:
+    """First camera's place with axes as ours; the car goes ahead, then turns left."""
+    return turned(TURN * max(sample - 1, 0), (STEP_M * sample, 0.0, 0.0))
+
+
+def write_sequence(root: Path, number: str = "00", samples: int = 3) -> Path:
+    """A sequence with the pictures of both color cameras; poses in the axes of the first camera, as KITTI has them."""
+    folder = root / "sequences" / number
+    (root / "poses").mkdir(parents=True, exist_ok=True)
+    matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
+    lines: list[str] = []
+    for camera, shift in ((2, 0.06), (3, 0.06 - STEREO_M)):
+        (folder / f"image_{camera}").mkdir(parents=True)
+        placed = np.column_stack([np.eye(3), [shift, 0, 0]])
+        lines.append(f"P{camera}: {text_row(matrix @ placed)}")
+        for k in range(samples):
+            (folder / f"image_{camera}/{k:06d}.jpg").write_bytes(MiniDrive().jpeg(k))
+    (folder / "calib.txt").write_text("\n".join([*lines, f"Tr: {text_row((TO_OPENCV @ ODOMETRY_LIDAR)[:3])}"]) + "\n")
+    (folder / "times.txt").write_text("".join(f"{k * 0.1037:e}\n" for k in range(samples)))
+    poses = [TO_OPENCV @ odometry_pose(k) @ np.linalg.inv(TO_OPENCV) for k in range(samples)]
+    (root / "poses" / f"{number}.txt").write_text("".join(text_row(pose[:3]) + "\n" for pose in poses))
+    (folder / "velodyne").mkdir()
+    for k in range(samples):
+        x, y = np.meshgrid(np.linspace(-9, 9, 25), np.linspace(-6, 6, 17))
+        road = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -CAMERA_HEIGHT_M)])
+        back = np.linalg.inv(ODOMETRY_LIDAR)
+        rows = np.column_stack([road @ back[:3, :3].T + back[:3, 3], np.full(len(road), 0.5)])
+        rows.astype(np.float32).tofile(folder / f"velodyne/{k:06d}.bin")
+    return folder
+
+
+# Waymo, records and tables
+
+OWN_AXES = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""Waymo's camera axes (x forward, y left, z up) to OpenCV's."""
+SEGMENTS = ("10023947602400723454_1120_000_1140_000", "20023947602400723454_20_000_40_000")
+
+
+def write_frames(
+    file: Path, drive: MiniDrive, *, shift_m: float = 0.0, change: Callable[[int, Any], None] | None = None
+) -> None:
+    """Frames with one camera, a lidar with one return, and the parked car. The vehicle moves while the lidar turns."""
+    records: list[bytes] = []
+    for k in range(drive.samples):
+        frame = parsed("Frame", b"")
+        frame.timestamp_micros = int(drive.time(k) * 1e6)
+        frame.pose.transform.extend(drive.vehicle_to_world(k).ravel())
+        frame.context.name = "segment-7"
+        camera = frame.context.camera_calibrations.add(name=1, width=WIDTH, height=HEIGHT)
+        camera.intrinsic.extend([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, 0, 0, 0, 0, 0])
+        camera.extrinsic.transform.extend((drive.camera_to_vehicle @ OWN_AXES).ravel())
+        image = frame.images.add(name=1, image=drive.jpeg(k), pose_timestamp=drive.time(k), shutter=0.003)
+        image.pose.transform.extend(drive.vehicle_to_world(k).ravel())
+        laser = frame.context.laser_calibrations.add(name=1)
+        laser.beam_inclinations.extend(BEAMS)
+        laser.extrinsic.transform.extend(LIDAR_TO_VEHICLE.ravel())
+        returned = frame.lasers.add(name=1).ri_return1
+        returned.range_image_compressed = matrix_message(range_image(drive, k, shift_m))
+        returned.range_image_pose_compressed = matrix_message(pixel_poses(drive, k, shift_m))
+        pose = drive.box_to_vehicle(k)
+        label = frame.laser_labels.add(id="car", type=1)
+        label.box.center_x, label.box.center_y, label.box.center_z = pose[:3, 3]
+        label.box.length, label.box.width, label.box.height = BOX_LWH
+        label.box.heading = np.arctan2(pose[1, 0], pose[0, 0])
+        if change:
+            change(k, frame)
+        records.append(framed(frame.SerializeToString()))
+    file.write_bytes(b"".join(records))
+
+
+def matrix_message(values: np.ndarray) -> bytes:
+    message = parsed("MatrixFloat", b"")
+    message.data = values.astype("<f4").tobytes()
+    message.shape.dims.extend(values.shape)
+    return zlib.compress(message.SerializeToString())
+
+
+def segment_tables(drive: MiniDrive, shift_m: float = 0.0) -> Rows:
+    """The components of one segment, with columns named as by the data set."""
+    tables: Rows = {name: [] for name in ("vehicle_pose", "camera_image", "lidar", "lidar_pose", "lidar_box")}
+    camera = "[CameraCalibrationComponent]."
+    numbers = dict(zip(("f_u", "f_v", "c_u", "c_v"), (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2), strict=True))
+    zeros = dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0)
+    tables["camera_calibration"] = [
+        {
+            "key.camera_name": 1,
+            **{f"{camera}intrinsic.{name}": value for name, value in {**numbers, **zeros}.items()},
+            f"{camera}extrinsic.transform": (drive.camera_to_vehicle @ OWN_AXES).ravel().tolist(),
+            f"{camera}width": WIDTH,
+            f"{camera}height": HEIGHT,
+        }
+    ]
+    lidar = "[LiDARCalibrationComponent]."
+    tables["lidar_calibration"] = [
+        {
+            "key.laser_name": 1,
+            f"{lidar}extrinsic.transform": LIDAR_TO_VEHICLE.ravel().tolist(),
+            f"{lidar}beam_inclination.min": float(BEAMS[0]),
+            f"{lidar}beam_inclination.max": float(BEAMS[-1]),
+            f"{lidar}beam_inclination.values": BEAMS.tolist(),
+        }
+    ]
+    for k in range(drive.samples):
+        pose = drive.vehicle_to_world(k).ravel().tolist()
+        key = {"key.frame_timestamp_micros": int(drive.time(k) * 1e6)}
+        tables["vehicle_pose"].append({**key, "[VehiclePoseComponent].world_from_vehicle.transform": pose})
+        image = "[CameraImageComponent]."
+        tables["camera_image"].append(
+            {
+                **key,
+                "key.camera_name": 1,
+                f"{image}image": drive.jpeg(k),
+                f"{image}pose.transform": pose,
+                f"{image}pose_timestamp": drive.time(k),
+                f"{image}rolling_shutter_params.shutter": 0.003,
+            }
+        )
+        for component, column, values in (
+            ("lidar", "[LiDARComponent].range_image_return1", range_image(drive, k, shift_m)),
+            ("lidar_pose", "[LiDARPoseComponent].range_image_return1", pixel_poses(drive, k, shift_m)),
+        ):
+            row = {f"{column}.values": values.ravel().tolist(), f"{column}.shape": list(values.shape)}
+            tables[component].append({**key, "key.laser_name": 1, **row})
+        box, placed = "[LiDARBoxComponent].", drive.box_to_vehicle(k)
+        tables["lidar_box"].append(
+            {
+                **key,
+                "key.laser_object_id": "car",
+                **{f"{box}box.center.{axis}": float(v) for axis, v in zip("xyz", placed[:3, 3], strict=True)},
+                **{f"{box}box.size.{axis}": v for axis, v in zip("xyz", BOX_LWH, strict=True)},
+                f"{box}box.heading": float(np.arctan2(placed[1, 0], placed[0, 0])),
+                f"{box}type": 1,
+            }
+        )
+    return tables
+
+
+def write_segment(root: Path, tables: Rows, segment: str = SEGMENTS[0]) -> None:
+    from pyarrow import Table, parquet
+
+    for component, rows in tables.items():
+        (root / component).mkdir(parents=True, exist_ok=True)
+        table = Table.from_pylist([{"key.segment_context_name": segment, **row} for row in rows])
+        parquet.write_table(table, root / component / f"{segment}.parquet", row_group_size=2)

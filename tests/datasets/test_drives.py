@@ -1,0 +1,682 @@
+"""Driving data sets: the miniature world comes back exactly from each, and damage costs only what it hits."""
+
+import json
+import pickle
+import sys
+import zlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureError
+from gsrain_engine.datasets.driving_log import DrivingLog
+from gsrain_engine.datasets.geometry import project_points, rigid_pose
+from gsrain_engine.datasets.io.records import ParquetFile, parquet_module
+from gsrain_engine.datasets.io.safe_pickle import read_pickle
+from gsrain_engine.datasets.kitti import CAMERA_HEIGHT_M, KittiCamera, oxts_poses
+from gsrain_engine.datasets.nuscenes import read_nuscenes
+from gsrain_engine.datasets.open_capture import capture_format, open_capture
+from gsrain_engine.datasets.waymo import WaymoLaser, message_kinds, vehicle_poses
+from lidar_edges import agreement_when_turned
+from mini_drive import HEIGHT, WIDTH, MiniDrive, points_inside, turned
+from tfrecord_framing import framed
+
+from .sample_drives import (
+    EARTH_M,
+    LATITUDE,
+    LONGITUDE,
+    SEGMENTS,
+    STEREO_M,
+    TO_OPENCV,
+    TURN,
+    drive_on_the_road,
+    matrix_message,
+    segment_tables,
+    write_dgp,
+    write_frames,
+    write_infos,
+    write_kitti,
+    write_nuscenes,
+    write_segment,
+    write_sequence,
+    write_tables,
+)
+
+RAW = "2011_09_26_drive_0005_sync"
+INFOS = "nuscenes_infos_train.pkl"
+
+
+def write_records(folder: Path, drive: MiniDrive, shift_m: float = 0.0) -> None:
+    write_frames(folder / "some.tfrecord", drive, shift_m=shift_m)
+
+
+def write_waymo_tables(folder: Path, drive: MiniDrive, shift_m: float = 0.0) -> None:
+    write_segment(folder / "training", segment_tables(drive, shift_m))
+
+
+def write_odometry(folder: Path, _: MiniDrive) -> None:
+    write_sequence(folder)
+
+
+class Miniature(NamedTuple):
+    """A data set that a miniature drive is written as, and what is particular to it."""
+
+    kind: str
+    write: Callable[[Path, MiniDrive], object]
+    opened: tuple[str, ...]
+    """Paths that name the drive."""
+    sensor: str
+    intensity: float
+    box_class: str = "Car"
+    drive: MiniDrive = MiniDrive()
+
+
+_MMDETECTION = "nuScenes (MMDetection3D)"
+_DGP = (".", "scene_07", "scene_07/scene_abc.json", "scene_dataset_v1.json")
+MINIATURES = {
+    "dgp": Miniature("DGP", write_dgp, _DGP, "CAM", 0.5),
+    "nuscenes": Miniature("nuScenes", write_nuscenes, (".", "v1.0-mini"), "CAM_FRONT", 9.0, "vehicle.car"),
+    "kitti-raw": Miniature("KITTI raw", write_kitti, (".", RAW), "image_02", 0.25, drive=drive_on_the_road()),
+    **{
+        f"infos-{layout}": Miniature(
+            _MMDETECTION, partial(write_infos, layout=layout), (".", INFOS), "CAM_FRONT", 3.0, ""
+        )
+        for layout in ("1.x", "rc", "0.x")
+    },
+    **{
+        f"waymo-{name}-{shift_m}": Miniature(kind, partial(write, shift_m=shift_m), (".",), "FRONT", 0.5, "vehicle")
+        for name, kind, write in (
+            ("records", "Waymo Perception v1", write_records),
+            ("tables", "Waymo Perception v2", write_waymo_tables),
+        )
+        for shift_m in (0.0, 0.8)  # how far the vehicle moves while the lidar turns
+    },
+}
+
+
+@pytest.mark.parametrize("name", MINIATURES)
+def test_a_miniature_is_read_exactly(name: str, tmp_path: Path) -> None:
+    kind, write, opened, sensor, intensity, box_class, drive = MINIATURES[name]
+    write(tmp_path, drive)
+    for below in opened:
+        found = capture_format(tmp_path / below)
+        assert found is not None and found.name == kind
+        capture = open_capture(tmp_path / below)
+        if kind.startswith("Waymo"):
+            check_waymo(capture)
+        else:
+            drive.check(capture, has_boxes=False)
+            check_boxes(capture, drive, box_class)
+        assert capture.sensors == (sensor,)
+        assert [view.name for view in capture] == [f"{k:04d}_{sensor}" for k in range(3)]
+        assert [view.time_s for view in capture] == pytest.approx([0.0, 0.5, 1.0])
+        assert [int(view.image[0, 0, 0]) for view in capture] == pytest.approx([40, 60, 80], abs=3)
+        # OpenCV counts pixels from their centers, we from their edges.
+        assert capture[0].lens is None and (capture[0].camera.cx, capture[0].camera.cy) == (WIDTH / 2, HEIGHT / 2)
+        for sweep in capture.sweeps:
+            assert sweep.intensities is not None and set(sweep.intensities) == {np.float32(intensity)}
+        assert [problem for problem in capture.problems if "scene_09" not in problem] == []
+
+
+def check_boxes(capture: Capture, drive: MiniDrive, box_class: str) -> None:
+    if box_class:
+        drive.check_boxes(capture, box_class)
+        return
+    # Without identities there is a box for each sample, around its time.
+    assert [box.id for box in capture.boxes] == ["0-0", "1-0", "2-0"]
+    for number, sweep in enumerate(capture.sweeps):
+        held = [points_inside(capture, sweep.points_m, k, sweep.time_s, slack_m=-0.008) for k in range(3)]
+        assert held == [60 if k == number else 0 for k in range(3)]
+
+
+def check_waymo(capture: Capture) -> None:
+    """Assert the geometry, and that every point lies on the road or on the parked car."""
+    origins = [sweep.origin_m[2] for sweep in capture.sweeps]
+    np.testing.assert_allclose(origins, 2.18 - EGO_HEIGHT_M, atol=2e-3)
+    np.testing.assert_allclose(capture[0].camera.position[2], 1.6 - EGO_HEIGHT_M, atol=2e-3)
+    assert capture[0].camera.exposure_s == pytest.approx(0.003)
+    assert capture.ego is not None
+    assert np.linalg.norm(capture.ego.positions[-1]) == pytest.approx(3.0, abs=2e-3)
+    (box,) = capture.boxes
+    assert (box.id, box.class_name) == ("car", "vehicle")
+    for sweep in capture.sweeps:
+        on_road = np.abs(sweep.points_m[:, 2] + EGO_HEIGHT_M) < 5e-3
+        held = points_inside(capture, sweep.points_m[~on_road], 0, sweep.time_s, slack_m=5e-3)
+        assert 10 <= held == np.count_nonzero(~on_road)
+        assert np.count_nonzero(on_road) > 500
+
+
+def test_a_sequence_of_kitti_odometry_is_read_exactly(tmp_path: Path) -> None:
+    folder = write_sequence(tmp_path)
+    for path in (tmp_path, folder):
+        assert getattr(capture_format(path), "name", "") == "KITTI odometry"
+        capture = open_capture(path)
+        assert (capture.problems, len(capture), capture.sensors) == ((), 6, ("image_2", "image_3"))
+    assert [view.time_s for view in capture][::2] == pytest.approx([0.0, 0.1037, 0.2074])
+    left, right = capture[0].camera, capture[1].camera
+    # The first camera is at the origin of its poses; the second color camera is to the right of the other.
+    np.testing.assert_allclose(left.position, [0.0, 0.06, CAMERA_HEIGHT_M - EGO_HEIGHT_M], atol=1e-5)
+    np.testing.assert_allclose(right.position - left.position, [0.0, -STEREO_M, 0.0], atol=1e-5)
+    np.testing.assert_allclose(left.world_to_camera[:3, :3], TO_OPENCV[:3, :3], atol=1e-6)
+    assert capture.ego is not None
+    np.testing.assert_allclose(capture.ego.positions, [[0, 0, 0], [1.5, 0, 0], [3.0, 0, 0]], atol=1e-5)
+    pose = capture.ego.pose(0.2074)
+    assert pose is not None
+    np.testing.assert_allclose(pose[:3, 0], [np.cos(TURN), np.sin(TURN), 0.0], atol=1e-5)
+    for sweep in capture.sweeps:
+        assert np.abs(sweep.points_m[:, 2] + EGO_HEIGHT_M).max() < 1e-3
+    origin = [-0.27, 0.0, 0.08 + CAMERA_HEIGHT_M - EGO_HEIGHT_M]
+    np.testing.assert_allclose(capture.sweeps[0].origin_m, origin, atol=1e-3)
+
+
+# Parts of a data set
+
+
+def test_nuscenes_reads_pictures_between_samples_when_asked(tmp_path: Path) -> None:
+    write_nuscenes(tmp_path, MiniDrive())
+    assert [view.time_s for view in read_nuscenes(tmp_path, key_frames_only=False)] == [0.0, 0.083, 0.5, 1.0]
+
+
+def test_a_scene_of_nuscenes_is_chosen_by_its_name_or_by_what_is_there(tmp_path: Path) -> None:
+    write_nuscenes(tmp_path, MiniDrive(), ("scene-0061", "scene-0103"))
+    first, chosen = open_capture(tmp_path), open_capture(tmp_path / "scene-0103")
+    assert first.name == "scene-0061" and str(tmp_path / "scene-0103") in first.problems[0]
+    assert (chosen.name, chosen.problems) == ("scene-0103", ())
+    MiniDrive().check(chosen, has_boxes=False)
+    with pytest.raises(CaptureError, match="no scene 'scene-7'; it has scene-0061, scene-0103"):
+        open_capture(tmp_path / "scene-7")
+    for file in tmp_path.glob("samples/*/scene-0061*"):
+        file.unlink()
+    assert open_capture(tmp_path).name == "scene-0103"
+
+
+def test_drives_of_an_info_file_are_split_where_time_jumps(tmp_path: Path) -> None:
+    file = write_infos(tmp_path, MiniDrive(), "1.x", [10.0, 10.5, 900.0])
+    assert len(open_capture(file)) == 2
+    assert f"open another as {file}/1" in open_capture(tmp_path).problems[0]
+    assert [view.image[0, 0, 0] for view in open_capture(file / "1")] == pytest.approx([80], abs=3)
+    with pytest.raises(CaptureError, match="has drives 0 to 1, not 2"):
+        open_capture(file / "2")
+
+
+def test_a_segment_of_waymo_is_chosen_by_its_name_or_a_file(tmp_path: Path) -> None:
+    for segment, samples in zip(SEGMENTS, (3, 2), strict=True):
+        write_segment(tmp_path, segment_tables(MiniDrive(samples=samples)), segment)
+    first = open_capture(tmp_path)
+    assert len(first) == 3 and str(tmp_path / SEGMENTS[1]) in first.problems[0]
+    for path in (tmp_path / SEGMENTS[1], tmp_path / "lidar" / f"{SEGMENTS[1]}.parquet"):
+        assert len(open_capture(path)) == 2
+
+
+def test_a_dgp_scene_without_a_lidar_has_the_vehicle_of_its_camera(tmp_path: Path) -> None:
+    file = write_dgp(tmp_path, MiniDrive())
+    values = json.loads(file.read_text())
+    for sample in values["samples"]:
+        sample["datum_keys"] = [key for key in sample["datum_keys"] if key.startswith("c")]
+    file.write_text(json.dumps(values))
+    capture = open_capture(file)
+    assert not capture.sweeps and capture.ego is not None
+    np.testing.assert_allclose(capture[0].camera.position[2], 1.6 - EGO_HEIGHT_M, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(capture.ego.positions[-1]), 3.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("extra", "lens"),
+    [
+        ({"k1": -0.3, "p1": 0.01}, ("opencv", (-0.3, 0.0, 0.01, 0.0, 0.0))),
+        ({"k1": 0.1, "k6": 0.2}, ("opencv", (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2))),
+        ({"fisheye": 1, "k1": 0.1, "k4": 0.4}, ("fisheye", (0.1, 0.0, 0.0, 0.4))),
+    ],
+)
+def test_the_lens_of_dgp_is_that_of_its_calibration(tmp_path: Path, extra: dict[str, float], lens: Any) -> None:
+    write_dgp(tmp_path, MiniDrive(), extra)
+    found = open_capture(tmp_path)[0].lens
+    assert found is not None and (found.model, found.coefficients) == lens
+
+
+def test_poses_of_oxts_are_those_of_a_mercator_projection() -> None:
+    """A hundredth of a degree to the north is 1113 m on that map, scaled as at the first place; to the east as well."""
+    records = [
+        np.array([LATITUDE, LONGITUDE, 10.0, 0, 0, 0]),
+        np.array([LATITUDE + 0.01, LONGITUDE, 12.0, 0, 0, np.pi / 2]),
+    ]
+    first, second = oxts_poses(records)
+    np.testing.assert_allclose(first, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(second[:3, 3], [0.0, np.radians(0.01) * EARTH_M, 2.0], rtol=2e-4, atol=1e-9)
+    np.testing.assert_allclose(second[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
+    up = oxts_poses([np.array([LATITUDE, LONGITUDE, 0.0, 0.2, -0.1, 0.0])])[0]
+    np.testing.assert_allclose(up[:3, 0], [np.cos(0.1), 0.0, np.sin(0.1)], atol=1e-12)  # pitch below 0: nose up
+    assert up[2, 1] > 0  # roll above 0: the left side is up
+
+
+def test_the_published_calibration_of_kitti_puts_the_camera_where_the_paper_has_it() -> None:
+    """The numbers of 2011_09_26: the left color camera is 27 cm before, 6 cm left of and 8 cm below the lidar."""
+
+    def numbers(text: str, columns: int) -> np.ndarray:
+        return np.array([float(word) for word in text.split()]).reshape(3, columns)
+
+    turn = (
+        "7.533745e-03 -9.999714e-01 -6.166020e-04 1.480249e-02 7.280733e-04 -9.998902e-01 9.998621e-01 7.523790e-03 "
+        "1.480755e-02"
+    )
+    rectify = (
+        "9.999239e-01 9.837760e-03 -7.445048e-03 -9.869795e-03 9.999421e-01 -4.278459e-03 7.402527e-03 4.351614e-03 "
+        "0.9999631"
+    )
+    projection = "721.5377 0 609.5593 44.85728 0 721.5377 172.8540 0.2163791 0 0 1 0.002745884"
+    to_first = rigid_pose(numbers(turn, 3), np.array([-4.069766e-03, -7.631618e-02, -2.717806e-01]))
+    lidar_to_first = rigid_pose(numbers(rectify, 3), np.zeros(3)) @ to_first
+    in_lidar = np.linalg.inv(KittiCamera("image_02", numbers(projection, 4)).from_first @ lidar_to_first)
+    np.testing.assert_allclose(in_lidar[:3, 3], [0.27, 0.06, -0.08], atol=0.02)
+    np.testing.assert_allclose(in_lidar[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=0.02)
+
+
+def test_a_pixel_of_waymos_lidar_is_moved_by_its_own_pose() -> None:
+    """Against rotation matrices that are multiplied out: yaw after pitch after roll, as dataset.proto defines them."""
+    random = np.random.default_rng(4)
+    ranges, poses = random.uniform(1, 50, (3, 4, 2)), random.uniform(-1, 1, (3, 4, 6))
+    vehicle_to_world, to_vehicle = turned(0.7, (3.0, -2.0, 1.0)), turned(-0.4, (1.4, 0.2, 2.0))
+    laser = WaymoLaser(to_vehicle, np.array([-0.3, 0.1]), is_even=True)
+    points, _ = laser.points(ranges.astype(np.float32), poses.astype(np.float32), vehicle_to_world)
+    still, _ = laser.points(ranges.astype(np.float32), None, vehicle_to_world)
+    for k, (roll, pitch, yaw, *place) in enumerate(poses.reshape(-1, 6)):
+        about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+        about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+        in_world = turned(yaw, (0, 0, 0))[:3, :3] @ about_y @ about_x @ still[k] + place
+        expected = np.linalg.inv(vehicle_to_world) @ [*in_world, 1.0]
+        np.testing.assert_allclose(points[k], expected[:3], atol=1e-5)
+    # Row 0 is the highest of evenly spaced beams; column 0 looks backwards in the vehicle's directions.
+    first = still[0] - to_vehicle[:3, 3]
+    assert np.arctan2(first[2], np.hypot(first[0], first[1])) == pytest.approx(-0.3 + 0.4 * 2.5 / 3)
+    assert np.arctan2(first[1], first[0]) == pytest.approx(np.pi * (1 - 1 / 4))
+
+
+# Damage that costs a part of a drive: each function writes a drive with holes and returns what is opened
+
+
+def dgp_with_holes(folder: Path) -> Path:
+    scene = write_dgp(folder, MiniDrive()).parent
+    (scene / "rgb/CAM/1.jpg").unlink()
+    (scene / "rgb/CAM/2.jpg").write_bytes(MiniDrive().jpeg(2)[:-20])
+    (scene / "point_cloud/LIDAR/0.npz").write_bytes(b"PK\x03\x04 not an archive")
+    (scene / "ontology/ont.json").write_text("{")
+    return scene
+
+
+def nuscenes_with_holes(folder: Path) -> Path:
+    tables = write_nuscenes(folder, MiniDrive())
+    (folder / "samples/CAM_FRONT/scene-0061-1.jpg").unlink()
+    (folder / "samples/LIDAR_TOP/scene-0061-2.pcd.bin").write_bytes(b"123")
+    tables["sample_annotation"][0]["size"] = [0.0, 1.0, 1.0]
+    tables["sample_data"][4]["ego_pose_token"] = "nowhere"
+    write_tables(folder, tables)
+    return folder
+
+
+def nuscenes_without_annotations(folder: Path) -> Path:
+    write_nuscenes(folder, MiniDrive())
+    (folder / "v1.0-mini/sample_annotation.json").unlink()
+    return folder
+
+
+def infos_with_holes(folder: Path) -> Path:
+    file = write_infos(folder, MiniDrive(), "1.x")
+    (folder / "samples/CAM_FRONT/1.jpg").unlink()
+    (folder / "samples/LIDAR_TOP/0.pcd.bin").unlink()
+    values = pickle.loads(file.read_bytes())
+    del values["data_list"][2]["ego2global"]
+    file.write_bytes(pickle.dumps(values))
+    return file
+
+
+def kitti_with_holes(folder: Path) -> Path:
+    drive = write_kitti(folder, drive_on_the_road())
+    (drive / "oxts/data/0000000001.txt").write_text("not numbers")
+    (drive / "velodyne_points/data/0000000002.bin").write_bytes(b"12345")
+    (drive / "image_02/data/0000000002.jpg").write_bytes(MiniDrive().jpeg(2)[:-20])
+    (drive / "image_03/data").mkdir(parents=True)
+    return drive
+
+
+def kitti_with_tracklets(text: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        drive = write_kitti(folder, drive_on_the_road())
+        (drive / "tracklet_labels.xml").write_text(text)
+        return drive
+
+    return write
+
+
+def odometry_with_holes(folder: Path) -> Path:
+    sequence = write_sequence(folder)
+    (sequence / "image_3/000001.jpg").write_bytes(b"")
+    (sequence / "velodyne/000000.bin").write_bytes(b"12")
+    lines = (folder / "poses/00.txt").read_text().splitlines()
+    (folder / "poses/00.txt").write_text("\n".join([*lines[:2], "1 2 3"]))
+    return sequence
+
+
+def records_with(change: Callable[[Any], object]) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        write_frames(folder / "a.tfrecord", MiniDrive(), change=lambda k, frame: change(frame) if k == 1 else None)
+        return folder
+
+    return write
+
+
+def records_cut_off(folder: Path) -> Path:
+    write_frames(folder / "a.tfrecord", MiniDrive())
+    (folder / "a.tfrecord").write_bytes((folder / "a.tfrecord").read_bytes()[:-100])
+    return folder
+
+
+def without_calibration(frame: Any) -> None:
+    del frame.context.camera_calibrations[:]
+
+
+def mirrored(frame: Any) -> None:
+    frame.pose.transform[0] *= -1
+
+
+def with_range_image(data: bytes) -> Callable[[Any], None]:
+    def change(frame: Any) -> None:
+        frame.lasers[0].ri_return1.range_image_compressed = data
+
+    return change
+
+
+def tables_with(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        tables = segment_tables(MiniDrive())
+        change(tables)
+        write_segment(folder, {name: rows for name, rows in tables.items() if rows})
+        return folder
+
+    return write
+
+
+def table_value(table: str, column: str, value: Callable[[Any], Any]) -> Callable[[dict[str, Any]], None]:
+    def change(tables: dict[str, Any]) -> None:
+        tables[table][1][column] = value(tables[table][1][column])
+
+    return change
+
+
+def second_camera_mirrored(tables: dict[str, Any]) -> None:
+    first = tables["camera_calibration"][0]
+    mirrored = {"[CameraCalibrationComponent].extrinsic.transform": (-np.eye(4)).ravel().tolist()}
+    tables["camera_calibration"].append({**first, "key.camera_name": 2, **mirrored})
+
+
+def only_pictures(tables: dict[str, Any]) -> None:
+    for name in ("lidar", "lidar_pose", "lidar_calibration", "lidar_box"):
+        tables[name].clear()
+
+
+WITH_HOLES: list[tuple[Callable[[Path], Path], int, int, tuple[str, ...]]] = [
+    (dgp_with_holes, 1, 2, ("1.jpg: no such picture", "2.jpg: the picture is cut off", "0.npz: not a", "ont.json")),
+    (nuscenes_with_holes, 1, 2, ("-1.jpg: no such picture", "not rows of 5", "a-scene-0061-0 left out", "ego pose")),
+    (nuscenes_without_annotations, 3, 3, ("sample_annotation.json: this table of nuScenes is missing",)),
+    (infos_with_holes, 1, 1, ("'ego2global'", "CAM_FRONT of sample 1 left out: 1.jpg", "0.pcd.bin left")),
+    (kitti_with_holes, 1, 1, ("0000000001.txt", "0000000002.bin", "the picture is cut off", "image_03 left out")),
+    (kitti_with_tracklets('<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>'),
+     3, 3, ("boxes left out", "defines entities")),
+    (kitti_with_tracklets("<boost_serialization><tracklets>"), 3, 3, ("boxes left out",)),
+    (kitti_with_tracklets("<x><tracklets><item><h>one</h></item></tracklets></x>"), 3, 3, ("boxes left out",)),
+    (odometry_with_holes, 3, 1, ("image_3 has pictures of 1 moments, another camera of 2", "00.txt: line 3",
+                                 "image_3/000001.jpg left out", "velodyne/000000.bin left out")),
+    (records_cut_off, 2, 2, ("cut off",)),
+    (records_with(without_calibration), 2, 3, ("FRONT of frame 1 left out: its calibration",)),
+    (records_with(mirrored), 2, 2, ("frame 1 left out: a pose must be a rotation",)),
+    (records_with(with_range_image(zlib.compress(bytes(40_000_000)))), 3, 2, ("TOP of frame 1 left out",)),
+    (records_with(with_range_image(matrix_message(np.ones((3, 5, 4), np.float32)))), 3, 2, ("TOP of frame 1",)),
+    (tables_with(table_value("camera_image", "[CameraImageComponent].image", lambda image: image[:-30])),
+     2, 3, ("0001_FRONT left out: the picture is cut off",)),
+    (tables_with(table_value("lidar", "[LiDARComponent].range_image_return1.shape", lambda _: [3, 5, 4])),
+     3, 2, ("says that its shape is (3, 5, 4)",)),
+    (tables_with(table_value("lidar_box", "key.frame_timestamp_micros", lambda _: 5)), 3, 3, ("box car left out",)),
+    (tables_with(second_camera_mirrored), 3, 3, ("FRONT_LEFT left out: a pose must be a rotation",)),
+    (tables_with(only_pictures), 3, 0, ("boxes left out",)),
+]  # fmt: skip
+"""Drive, number of views and of sweeps that are left, and the names of what is missing."""
+
+
+@pytest.mark.parametrize(("write", "views", "sweeps", "named"), WITH_HOLES, ids=[row[3][0] for row in WITH_HOLES])
+def test_what_is_missing_is_named_and_the_rest_is_used(
+    write: Callable[[Path], Path], views: int, sweeps: int, named: tuple[str, ...], tmp_path: Path
+) -> None:
+    capture = open_capture(write(tmp_path))
+    assert (len(capture), len(capture.sweeps)) == (views, sweeps)
+    problems = "\n".join(capture.problems)
+    assert [part for part in named if part not in problems] == []
+    if "boxes left out" in problems or "sample_annotation.json" in problems:
+        assert not capture.boxes
+    if "ont.json" in problems:
+        assert capture.boxes[0].class_name == "class 4"
+
+
+# Damage that costs the drive
+
+
+def dgp_of_an_unknown_lens(folder: Path) -> Path:
+    return write_dgp(folder, MiniDrive(), {"xi": 0.7})
+
+
+def nuscenes_tables(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        tables = write_nuscenes(folder, MiniDrive())
+        change(tables)
+        write_tables(folder, tables)
+        return folder
+
+    return write
+
+
+def with_zero_turns(tables: dict[str, Any]) -> None:
+    for row in tables["ego_pose"]:
+        row["rotation"] = [0.0, 0.0, 0.0, 0.0]
+
+
+def kitti_calibration_without_place(folder: Path) -> Path:
+    drive = write_kitti(folder, drive_on_the_road())
+    file = folder / "calib_velo_to_cam.txt"
+    file.write_text(file.read_text().replace("T:", "U:"))
+    return drive
+
+
+def kitti_without_calibration(folder: Path) -> Path:
+    drive = write_kitti(folder, drive_on_the_road())
+    (folder / "calib_velo_to_cam.txt").unlink()
+    return drive
+
+
+def kitti_unrectified(folder: Path) -> Path:
+    return write_kitti(folder, drive_on_the_road()).rename(folder / "2011_09_26_drive_0005_extract")
+
+
+def sequence_without_poses(folder: Path) -> Path:
+    sequence = write_sequence(folder, "11")
+    (folder / "poses/11.txt").unlink()
+    return sequence
+
+
+def records_of_another_kind(folder: Path) -> Path:
+    (folder / "some.tfrecord").write_bytes(framed(b"\xff\xff no message"))
+    return folder
+
+
+def tables_cut_off(folder: Path) -> Path:
+    write_segment(folder, segment_tables(MiniDrive()))
+    file = folder / "vehicle_pose" / f"{SEGMENTS[0]}.parquet"
+    file.write_bytes(file.read_bytes()[:-9])
+    return folder
+
+
+REFUSED: list[tuple[Callable[[Path], Path], str]] = [
+    (dgp_of_an_unknown_lens, "no picture that can be used.*xi in the calibration"),
+    (nuscenes_tables(lambda tables: tables["sample"].clear()), "of none of its 1 scenes"),
+    (nuscenes_tables(lambda tables: tables["ego_pose"][1].update(rotation=[1, 0, 0])), r"ego_pose.json: .*rotation"),
+    (nuscenes_tables(with_zero_turns), "its quaternion not zero"),
+    (kitti_calibration_without_place, "calib_velo_to_cam.txt: expected 3 finite numbers at T"),
+    (kitti_without_calibration, "calib_velo_to_cam.txt: no such file"),
+    (kitti_unrectified, "not rectified"),
+    (sequence_without_poses, r"11\.txt: no poses of this sequence.*COLMAP"),
+    (records_of_another_kind, r"some\.tfrecord: not a message"),
+    (tables_cut_off, "vehicle_pose"),
+    (tables_with(lambda tables: tables.update(vehicle_pose=[{"key.frame_timestamp_micros": 1}])),
+     r"has no column '\[VehiclePoseComponent\]"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("write", "named"), REFUSED)
+def test_drives_that_nothing_can_be_made_of_are_refused(
+    write: Callable[[Path], Path], named: str, tmp_path: Path
+) -> None:
+    with pytest.raises(CaptureError, match=named):
+        open_capture(write(tmp_path))
+
+
+def test_of_several_sequences_one_with_poses_is_read(tmp_path: Path) -> None:
+    sequence_without_poses(tmp_path)
+    write_sequence(tmp_path, "04")
+    capture = open_capture(tmp_path)
+    assert capture.name == "04" and "sequences/11" in capture.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("write", "module", "package", "load"),
+    [
+        (write_records, "google.protobuf.descriptor_pb2", "protobuf", message_kinds),
+        (write_waymo_tables, "pyarrow.parquet", "pyarrow", parquet_module),
+    ],
+)
+def test_a_missing_package_is_named(
+    write: Callable[[Path, MiniDrive], None], module: str, package: str, load: Any, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    write(tmp_path, MiniDrive())
+    load.cache_clear()
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(CaptureError, match=rf"need the package {package}: pip install 'gsrain\[waymo\]'"):
+        open_capture(tmp_path)
+
+
+# Real drives
+
+
+@pytest.fixture(scope="module")
+def dgp(test_data: Path) -> Capture:
+    return open_capture(test_data / "driving" / "dgp")
+
+
+@pytest.fixture(scope="module")
+def infos(test_data: Path) -> Capture:
+    return open_capture(test_data / "driving" / "nuscenes_sample")
+
+
+@pytest.fixture(scope="module")
+def waymo(test_data: Path) -> Capture:
+    return open_capture(test_data / "driving" / "waymo_frame")
+
+
+def test_a_real_scene_of_dgp(dgp: Capture) -> None:
+    assert len(dgp) == 18
+    assert dgp.sensors == tuple(f"CAMERA_{number:02d}" for number in (1, 5, 6, 7, 8, 9))
+    assert [len(sweep.points_m) for sweep in dgp.sweeps] == [47230, 49469, 48620]
+    assert dgp.problems == ("scene_dataset_v1.0.json: 1 of 2 scenes missing: scene_01",)
+    assert dgp[0].image.shape == (1216, 1936, 3)
+    assert dgp.ego is not None
+    steps = np.linalg.norm(np.diff(dgp.ego.positions, axis=0), axis=1)
+    np.testing.assert_allclose(steps, [1.26, 1.28], atol=0.01)
+    # The road below the car is where the lidar sees it: the world is level, and the ego stands above.
+    near = np.concatenate([s.points_m[np.hypot(*(s.points_m - s.origin_m)[:, :2].T) < 6] for s in dgp.sweeps])
+    assert abs(np.median(near[:, 2]) + EGO_HEIGHT_M) < 0.1
+
+
+def test_real_boxes_of_dgp_hold_the_points_that_their_annotation_counted(dgp: Capture, test_data: Path) -> None:
+    folder = test_data / "driving" / "dgp" / "scene_02" / "bounding_box_3d" / "LIDAR"
+    ids = [box.id for box in dgp.boxes]
+    counted: list[int] = []
+    held: list[int] = []
+    for file, sweep in zip(sorted(folder.iterdir()), dgp.sweeps, strict=True):
+        for row in json.loads(file.read_text())["annotations"]:
+            counted.append(row["num_points"])
+            held.append(points_inside(dgp, sweep.points_m, ids.index(str(row["instance_id"])), sweep.time_s))
+    assert np.mean(held) > 5
+    assert np.corrcoef(counted, held)[0, 1] > 0.99
+    # The public cloud is one point of five of what was annotated.
+    assert sum(held) / sum(counted) == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_real_sample_of_nuscenes(infos: Capture, test_data: Path) -> None:
+    assert (len(infos), infos.problems, len(infos.boxes)) == (6, (), 69)
+    assert infos[0].image.shape == (900, 1600, 3)
+    sweep = infos.sweeps[0]
+    assert sweep.points_m.shape == (34688, 3)
+    assert {box.class_name for box in infos.boxes} >= {"car", "pedestrian", "barrier", "unknown"}
+    near = sweep.points_m[np.hypot(*sweep.points_m[:, :2].T) < 10]
+    assert abs(np.median(near[:, 2]) + EGO_HEIGHT_M) < 0.15
+    heights = {view.sensor: view.camera.position[2] + EGO_HEIGHT_M for view in infos}
+    assert all(1.4 < height < 1.7 for height in heights.values()), heights
+    file = next((test_data / "driving" / "nuscenes_sample").glob("*.pkl"))
+    counted = [int(row["num_lidar_pts"]) for row in read_pickle(file)["data_list"][0]["instances"]]
+    held = [points_inside(infos, sweep.points_m, k, sweep.time_s) for k in range(len(infos.boxes))]
+    assert np.mean(held) > 5
+    assert np.mean(np.abs(np.subtract(held, counted)) <= 2) > 0.9
+    assert sum(held) == pytest.approx(sum(counted), rel=0.03)
+
+
+@pytest.mark.parametrize(("name", "degrees", "ratio"), [("dgp", 1.5, 1.4), ("infos", 4.0, 1.5)])
+def test_real_lidar_falls_on_edges_of_the_pictures(
+    name: str, degrees: float, ratio: float, request: pytest.FixtureRequest
+) -> None:
+    real: Capture = request.getfixturevalue(name)
+    views = [view.held() for view in real.views if view.name[:4] == "0000" and view.sensor != "CAM_BACK"]
+    found = {a: np.mean([agreement_when_turned(real, view, a) for view in views]) for a in (-degrees, 0.0, degrees)}
+    assert found[0.0] > 0.05
+    assert all(found[0.0] > ratio * found[angle] for angle in found if angle), found
+
+
+def test_a_real_frame_of_waymo(waymo: Capture) -> None:
+    assert waymo.name == "1024360143612057520_3580_000_3600_000"
+    assert waymo.sensors == ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT")
+    assert [view.image.shape for view in waymo] == [(1280, 1920, 3)] * 3 + [(886, 1920, 3)] * 2
+    assert [round(view.camera.exposure_s * 1000, 1) for view in waymo] == [2.6, 2.6, 2.7, 3.9, 3.1]
+    assert len(waymo.boxes) == 75 and not waymo.sweeps and not waymo.problems
+    assert {box.class_name for box in waymo.boxes} == {"vehicle", "pedestrian", "sign", "cyclist"}
+    heights = [view.camera.position[2] + EGO_HEIGHT_M for view in waymo]
+    assert all(2.0 < height < 2.2 for height in heights), heights
+
+
+def test_real_boxes_of_waymo_fall_where_things_are(waymo: Capture) -> None:
+    """The front camera's pedestrians cross the street: dark clothes before a light road, left of the middle."""
+    front = waymo[0]
+    people: list[tuple[float, float]] = []
+    for box in waymo.boxes:
+        pose = box.track.pose(front.time_s)
+        assert pose is not None
+        pixels, depths = project_points((pose[:3, 3] + [0, 0, box.size_lwh[2] / 2])[None], front.camera, front.lens)
+        if box.class_name == "pedestrian" and 0 < depths[0] < 14 and 0 < pixels[0, 0] < 1920:
+            people.append((pixels[0, 0], pixels[0, 1]))
+    assert len(people) == 2
+    grey = front.image.mean(axis=2)
+    for column, row in people:
+        rows = slice(int(row) - 120, int(row) + 120)
+        body = grey[rows, int(column) - 40 : int(column) + 40].min(axis=1).mean()
+        assert body < 0.6 * grey[rows, int(column) + 260 : int(column) + 340].min(axis=1).mean()
+
+
+def test_real_vehicle_poses_of_waymo(test_data: Path) -> None:
+    log = DrivingLog("drive", road_m=0.0)
+    poses = vehicle_poses(ParquetFile(test_data / "driving" / "waymo_frame" / "v2_vehicle_pose.parquet"), log)
+    times = sorted(poses)
+    assert not log.problems and len(times) == 199
+    assert np.diff(times).mean() == pytest.approx(100_000, abs=100)
+    assert np.linalg.norm(np.diff([poses[time][:3, 3] for time in times], axis=0), axis=1).max() < 0.2
+    for time in times:
+        np.testing.assert_allclose(poses[time][:3, :3] @ poses[time][:3, :3].T, np.eye(3), atol=1e-12)
+        assert poses[time][2, 2] > 0.99  # it stays level
