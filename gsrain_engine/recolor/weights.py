@@ -10,9 +10,9 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from ..render.cpu.compositing import ColorOperator, absorb, alpha_of, column_of, columns_of, is_finished, tile_at
+from ..render.cpu.compositing import ColorOperator
 from ..render.cpu.fast_math import FAST
-from ..render.cpu.tiles import BATCH, TILE
+from ..render.cpu.tiles import TILE, absorb, alpha_at, columns_of, nothing, walk_column, walk_tiles
 
 SplatColors = Float32[np.ndarray, "m 3"]
 Picture = Float32[np.ndarray, "h w 3"]
@@ -115,14 +115,14 @@ def weights_of(view: ColorOperator, max_bytes: float = np.inf) -> StoredWeights 
     """Store a view's weights if they fit into `max_bytes`; else recompute them on each use."""
     tiles, shapes = view.tiles, view.splats.shapes
     counts = np.zeros(len(tiles.members) + 1, np.int64)
-    where = (shapes, tiles.starts, tiles.members, tiles.width, tiles.height, counts[1:])
-    _walk(*where, None, None, None)
+    no_starts, no_places, no_weights = np.zeros(0, np.int64), np.zeros(0, np.uint8), np.zeros((0, LANES), np.uint16)
+    _walk(tiles, shapes, (counts[1:], no_starts, no_places, no_weights))
     starts = np.cumsum(counts)
     pieces = int(starts[-1])
     if pieces * (1 + 2 * LANES) > max_bytes:
         return LazyWeights(view)
     places, weights = np.empty(pieces, np.uint8), np.empty((pieces, LANES), np.uint16)
-    _walk(*where, starts, places, weights)
+    _walk(tiles, shapes, (counts[1:], starts, places, weights))
     contributes = counts[1:] > 0
     before = np.concatenate([[0], np.cumsum(contributes)])
     members = tiles.members[contributes]
@@ -137,45 +137,45 @@ def weights_of(view: ColorOperator, max_bytes: float = np.inf) -> StoredWeights 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _walk(shapes, tile_starts, members, width, height, counts, starts, places, weights):
-    """Composite without colors: count each pair's pieces, or write them at `starts`."""
-    columns = (width + TILE - 1) // TILE
-    for place in numba.prange(len(tile_starts) - 1):
-        tile, x0, y0 = tile_at(place, tile_starts, columns)
-        state = np.zeros((TILE, TILE), np.float32)
-        state[: width - x0, : min(TILE, height - y0)] = 1
-        steps = np.empty(TILE, np.float32)
-        for k in range(tile_starts[tile], tile_starts[tile + 1]):
-            if (k - tile_starts[tile]) % BATCH == 0 and is_finished(state):
-                break
-            shape = shapes[members[k]]
-            left, right = columns_of(shape, np.float32(x0 + 0.5))
-            found = 0
-            for u in range(left, right):
-                _weigh(shape, u, np.float32(x0 + 0.5), np.float32(y0 + 0.5), state[u], steps)
-                for half in range(TILE // LANES):
-                    largest = np.float32(0)
-                    for v in range(LANES):
-                        largest = max(largest, steps[half * LANES + v])
-                    if largest < MIN_PIECE:
-                        continue
-                    if starts is not None:
-                        places[starts[k] + found] = u * (TILE // LANES) + half
-                        for v in range(LANES):
-                            weights[starts[k] + found, v] = np.uint16(np.int32(steps[half * LANES + v]))
-                    found += 1
-            counts[k] = found
+def _walk(tiles, shapes, data):
+    """Composite without colors: count each pair's pieces, and write them at `starts` unless those are empty."""
+    walk_tiles(tiles, shapes, shapes[:0, :0], 1, 1, nothing, _weigh_splat, nothing, data)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _weigh_splat(shapes, channels, j, x, y, state, steps, k, data):
+    """Find the pieces of a splat; `data` has their numbers, starts, places and weights."""
+    piece_starts = data[1]
+    left, right = columns_of(shapes[j], x)
+    found = 0
+    for u in range(left, right):
+        _weigh_column(shapes[j], u, x, y, state[u], steps)
+        for half in range(TILE // LANES):
+            largest = np.float32(0)
+            for v in range(LANES):
+                largest = max(largest, steps[half * LANES + v])
+            if largest < MIN_PIECE:
+                continue
+            if len(piece_starts) > 0:
+                data[2][piece_starts[k] + found] = u * (TILE // LANES) + half
+                for v in range(LANES):
+                    data[3][piece_starts[k] + found, v] = np.uint16(np.int32(steps[half * LANES + v]))
+            found += 1
+    data[0][k] = found
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
-def _weigh(shape, u, x0, y0, line, steps):
-    """Weights of a splat in one column of a tile, as in compositing, in units of `STEP`."""
-    _, peak, start = column_of(shape, u, x0, y0)
-    for v in range(TILE):
-        dy = start + np.float32(v)
-        weight = absorb(line, v, alpha_of(shape[4] * dy * dy + peak, shape[6], np.float32), np.float32)
-        steps[v] = weight * np.float32(65535) + np.float32(0.5)
+def _weigh_column(shape, u, x, y, line, steps):
+    walk_column(shape, u, x, y, line, steps, _weigh, ())
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _weigh(line, v, dx, dy, falloff, steps, data):
+    """Weight of a splat at one pixel, as in compositing, in units of `STEP`."""
+    steps[v] = absorb(line, v, alpha_at(line, dx, dy, falloff)) * np.float32(65535) + np.float32(0.5)
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)

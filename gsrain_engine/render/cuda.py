@@ -19,8 +19,8 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import DrawItem
-from .cpu.compositing import MAX_ALPHA
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
+from .cpu.tiles import MAX_ALPHA
 from .renderer import Frame, RenderMode, RenderStatistics, timed
 
 torch: Any = import_module("torch")

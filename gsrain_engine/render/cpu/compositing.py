@@ -10,19 +10,9 @@ from jaxtyping import Float, Float32, Int32
 
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
-from .fast_math import FAST, exponential, power
+from .fast_math import FAST, power
 from .projection import MIN_SCENE_CUT, Splats, project
-from .tiles import BATCH, TILE, TileLists, bin_into_tiles
-
-MAX_ALPHA = 0.999  # maximum alpha of a fragment, as in the reference rasterizer
-
-MIN_TRANSMITTANCE = 1e-4
-"""Transmittance below which a pixel is finished.
-
-3DGS (Kerbl et al. 2023) stops before the splat that falls below it, which loses up to a tenth of a pixel at once: a
-drop that hardly dims a pixel could switch such a splat off. Here that splat is blended, so the loss never exceeds this
-value.
-"""
+from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, nothing, walk_pixels, walk_tiles
 
 
 def composite(
@@ -40,7 +30,10 @@ def composite(
     """
     rgba = np.empty((tiles.height, tiles.width, 4), shapes.dtype)
     fourth = np.empty((tiles.height, tiles.width), shapes.dtype)
-    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, veil)
+    if veil is None:
+        _composite(tiles, shapes, channels, (rgba, fourth))
+    else:
+        _composite_veil(tiles, shapes, channels, (rgba, fourth, veil))
     return rgba, fourth
 
 
@@ -58,188 +51,153 @@ def composite_in_rain(
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
-    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, light_linear, alpha, None)
+    _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear))
     return rgba, fourth, alpha
+
+
+# Lines of a tile's column, TILE numbers each: transmittance, four channels, alpha; with rain the open share, the
+# rain's share and the scene's share before rain; with a veil only the rain's share.
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_linear, clear_alpha, veil):
-    """Compiled per precision without rain, where the last three are None, with its light, and with its color."""
-    height, width = fourth.shape
-    real = shapes.dtype.type
-    for place in numba.prange(len(starts) - 1):
-        tile, x0, y0 = tile_at(place, starts, columns)
-        # A column's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see
-        # add_rain_light.
-        lines = RAIN_LINES if light_linear is not None else 6 if veil is None else 7
-        state = np.zeros((TILE, lines * TILE), shapes.dtype)
-        state[: width - x0, : min(TILE, height - y0)] = 1
-        if light_linear is not None:
-            state[:, OPEN : OPEN + TILE] = 1
-        near_shapes, near_channels = np.empty((BATCH, 8), shapes.dtype), np.empty((BATCH, 4), shapes.dtype)
-        for first in range(starts[tile], starts[tile + 1], BATCH):
-            if is_finished(state):
-                break
-            batch = members[first : min(first + BATCH, starts[tile + 1])]
-            gather_rows(shapes, batch, 8, near_shapes)
-            gather_rows(channels, batch, 4, near_channels)
-            for j in range(len(batch)):
-                if light_linear is not None and near_shapes[j, 6] < MIN_SCENE_CUT:
-                    _blend_rain(near_shapes[j], real(x0 + 0.5), real(y0 + 0.5), state)
-                elif veil is not None and near_shapes[j, 6] < MIN_SCENE_CUT:
-                    _blend_veil(near_shapes[j], real(x0 + 0.5), real(y0 + 0.5), state)
-                else:
-                    _blend(near_shapes[j], near_channels[j], real(x0 + 0.5), real(y0 + 0.5), state)
-        for u in range(min(TILE, width - x0)):
-            line = state[u]
-            if light_linear is not None:
-                for v in range(min(TILE, height - y0)):
-                    clear_alpha[y0 + v, x0 + u] = line[5 * TILE + v]
-                add_rain_light(line, light_linear)
-            if veil is not None:
-                for v in range(TILE):
-                    share = line[v + VEIL_SHARE]
-                    line[v + TILE] += share * veil[0]
-                    line[v + 2 * TILE] += share * veil[1]
-                    line[v + 3 * TILE] += share * veil[2]
-                    line[v + 5 * TILE] += share
-        for v in range(min(TILE, height - y0)):
-            for u in range(min(TILE, width - x0)):
-                rgba[y0 + v, x0 + u, 0] = state[u, TILE + v]
-                rgba[y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
-                rgba[y0 + v, x0 + u, 2] = state[u, 3 * TILE + v]
-                rgba[y0 + v, x0 + u, 3] = state[u, 5 * TILE + v]
-                fourth[y0 + v, x0 + u] = state[u, 4 * TILE + v]
+def _composite(tiles, shapes, channels, images):
+    walk_tiles(tiles, shapes, channels, 6, 0, nothing, _visit, _store, images)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _composite_rain(tiles, shapes, channels, images):
+    walk_tiles(tiles, shapes, channels, RAIN_LINES, 0, _open, _visit_in_rain, _store_rain, images)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _composite_veil(tiles, shapes, channels, images):
+    walk_tiles(tiles, shapes, channels, 7, 0, nothing, _visit_behind_veil, _store_veil, images)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _visit(shapes, channels, j, x, y, state, lanes, k, images):
+    _blend_scene(shapes[j], channels[j], x, y, state)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _visit_in_rain(shapes, channels, j, x, y, state, lanes, k, images):
+    if shapes[j, 6] < MIN_SCENE_CUT:
+        _blend_rain(shapes[j], x, y, state)
+    else:
+        _blend_scene(shapes[j], channels[j], x, y, state)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _visit_behind_veil(shapes, channels, j, x, y, state, lanes, k, images):
+    if shapes[j, 6] < MIN_SCENE_CUT:
+        _blend_veil(shapes[j], x, y, state)
+    else:
+        _blend_scene(shapes[j], channels[j], x, y, state)
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend(shape, channels, x0, y0, state):
-    real = shape.dtype.type
-    first, second, third, fourth = channels[0], channels[1], channels[2], channels[3]
-    sharpness, log_cut = shape[4], shape[6]
-    left, right = columns_of(shape, x0)
-    for u in range(left, right):
-        _, peak, start = column_of(shape, u, x0, y0)
-        line = state[u]
-        for v in range(TILE):
-            dy = start + real(v)
-            weight = absorb(line, v, alpha_of(sharpness * dy * dy + peak, log_cut, real), real)
-            line[v + TILE] += weight * first
-            line[v + 2 * TILE] += weight * second
-            line[v + 3 * TILE] += weight * third
-            line[v + 4 * TILE] += weight * fourth
-            line[v + 5 * TILE] += weight
+def _blend_scene(shape, channels, x, y, state):
+    walk_pixels(shape, x, y, state, (), _blend, (channels[0], channels[1], channels[2], channels[3]))
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend_rain(shape, x0, y0, state):
-    """Blend a rain splat and occlude splats behind it; the lines of the clear scene are unchanged.
+def _blend_rain(shape, x, y, state):
+    walk_pixels(shape, x, y, state, (), _share_rain, ())
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_veil(shape, x, y, state):
+    walk_pixels(shape, x, y, state, (), _share_veil, ())
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend(line, v, dx, dy, falloff, lanes, channels):
+    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+    line[v + TILE] += weight * channels[0]
+    line[v + 2 * TILE] += weight * channels[1]
+    line[v + 3 * TILE] += weight * channels[2]
+    line[v + 4 * TILE] += weight * channels[3]
+    line[v + 5 * TILE] += weight
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _share_rain(line, v, dx, dy, falloff, lanes, nothing):
+    """Blend a rain fragment and occlude splats behind it; the lines of the clear scene are unchanged.
 
     Of all light that enters a pixel, `share` meets its first drop here. The scene in front had covered A of that; the
     rest shows the drop.
     """
-    sharpness, log_cut = shape[4], shape[6]
-    left, right = columns_of(shape, x0)
-    for u in range(left, right):
-        _, peak, start = column_of(shape, u, x0, y0)
-        line = state[u]
-        for v in range(TILE):
-            dy = start + np.float32(v)
-            share = line[v + OPEN] * alpha_of(sharpness * dy * dy + peak, log_cut, np.float32)
-            line[v + OPEN] -= share
-            line[v + RAIN_SHARE] += share * line[v]
-            line[v + SCENE_SHARE] += share * line[v + 5 * TILE]
+    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    line[v + OPEN] -= share
+    line[v + RAIN_SHARE] += share * line[v]
+    line[v + SCENE_SHARE] += share * line[v + 5 * TILE]
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend_veil(shape, x0, y0, state):
-    """Occlude splats behind a rain splat and accumulate its share; the color is added at the end."""
-    sharpness, log_cut = shape[4], shape[6]
-    left, right = columns_of(shape, x0)
-    for u in range(left, right):
-        _, peak, start = column_of(shape, u, x0, y0)
-        line = state[u]
-        for v in range(TILE):
-            dy = start + np.float32(v)
-            share = line[v] * alpha_of(sharpness * dy * dy + peak, log_cut, np.float32)
-            line[v] -= share
-            line[v + VEIL_SHARE] += share
+def _share_veil(line, v, dx, dy, falloff, lanes, nothing):
+    """Occlude splats behind a rain fragment and accumulate its share; the color is added at the end."""
+    share = line[v] * alpha_at(line, dx, dy, falloff)
+    line[v] -= share
+    line[v + VEIL_SHARE] += share
 
 
-# Walk over tiles and the pixels of a splat
-# Shared by all kernels; `real` is their precision, x0 and y0 the center of a tile's first pixel.
-
-
-@numba.njit(inline="always")
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def tile_at(place, starts, columns):
-    """Tile at a place of the loop, and its first pixel: column by column, so that each thread has sky and road."""
-    rows = (len(starts) - 1) // columns
-    tile = place % rows * columns + place // rows
-    return tile, (tile % columns) * TILE, (tile // columns) * TILE
+def _open(state, x0, y0, images):
+    state[:, OPEN : OPEN + TILE] = 1
 
 
-@numba.njit(inline="always")
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def gather_rows(rows, members, width, near):
-    """Copy scattered rows next to each other before they are processed, so that cache misses overlap."""
-    for j in range(len(members)):
-        for i in range(width):
-            near[j, i] = rows[members[j], i]
+def _store(state, x0, y0, images):
+    rgba, fourth = images[0], images[1]
+    height, width = fourth.shape
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
+            rgba[y0 + v, x0 + u, 0] = state[u, TILE + v]
+            rgba[y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
+            rgba[y0 + v, x0 + u, 2] = state[u, 3 * TILE + v]
+            rgba[y0 + v, x0 + u, 3] = state[u, 5 * TILE + v]
+            fourth[y0 + v, x0 + u] = state[u, 4 * TILE + v]
 
 
-@numba.njit(inline="always")
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def is_finished(state):
-    """Return whether all pixels of a tile are finished; their transmittance is the first line of each column."""
+def _store_rain(state, x0, y0, images):
+    clear_alpha, light_linear = images[2], images[3]
+    height, width = clear_alpha.shape
+    for u in range(min(TILE, width - x0)):
+        for v in range(min(TILE, height - y0)):
+            clear_alpha[y0 + v, x0 + u] = state[u, 5 * TILE + v]
+        add_rain_light(state[u], light_linear)
+    _store(state, x0, y0, images)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _store_veil(state, x0, y0, images):
+    veil = images[2]
     for u in range(TILE):
         line = state[u]
-        largest = state.dtype.type(0)
         for v in range(TILE):
-            largest = max(largest, line[v])
-        if largest > 0:
-            return False
-    return True
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def columns_of(shape, x0):
-    """First and past-the-last column of a tile that a splat reaches."""
-    low = np.ceil(shape[0] - shape[7] - x0 - np.float32(0.01))
-    high = np.floor(shape[0] + shape[7] - x0 + np.float32(0.01))
-    return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def column_of(shape, u, x0, y0):
-    """Column u of a tile: dx from the splat's center, the largest ln alpha there, and its first row from that line."""
-    dx = shape.dtype.type(u) + (x0 - shape[0])
-    return dx, shape[5] + shape[3] * dx * dx, y0 - (shape[1] + shape[2] * dx)
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def alpha_of(power, log_cut, real):
-    """Alpha of a fragment from its logarithm; 0 below the cut."""
-    alpha = exponential(power)
-    alpha = alpha if alpha < real(MAX_ALPHA) else real(MAX_ALPHA)
-    return alpha if power >= log_cut else real(0)
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def absorb(line, v, alpha, real):
-    """Take a fragment's light from the transmittance of pixel v of a column; returns it, the blending weight."""
-    weight = line[v] * alpha
-    after = line[v] - weight
-    line[v] = after if after >= real(MIN_TRANSMITTANCE) else real(0)
-    return weight
+            share = line[v + VEIL_SHARE]
+            line[v + TILE] += share * veil[0]
+            line[v + 2 * TILE] += share * veil[1]
+            line[v + 3 * TILE] += share * veil[2]
+            line[v + 5 * TILE] += share
+    _store(state, x0, y0, images)
 
 
 # Rain light
@@ -311,63 +269,74 @@ def color_operator_transpose(
     thread count.
     """
     by_pair = np.zeros((len(tiles.members), 4 if with_squares else 3), shapes.dtype)
-    squares = True if with_squares else None
-    _accumulate(shapes, tiles.starts, tiles.members, tiles.columns, image, by_pair, squares)
+    accumulate = _accumulate_with_squares if with_squares else _accumulate
+    accumulate(tiles, shapes, (image, by_pair))
     return add_pairs(tiles.members, by_pair, len(shapes))
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _accumulate(shapes, starts, members, columns, image, by_pair, squares):
-    """Compiled per precision with the squares of the weights, which are added strictly in order, or None."""
-    height, width = image.shape[0], image.shape[1]
-    real = shapes.dtype.type
-    for place in numba.prange(len(starts) - 1):
-        tile, x0, y0 = tile_at(place, starts, columns)
-        # A column's lines of TILE numbers: transmittance (0 once finished) and the image's three channels.
-        state = np.zeros((TILE, 4 * TILE), shapes.dtype)
-        state[: width - x0, : min(TILE, height - y0)] = 1
-        for v in range(min(TILE, height - y0)):
-            for u in range(min(TILE, width - x0)):
-                for channel in range(3):
-                    state[u, (channel + 1) * TILE + v] = image[y0 + v, x0 + u, channel]
-        lanes, near_shapes = np.empty(4 * TILE, shapes.dtype), np.empty((BATCH, 8), shapes.dtype)
-        for first in range(starts[tile], starts[tile + 1], BATCH):
-            if is_finished(state):
-                break
-            batch = members[first : min(first + BATCH, starts[tile + 1])]
-            gather_rows(shapes, batch, 8, near_shapes)
-            for j in range(len(batch)):
-                lanes[:] = 0
-                _gather(near_shapes[j], real(x0 + 0.5), real(y0 + 0.5), state, lanes, squares)
-                if squares is None:
-                    add_lanes(lanes, 3, by_pair[first + j])
-                else:
-                    for channel in range(4):
-                        total = real(0)
-                        for v in range(TILE):
-                            total += lanes[channel * TILE + v]
-                        by_pair[first + j, channel] = total
+def _accumulate(tiles, shapes, data):
+    walk_tiles(tiles, shapes, shapes[:0, :0], 4, 3, _load, _sum_image, nothing, data)
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _gather(shape, x0, y0, state, lanes, squares):
-    """Accumulate over the same pixels with the same weights as compositing; one lane per row of the tile."""
-    real = shape.dtype.type
-    sharpness, log_cut = shape[4], shape[6]
-    left, right = columns_of(shape, x0)
-    for u in range(left, right):
-        _, peak, start = column_of(shape, u, x0, y0)
-        line = state[u]
+def _accumulate_with_squares(tiles, shapes, data):
+    walk_tiles(tiles, shapes, shapes[:0, :0], 4, 4, _load, _sum_squares, nothing, data)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _load(state, x0, y0, data):
+    """Copy the image's three channels to the lines after the transmittance."""
+    image, _ = data
+    height, width = image.shape[:2]
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
+            for channel in range(3):
+                state[u, (channel + 1) * TILE + v] = image[y0 + v, x0 + u, channel]
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _sum_image(shapes, channels, j, x, y, state, lanes, k, data):
+    _, by_pair = data
+    lanes[:] = 0
+    walk_pixels(shapes[j], x, y, state, lanes, _weigh, ())
+    add_lanes(lanes, 3, by_pair[k])
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _sum_squares(shapes, channels, j, x, y, state, lanes, k, data):
+    """Sum the lanes strictly in order."""
+    _, by_pair = data
+    lanes[:] = 0
+    walk_pixels(shapes[j], x, y, state, lanes, _weigh_and_square, ())
+    for channel in range(4):
+        total = lanes.dtype.type(0)
         for v in range(TILE):
-            dy = start + real(v)
-            weight = absorb(line, v, alpha_of(sharpness * dy * dy + peak, log_cut, real), real)
-            lanes[v] += weight * line[v + TILE]
-            lanes[v + TILE] += weight * line[v + 2 * TILE]
-            lanes[v + 2 * TILE] += weight * line[v + 3 * TILE]
-            if squares is not None:
-                lanes[v + 3 * TILE] += weight * weight
+            total += lanes[channel * TILE + v]
+        by_pair[k, channel] = total
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _weigh(line, v, dx, dy, falloff, lanes, nothing):
+    """Add the weighted image to the lanes, with the weights of compositing; returns the weight."""
+    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+    lanes[v] += weight * line[v + TILE]
+    lanes[v + TILE] += weight * line[v + 2 * TILE]
+    lanes[v + 2 * TILE] += weight * line[v + 3 * TILE]
+    return weight
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _weigh_and_square(line, v, dx, dy, falloff, lanes, nothing):
+    weight = _weigh(line, v, dx, dy, falloff, lanes, nothing)
+    lanes[v + 3 * TILE] += weight * weight
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST | {"reassoc"})

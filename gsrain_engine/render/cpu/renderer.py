@@ -14,10 +14,10 @@ from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, timed
-from .compositing import column_of, columns_of, composite, composite_in_rain, is_finished, tile_at
+from .compositing import composite, composite_in_rain
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
-from .tiles import BATCH, TILE, TileLists, bin_into_tiles
+from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
 
 
 class CpuRenderer:
@@ -72,16 +72,16 @@ _MIN_WEIGHT = np.float32(0.5)  # minimum alpha of pixels with depth, as in the O
 
 def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
-    depth, lists = None, (tiles.starts, tiles.members, tiles.columns)
+    depth = None
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     if with_depth or look not in ("ellipsoids", "overdraw"):
         rgba, weighted = composite(splats.shapes, splats.colors, tiles)
         depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
     if look == "ellipsoids":
-        _cover(splats.shapes, splats.colors, *lists, rgba)
+        _cover(tiles, splats.shapes, splats.colors, rgba)
     elif look == "overdraw":
         counts = np.empty((tiles.height, tiles.width), np.float32)
-        _count(splats.shapes, *lists, counts)
+        _count(tiles, splats.shapes, counts)
         rgba = _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
     elif look == "depth" and depth is not None:
         t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
@@ -178,70 +178,69 @@ _LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _count(shapes, starts, members, columns, counts):
+def _count(tiles, shapes, counts):
     """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
-    height, width = counts.shape
-    for place in numba.prange(len(starts) - 1):
-        tile, x0, y0 = tile_at(place, starts, columns)
-        state = np.zeros((TILE, TILE), np.float32)
-        for k in range(starts[tile], starts[tile + 1]):
-            _count_pixels(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
-        for v in range(min(TILE, height - y0)):
-            for u in range(min(TILE, width - x0)):
-                counts[y0 + v, x0 + u] = state[u, v]
+    walk_tiles(tiles, shapes, shapes[:0, :0], 2, 0, nothing, _count_splat, _store_counts, counts)
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _count_pixels(shape, x0, y0, state):
-    left, right = columns_of(shape, x0)
-    for u in range(left, right):
-        _, peak, start = column_of(shape, u, x0, y0)
-        for v in range(TILE):
-            dy = start + np.float32(v)
-            state[u, v] += np.float32(1) if shape[4] * dy * dy + peak >= shape[6] else np.float32(0)
+def _count_splat(shapes, channels, j, x, y, state, lanes, k, counts):
+    walk_pixels(shapes[j], x, y, state, lanes, _count_pixel, ())
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _count_pixel(line, v, dx, dy, falloff, lanes, data):
+    line[v + TILE] += np.float32(1) if log_alpha(dx, dy, falloff) >= falloff[3] else np.float32(0)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _store_counts(state, x0, y0, counts):
+    height, width = counts.shape
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
+            counts[y0 + v, x0 + u] = state[u, TILE + v]
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _cover(shapes, colors, starts, members, columns, rgba):
+def _cover(tiles, shapes, colors, rgba):
     """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
 
     Shaded like a ball: full color in the middle, half of it at the rim.
     """
-    height, width = rgba.shape[:2]
-    for place in numba.prange(len(starts) - 1):
-        tile, x0, y0 = tile_at(place, starts, columns)
-        # A column's lines of TILE numbers: 1 while the pixel is uncovered, three channels.
-        state = np.zeros((TILE, 4 * TILE), np.float32)
-        state[: width - x0, : min(TILE, height - y0)] = 1
-        for k in range(starts[tile], starts[tile + 1]):
-            if (k - starts[tile]) % BATCH == 0 and is_finished(state):
-                break
-            _cover_pixels(shapes[members[k]], colors[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
-        for v in range(min(TILE, height - y0)):
-            for u in range(min(TILE, width - x0)):
-                for channel in range(3):
-                    rgba[y0 + v, x0 + u, channel] = state[u, (1 + channel) * TILE + v]
-                rgba[y0 + v, x0 + u, 3] = 1 - state[u, v]
+    walk_tiles(tiles, shapes, colors, 4, 0, nothing, _cover_splat, _store_covers, rgba)
 
 
-@numba.njit(error_model="numpy", fastmath=FAST)
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _cover_pixels(shape, color, x0, y0, state):
-    by_height = 1 / (shape[5] - _LOG_SURFACE_ALPHA)
-    left, right = columns_of(shape, x0)
-    for u in range(left, right):
-        dx = np.float32(u) + (x0 - shape[0])
-        fall = shape[3] * dx * dx
-        start = y0 - (shape[1] + shape[2] * dx)
-        line = state[u]
-        for v in range(TILE):
-            dy = start + np.float32(v)
-            power = shape[4] * dy * dy + fall
-            is_hit = line[v] > 0 and shape[5] + power >= _LOG_SURFACE_ALPHA
-            shade = np.float32(0.5) + np.float32(0.5) * np.sqrt(max(1 + power * by_height, np.float32(0)))
-            line[v] = np.float32(0) if is_hit else line[v]
+def _cover_splat(shapes, colors, j, x, y, state, lanes, k, rgba):
+    by_height = 1 / (shapes[j, 5] - _LOG_SURFACE_ALPHA)
+    walk_pixels(shapes[j], x, y, state, lanes, _cover_pixel, (by_height, colors[j, 0], colors[j, 1], colors[j, 2]))
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _cover_pixel(line, v, dx, dy, falloff, lanes, data):
+    sharpness_x, sharpness_y, log_opacity, _ = falloff
+    by_height, red, green, blue = data
+    power = sharpness_y * dy * dy + sharpness_x * dx * dx
+    is_hit = line[v] > 0 and log_opacity + power >= _LOG_SURFACE_ALPHA
+    shade = np.float32(0.5) + np.float32(0.5) * np.sqrt(max(1 + power * by_height, np.float32(0)))
+    line[v] = np.float32(0) if is_hit else line[v]
+    line[v + TILE] = red * shade if is_hit else line[v + TILE]
+    line[v + 2 * TILE] = green * shade if is_hit else line[v + 2 * TILE]
+    line[v + 3 * TILE] = blue * shade if is_hit else line[v + 3 * TILE]
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _store_covers(state, x0, y0, rgba):
+    height, width = rgba.shape[:2]
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
             for channel in range(3):
-                before = line[v + (1 + channel) * TILE]
-                line[v + (1 + channel) * TILE] = color[channel] * shade if is_hit else before
+                rgba[y0 + v, x0 + u, channel] = state[u, (1 + channel) * TILE + v]
+            rgba[y0 + v, x0 + u, 3] = 1 - state[u, v]

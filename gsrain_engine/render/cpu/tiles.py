@@ -1,11 +1,12 @@
-"""Tile lists: the splats that touch each tile of the image, nearest first."""
+"""Tiles of the image: the splats that touch each, nearest first, and the one walk over tiles, splats and pixels."""
 
-from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
+
+from .fast_math import FAST, exponential
 
 TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32
 BATCH = 32  # splats gathered from memory before they are processed, so that their cache misses overlap
@@ -14,8 +15,7 @@ _MAX_PAIRS = 1 << 30
 _SLACK_PX = 1e-2  # margin for float32 rounding, so that an ellipse's edge never loses a pixel
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TileLists:
+class TileLists(NamedTuple):
     """For each tile of an image, row by row, the splats whose ellipse touches it, nearest first."""
 
     width: int
@@ -166,3 +166,149 @@ def _rows_of_column(ellipse, column, rows):
     bottom = y + shear * at_bottom + np.sqrt(2 * variance * max(depth - fall * at_bottom * at_bottom, 0.0))
     top = y + shear * at_top - np.sqrt(2 * variance * max(depth - fall * at_top * at_top, 0.0))
     return _tiles_between(top, bottom, rows)
+
+
+# Walk over tiles, splats and pixels
+# Numba inlines these functions, and those passed to them, into each kernel, in the precision of `shapes`. A function
+# that is not inlined costs 30 ns for counting the references of its arrays, as much as a small splat. They write to
+# `data[0]`, never to a name that the tuple is unpacked into: Numba takes those writes for dead code.
+
+MAX_ALPHA = 0.999  # maximum alpha of a fragment, as in the reference rasterizer
+
+MIN_TRANSMITTANCE = 1e-4
+"""Transmittance below which a pixel is finished.
+
+3DGS (Kerbl et al. 2023) stops before the splat that falls below it, which loses up to a tenth of a pixel at once: a
+drop that hardly dims a pixel could switch such a splat off. Here that splat is blended, so the loss never exceeds this
+value.
+"""
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
+    """Walk over all tiles in parallel, and over the splats of each, nearest first, until all its pixels are finished.
+
+    The tile's `state` has one row for each column of pixels, with `lines` lines of TILE numbers: the transmittance, 1
+    at first and 0 once finished or outside the image, then whatever the kernel needs, 0 at first. `lanes` has one
+    number for each row of pixels and each of `sums`, for sums over a splat's pixels. `data` belongs to the kernel.
+
+    The kernel's functions are called as enter(state, x0, y0, data) before a tile's splats, (x0, y0) being its first
+    pixel; as visit(shapes, channels, j, x, y, state, lanes, k, data) for each splat, which is row j of `shapes` and
+    `channels` and number k of `tiles.members`, (x, y) the center of the first pixel; and leave, like enter, last.
+    """
+    width, height, starts, members = tiles
+    real = shapes.dtype.type
+    columns, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    for place in numba.prange(columns * rows):
+        # Column by column, so that each thread has sky and road.
+        tile = place % rows * columns + place // rows
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        state = np.zeros((TILE, lines * TILE), shapes.dtype)
+        state[: width - x0, : min(TILE, height - y0)] = 1
+        enter(state, x0, y0, data)
+        lanes = np.empty(sums * TILE, shapes.dtype)
+        near_shapes = np.empty((BATCH, 8), shapes.dtype)
+        near_channels = np.empty((BATCH, channels.shape[1]), shapes.dtype)
+        for first in range(starts[tile], starts[tile + 1], BATCH):
+            if is_finished(state):
+                break
+            batch = members[first : min(first + BATCH, starts[tile + 1])]
+            gather_rows(shapes, batch, near_shapes)
+            gather_rows(channels, batch, near_channels)
+            for j in range(len(batch)):
+                visit(near_shapes, near_channels, j, real(x0 + 0.5), real(y0 + 0.5), state, lanes, first + j, data)
+        leave(state, x0, y0, data)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def walk_pixels(shape, x, y, state, lanes, visit, data):
+    """Walk over the pixels of a tile in the columns that a splat reaches; `visit` as in `walk_column`."""
+    left, right = columns_of(shape, x)
+    for u in range(left, right):
+        walk_column(shape, u, x, y, state[u], lanes, visit, data)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def walk_column(shape, u, x, y, line, lanes, visit, data):
+    """Walk over the pixels of column u of a tile; `line` is its row of the state, (x, y) the center of the first pixel.
+
+    `visit` is called as visit(line, v, dx, dy, falloff, lanes, data) for each row v. (dx, dy) is the pixel's offset
+    from the splat's center and line, the brackets in `Splats`; `log_alpha` takes both and `falloff`.
+    """
+    real = shape.dtype.type
+    falloff = shape[3], shape[4], shape[5], shape[6]
+    dx = real(u) + (x - shape[0])
+    start = y - (shape[1] + shape[2] * dx)
+    for v in range(TILE):
+        visit(line, v, dx, start + real(v), falloff, lanes, data)
+
+
+@numba.njit(inline="always", error_model="numpy")
+@no_type_check
+def nothing(state, x0, y0, data):
+    """Leave a tile's state as it is."""
+
+
+@numba.njit(inline="always")
+@no_type_check
+def gather_rows(rows, members, near):
+    """Copy scattered rows next to each other before they are processed, so that cache misses overlap."""
+    for j in range(len(members)):
+        for i in range(near.shape[1]):
+            near[j, i] = rows[members[j], i]
+
+
+@numba.njit(inline="always")
+@no_type_check
+def is_finished(state):
+    """Return whether all pixels of a tile are finished."""
+    for u in range(TILE):
+        line = state[u]
+        largest = state.dtype.type(0)
+        for v in range(TILE):
+            largest = max(largest, line[v])
+        if largest > 0:
+            return False
+    return True
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def columns_of(shape, x):
+    """First and past-the-last column of a tile that a splat reaches; x is the center of the tile's first pixel."""
+    low = np.ceil(shape[0] - shape[7] - x - np.float32(0.01))
+    high = np.floor(shape[0] + shape[7] - x + np.float32(0.01))
+    return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def log_alpha(dx, dy, falloff):
+    """Logarithm of a fragment's alpha, before its cut (see `Splats`)."""
+    sharpness_x, sharpness_y, log_opacity, _ = falloff
+    return sharpness_y * dy * dy + (log_opacity + sharpness_x * dx * dx)
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def alpha_at(line, dx, dy, falloff):
+    """Alpha of a fragment in the precision of `line`; 0 below the cut."""
+    real = line.dtype.type
+    power = log_alpha(dx, dy, falloff)
+    alpha = exponential(power)
+    alpha = alpha if alpha < real(MAX_ALPHA) else real(MAX_ALPHA)
+    return alpha if power >= falloff[3] else real(0)
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def absorb(line, v, alpha):
+    """Take a fragment's light from the transmittance of pixel v of a column; returns it, the blending weight."""
+    real = line.dtype.type
+    weight = line[v] * alpha
+    after = line[v] - weight
+    line[v] = after if after >= real(MIN_TRANSMITTANCE) else real(0)
+    return weight
