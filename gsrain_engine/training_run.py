@@ -72,7 +72,8 @@ class TrainingRun:
     ) -> Progress:
         """Progress after a number of steps, with the current warning; metrics are those after this "step"."""
         first, last = self._shares
-        return Progress(first + (last - first) * (done / self._steps), message, preview, self.warning, {"step": done, **(metrics or {})})
+        fraction = first + (last - first) * (done / self._steps)
+        return Progress(fraction, message, preview, {"step": done, **(metrics or {})}, self.warning)
 
     def preview_is_due(self) -> bool:
         """True once every two seconds."""

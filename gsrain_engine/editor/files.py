@@ -24,10 +24,10 @@ from ..scene.open import folder_to_read, is_built_in_street, load_sorted_scene, 
 from ..scene.scene import Scene
 from ..scene.transforms import lost_when_flattened
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
+from .background_edits import import_file
 from .capture_view import CaptureController
 from .document import DocumentState, Recipe
 from .edits.layers import import_scene
-from .edits.results import import_file
 from .jobs.job import JobRunner, ThreadTask, ThreadTasks
 from .preferences import PreferencesStore, state_folder
 from .status import Answer, DeferredAction, Question, StatusBus, describe_error, do_nothing

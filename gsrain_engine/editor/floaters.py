@@ -1,10 +1,10 @@
 """Search for floaters, which ends with their selection."""
 
 from ..scene.progress import Progress
+from .background_edits import find_floaters
 from .document import Document, Recipe
 from .edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from .edits.gaussians import selected_count
-from .edits.results import find_floaters
 from .jobs.job import Job, JobRunner, no_result
 
 FLOATERS_TITLE = "Find floaters"

@@ -10,9 +10,9 @@ from ..appearance.base import TransferSettings
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
+from .background_edits import apply_wet_look
 from .capture_view import CaptureController
 from .document import Recipe
-from .edits.results import apply_wet_look
 from .files import Files
 from .job_results import scene_results, why_wait
 from .jobs.job import JobRunner

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
@@ -56,7 +56,7 @@ EDITS: Mapping[str, Edit] = {
     "show-all": Edit("edits.gaussians:show_all"),
     "crop": Edit("edits.gaussians:crop"),
     "purge-deleted": Edit("edits.gaussians:compact"),
-    "find-floaters": Edit("edits.results:find_floaters"),
+    "find-floaters": Edit("background_edits:find_floaters"),
     "select-all": Edit("selection.candidates:all_selected"),
     "select-none": Edit("selection.candidates:none_selected"),
     "invert-selection": Edit("selection.candidates:inverted"),
@@ -77,7 +77,7 @@ EDITS: Mapping[str, Edit] = {
     "remove": Edit("edits.layers:remove"),
     "move-up": Edit("edits.layers:move_up"),
     "move-down": Edit("edits.layers:move_down"),
-    "import": Edit("edits.results:import_file"),
+    "import": Edit("background_edits:import_file"),
     "set-visible": Edit("edits.members:set_visible"),
     "set-locked": Edit("edits.members:set_locked"),
     "set-opacity": Edit("edits.members:set_opacity"),
@@ -112,9 +112,9 @@ EDITS: Mapping[str, Edit] = {
     "set-rain-keyframes": Edit("edits.rain_keyframes:replace_keyframes", "keyframes"),
     "set-rain-interpolation": Edit("edits.rain_keyframes:set_interpolation", "keyframes"),
     "add-shower": Edit("edits.rain_keyframes:add_shower", "keyframes"),
-    "wet-look": Edit("edits.results:apply_wet_look"),
-    "recolor": Edit("edits.results:recolor_to_images"),
-    "reconstruct": Edit("edits.results:reconstruct"),
+    "wet-look": Edit("background_edits:apply_wet_look"),
+    "recolor": Edit("background_edits:recolor_to_images"),
+    "reconstruct": Edit("background_edits:reconstruct"),
 }
 """All edits by name. Those of the history are rows of this table."""
 
@@ -135,25 +135,24 @@ class EditStep:
     @classmethod
     def of(cls, step: Step) -> "EditStep":
         """Describe a step of the history. Raises `EditError` for one that no edit makes, such as opening a scene."""
-        change, arguments, options = step.change, step.arguments, dict(step.options)
+        if step.change is None:
+            raise EditError(f"{step.label}: no edit has this result")
+        change, arguments, options = step.change, list(step.arguments), dict(step.options)
         if step.recipe is not None:
-            change, arguments, options = step.recipe.change, (), dict(step.recipe.arguments)
+            change, arguments, options = step.recipe.change, [], dict(step.recipe.arguments)
         elif change is with_path:
-            change, *arguments = arguments
+            change = arguments.pop(0)
         elif change is select_found:
-            mode, change, *arguments = arguments
-            arguments = [mode, *arguments]
+            change = arguments.pop(1)
         name = _names().get(change)
         if name is None:
             raise EditError(f"{step.label}: no edit has this result")
         parameters = _parameters(EDITS[name])
         values = dict(zip(parameters, arguments, strict=False)) | options
-        is_usual = {
-            each: parameter.default is not Parameter.empty and _plain(values[each]) == _plain(parameter.default)
-            for each, parameter in parameters.items()
-            if each in values
-        }
-        return cls.with_values(name, {each: value for each, value in values.items() if not is_usual.get(each, False)})
+        usual = {each.name: _plain(each.default) for each in parameters.values() if each.default is not Parameter.empty}
+        return cls.with_values(
+            name, {each: value for each, value in values.items() if each not in usual or _plain(value) != usual[each]}
+        )
 
     @classmethod
     def with_values(cls, name: str, values: Mapping[str, Any]) -> "EditStep":
@@ -215,9 +214,8 @@ class EditStep:
             return replace(state, scene=with_path(state.scene, change, **values))
         if edit.kind == "selection":
             mode = values.pop("mode", "set")
-            return replace(state, scene=select_found(state.scene, mode, lambda scene: change(scene, **values)))
-        of = "document" if edit.kind == "document" else edit.kind
-        return Step("", state, of, change, (), values).applied_to(state)
+            return replace(state, scene=select_found(state.scene, mode, partial(change, **values)))
+        return Step("", state, edit.kind, change, (), values).applied_to(state)
 
 
 _PARAMETER = re.compile(r"([\w-]+)=")

@@ -33,9 +33,10 @@ class _Acting(Workspace):
             return
         self.acted = True
         robustness = glfw.get_window_attrib(glfw_utils.glfw_window_hello_imgui(), glfw.CONTEXT_ROBUSTNESS)
-        asked = editor.status.question
+        asked, document = editor.status.question, editor.document
         print(
-            f"{_TIMES}: {editor.document.scene.name} at {editor.document.rain.intensity_mm_h} mm/h, changed: {editor.files.has_changes},",
+            f"{_TIMES}: {document.scene.name} at {document.rain.intensity_mm_h} mm/h,",
+            f"changed: {editor.files.has_changes},",
             f"tells of resets: {robustness == glfw.LOSE_CONTEXT_ON_RESET}, says: {editor.status.problem},",
             f"asks: {asked and asked.title}",
             flush=True,

@@ -8,9 +8,9 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.finetune.settings import finetuning_names
+from gsrain_engine.editor.background_edits import recolor_to_images, reconstruct
 from gsrain_engine.editor.capture_view import CaptureController
 from gsrain_engine.editor.document import Document, Recipe
-from gsrain_engine.editor.edits.results import recolor_to_images, reconstruct
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.finetune import FinetuneChoice, FinetuneController
 from gsrain_engine.editor.job_results import scene_results, why_wait

@@ -3,14 +3,14 @@
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ...appearance.base import TransferSettings
-from ...appearance.scene_views import ViewChoice
-from ...scene.open import load_sorted_scene
-from ...scene.progress import run_to_end
-from ...scene.scene import Scene
-from ...training.settings import TrainingSettings
-from .floaters import FloaterRules, FloaterSearch, select_floaters
-from .layers import import_scene
+from ..appearance.base import TransferSettings
+from ..appearance.scene_views import ViewChoice
+from ..scene.open import load_sorted_scene
+from ..scene.progress import run_to_end
+from ..scene.scene import Scene
+from ..training.settings import TrainingSettings
+from .edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from .edits.layers import import_scene
 
 
 def import_file(scene: Scene, path: str) -> Scene:
@@ -35,7 +35,7 @@ def apply_wet_look(
     allow_outside: bool = False,
 ) -> Scene:
     """Transfer views of the scene, and solve for its wet colors."""
-    from ..jobs.make_rainy import TransferRequest, rainy_by  # transfers load slowly
+    from .jobs.make_rainy import TransferRequest, rainy_by  # transfers load slowly
 
     order = TransferRequest(method, settings or TransferSettings(), choice or ViewChoice(), capture, allow_outside)
     return run_to_end(rainy_by(scene, order))
@@ -43,15 +43,15 @@ def apply_wet_look(
 
 def recolor_to_images(scene: Scene, capture: Path, images: Path | None = None, allow_outside: bool = False) -> Scene:
     """Solve for the wet colors in which the scene looks like the images of a capture, or like those of a folder."""
-    from ..jobs.training import recolored_to  # torch is optional
+    from .jobs.training import recolored_to  # torch is optional
 
     return run_to_end(recolored_to(scene, capture, images, allow_outside)).scene
 
 
 def reconstruct(scene: Scene, capture: Path, settings: TrainingSettings, allow_outside: bool = False) -> Scene:
     """Replace the scene by Gaussians fitted to a capture."""
-    from ...training.data import ReconstructionTask
-    from ..jobs.training import reconstruct_capture  # torch is optional
+    from ..training.data import ReconstructionTask
+    from .jobs.training import reconstruct_capture  # torch is optional
 
     with TemporaryDirectory() as folder:
         output = Path(folder, "scene")
