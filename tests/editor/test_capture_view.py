@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, LidarSweep
+from gsrain_engine.datasets.capture import Capture, CaptureError
 from gsrain_engine.editor import capture_view
-from gsrain_engine.editor.capture_view import MAX_POINTS, THUMBNAIL_PX, CaptureImageLoader, sample_points
+from gsrain_engine.editor.capture_view import THUMBNAIL_PX, CaptureImageLoader, sample_points
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
@@ -146,16 +146,3 @@ def _read_one(pictures: CaptureImageLoader) -> None:
     (reading,) = pictures.pending
     reading.exception(timeout=60)
     pictures.poll()
-
-
-def test_of_many_points_a_fair_share_is_shown():
-    rng = np.random.default_rng(0)
-    sweeps = [LidarSweep(float(i), rng.random((MAX_POINTS, 3), np.float32) + 5 * i, np.zeros(3)) for i in range(2)]
-    got = sample_points(replace(small_capture(), sweeps=tuple(sweeps)))
-    assert got is not None
-    assert got.total == 2 * MAX_POINTS + 500
-    assert MAX_POINTS - 3 <= len(got.positions) <= MAX_POINTS
-    assert np.mean(got.positions[300:, 2] > 3) == pytest.approx(0.5, abs=0.01)
-    heights, colors = got.positions[500:, 2], got.colors[500:].astype(int)
-    low, high = colors[np.argmin(heights)], colors[np.argmax(heights)]
-    assert low[2] > low[0] and high[0] > high[2]  # from blue to red

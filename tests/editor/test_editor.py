@@ -3,18 +3,15 @@ import platform
 import subprocess
 import sys
 import weakref
-from concurrent.futures import ThreadPoolExecutor, wait
-from threading import Event
+from concurrent.futures import wait
 
 import numpy as np
-import psutil
 import pytest
 
 from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.edits.transform import pivot
-from gsrain_engine.malloc_tuning import MemoryTrimmer, trim_memory
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.shelter_map import shelter_map_of
 from gsrain_engine.scene.formats.scene_files import write_scene
@@ -92,18 +89,6 @@ def test_roofs_are_found_behind_the_window_and_rain_falls_through_them_until_the
     editor.close()
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries give memory back by themselves")
-def test_freed_memory_goes_back_to_the_system():
-    """Small blocks between blocks in use: 160 MB that glibc would keep."""
-    blocks = [bytearray(4000) for _ in range(40_000)]
-    kept = blocks[::200]
-    del blocks
-    full = psutil.Process().memory_info().rss
-    trim_memory()
-    assert psutil.Process().memory_info().rss < full - 100e6
-    assert len(kept) == 200
-
-
 LEFT_BY_THREADS = """
 import sys, threading
 import psutil
@@ -142,22 +127,6 @@ def test_memory_that_threads_free_goes_back_only_from_one_arena():
     assert left_behind("one") < 20e6 < 100e6 < left_behind("many")
 
 
-def test_memory_is_returned_a_second_after_work(monkeypatch):
-    asked = []
-    monkeypatch.setattr("gsrain_engine.malloc_tuning.trim_memory", lambda: asked.append(now[0]))
-    now = [10.0]
-    monkeypatch.setattr("gsrain_engine.malloc_tuning.time.monotonic", lambda: now[0])
-    with ThreadPoolExecutor(1) as thread:
-        memory = MemoryTrimmer(thread)
-        memory.poll()
-        for now[0] in (10.0, 10.9):  # goes on
-            memory.note_work()
-            memory.poll()
-        for now[0] in (11.5, 12.0, 15.0):
-            memory.poll()
-    assert len(asked) == 1
-
-
 def test_nothing_holds_on_to_a_closed_scene():
     editor = Editor(small_scene())
     occupied_space_of(editor.document.scene, road_surface_of(editor.document.scene))
@@ -170,15 +139,4 @@ def test_nothing_holds_on_to_a_closed_scene():
     gc.collect()
     assert means
     assert [each() for each in means] == [None] * len(means)
-    editor.close()
-
-
-def test_a_closed_scene_gives_its_memory_back(monkeypatch):
-    returned = Event()
-    monkeypatch.setattr("gsrain_engine.malloc_tuning.trim_memory", returned.set)
-    monkeypatch.setattr("gsrain_engine.malloc_tuning._REST_S", 0.0)
-    editor = Editor(small_scene())
-    editor.files.close_scene()
-    editor.tick(0.1)
-    assert returned.wait(10)
     editor.close()

@@ -14,7 +14,6 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import (
     MatchedViews,
     matching_image,
-    neighbor_view,
     outcome_shares,
 )
 from gsrain_engine.scene.camera import Camera, look_at
@@ -113,18 +112,6 @@ def test_the_live_view_is_matched_by_the_scenes_depth(editor, written):
     _until(editor, lambda: matching.why_none is not None)
     assert "does not lie in the scene" in matching.why_none
     assert matching.shown is None
-
-
-def test_neighbours_are_those_a_person_would_name():
-    capture = deep_capture()
-    assert neighbor_view(capture, 2, "next", 0) == 4
-    assert neighbor_view(capture, 2, "previous", 0) == 0
-    assert neighbor_view(capture, 0, "previous", 0) is None
-    assert neighbor_view(capture, 2, "beside", 0) == 3
-    assert neighbor_view(capture, 2, "chosen", 5) == 5
-    assert neighbor_view(capture, 2, "chosen", 2) is None
-    alone = replace(capture, views=capture.views[::2])
-    assert neighbor_view(alone, 0, "beside", 0) is None
 
 
 def _pair(car=0.0):

@@ -67,7 +67,7 @@ def test_the_window_s_recording_is_that_of_the_command_line(editor, tmp_path, co
         codec=codec, size_px=(96, 64), first_s=0.5, last_s=0.7, motion_blur=2, passes=("color", "labels")
     )
     project, target = tmp_path / "project", tmp_path / ("clip.mp4" if codec == "h264" else "clip")
-    write_scene(saved_scene(editor), project, editor.files.known, in_drawing_order=True)
+    write_scene(saved_scene(editor.viewport), project, editor.files.known, in_drawing_order=True)
     editor.render_queue.record_to(target)
     job = follow(editor)
     assert (job.state, job.error) == ("finished", None)
@@ -83,7 +83,7 @@ def test_the_window_s_recording_is_that_of_the_command_line(editor, tmp_path, co
 
 def test_so_is_that_of_a_project_that_was_opened_again(editor, tmp_path):
     project = tmp_path / "project"
-    write_scene(saved_scene(editor), project, in_drawing_order=True)
+    write_scene(saved_scene(editor.viewport), project, in_drawing_order=True)
     again = Editor()
     try:
         open_now(again, project)

@@ -103,25 +103,6 @@ def test_sliders_of_keyed_fields_set_keys_and_one_drag_is_one_step(driver):
     driver.run(script)
 
 
-def test_a_key_is_typed_in_the_table(driver):
-    def script():
-        editor = driver.editor
-        editor.document.edit_keyframes("Hill", replace_keyframes, hill())
-        driver.ctx.window_focus("//Shower")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Shower/**/##intensity_mm_h 1", 5.25)
-        driver.frames(3)
-        assert editor.document.keyframes.key_at(10.0).intensity_mm_h == 5.25
-        driver.ctx.item_input_value("//Shower/**/##time 1", 12.5)
-        driver.frames(3)
-        assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, 12.5, 20.0]
-        driver.ctx.item_click("//Shower/**/###remove 0")
-        driver.frames(3)
-        assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [12.5, 20.0]
-
-    driver.run(script)
-
-
 def view_corner(driver):
     driver.ctx.window_focus("//View")
     driver.frames(3)

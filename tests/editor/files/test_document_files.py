@@ -102,7 +102,7 @@ def test_an_export_says_before_what_it_leaves_out(editor, tmp_path):
     editor.document.change_rain("Rain", intensity_mm_h=4.0)
     editor.files.export_to(tmp_path / "out.ply")
     text = editor.status.question.text
-    assert not (tmp_path / "out.ply").exists() and not editor.files.work
+    assert not (tmp_path / "out.ply").exists() and editor.files.busy is None
     for phrase in (
         "3 layers",
         "which layer is the sky",
@@ -118,40 +118,6 @@ def test_an_export_says_before_what_it_leaves_out(editor, tmp_path):
     answer(editor, "Cancel")
     assert not (tmp_path / "out.ply").exists()
     assert lost_when_flattened(Scene("one", (Layer("one", scene.layers[0].gaussians),))) == []
-
-
-def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sessions, tmp_path):
-    editor = sessions(Scene("one", (Layer("one", small_scene().layers[0].gaussians),)))
-    editor.files.export_to(tmp_path / "out.spz")
-    assert editor.status.question is None
-    settle(editor)
-    written = (tmp_path / "out.spz").stat().st_ino
-    editor.files.export_to(tmp_path / "out.spz")
-    assert "replaced" in editor.status.question.text
-    answer(editor, "Cancel")
-    assert (tmp_path / "out.spz").stat().st_ino == written
-    for name in ("out", "out.png", "out.ksplat"):
-        editor.status.dismiss()
-        editor.files.export_to(tmp_path / name)
-        assert "ends in .ply, .splat or .spz" in editor.status.problem and not (tmp_path / name).exists()
-    (tmp_path / "broken").write_text("no folder")
-    editor.files.export_to(tmp_path / "broken" / "out.ply")
-    settle(editor)
-    assert "can't be exported" in editor.status.problem
-    editor.files.export_to(tmp_path / "other.spz")
-    settle(editor)
-    assert editor.status.problem is None  # it is about what was tried before
-
-
-def test_what_is_being_written_and_read_is_waited_for_before_the_end(editor, tmp_path):
-    write_scene(small_scene("other"), tmp_path / "other.ply")
-    editor.files.import_from(str(tmp_path / "other.ply"))
-    editor.request_quit()
-    assert editor.status.question.title == "Waiting" and not editor.should_quit
-    settle(editor)
-    assert editor.status.question.title == "Unsaved changes"  # the import is one
-    answer(editor, "Save")
-    assert editor.should_quit and "other" in [layer.name for layer in read_scene(editor.files.home).layers]
 
 
 def test_a_capture_is_offered_as_one(editor, tmp_path):
@@ -173,16 +139,6 @@ def test_a_capture_is_offered_as_one(editor, tmp_path):
     editor.files.open(str(broken))
     settle(editor)
     assert "scene.json" in editor.status.problem and editor.status.question is None
-
-
-def test_leaving_asks_and_cancel_stays(editor):
-    delete_every_third(editor)
-    editor.request_quit()
-    answer(editor, "Cancel")
-    assert not editor.should_quit and editor.status.question is None
-    editor.request_quit()
-    answer(editor, "Don't save")
-    assert editor.should_quit
 
 
 def test_a_save_that_fails_does_not_leave(editor, monkeypatch):
@@ -289,16 +245,6 @@ def test_cancelling_leaves_window_and_job_as_they_are(editor):
     assert editor.should_quit
 
 
-def test_a_job_that_fails_while_it_is_waited_for_keeps_the_window_open(editor):
-    (job,) = at_work(editor, HeldJob())
-    editor.request_quit()
-    answer(editor, "Wait")
-    job.end(fails=True)
-    settle(editor)
-    assert not editor.should_quit and editor.status.question is None
-    assert "third wheel" in editor.status.problem
-
-
 @pytest.mark.parametrize("go", ["open", "close", "revert"])
 def test_another_document_asks_about_jobs_that_end_with_this_one(editor, tmp_path, go):
     write_scene(small_scene("other"), tmp_path / "other")
@@ -310,7 +256,7 @@ def test_another_document_asks_about_jobs_that_end_with_this_one(editor, tmp_pat
     job, recording = at_work(editor, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
     scene = editor.document.scene
     to_another()
-    assert "Make it rainy is" in editor.status.question.text and not editor.files.is_opening
+    assert "Make it rainy is" in editor.status.question.text and not editor.viewport.is_opening
     answer(editor, "Cancel")
     assert editor.document.scene is scene and job.state == "running"
     to_another()
