@@ -153,12 +153,11 @@ def run_with_progress(work: "Generator[Progress, None, _Result]") -> _Result:
     from gsrain_engine.scene.progress import run_to_end  # loads NumPy, which startup avoids
 
     console = Console(stderr=True)
-    with _bar(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("Reading", total=1.0)
+    with _bar(_WarningColumn(), console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("Reading", total=1.0, warning="")
 
         def show(step: "Progress") -> None:
-            message = step.message if step.warning is None else f"{step.message}. Warning: {step.warning}"
-            bar.update(task, completed=step.fraction, description=message)
+            bar.update(task, completed=step.fraction, description=step.message, warning=step.warning or "")
 
         return run_to_end(work, show)
 
@@ -177,3 +176,10 @@ class _WordsColumn(progress.ProgressColumn):
 
     def render(self, task: progress.Task) -> Text:
         return Text(escape_invisible(task.description if self._words is None else self._words))
+
+
+class _WarningColumn(progress.ProgressColumn):
+    """Column with the warning of a job's latest step."""
+
+    def render(self, task: progress.Task) -> Text:
+        return Text(escape_invisible(task.fields["warning"]), style="yellow")

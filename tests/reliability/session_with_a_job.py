@@ -6,10 +6,9 @@ Prints the worker's process, its temporary folder and its shared memory.
 import sys
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from gsrain_engine.editor.jobs.folder import JobTempDir
+from gsrain_engine.editor.jobs.folder import temporary_folder
 from gsrain_engine.editor.jobs.process import WorkerProcess
 from gsrain_engine.scene.progress import Progress
 
@@ -24,15 +23,13 @@ def silent(place: Path) -> Iterator[Progress]:
 
 def main() -> None:
     """Do as the module says."""
-    files = ThreadPoolExecutor(max_workers=1)
-    folder = JobTempDir(files)
-    place = folder.do(lambda path: path).result()
-    job = WorkerProcess(silent, place)
-    while job.progress.message != "at it":
-        job.wait(60)
-        job.poll()
-    print(job.pid, place, job.preview.name, flush=True)
-    sys.stdin.read()
+    with temporary_folder() as place:
+        job = WorkerProcess(silent, place)
+        while job.progress.message != "at it":
+            job.wait(60)
+            job.poll()
+        print(job.pid, place, job.preview.name, flush=True)
+        sys.stdin.read()
 
 
 if __name__ == "__main__":

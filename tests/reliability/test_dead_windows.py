@@ -4,14 +4,13 @@ import os
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
 import psutil
 import pytest
 
-from gsrain_engine.editor.jobs.folder import JOB_FOLDER_PREFIX, JobTempDir, remove_abandoned_job_folders
+from gsrain_engine.editor.jobs.folder import JOB_FOLDER_PREFIX, remove_abandoned_job_folders, temporary_folder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs kill -9 and locks as POSIX has them")
 
@@ -53,13 +52,10 @@ def _tracks(process, memory):
 
 
 def test_a_job_s_folder_goes_with_it_and_is_nobody_else_s(tmp_path):
-    with ThreadPoolExecutor(max_workers=1) as files:
-        folder = JobTempDir(files)
-        place = folder.do(lambda path: path).result()
+    with temporary_folder() as place:
         assert place.parent == tmp_path
         remove_abandoned_job_folders()
         assert place.is_dir()
-        folder.remove()
     assert not place.exists()
 
 
@@ -82,8 +78,6 @@ def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, mo
         return made[-1]
 
     monkeypatch.setattr(tempfile, "mkdtemp", taken_at_once)
-    with ThreadPoolExecutor(max_workers=1) as files:
-        folder = JobTempDir(files)
-        assert folder.do(lambda path: path).result() == Path(made[1])
-        folder.remove()
+    with temporary_folder() as place:
+        assert place == Path(made[1])
     assert len(made) == 2 and not list(tmp_path.iterdir())

@@ -4,59 +4,27 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Generator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import TypeVar
 
 import platformdirs
 
 from ...scene.files import lock_path, try_lock_path
 from ...scene.formats.scene_folder import FileCache, write_scene_folder
 from ...scene.scene import Scene
-from .process import WorkerProcess, WorkerThread
 
-_Result = TypeVar("_Result")
 JOB_FOLDER_PREFIX = "gsrain-job-"
-
-
-class JobTempDir:
-    """The temporary folder of one job, created on first use; `files` has one thread, so that all access is in order.
-
-    A lock marks the process as alive; after it was killed, a later process removes the folder.
-    """
-
-    def __init__(self, files: ThreadPoolExecutor) -> None:
-        self._files = files
-        self._path: Path | None = None
-        self._open = ExitStack()
-
-    def do(self, work: Callable[[Path], _Result]) -> Future[_Result]:
-        """Call `work` with the folder in the thread."""
-
-        def done() -> _Result:
-            if self._path is None:
-                self._path = self._open.enter_context(temporary_folder())
-            return work(self._path)
-
-        return self._files.submit(done)
-
-    def remove(self, worker: WorkerProcess | WorkerThread | None = None) -> None:
-        """End the worker, then remove the folder, after all earlier tasks and without waiting.
-
-        Both take time, during which the window continues.
-        """
-        if worker is not None:
-            worker.cancel()
-            self._files.submit(worker.close)
-        self._files.submit(self._open.close)
 
 
 @contextmanager
 def temporary_folder() -> Generator[Path]:
-    """Create a folder for the duration of the block; see `remove_abandoned_job_folders`."""
+    """Create a folder for the duration of the block.
+
+    A lock marks the process as alive; after it was killed, `remove_abandoned_job_folders` of a later one removes the
+    folder.
+    """
     with ExitStack() as lock:
         while True:
             path = Path(tempfile.mkdtemp(prefix=JOB_FOLDER_PREFIX))

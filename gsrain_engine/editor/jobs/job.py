@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from jaxtyping import Float64
 
 from ...scene.files import sentence_of
 from ...scene.progress import Progress
-from .folder import JobTempDir
+from .folder import temporary_folder
 from .process import JobState, Work, WorkerProcess, WorkerThread
 
 logger = logging.getLogger("gsrain")
@@ -139,7 +140,7 @@ class JobRunner:
         """Read and write in the thread `files`; `report_problem` gets one sentence about each job that fails."""
         self.all: list[Job[Any]] = []
         """Running and ended jobs in the order of their start, until the user clears them."""
-        self.files, self._report_problem = files, report_problem
+        self._files, self._report_problem = files, report_problem
         self._stages: dict[Job[Any], tuple[_Stages, _Waiting]] = {}
 
     def start(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> Job[_Result]:
@@ -221,10 +222,15 @@ class JobRunner:
 
     def _stages_of(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> _Stages:
         """Prepare the input, follow the worker, read the result; cleans up behind itself wherever it is closed."""
-        folder, worker = JobTempDir(self.files), None
-        preparing = folder.do(job.inputs)
+        folders, worker = ExitStack(), None
+
+        def prepare() -> tuple[Path, tuple[Any, ...]]:
+            folder = folders.enter_context(temporary_folder())
+            return folder, job.inputs(folder)
+
+        preparing = self._files.submit(prepare)
         try:
-            arguments = yield from _result_of(preparing)
+            folder, arguments = yield from _result_of(preparing)
             worker = (WorkerThread if job.in_thread else WorkerProcess)(job.work, *arguments)
             snapshot: Future[_Result | None] | None = None
             is_due = False  # a snapshot, because the worker has sent a message since the last one
@@ -239,22 +245,19 @@ class JobRunner:
                     if found is not None:
                         on_result(found, False)
                 if job.snapshot is not None and is_due and snapshot is None and worker.state == "running":
-                    snapshot, is_due = folder.do(job.snapshot), False
+                    snapshot, is_due = self._files.submit(job.snapshot, folder), False
             if worker.state == "failed":
                 job.error, job.details = worker.error, worker.details
                 raise JobError(worker.error)
             job.progress = job.progress._replace(fraction=1.0, message="Loading the result")
-            ended, worker = worker, None
-
-            def read(path: Path) -> _Result:
-                ended.close()
-                return job.read(path)
-
-            job.result = yield from _result_of(folder.do(read))
+            job.result = yield from _result_of(self._files.submit(job.read, folder))
             return on_result(job.result, True)
         finally:
             preparing.cancel()
-            folder.remove(worker)
+            if worker is not None:
+                worker.cancel()
+                self._files.submit(worker.close)
+            self._files.submit(folders.close)  # behind all that reads or writes in the folder, without waiting
 
 
 def _result_of(future: Future[_Result]) -> Generator[_Waiting, None, _Result]:

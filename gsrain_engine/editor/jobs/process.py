@@ -44,10 +44,11 @@ class WorkerProcess:
     def __init__(self, work: Work, *arguments: Any) -> None:
         """Start the process; raises any error of its creation. Arguments must be picklable; pass large ones by file."""
         self.state: JobState = "running"
-        self.progress = Progress(0.0, "Starting")
         self.error: str | None = None
         """Error in one line; `details` has the traceback."""
         self.details: str | None = None
+        self._step = Progress(0.0, "Starting")
+        self._pixels: UInt8[np.ndarray, "h w 3"] | None = None
         context = multiprocessing.get_context("spawn")
         self._messages, theirs = context.Pipe(duplex=False)
         self.preview = SharedImage()
@@ -64,7 +65,11 @@ class WorkerProcess:
             theirs.close()
         self.pid = self._process.pid or 0
         self._watchdog = WorkerWatchdog(self.pid)
-        self._warning: str | None = None
+
+    @property
+    def progress(self) -> Progress:
+        """Latest step, with the latest preview, and a warning if the worker has been silent for long."""
+        return self._step._replace(preview=self._pixels, warning=self._watchdog.warning or self._step.warning)
 
     def wait(self, timeout_s: float) -> None:
         """Wait for a message or the end of the worker."""
@@ -88,11 +93,9 @@ class WorkerProcess:
         except (EOFError, OSError):
             self._process.join(timeout=1.0)
             self._fail(_death(self._process.exitcode), None)
-        pixels, step = self.preview.take(), steps[-1] if steps else self.progress._replace(warning=self._warning)
-        self._warning = step.warning
-        self.progress = step._replace(
-            preview=self.progress.preview if pixels is None else pixels, warning=self._watchdog.warning or step.warning
-        )
+        self._step = steps[-1] if steps else self._step
+        if (pixels := self.preview.take()) is not None:
+            self._pixels = pixels
         return steps
 
     def cancel(self) -> None:
@@ -185,11 +188,6 @@ class WorkerThread:
 
     def poll(self) -> list[Progress]:
         """Return the latest step."""
-        if self.state == "running" and self._running.done():
-            self.state = "finished"
-            if (error := self._running.exception()) is not None:
-                self.state, self.error = "failed", f"{type(error).__name__}: {error}"
-                self.details = "".join(traceback.format_exception(error))
         return [self.progress]
 
     def cancel(self) -> None:
@@ -201,30 +199,33 @@ class WorkerThread:
         """Do nothing: a thread frees its own resources."""
 
     def _run(self, work: Work, arguments: tuple[Any, ...]) -> None:
-        for self.progress in work(*arguments):
-            if self.state == "cancelled":
-                return
+        try:
+            for self.progress in work(*arguments):
+                if self.state == "cancelled":
+                    return
+            self.state = "finished"
+        except Exception as error:  # as of a process: the job fails
+            self.error, self.details, self.state = _sentence(error), traceback.format_exc(), "failed"
 
 
 # Latest preview in shared memory, read without blocking
 
 _MAX_PIXELS = 1024 * 768
-_SLOT_BYTES = 3 * _MAX_PIXELS
-_NUMBERS = 7  # number of the latest image; then for each of two slots the number of its image, its height and its width
+_NUMBERS = 3  # version of the image, odd while it is being written; its height and its width
 
 
 class SharedImage:
-    """Two slots that a writer fills in turn; a reader copies the latest.
+    """An image that one process writes and another one copies; only the latest counts.
 
     The process that creates it frees it; another one attaches by `name`.
     """
 
     def __init__(self, name: str | None = None) -> None:
-        size = 8 * _NUMBERS + 2 * _SLOT_BYTES
+        size = 8 * _NUMBERS + 3 * _MAX_PIXELS
         self._memory = SharedMemory(name, create=name is None, size=size if name is None else 0)
         self.name = self._memory.name
         self._is_own, self._is_closed = name is None, False
-        self._taken = 0
+        self._version = 0
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
         """Publish an image; larger ones are scaled down."""
@@ -233,29 +234,22 @@ class SharedImage:
             size = max(1, int(pixels.shape[1] / shrink)), max(1, int(pixels.shape[0] / shrink))
             pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
         numbers = self._numbers()
-        number = int(numbers[0]) + 1
-        slot = number % 2
-        numbers[1 + 3 * slot] = 0  # invalidates the slot for a reader that is copying it
-        self._pixels(slot, pixels.shape[0], pixels.shape[1])[:] = pixels
-        numbers[1 + 3 * slot : 4 + 3 * slot] = number, pixels.shape[0], pixels.shape[1]
-        numbers[0] = number
+        numbers[0] += 1
+        numbers[1:] = pixels.shape[:2]
+        self._pixels(pixels.shape[0], pixels.shape[1])[:] = pixels
+        numbers[0] += 1
 
     def take(self) -> UInt8[np.ndarray, "h w 3"] | None:
-        """Copy the latest image; None if it was read before."""
+        """Copy the latest image; None if it was read before, or is being written: a later call finds it."""
         if self._is_closed:
             return None
-        numbers = self._numbers()
-        number = int(numbers[0])
-        slot = number % 2
-        found, height, width = numbers[1 + 3 * slot : 4 + 3 * slot].tolist()
-        if number == self._taken:
+        version, height, width = self._numbers().tolist()
+        if version == self._version or version % 2 or not 0 < height * width <= _MAX_PIXELS:
             return None
-        if found != number or not 0 < height * width <= _MAX_PIXELS:
-            return None  # it is being overwritten: the next call finds a newer one
-        pixels = self._pixels(slot, height, width).copy()
-        if int(numbers[1 + 3 * slot]) != number:
+        pixels = self._pixels(height, width).copy()
+        if int(self._numbers()[0]) != version:
             return None
-        self._taken = number
+        self._version = version
         return pixels
 
     def close(self) -> None:
@@ -272,10 +266,9 @@ class SharedImage:
         assert self._memory.buf is not None, "closed"
         return np.frombuffer(self._memory.buf, np.int64, _NUMBERS)
 
-    def _pixels(self, slot: int, height: int, width: int) -> UInt8[np.ndarray, "h w 3"]:
+    def _pixels(self, height: int, width: int) -> UInt8[np.ndarray, "h w 3"]:
         assert self._memory.buf is not None, "closed"
-        first = 8 * _NUMBERS + slot * _SLOT_BYTES
-        return np.frombuffer(self._memory.buf, np.uint8, 3 * height * width, first).reshape(height, width, 3)
+        return np.frombuffer(self._memory.buf, np.uint8, 3 * height * width, 8 * _NUMBERS).reshape(height, width, 3)
 
 
 # Watchdog

@@ -124,8 +124,8 @@ def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_
     settle(late)
     assert late.status.question.title == "Recover unsaved changes"
     answer(late, "Recover")
-    assert late.scene.layers[0].marks.deleted.size == 100
-    assert late.rain.intensity_mm_h == 8.5
-    assert late.files.home == home and late.has_changes
+    assert late.document.scene.layers[0].marks.deleted.size == 100
+    assert late.document.rain.intensity_mm_h == 8.5
+    assert late.files.home == home and late.files.has_changes
     assert read_scene(home).layers[0].marks.deleted is None
     late.files.give_up()
