@@ -32,6 +32,7 @@ from .recorder import RenderQueue
 from .selection.commands import SelectionTool
 from .status import StatusBus, logger
 from .timeline import Playback
+from .training import TrainingController
 from .viewport_state import PendingScene, ViewportState
 
 
@@ -67,6 +68,7 @@ class Editor:
         self.rollouts = RolloutPlayer(self.viewport, self.jobs, self.files, self.status, self._thread)
         self.files.loose_results = lambda: self.rollouts.unsaved_titles
         self.live_rain = LiveRain(self.document, self.viewport, self.rollouts, self._thread)
+        self.training = TrainingController(self.viewport, self.captures, self.jobs, self.files)
         self.floaters = FloaterFinder(self.document, self.jobs)
         self.wet_look = WetLookController(
             self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status

@@ -106,10 +106,23 @@ class RenderQueue:
             first_s=self._playback.clock.time_s,
             last_s=None,
         )
-        scene = saved_scene(self._viewport)
-        if not self._viewport.options.follow_path:
-            scene = replace(scene, path=self.still_path())
-        self._begin(still, scene)
+        self._begin(still, self.still_scene())
+
+    def still_scene(self) -> Scene:
+        """The scene to save, with the viewport's camera as its path, unless that follows the scene's own path."""
+        viewport, scene = self._viewport, saved_scene(self._viewport)
+        if viewport.options.follow_path:
+            return scene
+        camera = viewport.shot(*(self.settings.size_px or (960, 640))).camera
+        pose = camera.camera_to_world
+        path = CameraPath(
+            np.array([self._playback.clock.time_s]),
+            pose[None, :3, 3],
+            quaternions_from_matrices(pose[None, :3, :3]),
+            np.array([camera.vertical_fov_deg]),
+            camera.exposure_s,
+        )
+        return replace(scene, path=path.moved(np.linalg.inv(scene.scene_to_world)))
 
     def _begin(self, recording: ExportSettings, scene: Scene) -> None:
         try:
@@ -142,15 +155,3 @@ class RenderQueue:
         return export_sequences(
             recording, self._document.scene, self._live_rain.simulation, self._viewport.path, in_scene_time=is_own
         )
-
-    def still_path(self) -> CameraPath:
-        """A path of one keyframe at the viewport's camera, in scene units and axes."""
-        camera = self._viewport.shot(*(self.settings.size_px or (960, 640))).camera
-        pose = camera.camera_to_world
-        return CameraPath(
-            np.array([self._playback.clock.time_s]),
-            pose[None, :3, 3],
-            quaternions_from_matrices(pose[None, :3, :3]),
-            np.array([camera.vertical_fov_deg]),
-            camera.exposure_s,
-        ).moved(np.linalg.inv(self._document.scene.scene_to_world))

@@ -7,11 +7,8 @@ import pytest
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.overlays import path_overlay_of
-from gsrain_engine.editor.timeline import content_span
-from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera_path_edit import ViewAngles
-from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
 
 AXES = {"metres_per_unit": 0.25, "up": (0.0, -1.0, 0.0)}
@@ -49,34 +46,6 @@ def test_a_key_shows_what_the_view_showed_whatever_the_scene_s_axes(editor):
     assert np.allclose(again.world_to_camera, seen.world_to_camera, atol=1e-9)
     assert again.fy == pytest.approx(seen.fy)
     assert np.linalg.norm(editor.document.scene.path.positions[0]) == pytest.approx(4 * np.linalg.norm(seen.position))
-
-
-def test_the_same_moment_updates_and_every_step_is_undone(editor):
-    bare = editor.document.scene
-    four_keys(editor)
-    look_from(editor, 2.0, 20.0)
-    editor.camera_path.add_keyframe()
-    assert len(editor.document.scene.path.times_s) == 4
-    assert editor.document.history.undo_label == "Update keyframe"
-    assert editor.viewport.path.positions[2] == pytest.approx([20, 10, 2])
-    for _ in range(5):
-        editor.document.undo()
-    assert editor.document.scene is bare
-    assert editor.camera_path.active_key is None
-
-
-def test_roll_is_kept_by_a_ride_and_lost_by_the_hand(editor):
-    four_keys(editor)
-    editor.camera_path.place_keyframe(1, "Turn", look=ViewAngles(10.0, -5.0, 25.0))
-    assert editor.camera_path.key_angles(1) == pytest.approx((10, -5, 25), abs=1e-6)
-    editor.camera_path.go_to_keyframe(1)
-    assert editor.viewport.shot(96, 64).camera.world_to_camera[1, 2] == pytest.approx(
-        -np.cos(np.radians(25)) * np.cos(np.radians(5)), abs=1e-6
-    )
-    editor.viewport.stop_riding()
-    assert editor.viewport.navigation.position == pytest.approx(editor.viewport.path.positions[1])
-    assert np.degrees(editor.viewport.navigation.pitch) == pytest.approx(-5)
-    assert editor.viewport.shot(96, 64).camera.world_to_camera[0, 2] == pytest.approx(0)  # level again
 
 
 def test_a_drag_is_one_step_whichever_way_it_went(editor):
@@ -167,20 +136,3 @@ def test_exports_read_back_or_are_reported(editor, tmp_path, form):
     assert editor.document.scene.path.positions[-1] == pytest.approx(path.positions[-1], abs=1e-6)
     editor.camera_path.export_path(tmp_path / "out.json" / "out.json", form)  # a file is no folder
     assert "can't be written" in editor.status.problem
-
-
-def test_the_span_is_that_of_the_flight_else_of_what_happens(editor):
-    assert editor.playback.span_s == (0, 5)  # the ego's drive
-    editor.camera_path.add_keyframe()
-    assert editor.playback.span_s == (0, 5)  # one key is no flight
-    four_keys(editor)
-    assert editor.playback.span_s == (0, 4)
-    editor.playback.set_span(True, 1.0)
-    editor.playback.set_span(False, 0.2)
-    assert editor.playback.span_s == pytest.approx((1.0, 1.0 + 1 / 30))
-    editor.playback.clock.span_s = None
-    assert content_span(Scene("empty")) == (0, 8)
-    shower = RainKeyframes(
-        keys=(RainKeyframe(time_s=0.0, intensity_mm_h=1.0), RainKeyframe(time_s=60.0, intensity_mm_h=0.0))
-    )
-    assert content_span(Scene("empty"), shower) == (0, 60)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, LidarSweep
+from gsrain_engine.datasets.capture import Capture, CaptureError
 from gsrain_engine.editor import capture_view
-from gsrain_engine.editor.capture_view import MAX_POINTS, THUMBNAIL_PX, CaptureImageLoader, sample_points
+from gsrain_engine.editor.capture_view import THUMBNAIL_PX, CaptureImageLoader, sample_points
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
@@ -90,18 +90,6 @@ def test_looking_from_a_view_takes_its_place_and_moment(editor: Editor):
     assert captures.view_at_camera is None
 
 
-def test_stepping_goes_round_the_views_of_one_camera(editor: Editor):
-    _opened(editor, small_capture())
-    captures = editor.captures
-    captures.sensor = "right"
-    assert captures.listed == [1, 3]
-    seen = []
-    for step in (1, 1, 1, -1):
-        captures.step(step)
-        seen.append(captures.chosen)
-    assert seen == [1, 3, 1, 3]
-
-
 def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(editor: Editor):
     capture = replace(small_capture(), up=(0.0, -1.0, 0.0))
     made = replace(small_scene(), up=(0.05, -1.0, 0.0), metres_per_unit=3.0)
@@ -146,16 +134,3 @@ def _read_one(pictures: CaptureImageLoader) -> None:
     (reading,) = pictures.pending
     reading.exception(timeout=60)
     pictures.poll()
-
-
-def test_of_many_points_a_fair_share_is_shown():
-    rng = np.random.default_rng(0)
-    sweeps = [LidarSweep(float(i), rng.random((MAX_POINTS, 3), np.float32) + 5 * i, np.zeros(3)) for i in range(2)]
-    got = sample_points(replace(small_capture(), sweeps=tuple(sweeps)))
-    assert got is not None
-    assert got.total == 2 * MAX_POINTS + 500
-    assert MAX_POINTS - 3 <= len(got.positions) <= MAX_POINTS
-    assert np.mean(got.positions[300:, 2] > 3) == pytest.approx(0.5, abs=0.01)
-    heights, colors = got.positions[500:, 2], got.colors[500:].astype(int)
-    low, high = colors[np.argmin(heights)], colors[np.argmax(heights)]
-    assert low[2] > low[0] and high[0] > high[2]  # from blue to red

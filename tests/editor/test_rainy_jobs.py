@@ -159,7 +159,7 @@ def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(
     assert not studio.can_resume
     for resume in (False, True):
         studio.start(resume=resume)
-        assert "Train the transfer" in studio.why_not()
+        assert "Train the transfer" in studio.why_not
         assert studio.job.wait(60) == output / "weights.safetensors"
         assert msgspec.json.decode((output / "task.json").read_bytes()) == [1000, [clear], resume, {}]
         (output / "checkpoint.safetensors").touch()
@@ -180,7 +180,7 @@ def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(
 def test_a_training_with_wrong_settings_does_not_start(editor, studio, change, missing):
     studio.choice = msgspec.structs.replace(studio.choice, **change)
     studio.start()
-    assert missing in (studio.why_not() or editor.status.problem)
+    assert missing in (studio.why_not or editor.status.problem)
     assert editor.jobs.all == []
 
 

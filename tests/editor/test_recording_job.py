@@ -14,6 +14,7 @@ from gsrain_engine.editor.autosave import saved_scene
 from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import replace_scene
+from gsrain_engine.editor.jobs.job import JobError
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.scene_files import write_scene
@@ -25,15 +26,6 @@ def editor():
     editor = Editor(small_scene(), RainSettings(intensity_mm_h=8.5))
     yield editor
     editor.close()
-
-
-def follow(editor, until=lambda job: False):
-    """Look after the last job as the window does, until it ends or something is true of it; return it."""
-    job = editor.jobs.all[-1]
-    while job.state == "running" and not until(job):
-        editor.jobs.wait(60)
-        editor.tick(0.01)
-    return job
 
 
 def open_now(editor, path):
@@ -67,10 +59,9 @@ def test_the_window_s_recording_is_that_of_the_command_line(editor, tmp_path, co
         codec=codec, size_px=(96, 64), first_s=0.5, last_s=0.7, motion_blur=2, passes=("color", "labels")
     )
     project, target = tmp_path / "project", tmp_path / ("clip.mp4" if codec == "h264" else "clip")
-    write_scene(saved_scene(editor), project, editor.files.known, in_drawing_order=True)
+    write_scene(saved_scene(editor.viewport), project, editor.files.known, in_drawing_order=True)
     editor.render_queue.record_to(target)
-    job = follow(editor)
-    assert (job.state, job.error) == ("finished", None)
+    assert editor.jobs.newest("export").wait(60) == str(target)
     mine = {path.relative_to(tmp_path): path.read_bytes() for path in tmp_path.glob("clip*/**/*") if path.is_file()}
     mine |= {path.relative_to(tmp_path): path.read_bytes() for path in tmp_path.glob("clip*") if path.is_file()}
     assert len(mine) == {"h264": 1 + 6 + 1, "png": 2 * 6 + 1}[codec]
@@ -83,14 +74,14 @@ def test_the_window_s_recording_is_that_of_the_command_line(editor, tmp_path, co
 
 def test_so_is_that_of_a_project_that_was_opened_again(editor, tmp_path):
     project = tmp_path / "project"
-    write_scene(saved_scene(editor), project, in_drawing_order=True)
+    write_scene(saved_scene(editor.viewport), project, in_drawing_order=True)
     again = Editor()
     try:
         open_now(again, project)
-        assert again.document.rain.intensity_mm_h == 8.5
+        assert again.rain.intensity_mm_h == 8.5
         again.recorder.change(codec="png", size_px=(96, 64), last_s=0.1)
         again.recorder.record_to(tmp_path / "window")
-        assert follow(again).state == "finished"
+        again.jobs.newest("export").wait(60)
     finally:
         again.close()
     assert run(["render", str(project), "-o", str(tmp_path / "typed"), "--size", "96x64", "--to", "0.1"]) == 0
@@ -103,66 +94,75 @@ def test_so_is_that_of_a_project_that_was_opened_again(editor, tmp_path):
 def test_a_cancelled_recording_can_be_played(editor, tmp_path):
     editor.render_queue.change(size_px=(96, 64), last_s=600.0)
     editor.render_queue.record_to(tmp_path / "long")  # the format's ending is put behind the name
-    job = follow(editor, until=lambda job: job.progress.preview is not None and "left" in job.progress.message)
+    job = editor.jobs.newest("export")
+    while job.state == "running" and (job.progress.preview is None or "left" not in job.progress.message):
+        editor.jobs.wait(60)
+        editor.tick(0.01)
     assert job.progress.preview.shape == (64, 96, 3)
     write_scene(small_scene(), tmp_path / "other.ply")
     open_now(editor, tmp_path / "other.ply")
     assert editor.render_queue.is_recording  # it has a copy of what it began with
     job.cancel()
     assert (job.state, editor.render_queue.is_recording) == ("cancelled", False)
-    editor.close()
+    editor.close()  # waits for the worker
     with av.open(str(tmp_path / "long.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) >= 2
 
 
-def test_what_is_there_is_only_replaced_when_a_person_says_so(editor, tmp_path):
+def test_an_existing_file_is_only_replaced_after_a_question(editor, tmp_path):
     target = tmp_path / "clip"
     target.mkdir()
     editor.render_queue.change(codec="png", size_px=(96, 64), last_s=0.03)
-    editor.render_queue.record_to(target)
-    assert editor.jobs.all == []
-    assert editor.status.question.text == "clip is there already."
-    replace_it, leave_it = editor.status.question.answers
-    editor.status.answer(leave_it)
-    assert editor.jobs.all == []
-    editor.render_queue.record_to(target)
-    editor.status.answer(replace_it)
-    assert len(editor.jobs.all) == 1
+    for label, started in (("Cancel", 0), ("Replace", 1)):
+        editor.render_queue.record_to(target)
+        assert editor.jobs.all == []
+        question = editor.status.question
+        assert "clip" in question.text
+        editor.status.answer(next(each for each in question.answers if each.label == label))
+        assert len(editor.jobs.all) == started
     shutil.rmtree(target)
     editor.jobs.all[0].cancel()
-    assert editor.status.log.lines[-1].text == f"Stopped recording {target}: nothing of it was written yet"
+    assert "nothing of it was written" in editor.status.log.lines[-1].text
 
 
 def test_a_still_is_what_the_view_shows(editor, tmp_path):
     editor.render_queue.change(size_px=(96, 64), supersampling=2)
     editor.playback.clock.time_s = 1.5
     editor.viewport.navigation.position[:] = [10.0, 2.0, 3.0]
-    path = editor.render_queue.still_path().moved(editor.document.scene.scene_to_world)
-    shot = editor.viewport.shot(96, 64)
-    assert np.allclose(path.camera(1.5, 96, 64).world_to_camera, shot.camera.world_to_camera, atol=1e-9)
-    assert path.camera(1.5, 96, 64).fx == pytest.approx(shot.camera.fx)
+    shown = editor.viewport.shot(96, 64).camera
+    path = editor.render_queue.still_scene().path.moved(editor.document.scene.scene_to_world)
+    assert np.allclose(path.camera(1.5, 96, 64).world_to_camera, shown.world_to_camera, atol=1e-9)
+    assert path.camera(1.5, 96, 64).fx == pytest.approx(shown.fx)
     editor.render_queue.record_still_to(tmp_path / "still")
-    assert follow(editor).state == "finished"
+    editor.jobs.newest("export").wait(60)
     assert np.asarray(Image.open(tmp_path / "still.png")).shape == (64, 96, 3)
     assert not any("command line" in line.text for line in editor.status.log.lines)
+    editor.viewport.options.follow_path = True
+    assert editor.render_queue.still_scene().path is editor.document.scene.path
 
 
-def test_what_goes_wrong_is_one_sentence(editor, tmp_path):
+@pytest.mark.parametrize(
+    ("settings", "target", "named"),
+    [
+        ({"codec": "png"}, "file/clip", "file/clip"),
+        ({"codec": "h264"}, "file/clip", "file/clip.mp4"),
+        ({"size_px": (95, 64)}, "odd.mp4", "95x64"),
+        ({"cameras": ("two",)}, "clip.mp4", "two"),
+    ],
+)
+def test_a_recording_that_is_impossible_names_the_reason(editor, tmp_path, settings, target, named):
     (tmp_path / "file").write_text("in the way")
-    editor.render_queue.change(codec="png", size_px=(96, 64), last_s=0.03)
-    editor.render_queue.record_to(tmp_path / "file" / "clip")
-    job = follow(editor)
-    assert job.state == "failed"
-    assert editor.status.problem == f"Record clip failed: {job.error}"
-    assert "clip can't be written on after 0 frames: " in editor.status.problem
-    editor.render_queue.change(codec="h264")
-    editor.render_queue.record_to(tmp_path / "file" / "clip")
-    assert follow(editor).error == f"{tmp_path / 'file' / 'clip.mp4'} can't be written: File exists"
-    editor.render_queue.change(size_px=(95, 64))
-    editor.render_queue.record_to(tmp_path / "odd.mp4")
-    assert "even width and height, got 95x64" in editor.status.problem
+    editor.render_queue.change(**{"size_px": (96, 64), "last_s": 0.03} | settings)
+    editor.render_queue.record_to(tmp_path / target)
+    for job in editor.jobs.running:
+        with pytest.raises(JobError, match=named):
+            job.wait(60)
+    assert named in editor.status.problem
+
+
+def test_settings_out_of_bounds_are_refused(editor):
     editor.render_queue.change(motion_blur=1000)
-    assert "<= 64 - at `$.motion_blur`" in editor.status.problem
+    assert "$.motion_blur" in editor.status.problem
     assert editor.render_queue.settings.motion_blur == 1
 
 
@@ -176,4 +176,4 @@ def test_extent_says_how_much_it_is(editor):
     editor.render_queue.change(supersampling=2, motion_blur=3, twin=True)
     assert editor.render_queue.extent().rough_s == pytest.approx(50 * 0.02 / 4 * 4 * 3 * 2)
     editor.render_queue.change(cameras=("two",))
-    assert "no camera 'two'" in editor.render_queue.extent()
+    assert "two" in editor.render_queue.extent()

@@ -48,7 +48,7 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         driver.ctx.item_double_click(f"//{_views(driver)}/##view 001")
         driver.frames()
         assert captures.chosen == 1
-        assert captures.stands_at(driver.editor) == 1
+        assert captures.view_at_camera == 1
         _idle(driver)
         assert ImageRequest(1, LARGE_PX) in captures.textures
         assert _share(driver.screen(), COLORS[1]) > 0.05
@@ -56,11 +56,11 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         # Keys go from view to view; the slider and the switch lay the picture over the render.
         driver.ctx.mouse_move("//View/view")
         driver.press(imgui.Key.page_down)
-        assert captures.stands_at(driver.editor) == 2
+        assert captures.view_at_camera == 2
         _idle(driver)
         assert _share(driver.screen(), COLORS[2]) > 0.05
         driver.press(imgui.Key.page_up)
-        assert captures.stands_at(driver.editor) == 1
+        assert captures.view_at_camera == 1
         driver.ctx.set_ref("//Capture")
         driver.ctx.item_click("###Picture")
         assert not captures.show_picture

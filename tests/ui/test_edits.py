@@ -7,8 +7,6 @@ import pytest
 
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.flags import BitMask
-from gsrain_engine.scene.scene import Actor, PoseTrack
-from small_scene import patch, small_scene
 from ui.commands.base import chord
 from window_driver import Driver, imgui
 
@@ -16,15 +14,6 @@ from window_driver import Driver, imgui
 @pytest.fixture
 def driver(tmp_path):
     return Driver(tmp_path)
-
-
-def with_car():
-    """The small scene with a car that drives 3 m/s."""
-    times = np.arange(5.0)
-    track = PoseTrack(times, np.stack([8 + 3 * times, 0 * times, 0 * times], axis=1), np.tile([1.0, 0, 0, 0], (5, 1)),
-                  np.ones(5, bool))  # fmt: skip
-    body = patch((-2, -1, 0.2), np.array([0, 2.0, 0]), np.array([0, 0, 1.4]), 8, (0.8, 0.1, 0.1))
-    return replace(small_scene(), actors=(Actor("car", "car", (4.0, 2.0, 1.5), body, track),))
 
 
 def on_screen(driver, point_m):
@@ -150,28 +139,6 @@ def test_two_clicks_measure_and_a_true_length_sets_the_metre(driver):
     driver.run(script)
 
 
-def test_three_clicks_level_and_the_ground_levels_itself(driver):
-    def script():
-        editor = driver.editor
-        turn = np.eye(4)
-        turn[1:3, 1:3] = [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]]
-        scene = editor.document.scene
-        editor.document.edit(
-            "Tilt", replace_scene, replace(scene, layers=tuple(replace(each, to_scene=turn) for each in scene.layers))
-        )
-        use(driver, "Level")
-        for x, y in ((8, -2), (8, 2), (20, 0)):
-            click_on(driver, turn[:3, :3] @ [x, y, 0])
-        assert editor.document.history.undo_label == "Level by three points"
-        assert editor.document.scene.up == pytest.approx(turn[:3, 2], abs=0.01)
-        editor.document.undo()
-        driver.ctx.item_click("**/From the ground")
-        driver.frames()
-        assert editor.document.scene.up == pytest.approx(turn[:3, 2], abs=1e-3)
-
-    driver.run(script)
-
-
 def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     def script():
         editor = driver.editor
@@ -199,20 +166,6 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     driver.run(script)
 
 
-def test_a_layer_is_placed_by_numbers(driver):
-    def script():
-        editor = driver.editor
-        editor.viewport.options.member = "layers/wall"
-        driver.ctx.window_focus("//Edit")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Edit/##position/$$2", 2.5)
-        driver.frames()
-        assert editor.document.scene.member("layers/wall").to_scene[2, 3] == pytest.approx(2.5)
-        assert editor.document.history.undo_label == "Place wall"
-
-    driver.run(script)
-
-
 def test_floaters_are_found_shown_and_deleted(driver):
     def script():
         editor = driver.editor
@@ -230,25 +183,5 @@ def test_floaters_are_found_shown_and_deleted(driver):
         driver.click("//Edit/Delete 9 floaters")
         assert editor.document.scene.member("layers/wall").marks.deleted.size == 9
         assert editor.document.history.undo_label == "Delete floaters"
-
-    driver.run(script)
-
-
-def test_an_actor_is_retimed_and_followed(tmp_path):
-    driver = Driver(tmp_path, with_car())
-
-    def script():
-        editor = driver.editor
-        editor.viewport.options.member = "actors/car"
-        driver.ctx.window_focus("//Edit")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Edit/##duration", 8.0)
-        driver.frames()
-        assert editor.document.scene.actors[0].track.times[-1] == pytest.approx(8)
-        driver.click("//Edit/Follow with the camera")
-        eye = editor.viewport.navigation.position.copy()
-        editor.playback.clock.time_s = 4.0
-        driver.frames()
-        assert editor.viewport.navigation.position == pytest.approx(eye + [6, 0, 0], abs=1e-6)
 
     driver.run(script)

@@ -88,45 +88,6 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
     assert np.abs(asked - not_asked).mean() > 5
 
 
-def type_name(driver, dialog, name):
-    driver.ctx.item_click(f"//{dialog}/##file_input")
-    driver.ctx.key_chars_replace(name)
-    driver.ctx.item_click(f"//{dialog}/**/Save")
-    driver.frames(3)
-
-
-@pytest.mark.parametrize(
-    ("keys", "dialog"), [((CTRL, imgui.Key.e), "Export a file"), ((CTRL, SHIFT, imgui.Key.s), "Save the scene")]
-)
-def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, keys, dialog):
-    places = []
-
-    def script():
-        editor = driver.editor
-        key(driver, *keys)
-        type_name(driver, dialog, f"{tmp_path}/")
-        assert (
-            "no name was typed" in editor.status.problem
-            and editor.status.question is None
-            and editor.files.busy is None
-        )
-        places.extend(tmp_path.iterdir())
-        nothing_new = driver.screen()
-        key(driver, *keys)
-        type_name(driver, dialog, str(tmp_path / "rainy"))
-        if editor.status.question is not None:
-            driver.press(imgui.Key.enter)
-        driver.until(
-            lambda: editor.files.busy is None and editor.status.log.lines[-1].text.startswith(("Saved", "Exported"))
-        )
-        assert editor.status.problem is None
-        status = slice(695, 718), slice(150, 600)  # px
-        assert np.abs(driver.screen()[status] - nothing_new[status]).mean() > 2
-
-    driver.run(script)
-    assert not places and (tmp_path / "rainy").is_dir() == (dialog == "Save the scene")
-
-
 def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
     job = HeldJob()
     job.start(driver.editor)

@@ -28,22 +28,22 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         rainy.choice = msgspec.structs.replace(rainy.choice, count=2, width_px=64)
         clear, before = driver.picture(), editor.document.scene
         driver.click(f"{PANEL}###preview")
-        assert rainy.why_not() == "Wait for Preview, or cancel it."
+        assert rainy.why_not == "Wait for Preview, or cancel it."
         driver.until(lambda: not editor.jobs.running, 1_000_000)
         driver.frames()
         assert editor.status.problem is None
         assert rainy.previewed.pixels.shape[1] == 96
         # It lies over what it is of, right of the line, and only while the view is that one.
-        assert (editor.viewport.options.split, rainy.fits()) == ("now | preview", True)
+        assert (editor.viewport.options.split, rainy.fits) == ("now | preview", True)
         assert ctx.item_exists("//View/divider")
         drag_the_view(driver)
-        assert rainy.what_is_stale() == "The view has changed since."
+        assert rainy.what_is_stale == "The view has changed since."
         assert not ctx.item_exists("//View/divider")
         driver.click(f"{PANEL}Return to it")
-        assert rainy.what_is_stale() is None
+        assert rainy.what_is_stale is None
         ctx.item_input_value(f"{PANEL}##seed", 3)
         driver.frames()
-        assert rainy.what_is_stale() == "The settings have changed since."
+        assert rainy.what_is_stale == "The settings have changed since."
 
         driver.click(f"{PANEL}###make")
         driver.until(lambda: editor.jobs.all[0].progress.message == "Starting", 1_000_000)

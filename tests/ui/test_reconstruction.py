@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.training.settings import load_settings
 from training.drive_capture import drive_capture, world_depth
 from ui.commands.base import chord
-from ui.panels import training
 from window_driver import Driver, imgui
 
 pytest.importorskip("torch")
@@ -40,10 +40,10 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
     shots = drive / "shots"
     shots.mkdir()
     monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
-    settings = training.load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
-    monkeypatch.setattr(training._chosen, "settings", settings)
+    settings = load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
     driver = Driver(shots)
     editor = driver.editor
+    editor.training.settings = settings
 
     def ended(job):
         return job.state != "running" and editor.viewport.staged is None
@@ -83,7 +83,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         # Dim pictures of the same views give it wet colors, which come with the rain.
         driver.click("//Rain/Streaks")
         driver.click("//Rain/Haze")
-        training._recolor(editor, drive / "drive", [drive / "dim"])
+        editor.training.recolor(drive / "dim")
         driver.until(lambda: ended(editor.jobs.all[-1]), 1_000_000)
         assert (editor.jobs.all[-1].state, editor.jobs.all[-1].error) == ("finished", None)
         assert np.array_equal(driver.picture(), trained)  # it does not rain

@@ -172,51 +172,6 @@ def test_sphere_and_box_are_placed_sized_and_applied(hand):
     hand.run(script)
 
 
-def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
-    def script():
-        editor = hand.editor
-        hand.use("Flood")
-        start = editor.viewport.navigation.position.copy()
-        hand.draw((0.5, 0.7), (0.6, 0.7))
-        assert hand.said is None
-        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.1
-        hand.click("//View/Home")
-        hand.tap(0.5, 0.75)
-        assert hand.counts() == {"road": 400, "wall": 0, "sky": 0}
-        assert hand.said == "Select 400 by flood"
-        hand.use("Color pick")
-        hand.tap(0.5, 0.42, held=(KEY.mod_shift,))
-        assert hand.counts() == {"road": 400, "wall": 400, "sky": 0}
-        assert hand.said == "Add 400 by color"
-
-    hand.run(script)
-
-
-def test_keys_and_buttons_for_all_none_invert_grow_shrink(hand):
-    def script():
-        hand.use("Rectangle")
-        hand.draw(LOWER[0], LOWER[2])
-        some = hand.counts()["road"]
-        hand.click("//Select/Invert")
-        assert selected_count(hand.editor.document.scene) == 944 - some
-        hand.press(chord(KEY.mod_ctrl, KEY.i))
-        assert hand.counts()["road"] == some
-        hand.editor.selection.distance_m = 2.5
-        hand.click("//Select/Grow")
-        grown = hand.counts()["road"]
-        assert grown > some
-        hand.click("//Select/Shrink")
-        assert some <= hand.counts()["road"] < grown
-        hand.click("//Select/None")
-        assert not any(hand.counts().values())
-        hand.press(chord(KEY.mod_ctrl, KEY.a))
-        assert selected_count(hand.editor.document.scene) == 944
-        hand.press(chord(KEY.mod_ctrl, KEY.mod_shift, KEY.a))
-        assert selected_count(hand.editor.document.scene) == 0
-
-    hand.run(script)
-
-
 def test_a_range_dragged_over_the_histogram_selects(hand):
     def script():
         options = hand.editor.selection
@@ -242,29 +197,5 @@ def test_a_range_dragged_over_the_histogram_selects(hand):
         assert hand.said == f"Select {hand.counts()['sky']} by height"
         hand.click("//Select/Remove##range")
         assert selected_count(hand.editor.document.scene) == 0
-
-    hand.run(script)
-
-
-def test_sets_are_saved_recalled_renamed_and_deleted(hand):
-    def script():
-        editor = hand.editor
-        hand.press(chord(KEY.mod_ctrl, KEY.a))
-        hand.click("//Select/Save")
-        assert list(editor.document.scene.selections) == ["selection 1"]
-        hand.press(chord(KEY.mod_ctrl, KEY.mod_shift, KEY.a))
-        hand.ctx.window_focus("//Select")
-        hand.ctx.item_click("//Select/**/###recall set")
-        hand.frames()
-        assert selected_count(editor.document.scene) == 944
-        hand.ctx.item_double_click("//Select/**/selection 1")
-        hand.frames(3)
-        hand.ctx.key_chars_replace_enter("everything")
-        hand.frames()
-        assert list(editor.document.scene.selections) == ["everything"]
-        hand.ctx.item_click("//Select/**/###delete")
-        hand.frames()
-        assert editor.document.scene.selections == {}
-        assert hand.said == "Delete set everything"
 
     hand.run(script)

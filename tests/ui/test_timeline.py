@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.overlays import path_overlay_of
-from gsrain_engine.scene.camera_path_io import read_camera_path
 from ui.commands.base import chord
 from window_driver import Driver, imgui
 
@@ -164,103 +163,5 @@ def test_a_key_is_dragged_in_the_picture(driver):
         driver.click("//Timeline/show path")
         hand(driver, start, start + [30, 0])  # nothing is there to take hold of: the view orbits
         assert not np.array_equal(editor.viewport.navigation.position, [-4.0, -3.0, 4.0])
-
-    driver.run(script)
-
-
-def test_numbers_of_a_key_and_of_the_path(driver):
-    def script():
-        editor = driver.editor
-        four_keys(driver)
-        window = driver.ctx.window_info("//Timeline/numbers").window.name.replace("/", "\\/")
-        driver.ctx.item_input_value(f"//{window}/##key time", 3.0)
-        driver.frames()
-        assert editor.document.scene.path.times_s.tolist() == [0, 1, 2, 3]
-        driver.ctx.item_input_value(f"//{window}/##key place/$$1", 2.5)
-        driver.frames()
-        assert editor.document.scene.path.positions[3, 1] == pytest.approx(2.5)
-        driver.ctx.item_input_value(f"//{window}/##key look/$$2", 20.0)
-        driver.frames()
-        assert editor.camera_path.key_angles(3).roll_deg == pytest.approx(20)
-        driver.ctx.item_input_value(f"//{window}/##key focal", 35.0)
-        driver.frames()
-        assert editor.document.scene.path.vertical_fov_deg[3] == pytest.approx(37.8, abs=0.1)
-        driver.click("//Timeline/**/key 3")
-        down = editor.viewport.shot(96, 64).camera.world_to_camera[1, :3]
-        assert abs(down[1]) > 0.3  # the roll is seen
-
-        driver.ctx.item_click(f"//{window}/Whole path")
-        driver.ctx.item_input_value(f"//{window}/##duration", 6.0)
-        driver.frames()
-        assert editor.document.scene.path.times_s.tolist() == [0, 2, 4, 6]
-        driver.ctx.item_click(f"//{window}/##loop")
-        driver.frames()
-        assert editor.document.scene.path.loop
-        assert editor.playback.span_s == (0, 8)
-        for field, word in (("interpolation", "linear"), ("easing", "at each key")):
-            driver.ctx.item_click(f"//{window}/##{field}")
-            driver.frames()
-            driver.ctx.item_click(f"//**/{word}")
-            driver.frames()
-            assert getattr(editor.document.scene.path, field) == word
-        driver.ctx.item_input_value("//Timeline/##time", 5.5)
-        driver.frames()
-        assert editor.playback.clock.time_s == 5.5
-
-    driver.run(script)
-
-
-def test_playing_repeats_within_the_grips_and_frames_are_stepped(driver):
-    def script():
-        editor = driver.editor
-        driver.click("//Timeline/to end")
-        assert editor.playback.clock.time_s == 5.0  # the ego's drive
-        driver.click("//Timeline/step back")
-        assert editor.playback.clock.time_s == pytest.approx(5 - 1 / 30)
-        driver.press(chord(KEY.mod_ctrl, KEY.left_arrow))
-        assert editor.playback.clock.time_s == 0
-        driver.press(KEY.right_arrow)
-        assert editor.playback.clock.time_s == pytest.approx(1 / 30)
-        start, _ = place(driver, "//Timeline/span end")
-        pixels = editor.playback.timeline.ruler.x(0.5) - editor.playback.timeline.ruler.x(5.0)
-        hand(driver, (start[0] + 5, start[1] + 8), (start[0] + 5 + pixels, start[1] + 8))
-        assert editor.playback.span_s == pytest.approx((0, 0.5), abs=0.05)
-        editor.playback.clock.speed = 4.0
-        driver.click("//Timeline/play")
-        driver.until(lambda: editor.playback.clock.time_s > 0.3)
-        driver.until(lambda: editor.playback.clock.time_s < 0.3)  # begun again
-        driver.click("//Timeline/repeat")
-        driver.until(lambda: not editor.playback.clock.playing)
-        assert editor.playback.clock.time_s == editor.playback.span_s[1]
-        # the wheel zooms in on what is under the mouse
-        driver.ctx.mouse_move("//Timeline/ruler")
-        shown = editor.playback.timeline.ruler.visible_span_s
-        driver.ctx.mouse_wheel_y(2)
-        driver.frames()
-        assert editor.playback.timeline.ruler.visible_span_s == pytest.approx(0.64 * shown)
-
-    driver.run(script)
-
-
-def test_paths_come_from_the_drive_and_from_files(driver, tmp_path):
-    def script():
-        editor = driver.editor
-        driver.click("//Timeline/path")
-        driver.ctx.item_click("//**/From the drive")
-        driver.ctx.item_click("//**/FRONT##0")
-        driver.ctx.item_click("//**/Few keyframes")
-        driver.frames()
-        path = editor.document.scene.path
-        assert path.times_s.tolist() == [0, 5]  # straight on
-        assert path.positions[1] == pytest.approx([10, 0, 1.5])
-        editor.camera_path.export_path(tmp_path / "mine.json")
-        assert np.array_equal(read_camera_path(tmp_path / "mine.json").positions, path.positions)
-        driver.press(UNDO)
-        assert editor.document.scene.path is None
-        editor.camera_path.import_path(tmp_path / "mine.json")
-        assert np.array_equal(editor.document.scene.path.positions, path.positions)
-        editor.camera_path.import_path(tmp_path / "missing.json")
-        assert "missing.json" in editor.status.problem
-        assert editor.document.history.undo_label == "Import mine.json"
 
     driver.run(script)

@@ -5,7 +5,6 @@ import pytest
 
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.transforms import with_wet_colors_of
-from small_scene import small_scene
 from ui.commands.base import chord
 from window_driver import Driver, imgui
 
@@ -21,11 +20,6 @@ def darker(scene):
 @pytest.fixture
 def driver(tmp_path):
     return Driver(tmp_path)
-
-
-@pytest.fixture
-def wet_driver(tmp_path):
-    return Driver(tmp_path, darker(small_scene()))
 
 
 def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
@@ -49,33 +43,5 @@ def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
         driver.press(REDO)
         driver.press(REDO)
         assert np.array_equal(driver.picture(), wet)
-
-    driver.run(script)
-
-
-def test_wetness_by_hand_and_by_the_intensity(wet_driver):
-    driver = wet_driver
-
-    def script():
-        editor = driver.editor
-        driver.click("//Rain/12.0")
-        assert editor.live_rain.wetness_now == pytest.approx(0.954, abs=1e-3)
-        driver.click("//Rain/auto")
-        assert editor.document.rain.wetness == pytest.approx(0.954, abs=1e-3)
-        driver.ctx.item_input_value("//Rain/##wetness", 0.25)
-        driver.frames()
-        assert editor.document.rain.wetness == 0.25
-        steps = len(editor.document.history.labels)
-        dark = driver.picture().mean()
-        driver.drag("//Rain/##wetness", (-200, 0))
-        assert editor.document.rain.wetness == 0
-        assert len(editor.document.history.labels) == steps + 1
-        assert driver.picture().mean() > dark + 2
-        driver.press(UNDO)
-        assert editor.document.rain.wetness == 0.25
-        driver.click("//Rain/auto")
-        assert editor.document.rain.wetness is None
-        driver.click("//Rain/clear")
-        assert editor.live_rain.wetness_now == 0
 
     driver.run(script)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from imgui_bundle import im_file_dialog
 
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 from ui.commands.base import chord
@@ -28,26 +27,6 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
         assert np.array_equal(driver.picture(), clear)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
         assert driver.editor.document.rain.intensity_mm_h > 1
-
-    driver.run(script)
-
-
-def test_presets_and_switches(driver):
-    def script():
-        driver.click("//Rain/8.5")
-        assert driver.editor.document.rain.intensity_mm_h == 8.5
-        driver.click("//Rain/Haze")
-        assert not driver.editor.document.rain.haze
-        driver.click("//Rain/###camera's")
-        assert driver.editor.document.rain.exposure_s == 0.004
-        driver.click("//Rain/up to 100 mm\\/h")
-        driver.ctx.item_input_value("//Rain/##intensity_mm_h", 50.0)
-        driver.frames()
-        assert driver.editor.document.rain.intensity_mm_h == 50
-        assert driver.editor.live_rain.simulation.state.beyond_calibration
-        driver.click("//Rain/paper")
-        assert driver.editor.document.rain.closure == "published"
-        assert driver.editor.live_rain.simulation.state.drops == 257_040
 
     driver.run(script)
 
@@ -115,26 +94,6 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     assert driver.editor.viewport.backend in ("opengl", "cpu")
 
 
-def test_opens_in_the_background_of_an_empty_window(tmp_path):
-    write_scene(small_scene(), tmp_path / "wall.ply")
-    seen = []
-
-    class Opening(Driver):
-        def script(self):
-            self.until(lambda: self.editor.document.scene.gaussian_count > 0)
-            self.frames(3)
-            assert self.picture().std() > 20
-            assert any("Opened" in line.text for line in self.editor.status.log.lines)
-
-    driver = Opening(tmp_path)
-    driver.editor = Editor()
-    driver.editor.playback.clock.playing = False
-    seen.append(driver.editor.document.scene.gaussian_count)
-    driver.editor.files.open(str(tmp_path / "wall.ply"))
-    driver.run(driver.script)
-    assert seen == [0]
-
-
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
     def script():
         driver.click("//Rain/8.5")
@@ -160,19 +119,6 @@ def test_two_pictures_beside_each_other_and_a_divider_between(driver):
         driver.frames()
         compared = driver.picture()
         assert np.abs(compared[:, :middle] - rainy[:, :middle]).max() > 4  # before: without the gain
-
-    driver.run(script)
-
-
-def test_looks_are_picked_from_the_toolbar(driver):
-    def script():
-        splats = driver.picture()
-        for look in ("depth", "layers", "splats"):
-            driver.ctx.set_ref("//View")
-            driver.ctx.combo_click(f"##look/{look}")
-            driver.frames()
-            assert driver.editor.viewport.options.look == look
-            assert np.array_equal(driver.picture(), splats) == (look == "splats")
 
     driver.run(script)
 

@@ -5,9 +5,9 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.editor.capture_view import THUMBNAIL_PX, CaptureController, ImageRequest
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.matching import Against, MatchingController
+from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport.options import Mode
 from gsrain_engine.editor.viewport_state import ViewportState
 
@@ -33,8 +33,8 @@ def capture_panel(
     viewport: ViewportState,
     captures: CaptureController,
     matching: MatchingController,
+    training: TrainingController,
     jobs: JobRunner,
-    files: Files,
 ) -> None:
     if captures.busy is not None:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)
@@ -53,7 +53,7 @@ def capture_panel(
         matching_fields(matching)
         imgui.tree_pop()
     if imgui.tree_node("Reconstruct"):
-        reconstruct_fields(document, viewport, captures, jobs, files)
+        reconstruct_fields(viewport, captures, training, jobs)
         imgui.tree_pop()
     _list(captures, capture)
 

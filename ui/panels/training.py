@@ -1,6 +1,5 @@
 """Reconstruction of the open capture, recoloring from images, and training of the transfer."""
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -8,16 +7,13 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.finetune.settings import finetuning_names
-from gsrain_engine.editor.background_edits import recolor_to_images, reconstruct
 from gsrain_engine.editor.capture_view import CaptureController
-from gsrain_engine.editor.document import Document, Recipe
-from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.finetune import FinetuneChoice, FinetuneController
-from gsrain_engine.editor.job_results import scene_results, why_wait
 from gsrain_engine.editor.jobs.job import JobRunner
-from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch, recolor_job, reconstruction_job
+from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch
+from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
+from gsrain_engine.training.settings import TrainingSettings, settings_names
 
 from ..widgets.fields import (
     ALL_FILES,
@@ -32,16 +28,6 @@ from ..widgets.fields import (
 )
 from .jobs import job_fields
 
-
-@dataclass(slots=True)
-class _ReconstructionChoice:
-    """Settings of the next reconstruction; they are not part of the document."""
-
-    preset: str
-    settings: TrainingSettings
-
-
-_chosen = _ReconstructionChoice("laptop", load_settings("laptop"))
 _PRESETS = {
     "draft": "A first look: two minutes on two processor cores.",
     "laptop": "About ten minutes on two processor cores.",
@@ -63,9 +49,9 @@ _RECOLOR_OTHERS_HELP = "The same with images from a folder, such as transferred 
 
 
 def reconstruct_fields(
-    document: Document, viewport: ViewportState, captures: CaptureController, jobs: JobRunner, files: Files
+    viewport: ViewportState, captures: CaptureController, training: TrainingController, jobs: JobRunner
 ) -> None:
-    if captures.capture is None or captures.path is None:
+    if captures.capture is None:
         return
     if not captures.capture.has_poses:
         imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
@@ -74,54 +60,33 @@ def reconstruct_fields(
     if newest is not None and newest.state == "running":
         job_fields(viewport, jobs, newest)
         return
-    why_not = why_wait(jobs, viewport)
     if has_torch():
-        _reconstruction_settings()
-        if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=why_not):
-            task = {"capture": captures.path, "settings": _chosen.settings, "allow_outside": captures.allows_outside}
-            job = reconstruction_job(**task)
-            jobs.start(job, scene_results(viewport, job.title, Recipe(reconstruct, task), is_whole=True))
+        _reconstruction_settings(training)
+        if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=training.why_not):
+            training.reconstruct()
     else:
         imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
-    if not document.scene.gaussian_count:
-        why_not = why_not or "There is no scene to recolor yet."
+    why_not = training.why_no_recoloring
     if button("Recolor to these images", _RECOLOR_HELP, width=-1, why_not=why_not):
-        _recolor(document, viewport, captures, jobs, files, captures.path, [])
+        training.recolor()
     if button("Recolor to other images...", _RECOLOR_OTHERS_HELP, width=-1, why_not=why_not):
-        ask_what_to_open(
-            "Images to recolor to (folder)",
-            "",
-            partial(_recolor, document, viewport, captures, jobs, files, captures.path),
-        )
+        ask_what_to_open("Images to recolor to (folder)", "", lambda chosen: training.recolor(chosen[0]))
     if newest is not None:
         imgui.separator_text(newest.title)
         job_fields(viewport, jobs, newest)
 
 
-def _recolor(
-    document: Document,
-    viewport: ViewportState,
-    captures: CaptureController,
-    jobs: JobRunner,
-    files: Files,
-    capture: Path,
-    chosen: list[Path],
-) -> None:
-    task = {"capture": capture, "images": chosen[0] if chosen else None, "allow_outside": captures.allows_outside}
-    job = recolor_job(document.scene, files.known, **task)
-    jobs.start(job, scene_results(viewport, job.title, Recipe(recolor_to_images, task)))
-
-
-def _reconstruction_settings() -> None:
-    help_text = _PRESETS.get(_chosen.preset, "")
+def _reconstruction_settings(training: TrainingController) -> None:
+    help_text = _PRESETS.get(training.preset, "")
     plain_label("Settings", help_text)
-    if (preset := combo("##preset", _chosen.preset, settings_names(), help_text)) != _chosen.preset:
-        _chosen.preset, _chosen.settings = preset, load_settings(preset)
+    if (preset := combo("##preset", training.preset, settings_names(), help_text)) != training.preset:
+        training.choose_preset(preset)
+    settings, info = training.settings, field_info("sh_degree", TrainingSettings)
     for name, step in _STEPS.items():
-        _chosen.settings = edit_field(_chosen.settings, name, step=step)
-    settings, info = edit_field(_chosen.settings, "density"), field_info("sh_degree", TrainingSettings)
+        settings = edit_field(settings, name, step=step)
+    settings = edit_field(settings, "density")
     settings = edit_choice(settings, "sh_degree", range(int(info.low), int(info.high) + 1))
-    _chosen.settings = edit_choice(settings, "own_body", _OWN_BODY)
+    training.settings = edit_choice(settings, "own_body", _OWN_BODY)
 
 
 # Transfer training: settings

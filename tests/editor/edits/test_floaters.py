@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch
 from gsrain_engine.editor.edits.gaussians import box_around
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
@@ -56,15 +56,6 @@ def test_what_is_locked_hidden_or_deleted_is_no_floater():
         scene().layers[0].marks, hidden=BitMask.of(np.arange(1000) == 2), deleted=BitMask.of(np.arange(1000) == 0)
     )
     assert found(scene().with_member("layers/cloud", marks=marks), rules) == {"layers/cloud": [3]}
-
-
-def test_a_layer_that_has_changed_since_is_passed_by():
-    before = scene()
-    search = FloaterSearch(before, FloaterRules())
-    list(search.run())
-    assert select_floaters(before, search.found).layers[0].marks.selected.size == 3
-    other = before.with_member("layers/cloud", gaussians=cloud())
-    assert select_floaters(other, search.found) is other
 
 
 def test_a_sky_dome_in_the_same_file_is_no_floater_and_not_in_the_crop_box():

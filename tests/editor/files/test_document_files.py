@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from editor.files.open_document import HeldJob, answer, delete_every_third, keep_now, names_in, settle
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import Layer, Scene
@@ -102,7 +100,7 @@ def test_an_export_says_before_what_it_leaves_out(editor, tmp_path):
     editor.document.change_rain("Rain", intensity_mm_h=4.0)
     editor.files.export_to(tmp_path / "out.ply")
     text = editor.status.question.text
-    assert not (tmp_path / "out.ply").exists() and not editor.files.work
+    assert not (tmp_path / "out.ply").exists() and editor.files.busy is None
     for phrase in (
         "3 layers",
         "which layer is the sky",
@@ -118,71 +116,6 @@ def test_an_export_says_before_what_it_leaves_out(editor, tmp_path):
     answer(editor, "Cancel")
     assert not (tmp_path / "out.ply").exists()
     assert lost_when_flattened(Scene("one", (Layer("one", scene.layers[0].gaussians),))) == []
-
-
-def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sessions, tmp_path):
-    editor = sessions(Scene("one", (Layer("one", small_scene().layers[0].gaussians),)))
-    editor.files.export_to(tmp_path / "out.spz")
-    assert editor.status.question is None
-    settle(editor)
-    written = (tmp_path / "out.spz").stat().st_ino
-    editor.files.export_to(tmp_path / "out.spz")
-    assert "replaced" in editor.status.question.text
-    answer(editor, "Cancel")
-    assert (tmp_path / "out.spz").stat().st_ino == written
-    for name in ("out", "out.png", "out.ksplat"):
-        editor.status.dismiss()
-        editor.files.export_to(tmp_path / name)
-        assert "ends in .ply, .splat or .spz" in editor.status.problem and not (tmp_path / name).exists()
-    (tmp_path / "broken").write_text("no folder")
-    editor.files.export_to(tmp_path / "broken" / "out.ply")
-    settle(editor)
-    assert "can't be exported" in editor.status.problem
-    editor.files.export_to(tmp_path / "other.spz")
-    settle(editor)
-    assert editor.status.problem is None  # it is about what was tried before
-
-
-def test_what_is_being_written_and_read_is_waited_for_before_the_end(editor, tmp_path):
-    write_scene(small_scene("other"), tmp_path / "other.ply")
-    editor.files.import_from(str(tmp_path / "other.ply"))
-    editor.request_quit()
-    assert editor.status.question.title == "Waiting" and not editor.should_quit
-    settle(editor)
-    assert editor.status.question.title == "Unsaved changes"  # the import is one
-    answer(editor, "Save")
-    assert editor.should_quit and "other" in [layer.name for layer in read_scene(editor.files.home).layers]
-
-
-def test_a_capture_is_offered_as_one(editor, tmp_path):
-    photos, broken = tmp_path / "photos", tmp_path / "broken"
-    for folder in (photos, broken):
-        folder.mkdir()
-        Image.new("RGB", (32, 24)).save(folder / "one.jpg")
-    (broken / "scene.json").write_text("{")
-    editor.files.open(str(photos))
-    settle(editor)
-    assert "photos is a capture (image folder)" in editor.status.question.text and editor.status.problem is None
-    answer(editor, "Open the capture")
-    while editor.captures.busy is not None:
-        editor.tick(0.0)
-    assert editor.captures.path == photos and editor.document.scene.name == "crossing"
-    editor.files.import_from(str(photos))
-    settle(editor)
-    assert "File > Open a capture" in editor.status.problem
-    editor.files.open(str(broken))
-    settle(editor)
-    assert "scene.json" in editor.status.problem and editor.status.question is None
-
-
-def test_leaving_asks_and_cancel_stays(editor):
-    delete_every_third(editor)
-    editor.request_quit()
-    answer(editor, "Cancel")
-    assert not editor.should_quit and editor.status.question is None
-    editor.request_quit()
-    answer(editor, "Don't save")
-    assert editor.should_quit
 
 
 def test_a_save_that_fails_does_not_leave(editor, monkeypatch):
@@ -227,22 +160,6 @@ def test_revert_asks_and_reads_again(editor):
     assert editor.document.scene.members[0].marks.deleted is None and not editor.files.has_changes
 
 
-def test_a_newer_scene_is_refused_and_nothing_is_lost(editor, home, tmp_path):
-    values = json.loads((home / "scene.json").read_text())
-    (home / "scene.json").write_text(json.dumps(values | {"version": 99}))
-    with pytest.raises(SceneFormatError, match="newer program"):
-        read_scene(home)
-    editor.files.open(str(home))
-    settle(editor)
-    assert "newer program" in editor.status.problem
-    assert editor.document.scene.name == "crossing"
-    delete_every_third(editor)
-    editor.files.save()
-    answer(editor, "Overwrite")
-    assert "newer program" in editor.status.problem  # not even then
-    assert editor.files.has_changes
-
-
 def at_work(editor, *jobs):
     for job in jobs:
         job.start(editor)
@@ -274,31 +191,6 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(editor, changes):
     assert editor.should_quit and editor.status.question is None
 
 
-def test_cancelling_leaves_window_and_job_as_they_are(editor):
-    (job,) = at_work(editor, HeldJob())
-    editor.request_quit()
-    answer(editor, "Cancel")
-    assert (job.state, editor.should_quit, editor.status.question) == ("running", False, None)
-    editor.request_quit()
-    answer(editor, "Wait")
-    answer(editor, "Cancel")
-    job.end()
-    settle(editor)
-    assert (editor.should_quit, editor.status.question) == (False, None)
-    editor.request_quit()
-    assert editor.should_quit
-
-
-def test_a_job_that_fails_while_it_is_waited_for_keeps_the_window_open(editor):
-    (job,) = at_work(editor, HeldJob())
-    editor.request_quit()
-    answer(editor, "Wait")
-    job.end(fails=True)
-    settle(editor)
-    assert not editor.should_quit and editor.status.question is None
-    assert "third wheel" in editor.status.problem
-
-
 @pytest.mark.parametrize("go", ["open", "close", "revert"])
 def test_another_document_asks_about_jobs_that_end_with_this_one(editor, tmp_path, go):
     write_scene(small_scene("other"), tmp_path / "other")
@@ -310,7 +202,7 @@ def test_another_document_asks_about_jobs_that_end_with_this_one(editor, tmp_pat
     job, recording = at_work(editor, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
     scene = editor.document.scene
     to_another()
-    assert "Make it rainy is" in editor.status.question.text and not editor.files.is_opening
+    assert "Make it rainy is" in editor.status.question.text and not editor.viewport.is_opening
     answer(editor, "Cancel")
     assert editor.document.scene is scene and job.state == "running"
     to_another()

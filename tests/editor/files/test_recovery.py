@@ -124,20 +124,8 @@ def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_
     settle(late)
     assert late.status.question.title == "Recover unsaved changes"
     answer(late, "Recover")
-    assert late.scene.layers[0].marks.deleted.size == 100
-    assert late.rain.intensity_mm_h == 8.5
-    assert late.files.home == home and late.has_changes
+    assert late.document.scene.layers[0].marks.deleted.size == 100
+    assert late.document.rain.intensity_mm_h == 8.5
+    assert late.files.home == home and late.files.has_changes
     assert read_scene(home).layers[0].marks.deleted is None
     late.files.give_up()
-
-
-def test_an_autosave_that_was_never_whole_stands_in_nobody_s_way(editor, home, tmp_path):
-    """A process was killed in its first autosave: there is nothing to recover, and the place is free."""
-    autosave_folder(home).mkdir()
-    (autosave_folder(home) / "autosave.json").write_text('{"name": "crossing"}')
-    (autosave_folder(home) / ".scene.01dc11b5.part").mkdir()
-    delete_every_third(editor)
-    keep_now(editor)
-    assert sorted(each.name for each in autosave_folder(home).iterdir()) == ["autosave.json", "scene"]
-    assert not (tmp_path / "state" / "gsrain" / "unsaved").exists()
-    editor.files.give_up()

@@ -1,4 +1,4 @@
-"""World placement of a scene: scale, up, ground, origin, and the camera that moves with it."""
+"""Edits of the whole scene: scale, level, origin, ego drive."""
 
 from dataclasses import replace
 
@@ -6,20 +6,62 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits.actors import SENSOR_HEIGHT_M, set_ego_start, set_origin
+from gsrain_engine.editor.edits.actors import RIG, drive_along, drive_along_own_path, set_origin
 from gsrain_engine.editor.edits.level import (
     find_ground,
     level_from_ground,
     level_from_points,
-    set_camera_height,
     set_length,
 )
 from gsrain_engine.editor.viewport.camera import OrbitCamera
 from gsrain_engine.editor.viewport.camera_follow import ActorFollower
+from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.ground import recorded_route
 from small_scene import small_scene
 
 from .edited_scene import edited_scene, turned
+
+UNIT_M = 0.25
+TO_WORLD = Scene("lying", up=(0.0, -1.0, 0.0), metres_per_unit=UNIT_M).scene_to_world
+
+
+def flown(places_m: np.ndarray, look: np.ndarray) -> tuple[Scene, CameraPath]:
+    """A photogrammetry's scene, y down and of a unit of 25 cm, and a camera that was at places of the world."""
+    scene = Scene("lying", up=(0.0, -1.0, 0.0), metres_per_unit=UNIT_M)
+    to_scene = np.linalg.inv(TO_WORLD)
+    cameras: list[Camera] = []
+    for place in places_m:
+        eye, target = (to_scene[:3, :3] @ each for each in (place, place + look))
+        cameras.append(Camera.from_fov(160, 90, 40.0, look_at(eye, target, np.array([0.0, -1.0, 0.0]))))
+    return scene, CameraPath.through([0.5 * k for k in range(len(cameras))], cameras)
+
+
+STRAIGHT_M = np.column_stack([np.zeros(21), np.arange(21.0), np.full(21, 1.6)])
+"""20 m along y, 1.6 m above the origin."""
+
+
+def test_it_drives_where_the_camera_went_in_metres():
+    scene, path = flown(STRAIGHT_M, np.array([0.0, 1.0, -0.1]))
+    driven = drive_along(scene, path)
+    route = recorded_route(driven)
+    assert route.length_m == pytest.approx(20, abs=0.01)
+    assert route.at(5.0) == pytest.approx((0, 5, np.pi / 2), abs=1e-3)
+    pose = driven.ego_to_world(5.0)
+    assert pose is not None
+    np.testing.assert_allclose(pose, [[0, -1, 0, 0], [1, 0, 0, 10], [0, 0, 1, 1.6], [0, 0, 0, 1]], atol=1e-3)
+
+
+def test_own_cameras_stay_and_standing_still_is_no_drive():
+    scene, path = flown(STRAIGHT_M, np.array([0.0, 1.0, 0.0]))
+    rigs = {"mine": drive_along(scene, path).rigs[RIG]}
+    assert drive_along_own_path(replace(scene, path=path, rigs=rigs)).rigs == rigs
+    still = flown(STRAIGHT_M[:1].repeat(2, axis=0), np.array([0.0, 1.0, 0.0]))
+    with pytest.raises(ValueError, match="less than 0.5 m"):
+        drive_along(*still)
+    with pytest.raises(ValueError, match="no camera path to drive along"):
+        drive_along_own_path(replace(edited_scene(), path=None))
 
 
 def tilted():
@@ -40,21 +82,6 @@ def test_a_known_length_sets_the_metre():
             set_length(scene, measured, true)
 
 
-def test_a_cameras_height_sets_the_metre():
-    places = np.array([[0.0, 0, 3], [1, 0, 4], [2, 0, 9]])
-    path = CameraPath(np.arange(3.0), places, np.tile([1.0, 0, 0, 0], (3, 1)), np.full(3, 40.0))
-    scene = replace(edited_scene(), up=(0.0, 0.0, 1.0), metres_per_unit=0.5, ground_m=1.0, path=path)
-    scaled = set_camera_height(scene, 1.5)  # 4 units are 2 m: 1 m above the ground
-    assert (scaled.metres_per_unit, scaled.ground_m) == (pytest.approx(0.75), pytest.approx(1.5))
-    for change, words in (
-        ({"path": None}, "no camera path"),
-        ({"ground_m": None}, "level it first"),
-        ({"ground_m": 7.0}, "5 m below the ground"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            set_camera_height(replace(scene, **change), 1.5)
-
-
 def test_three_points_level():
     scene, up = tilted()
     corners = np.array([[0.0, 0, 0, 1], [30, 0, 0, 1], [0, 5, 0, 1]])
@@ -73,15 +100,6 @@ def test_the_ground_itself_levels():
     assert level.up == pytest.approx(up, abs=1e-4)
     assert level.ground_m == pytest.approx(0, abs=1e-4)
     assert find_ground(level).up == pytest.approx([0, 0, 1], abs=1e-4)
-
-
-def test_a_drive_starts_elsewhere_and_goes_the_same_way():
-    scene = small_scene()
-    there = set_ego_start(scene, np.array([3.0, 4.0, 0.5]), 1.0)
-    assert there.ego_to_world(0.0)[:3, 3] == pytest.approx([3, 4, 0.5 + SENSOR_HEIGHT_M])
-    for time_s in (0.0, 2.5):
-        step = there.ego_to_world(time_s) @ np.linalg.inv(scene.ego_to_world(time_s))
-        assert step[:3, :3] == pytest.approx(np.eye(3))
 
 
 def test_the_origin_moves_everything():

@@ -1,13 +1,45 @@
-"""Faces of the rain regions: where their handles are, and what a pull does."""
+"""Overlays: frustums of captured cameras, and faces of rain regions."""
 
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.rain_regions import BoxFaceDrag, FaceHandle, face_handles, inset_view
+from gsrain_engine.editor.overlays import (
+    RecordedCameras,
+    fov_to_fit_deg,
+    image_grid,
+)
+from gsrain_engine.editor.rain_regions import BoxFaceDrag, face_handles, inset_view
 from gsrain_engine.rain.settings import STREAK_REGION, RegionBox
-from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.camera import Camera
 
-UP = np.array([0.0, 0, 1])
+from .small_capture import small_capture
+
+
+def _cameras(count: int = 4) -> RecordedCameras:
+    return RecordedCameras(view.camera for view in small_capture(count))
+
+
+def test_from_the_recorded_camera_its_picture_fills_its_own_pixels_at_any_length():
+    camera = _cameras()[2]
+    for length in (0.1, 7.0):
+        grid = image_grid(camera, length, camera, (4, 3))
+        assert grid is not None
+        assert grid[0, 0] == pytest.approx([0, 0], abs=1e-9)
+        assert grid[3, 4] == pytest.approx([80, 48])
+        assert grid[1, 2] == pytest.approx([40, 16])
+
+
+@pytest.mark.parametrize("aspect", [0.6, 1.0, 3.0])
+def test_a_whole_recorded_picture_fits_into_the_viewport(aspect: float):
+    camera = _cameras()[0]
+    width, height = round(300 * aspect), 300
+    view = Camera.from_fov(width, height, fov_to_fit_deg(camera, width / height), camera.world_to_camera)
+    grid = image_grid(camera, 1.0, view, (1, 1))
+    assert grid is not None
+    assert grid.min() > -0.01
+    assert grid[..., 0].max() < width + 0.01 and grid[..., 1].max() < height + 0.01
+    touches = [grid[..., 0].min(), grid[..., 1].min(), width - grid[..., 0].max(), height - grid[..., 1].max()]
+    assert min(touches) == pytest.approx(0, abs=1e-6)
 
 
 def anchor(yaw=0.7, at=(10.0, -4.0, 2.0)):
@@ -23,21 +55,6 @@ def project(camera, point):
     return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
 
 
-def test_from_inside_handles_stand_on_what_is_seen():
-    """An ego camera that looks ahead sees the front face, and of the floor a part, whose handle lies in the picture."""
-    eye = anchor()[:3, 3]
-    camera = Camera.from_fov(960, 640, 50.0, look_at(eye, eye + anchor()[:3, 0], UP))
-    handles = {handle.face: handle for handle in face_handles(STREAK_REGION, anchor(), camera)}
-    assert (0, True) in handles and (2, False) in handles
-    assert (0, False) not in handles
-    for handle in handles.values():
-        x, y = project(camera, handle.point_m)
-        assert 0.07 * 960 < x < 0.93 * 960 and 0.07 * 640 < y < 0.93 * 640
-        local = np.linalg.inv(anchor()) @ [*handle.point_m, 1.0]
-        side = STREAK_REGION.maximum_m if handle.upper else STREAK_REGION.minimum_m
-        assert local[handle.axis] == pytest.approx(side[handle.axis], abs=1e-9)
-
-
 @pytest.mark.parametrize("face", [(0, False), (0, True), (1, False), (1, True), (2, False), (2, True)])
 def test_a_face_follows_the_mouse_along_its_normal(face):
     """Pulled to where a point 0.8 m farther out is seen, the face stands there; the others stay."""
@@ -51,17 +68,6 @@ def test_a_face_follows_the_mouse_along_its_normal(face):
     assert pulled.minimum_m == pytest.approx(expected["minimum_m"], abs=1e-3)
     assert pulled.maximum_m == pytest.approx(expected["maximum_m"], abs=1e-3)
     assert pull.pulled(*pull.start_px) == STREAK_REGION
-
-
-def test_a_face_seen_end_on_moves_with_the_mouses_height():
-    eye = anchor()[:3, 3]
-    camera = Camera.from_fov(960, 640, 50.0, look_at(eye, eye + anchor()[:3, 0], UP))
-    (front,) = [each for each in face_handles(STREAK_REGION, anchor(), camera) if each.face == (0, True)]
-    middle = FaceHandle(0, True, eye + 5.0 * anchor()[:3, 0], front.normal)
-    pull = BoxFaceDrag(middle, STREAK_REGION, "streak_region", camera, (480.0, 320.0))
-    assert pull.is_end_on
-    assert pull.pulled(480.0, 256.0).maximum_m[0] == pytest.approx(6.0)
-    assert pull.pulled(480.0, 384.0).maximum_m[0] == pytest.approx(4.0)
 
 
 def test_no_pull_turns_a_region_inside_out_or_makes_it_too_large():
