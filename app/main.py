@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from gsrain_engine.plugins import EVALUATIONS, Extension, ExtensionError, find_extensions
+from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
+from gsrain_engine.plugins import Extension, ExtensionError, find_extensions
 from gsrain_engine.scene.files import sentence_of
+from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
 from .console import Console, console_log, use_any_encoding
 from .options import JsonFileOrScreen, Preset, flag, has_display, option, parse_whole_numbers, reject_non_finite
@@ -28,55 +30,6 @@ if TYPE_CHECKING:
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 _OURS = ("gsrain", "gsrain_engine", "app")  # loggers whose info messages the command line prints
 _HARMLESS = frozenset({"--help", "-h", "--version"})  # options that need no working directory
-
-# Import strings: each command loads its modules when it runs, so that the window opens immediately.
-COMMANDS = {
-    "render": ("app.render:render", "Render a scene in the rain: an image, a video, frames, or raw floats."),
-    "info": ("app.scene:info", "Print the contents of a scene, a capture or a disdrometer file, and check captures."),
-    "convert": ("app.scene:convert", "Convert between scene formats."),
-    "edit": ("app.edit:edit", "Edit a scene as the window does: by the steps that its History copies, or others."),
-    "street": (
-        "app.scene:street",
-        "Write the built-in street as a scene, and as images with depth, normals and labels.",
-    ),
-    "calibrate": ("app.rain:calibrate", "Fit drop numbers, sizes and speeds by intensity to disdrometer files."),
-    "disdrometer": ("app.rain:disdrometer", "Measure the simulated rain with a virtual disdrometer."),
-    "reconstruct": ("app.train:reconstruct", "Fit Gaussians to a capture: images with cameras, and lidar or points."),
-    "transfer": ("app.translate:transfer", "Make clear views of a scene, or the images of a capture, look rainy."),
-    "recolor": ("app.train:recolor", "Re-optimize a scene's colors for images with another look; its geometry stays."),
-    "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
-    "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
-    "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),
-    "schema": ("app.schema:schema", "Print the JSON schema of a kind of settings file, for editors of YAML."),
-    "doctor": ("app.doctor:doctor", "List which features of GSRAIN work on this machine, and how to get the others."),
-}
-_CONSISTENCY = """Agreement of neighboring views, before and after a transfer.
-
-Views are warped onto their neighbors by depth. The error after a transfer should equal the error before: differences
-between views increase it. Reflections in water depend on the view, so errors outside the water film ("dry") are
-reported as well.
-
-The paper's two ablations, without normals and without mutual self-attention:
-
-gsrain transfer SCENE -o full --method cyclegan-turbo --weights FILE
-
-gsrain transfer SCENE -o no-normals --method cyclegan-turbo --weights FILE --no-normals
-
-gsrain transfer SCENE -o no-attention --method cyclegan-turbo --weights FILE --no-cross-view-attention
-
-gsrain evaluate consistency full no-normals no-attention --contact-sheet ablations.png
-"""
-_EVALUATIONS = {
-    "streaks": ("app.evaluate.streaks:streaks", "Compare rendered rain streaks with real ones."),
-    "consistency": ("app.evaluate.consistency:consistency", _CONSISTENCY),
-    "fid": ("app.evaluate.images:fid", "FID and KID of images to real ones, with confidence intervals."),
-    "transfers": ("app.evaluate.transfers:transfers", "Compare transfers, as the paper does: table and figure."),
-    "images": ("app.evaluate.images:images", "PSNR, SSIM and LPIPS of images with equal names."),
-    "lpips-weights": ("app.evaluate.images:lpips_weights", "Convert LPIPS weights to plain arrays."),
-    "inception-weights": ("app.evaluate.images:inception_weights", "Convert Inception weights (FID) to plain arrays."),
-    "detection": ("app.evaluate.detection:detection", "Effect of rain on object detectors, by intensity."),
-    "lidar": ("app.evaluate.lidar:lidar", "A lidar in rain: true, lost and false returns by range."),
-}
 
 OLD_OPTIONS = {
     "render": "closure=drop-density look=mode twin=clear-pair metres-per-unit=meters-per-unit",
@@ -127,14 +80,13 @@ def view(
     run_window(begin, backend)
 
 
-for name, (function, summary) in COMMANDS.items():
+for name, (function, summary) in SHELL_COMMANDS.items():
     app.command(function, name=name, help=summary)
 
 benchmarks = App(name="bench", help="Time this machine.")
 app.command(benchmarks)
-benchmarks.command("app.bench:render", name="render", help="Time frames of fixed scenes, with and without rain.")
-benchmarks.command("app.bench:loading", name="loading", help="Time writing and reading scenes.")
-benchmarks.command("app.bench:recoloring", name="recoloring", help="Time recoloring scenes.")
+for name, (function, summary) in BENCHMARKS.items():
+    benchmarks.command(function, name=name, help=summary)
 
 
 @benchmarks.default
@@ -157,7 +109,7 @@ def bench_all(
 
 evaluations = App(name="evaluate", help="Compare rendered images with recorded ones.")
 app.command(evaluations)
-for name, (function, summary) in _EVALUATIONS.items():
+for name, (function, summary) in EVALUATIONS.items():
     evaluations.command(function, name=name, help=summary)
 OUR_EVALUATIONS = frozenset(evaluations)
 
@@ -255,7 +207,7 @@ def add_installed_evaluations(evaluations: App, ours: frozenset[str], asked: Seq
     """
     for name in set(evaluations) - ours:  # from an earlier run
         del evaluations[name]
-    for each in find_extensions(EVALUATIONS):
+    for each in find_extensions(EVALUATION_POINT):
         if each.name in ours:
             continue
         if list(asked[:1]) == [each.name]:

@@ -10,9 +10,9 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.selection.candidates import combine_selection
 from gsrain_engine.scene.flags import BitMask
-from ui.commands.registry import ACTIONS
+from ui.commands.table import COMMANDS
 
-_BY_NAME = {action.name: action for action in ACTIONS}
+_BY_NAME = {action.name: action for action in COMMANDS}
 _ANSWERS = ("Don't save", "Replace", "Overwrite", "Later", "Go on", "OK")
 """Answers to the program's questions, the first that is offered."""
 _PATIENCE_S = 300.0

@@ -77,8 +77,21 @@ def commands_page() -> str:
         "it wrote; `--json FILE` keeps the numbers that it reports; bad input ends with exit code 2 and one line, "
         "Ctrl-C with 130."
     )
-    parts = [heading, how, usage, *rest]
+    parts = [heading, how, usage, *rest, window_table()]
     return "\n\n".join(part.strip() for part in parts) + "\n\n" + _EXAMPLE.sub(r"    \1", body)
+
+
+def window_table() -> str:
+    """Write the commands of the window, with what does the same elsewhere, from the table of commands."""
+    from ui.commands.table import COMMANDS
+
+    rows = ["| in the window | keys | command line | Python |", "|---|---|---|---|"]
+    for each in COMMANDS:
+        shell = f"`gsrain edit` `{each.edit}`" if each.edit else f"`gsrain {each.shell}`" if each.shell else ""
+        python = f"`gr.{each.python}`" if each.python else f'`gr.edit(scene, "{each.edit}")`' if each.edit else ""
+        name = f"{each.menu} > {each.name}" if each.menu else each.name
+        rows.append(" | ".join(["", name.replace("|", "\\|"), each.key_names, shell, python, ""]).strip())
+    return "## In the window\n\nThe commands of menus, keys and palette, and what does the same.\n\n" + "\n".join(rows)
 
 
 def settings_page() -> str:

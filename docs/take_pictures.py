@@ -18,7 +18,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.rain.keyframes import shower_keyframes
 from gsrain_engine.scene.open import load_scene
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.tools import TOOLS
 from ui.window import MainWindow

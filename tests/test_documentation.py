@@ -9,11 +9,11 @@ import pytest
 import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
-from app.main import COMMANDS, app, benchmarks, evaluations
+from app.main import app, benchmarks, evaluations
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
 from repository import REPOSITORY
-from ui.commands.base import chord_name
-from ui.commands.registry import ACTIONS
+from ui.commands.keys import chord_name
+from ui.commands.table import COMMANDS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.tools import TOOLS
 
@@ -70,7 +70,7 @@ def test_every_panel_has_its_picture_on_the_page_of_all_panels():
 
 
 def test_keys_of_the_pages_are_those_of_the_window():
-    chords = {name for action in ACTIONS for name in re.split(r", | or ", action.key_names)}
+    chords = {name for command in COMMANDS for name in re.split(r", | or ", command.key_names)}
     tools = {tool.name: chord_name(int(tool.key)) if tool.key is not None else "" for tool in TOOLS}
     pages = {page: text_of(page) for page in PAGES if page.parts[0] == "docs"}
     named = [
@@ -109,7 +109,7 @@ def test_the_reference_names_every_command(site_pages):
     text = site_pages.commands_page()
     assert text.startswith("# Commands\n\nWhat `gsrain COMMAND --help` says")
     headings = set(re.findall(r"^#+ (.*)$", text, re.MULTILINE))
-    names = {*COMMANDS, *(f"evaluate {each}" for each in evaluations), *(f"bench {each}" for each in benchmarks)}
+    names = {*SHELL_COMMANDS, *(f"evaluate {each}" for each in evaluations), *(f"bench {each}" for each in benchmarks)}
     expected = {f"gsrain {name}" for name in names if "--" not in name and not name.endswith(" -h")}
     assert expected <= headings | {each.strip("`") for each in headings}
     assert "--intensities" in text and "[required]" in text and "**Parameters**" not in text
@@ -117,7 +117,7 @@ def test_the_reference_names_every_command(site_pages):
 
 def test_there_are_commands_in_the_documentation():
     used = {each.words[0] for each in LISTED if each.words}
-    assert used >= {*COMMANDS, "evaluate", "bench"}
+    assert used >= {*SHELL_COMMANDS, "evaluate", "bench"}
     assert sum(each.is_whole for each in LISTED) > 40
 
 

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from cyclopts import App
 
-from app.main import COMMANDS, OLD_OPTIONS, app, benchmarks, evaluations, run
+from app.main import OLD_OPTIONS, app, benchmarks, evaluations, run
 from app.schema import SETTINGS, Kind, settings_type
 from gsrain_engine.disdrometer.tables import TableColumns
 from gsrain_engine.fields import Field, field_of, fields_of, number_text, option_names, schema_of, structs_of
@@ -85,7 +85,7 @@ def test_a_new_setting_is_one_line(tmp_path):
 
 
 def commands():
-    for name in COMMANDS:
+    for name in SHELL_COMMANDS:
         yield name, app[name]
     for group, apps in (("bench", benchmarks), ("evaluate", evaluations)):
         yield from ((f"{group} {name}", apps[name]) for name in apps if not name.startswith("-"))

@@ -13,7 +13,7 @@ import numpy as np
 from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from ui.window import begin_editor
 from window_driver import Driver, imgui
 

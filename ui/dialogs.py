@@ -13,8 +13,8 @@ from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.status import Answer, Question, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 
-from .commands.base import chord_name
-from .commands.registry import ACTIONS
+from .commands.keys import chord_name, chords_of
+from .commands.table import COMMANDS
 from .shell import bring_to_front, panel_windows
 from .tools import TOOLS
 from .widgets.fields import SCENE_FOLDERS, ask_where_to_save
@@ -66,9 +66,11 @@ def keyboard_page(viewport: ViewportState) -> None:
             return
         tools = [(chord_name(int(tool.key)), f"Tool: {tool.name}") for tool in TOOLS if tool.key is not None]
         groups = [("Mouse and flight", _MOUSE_AND_FLIGHT), ("Tools", tools)]
-        for menu in dict.fromkeys(action.menu for action in ACTIONS):
-            actions = [(action.key_names, action.name) for action in ACTIONS if action.menu == menu and action.chords]
-            groups.append((menu or "Other", actions))
+        for menu in dict.fromkeys(command.menu for command in COMMANDS):
+            commands = [
+                (command.key_names, command.name) for command in COMMANDS if command.menu == menu and chords_of(command)
+            ]
+            groups.append((menu or "Other", commands))
         columns = max(1, int(imgui.get_content_region_avail().x / (26 * imgui.get_font_size())))
         if imgui.begin_table("groups", columns):
             for title, rows in groups:
@@ -233,7 +235,7 @@ def matches(name: str, typed: str) -> bool:
 def _rows(editor: Editor) -> list[_PaletteRow]:
     rows = [
         _PaletteRow(each.title(editor), each.key_names, each.help, each.can_run(editor), partial(each.perform, editor))
-        for each in ACTIONS
+        for each in COMMANDS
     ]
     for tool in TOOLS:
         keys = chord_name(int(tool.key)) if tool.key is not None else ""

@@ -3,14 +3,15 @@
 import inspect
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from gsrain_engine.editor.editor import Editor
+if TYPE_CHECKING:
+    from gsrain_engine.editor.editor import Editor
 
 _Result = TypeVar("_Result")
 
 
-def bind_parts(function: Callable[..., _Result], editor: Editor, **others: Any) -> Callable[[], _Result]:
+def bind_parts(function: Callable[..., _Result], editor: "Editor", **others: Any) -> Callable[[], _Result]:
     """Return a call of a function with the parts that its parameters name; `editor` names the whole.
 
     `others` are arguments that are no parts, for functions that have such parameters. Raises `TypeError`, with the

@@ -8,8 +8,8 @@ from imgui_bundle import hello_imgui, imgui
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import Files
 
-from .commands.base import Command, chord
-from .commands.registry import ACTION_GROUPS, ACTIONS
+from .commands.keys import chord, chords_of
+from .commands.table import COMMAND_GROUPS, COMMANDS, Command
 from .tools import TOOLS
 from .widgets.fields import WARNING
 from .widgets.text import label
@@ -22,9 +22,9 @@ def act_on_keys(editor: Editor) -> None:
     for tool in TOOLS:
         if tool.key is not None and imgui.is_key_chord_pressed(chord(tool.key)):
             editor.viewport.options.tool = "" if editor.viewport.options.tool == tool.name else tool.name
-    for action in ACTIONS:
-        if any(imgui.is_key_chord_pressed(keys) for keys in action.chords):
-            action.perform(editor)
+    for command in COMMANDS:
+        if any(imgui.is_key_chord_pressed(keys) for keys in chords_of(command)):
+            command.perform(editor)
 
 
 # Menu bar
@@ -35,12 +35,12 @@ MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View",
 def draw_menus(editor: Editor) -> None:
     for title in MENUS:
         if imgui.begin_menu(title):
-            groups = [[action for action in group if action.menu == title] for group in ACTION_GROUPS]
+            groups = [[command for command in group if command.menu == title] for group in COMMAND_GROUPS]
             for number, group in enumerate(filter(None, groups)):
                 if number:
                     imgui.separator()
-                for action in group:
-                    _item(editor, action)
+                for command in group:
+                    _item(editor, command)
                 if title == "File" and number == 0:
                     _recent(editor.files)
             if title == "View":
@@ -49,14 +49,14 @@ def draw_menus(editor: Editor) -> None:
             imgui.end_menu()
 
 
-def _item(editor: Editor, action: Command) -> None:
-    is_on = action.is_checked(editor)
-    keys = action.key_names.split(" or ")[0]
-    clicked, _ = imgui.menu_item(action.title(editor), keys, is_on, action.can_run(editor))
-    if action.help:
-        imgui.set_item_tooltip(action.help)
+def _item(editor: Editor, command: Command) -> None:
+    is_on = command.is_checked(editor)
+    keys = command.key_names.split(" or ")[0]
+    clicked, _ = imgui.menu_item(command.title(editor), keys, is_on, command.can_run(editor))
+    if command.help:
+        imgui.set_item_tooltip(command.help)
     if clicked:
-        action.perform(editor)
+        command.perform(editor)
 
 
 def _recent(files: Files) -> None:

@@ -195,7 +195,7 @@ class EditStep:
         edit = EDITS.get(self.name)
         if edit is None:
             raise EditError(f"{self.name}: no such edit; there are {', '.join(EDITS)}")
-        change, parameters = _function(self.name), _parameters(edit)
+        change, parameters = edit_function(self.name), _parameters(edit)
         for name, parameter in parameters.items():
             if parameter.default is Parameter.empty and name not in self.arguments:
                 raise EditError(f"{self.name}: needs {name}=...")
@@ -303,7 +303,7 @@ def edit_help() -> Iterator[EditHelp]:
         parameters, hints = _parameters(edit), _hints(edit)
         words = [_parameter_help(each) for each in parameters.values()]
         words += [f"[{each}=...]" for each in hints if each not in parameters]
-        summary = (_function(name).__doc__ or "").strip().partition("\n\n")[0]
+        summary = (edit_function(name).__doc__ or "").strip().partition("\n\n")[0]
         yield EditHelp(name, " ".join(words), " ".join(summary.split()))
 
 
@@ -317,7 +317,8 @@ def _parameter_help(parameter: Parameter) -> str:
 
 
 @cache
-def _function(name: str) -> Callable[..., Any]:
+def edit_function(name: str) -> Callable[..., Any]:
+    """Function of an edit, by its name."""
     return _named(EDITS[name].function)
 
 
@@ -331,7 +332,7 @@ def _named(place: str) -> Any:
 
 @cache
 def _names() -> dict[Callable[..., Any], str]:
-    return {_function(name): name for name in EDITS}
+    return {edit_function(name): name for name in EDITS}
 
 
 @cache

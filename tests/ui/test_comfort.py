@@ -2,8 +2,8 @@
 
 import pytest
 
-from ui.commands.base import chord, chord_name
-from ui.commands.registry import ACTIONS
+from ui.commands.keys import chord, chord_name, chords_of
+from ui.commands.table import COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.shell import MENUS
 from ui.tools import TOOLS
@@ -18,17 +18,17 @@ def driver(tmp_path):
 
 
 def test_every_key_means_one_thing():
-    keys = [keys for action in ACTIONS for keys in action.chords]
+    keys = [keys for command in COMMANDS for keys in chords_of(command)]
     keys += [int(tool.key) for tool in TOOLS if tool.key is not None]
     keys += [int(key) for key in (imgui.Key.w, imgui.Key.a, imgui.Key.s, imgui.Key.d, imgui.Key.q, imgui.Key.e)]
     assert sorted(keys) == sorted(set(keys)), [chord_name(each) for each in keys if keys.count(each) > 1]
 
 
 def test_names_are_unique_and_menus_known_and_all_explained():
-    names = [action.name for action in ACTIONS] + [tool.name for tool in TOOLS]
+    names = [command.name for command in COMMANDS] + [tool.name for tool in TOOLS]
     assert len(names) == len(set(names))
-    assert {action.menu for action in ACTIONS} <= {"", *MENUS}
-    assert [action.name for action in ACTIONS if not action.help] == []
+    assert {command.menu for command in COMMANDS} <= {"", *MENUS}
+    assert [command.name for command in COMMANDS if not command.help] == []
     assert len({panel.title for panel in BUILT_IN_PANELS}) == len(BUILT_IN_PANELS)
 
 

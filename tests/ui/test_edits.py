@@ -7,7 +7,7 @@ import pytest
 
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.flags import BitMask
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 

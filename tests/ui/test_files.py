@@ -11,7 +11,7 @@ from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 CTRL, SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift

@@ -6,7 +6,7 @@ import pytest
 
 from gsrain_engine.editor import make_rainy
 from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 PANEL = "//Make it rainy/"

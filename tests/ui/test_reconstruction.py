@@ -7,7 +7,7 @@ from PIL import Image
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.training.settings import load_settings
 from training.drive_capture import drive_capture, world_depth
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 pytest.importorskip("torch")

@@ -3,7 +3,7 @@
 import av
 import pytest
 
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.selection.candidates import selected, selected_count
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from ui.tools import TOOLS
 from window_driver import Driver, imgui
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.overlays import path_overlay_of
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 KEY = imgui.Key

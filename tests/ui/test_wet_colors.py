@@ -5,7 +5,7 @@ import pytest
 
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.transforms import with_wet_colors_of
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 UNDO, REDO = chord(imgui.Key.mod_ctrl, imgui.Key.z), chord(imgui.Key.mod_ctrl, imgui.Key.y)

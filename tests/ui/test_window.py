@@ -6,7 +6,7 @@ from imgui_bundle import im_file_dialog
 
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
-from ui.commands.base import chord
+from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
 

@@ -11,16 +11,12 @@ from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport.options import Mode
 from gsrain_engine.editor.viewport_state import ViewportState
 
+from ..commands.table import help_of
 from ..widgets.draw import BACKGROUND, DIM, TEXT, color
 from ..widgets.fields import WARNING, ask_what_to_open, button, checkbox, combo, disabled, text_color
 from ..widgets.text import label
 from .training import reconstruct_fields
 
-OPEN_FOLDER_HELP = (
-    "Show recorded images, cameras and points with the scene: a folder of COLMAP, nerfstudio, nuScenes, DGP, KITTI, "
-    "Waymo, RainSense, the street, or of images alone."
-)
-OPEN_FILE_HELP = "The same for a capture in one file: transforms.json, a .tfrecord of Waymo, a .pkl of MMDetection3D."
 _FILES = "Captures{.json,.tfrecord,.pkl,.parquet},All files{.*}"
 _ICONS = icons_fontawesome_6
 _LABEL_EM = 6.5  # width of labels right of their fields
@@ -40,9 +36,9 @@ def capture_panel(
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)
     if (capture := captures.capture) is None:
         imgui.text_wrapped("Recorded images, cameras and points to compare the scene with.")
-        if button("Open a capture...", OPEN_FOLDER_HELP, width=-1):
+        if button("Open a capture...", help_of("Open a capture..."), width=-1):
             ask_for_capture_folder(captures)
-        if button("Open a capture file...", OPEN_FILE_HELP, width=-1):
+        if button("Open a capture file...", help_of("Open a capture file..."), width=-1):
             ask_for_capture_file(captures)
         return
     _head(captures, capture)

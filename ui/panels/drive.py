@@ -15,6 +15,7 @@ from gsrain_engine.editor.viewport.camera_follow import ChaseMode
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.simulation.scenario import ScenarioUser
 
+from ..commands.table import help_of
 from ..widgets.draw import color
 from ..widgets.fields import (
     ALL_FILES,
@@ -43,12 +44,6 @@ _DETECTORS = f"Detectors{{.onnx}},{ALL_FILES}"
 _ROLLOUTS = "Roll-outs{.jsonl,.parquet}"
 _BLIND = ("constant-velocity", "oracle-idm")  # agents that use neither images nor a server
 
-SCENARIO_HELP = "Open a scenario: GSRAIN's YAML, HUGSIM's YAML, or OpenSCENARIO."
-SAVE_ROLLOUT_HELP = "Write the playing roll-out as JSON lines or Parquet."
-VIDEO_HELP = (
-    "Render a video of the playing roll-out, as `gsrain drive` does: front camera, metrics, and a top view.\n"
-    "In the background, at the Record panel's frame rate, at most 60 fps."
-)
 _HELP = (
     "Drive through the present scene, with your edits, in the background.\n"
     "The roll-out opens when it is finished; the scene does not change."
@@ -151,7 +146,7 @@ def _scenario_choice(rollouts: RolloutPlayer) -> None:
     imgui.same_line()
     if square_button(_ICONS.ICON_FA_FOLDER_OPEN, "open scenario"):
         ask_for_scenario(rollouts)
-    imgui.set_item_tooltip(SCENARIO_HELP)
+    imgui.set_item_tooltip(help_of("Open a scenario..."))
 
 
 def _agent_fields(setup: DriveSetup) -> None:
@@ -187,11 +182,11 @@ def _rollouts(viewport: ViewportState, rollouts: RolloutPlayer) -> None:
         ask_for_rollout(rollouts)
     imgui.same_line()
     title = f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save as...###save roll-out"
-    if button(title, SAVE_ROLLOUT_HELP, width=third, enabled=rollouts.playing is not None):
+    if button(title, help_of("Save the roll-out..."), width=third, enabled=rollouts.playing is not None):
         ask_where_to_save_rollout(rollouts)
     imgui.same_line()
     title, why_not = f"{_ICONS.ICON_FA_FILM}  Video...###film roll-out", rollouts.why_no_video
-    if button(title, VIDEO_HELP, width=third, why_not=why_not):
+    if button(title, help_of("Render video of the drive..."), width=third, why_not=why_not):
         ask_where_to_render_drive(rollouts)
     if not rollouts.opened:
         imgui.text_wrapped("None is open. Drive, or open a finished drive, to play it in the viewport and timeline.")

@@ -29,11 +29,10 @@ from gsrain_engine.rain.keyframes import (
 )
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
+from ..commands.table import help_of
 from ..widgets.fields import LOGARITHMIC, ask_what_to_open, button, square_button, toggle_keyframe, warn
 
-PASSING_SHOWER_HELP = "Add 60 s of rain from the present time on: smoothly from 0 to 12 mm/h and back."
 _IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 100."
-_CLEAR_HELP = "Remove all rain keyframes; the values of the Rain panel apply at all times."
 _SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
 _INTERPOLATIONS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
     ("linear", "Straight lines between keyframes."),
@@ -104,7 +103,7 @@ def _buttons(
     if button("Remove keyframe###now" if is_here else "Insert keyframe###now", f"{action} at {now_s:.2f} s."):
         toggle_keyframe(document, viewport, playback, "intensity_mm_h")
     _same_line_if_fits("Add passing shower")
-    if button("Add passing shower", PASSING_SHOWER_HELP):
+    if button("Add passing shower", help_of("Add passing shower")):
         add_passing_shower(document, playback, keyframe_panel)
     _same_line_if_fits("Import...")
     if button("Import...", _IMPORT_HELP, enabled=calibration.busy is None):
@@ -115,7 +114,7 @@ def _buttons(
     ):
         keyframe_panel.refit = True
     _same_line_if_fits("Clear keyframes")
-    if button("Clear keyframes", _CLEAR_HELP, enabled=bool(document.keyframes.keys)):
+    if button("Clear keyframes", help_of("Clear rain keyframes"), enabled=bool(document.keyframes.keys)):
         clear_keyframes(document)
     if calibration.busy is not None:
         imgui.text_disabled(calibration.busy)

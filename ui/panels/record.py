@@ -10,6 +10,7 @@ from gsrain_engine.editor.recorder import RenderQueue
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
 
+from ..commands.table import help_of
 from ..widgets.fields import (
     CLAMPED,
     LOGARITHMIC,
@@ -25,7 +26,7 @@ from ..widgets.fields import (
     warn,
 )
 from ..widgets.text import label, visible_name
-from .drive import VIDEO_HELP, ask_where_to_render_drive
+from .drive import ask_where_to_render_drive
 
 _LONG_S = 60.0
 _KINDS = {"h264": "MP4{.mp4}", "vp9": "WebM{.webm}", "av1": "WebM{.webm},MP4{.mp4}"}
@@ -62,7 +63,7 @@ def record_panel(document: Document, rollouts: RolloutPlayer, render_queue: Rend
     if rollouts.playing is not None:
         warn("A recording shows the scene with its own traffic, not the playing roll-out.")
         why_not = rollouts.why_no_video
-        if button("Render video of the drive...", VIDEO_HELP, width=-1, why_not=why_not):
+        if button("Render video of the drive...", help_of("Render video of the drive..."), width=-1, why_not=why_not):
             ask_where_to_render_drive(rollouts)
     can_start, half = _extent(render_queue), share_of_width(2)
     help_text = "Choose a place, then record in the background (Ctrl+R). The Jobs panel shows the progress."

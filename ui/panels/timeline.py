@@ -13,6 +13,7 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.camera_path import CameraPath, Easing, Interpolation
 from gsrain_engine.scene.camera_path_edit import ViewAngles, focal_length_mm, fov_of_focal_length
 
+from ..commands.table import help_of
 from ..widgets import draw as hues
 from ..widgets.draw import color
 from ..widgets.fields import (
@@ -34,11 +35,6 @@ _FA = icons_fontawesome_6
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
 _TITLES_EM, _NUMBERS_EM = 6.5, 21.0
 _NARROW_EM = 50.0  # width below which the numbers are hidden in favor of the rows
-
-CIRCLE_HELP = "A loop of 12 s from the present view, around the point that a left drag orbits."
-REVERSE_HELP = "Fly the same path backward."
-IMPORT_HELP = "Read a camera path: GSRAIN's, nerfstudio's camera_path.json, or 3DGS's cameras.json."
-DELETE_PATH_HELP = "Delete all keyframes; Follow path then uses the scene's own path."
 
 
 def timeline_panel(
@@ -188,14 +184,14 @@ def _path_menu(document: Document, playback: Playback, camera_path: CameraPathEd
         imgui.open_popup("path menu")
     if not imgui.begin_popup("path menu"):
         return
-    if menu_item("Import...", IMPORT_HELP):
+    if menu_item("Import...", help_of("Import camera path...")):
         ask_for_import(camera_path)
     if imgui.begin_menu("Export"):
         _export_menu(camera_path)
         imgui.end_menu()
     imgui.separator()
     _drive_menu(camera_path)
-    if menu_item("Circle around the target", CIRCLE_HELP):
+    if menu_item("Circle around the target", help_of("Circle around the target")):
         camera_path.circle_target()
     imgui.separator()
     if imgui.begin_menu("fps"):
@@ -205,9 +201,9 @@ def _path_menu(document: Document, playback: Playback, camera_path: CameraPathEd
         imgui.end_menu()
     imgui.set_item_tooltip("Frame rate: keyframes and steps are on whole frames; exports write each frame.")
     has_path = document.scene.path is not None
-    if menu_item("Reverse", REVERSE_HELP, possible=has_path):
+    if menu_item("Reverse", help_of("Reverse the camera path"), possible=has_path):
         camera_path.reverse_path()
-    if menu_item("Delete all keyframes", DELETE_PATH_HELP, possible=has_path):
+    if menu_item("Delete all keyframes", help_of("Delete camera path"), possible=has_path):
         camera_path.delete_path()
     imgui.end_popup()
 

@@ -14,8 +14,8 @@ from gsrain_engine.editor.viewport.options import Split
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.renderer import RenderMode
 
-from ..commands.base import chord_name
-from ..commands.registry import ACTIONS
+from ..commands.keys import chord_name
+from ..commands.table import COMMANDS
 from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
@@ -221,9 +221,9 @@ def draw_start_page(editor: Editor, corner: ImVec2, width: int, height: int) -> 
     if imgui.begin_child("empty", ImVec2(wide, 0), flags):
         imgui.text_wrapped("No scene is open. Drop a scene file or folder here, or begin with one of these.")
         imgui.spacing()
-        for action in ACTIONS:
-            if action.name in _OFFERED and imgui.button(action.name, ImVec2(-1, 0)):
-                action.perform(editor)
+        for command in COMMANDS:
+            if command.name in _OFFERED and imgui.button(command.name, ImVec2(-1, 0)):
+                command.perform(editor)
         recent = editor.files.recent[:_MAX_RECENT]
         if recent:
             imgui.separator_text("Recent")

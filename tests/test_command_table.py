@@ -1,0 +1,47 @@
+"""The table of commands: all that a row names exists, and the edits of the window's commands are those of its steps."""
+
+from typing import get_args
+
+import gsrain as gr
+from gsrain_engine.editor.steps import EDITS
+from gsrain_engine.editor.viewport.options import Split
+from gsrain_engine.render.renderer import RenderMode
+from ui.commands.table import (
+    BENCHMARKS,
+    COMMANDS,
+    EVALUATIONS,
+    RENDER_MODES,
+    SHELL_COMMANDS,
+    SPLITS,
+    function_at,
+    help_of,
+)
+from ui.tools import TOOLS
+
+
+def test_all_functions_of_the_table_exist():
+    places = [place for each in COMMANDS for place in (each.run, each.is_possible, each.is_on, each.more)]
+    places += [function for table in (SHELL_COMMANDS, EVALUATIONS, BENCHMARKS) for function, _ in table.values()]
+    found = [function_at(place) for place in places if isinstance(place, str)]
+    assert len(found) > 50
+    assert all(map(callable, found))
+
+
+def test_other_forms_of_a_command_exist():
+    assert {each.edit for each in COMMANDS} <= {"", *EDITS}
+    assert {each.shell for each in COMMANDS} <= {"", *SHELL_COMMANDS}
+    assert {each.python for each in COMMANDS} <= {"", *gr.__all__}
+    assert [each.name for each in COMMANDS if each.run is None and not each.edit] == []
+
+
+def test_rows_made_from_types_cover_them():
+    assert get_args(RenderMode) == RENDER_MODES
+    assert get_args(Split) == SPLITS
+    assert {"Rain regions", "Pick sky color"} <= {tool.name for tool in TOOLS}
+
+
+def test_each_command_has_a_name_of_its_own_and_help():
+    names = [each.name for each in COMMANDS]
+    assert len(set(names)) == len(names)
+    assert all(each.help for each in COMMANDS)
+    assert help_of("Undo") == "Revert the last step."

@@ -1,0 +1,81 @@
+"""Functions of commands that need more than a part's method: questions for files, and edits of what is active."""
+
+from pathlib import Path
+
+from gsrain_engine.editor.camera_path import CameraPathEditor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import RolloutPlayer
+from gsrain_engine.editor.edits import gaussians, layers
+from gsrain_engine.editor.files import Files
+from gsrain_engine.editor.timeline import Playback
+from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.scene.formats.registry import scene_suffixes
+
+from ..panels import drive
+from ..widgets.fields import SCENE_FOLDERS, ask_what_to_open, ask_where_to_save, exported_kinds
+
+# Preconditions
+
+
+def has_selection(document: Document) -> bool:
+    return bool(gaussians.selected_count(document.scene))
+
+
+def has_deleted(document: Document) -> bool:
+    return gaussians.deleted_count(document.scene) > 0
+
+
+# Files
+
+
+def ask_what_to_open_scene(files: Files) -> None:
+    ask_what_to_open("Open a scene", _scene_kinds(), lambda chosen: files.open(_opened(chosen[0])))
+
+
+def ask_what_to_import(files: Files) -> None:
+    def take(chosen: list[Path]) -> None:
+        for path in chosen:
+            files.import_from(_opened(path))
+
+    ask_what_to_open("Import into this scene", _scene_kinds(), take, several=True)
+
+
+def ask_where_to_save_scene(files: Files) -> None:
+    ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: files.save_as(chosen[0]))
+
+
+def ask_where_to_export(files: Files) -> None:
+    ask_where_to_save("Export a file", exported_kinds(), lambda chosen: files.export_to(chosen[0]))
+
+
+def ask_where_to_save_scenario(rollouts: RolloutPlayer) -> None:
+    drive.ask_where_to_save_scenario(rollouts.setup)
+
+
+def _opened(path: Path) -> str:
+    return str(path.parent if path.name == "scene.json" else path)
+
+
+def _scene_kinds() -> str:
+    """Return the file types of a dialog: extensions of all scene files, including those of installed packages."""
+    ends = dict.fromkeys(Path(f"scene{suffix}").suffix for suffix in scene_suffixes())
+    return f"Scenes{{{','.join(ends)}}},All files{{.*}}"
+
+
+# Edits of what is active
+
+
+def delete_selection(document: Document, playback: Playback) -> None:
+    if not playback.timeline.takes_keys or playback.timeline.key is None:  # else Delete is for the active keyframe
+        document.edit("Delete the selection", gaussians.delete_selected)
+
+
+def duplicate_member(document: Document, viewport: ViewportState) -> None:
+    before, key = {each.key for each in document.scene.members}, viewport.options.member
+    document.edit(f"Duplicate {document.scene.member(key).name}", layers.duplicate, key)
+    viewport.options.member = next((each.key for each in document.scene.members if each.key not in before), key)
+
+
+def loop_path(document: Document, camera_path: CameraPathEditor) -> None:
+    if (path := document.scene.path) is not None:
+        camera_path.change_path("Loop off" if path.loop else "Loop on", loop=not path.loop)
