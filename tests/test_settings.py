@@ -21,6 +21,7 @@ from gsrain_engine.fields import Field, field_of, fields_of, number_text, option
 from gsrain_engine.presets import shipped_folder
 from gsrain_engine.rain.settings import RainSettings
 from repository import REPOSITORY
+from ui.commands.table import SHELL_COMMANDS
 from ui.panels.rain import GROUPS
 
 NEW_LINE = (
