@@ -13,6 +13,7 @@ from .rain import RainSettings as RainSettings
 from .rain import measure_rain as measure_rain
 from .rendering import Image as Image
 from .rendering import Renderer as Renderer
+from .rendering import export as export
 from .rendering import frames as frames
 from .rendering import render as render
 from .rendering import render_video as render_video

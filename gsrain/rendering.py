@@ -14,6 +14,7 @@ import PIL.Image
 from jaxtyping import Float32, UInt8
 
 from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.editor.jobs.record import export_scene
 from gsrain_engine.editor.viewport.camera import default_path, home_camera
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.render.export import film_frames
@@ -325,6 +326,36 @@ def render_video(
         scene, rain, path, output, size=size, fps=fps, start=start, end=end, clear_pair=clear_pair,
         supersampling=supersampling, motion_blur=motion_blur, quality=quality, progress=progress,
     )  # fmt: skip
+
+
+def export(
+    scene: Scene,
+    output: Path | str,
+    *,
+    progress: Callable[[Progress], object] | None = None,
+    backend: Backend = "auto",
+    **settings: Any,
+) -> Path:
+    """Export a clip or a still with the rain and the camera path that a scene is saved with, as the Record panel does.
+
+    Args:
+        scene: The scene.
+        output: See `gsrain render --output`.
+        progress: Called after each frame with `fraction` (0..1), `message`, and at times a `preview` image.
+        backend: As in `render`.
+        settings: Fields of `ExportSettings`, such as `fps`, `size_px`, `cameras` and `passes`.
+
+    Raises:
+        ValueError: For settings that are not allowed or contradict each other.
+        OSError: When the output can't be written; what was written until then can be played.
+    """
+    recording = checked_settings(settings | {"output": str(output)}, ExportSettings, {})
+    recording.check()
+    with open_renderer(backend) as renderer:
+        for step in export_scene(renderer, scene, recording):
+            if progress is not None:
+                progress(step)
+    return recording.path
 
 
 @cache

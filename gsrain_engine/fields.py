@@ -171,6 +171,21 @@ def option_names(kind: Any) -> dict[str, str]:
     return names
 
 
+def option_words(settings: "msgspec.Struct", command: str) -> list[str]:
+    """Return the options of a command that make these settings of the default ones; required settings are left out."""
+    words: list[str] = []
+    for each in fields_of(type(settings)):
+        value = getattr(settings, each.name)
+        if command not in each.commands or each.default is msgspec.NODEFAULT or value == each.default:
+            continue
+        words.append(each.options[-1] if value is not False else f"--no-{each.options[-1][2:]}")
+        if each.is_size:
+            words.append("x".join(map(str, value)))
+        elif not isinstance(value, bool):
+            words.append(",".join(map(str, value if isinstance(value, tuple) else (value,))))
+    return words
+
+
 def structs_of(kind: Any) -> Iterator[type["msgspec.Struct"]]:
     """Yield a type, if it is a struct, and all structs inside of it, each once, the outer one first."""
     found: dict[type[msgspec.Struct], None] = {}

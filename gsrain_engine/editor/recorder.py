@@ -20,6 +20,7 @@ from .jobs.job import JobRunner
 from .jobs.record import export_job
 from .live_rain import LiveRain
 from .status import StatusBus
+from .steps import python_program, shell_command, steps_since
 from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
@@ -124,6 +125,32 @@ class RenderQueue:
         )
         return replace(scene, path=path.moved(np.linalg.inv(scene.scene_to_world)))
 
+    # The same without the window
+
+    @property
+    def command(self) -> str:
+        """Shell line that makes the recording from the scene's file; raises `EditError` as `steps_since` does."""
+        source, steps = self._files.source or "", steps_since(self._document.history, self._files.saved)
+        if not steps:
+            return export_command(self._named, source)
+        return shell_command(source, steps, then=export_command(self._named, "edited"))
+
+    @property
+    def program(self) -> str:
+        """Python program that makes the recording from the scene's file; raises `EditError` as `steps_since` does."""
+        named, plain = self._named, ExportSettings(output="")
+        changed = {name: getattr(named, name) for name in named.__struct_fields__ if name != "output"}
+        words = "".join(f", {name}={value!r}" for name, value in changed.items() if value != getattr(plain, name))
+        steps = steps_since(self._document.history, self._files.saved)
+        return python_program(self._files.source or "", steps, f"gr.export(scene, {named.output!r}{words})")
+
+    @property
+    def _named(self) -> ExportSettings:
+        """Settings with an output, also before one was chosen."""
+        return msgspec.structs.replace(
+            self.settings, output=self.settings.output or f"clip{self.settings.default_suffix}"
+        )
+
     def _begin(self, recording: ExportSettings, scene: Scene) -> None:
         try:
             recording.check()
@@ -149,8 +176,7 @@ class RenderQueue:
         self._status.ask_before_replacing(export_outputs(recording, names), start)
 
     def _sequences(self, recording: ExportSettings) -> dict[str, FrameSequence]:
-        if not recording.output:
-            recording = msgspec.structs.replace(recording, output=f"clip{recording.default_suffix}")
+        recording = recording if recording.output else self._named
         is_own = self._document.scene.path is not None
         return export_sequences(
             recording, self._document.scene, self._live_rain.simulation, self._viewport.path, in_scene_time=is_own

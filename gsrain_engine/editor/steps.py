@@ -270,19 +270,24 @@ def steps_since(history: History, saved: DocumentState) -> list[EditStep]:
     return [chosen, *made] if fields else made
 
 
-def shell_command(source: str, steps: Sequence[EditStep], output: str = "edited") -> str:
-    """Format steps as a line for a shell, or with a here-document where they are too long for one."""
+def shell_command(source: str, steps: Sequence[EditStep], output: str = "edited", then: str = "") -> str:
+    """Format steps as a line for a shell, or with a here-document where they are too long for one.
+
+    `then` is a command that follows if the edits have succeeded.
+    """
+    then = then and f" && {then}"
     line = shlex.join(["gsrain", "edit", source, *(step.text for step in steps), "-o", output])
     if len(line) < _LONGEST_LINE:
-        return line
+        return line + then
     texts = "\n".join(step.text for step in steps)
-    return f"{shlex.join(['gsrain', 'edit', source, '--steps', '-', '-o', output])} <<'STEPS'\n{texts}\nSTEPS"
+    line = shlex.join(["gsrain", "edit", source, "--steps", "-", "-o", output])
+    return f"{line} <<'STEPS'{then}\n{texts}\nSTEPS"
 
 
-def python_program(source: str, steps: Sequence[EditStep], output: str = "edited") -> str:
-    """Format steps as a program that uses the Python API."""
-    lines = ["import gsrain as gr", "", f"scene = gr.load({source!r})", *(step.python for step in steps)]
-    return "\n".join([*lines, f"gr.save(scene, {output!r})"]) + "\n"
+def python_program(source: str, steps: Sequence[EditStep], last: str = "gr.save(scene, 'edited')") -> str:
+    """Format steps as a program that uses the Python API; `last` is what it does with the edited scene."""
+    lines = ["import gsrain as gr", "", f"scene = gr.load({source!r})", *(step.python for step in steps), last]
+    return "\n".join(lines) + "\n"
 
 
 _LONGEST_LINE = 100_000  # systems limit one argument to 128 KiB

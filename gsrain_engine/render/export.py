@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
+from ..fields import option_words
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
@@ -213,28 +214,7 @@ def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequen
 
 # Equivalent command line
 
-_OPTIONS = {
-    "fps": "--fps", "first_s": "--from", "last_s": "--to", "supersampling": "--supersampling",
-    "motion_blur": "--motion-blur", "quality": "--quality",
-}  # fmt: skip
-
 
 def export_command(recording: ExportSettings, project: str) -> str:
     """Shell command for the same bytes; `project` is the scene folder."""
-    words = ["gsrain", "render", project, "-o", recording.output]
-    if recording.size_px is not None:
-        words += ["--size", "{}x{}".format(*recording.size_px)]
-    plain = ExportSettings(output=recording.output)
-    for field, option in _OPTIONS.items():
-        value = getattr(recording, field)
-        if value != getattr(plain, field):
-            words += [option, f"{value!r}"]
-    if recording.cameras:
-        words += ["--cameras", ",".join(recording.cameras)]
-    if recording.passes != plain.passes:
-        words += ["--passes", ",".join(recording.passes)]
-    if recording.format != plain.format:
-        words += ["--codec", recording.codec]
-    if recording.twin:
-        words.append("--clear-pair")
-    return shlex.join(words)
+    return shlex.join(["gsrain", "render", project, "-o", recording.output, *option_words(recording, "render")])

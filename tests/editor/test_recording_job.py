@@ -177,3 +177,25 @@ def test_extent_says_how_much_it_is(editor):
     assert editor.render_queue.extent().rough_s == pytest.approx(50 * 0.02 / 4 * 4 * 3 * 2)
     editor.render_queue.change(cameras=("two",))
     assert "two" in editor.render_queue.extent()
+
+
+def test_copied_recordings_make_the_same_frames(editor, tmp_path):
+    """Command and program of a recording, run on the file of the scene, write the frames that the job writes."""
+    write_scene(editor.document.scene, tmp_path / "scene", in_drawing_order=True)
+    open_now(editor, tmp_path / "scene")
+    editor.document.change_rain("Intensity", intensity_mm_h=5.0)
+    editor.camera_path.add_keyframe(0.0)
+    editor.camera_path.add_keyframe(0.2)
+    editor.render_queue.change(codec="png", size_px=(48, 32), fps=10.0, last_s=0.2, supersampling=2, twin=True)
+    command, program = editor.render_queue.command, editor.render_queue.program
+    editor.render_queue.record_to(tmp_path / "job")
+    editor.jobs.all[-1].wait(120)
+    command = command.replace("edited", str(tmp_path / "edited")).replace("-o clip", f"-o {tmp_path / 'command'}")
+    for line in command.split(" && "):
+        assert run(shlex.split(line)[1:]) == 0
+    exec(program.replace("'clip'", repr(str(tmp_path / "python"))), {})
+    frames = {each.name: each.read_bytes() for each in sorted((tmp_path / "job").iterdir())}
+    assert len(frames) == 2
+    for form in ("command", "python"):
+        assert {each.name: each.read_bytes() for each in sorted((tmp_path / form).iterdir())} == frames
+        assert (tmp_path / f"{form}.clear").is_dir()

@@ -322,7 +322,7 @@ def test_all_steps_of_the_history_have_a_command_that_does_the_same(tmp_path):
         assert files_of_document(again, tmp_path / "again") == files_of_document(made.document, tmp_path / "made"), step
     command = shlex.split(shell_command(source, steps_since(history, saved), str(tmp_path / "command")))
     assert run(command[1:]) == 0
-    exec(python_program(source, steps, str(tmp_path / "python")), {})
+    exec(python_program(source, steps, f"gr.save(scene, {str(tmp_path / 'python')!r})"), {})
     present = with_rain_saved(history.present)
     assert read_files(tmp_path / "command") == files_of(present, tmp_path / "ordered", in_drawing_order=True)
     assert read_files(tmp_path / "python") == files_of(present, tmp_path / "present")

@@ -110,14 +110,14 @@ def test_passes_lie_beside_their_frames():
 def test_the_command_line_says_the_same(fields):
     recording, said = ExportSettings(**fields), []
 
-    def render(scene: str, /, *, output: str, size: str | None = None, recording: RecordingOptions | None = None):
-        said.append((scene, _export_settings(recording or RecordingOptions(), output, size, with_depth=False)))
+    def render(scene: str, /, *, recording: RecordingOptions):
+        said.append((scene, _export_settings(recording, with_depth=False)))
 
     program, *words = shlex.split(export_command(recording, "my scene"))
     assert (program, words[0]) == ("gsrain", "render")
     app = App()
     app.default(render)
-    app([word if word != "-o" else "--output" for word in words[1:]], result_action="return_value")
+    app(words[1:], result_action="return_value")
     project, understood = said[0]
     assert project == "my scene"
     assert msgspec.structs.replace(understood, codec="auto") == msgspec.structs.replace(recording, codec="auto")

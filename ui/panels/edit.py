@@ -15,7 +15,7 @@ from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.floaters import FLOATERS_TITLE, FloaterFinder
 from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.status import StatusBus
-from gsrain_engine.editor.steps import EditError, python_program, shell_command, steps_since
+from gsrain_engine.editor.steps import EditStep, python_program, shell_command, steps_since
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.scene import Actor, Layer
@@ -25,6 +25,7 @@ from ..widgets.fields import (
     LOGARITHMIC,
     button,
     checkbox,
+    copy_buttons,
     disabled,
     end_gesture_when_released,
     plain_label,
@@ -209,17 +210,13 @@ def history_panel(document: Document, files: Files, status: StatusBus) -> None:
 
 def _copy_buttons(document: Document, files: Files, status: StatusBus) -> None:
     """Draw the buttons that copy all steps since the scene was opened or saved."""
+
+    def steps() -> list[EditStep]:
+        return steps_since(document.history, files.saved)
+
     why_not = None if files.has_changes else "There are no steps since the scene was opened or saved."
-    if files.source is None:
-        why_not = "The scene is not in a file yet: save it first."
-    width = share_of_width(2)
-    for title, form in (("Copy as command", shell_command), ("Copy as Python", python_program)):
-        help_text = f"{title} the steps since the scene was opened or saved; when it is run, it makes the same scene."
-        if button(title, help_text, width=width, why_not=why_not):
-            try:
-                imgui.set_clipboard_text(form(files.source or "", steps_since(document.history, files.saved)))
-            except EditError as error:
-                status.report(error)
-        imgui.same_line()
-    imgui.new_line()
+    why_not = "The scene is not in a file yet: save it first." if files.source is None else why_not
+    source = files.source or ""
+    forms = {"command": lambda: shell_command(source, steps()), "Python": lambda: python_program(source, steps())}
+    copy_buttons("the steps since the scene was opened or saved", forms, status, why_not)
     imgui.separator()

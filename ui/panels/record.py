@@ -6,7 +6,9 @@ from imgui_bundle import imgui
 
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.drive import RolloutPlayer
+from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.recorder import RenderQueue
+from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
 
@@ -18,6 +20,7 @@ from ..widgets.fields import (
     button,
     checkbox,
     combo,
+    copy_buttons,
     disabled,
     field_info,
     plain_label,
@@ -49,7 +52,9 @@ _PASS_HELP: dict[Pass, str] = {
 }
 
 
-def record_panel(document: Document, rollouts: RolloutPlayer, render_queue: RenderQueue) -> None:
+def record_panel(
+    document: Document, files: Files, rollouts: RolloutPlayer, render_queue: RenderQueue, status: StatusBus
+) -> None:
     _format(render_queue)
     _cameras(document, render_queue)
     _size(render_queue)
@@ -73,6 +78,9 @@ def record_panel(document: Document, rollouts: RolloutPlayer, render_queue: Rend
     help_text = "Render the present view at the present time, in this size and with these samples (Ctrl+Shift+R)."
     if button("Render image...", help_text, width=half, enabled=not render_queue.is_recording):
         ask_where_to_render_image(render_queue)
+    why_not = "The scene is not in a file yet: save it first." if files.source is None else None
+    forms = {"command": lambda: render_queue.command, "Python": lambda: render_queue.program}
+    copy_buttons("this recording", forms, status, why_not)
 
 
 def ask_where_to_record(render_queue: RenderQueue) -> None:

@@ -349,6 +349,22 @@ def button(
     return clicked
 
 
+def copy_buttons(
+    what: str, forms: Mapping[str, Callable[[], str]], status: StatusBus, why_not: str | None = None
+) -> None:
+    """Draw buttons in a row that put text on the clipboard, such as "Copy as Python"; its errors are reported."""
+    width = share_of_width(len(forms))
+    for number, (form, text) in enumerate(forms.items()):
+        if number:
+            imgui.same_line()
+        help_text = f"Copy {what} in a form that does the same when it is run."
+        if button(f"Copy as {form}", help_text, width=width, why_not=why_not):
+            try:
+                imgui.set_clipboard_text(text())
+            except ValueError as error:
+                status.report(error)
+
+
 def share_of_width(count: int) -> float:
     """Return the width of each of `count` widgets in a row over the panel's width."""
     return (imgui.get_content_region_avail().x - (count - 1) * imgui.get_style().item_spacing.x) / count

@@ -10,6 +10,7 @@ from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
 from ...render.export import export_frames, export_sequences, frame_numbers
 from ...render.export_settings import DEFAULT_SIZE_PX, ExportSettings
+from ...render.renderer import Renderer
 from ...scene.camera_path import CameraPath
 from ...scene.formats.scene_folder import FileCache
 from ...scene.open import load_sorted_scene
@@ -49,12 +50,16 @@ def record_in_worker(folder: Path, recording: ExportSettings) -> Iterator[Progre
     """
     install_sigterm_handler()
     yield Progress(0.0, "Reading the scene")
-    scene = load_sorted_scene(str(folder))
+    with open_renderer() as renderer:
+        yield from export_scene(renderer, load_sorted_scene(str(folder)), recording)
+
+
+def export_scene(renderer: Renderer, scene: Scene, recording: ExportSettings) -> Iterator[Progress]:
+    """Record a scene with the rain and the camera path that it is saved with; raises as `record_in_worker` does."""
     rainfall = RainSimulation.start(rain_of(scene) or RainSettings(), weather=keyframes_of(scene))
     path = own_path(scene, *(recording.size_px or DEFAULT_SIZE_PX))
     sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=scene.path is not None)
-    with open_renderer() as renderer:
-        yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
+    yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
 
 
 def own_path(scene: Scene, width: int, height: int) -> CameraPath:
