@@ -115,12 +115,12 @@ def view(
         load_scene(scene)  # its error suggests similar names
     if not has_display():
         raise OSError("no display: the window can't open here; gsrain render writes pictures and videos without one")
-    from ui.window import begin_session, run_window  # load the GUI libraries only for the window
+    from ui.window import begin_editor, run_window  # load the GUI libraries only for the window
 
     def begin() -> "Editor":
         from gsrain_engine.rain.settings import load_preset  # load the engine only after the window is open
 
-        return begin_session(scene, load_preset(preset) if preset else None, wet)
+        return begin_editor(scene, load_preset(preset) if preset else None, wet)
 
     run_window(begin, backend)
 

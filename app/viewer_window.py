@@ -96,18 +96,17 @@ class ViewerWindow:
                 raise OSError("the program that has opened it is gone")
             first = self._pending.popleft()
         assert isinstance(first, SetScene)
-        session = Editor(read_scene(Path(first.folder)))
+        editor = Editor(read_scene(Path(first.folder)))
         self._reply(Reply(number=first.number))
-        return session
+        return editor
 
     def _on_frame(self, workspace: "Workspace") -> None:
         """Handle requests as far as possible in this frame."""
         self._is_drawing = True
-        session = workspace.session
         while self._pending and self._do(self._pending[0], workspace):
             self._pending.popleft()
         if self._program_exited and not self._pending:
-            _leave(session)
+            _leave(workspace.editor)
         if self._pending or self._program_exited:
             from imgui_bundle import hello_imgui
 
@@ -115,7 +114,8 @@ class ViewerWindow:
 
     def _do(self, request: Request, workspace: "Workspace") -> bool:
         """Continue with a request; returns True if it is done."""
-        session, had_changes = workspace.session, workspace.session.has_changes
+        editor, had_changes = workspace.editor, workspace.editor.files.has_changes
+        document, viewport = editor.document, editor.viewport
         reply = Reply(number=request.number)
         match request:
             case SetScene():
@@ -127,37 +127,33 @@ class ViewerWindow:
                 if (error := reading.exception()) is not None:
                     reply = Reply(number=request.number, error=f"the scene can't be shown: {error}")
                 else:
-                    session.set_scene("Scene of a program", reading.result(), _STEP)
+                    document.set_contents("Scene of a program", reading.result(), document.rain, _STEP)
             case SetRain():
-                session.set_rain("Rain of a program", request.rain, _STEP)
+                document.set_contents("Rain of a program", document.scene, request.rain, _STEP)
             case SetCamera():
                 from gsrain_engine.scene.camera import Camera
 
-                session.stop_riding()
-                session.following.follow("")
-                session.navigation.stop()
-                session.navigation.look_like(Camera.from_json(request.camera))
+                viewport.look_from(Camera.from_json(request.camera))
             case Screenshot():
                 if self._screenshot is None:
-                    view = workspace.view
-                    is_busy = session.is_bringing_in or session.is_compiling
-                    if is_busy or not view.is_settled or view.is_catching_up:  # the image is not the current one yet
+                    is_busy = editor.is_bringing_in or viewport.is_compiling or viewport.is_catching_up
+                    if is_busy or not workspace.view.is_settled:  # the image is not the current one yet
                         return False
-                    self._screenshot = session.screenshot = Path(request.path)
-                    session.problem = None
+                    self._screenshot = viewport.screenshot = Path(request.path)
+                    editor.status.dismiss()
                     return False
-                if session.screenshot is not None:  # the view saves its next image
+                if viewport.screenshot is not None:  # the view saves its next image
                     return False
                 self._screenshot = None
-                reply = Reply(number=request.number, error=session.problem or "")
+                reply = Reply(number=request.number, error=editor.status.problem or "")
             case GetState():
-                camera = session.shot(*session.rainy.viewport_px).camera
+                camera = viewport.shot(*editor.wet_look.viewport_px).camera
                 values = camera.to_json() | {"exposure_s": camera.exposure_s}
-                reply = Reply(number=request.number, rain=session.rain, camera=values)
+                reply = Reply(number=request.number, rain=document.rain, camera=values)
             case Close():
-                _leave(session)
-        if session.has_changes and not had_changes:
-            session.files.give_up()  # the program has sent them; users are asked only about their own changes
+                _leave(editor)
+        if editor.files.has_changes and not had_changes:
+            editor.files.give_up()  # the program has sent them; users are asked only about their own changes
         self._reply(reply)
         return True
 
@@ -168,9 +164,9 @@ class ViewerWindow:
             self._program_exited = True
 
 
-def _leave(session: "Editor") -> None:
-    session.files.give_up()
-    session.is_leaving = True
+def _leave(editor: "Editor") -> None:
+    editor.files.give_up()
+    editor.should_quit = True
 
 
 def _in_thread(folder: Path) -> "Future[Scene]":

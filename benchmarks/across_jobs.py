@@ -48,9 +48,9 @@ def window(folder: Path) -> tuple[float, float]:
     found: list[tuple[float, float]] = []
 
     def begin() -> Any:
-        from ui.window import begin_session
+        from ui.window import begin_editor
 
-        return begin_session(None, None)
+        return begin_editor(None, None)
 
     shown = MainWindow(begin)
     parameters = shown.parameters()
@@ -61,7 +61,7 @@ def window(folder: Path) -> tuple[float, float]:
         while time.monotonic() < until and not found:
             time.sleep(0.005)
             workspace = shown.workspace
-            if workspace is not None and workspace.session.statistics.get("splats drawn"):
+            if workspace is not None and workspace.editor.viewport.statistics.get("splats drawn"):
                 found.append((time.monotonic() - float(os.environ["ACROSS_STARTED"]), time.process_time()))
         hello_imgui.get_runner_params().app_shall_exit = True
 

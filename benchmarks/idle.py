@@ -14,7 +14,7 @@ from imgui_bundle import hello_imgui, imgui, immapp
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.renderer import describe_machine
-from ui.window import MainWindow, begin_session
+from ui.window import MainWindow, begin_editor
 
 _LONGEST_S = 300.0
 _SETTLED_S = 3.0
@@ -28,9 +28,9 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def begin() -> Editor:
-        session = begin_session(arguments.scene, load_preset("8.5"))
-        session.clock.playing = False
-        return session
+        editor = begin_editor(arguments.scene, load_preset("8.5"))
+        editor.playback.clock.playing = False
+        return editor
 
     window = MainWindow(begin)
     found: dict[str, float] = {}
@@ -49,8 +49,8 @@ def _watch(window: MainWindow, seconds: float, found: dict[str, float]) -> None:
     while time.monotonic() < until and time.monotonic() - quiet_since < _SETTLED_S:
         time.sleep(0.1)
         workspace = window.workspace
-        is_catching_up = workspace is not None and workspace.view.is_catching_up
-        if workspace is None or workspace.session.is_working or not workspace.view.is_settled or is_catching_up:
+        is_catching_up = workspace is not None and workspace.editor.viewport.is_catching_up
+        if workspace is None or workspace.editor.is_working or not workspace.view.is_settled or is_catching_up:
             quiet_since = time.monotonic()
     frames, work, start = imgui.get_frame_count(), time.process_time(), time.monotonic()
     time.sleep(seconds)

@@ -70,9 +70,9 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
     """Open the window and work in it; returns what the program complained of."""
     from soak_person import Person
 
-    from ui.window import MainWindow, begin_session
+    from ui.window import MainWindow, begin_editor
 
-    window = MainWindow(lambda: begin_session(arguments.scenes[0], None))
+    window = MainWindow(lambda: begin_editor(arguments.scenes[0], None))
     parameters = window.parameters()
     parameters.ini_disable = True
     parameters.app_window_params.window_geometry.size = (1100, 720)
@@ -88,7 +88,7 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
         if window.workspace is None:
             return
         if not people:
-            person = Person(window.workspace.session, arguments.scenes, folder, arguments.seed)
+            person = Person(window.workspace.editor, arguments.scenes, folder, arguments.seed)
             people.append((person, person.steps()))
             gauge.watch(person)
         person, steps = people[0]
@@ -98,7 +98,7 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
         if person.is_at_rest:
             gauge.take(gl_objects=count_gl_objects())
         if time.monotonic() > end_at:
-            window.workspace.session.files.give_up()
+            window.workspace.editor.files.give_up()
             hello_imgui.get_runner_params().app_shall_exit = True
 
     gauge = Gauge(folder / "soak.csv", samples, arguments.every)

@@ -23,8 +23,8 @@ _LOOKS = ("depth", "opacity", "splats")
 class Person:
     """Opens scenes, plays, rains, edits, records, starts and stops jobs, saves, and opens again."""
 
-    def __init__(self, session: Editor, scenes: list[str], folder: Path, seed: int) -> None:
-        self._session, self._scenes, self._folder = session, scenes, folder
+    def __init__(self, editor: Editor, scenes: list[str], folder: Path, seed: int) -> None:
+        self._session, self._scenes, self._folder = editor, scenes, folder
         self._random = np.random.default_rng(seed)
         self.cycles = 0
         self.doing = "beginning"
@@ -42,14 +42,14 @@ class Person:
 
     def look_after(self) -> None:
         """Answer what the program asks, and note what it complains of."""
-        session = self._session
-        if session.problem is not None:
-            self.problems.append(f"cycle {self.cycles}, {self.doing}: {session.problem}")
-            session.problem = None
-        if session.questions.present is not None:
-            offered = {each.label: each for each in session.questions.present.answers}
-            label = next((each for each in _ANSWERS if each in offered), session.questions.present.answers[-1].label)
-            session.questions.answer(offered[label])
+        editor = self._session
+        if editor.status.problem is not None:
+            self.problems.append(f"cycle {self.cycles}, {self.doing}: {editor.status.problem}")
+            editor.status.dismiss()
+        if editor.status.question is not None:
+            offered = {each.label: each for each in editor.status.question.answers}
+            label = next((each for each in _ANSWERS if each in offered), editor.status.question.answers[-1].label)
+            editor.status.answer(offered[label])
 
     def _sitting(self, scene: str) -> Iterator[None]:
         parts = [self._play, self._look, self._rain, self._edit, self._key, self._record, self._jobs, self._save]
@@ -98,27 +98,28 @@ class Person:
         yield from self._until(lambda: self._session.screenshot is None)
 
     def _rain(self) -> Iterator[None]:
-        session = self._session
+        editor = self._session
         self._do(str(self._random.choice(_RATES)))
         yield from self._frames(3)
         for rate in np.linspace(0, float(self._random.uniform(2, 30)), 15):  # one drag of the slider, one step of undo
-            session.change_rain("Intensity", "soak", intensity_mm_h=float(rate))
+            editor.document.change_rain("Intensity", "soak", intensity_mm_h=float(rate))
             yield
-        session.end_gesture()
+        editor.document.end_gesture()
         self._do("Shelter under roofs")
-        yield from self._until(lambda: session.busy is None)
+        yield from self._until(lambda: editor.busy is None)
         self._do("Shelter under roofs")
         self._do("Add passing shower")
         yield from self._frames(3)
         self._do("Undo")
 
     def _edit(self) -> Iterator[None]:
-        session = self._session
+        editor = self._session
         for name in ("Hide the selection", "Delete the selection", "Separate the selection"):
             chosen = {
-                each.key: BitMask.of(self._random.random(len(each.gaussians)) < 0.02) for each in session.scene.members
+                each.key: BitMask.of(self._random.random(len(each.gaussians)) < 0.02)
+                for each in editor.document.scene.members
             }
-            session.edit("Select", combine_selection, chosen, "set")
+            editor.document.edit("Select", combine_selection, chosen, "set")
             yield from self._frames(2)
             self._do(name)
             yield from self._frames(2)
@@ -139,47 +140,47 @@ class Person:
         yield
 
     def _record(self) -> Iterator[None]:
-        session = self._session
-        session.recorder.change(size_px=(192, 128), first_s=0.0, last_s=0.5, codec="auto")
-        session.recorder.record_to(self._folder / str(self._random.choice(["clip.mp4", "frames"])))
+        editor = self._session
+        editor.render_queue.change(size_px=(192, 128), first_s=0.0, last_s=0.5, codec="auto")
+        editor.render_queue.record_to(self._folder / str(self._random.choice(["clip.mp4", "frames"])))
         yield from self._frames(3)  # the question whether to replace
         if self._random.random() < 0.3:
             yield from self._for(2.0)
             self._cancel()
-        yield from self._until(lambda: not session.jobs.running)
+        yield from self._until(lambda: not editor.jobs.running)
 
     def _jobs(self) -> Iterator[None]:
-        session = self._session
-        session.find_floaters(FloaterRules())
-        yield from self._until(lambda: not session.jobs.running)
+        editor = self._session
+        editor.floaters.find(FloaterRules())
+        yield from self._until(lambda: not editor.jobs.running)
         self._do("Undo")
-        session.rainy.preview(session)
+        editor.wet_look.preview()
         yield from self._for(float(self._random.uniform(1, 20)))
         self._cancel()
-        if session.drives.why_not(session) is None:
-            session.drives.start(session)
+        if editor.rollouts.why_not is None:
+            editor.rollouts.start()
             yield from self._for(float(self._random.uniform(2, 30)))
             self._cancel()
-            session.drives.close_all(session)
-        session.view.split = "off"
+            editor.rollouts.close_all()
+        editor.viewport.options.split = "off"
 
     def _save(self) -> Iterator[None]:
-        session = self._session
-        session.files.save_as(self._folder / "project")
-        yield from self._until(lambda: session.files.busy is None and session.questions.present is None)
+        editor = self._session
+        editor.files.save_as(self._folder / "project")
+        yield from self._until(lambda: editor.files.busy is None and editor.status.question is None)
         self._do("Paper 8.5 mm/h")
         yield from self._frames(2)
         self._do("Save")
-        yield from self._until(lambda: session.files.busy is None)
+        yield from self._until(lambda: editor.files.busy is None)
         self._do("Revert")
-        yield from self._until(lambda: session.busy is None)
+        yield from self._until(lambda: editor.busy is None)
 
     def _close(self) -> Iterator[None]:
-        session = self._session
+        editor = self._session
         self._do("Close the scene")
-        yield from self._until(lambda: not session.scene.members)
-        session.jobs.clear()
-        yield from self._until(lambda: not session.is_working and all(each.done() for each in session.pending_files))
+        yield from self._until(lambda: not editor.document.scene.members)
+        editor.jobs.clear()
+        yield from self._until(lambda: not editor.is_working and all(each.done() for each in editor.pending_files))
         yield from self._for(3.0)  # the program gives memory back after a second
         self.is_at_rest = True
         yield

@@ -2,7 +2,7 @@
 
 A scene of random Gaussians is drawn frame by frame by a turning camera that sees a small part of it. Meanwhile its
 Gaussians are swapped as jobs do it: for as many in other colors, for a number of others, and back by undo; then they
-get wet colors. A frame is what a window would wait for: the session's update, drawing, and the picture in its texture.
+get wet colors. A frame is what a window would wait for: the editor's update, drawing, and the picture in its texture.
 Beside its wall time stands the processor's time of all threads, which other programs on the same cores disturb less.
 """
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor, WindowBackend
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.opengl.context import open_context
@@ -25,6 +26,7 @@ from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
 from gsrain_engine.scene.open import random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.transforms import with_wet_colors_of
 
 _BEFORE, _AFTER = 15, 12
 """Frames before each swap, and after it."""
@@ -45,23 +47,23 @@ class FrameCost(NamedTuple):
 class Turning:
     """A live view whose camera turns a little each frame."""
 
-    def __init__(self, context: moderngl.Context, session: Editor, backend: WindowBackend, size: tuple[int, int]):
-        self.context, self.session, self.size = context, session, size
-        self.view = LiveView(context, session, backend)
+    def __init__(self, context: moderngl.Context, editor: Editor, backend: WindowBackend, size: tuple[int, int]):
+        self.context, self.editor, self.size = context, editor, size
+        self.view = LiveView(context, backend)
 
     def frame(self) -> "FrameCost":
         """Go on by one frame; what it took."""
-        self.session.navigation.turn(_TURN_RAD, 0.0)
+        self.editor.viewport.navigation.turn(_TURN_RAD, 0.0)
         start, start_of_work = time.perf_counter(), time.process_time()
-        self.session.update(1 / 30)
-        self.view.draw(*self.size)
+        self.editor.tick(1 / 30)
+        self.editor.apply(self.view.draw(self.editor.render_input(*self.size)))
         self.context.finish()
         return FrameCost(1000 * (time.perf_counter() - start), 1000 * (time.process_time() - start_of_work))
 
     def settle(self) -> None:
         """Go on until the back end that was asked for has drawn some frames, and nothing is awaited."""
         until = time.perf_counter() + _LONGEST_S
-        while not (self.view.is_settled and not self.session.is_working):
+        while not (self.view.is_settled and not self.editor.is_working):
             self.frame()
             if time.perf_counter() > until:
                 raise SystemExit("the live view does not settle")
@@ -107,13 +109,15 @@ def measured(
     context: moderngl.Context, scene: Scene, backend: WindowBackend, rain: str, size: tuple[int, int], *, budget: bool
 ) -> list[dict[str, object]]:
     """Times of four swaps with one back end and rain."""
-    session = Editor(scene, load_preset(rain))
-    session.clock.playing = False
-    session.navigation.look_like(random_scene_camera(scene, *size))
-    session.navigation.position = session.navigation.position + _FORWARD_M * session.navigation.forward
-    session.navigation.vertical_fov_deg = _FOV_DEG
-    session.budget.enabled = budget
-    turning = Turning(context, session, backend, size)
+    editor = Editor(scene, load_preset(rain))
+    editor.playback.clock.playing = False
+    editor.viewport.navigation.look_like(random_scene_camera(scene, *size))
+    editor.viewport.navigation.position = (
+        editor.viewport.navigation.position + _FORWARD_M * editor.viewport.navigation.forward
+    )
+    editor.viewport.navigation.vertical_fov_deg = _FOV_DEG
+    editor.viewport.budget.enabled = budget
+    turning = Turning(context, editor, backend, size)
     g = scene.layers[0].gaussians
     colors = g.with_sh((g.sh * np.float32(0.8)).astype(np.float32))
     fewer = g.take(np.flatnonzero(np.arange(len(g)) % 10))
@@ -140,22 +144,24 @@ def measured(
                 }
             rows.append(row | {"longest_at": during.index(max(during, key=lambda cost: cost.work_ms))})
     finally:
-        session.close()
+        editor.close()
     return rows
 
 
 def costs_of_swap(turning: Turning, fields: dict[str, Any] | None) -> list[FrameCost]:
     """Costs of all frames from the moment a swap of a layer's fields begins (none is undo) until some after its end."""
-    session = turning.session
+    editor = turning.editor
     if fields is None:
-        session.undo()
+        editor.document.undo()
     else:
-        changed = session.scene.with_member(session.scene.members[0].key, **fields)
-        session.staged = PendingScene("swap", changed, only_wet_colors="wet_sh" in fields)
+        changed = editor.document.scene.with_member(editor.document.scene.members[0].key, **fields)
+        editor.viewport.staged = PendingScene(
+            "swap", changed, change=with_wet_colors_of if "wet_sh" in fields else replace_scene
+        )
     costs: list[FrameCost] = []
     until, after = time.perf_counter() + _LONGEST_S, 0
     while after < _AFTER and time.perf_counter() < until:
-        after = 0 if session.is_working else after + 1
+        after = 0 if editor.is_working else after + 1
         costs.append(turning.frame())
     return costs
 

@@ -47,10 +47,10 @@ class Measurement:
         self._is_idle = True
 
     def frame(self, workspace: Workspace) -> None:
-        session, now = workspace.session, time.perf_counter()
+        editor, now = workspace.editor, time.perf_counter()
         frame_s, self._frame = now - self._frame, now
-        if session.busy is not None or session.staged is not None or not session.scene.gaussian_count:
-            session.clock.playing = True
+        if editor.busy is not None or editor.viewport.staged is not None or not editor.document.scene.gaussian_count:
+            editor.playback.clock.playing = True
             self._begins = now + 3.0  # the quality of frames has settled then
         elif now < self._begins:
             pass
@@ -58,12 +58,12 @@ class Measurement:
             self.alone.append(frame_s)
         elif self._is_idle:
             self._is_idle = False
-            self._start(session)
+            self._start(editor)
         else:
-            self._with_job(session, now, frame_s)
+            self._with_job(editor, now, frame_s)
 
-    def _with_job(self, session: Editor, now: float, frame_s: float) -> None:
-        job = session.jobs.all[-1]
+    def _with_job(self, editor: Editor, now: float, frame_s: float) -> None:
+        job = editor.jobs.all[-1]
         self.with_job.append(frame_s)
         if not self.messages or job.progress[:2] != self.last_step[:2]:
             self.messages.append(now)
@@ -72,7 +72,11 @@ class Measurement:
             self.messages.append(now)
             workers = [each for each in psutil.Process().children() if "--multiprocessing-fork" in each.cmdline()]
             self.job_cores = sum(sum(each.cpu_times()[:2]) for each in workers) / (now - self.messages[0])
-            self.statistics = {"backend": session.backend, "detail": str(session.detail), **session.statistics}
+            self.statistics = {
+                "backend": editor.viewport.backend,
+                "detail": str(editor.viewport.detail),
+                **editor.viewport.statistics,
+            }
             hello_imgui.get_runner_params().app_shall_exit = True
 
 
@@ -87,9 +91,9 @@ def main() -> None:
         measurement = Measurement(arguments.seconds, start)
 
         def begin() -> Editor:
-            session = Editor(rain=load_preset("8.5"))
-            session.open("street")
-            return session
+            editor = Editor(rain=load_preset("8.5"))
+            editor.files.open("street")
+            return editor
 
         window = MainWindow(begin, on_frame=measurement.frame)
         parameters = window.parameters()
@@ -114,8 +118,8 @@ def main() -> None:
     print(f"a frame with the job takes {ratio:.2f} times as long as alone; longest silence {max(gaps):.1f} s")
 
 
-def _make_rainy(session: Editor) -> None:
-    session.rainy.make(session)
+def _make_rainy(editor: Editor) -> None:
+    editor.wet_look.make()
 
 
 def _train(folder: Path) -> Callable[[Editor], None]:
@@ -123,9 +127,9 @@ def _train(folder: Path) -> Callable[[Editor], None]:
     for _ in write_views(folder / "street", street_capture(with_depth=False, camera_count=1)):
         pass
 
-    def start(session: Editor) -> None:
+    def start(editor: Editor) -> None:
         job = reconstruction_job(folder / "street", load_settings("laptop", measured_every=0))
-        session.jobs.start(job, scene_results(session, job.title, is_whole=True))
+        editor.jobs.start(job, scene_results(editor, job.title, is_whole=True))
 
     return start
 

@@ -14,8 +14,8 @@ from PIL import Image
 
 from app.scene import street
 from gsrain_engine.compile_cache import use_kernel_cache
-from gsrain_engine.editor.camera_path import path_from_drive
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.rain.keyframes import shower_keyframes
 from gsrain_engine.scene.open import load_scene
 from ui.commands.base import chord
@@ -44,9 +44,9 @@ class Photographer:
     """A window on the street, driven by the test engine, and a camera."""
 
     def __init__(self, folder: Path) -> None:
-        self.session = Editor(load_scene("street"))
-        self.session.clock.playing = False
-        self.window = MainWindow(lambda: self.session)
+        self.editor = Editor(load_scene("street"))
+        self.editor.playback.clock.playing = False
+        self.window = MainWindow(lambda: self.editor)
         self._folder = folder
 
     def run(self, script: Callable[[], None]) -> None:
@@ -75,7 +75,7 @@ class Photographer:
         """Let the frames go by that still change the picture: drops take the color of a sky that is new."""
         assert self.window.workspace is not None
         for _ in range(_MOST_FRAMES):
-            if not self.window.workspace.view.is_catching_up:
+            if not self.editor.viewport.is_catching_up:
                 break
             self.ctx.yield_()
         self.frames()
@@ -129,12 +129,12 @@ class Photographer:
 
 def picture_panels(camera: Photographer) -> None:
     """Each panel, in rain, with a job that has ended; but those that have something to show only later."""
-    session = camera.session
-    session.change_rain("8.5 mm/h", intensity_mm_h=8.5)
-    session.view.member = "layers/houses"
-    session.lab.measure(session.rain)
-    session.rainy.make(session)
-    while session.lab.busy is not None or session.jobs.running or session.staged is not None:
+    editor = camera.editor
+    editor.document.change_rain("8.5 mm/h", intensity_mm_h=8.5)
+    editor.viewport.options.member = "layers/houses"
+    editor.calibration.measure()
+    editor.wet_look.make()
+    while editor.calibration.busy is not None or editor.jobs.running or editor.viewport.staged is not None:
         camera.frames(1)
     camera.take_panels(
         *(panel.title for panel in BUILT_IN_PANELS if panel.title not in ("Capture", "Drive", "Drive plots"))
@@ -143,21 +143,21 @@ def picture_panels(camera: Photographer) -> None:
 
 def picture_tools(camera: Photographer) -> None:
     """Each tool in use, in the middle of its gesture."""
-    session = camera.session
+    editor = camera.editor
     camera.ctx.window_focus("//View")
-    session.view.member = "actors/lead"
+    editor.viewport.options.member = "actors/lead"
     for tool in TOOLS:
-        steps = session.history.cursor
-        session.view.tool = tool.name
+        steps = editor.document.history.cursor
+        editor.viewport.options.tool = tool.name
         camera.frames()
         held, places = _GESTURES.get(tool.name, (False, ()))
         camera.gesture(places, held=held)
         camera.take(f"tool_{_file_name(tool.name)}", "View", _TOOL_WIDTH)
         camera.ctx.mouse_up(0)
         camera.frames()
-        session.view.tool = ""
+        editor.viewport.options.tool = ""
         camera.frames()
-        session.go_to_step(steps)
+        editor.document.go_to_step(steps)
 
 
 _AROUND_THE_CAR = tuple((0.5 + 0.17 * math.cos(a / 3), 0.62 + 0.14 * math.sin(a / 3)) for a in range(19))
@@ -179,14 +179,16 @@ _GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
 
 def picture_pages(camera: Photographer) -> None:
     """The window as a whole in a shower, the command palette, the keyboard page."""
-    session = camera.session
-    session.rainy.make(session)
-    while session.jobs.running or session.staged is not None:
+    editor = camera.editor
+    editor.wet_look.make()
+    while editor.jobs.running or editor.viewport.staged is not None:
         camera.frames(1)
-    session.set_weather("Add passing shower", shower_keyframes(duration_s=12.0, peak_mm_h=13.0))
-    path_from_drive(session, every_s=2.0)
-    session.clock.seek(_MOMENT_S)
-    session.ride(True)
+    editor.document.edit_keyframes(
+        "Add passing shower", replace_keyframes, shower_keyframes(duration_s=12.0, peak_mm_h=13.0)
+    )
+    editor.camera_path.path_from_drive(every_s=2.0)
+    editor.playback.clock.seek(_MOMENT_S)
+    editor.viewport.ride(True)
     for panel in ("Layers", "Rain", "Shower", "View"):
         camera.ctx.window_focus(f"//{panel}")
     camera.ctx.mouse_move("//View/view")
@@ -199,88 +201,88 @@ def picture_pages(camera: Photographer) -> None:
     camera.ctx.key_press(imgui.Key.f1)
     camera.take("keys")
     camera.ctx.key_press(imgui.Key.escape)
-    session.set_preference(theme="light")
+    editor.preferences.set(theme="light")
     camera.take("window_light")
-    session.set_preference(theme="dark")
+    editor.preferences.set(theme="dark")
 
 
 def picture_wet(camera: Photographer) -> None:
     """The street clear and with a preview; at 12 mm/h, wet; undone; done again; both beside each other."""
-    session = camera.session
+    editor = camera.editor
     camera.ctx.window_focus("//View")
     camera.take("wet_clear", "View", _TOOL_WIDTH)
     camera.ctx.window_focus("//Make it rainy")
-    session.rainy.preview(session)
-    while session.jobs.running or session.view.split == "off":
+    editor.wet_look.preview()
+    while editor.jobs.running or editor.viewport.options.split == "off":
         camera.frames(1)
     camera.ctx.mouse_move("//Make it rainy/###preview")
     camera.take("wet_look")
-    session.view.split = "off"
+    editor.viewport.options.split = "off"
     camera.frames()
     camera.ctx.mouse_move("//View/view")
-    session.change_rain("12 mm/h", intensity_mm_h=12.0)
-    session.rainy.make(session)
-    while session.jobs.running or session.staged is not None:
+    editor.document.change_rain("12 mm/h", intensity_mm_h=12.0)
+    editor.wet_look.make()
+    while editor.jobs.running or editor.viewport.staged is not None:
         camera.frames(1)
     camera.frames(20)
     camera.take("wet_rainy", "View", _TOOL_WIDTH)
-    session.undo()
+    editor.document.undo()
     camera.take("wet_undone", "View", _TOOL_WIDTH)
-    session.redo()
+    editor.document.redo()
     camera.take("wet_redone", "View", _TOOL_WIDTH)
-    session.view.split = "clear | rainy"
+    editor.viewport.options.split = "clear | rainy"
     camera.frames(20)
     camera.take("split", "View", _SPLIT_WIDTH)
-    session.view.split = "off"
+    editor.viewport.options.split = "off"
 
 
 def picture_capture(camera: Photographer) -> None:
     """The street's photographs over its Gaussians, from where one was taken; which of its pixels the next one shows."""
-    session, captures = camera.session, camera.session.captures
+    editor, captures = camera.editor, camera.editor.captures
     with tempfile.TemporaryDirectory() as folder:
         street(Path(folder), moments=13, width=480)
         captures.open(Path(folder) / "images")
         while captures.capture is None or captures.is_working:
             camera.frames(1)
-        captures.look_from(session, 3)
+        captures.look_from(3)
         camera.ctx.window_focus("//Capture")
         while captures.is_working:
             camera.frames(1)
         camera.frames(20)
         camera.take("capture")
         camera.take_panels("Capture")
-        session.matching.is_on = session.matching.lines = True
-        session.matching.mode = "pixels"
-        while session.matching.shown is None or session.matching.is_working:
+        editor.matching.is_on = editor.matching.lines = True
+        editor.matching.mode = "pixels"
+        while editor.matching.shown is None or editor.matching.is_working:
             camera.frames(1)
         camera.ctx.item_open("//Capture/Matching")
         camera.ctx.mouse_move("//View/view")
         camera.frames(20)
         camera.take("matching")
-        session.matching.is_on = False
+        editor.matching.is_on = False
         captures.close_capture()
 
 
 def picture_drive(camera: Photographer) -> None:
     """Two drives towards a car that stands: one that keeps its speed, and one that brakes, in rain, which plays."""
-    session, drives = camera.session, camera.session.drives
+    editor, drives = camera.editor, camera.editor.rollouts
     for agent, intensity in (("constant-velocity", 0.0), ("oracle-idm", 8.5)):
         drives.settings.settings = msgspec.structs.replace(
             drives.settings.settings, agent=agent, rain="one intensity", intensity_mm_h=intensity
         )
-        drives.start(session)
-        while session.jobs.running or drives.is_working:
+        drives.start()
+        while editor.jobs.running or drives.is_working:
             camera.frames(1)
     drives.mosaic.rig = "nuscenes"
     for panel in ("View", "Drive", "Drive plots", "Rig cameras"):
         camera.ctx.window_focus(f"//{panel}")
-    drives.jump(session, _IN_THE_DRIVE_S)
+    drives.jump(_IN_THE_DRIVE_S)
     camera.frames(30)
     camera.take("drive")
     camera.take_panels("Drive", "Drive plots")
-    drives.close_all(session)
-    session.clock.seek(0.0)
-    session.go_home()
+    drives.close_all()
+    editor.playback.clock.seek(0.0)
+    editor.viewport.go_home()
 
 
 def _filled_px(picture: Image.Image) -> int:

@@ -14,7 +14,7 @@ from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from ui.commands.base import chord
-from ui.window import begin_session
+from ui.window import begin_editor
 from window_driver import Driver, imgui
 
 KEY = imgui.Key
@@ -24,9 +24,9 @@ CTRL, SHIFT = KEY.mod_ctrl, KEY.mod_shift
 class Person(Driver):
     """Hands and eyes."""
 
-    def __init__(self, folder, session):
+    def __init__(self, folder, editor):
         super().__init__(folder, Scene("no scene"))
-        self.session = session
+        self.editor = editor
 
     def say(self, *words):
         print("\n", *words, flush=True)  # a line of its own: the test engine colors what it prints
@@ -41,7 +41,7 @@ class Person(Driver):
     def answer(self, title, label):
         """Answer a question of the program, if it asks."""
         self.frames(4)
-        if self.session.questions.present is not None and self.session.questions.present.title == title:
+        if self.editor.status.question is not None and self.editor.status.question.title == title:
             self.ctx.item_click(f"//{title}/{label}")
             self.frames(4)
 
@@ -75,30 +75,30 @@ class Person(Driver):
         self.frames(3)
 
     def is_idle(self):
-        return self.session.busy is None and not self.session.jobs.running and self.session.staged is None
+        return self.editor.busy is None and not self.editor.jobs.running and self.editor.viewport.staged is None
 
 
 def first(folder, plant):
     """Everything up to the kill."""
     person = Person(folder, Editor())
-    session = person.session
+    editor = person.editor
 
     def script():
         person.click("//View/###Play")  # time stands still
         person.press(chord(CTRL, KEY.o))
         person.type_into("Open a scene", str(plant))
-        person.until(lambda: session.scene.name == "plant" and person.is_idle(), 100_000)
-        count = session.scene.gaussian_count
+        person.until(lambda: editor.document.scene.name == "plant" and person.is_idle(), 100_000)
+        count = editor.document.scene.gaussian_count
         person.say("opened", count)
 
         person.press(KEY.m)  # measure the pot, and say that it is 20 cm wide
         person.click_at(person.at(0.45, 0.75))
         person.click_at(person.at(0.55, 0.75))
-        before = session.scene.metres_per_unit
+        before = editor.document.scene.metres_per_unit
         person.ctx.item_input_value("//View/**/##true length", 0.2)
         person.ctx.item_click("//View/**/Set scale")
         person.frames(3)
-        person.say("scale", session.scene.metres_per_unit / before)
+        person.say("scale", editor.document.scene.metres_per_unit / before)
         person.press(KEY.m)
         person.press(KEY.f)
 
@@ -106,18 +106,18 @@ def first(folder, plant):
         person.press(KEY.l)
         around = np.linspace(0, 2 * np.pi, 24)
         person.drag_through([person.at(0.5 + 0.3 * np.cos(a), 0.85 + 0.16 * np.sin(a)) for a in around])
-        selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected)
+        selected = sum(each.marks.selected.size for each in editor.document.scene.members if each.marks.selected)
         person.press(KEY.delete)
-        person.say("deleted", selected, count - session.scene.gaussian_count)
+        person.say("deleted", selected, count - editor.document.scene.gaussian_count)
         person.press(chord(CTRL, KEY.z))
-        person.say("undone", count - session.scene.gaussian_count)
+        person.say("undone", count - editor.document.scene.gaussian_count)
         person.press(chord(CTRL, KEY.y))
-        person.say("redone", count - session.scene.gaussian_count)
+        person.say("redone", count - editor.document.scene.gaussian_count)
         person.press(KEY.escape)
 
         person.press(chord(CTRL, SHIFT, KEY.o))
         person.type_into("Import into this scene", str(folder / "street.ply"))
-        person.until(lambda: len(session.scene.layers) == 2 and person.is_idle(), 100_000)
+        person.until(lambda: len(editor.document.scene.layers) == 2 and person.is_idle(), 100_000)
         person.click("//Layers/members/###layers street")
         person.ctx.window_focus("//View")
         person.press(KEY.r)
@@ -127,8 +127,8 @@ def first(folder, plant):
         middle = _pivot_on_screen(person)
         handle = middle + _up_on_screen(person, 40)
         person.drag_through([handle, *(handle - [0, step] for step in (5, 15, 25))])
-        move = session.scene.member("layers/street").to_scene
-        person.say("placed", float(np.linalg.norm(move[:3, 3])), session.history.undo_label)
+        move = editor.document.scene.member("layers/street").to_scene
+        person.say("placed", float(np.linalg.norm(move[:3, 3])), editor.document.history.undo_label)
         person.press(KEY.escape)
 
         person.click("//Rain/8.5")
@@ -138,12 +138,12 @@ def first(folder, plant):
             person.ctx.item_input_value("//Timeline/**/##time", time_s)
             person.drag_through([person.at(0.5, 0.4), person.at(0.5, 0.4) + [turn, 0.2 * turn]], button=1)
             person.press(KEY.k)
-        path = session.scene.path
+        path = editor.document.scene.path
         person.say("keys", path.times_s.tolist())
         rect = person.ctx.item_info("//Timeline/ruler").rect_full
         low, y = rect.min.x, (rect.min.y + rect.max.y) / 2 - 4
-        person.drag_through([(low + session.timeline.ruler.x(each), y) for each in (5.0, 3.5, 2.0)])
-        person.say("scrubbed", session.clock.time_s)
+        person.drag_through([(low + editor.playback.timeline.ruler.x(each), y) for each in (5.0, 3.5, 2.0)])
+        person.say("scrubbed", editor.playback.clock.time_s)
 
         person.ctx.window_focus("//Record")
         for field, value in (("##size_px/$$0", 192), ("##size_px/$$1", 128), ("##fps", 10.0)):
@@ -151,15 +151,15 @@ def first(folder, plant):
             person.frames()
         person.click("//Record/Record...")
         person.type_into("Record the timeline", str(folder / "window.mp4"))
-        person.until(lambda: bool(session.jobs.all), 1000)
+        person.until(lambda: bool(editor.jobs.all), 1000)
         person.until(person.is_idle, 1_000_000)
-        person.say("recorded", session.jobs.all[-1].state, session.jobs.all[-1].error)
+        person.say("recorded", editor.jobs.all[-1].state, editor.jobs.all[-1].error)
 
         person.ctx.window_focus("//View")
         person.press(chord(CTRL, KEY.s))
         person.type_into("Save the scene", str(folder / "project"))
         person.until(lambda: (folder / "project" / "scene.json").exists() and person.is_idle(), 100_000)
-        person.say("saved", session.has_changes)
+        person.say("saved", editor.files.has_changes)
         person.ctx.window_focus("//Display")
         person.ctx.item_input_value("//Display/##autosave_s", 5.0)
         person.click("//Rain/12.0")
@@ -175,17 +175,17 @@ def first(folder, plant):
 
 def second(folder):
     """Come back, recover, look."""
-    session = begin_session(str(folder / "project"), None)
-    person = Person(folder, session)
+    editor = begin_editor(str(folder / "project"), None)
+    person = Person(folder, editor)
 
     def script():
-        session.clock.playing = False
-        person.until(lambda: session.questions.present is not None, 100_000)
-        person.say("asked", session.questions.present.title)
-        person.ctx.item_click(f"//{session.questions.present.title}/Recover")
-        person.until(lambda: person.is_idle() and session.rain.intensity_mm_h == 12, 100_000)
-        scene = session.scene
-        person.say("recovered", session.rain.intensity_mm_h, scene.gaussian_count, len(scene.path.times_s))
+        editor.playback.clock.playing = False
+        person.until(lambda: editor.status.question is not None, 100_000)
+        person.say("asked", editor.status.question.title)
+        person.ctx.item_click(f"//{editor.status.question.title}/Recover")
+        person.until(lambda: person.is_idle() and editor.document.rain.intensity_mm_h == 12, 100_000)
+        scene = editor.document.scene
+        person.say("recovered", editor.document.rain.intensity_mm_h, scene.gaussian_count, len(scene.path.times_s))
 
     person.run(script)
 
@@ -193,20 +193,20 @@ def second(folder):
 def _pivot_on_screen(person):
     from gsrain_engine.editor.edits.transform import pivot
 
-    return _on_screen(person, pivot(person.session.scene, "layers/street", 0.0))
+    return _on_screen(person, pivot(person.editor.document.scene, "layers/street", 0.0))
 
 
 def _up_on_screen(person, pixels):
     from gsrain_engine.editor.edits.transform import pivot
 
-    middle = pivot(person.session.scene, "layers/street", 0.0)
+    middle = pivot(person.editor.document.scene, "layers/street", 0.0)
     up = _on_screen(person, middle + [0, 0, 5.0]) - _on_screen(person, middle)
     return pixels * up / np.linalg.norm(up)
 
 
 def _on_screen(person, point_m):
     corner, size = person.picture_place
-    camera = person.session.shot(int(size[0]), int(size[1])).camera
+    camera = person.editor.viewport.shot(int(size[0]), int(size[1])).camera
     x, y, z = camera.world_to_camera[:3, :3] @ point_m + camera.world_to_camera[:3, 3]
     return corner + [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]
 

@@ -25,9 +25,9 @@ class Driver:
     """A window, and what a hand on mouse and keyboard can do."""
 
     def __init__(self, tmp_path, scene=None, backend="auto"):
-        self.session = Editor(scene or small_scene())
-        self.session.clock.playing = False
-        self.window = MainWindow(lambda: self.session, backend)
+        self.editor = Editor(scene or small_scene())
+        self.editor.playback.clock.playing = False
+        self.window = MainWindow(lambda: self.editor, backend)
         self.folder = tmp_path
         self.ctx = None
         self._is_seen = False
@@ -59,6 +59,9 @@ class Driver:
     def view(self):
         return self.window.workspace.view
 
+    def tool(self, name):
+        return next(each for each in self.window.workspace.tools if each.name == name)
+
     def frames(self, count=2):
         for _ in range(count):
             self.ctx.yield_()
@@ -73,7 +76,7 @@ class Driver:
 
     def let_workers_work(self):
         """Draw no frames that would only take the processor from a worker which has nothing to say yet."""
-        self.session.jobs.wait(0.1)
+        self.editor.jobs.wait(0.1)
 
     def click(self, item):
         self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front
@@ -105,6 +108,6 @@ class Driver:
     def picture(self):
         """Image of the viewport, by the screenshot command."""
         path = self.folder / f"picture{len(list(self.folder.iterdir()))}.png"
-        self.session.screenshot = path
+        self.editor.viewport.screenshot = path
         self.until(path.exists)
         return np.asarray(Image.open(path)).astype(int)

@@ -1,1 +1,1 @@
-"""The window's panels: they read a session, draw it and call its methods. No math, no files, no threads."""
+"""The window: panels, tools and dialogs draw the editor's parts, and call their methods. No math, files or threads."""

@@ -9,7 +9,9 @@ from typing import NamedTuple
 from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.notifications import Answer, Question
+from gsrain_engine.editor.files import Files
+from gsrain_engine.editor.status import Answer, Question, StatusBus
+from gsrain_engine.editor.viewport_state import ViewportState
 
 from .commands.base import chord_name
 from .commands.registry import ACTIONS
@@ -20,10 +22,10 @@ from .widgets.fields import SCENE_FOLDERS, ask_where_to_save
 
 @contextmanager
 def _page(
-    session: Editor, name: str, title: str, size: ImVec2, cond: imgui.Cond_ = imgui.Cond_.none
+    viewport: ViewportState, name: str, title: str, size: ImVec2, cond: imgui.Cond_ = imgui.Cond_.none
 ) -> Generator[bool]:
-    """Begin the page that is open if `session.view.dialog` has its name; yields True while it is. Escape closes it."""
-    if session.view.dialog == name and not imgui.is_popup_open(title):
+    """Begin the page that `viewport.options.dialog` names; yields True while it is open. Escape closes it."""
+    if viewport.options.dialog == name and not imgui.is_popup_open(title):
         imgui.open_popup(title)
     imgui.set_next_window_size(size, cond)
     imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing, ImVec2(0.5, 0.5))
@@ -31,21 +33,21 @@ def _page(
     yield is_open
     if is_open:
         if imgui.is_key_pressed(imgui.Key.escape):
-            session.view.dialog = ""
+            viewport.options.dialog = ""
             imgui.close_current_popup()
         imgui.end_popup()
-    elif session.view.dialog == name:
-        session.view.dialog = ""
+    elif viewport.options.dialog == name:
+        viewport.options.dialog = ""
 
 
-def about_page(session: Editor) -> None:
-    with _page(session, "about", "About GSRAIN", ImVec2(30 * imgui.get_font_size(), 0)) as is_open:
+def about_page(viewport: ViewportState) -> None:
+    with _page(viewport, "about", "About GSRAIN", ImVec2(30 * imgui.get_font_size(), 0)) as is_open:
         if is_open:
             imgui.text(f"GSRAIN {version('gsrain')}, Apache-2.0")
             imgui.text_wrapped(
                 "Calibrated rain in captured 3D Gaussian Splatting scenes: a viewer, an editor, a test bench."
             )
-            imgui.text(f"Drawn by: {session.backend or 'nothing yet'}")
+            imgui.text(f"Drawn by: {viewport.backend or 'nothing yet'}")
             imgui.text_wrapped("docs/physics.md gives each equation with its source.")
 
 
@@ -56,10 +58,10 @@ _MOUSE_AND_FLIGHT = [
 ]  # fmt: skip
 
 
-def keyboard_page(session: Editor) -> None:
+def keyboard_page(viewport: ViewportState) -> None:
     size = imgui.get_main_viewport().size
     size = ImVec2(0.8 * size.x, 0.8 * size.y)
-    with _page(session, "keys", "Keyboard and mouse", size, imgui.Cond_.appearing) as is_open:
+    with _page(viewport, "keys", "Keyboard and mouse", size, imgui.Cond_.appearing) as is_open:
         if not is_open:
             return
         tools = [(chord_name(int(tool.key)), f"Tool: {tool.name}") for tool in TOOLS if tool.key is not None]
@@ -88,23 +90,23 @@ def _group(title: str, rows: list[tuple[str, str]]) -> None:
         imgui.end_table()
 
 
-# Questions of the session
+# Questions of the editor
 
 _WIDTH_EM = 34.0
 
 
-def draw_questions(session: Editor) -> None:
+def draw_questions(viewport: ViewportState, files: Files, status: StatusBus) -> None:
     """Draw the current question until it is answered, and the save dialog if one is requested."""
-    save, session.files.place_request = session.files.place_request, None
+    save, files.place_request = files.place_request, None
     if save is not None:
         ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: save(chosen[0]))
-    question = session.questions.present
+    question = status.question
     # Tab and arrows move between answers while a question is open; otherwise they are keys of the view.
     io, keyboard = imgui.get_io(), int(imgui.ConfigFlags_.nav_enable_keyboard)
     io.config_flags = io.config_flags & ~keyboard if question is None else io.config_flags | keyboard
     if question is None:
         return
-    session.view.dialog = ""  # nothing else is on top of it
+    viewport.options.dialog = ""  # nothing else is on top of it
     if not imgui.is_popup_open(question.title):
         imgui.open_popup(question.title)
     imgui.set_next_window_size(ImVec2(_WIDTH_EM * imgui.get_font_size(), 0))
@@ -125,7 +127,7 @@ def draw_questions(session: Editor) -> None:
         imgui.close_current_popup()
     imgui.end_popup()
     if answer is not None:
-        session.questions.answer(answer)
+        status.answer(answer)
 
 
 def _chosen_answer(question: Question) -> Answer | None:
@@ -174,27 +176,27 @@ class CommandPalette:
         self._typed = ""
         self._line = 0
 
-    def draw(self, session: Editor) -> None:
-        if session.view.dialog == "commands" and not imgui.is_popup_open(_PALETTE_TITLE):
+    def draw(self, editor: Editor) -> None:
+        if editor.viewport.options.dialog == "commands" and not imgui.is_popup_open(_PALETTE_TITLE):
             self._typed, self._line = "", 0
             imgui.open_popup(_PALETTE_TITLE)
         middle = imgui.get_main_viewport().get_center()
         imgui.set_next_window_pos(ImVec2(middle.x, 0.14 * 2 * middle.y), imgui.Cond_.appearing, ImVec2(0.5, 0))
         imgui.set_next_window_size(ImVec2(_WIDTH_EM * imgui.get_font_size(), 0))
         if not imgui.begin_popup(_PALETTE_TITLE):
-            if session.view.dialog == "commands":
-                session.view.dialog = ""
+            if editor.viewport.options.dialog == "commands":
+                editor.viewport.options.dialog = ""
             return
         if imgui.is_window_appearing():
             imgui.set_keyboard_focus_here()
         imgui.set_next_item_width(-1)
         changed, self._typed = imgui.input_text_with_hint("##typed", "Type a command", self._typed)
-        found = [row for row in _rows(session) if matches(row.name, self._typed)]
+        found = [row for row in _rows(editor) if matches(row.name, self._typed)]
         step = imgui.is_key_pressed(imgui.Key.down_arrow) - imgui.is_key_pressed(imgui.Key.up_arrow)
         self._line = 0 if changed else min(max(self._line + step, 0), max(len(found) - 1, 0))
         chosen = self._list(found)
         if chosen is not None or imgui.is_key_pressed(imgui.Key.escape):
-            session.view.dialog = ""
+            editor.viewport.options.dialog = ""
             imgui.close_current_popup()
         imgui.end_popup()
         if chosen is not None:
@@ -228,17 +230,21 @@ def matches(name: str, typed: str) -> bool:
     return all(word in name.lower() for word in typed.lower().split())
 
 
-def _rows(session: Editor) -> list[_PaletteRow]:
+def _rows(editor: Editor) -> list[_PaletteRow]:
     rows = [
-        _PaletteRow(
-            each.title(session), each.key_names, each.help, each.is_possible(session), partial(each.perform, session)
-        )
+        _PaletteRow(each.title(editor), each.key_names, each.help, each.can_run(editor), partial(each.perform, editor))
         for each in ACTIONS
     ]
     for tool in TOOLS:
         keys = chord_name(int(tool.key)) if tool.key is not None else ""
         rows.append(
-            _PaletteRow(f"Tool: {tool.name}", keys, tool.help, True, partial(setattr, session.view, "tool", tool.name))
+            _PaletteRow(
+                f"Tool: {tool.name}",
+                keys,
+                tool.help,
+                True,
+                partial(setattr, editor.viewport.options, "tool", tool.name),
+            )
         )
     for window in panel_windows():
         show = partial(bring_to_front, window)

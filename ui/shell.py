@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.files import Files
 
 from .commands.base import Command, chord
 from .commands.registry import ACTION_GROUPS, ACTIONS
@@ -14,16 +15,16 @@ from .widgets.fields import WARNING
 from .widgets.text import label
 
 
-def act_on_keys(session: Editor) -> None:
+def act_on_keys(editor: Editor) -> None:
     """Run the commands and tools of the keys pressed since the last frame, unless a text field has the focus."""
     if imgui.get_io().want_text_input:
         return
     for tool in TOOLS:
         if tool.key is not None and imgui.is_key_chord_pressed(chord(tool.key)):
-            session.view.tool = "" if session.view.tool == tool.name else tool.name
+            editor.viewport.options.tool = "" if editor.viewport.options.tool == tool.name else tool.name
     for action in ACTIONS:
         if any(imgui.is_key_chord_pressed(keys) for keys in action.chords):
-            action.perform(session)
+            action.perform(editor)
 
 
 # Menu bar
@@ -31,7 +32,7 @@ def act_on_keys(session: Editor) -> None:
 MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
 
 
-def draw_menus(session: Editor) -> None:
+def draw_menus(editor: Editor) -> None:
     for title in MENUS:
         if imgui.begin_menu(title):
             groups = [[action for action in group if action.menu == title] for group in ACTION_GROUPS]
@@ -39,30 +40,30 @@ def draw_menus(session: Editor) -> None:
                 if number:
                     imgui.separator()
                 for action in group:
-                    _item(session, action)
+                    _item(editor, action)
                 if title == "File" and number == 0:
-                    _recent(session)
+                    _recent(editor.files)
             if title == "View":
                 imgui.separator()
                 _panels()
             imgui.end_menu()
 
 
-def _item(session: Editor, action: Command) -> None:
-    is_on = action.is_on is not None and action.is_on(session)
+def _item(editor: Editor, action: Command) -> None:
+    is_on = action.is_checked(editor)
     keys = action.key_names.split(" or ")[0]
-    clicked, _ = imgui.menu_item(action.title(session), keys, is_on, action.is_possible(session))
+    clicked, _ = imgui.menu_item(action.title(editor), keys, is_on, action.can_run(editor))
     if action.help:
         imgui.set_item_tooltip(action.help)
     if clicked:
-        action.run(session)
+        action.perform(editor)
 
 
-def _recent(session: Editor) -> None:
-    if imgui.begin_menu("Open recent", bool(session.files.recent)):
-        for path in session.files.recent:
+def _recent(files: Files) -> None:
+    if imgui.begin_menu("Open recent", bool(files.recent)):
+        for path in files.recent:
             if imgui.menu_item(label(path.name, str(path)), "", False)[0]:
-                session.open(str(path))
+                files.open(str(path))
             imgui.set_item_tooltip(str(path))
         imgui.end_menu()
 
@@ -100,27 +101,31 @@ def bring_to_front(window: hello_imgui.DockableWindow) -> None:
 _NEW = timedelta(seconds=8)
 
 
-def status_bar(session: Editor) -> None:
-    state = session.displayed_rain.state_at(session.clock.time_s)
-    selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
-    words = [session.scene.name, f"{session.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
+def status_bar(editor: Editor) -> None:
+    state = editor.live_rain.displayed.state_at(editor.playback.clock.time_s)
+    selected = sum(
+        each.marks.selected.size for each in editor.document.scene.members if each.marks.selected is not None
+    )
+    words = [editor.document.scene.name, f"{editor.playback.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
     if selected:
         words.append(f"{selected:,} selected")
     imgui.text("   ".join(words))
-    for warning in filter(None, ["beyond calibration" if state.beyond_calibration else "", session.rain.exaggeration]):
+    for warning in filter(
+        None, ["beyond calibration" if state.beyond_calibration else "", editor.document.rain.exaggeration]
+    ):
         imgui.same_line()
         imgui.text_colored(WARNING, warning)
-    for job in session.jobs.running:
+    for job in editor.jobs.running:
         imgui.same_line()
         imgui.text(f"  {job.title}: {100 * job.progress.fraction:.0f} %")
-    if session.busy is not None:
+    if editor.busy is not None:
         imgui.same_line()
-        imgui.text(f"  {session.busy}")
-    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
-    right = f"{imgui.get_io().framerate:.0f} fps ({session.backend})"
+        imgui.text(f"  {editor.busy}")
+    tool = next((each for each in TOOLS if each.name == editor.viewport.options.tool), None)
+    right = f"{imgui.get_io().framerate:.0f} fps ({editor.viewport.backend})"
     room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
     hint = f"{tool.name}: {tool.help}" if tool is not None else ""
-    newest = session.log.lines[-1] if session.log.lines else None
+    newest = editor.status.log.lines[-1] if editor.status.log.lines else None
     if newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW and newest.text:
         hint = newest.text  # such as "Exported out.ply"; errors appear over the viewport instead
     if hint:

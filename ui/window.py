@@ -39,7 +39,8 @@ from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 from .widgets.text import escape_all_text
 
 if TYPE_CHECKING:
-    from gsrain_engine.editor.editor import Editor, WindowBackend
+    from gsrain_engine.editor.drawing.live_view import WindowBackend
+    from gsrain_engine.editor.editor import Editor
     from gsrain_engine.rain.settings import RainSettings
 
     from .workspace import Workspace
@@ -50,27 +51,27 @@ _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasa
 _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
 
 
-def begin_session(scene: str | None, rain: "RainSettings | None", wet: bool = False) -> "Editor":
-    """Begin a session that opens a scene (None is the built-in street) in the background, and makes it rainy if `wet`.
+def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool = False) -> "Editor":
+    """Create an editor that opens a scene (None is the built-in street) in the background, and makes it rainy if `wet`.
 
     After a lost graphics context it continues with the state of the previous window. Loads the engine.
     """
     from gsrain_engine.editor.editor import Editor
     from gsrain_engine.editor.jobs.folder import remove_abandoned_job_folders
 
-    session, restarts = Editor(rain=rain), _TIMES in os.environ
+    editor, restarts = Editor(rain=rain), _TIMES in os.environ
     autosave, left = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")
     if restarts and autosave:
-        session.files.go_on_at(Path(autosave))
+        editor.files.go_on_at(Path(autosave))
     else:
-        session.open((restarts and left) or scene or "street")
+        editor.files.open((restarts and left) or scene or "street")
         if wet:
-            session.rainy.make_soon()
+            editor.wet_look.make_soon()
     if restarts:
-        session.problem = _RESTARTED + (_WITH_CHANGES if autosave else "")
-    session.files.recovery.look()
+        editor.status.report(_RESTARTED + (_WITH_CHANGES if autosave else ""))
+    editor.files.recovery.look()
     threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
-    return session
+    return editor
 
 
 def run_window(
@@ -80,10 +81,10 @@ def run_window(
     *,
     restarts: bool = True,
 ) -> None:
-    """Open the window and return when it is closed; `begin` creates the session, in a separate thread.
+    """Open the window and return when it is closed; `begin` creates the editor, in a separate thread.
 
     A window that loses its graphics context keeps unsaved changes and, with `restarts`, restarts in a new process.
-    `on_frame` is called once per frame, as soon as the session exists.
+    `on_frame` is called once per frame, as soon as the editor exists.
     Raises `OSError` if the display can't be opened, its driver fails, or the window can't restart.
     """
     began = time.monotonic()
@@ -130,7 +131,7 @@ class MainWindow:
         self._on_frame = on_frame
         self._backend: WindowBackend = backend
         self._context: moderngl.Context | None = None
-        self._session: Editor | None = None
+        self._editor: Editor | None = None
         self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
         self.workspace: Workspace | None = None
         self._title = ""
@@ -181,16 +182,16 @@ class MainWindow:
             return
         rollouts = [Path(each) for each in paths if Path(each).suffix.lower() in ROLLOUT_SUFFIXES]
         for path in rollouts:
-            self.workspace.session.drives.open(self.workspace.session, path)
+            self.workspace.editor.rollouts.open(path)
         if not rollouts:
-            self.workspace.session.open(paths[0])
+            self.workspace.editor.files.open(paths[0])
 
     def ask_to_close(self) -> None:
-        """Let the session decide about closing, since there may be unsaved changes."""
+        """Let the editor decide about closing, since there may be unsaved changes."""
         if self.workspace is not None:
             glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
-            self.workspace.session.files.recovery.keep()  # a desktop that logs out doesn't wait for an answer
-            self.workspace.session.request_quit()
+            self.workspace.editor.files.recovery.keep()  # a desktop that logs out doesn't wait for an answer
+            self.workspace.editor.request_quit()
 
     def end(self, by: int) -> None:
         """Close before the next frame without asking, after a signal; unsaved changes are stored for recovery."""
@@ -200,20 +201,20 @@ class MainWindow:
         """Close the window because of an error, and store unsaved changes immediately."""
         driver_failed = isinstance(failure, moderngl.Error)
         self.failure = OSError(f"the graphics driver has failed: {failure}") if driver_failed else failure
-        if self._session is not None:
-            self._session.files.recovery.keep()
+        if self._editor is not None:
+            self._editor.files.recovery.keep()
 
     @property
     def left(self) -> "RestartState":
-        files = self._session.files if self._session is not None else None
+        files = self._editor.files if self._editor is not None else None
         return RestartState(files.recovery.autosaved_path, files.source) if files is not None else RestartState()
 
     def close(self) -> None:
         """Stop all background work. Further calls do nothing."""
         if self._loader.is_alive():
             self._loader.join()
-        if self._session is not None:
-            self._session.close()
+        if self._editor is not None:
+            self._editor.close()
 
     def _start(self) -> None:
         """Set the icon, share the OpenGL context, create the plot context, accept dropped files, start loading."""
@@ -230,7 +231,7 @@ class MainWindow:
         try:
             from . import workspace  # noqa: F401  loads the engine, which takes a while
 
-            self._session = self._begin()
+            self._editor = self._begin()
         except Exception as failure:  # any error ends the program with a message, instead of silently ending the thread
             self.failure = failure
 
@@ -252,7 +253,7 @@ class MainWindow:
 
     def _go_on(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
-            preferences = self.workspace.session.preferences
+            preferences = self.workspace.editor.preferences.value
             if preferences != self._style:
                 self._style = preferences
                 apply_style(preferences)
@@ -262,10 +263,13 @@ class MainWindow:
             if self.workspace.title != self._title:
                 self._title = self.workspace.title
                 glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), escape_invisible(self._title))
-        elif self._session is not None and not self._loader.is_alive():
+        elif self._editor is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
-            self.workspace, self._style = Workspace(self._session, context, self._backend), self._session.preferences
+            self.workspace, self._style = (
+                Workspace(self._editor, context, self._backend),
+                self._editor.preferences.value,
+            )
             for panel in self.workspace.dockable_windows():
                 hello_imgui.add_dockable_window(panel)
 

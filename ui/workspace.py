@@ -1,25 +1,24 @@
-"""A session in the window: live view, panels and menus. Importing this loads the engine."""
+"""An editor in the window: live view, panels and menus. Importing this loads the engine."""
 
-import logging
 import time
-from functools import partial
 
 import moderngl
 from imgui_bundle import hello_imgui, imgui
 
-from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages
+from gsrain_engine.editor.clock import FrameClock
+from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages, WindowBackend
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
-from gsrain_engine.editor.editor import Editor, WindowBackend
-from gsrain_engine.editor.timeline import FrameClock
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.render.opengl.context import DeviceLostError
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
 from .panels.registry import all_panels
+from .parts import bind_parts
 from .shell import act_on_keys, draw_menus, status_bar
+from .tools import TOOLS
 from .viewport.panel import viewport_panel
 from .widgets.fields import answer_dialogs
 
-logger = logging.getLogger("gsrain")
 _SPACES = {
     "left": "LeftSpace", "left bottom": "LeftBottomSpace", "right": "RightSpace", "right bottom": "RightBottomSpace",
     "bottom": "BottomSpace",
@@ -33,24 +32,24 @@ _WAITING_FPS = 30.0  # maximum frame rate while a job runs or a bar is animated:
 class Workspace:
     """Window content after loading."""
 
-    def __init__(self, session: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
-        self.session = session
-        self.view = LiveView(context, session, backend)
+    def __init__(self, editor: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
+        self.editor = editor
+        self.view = LiveView(context, backend)
+        self.tools = tuple(bind_parts(each, editor)() for each in TOOLS)
         self._previews = JobPreviews(context)
-        self._rainy = CachedTexture(context)
+        self._wet_preview = CachedTexture(context)
         self._captures = CaptureTextures(context)
         self._mosaic = MosaicImages(context)
         self._palette = CommandPalette()
         self._pace = FrameClock()
-        self._capture = session.captures.capture
+        self._capture = editor.captures.capture
         self._last_problem = ""
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
         windows, panels = list[hello_imgui.DockableWindow](), all_panels()
         for panel in panels:
-            window = hello_imgui.DockableWindow(
-                panel.window_name, _SPACES[panel.side], partial(panel.draw, self.session)
-            )
+            draw = bind_parts(panel.draw, self.editor)
+            window = hello_imgui.DockableWindow(panel.window_name, _SPACES[panel.side], draw)
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = is_first_there
             window.can_be_closed = False  # a close button on each tab takes too much width; View > Panels hides them
@@ -60,61 +59,64 @@ class Workspace:
     @property
     def title(self) -> str:
         """Title of the window: the scene, with a star if it has unsaved changes."""
-        return f"GSRAIN: {self.session.scene.name}{' *' if self.session.has_changes else ''}"
+        return f"GSRAIN: {self.editor.document.scene.name}{' *' if self.editor.files.has_changes else ''}"
 
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
-        session = self.session
-        session.update(self._pace.step(imgui.get_io().delta_time))
-        if session.is_working:
+        editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
+        editor.tick(self._pace.step(imgui.get_io().delta_time))
+        if editor.is_working:
             time.sleep(_FOR_THREADS_S)
-        self._previews.update(session)
-        previewed = session.rainy.previewed
-        session.rainy.texture = self._rainy.show(None if previewed is None else previewed.pixels)
-        self._captures.update(session)
+        viewport.job_previews = self._previews.update(editor.jobs.running)
+        wet_look.texture = self._wet_preview.show(None if wet_look.previewed is None else wet_look.previewed.pixels)
+        self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
-        idling.fps_idle = _WATCHING_FPS if session.jobs.running else _IDLE_FPS
-        resting = not (session.clock.playing or session.is_bringing_in or session.budget.is_settling)
-        resting = resting and not session.drives.mosaic.is_behind
-        idling.enable_idling = resting and self.view.is_settled and not self.view.is_catching_up
-        is_alone = self.view.is_settled and session.busy is None and not session.jobs.running
+        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
+        resting = not (editor.playback.clock.playing or editor.is_bringing_in or viewport.budget.is_settling)
+        resting = resting and not (editor.rollouts.mosaic.is_behind or viewport.is_catching_up)
+        idling.enable_idling = resting and self.view.is_settled
+        is_alone = self.view.is_settled and editor.busy is None and not editor.jobs.running
         idling.fps_max = 0.0 if is_alone else _WAITING_FPS
-        if session.is_leaving:
+        if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
 
     def draw_menus(self) -> None:
-        draw_menus(self.session)
+        draw_menus(self.editor)
 
     def draw_status(self) -> None:
-        status_bar(self.session)
+        status_bar(self.editor)
 
     def draw_viewport(self) -> None:
-        if not self.session.view.dialog and self.session.questions.present is None:
-            act_on_keys(self.session)
-        answer_dialogs(self.session)
-        capture = self.session.captures.capture
+        editor = self.editor
+        if not editor.viewport.options.dialog and editor.status.question is None:
+            act_on_keys(editor)
+        answer_dialogs(editor.status)
+        capture = editor.captures.capture
         if capture is not self._capture:
             self._capture = capture
             if capture is not None:  # the view shows nothing of a capture without poses
                 imgui.set_window_focus("Capture")
-        viewport_panel(self.session, self._textures)
-        self._palette.draw(self.session)
-        keyboard_page(self.session)
-        about_page(self.session)
-        draw_questions(self.session)
+        viewport_panel(editor, self.tools, self._textures)
+        self._palette.draw(editor)
+        keyboard_page(editor.viewport)
+        about_page(editor.viewport)
+        draw_questions(editor.viewport, editor.files, editor.status)
 
     def _textures(self, width: int, height: int) -> list[int]:
+        """Draw the viewport, and the images next to it; returns the OpenGL names of its panes."""
+        editor = self.editor
         try:
-            textures = self.view.draw(width, height)
-            self._captures.draw_points(self.session, self.session.shot(width, height).camera)
-            self._mosaic.update(self.session, self.view)
+            editor.apply(self.view.draw(editor.render_input(width, height)))
+            self._captures.draw_points(
+                editor.captures, editor.document.scene, editor.viewport.shot(width, height).camera
+            )
+            if (images := editor.mosaic_input()) is not None:
+                editor.apply_mosaic(self._mosaic.draw(images, self.view))
         except DeviceLostError:  # the window closes before its next frame
-            textures = self.view.last_textures
+            pass
         except Exception as problem:  # any error of a driver or a scene: report it once, keep image and window
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)
-                self.session.problem = str(problem)
-                logger.error("%s", problem, exc_info=not isinstance(problem, MemoryError))
-            textures = self.view.last_textures
-        return [texture.glo for texture in textures]
+                editor.status.report(problem)
+        return [texture.glo for texture in self.view.last_textures]

@@ -288,9 +288,9 @@ class SavedView(msgspec.Struct, frozen=True, kw_only=True):
     look: RenderMode = "splats"
 
 
-def saved_scene(session: ViewportState) -> Scene:
-    """The scene with its rain, weather, and current view."""
-    eye, view = session.navigation, session.view
+def saved_scene(viewport: ViewportState) -> Scene:
+    """The scene of the document with its rain, keyframes, and current view."""
+    document, eye, options = viewport.document, viewport.navigation, viewport.options
     x, y, z = eye.position.tolist()
     saved_view = SavedView(
         position=(x, y, z),
@@ -299,24 +299,25 @@ def saved_scene(session: ViewportState) -> Scene:
         distance_m=float(eye.distance_m),
         vertical_fov_deg=float(eye.vertical_fov_deg),
         speed_m_s=float(eye.speed_m_s),
-        time_s=float(session.clock.time_s),
-        background=view.background,
-        gain_ev=view.gain_ev,
-        look=view.look,
+        time_s=float(viewport.playback.clock.time_s),
+        background=options.background,
+        gain_ev=options.gain_ev,
+        look=options.look,
     )
-    rain, weather, saved_view = map(msgspec.to_builtins, (session.rain, session.weather, saved_view))
-    return replace(session.scene, rain=rain, weather=weather if session.weather.keys else None, view=saved_view)
+    rain, keyframes, view = map(msgspec.to_builtins, (document.rain, document.keyframes, saved_view))
+    return replace(document.scene, rain=rain, weather=keyframes if document.keyframes.keys else None, view=view)
 
 
-def restore_view(session: ViewportState, values: Mapping[str, Any]) -> None:
+def restore_view(viewport: ViewportState, values: Mapping[str, Any]) -> None:
     """Restore the view saved with a scene; invalid values are logged and ignored."""
     try:
         saved = msgspec.convert(values, SavedView)
     except msgspec.ValidationError as error:
-        logger.warning("%s: the saved view can't be used: %s", session.scene.name, error)
+        logger.warning("%s: the saved view can't be used: %s", viewport.document.scene.name, error)
         return
-    session.navigation = OrbitCamera(
+    viewport.navigation = OrbitCamera(
         np.array(saved.position), saved.heading, saved.pitch, saved.distance_m, saved.vertical_fov_deg, saved.speed_m_s
     )
-    session.clock.time_s = saved.time_s
-    session.view.background, session.view.gain_ev, session.view.look = saved.background, saved.gain_ev, saved.look
+    viewport.playback.clock.time_s = saved.time_s
+    options = viewport.options
+    options.background, options.gain_ev, options.look = saved.background, saved.gain_ev, saved.look

@@ -17,6 +17,7 @@ from ..datasets.undistort import undistort_frame
 from ..scene.scene import Scene, rotation_to_z_up
 from .jobs.job import ThreadTask, ThreadTasks
 from .overlays import RecordedCameras, fov_to_fit_deg, frustum_length
+from .status import Answer, Question, StatusBus
 from .viewport.options import Texture
 from .viewport_state import ViewportState
 
@@ -39,8 +40,8 @@ class PointSample:
 class CaptureController:
     """The open capture. Main thread only; call `poll` once a frame."""
 
-    def __init__(self, session: ViewportState) -> None:
-        self._session = session
+    def __init__(self, viewport: ViewportState, status: StatusBus) -> None:
+        self._viewport, self._document, self._status = viewport, viewport.document, status
         self.capture: Capture | None = None
         self.path: Path | None = None
         """Path that the capture was read from."""
@@ -65,8 +66,6 @@ class CaptureController:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
         self.allows_outside = False
         """True if files outside of the capture's folder that its files refer to may be read."""
-        self.refused: tuple[Path, str] | None = None
-        """Capture that was not opened because its files refer to others outside of its folder, and the message."""
         self._tasks = ThreadTasks(self._thread)
         self._opening: ThreadTask[tuple[Capture, PointSample | None]] | None = None
         self.in_scene_axes: bool | None = None
@@ -77,29 +76,34 @@ class CaptureController:
     # Opening and closing
 
     def open(self, path: Path, *, allow_outside: bool = False) -> None:
-        """Read a capture in the background; a later call supersedes an earlier one. Errors are set as `problem`.
+        """Read a capture in the background; a later call supersedes an earlier one. Errors are reported.
 
-        A capture that refers to files outside of its folder is put in `refused`, unless `allow_outside` is set.
+        Asks first if the capture refers to files outside of its folder, unless `allow_outside` is set.
         """
 
         def take(read: tuple[Capture, PointSample | None]) -> None:
             self._opening, self.allows_outside = None, allow_outside
-            self._enter(path, *read)
+            self.display(path, *read)
 
         def fail(error: Exception) -> None:
             self._opening = None
             if isinstance(error, OutsideError):
-                self.refused = path, str(error)
                 logger.error("%s", error)
+                self._ask_about_outside(path, error)
             else:
-                self._session.report_problem(str(error))
+                self._status.report(str(error))
 
         if self._opening is not None:
             self._opening.state = "cancelled"
-        self.refused = None
         self._opening = self._tasks.start(
-            lambda: _read(path, allow_outside), take, fail, message=f"Reading {path.name}"
+            lambda: read_capture(path, allow_outside), take, fail, message=f"Reading {path.name}"
         )
+
+    def _ask_about_outside(self, path: Path, error: OutsideError) -> None:
+        """Ask before files outside of a capture's folder are read."""
+        text = f"{str(error).partition('; --allow')[0]}. Read files outside of its folder?"
+        yes = Answer("Read them", lambda: self.open(path, allow_outside=True), "Open it with those files.")
+        self._status.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel"))))
 
     def close_capture(self) -> None:
         self.capture = self.path = self.points = self.pictures = self._snapped = None
@@ -129,7 +133,8 @@ class CaptureController:
     def close(self) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def _enter(self, path: Path, capture: Capture, points: PointSample | None) -> None:
+    def display(self, path: Path, capture: Capture, points: PointSample | None) -> None:
+        """Open a capture that was read from a path."""
         self.close_capture()
         self.capture, self.path, self.points = capture, path, points
         self.pictures = CaptureImageLoader(capture, self._thread)
@@ -189,38 +194,37 @@ class CaptureController:
         """Length of the frustums in the world."""
         return self.frustum_m * float(np.cbrt(np.linalg.det(self.to_world(scene)[:3, :3])))
 
-    def step(self, session: ViewportState, steps: int) -> None:
+    def step(self, steps: int) -> None:
         """Select the view a number of steps further in the list, wrapping around."""
         if listed := self.listed:
             at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
-            self.look_from(session, listed[(at + steps) % len(listed)])
+            self.look_from(listed[(at + steps) % len(listed)])
 
-    def look_from(self, session: ViewportState, index: int) -> None:
+    def look_from(self, index: int) -> None:
         """Select a view and move the viewport camera to its pose (without roll) and time."""
         if self.capture is None:
             return
         self.chosen = index
-        camera, (width, height) = self.cameras(session.scene)[index], self.viewport_px
-        session.stop_riding()
-        session.following.follow("")
-        session.navigation.stop()
-        session.navigation.look_like(camera)
-        session.navigation.vertical_fov_deg = min(fov_to_fit_deg(camera, width / height), 150.0)
-        if session.scene.actors:
-            session.clock.playing = False
-            session.clock.seek(self.capture[index].time_s)
-        self._snapped = index, session.navigation.camera(1, 1).world_to_camera
+        viewport, camera, (width, height) = self._viewport, self.cameras(self._document.scene)[index], self.viewport_px
+        viewport.look_from(camera)
+        viewport.navigation.vertical_fov_deg = min(fov_to_fit_deg(camera, width / height), 150.0)
+        if self._document.scene.actors:
+            viewport.playback.clock.playing = False
+            viewport.playback.clock.seek(self.capture[index].time_s)
+        self._snapped = index, viewport.navigation.camera(1, 1).world_to_camera
 
-    def stands_at(self, session: ViewportState) -> int | None:
-        """Return the view whose pose the viewport camera has, or None after the user moved on."""
-        if self._snapped is None or session.view.follow_path:
+    @property
+    def view_at_camera(self) -> int | None:
+        """The view whose pose the viewport camera has, or None after the user moved on."""
+        if self._snapped is None or self._viewport.options.follow_path:
             return None
         index, pose = self._snapped
-        now = session.navigation.camera(1, 1).world_to_camera
+        now = self._viewport.navigation.camera(1, 1).world_to_camera
         return index if np.allclose(now, pose, rtol=0, atol=_SAME_PLACE * max(1.0, float(np.abs(pose).max()))) else None
 
 
-def _read(path: Path, allow_outside: bool) -> tuple[Capture, PointSample | None]:
+def read_capture(path: Path, allow_outside: bool) -> tuple[Capture, PointSample | None]:
+    """Read a capture, and sample its points."""
     from ..datasets.open_capture import open_capture  # loads every reader
 
     capture = open_capture(path, allow_outside=allow_outside)

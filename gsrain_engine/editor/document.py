@@ -1,175 +1,222 @@
-"""The edited document (scene, rain, weather) and its undo history."""
+"""The document (scene, rain, keyframes), its undo history, and the edits that change it."""
 
-import logging
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, Literal, ParamSpec
 
 import msgspec
 
 from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
 from ..rain.settings import RainSettings
 from ..scene.scene import Scene
-from .timeline import PlaybackClock
+from .clock import PlaybackClock
+from .status import StatusBus
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Document:
+class DocumentState:
     """State that the user edits and that undo restores."""
 
     scene: Scene
     rain: RainSettings
-    weather: RainKeyframes = NO_KEYFRAMES
+    keyframes: RainKeyframes = NO_KEYFRAMES
+
+    def equals(self, other: "DocumentState") -> bool:
+        """Return whether both have the same scene object, and equal rain and keyframes."""
+        return self.scene is other.scene and self.rain == other.rain and self.keyframes == other.keyframes
 
 
 # Undo
-# Documents are immutable values, so a step costs a reference.
+# States are immutable values, so a step costs a reference.
 
 
 @dataclass(slots=True)
-class _Step:
+class Step:
+    """A step of the history: the document after it, and the pure function with its arguments that made it."""
+
     label: str
-    document: Document
+    document: DocumentState
+    of: Literal["scene", "keyframes", "document"] = "document"
+    """Argument and result of `change`: a part of the document, or all of it."""
+    change: Callable[..., Any] | None = None
+    """None for the first step, an opened document."""
+    arguments: tuple[Any, ...] = ()
+    """Arguments of `change` after the first."""
+    options: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Keyword arguments of `change`."""
     gesture: str | None = None
     """Name of the running drag; further changes by the same gesture belong to the same step."""
+
+    def applied_to(self, before: DocumentState) -> DocumentState:
+        """Apply the change to another document."""
+        if self.change is None:
+            return before
+        if self.of == "document":
+            return self.change(before, *self.arguments, **self.options)
+        changed = self.change(getattr(before, self.of), *self.arguments, **self.options)
+        return replace(before, **{self.of: changed})
 
 
 class History:
     """Undo steps and a cursor at the present one."""
 
-    def __init__(self, document: Document) -> None:
+    def __init__(self, document: DocumentState) -> None:
         """Start with an opened document."""
-        self._steps = [_Step("Open", document)]
+        self._steps = [Step("Open", document)]
         self.cursor = 0
 
     @property
-    def labels(self) -> list[str]:
+    def steps(self) -> tuple[Step, ...]:
         """Oldest first."""
+        return tuple(self._steps)
+
+    @property
+    def labels(self) -> list[str]:
         return [step.label for step in self._steps]
 
     @property
-    def present(self) -> Document:
-        return self._steps[self.cursor].document
+    def step(self) -> Step:
+        """The present step."""
+        return self._steps[self.cursor]
 
     @property
-    def previous(self) -> Document:
+    def present(self) -> DocumentState:
+        return self.step.document
+
+    @property
+    def previous(self) -> DocumentState:
         """Document before the last step; at the start the present one."""
         return self._steps[max(0, self.cursor - 1)].document
 
     @property
-    def gesture(self) -> str | None:
-        """Gesture that the present step belongs to, while it continues."""
-        return self._steps[self.cursor].gesture
-
-    @property
     def undo_label(self) -> str | None:
         """Label of the step that undo reverts; None at the start."""
-        return self._steps[self.cursor].label if self.cursor > 0 else None
+        return self.step.label if self.cursor > 0 else None
 
     @property
     def redo_label(self) -> str | None:
         """Label of the step that redo restores; None at the end."""
         return self._steps[self.cursor + 1].label if self.cursor + 1 < len(self._steps) else None
 
-    def record(self, label: str, document: Document, gesture: str | None = None) -> None:
-        """Append a document and drop the redo steps. A continuing gesture replaces its own last step."""
-        step = self._steps[self.cursor]
-        if gesture is not None and step.gesture == gesture:
-            step.document = document
+    def continues(self, gesture: str | None) -> bool:
+        """Return whether the present step belongs to a gesture that has not ended."""
+        return gesture is not None and self.step.gesture == gesture
+
+    def record(self, step: Step) -> None:
+        """Append a step and drop the redo steps. A continuing gesture replaces its own last step."""
+        if self.continues(step.gesture):
+            self._steps[self.cursor] = replace(step, label=self.step.label)
         else:
-            self._steps[self.cursor + 1 :] = [_Step(label, document, gesture)]
+            self._steps[self.cursor + 1 :] = [step]
             self.cursor += 1
 
     def end_gesture(self) -> None:
         """End the gesture, so that the next change is a step of its own."""
-        self._steps[self.cursor].gesture = None
+        self.step.gesture = None
 
-    def go_to(self, step: int) -> Document:
+    def go_to(self, step: int) -> None:
         """Go to a step, at most to the first or the last one."""
         self.cursor = min(max(step, 0), len(self._steps) - 1)
-        return self.present
 
 
 # Edited document
 
-logger = logging.getLogger("gsrain")
+_P = ParamSpec("_P")
 
 
-class EditedDocument:
-    """The present document and the methods that change it. Subclasses update derived state in `_follow_document`."""
+class Signal(Generic[_P]):
+    """Functions that are called, in the order of their connection, when something has happened."""
 
-    def __init__(self, document: Document, clock: PlaybackClock) -> None:
-        self.clock = clock
-        self.history = History(document)
-        self.problem: str | None = None
-        """Last error, in one sentence; the viewport shows it until it is closed or a scene is opened."""
-        self._key_moment: tuple[str | None, float] = None, 0.0
-        """Running gesture and the time at which it sets its keyframes."""
+    def __init__(self) -> None:
+        self._receivers: list[Callable[_P, object]] = []
 
-    def _follow_document(self) -> None:
-        raise NotImplementedError
+    def connect(self, receiver: Callable[_P, object]) -> None:
+        self._receivers.append(receiver)
+
+    def emit(self, *values: _P.args, **named: _P.kwargs) -> None:
+        for receiver in self._receivers:
+            receiver(*values, **named)
+
+
+class Document:
+    """The present scene, rain and keyframes, their history, and the only functions that change them.
+
+    Each change is a pure function with arguments, recorded with its step. Changes of one gesture (a drag) make one
+    step: each applies to the document before the gesture, so that the last one alone is the step. Call `end_gesture`
+    when it ends. A `ValueError` of a function is reported, and nothing changes.
+    """
+
+    def __init__(self, state: DocumentState, clock: PlaybackClock, status: StatusBus) -> None:
+        """`clock` is the time at which rain with keyframes is changed."""
+        self.changed: Signal[DocumentState, DocumentState] = Signal()
+        """Emitted with the old and the new document after each edit, undo, redo and opening."""
+        self.history = History(state)
+        self._clock, self._status = clock, status
+
+    @property
+    def state(self) -> DocumentState:
+        return self.history.present
 
     @property
     def scene(self) -> Scene:
-        return self.history.present.scene
+        return self.state.scene
 
     @property
     def rain(self) -> RainSettings:
-        return self.history.present.rain
-
-    def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
-        """Change fields of the rain. Changes of one gesture (a drag) make one step; call `end_gesture` when it ends.
-
-        A field with keyframes gets a keyframe at the present time, or at the start of the running gesture.
-        """
-        if gesture is None or gesture != self._key_moment[0]:
-            self._key_moment = gesture, self.clock.time_s
-        at_s = self._key_moment[1]
-        keyed = {name: value for name, value in fields.items() if self.weather.is_keyed(name) and value is not None}
-        rain = msgspec.structs.replace(self.rain, **fields)
-        weather = self.weather.with_key(at_s, **keyed) if keyed else self.weather
-        self.set_rain(label, rain, gesture, weather)
+        return self.state.rain
 
     @property
-    def weather(self) -> RainKeyframes:
-        return self.history.present.weather
+    def keyframes(self) -> RainKeyframes:
+        return self.state.keyframes
 
     @property
     def rain_now(self) -> RainSettings:
         """Rain at the present time: interpolated where a field has keyframes, constant elsewhere."""
-        return self.weather.rain_at(self.rain, self.clock.time_s)
+        return self.keyframes.rain_at(self.rain, self._clock.time_s)
 
-    def set_weather(self, label: str, weather: RainKeyframes, gesture: str | None = None) -> None:
-        """Set the rain keyframes; drops in the air continue from their positions."""
-        self.set_rain(label, self.rain, gesture, weather)
+    def open(self, state: DocumentState) -> None:
+        """Replace the document by another one, with a history of its own."""
+        before, self.history = self.state, History(state)
+        self.changed.emit(before, state)
 
-    def set_rain(
-        self, label: str, rain: RainSettings, gesture: str | None = None, weather: RainKeyframes | None = None
-    ) -> None:
-        """Set the rain, and keyframes if given; drops in the air continue from their positions."""
-        present, weather = self.history.present, weather or self.weather
-        if rain != present.rain or weather != present.weather:
-            self.history.record(label, replace(present, rain=rain, weather=weather), gesture)
-            self._follow_document()
+    def edit(
+        self,
+        label: str | Callable[[Scene, Scene], str],
+        change: Callable[..., Scene],
+        *arguments: Any,
+        gesture: str | None = None,
+        **options: Any,
+    ) -> bool:
+        """Set the scene that `change(scene, *arguments, **options)` returns; return whether it is another one.
 
-    def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
-        self.history.record(label, replace(self.history.present, scene=scene), gesture)
-        self._follow_document()
+        `label` may be a function of the old and the new scene.
+        """
+        return self._apply(label, Step("", self.state, "scene", change, arguments, options, gesture))
 
-    def edit(self, label: str, change: Callable[..., Scene], *arguments: object, gesture: str | None = None) -> None:
-        """Set the scene that `change` returns; a `ValueError` is logged and set as `problem`."""
-        try:
-            changed = change(self.scene, *arguments)
-        except ValueError as error:
-            self.report_problem(str(error))
-        else:
-            self.set_scene(label, changed, gesture)
+    def edit_keyframes(
+        self,
+        label: str,
+        change: Callable[..., RainKeyframes],
+        *arguments: Any,
+        gesture: str | None = None,
+        **options: Any,
+    ) -> bool:
+        """Set the rain keyframes that a function returns, as `edit` does; drops in the air keep their positions."""
+        return self._apply(label, Step("", self.state, "keyframes", change, arguments, options, gesture))
 
-    def show_member(self, key: str, visible: bool) -> None:
-        verb = "Show" if visible else "Hide"
-        self.set_scene(f"{verb} {self.scene.member(key).name}", self.scene.with_member(key, visible=visible))
+    def change_rain(self, label: str, gesture: str | None = None, **fields: Any) -> None:
+        """Change fields of the rain; drops in the air continue from their positions.
+
+        A field with keyframes gets a keyframe at the present time, or at the start of the running gesture.
+        """
+        at_s = self.history.step.arguments[0] if self.history.continues(gesture) else self._clock.time_s
+        self._apply(label, Step("", self.state, "document", with_rain, (at_s,), fields, gesture))
+
+    def set_contents(self, label: str, scene: Scene, rain: RainSettings, gesture: str) -> None:
+        """Set scene and rain of another program."""
+        self._apply(label, Step("", self.state, "document", with_contents, (scene, rain), {}, gesture))
 
     def end_gesture(self) -> None:
-        self._key_moment = None, 0.0
         self.history.end_gesture()
 
     def undo(self) -> None:
@@ -180,10 +227,31 @@ class EditedDocument:
 
     def go_to_step(self, step: int) -> None:
         """Go to a step of the history, backward or forward."""
+        before = self.state
         self.history.go_to(step)
-        self._follow_document()
+        self.changed.emit(before, self.state)
 
-    def report_problem(self, problem: str) -> None:
-        """Log an error and set it as `problem`."""
-        self.problem = problem
-        logger.error("%s", problem)
+    def _apply(self, label: str | Callable[[Scene, Scene], str], step: Step) -> bool:
+        before = self.state
+        try:
+            after = step.applied_to(self.history.previous if self.history.continues(step.gesture) else before)
+        except ValueError as error:
+            self._status.report(error)
+            return False
+        if after.equals(before):
+            return False
+        label = label if isinstance(label, str) else label(before.scene, after.scene)
+        self.history.record(replace(step, label=label, document=after))
+        self.changed.emit(before, after)
+        return True
+
+
+def with_rain(state: DocumentState, at_s: float, **fields: Any) -> DocumentState:
+    """Change fields of the rain; those with keyframes get one at a time."""
+    keyed = {name: value for name, value in fields.items() if state.keyframes.is_keyed(name) and value is not None}
+    keyframes = state.keyframes.with_key(at_s, **keyed) if keyed else state.keyframes
+    return replace(state, rain=msgspec.structs.replace(state.rain, **fields), keyframes=keyframes)
+
+
+def with_contents(state: DocumentState, scene: Scene, rain: RainSettings) -> DocumentState:
+    return replace(state, scene=scene, rain=rain)

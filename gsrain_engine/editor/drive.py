@@ -28,13 +28,13 @@ from ..simulation.scenario_io import load_scenario, save_scenario, scenario_name
 from ..simulation.sensors import needed_cameras
 from ..simulation.traffic.appearance import scale_gaussians, vehicle_model
 from .autosave import saved_scene
-from .files import SceneFiles
+from .files import Files
 from .jobs.drive import DriveSettings, LoadedRollout, load_rollout, rollout_video_job, simulation_job
-from .jobs.job import ThreadTask, ThreadTasks
-from .notifications import describe_error
-from .services import EditorServices
-from .viewport.camera_follow import ChaseCamera, ChaseMode, VehicleMoment
+from .jobs.job import JobRunner, ThreadTask, ThreadTasks
+from .status import StatusBus, describe_error
+from .viewport.camera_follow import ChaseMode, VehicleMoment
 from .viewport.options import Texture
+from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
 _VIDEO_FPS = (1.0, 60.0)
@@ -42,69 +42,73 @@ _MAX_ROLLOUTS = 12  # maximum number of open roll-outs; the oldest is closed fir
 
 
 class RolloutPlayer:
-    """The drives of one session: start, read, write and play roll-outs. Main thread only; call `poll` once a frame."""
+    """The drives of one window: start, read, write and play roll-outs. Main thread only; call `poll` once a frame."""
 
-    def __init__(self, scene_files: SceneFiles, chase: ChaseCamera, files: ThreadPoolExecutor) -> None:
-        """Use `files` as the thread for reading and writing; `chase` is the camera that may follow the vehicle."""
-        self._scene_files = scene_files
-        self.settings = DriveSetup()
+    def __init__(
+        self, viewport: ViewportState, jobs: JobRunner, files: Files, status: StatusBus, thread: ThreadPoolExecutor
+    ) -> None:
+        """Use `thread` for reading and writing."""
+        self._viewport, self._document, self._playback = viewport, viewport.document, viewport.playback
+        self._jobs, self._files, self._status = jobs, files, status
+        self.setup = DriveSetup()
         self.opened: list[LoadedRollout] = []
         self.playing: LoadedRollout | None = None
-        """Roll-out that the viewport shows."""
-        self.trouble: str | None = None
-        """Reason why the viewport can't show it."""
-        self.chase, self.mosaic = chase, CameraMosaic()
+        """Roll-out that the viewport displays."""
+        self.why_hidden: str | None = None
+        """Reason why the viewport can't display it."""
+        self.mosaic = CameraMosaic()
         self.show_ego_car, self.show_boxes, self.show_plan = True, True, True
         self.rain_as_driven = True
         """True for the rain of the drive in the viewport, False for that of the scene."""
-        self._shown: RolloutInScene | None = None
+        self._placed: RolloutInScene | None = None
         self._rainfall: RainSimulation | None = None
         self._scene_span: tuple[float, float] | None = None
         """The user's start and end of playback, while a roll-out plays."""
-        self._tasks = ThreadTasks(files)
+        self._tasks = ThreadTasks(thread)
         self._placing: ThreadTask[RolloutInScene] | None = None
 
     # Driving
 
-    def why_not(self, session: EditorServices) -> str | None:
+    @property
+    def why_not(self) -> str | None:
         """Reason why no drive can start now, or None."""
-        if session.jobs.is_running("drive"):
+        if self._jobs.is_running("drive"):
             return "A drive goes on."
-        if session.scene.ego is None:
+        if self._document.scene.ego is None:
             return (
                 "This scene has no recorded drive, and so no route to take: let the ego drive along a camera path "
                 "(Drive menu), or open one that has, such as the street."
             )
-        return self.settings.why_not
+        return self.setup.why_not
 
-    def start(self, session: EditorServices) -> None:
-        why_not = self.why_not(session)
+    def start(self) -> None:
+        why_not = self.why_not
         if why_not is not None:
-            session.problem = why_not
+            self._status.report(why_not)
             return
-        scenario, settings = self.settings.scenario, self.settings.settings
-        rains, known = settings.rains(session.rain_now), self._scene_files.known
+        scenario, settings = self.setup.scenario, self.setup.settings
+        rains, known = settings.rains(self._document.rain_now), self._files.known
 
-        job = simulation_job(saved_scene(session), scenario, settings, rains, known)
-        session.jobs.start(job, lambda found, _: self._open(session, found))
+        job = simulation_job(saved_scene(self._viewport), scenario, settings, rains, known)
+        self._jobs.start(job, lambda found, _: self._open(found))
 
     # Files
 
-    def open(self, session: EditorServices, path: Path) -> None:
+    def open(self, path: Path) -> None:
         """Read a roll-out in the background and play it."""
 
         def fail(error: Exception) -> None:
-            session.problem = describe_error(f"{path.name} can't be opened", error)
+            self._status.report(error, f"{path.name} can't be opened")
 
-        self._tasks.start(lambda: [load_rollout(path)], lambda found: self._open(session, found), fail)
+        self._tasks.start(lambda: [load_rollout(path)], self._open, fail)
 
-    def _open(self, session: EditorServices, found: list[LoadedRollout]) -> None:
+    def _open(self, found: list[LoadedRollout]) -> None:
         self.opened = [*self.opened, *found][-_MAX_ROLLOUTS:]
-        self.play(session, found[-1])
+        self.play(found[-1])
         for each in found:
             logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
 
-    def save_as(self, session: EditorServices, path: Path) -> None:
+    def save_as(self, path: Path) -> None:
         """Write the playing roll-out in the background; replacing an existing file needs confirmation."""
         if self.playing is None:
             return
@@ -118,35 +122,41 @@ class RolloutPlayer:
                 self.playing = saved
 
         def fail(error: Exception) -> None:
-            session.problem = describe_error(f"{path} can't be written", error)
+            self._status.report(error, f"{path} can't be written")
 
         def write() -> None:
             self._tasks.start(lambda: write_rollout(path, playing.rollout), take, fail)
 
-        session.questions.before_replacing([path], write)
+        self._status.ask_before_replacing([path], write)
 
-    def why_no_video(self, session: EditorServices) -> str | None:
+    @property
+    def why_no_video(self) -> str | None:
         """Reason why no video of the playing roll-out can be made now, or None."""
-        if self.playing is None or self.placed_in(session.scene) is None:
+        if self.playing is None or self.placed_in(self._document.scene) is None:
             return "No roll-out plays: drive, or open one, in the Drive panel."
-        if not session.scene.rigs:
+        if not self._document.scene.rigs:
             return "This scene has no rig whose front camera could record the drive."
-        if session.jobs.is_running("drive video"):
+        if self._jobs.is_running("drive video"):
             return "A video is being rendered."
         return None
 
-    def video_to(self, session: EditorServices, path: Path) -> None:
+    def video_to(self, path: Path) -> None:
         """Record a video of the playing roll-out in the background; replacing an existing file needs confirmation."""
         if self.playing is None:
             return
         path, rollout = path if path.suffix else path.with_suffix(".mp4"), self.playing.rollout
 
         def begin() -> None:
-            fps = min(max(session.timeline.fps, _VIDEO_FPS[0]), _VIDEO_FPS[1])
-            job = rollout_video_job(saved_scene(session), rollout, path, fps, self._scene_files.known)
-            session.jobs.start(job, lambda video, _: logger.info("Filmed the drive %s", video))
+            fps = min(max(self._playback.timeline.fps, _VIDEO_FPS[0]), _VIDEO_FPS[1])
+            job = rollout_video_job(saved_scene(self._viewport), rollout, path, fps, self._files.known)
+            self._jobs.start(job, lambda video, _: logger.info("Filmed the drive %s", video))
 
-        session.questions.before_replacing([path], begin)
+        self._status.ask_before_replacing([path], begin)
+
+    @property
+    def unsaved_titles(self) -> list[str]:
+        """Titles of the roll-outs that are lost with this document."""
+        return [each.title for each in self.opened if each.path is None]
 
     @property
     def is_working(self) -> bool:
@@ -158,86 +168,89 @@ class RolloutPlayer:
         """Reads and writes in progress, to wait for where there are no frames."""
         return self._tasks.futures
 
-    def poll(self, session: EditorServices) -> None:
+    def poll(self) -> None:
         """Process finished reads and writes, and move the chase camera; never blocks."""
         self._tasks.poll()
-        shown = self.placed_in(session.scene)
+        shown = self.placed_in(self._document.scene)
         if shown is not None:
-            self.chase.ride(shown.vehicle(session.clock.time_s), session.navigation)
+            self._viewport.chase.ride(shown.vehicle(self._playback.clock.time_s), self._viewport.navigation)
 
     # Playback
 
-    def play(self, session: EditorServices, opened: LoadedRollout) -> None:
+    def play(self, opened: LoadedRollout) -> None:
         """Play a roll-out from its start in place of the scene's own traffic; the document stays unchanged.
 
         It appears in a later frame, because finding the ground of a scene takes a moment.
         """
         if self._placing is not None:
             self._placing.cancel()
-        scene = session.scene
+        scene = self._document.scene
         self._placing = self._tasks.start(
             lambda: RolloutInScene(opened.rollout, scene),
-            lambda shown: self._begin(session, opened, shown),
-            lambda error: self._begin(session, opened, error),
+            lambda shown: self._begin(opened, shown),
+            lambda error: self._begin(opened, error),
         )
 
-    def _begin(self, session: EditorServices, opened: LoadedRollout, shown: "RolloutInScene | Exception") -> None:
+    def _begin(self, opened: LoadedRollout, shown: "RolloutInScene | Exception") -> None:
         """Play a roll-out that was placed in the scene, or report why that is impossible."""
         self._placing = None
         if not any(each is opened for each in self.opened):
             return  # closed meanwhile
         was_playing = self.playing is not None
-        self.playing, self.trouble, self._shown, self._rainfall = opened, None, None, None
+        self.playing, self.why_hidden, self._rainfall = opened, None, None
+        self._set_placed(None)
         if not was_playing:
-            self._scene_span = session.clock.span_s
-        session.clock.span_s = None
-        session.timeline.is_fitted = False
+            self._scene_span = self._playback.clock.span_s
+        self._playback.clock.span_s = None
+        self._playback.timeline.is_fitted = False
         if isinstance(shown, Exception):
-            session.problem = self.trouble = f"The view can't show the roll-out: {shown}"
+            self.why_hidden = f"The view can't show the roll-out: {shown}"
+            self._status.report(self.why_hidden)
             return
-        self._shown = shown
-        session.view.follow_path = False
+        self._set_placed(shown)
+        self._viewport.options.follow_path = False
         self.mosaic.rig = shown.scenario.rig or self.mosaic.rig
-        session.clock.seek(shown.start_s)
+        self._playback.clock.seek(shown.start_s)
         if not was_playing:
-            self.chase.begin("behind")
+            self._viewport.chase.begin("behind")
 
-    def follow(self, session: EditorServices, mode: ChaseMode) -> None:
+    def follow(self, mode: ChaseMode) -> None:
         """Let the camera follow the vehicle in a chase mode."""
-        session.view.follow_path = False
-        session.following.follow("")
-        self.chase.begin(mode)
+        self._viewport.options.follow_path = False
+        self._viewport.following.follow("")
+        self._viewport.chase.begin(mode)
 
-    def seek(self, session: EditorServices, time_s: float) -> None:
+    def seek(self, time_s: float) -> None:
         """Seek to a time of the playing roll-out, in seconds since its scenario began."""
-        shown = self.placed_in(session.scene)
-        session.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
+        shown = self.placed_in(self._document.scene)
+        self._playback.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
 
-    def jump(self, session: EditorServices, time_s: float) -> None:
+    def jump(self, time_s: float) -> None:
         """Pause at a time of the playing roll-out."""
-        session.clock.playing = False
-        self.seek(session, time_s)
+        self._playback.clock.playing = False
+        self.seek(time_s)
 
-    def close(self, session: EditorServices, opened: LoadedRollout) -> None:
+    def close(self, opened: LoadedRollout) -> None:
         """Close a roll-out; the scene returns after the last playing one."""
         self.opened = [each for each in self.opened if each is not opened]
         if opened is self.playing:
-            self._stop(session)
+            self._stop()
             if self.opened:
-                self.play(session, self.opened[-1])
+                self.play(self.opened[-1])
 
-    def close_all(self, session: EditorServices) -> None:
+    def close_all(self) -> None:
         self.opened = []
         if self.playing is not None:
-            self._stop(session)
+            self._stop()
 
-    def _stop(self, session: EditorServices) -> None:
+    def _stop(self) -> None:
         if self._placing is not None:
             self._placing.cancel()
-        self.playing = self.trouble = self._shown = self._rainfall = self._placing = None
-        self.chase.begin("free")
-        session.clock.span_s, self._scene_span = self._scene_span, None
-        session.timeline.is_fitted = False
+        self.playing = self.why_hidden = self._rainfall = self._placing = None
+        self._set_placed(None)
+        self._viewport.chase.begin("free")
+        self._playback.clock.span_s, self._scene_span = self._scene_span, None
+        self._playback.timeline.is_fitted = False
 
     # Viewport
 
@@ -246,19 +259,25 @@ class RolloutPlayer:
 
         It is placed anew after the user changed the scene's actors or units.
         """
-        if self.playing is not None and self._shown is not None and not self._shown.fits(scene):
+        if self.playing is not None and self._placed is not None and not self._placed.fits(scene):
             try:
-                self._shown = RolloutInScene(self.playing.rollout, scene)
+                self._set_placed(RolloutInScene(self.playing.rollout, scene))
             except ValueError as error:
-                self._shown, self.trouble = None, f"The view can't show the roll-out: {error}"
-        return self._shown
+                self._set_placed(None)
+                self.why_hidden = f"The view can't show the roll-out: {error}"
+        return self._placed
 
-    def scene_in_place_of(self, scene: Scene) -> Scene:
-        """The scene with the road users of the playing roll-out; unchanged if none plays."""
+    def _set_placed(self, placed: "RolloutInScene | None") -> None:
+        self._placed, self._playback.rollout_span_s = placed, None if placed is None else placed.span_s
+
+    @property
+    def displayed_scene(self) -> Scene:
+        """Scene of the viewport: the document's, or a drag preview, with the road users of the playing roll-out."""
+        scene = self._viewport.drawn_preview or self._document.scene
         shown = self.placed_in(scene)
         if shown is None:
             return scene
-        return shown.scene(scene, with_ego=self.show_ego_car and self.chase.mode != "front camera")
+        return shown.scene(scene, with_ego=self.show_ego_car and self._viewport.chase.mode != "front camera")
 
     def rig_scene(self, scene: Scene) -> Scene:
         """Scene for the rig's cameras: without the body of the ego vehicle."""
@@ -267,23 +286,20 @@ class RolloutPlayer:
 
     def rainfall(self, *, roofs: bool) -> RainSimulation | None:
         """Rain of the playing roll-out, under roofs if they are known; None to use the document's rain."""
-        if self._shown is None or not self.rain_as_driven:
+        if self._placed is None or not self.rain_as_driven:
             return None
-        rain = self._shown.scenario.rain
+        rain = self._placed.scenario.rain
         if not roofs and rain.roofs:
             rain = msgspec.structs.replace(rain, roofs=False)
         if self._rainfall is None or self._rainfall.rain != rain:
             self._rainfall = RainSimulation.start(rain)
         return self._rainfall
 
-    def span_s(self) -> tuple[float, float] | None:
-        """Start and end of the playing roll-out, in the scene's time."""
-        return None if self._shown is None else self._shown.span_s
-
-    def step_now(self, session: EditorServices) -> RolloutStep | None:
+    @property
+    def step_now(self) -> RolloutStep | None:
         """Step of the playing roll-out at the present time."""
-        shown = self.placed_in(session.scene)
-        return None if shown is None else shown.played.step(shown.own_time_s(session.clock.time_s))
+        shown = self.placed_in(self._document.scene)
+        return None if shown is None else shown.played.step(shown.own_time_s(self._playback.clock.time_s))
 
 
 # Playback: each road user gets a track, so that no copies are needed
@@ -441,7 +457,7 @@ class DriveSetup:
     """Setup of the next drive: an editable scenario, its driver, and its rain."""
 
     def __init__(self) -> None:
-        self.problem: str | None = None
+        self.error: str | None = None
         """Last error of a scenario file."""
         self.source = _FIRST
         """Name of the shipped scenario, or path of the file, that it was read from."""
@@ -478,13 +494,13 @@ class DriveSetup:
         return None
 
     def load(self, source: str | Path) -> None:
-        """Load a shipped scenario by name, or one from a file; an error is set as `problem`."""
+        """Load a shipped scenario by name, or one from a file; an error is reported in the panel."""
         try:
             scenario = load_scenario(source)
         except (ValueError, OSError) as error:
-            self.problem = describe_error(f"{source} can't be opened", error)
+            self.error = describe_error(f"{source} can't be opened", error)
             return
-        self.scenario, self.source, self.is_changed, self.problem = scenario, str(source), False, None
+        self.scenario, self.source, self.is_changed, self.error = scenario, str(source), False, None
 
     def save(self, path: Path) -> None:
         """Write the scenario; the file becomes its source."""
@@ -492,20 +508,20 @@ class DriveSetup:
         try:
             save_scenario(self.scenario, path)
         except OSError as error:
-            self.problem = describe_error(f"{path} can't be written", error)
+            self.error = describe_error(f"{path} can't be written", error)
             return
-        self.source, self.is_changed, self.problem = str(path), False, None
+        self.source, self.is_changed, self.error = str(path), False, None
 
     def change(self, scenario: Scenario) -> None:
-        """Set a changed scenario; an inconsistent one is rejected and the error set as `problem`."""
+        """Set a changed scenario; an inconsistent one is rejected with an error."""
         if scenario == self.scenario:
             return
         try:
             self.scenario = msgspec.convert(msgspec.to_builtins(scenario), Scenario)
         except ValueError as error:
-            self.problem = str(error)
+            self.error = str(error)
             return
-        self.is_changed, self.problem = True, None
+        self.is_changed, self.error = True, None
 
     def change_user(self, number: int, user: ScenarioUser) -> None:
         users = (*self.scenario.road_users[:number], user, *self.scenario.road_users[number + 1 :])

@@ -1,142 +1,147 @@
-"""The editor without a window: panels read its state and call its methods, the live view draws it."""
+"""The editor without a window: its parts, opening and closing, and the frames that a live view draws of it."""
 
-import logging
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import msgspec
 import platformdirs
 
 from ..malloc_tuning import MemoryTrimmer
-from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes, keyframes_of, rain_of
-from ..rain.settings import RainSettings
-from ..rain.simulation import RainSimulation
+from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
+from ..rain.settings import RainSettings, load_preset
 from ..scene.gaussians import forget_scenes
-from ..scene.progress import Progress
 from ..scene.scene import Scene
 from .autosave import restore_view
-from .document import Document, History
+from .camera_path import CameraPathEditor
+from .capture_view import CaptureController
+from .clock import PlaybackClock
+from .document import Document, DocumentState
+from .drawing.frame import DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .drive import RolloutPlayer
-from .edits.floaters import FloaterRules, FloaterSearch, select_floaters
-from .edits.gaussians import selected_count
-from .files import LoadedDocument, SceneFiles, new_screenshot
+from .edits.members import replace_scene
+from .files import Files, LoadedDocument, new_screenshot
 from .finetune import FinetuneController
-from .jobs.job import Job, no_result
+from .floaters import FloaterFinder
+from .jobs.job import JobRunner
+from .live_rain import LiveRain
 from .make_rainy import WetLookController
 from .matching import MatchingController
-from .notifications import Answer, LogLines, Question, do_nothing
-from .rain import CalibrationTools, KeyframePanelState, ShelterMapBuilder
+from .preferences import PreferencesStore
+from .rain import CalibrationTools, KeyframePanelState
 from .recorder import RenderQueue
-from .selection.commands import SelectionOptions
-from .services import EditorServices
-from .viewport.options import FULL_QUALITY, AdaptiveQuality, QualityLevel, SplitPane
-from .viewport.picking import SkyColorPick
-from .viewport_state import insert_pending_scene
-
-logger = logging.getLogger("gsrain")
-WindowBackend = Literal["auto", "opengl", "cpu"]
-FLOATERS_TITLE = "Find floaters"
+from .selection.commands import SelectionTool
+from .status import StatusBus, logger
+from .timeline import Playback
+from .training import TrainingController
+from .viewport_state import PendingScene, ViewportState
 
 
-class Editor(EditorServices):
-    """One open scene and all its services. Main thread only."""
+class Editor:
+    """One open scene and the parts that edit, display, save and record it. Main thread only.
+
+    A panel or a command takes the parts that it needs as parameters of their names.
+    """
 
     def __init__(self, scene: Scene | None = None, rain: RainSettings | None = None) -> None:
-        """Start with a scene, or with an empty one."""
-        super().__init__(scene or Scene("no scene"), rain, ThreadPoolExecutor(1, thread_name_prefix="files"))
-        self.log = LogLines()
-        logger.setLevel(logging.INFO)
-        logger.addHandler(self.log)
-        self.budget = AdaptiveQuality()
-        self.is_compiling = False
-        """True if the viewport can't be drawn before kernels are compiled or loaded."""
-        self.backend = ""
-        self.detail: QualityLevel = FULL_QUALITY
-        """Quality of the present viewport image."""
-        self.screenshot: Path | None = None
-        """Path at which the live view saves its next image."""
-        self.sky_pick: SkyColorPick | None = None
-        """Region of the next image whose color is to become the drop color."""
-        self.shower = KeyframePanelState()
-        self.floater_count: int | None = None
-        """Result of the last search for floaters; None if it has not finished."""
-        self.lab = CalibrationTools()
-        self.selecting = SelectionOptions()
-        self.matching = MatchingController()
+        """Start with a scene, or with an empty one; without `rain` it is dry."""
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="files")
+        self._freed_memory = MemoryTrimmer(self._thread)
         self._is_closed = False
-        self.is_leaving = False
+        self.should_quit = False
         """True if the program is to end now: the user has quit and decided about unsaved changes."""
-        self._roofs = ShelterMapBuilder(self._files)
-        self._freed_memory = MemoryTrimmer(self._files)
-        self._other_rainfall = self.rainfall
-        self.files = SceneFiles(self, self.enter, self._files)
-        self.recorder = RenderQueue(self, self.files)
-        self.drives = RolloutPlayer(self.files, self.chase, self._files)
-        self.files.loose_results = lambda: [each.title for each in self.drives.opened if each.path is None]
-        self.rainy, self.studio = WetLookController(self.files), FinetuneController()
-        self.enter_scene()
+        clock, state = PlaybackClock(), DocumentState(scene or Scene("no scene"), rain or load_preset("clear"))
+        self.status = StatusBus()
+        self.preferences = PreferencesStore(self._thread, self.status)
+        self.document = Document(state, clock, self.status)
+        self.playback = Playback(self.document, clock)
+        self.viewport = ViewportState(self.document, self.playback)
+        self.selection = SelectionTool(self.document, self.playback)
+        self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
+        self.calibration = CalibrationTools(self.document, self.status)
+        self.keyframe_panel = KeyframePanelState()
+        self.captures = CaptureController(self.viewport, self.status)
+        self.matching = MatchingController(self.viewport, self.captures)
+        self.jobs = JobRunner(self._thread, self.status.report)
+        self.files = Files(
+            self.viewport, self.jobs, self.captures, self.preferences, self.status, self._thread, self._enter
+        )
+        self.rollouts = RolloutPlayer(self.viewport, self.jobs, self.files, self.status, self._thread)
+        self.files.loose_results = lambda: self.rollouts.unsaved_titles
+        self.live_rain = LiveRain(self.document, self.viewport, self.rollouts, self._thread)
+        self.training = TrainingController(self.viewport, self.captures, self.jobs, self.files)
+        self.floaters = FloaterFinder(self.document, self.jobs)
+        self.wet_look = WetLookController(
+            self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status
+        )
+        self.finetune = FinetuneController(self.jobs, self.status)
+        self.render_queue = RenderQueue(self.viewport, self.live_rain, self.jobs, self.files, self.status)
+        self._reset_view()
 
-    # Files
+    # Opening and closing
 
-    def open(self, path: str) -> None:
-        """Read a scene in the background and switch to it; a later call supersedes an earlier one.
-
-        Asks first if there are unsaved changes. Errors are logged and set as `problem`, and the present scene stays.
-        """
-        self.files.open(path)
-
-    @property
-    def has_changes(self) -> bool:
-        return self.files.has_changes
-
-    def enter(self, opened: LoadedDocument) -> None:
+    def _enter(self, opened: LoadedDocument) -> None:
         """Switch to an opened document."""
         self.jobs.leave_scene()
-        self.drives.close_all(self)
+        self.rollouts.close_all()
         scene = opened.scene
-        rain, weather = rain_of(scene) or self.rain, keyframes_of(scene) or NO_KEYFRAMES
-        self.history = History(Document(scene, rain, weather))
-        self.files.enter(opened, self.history.present)
-        self._follow_document()
-        self.enter_scene()
+        state = DocumentState(scene, rain_of(scene) or self.document.rain, keyframes_of(scene) or NO_KEYFRAMES)
+        self.document.open(state)
+        self.files.enter(opened, state)
+        self._reset_view()
         forget_scenes()
         self._freed_memory.note_work()
         if scene.view is not None:
-            restore_view(self, scene.view)
+            restore_view(self.viewport, scene.view)
 
-    def enter_scene(self) -> None:
-        """Reset the view and the timeline for another scene."""
-        super().enter_scene()
-        self.rainy.previewed = None
+    def _reset_view(self) -> None:
+        """Reset camera and timeline for another scene."""
+        self.playback.reset()
+        self.viewport.reset()
+        self.live_rain.sky_is_stale = True
+        self.wet_look.previewed = None
 
     def request_quit(self) -> None:
         """End the program; asks first if jobs run or changes are unsaved."""
 
         def leave() -> None:
             self.files.give_up()
-            self.is_leaving = True
+            self.should_quit = True
 
         self.files.confirm_unsaved_then("quit", leave, ends_program=True)
+
+    def close(self) -> None:
+        """Stop everything that runs; further calls do nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self.jobs.close()
+        self.files.close()
+        self.preferences.close()
+        self._thread.shutdown()
+        self.calibration.close()
+        self.captures.close()
+        self.matching.close()
+        self.status.close()
 
     # Background work
 
     @property
     def busy(self) -> str | None:
         """Description of the read or write in progress, or None."""
+        staged = self.viewport.staged
         if self.files.busy is not None:
             return self.files.busy
-        if self.staged is not None and self.staged.is_opened:
-            return f"Uploading {self.staged.label}"
-        if self.rain.roofs and not self._roofs.knows(self.scene):
+        if staged is not None and staged.is_opened:
+            return f"Uploading {staged.label}"
+        if self.live_rain.is_searching_roofs:
             return "Finding roofs"
-        return "Preparing the picture; once after an update this takes up to a minute" if self.is_compiling else None
+        is_compiling = self.viewport.is_compiling
+        return "Preparing the picture; once after an update this takes up to a minute" if is_compiling else None
 
     @property
     def pending_files(self) -> list[Future[Any]]:
         """Reading, writing and finding roofs in progress, to wait for where there are no frames."""
-        return [*self.files.pending, *self._roofs.pending]
+        return [*self.files.pending, *self.live_rain.pending]
 
     @property
     def is_working(self) -> bool:
@@ -146,141 +151,137 @@ class Editor(EditorServices):
     @property
     def is_bringing_in(self) -> bool:
         """True if something is being prepared for the viewport, which each frame continues."""
-        is_any = self.captures.is_working or self.matching.is_working or self.drives.is_working
-        is_any = is_any or self.staged is not None or self._awaited is not None
-        return is_any or self.busy is not None or self.lab.busy is not None
+        parts = self.captures.is_working or self.matching.is_working or self.rollouts.is_working
+        waits = self.viewport.staged is not None or self.files.deferred.is_waiting
+        return parts or waits or self.busy is not None or self.calibration.busy is not None
 
-    @property
-    def is_opening(self) -> bool:
-        """True if another scene is about to replace this one."""
-        return self.files.is_opening or super().is_opening
-
-    def find_floaters(self, rules: FloaterRules) -> Job[Any]:
-        """Start to search for floaters in a thread, and select those found as one undo step."""
-        search, self.floater_count = FloaterSearch(self.scene, rules), None
-
-        def take(_: None, __: bool) -> str:
-            marked = select_floaters(self.scene, search.found)
-            count = self.floater_count = selected_count(marked)
-            if not count:
-                return "No Gaussian looks like a floater"
-            self.set_scene(FLOATERS_TITLE, marked)
-            verb = "looks like a floater and is" if count == 1 else "look like floaters and are"
-            return f"{count:,} Gaussian{'s'[: count != 1]} {verb} selected"
-
-        progress = Progress(0.0, "Looking for floaters")
-        return self.jobs.start(
-            Job("floaters", FLOATERS_TITLE, search.run, no_result, in_thread=True, progress=progress), take
-        )
-
-    def swap_in(self) -> None:
-        """Show the staged scene, whose Gaussians are ready for the next frame.
-
-        A scene that replaces the document stays staged while a question is open, unless the document is empty or closes
-        as soon as jobs have ended.
-        """
-        staged = self.staged
-        is_asked = bool(self.scene.members) and self.questions.present is not None and self._awaited is None
-        if staged is None or (staged.is_opened and is_asked):
-            return
-        self.staged = None
-        if staged.is_opened:
-            self.enter(self.files.arrive(staged.scene))
-            logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
-        else:
-            insert_pending_scene(self, staged)
-
-    def update(self, real_s: float) -> None:
+    def tick(self, real_s: float) -> None:
         """Advance time and process finished background work. Once a frame."""
-        self.clock.advance(real_s, self.span_s)
-        self._shown_preview, self.preview = self.preview, None
-        self.following.ride(self.displayed_scene, self.clock.time_s, self.navigation)
-        self.files.poll()
-        self._preferences.poll()
-        if self.rain.roofs:
-            self._roofs.look_at(self.scene)
-        self.lab.poll()
-        self.captures.poll()
-        if self.captures.refused is not None:
-            self._ask_about_outside(*self.captures.refused)
-            self.captures.refused = None
-        self.matching.poll(self)
-        self.drives.poll(self)
-        self.jobs.poll()
-        self.rainy.poll(self)
-        if self.staged is None and not self.drives.is_working:  # otherwise a result is still being swapped in
-            self._go_on_when_idle()
+        viewport = self.viewport
+        self.playback.advance(real_s)
+        viewport.drawn_preview, viewport.preview = viewport.preview, None
+        viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
+        for part in (
+            self.files, self.preferences, self.live_rain, self.calibration, self.captures, self.matching, self.rollouts,
+            self.jobs, self.wet_look,
+        ):  # fmt: skip
+            part.poll()
+        if viewport.staged is None and not self.rollouts.is_working:  # otherwise a result is still being swapped in
+            self.files.deferred.poll()
         if self.is_working:
             self._freed_memory.note_work()
         self._freed_memory.poll()
 
-    # Viewport
+    # Frames
 
     @property
-    def displayed_scene(self) -> Scene:
-        """Scene of the viewport, including a drag preview and the road users of the playing roll-out."""
-        return self.drives.scene_in_place_of(super().displayed_scene)
-
-    @property
-    def displayed_rain(self) -> RainSimulation:
-        """Rain of the viewport: the document's, or that of the playing roll-out.
-
-        It is without roofs until they are found, because finding them takes seconds.
-        """
-        knows_roofs = self._roofs.knows(self.scene)
-        if (driven := self.drives.rainfall(roofs=knows_roofs)) is not None:
-            return driven
-        if not self.rain.roofs or (knows_roofs and self._shown_preview is None):
-            return self.rainfall
-        return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
-
-    @property
-    def split_panes(self) -> list[SplitPane]:
+    def split_panes(self) -> tuple[SplitPane, ...]:
         """Panes of the viewport: one, or two from left to right."""
-        shown, rainfall = self.displayed_scene, self.displayed_rain
-        here = SplitPane("", shown, rainfall)
-        if self.view.split == "clear | rainy":
-            clear = rainfall.rain.without_rain
-            return [SplitPane("clear", shown, self._rainfall_of(clear, NO_KEYFRAMES)), here._replace(label="rainy")]
-        if self.view.split == "before | after":
-            before = self.history.previous
-            rainfall = self._rainfall_of(before.rain, before.weather)
-            left = SplitPane(f"before: {self.history.undo_label or 'nothing'}", before.scene, rainfall)
-            return [left, here._replace(label="after")]
-        return [here]
+        scene, history, split = self.rollouts.displayed_scene, self.document.history, self.viewport.options.split
+        present = SplitPane("", scene, self.live_rain.displayed)
+        if split == "clear | rainy":
+            return SplitPane("clear", scene, self.live_rain.without_rain), present._replace(label="rainy")
+        if split == "before | after":
+            before = history.previous
+            rainfall = self.live_rain.of(before.rain, before.keyframes)
+            left = SplitPane(f"before: {history.undo_label or 'nothing'}", before.scene, rainfall)
+            return left, present._replace(label="after")
+        return (present,)
 
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """Start and end of playback: as set by the user, else those of the camera path or the traffic."""
-        return self.clock.span_s or self.drives.span_s() or super().span_s
+    def render_input(self, width: int, height: int) -> RenderInput:
+        """The next frame for a viewport of a size in pixels."""
+        viewport, live_rain, options = self.viewport, self.live_rain, self.viewport.options
+        view, quality = viewport.scaled_shot(width, height)
+        pick = viewport.sky_pick
+        return RenderInput(
+            panes=self.split_panes,
+            view=view,
+            quality=quality,
+            is_moving=viewport.is_moving,
+            is_playing=self.playback.clock.playing,
+            scene=self.document.scene,
+            pending=viewport.staged,
+            sky=live_rain.sky_color,
+            samples_sky=live_rain.needs_sky,
+            wetness=live_rain.wetness_now,
+            picked=None if pick is None else (pick, live_rain.simulation.wetness_at(view.time_s)),
+            mode=options.look,
+            background=options.background,
+            gain_ev=options.gain_ev,
+            harmonics=options.harmonics,
+            selection=options.show_selection,
+            divider=options.divider,
+            screenshot=viewport.screenshot,
+        )
+
+    def apply(self, result: DrawResult) -> None:
+        """Take what the drawing of a frame has found."""
+        viewport = self.viewport
+        viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
+        for problem in result.problems:
+            self.status.report(problem)
+        if result.drawn is not None:
+            viewport.budget.measured(result.drawn.quality, result.drawn.frame_ms)
+            viewport.detail, viewport.backend = result.drawn.quality, result.drawn.backend
+            viewport.statistics = dict(result.drawn.statistics)
+        if result.sky is not None:
+            self.live_rain.sky_color = result.sky
+        if result.sky_is_exact:
+            self.live_rain.sky_is_stale = False
+        if result.has_screenshot:
+            viewport.screenshot = None
+        if result.picked_color is not None:
+            viewport.sky_pick = None
+            self.document.change_rain("Pick drop color", drop_color=result.picked_color)
+        if result.is_pending_ready and viewport.staged is not None:
+            self._swap_in(viewport.staged)
+
+    def mosaic_input(self) -> MosaicInput | None:
+        """Images of the camera rig for the next frame; None if they are not visible."""
+        mosaic, time_s = self.rollouts.mosaic, self.playback.clock.time_s
+        is_requested, mosaic.is_requested, mosaic.is_behind = mosaic.is_requested, False, False
+        scene = self.rollouts.rig_scene(self.document.scene)
+        if not is_requested or scene.ego_to_world(time_s) is None:
+            return None
+        return MosaicInput(
+            cameras=mosaic.cameras(scene),
+            width_px=mosaic.width_px,
+            scene=scene,
+            time_s=time_s,
+            is_playing=self.playback.clock.playing,
+            rainfall=self.live_rain.displayed,
+            sky=self.live_rain.sky,
+            background=self.viewport.options.background,
+            gain_ev=self.viewport.options.gain_ev,
+            quality=self.viewport.detail,
+        )
+
+    def apply_mosaic(self, result: MosaicResult) -> None:
+        self.rollouts.mosaic.pictures, self.rollouts.mosaic.is_behind = result
 
     def take_screenshot(self, folder: Path | None = None) -> None:
         """Save the next image under the present date and time, by default in the user's pictures folder."""
-        self.screenshot = new_screenshot(folder or Path(platformdirs.user_pictures_dir()))
+        self.viewport.screenshot = new_screenshot(folder or Path(platformdirs.user_pictures_dir()))
 
-    def close(self) -> None:
-        """Stop everything that runs; further calls do nothing."""
-        if self._is_closed:
+    def _swap_in(self, staged: PendingScene) -> None:
+        """Display the staged scene, whose Gaussians are ready for the next frame.
+
+        A scene that replaces the document stays staged while a question is open, unless the document is empty or closes
+        as soon as jobs have ended.
+        """
+        has_question = self.status.question is not None and not self.files.deferred.is_waiting
+        if staged.is_opened and has_question and self.document.scene.members:
             return
-        self._is_closed = True
-        self.jobs.close()
-        self.files.close()
-        self._preferences.close()
-        self._files.shutdown()
-        self.lab.close()
-        self.captures.close()
-        self.matching.close()
-        logger.removeHandler(self.log)
-
-    def _rainfall_of(self, rain: RainSettings, weather: RainKeyframes) -> RainSimulation:
-        if rain == self.rain and weather is self.weather:
-            return self.rainfall
-        if rain != self._other_rainfall.rain or weather is not self._other_rainfall.weather:
-            self._other_rainfall = RainSimulation.start(rain, weather=weather)
-        return self._other_rainfall
-
-    def _ask_about_outside(self, path: Path, why: str) -> None:
-        """Ask before files outside of a capture's folder are read."""
-        text = f"{why.partition('; --allow')[0]}. Read files outside of its folder?"
-        yes = Answer("Read them", lambda: self.captures.open(path, allow_outside=True), "Open it with those files.")
-        self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", do_nothing))))
+        self.viewport.staged = None
+        if staged.is_opened:
+            self._enter(self.files.arrive(staged.scene))
+            logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
+            return
+        continues = self.document.history.continues(staged.gesture)
+        if staged.goes_on and not continues:
+            return  # the user has continued with something else
+        is_new = self.document.edit(staged.label, staged.change, staged.scene, gesture=staged.gesture)
+        if staged.change is replace_scene and not continues:
+            self._reset_view()
+        elif is_new and staged.change is not replace_scene:
+            logger.info("Wet colors are ready: the intensity, or Wetness in the Rain panel, blends them in")

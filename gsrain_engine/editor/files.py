@@ -24,16 +24,16 @@ from ..scene.open import folder_to_read, is_built_in_street, load_sorted_scene, 
 from ..scene.scene import Scene
 from ..scene.transforms import lost_when_flattened
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
-from .document import Document
+from .capture_view import CaptureController
+from .document import DocumentState
 from .edits.layers import import_scene
-from .jobs.job import ThreadTask, ThreadTasks
-from .notifications import Answer, Question, describe_error, do_nothing
-from .preferences import state_folder
-from .services import EditorServices, Work
-from .viewport_state import PendingScene
+from .jobs.job import JobRunner, ThreadTask, ThreadTasks
+from .preferences import PreferencesStore, state_folder
+from .status import Answer, DeferredAction, Question, StatusBus, describe_error, do_nothing
+from .viewport_state import PendingScene, ViewportState
 
 logger = logging.getLogger("gsrain")
-_CANCEL = Answer("Cancel", do_nothing, "Change nothing.")
+_CANCEL = Answer("Cancel", help="Change nothing.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +57,22 @@ class NotASceneError(SceneFormatError):
         self.path, self.kind = path, kind
 
 
-class SceneFiles:
-    """The files of one session. Reading and writing runs in `thread`, everything else on the main thread."""
+class Files:
+    """The files of one document. Reading and writing runs in `thread`, everything else on the main thread."""
 
     def __init__(
-        self, session: EditorServices, enter: Callable[[LoadedDocument], None], thread: ThreadPoolExecutor
+        self,
+        viewport: ViewportState,
+        jobs: JobRunner,
+        captures: CaptureController,
+        preferences: PreferencesStore,
+        status: StatusBus,
+        thread: ThreadPoolExecutor,
+        enter: Callable[[LoadedDocument], None],
     ) -> None:
         """`enter` switches to another document."""
-        self._session, self._enter = session, enter
+        self._viewport, self._document = viewport, viewport.document
+        self._jobs, self._captures, self._status, self._enter = jobs, captures, status, enter
         self.source: str | None = None
         """Path or name that was opened last."""
         self.home: Path | None = None
@@ -79,9 +87,11 @@ class SceneFiles:
         """Map of files to the Gaussians they hold; for the thread that reads and writes."""
         self.stamp: FileFingerprint | None = None
         """State of the scene folder when it was read or written last."""
-        self.saved: Document = session.history.present
+        self.saved: DocumentState = self._document.state
         """Document as on disk."""
-        self.recovery = Recovery(session, self, thread)
+        self.recovery = Recovery(viewport, self, preferences, status, thread)
+        self.deferred = DeferredAction(status)
+        """Action that waits until jobs and files have ended."""
         self._work, self._other = ThreadTasks(thread), ThreadTasks(thread)
         """Imports, saves and exports, which the user may wait for; and the rest."""
         self._opening: ThreadTask[LoadedDocument] | None = None
@@ -94,22 +104,13 @@ class SceneFiles:
     @property
     def has_changes(self) -> bool:
         """True if the document differs from the one that was opened or saved."""
-        return self._session.history.present is not self.saved
-
-    @property
-    def is_opening(self) -> bool:
-        return self._opening is not None
+        return self._document.state is not self.saved
 
     @property
     def busy(self) -> str | None:
         """Description of the read or write that the user waits for, or None."""
         tasks = [*([] if self._opening is None else [self._opening]), *self._work.running]
         return tasks[0].progress.message if tasks else None
-
-    @property
-    def work(self) -> list[Work]:
-        """Reading and writing that would be lost if the document were closed, or the program ended, now."""
-        return [*self._work.running]
 
     @property
     def pending(self) -> list[Future[Any]]:
@@ -149,29 +150,32 @@ class SceneFiles:
         if self._opening is not None:
             self._opening.cancel()
         logger.info("Opening %s", label)
-        self._session.problem = None
+        self._status.dismiss()
 
         def stage(opened: LoadedDocument) -> None:
-            self._opening, self._arriving = None, opened
-            self._session.staged = PendingScene(label, opened.scene, is_opened=True)
+            self._opening, self._arriving, self._viewport.is_reading = None, opened, False
+            self._viewport.staged = PendingScene(label, opened.scene, is_opened=True)
 
         def fail(error: Exception) -> None:
-            self._opening = None
+            self._opening, self._viewport.is_reading = None, False
             if isinstance(error, NotASceneError):
                 self._ask_about_capture(error)
                 return
-            self._session.problem = describe_error(f"{label} can't be opened", error)
+            self._status.report(error, f"{label} can't be opened")
             if Path(label) in self.recent and not Path(label).exists():
                 self._update_recent(Path(label), add=False)
 
-        self._opening = self._other.start(read, stage, fail, message=f"Opening {label}")
+        self._opening, self._viewport.is_reading = (
+            self._other.start(read, stage, fail, message=f"Opening {label}"),
+            True,
+        )
 
     def _ask_about_capture(self, error: NotASceneError) -> None:
         text = (
             f"{error.path.name} is a capture ({error.kind}), not a scene: pictures, which the Capture panel shows "
             "and makes a scene of. Open it there?"
         )
-        show = Answer("Open the capture", lambda: self._session.captures.open(error.path), f"Read {error.path}.")
+        show = Answer("Open the capture", lambda: self._captures.open(error.path), f"Read {error.path}.")
         self._ask("Open a capture", text, show)
 
     def import_from(self, path: str) -> None:
@@ -179,7 +183,7 @@ class SceneFiles:
 
         def take(opened: LoadedDocument) -> None:
             other = opened.scene
-            self._session.edit(f"Import {other.name}", import_scene, other)
+            self._document.edit(f"Import {other.name}", import_scene, other)
             logger.info("Imported %s: %s Gaussians", path, f"{other.gaussian_count:,}")
 
         logger.info("Importing %s", path)
@@ -191,7 +195,7 @@ class SceneFiles:
         source = str(self.home) if self.home is not None else self.source
         if source is None:
             return
-        text = f"All changes of {self._session.scene.name} since it was last saved are lost."
+        text = f"All changes of {self._document.scene.name} since it was last saved are lost."
         if self.has_changes:
             self._ask("Revert", text, Answer("Revert", lambda: self._reread(source), "Read the scene again."))
         else:
@@ -208,7 +212,7 @@ class SceneFiles:
         """
 
         def when_saved() -> None:
-            name = self._session.scene.name
+            name = self._document.scene.name
             if not self.has_changes:
                 without_results()
                 return
@@ -230,14 +234,14 @@ class SceneFiles:
             lose = Answer(f"Lose {'it' if one else 'them'}", act, f"Lose the roll-outs and {what}.")
             self._ask("Roll-outs that were not saved", text, lose, enter_answers=False)
 
-        self._session.when_idle(self._ended_work(ends_program), what, when_saved)
+        self._when_idle(what, when_saved, ends_program=ends_program)
 
-    def _ended_work(self, ends_program: bool = False) -> list[Work]:
-        jobs = [each for each in self._session.jobs.all if ends_program or each.ends_with_scene]
-        return [*jobs, *self.work]
+    def _when_idle(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
+        jobs = [each for each in self._jobs.running if ends_program or each.ends_with_scene]
+        self.deferred.when_idle(jobs, self._work.running, what, act)
 
     def _reread(self, source: str) -> None:
-        self._session.when_idle(self._ended_work(), "revert", lambda: self.open_now(source))
+        self._when_idle("revert", lambda: self.open_now(source))
 
     def arrive(self, scene: Scene) -> LoadedDocument:
         """Return the origin of a staged scene that was opened here."""
@@ -246,8 +250,8 @@ class SceneFiles:
             return opened
         return LoadedDocument(scene, "", None, None, FileCache())
 
-    def enter(self, opened: LoadedDocument, document: Document) -> None:
-        """Record that the session switched to an opened document."""
+    def enter(self, opened: LoadedDocument, document: DocumentState) -> None:
+        """Record that the editor switched to an opened document."""
         self.source, self.home, self.known = opened.source or None, opened.home, opened.known
         self.stamp, self.saved = opened.stamp, document
         recovered = opened.recovered.place if opened.recovered is not None else None
@@ -259,7 +263,7 @@ class SceneFiles:
 
     def give_up(self) -> None:
         """Count the present document as saved."""
-        self.saved = self._session.history.present
+        self.saved = self._document.state
 
     # Saving
 
@@ -314,7 +318,7 @@ class SceneFiles:
         if self._saving is not None:  # only the latest save counts
             self._next_saving = lambda: self._begin_saving(path, act)
             return
-        scene, document, known = saved_scene(self._session), self._session.history.present, self.known
+        scene, document, known = saved_scene(self._viewport), self._document.state, self.known
         target = path.resolve()
 
         def write() -> FileFingerprint | None:
@@ -336,9 +340,9 @@ class SceneFiles:
 
         def fail(error: Exception) -> None:
             self._saving = self._next_saving = None
-            self._session.problem = describe_error(f"{target} can't be saved", error)
+            self._status.report(error, f"{target} can't be saved")
 
-        self._session.problem = None
+        self._status.dismiss()
         self._saving = self._work.start(write, take, fail, f"Save {path.name}", f"Saving {target}")
 
     def export_to(self, path: Path) -> None:
@@ -349,15 +353,15 @@ class SceneFiles:
         try:
             row = format_of(path)
         except SceneFormatError as error:  # raised by an installed package
-            self._session.problem = str(error)
+            self._status.report(error)
             return
         if row is None or row.write is None or path.is_dir():
             *first, last = writable_suffixes()
             kinds = f"{', '.join(first)} or {last}"
-            self._session.problem = f"{path}: Export writes one file, whose name ends in {kinds}."
+            self._status.report(f"{path}: Export writes one file, whose name ends in {kinds}.")
             return
-        scene = saved_scene(self._session)
-        if self._session.rain == load_preset("clear"):
+        scene = saved_scene(self._viewport)
+        if self._document.rain == load_preset("clear"):
             scene = replace(scene, rain=None)
         missing = lost_when_flattened(scene)
         if not row.keeps_harmonics and any(each.gaussians.sh_degree for each in scene.members if each.visible):
@@ -383,17 +387,17 @@ class SceneFiles:
     # Shared by the above
 
     def _ask(self, title: str, text: str, *answers: Answer, enter_answers: bool = True) -> None:
-        self._session.questions.ask(Question(title, text, (*answers, _CANCEL), enter_answers=enter_answers))
+        self._status.ask(Question(title, text, (*answers, _CANCEL), enter_answers=enter_answers))
 
     def _begin_work(
         self, work: Callable[[], Any], take: Callable[[Any], None], trouble: str, title: str, message: str
     ) -> None:
-        """Read or write in the background; an error is set as `problem`, after `trouble`."""
+        """Read or write in the background; an error is reported, after `trouble`."""
 
         def fail(error: Exception) -> None:
-            self._session.problem = describe_error(trouble, error)
+            self._status.report(error, trouble)
 
-        self._session.problem = None
+        self._status.dismiss()
         self._work.start(work, take, fail, title, message)
 
     def _update_recent(self, path: Path, *, add: bool = True) -> None:
@@ -485,13 +489,21 @@ def new_screenshot(folder: Path) -> Path:
 class Recovery:
     """The autosave of a session: written in `thread`, everything else on the main thread."""
 
-    def __init__(self, session: EditorServices, files: SceneFiles, thread: ThreadPoolExecutor) -> None:
+    def __init__(
+        self,
+        viewport: ViewportState,
+        files: Files,
+        preferences: PreferencesStore,
+        status: StatusBus,
+        thread: ThreadPoolExecutor,
+    ) -> None:
         self.now: Callable[[], float] = monotonic
         """Clock in seconds."""
-        self._session, self._files, self._thread = session, files, thread
+        self._viewport, self._files, self._preferences = viewport, files, preferences
+        self._status, self._thread = status, thread
         self._autosave = Autosave()
         self._home: Path | None = None
-        self._autosaved: Document = session.history.present
+        self._autosaved: DocumentState = viewport.document.state
         """Document of the last autosave."""
         self._changed_at: float | None = None
         self._tasks = ThreadTasks(thread)
@@ -504,7 +516,7 @@ class Recovery:
     def pending(self) -> list[Future[Any]]:
         return self._tasks.futures
 
-    def enter(self, home: Path | None, document: Document, recovered: Path | None = None) -> None:
+    def enter(self, home: Path | None, document: DocumentState, recovered: Path | None = None) -> None:
         """Switch to a document from a scene folder, or just saved to it; `recovered` is the path of its autosave."""
         self._home, self._autosaved, self._changed_at = home, document, None
         if self._entering is not None:
@@ -527,12 +539,12 @@ class Recovery:
     def poll(self) -> None:
         """Process finished tasks, and write an autosave some time after a change. Once a frame."""
         self._tasks.poll()
-        if not self._is_due or self._session.is_opening:
+        if not self._is_due or self._viewport.is_opening:
             self._changed_at = None
             return
         if self._changed_at is None:
             self._changed_at = self.now()
-        if self._writing is None and self.now() - self._changed_at >= self._session.preferences.autosave_s:
+        if self._writing is None and self.now() - self._changed_at >= self._preferences.value.autosave_s:
             self._write()
 
     def keep(self) -> None:
@@ -570,11 +582,11 @@ class Recovery:
     @property
     def _is_due(self) -> bool:
         """True if the document has changes that are neither saved nor in the autosave."""
-        return self._session.history.present not in (self._files.saved, self._autosaved)
+        return self._viewport.document.state not in (self._files.saved, self._autosaved)
 
     def _write(self) -> None:
-        self._autosaved, self._changed_at = self._session.history.present, None
-        scene, stamp, known = saved_scene(self._session), self._files.stamp, self._files.known
+        self._autosaved, self._changed_at = self._viewport.document.state, None
+        scene, stamp, known = saved_scene(self._viewport), self._files.stamp, self._files.known
 
         def take(_: None) -> None:
             self._writing, self._has_failed = None, False
@@ -582,7 +594,7 @@ class Recovery:
         def fail(error: Exception) -> None:  # tried again, reported once
             self._writing, self._autosaved = None, self._files.saved
             if not self._has_failed:
-                self._session.problem = describe_error("The autosave can't be written", error)
+                self._status.report(error, "The autosave can't be written")
             self._has_failed = True
 
         self._writing = self._tasks.start(lambda: self._autosave.write(scene, stamp, known), take, fail)
@@ -596,9 +608,9 @@ class Recovery:
             f"{self._home} is open in another window of the program. "
             "The one that saves last overwrites what the other has saved."
         )
-        stay = Answer("Go on", do_nothing, "Keep both open.")
+        stay = Answer("Go on", help="Keep both open.")
         close = Answer("Close it here", self._files.close_scene, "Go to an empty window.")
-        self._session.questions.ask(Question("Open twice", text, (stay, close)))
+        self._status.ask(Question("Open twice", text, (stay, close)))
 
     def _offer(self, found: list[RecoveryCandidate]) -> None:
         """Ask about the first candidate, then about the next, until the user recovers one."""
@@ -623,4 +635,4 @@ class Recovery:
             Answer("Discard", drop, "Remove them; the scene stays as it was last saved."),
             Answer("Later", lambda: self._offer(others), "Leave them; the next start asks again."),
         )
-        self._session.questions.ask(Question("Recover unsaved changes", text, answers))
+        self._status.ask(Question("Recover unsaved changes", text, answers))

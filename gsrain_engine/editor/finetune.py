@@ -8,10 +8,10 @@ from msgspec import Meta, Struct
 from ..appearance.finetune.settings import FinetuneTask, code_of, load_finetuning
 from ..safe_io.text_files import printable_line
 from ..trusted_code import UntrustedCodeError, trust_permanently
-from .jobs.job import Job
+from .job_results import why_wait
+from .jobs.job import Job, JobRunner
 from .jobs.training import HOW_TO_GET_DIFFUSION, finetune_job, has_torch
-from .notifications import Answer, Question, do_nothing
-from .services import EditorServices
+from .status import Answer, Question, StatusBus
 
 
 class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,8 +38,9 @@ class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class FinetuneController:
     """One training at a time. Main thread only."""
 
-    def __init__(self) -> None:
+    def __init__(self, jobs: JobRunner, status: StatusBus) -> None:
         """Start with the shipped trial settings."""
+        self._jobs, self._status = jobs, status
         self.choice = FinetuneChoice()
         self.job: Job[Path] | None = None
 
@@ -48,7 +49,8 @@ class FinetuneController:
         """True if the folder holds a checkpoint of a stopped training."""
         return self.choice.output is not None and (self.choice.output / "checkpoint.safetensors").is_file()
 
-    def why_not(self, session: EditorServices) -> str | None:
+    @property
+    def why_not(self) -> str | None:
         """Reason why no training can start now, in one sentence, or None."""
         if not has_torch():
             return f"Training needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
@@ -57,11 +59,11 @@ class FinetuneController:
         for path in (self.choice.clear, self.choice.rainy):
             if path is not None and not path.exists():
                 return f"{path}: is not there; choose other pictures."
-        return session.why_wait if session.jobs.running else None
+        return why_wait(self._jobs)
 
-    def start(self, session: EditorServices, *, resume: bool = False) -> None:
-        """Start, or resume from the folder's checkpoint; errors in the settings are set as `problem`."""
-        if self.why_not(session) is not None:
+    def start(self, *, resume: bool = False) -> None:
+        """Start, or resume from the folder's checkpoint; errors in the settings are reported."""
+        if self.why_not is not None:
             return
         choice, output = self.choice, self.choice.output
         assert output is not None, "asked for before"
@@ -72,23 +74,23 @@ class FinetuneController:
             settings = load_finetuning(choice.config, **changes)
             task = FinetuneTask(settings=settings, output=output, resume=resume, code=code_of(settings))
         except UntrustedCodeError as error:
-            self._ask(session, error, resume)
+            self._ask(error, resume)
             return
         except (ValueError, OSError) as error:
-            session.report_problem(str(error))
+            self._status.report(str(error))
             return
 
-        self.job = session.jobs.start(finetune_job(task), lambda weights, _: f"Trained: {weights}")
+        self.job = self._jobs.start(finetune_job(task), lambda weights, _: f"Trained: {weights}")
 
-    def _ask(self, session: EditorServices, error: UntrustedCodeError, resume: bool) -> None:
+    def _ask(self, error: UntrustedCodeError, resume: bool) -> None:
         """Ask before running Python code that the settings name; on yes, trust its content permanently and start."""
 
         def run() -> None:
             trust_permanently(error.codes)
-            self.start(session, resume=resume)
+            self.start(resume=resume)
 
         listed = "\n".join(f"{printable_line(each.path)}\nSHA-256 {each.digest}" for each in error.codes)
         text = f"{printable_line(error.named_by)} names Python code, which would run with all your rights:\n\n{listed}"
-        no = Answer("Don't run it", do_nothing, "Nothing is begun.")
+        no = Answer("Don't run it", help="Nothing is begun.")
         yes = Answer("Run it", run, "Runs it now, and does not ask again for these very contents.")
-        session.questions.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel", do_nothing))))
+        self._status.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel"))))

@@ -4,6 +4,9 @@ import secrets
 from collections.abc import Callable
 
 from ..scene.scene import Scene
+from ..scene.transforms import with_wet_colors_of
+from .edits.members import replace_scene
+from .jobs.job import JobRunner
 from .viewport_state import PendingScene, ViewportState
 
 
@@ -19,8 +22,19 @@ def scene_results(viewport: ViewportState, label: str, *, is_whole: bool = False
         if viewport.is_opening or (viewport.staged is not None and not is_final):
             return  # it would replace the scene that is being opened, or a snapshot that is still being uploaded
         goes_on, has_shown = has_shown and not is_final, True
-        viewport.staged = PendingScene(
-            label, scene, is_whole=is_whole, only_wet_colors=not is_whole, gesture=gesture, goes_on=goes_on
-        )
+        change = replace_scene if is_whole else with_wet_colors_of
+        viewport.staged = PendingScene(label, scene, change=change, gesture=gesture, goes_on=goes_on)
 
     return stage
+
+
+def why_wait(jobs: JobRunner, viewport: ViewportState | None = None) -> str | None:
+    """Reason why no job that needs the whole machine can start now, in one sentence, or None.
+
+    With `viewport`, the job also needs its scene to be the final one.
+    """
+    if jobs.running:
+        return f"Wait for {jobs.running[0].title}, or cancel it."
+    if viewport is not None and viewport.staged is not None:
+        return "Wait for the scene that is being brought into the picture."
+    return None

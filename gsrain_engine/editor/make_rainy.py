@@ -10,8 +10,10 @@ from ..appearance.base import TransferSettings
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
-from .files import SceneFiles
-from .job_results import scene_results
+from .capture_view import CaptureController
+from .files import Files
+from .job_results import scene_results, why_wait
+from .jobs.job import JobRunner
 from .jobs.make_rainy import (
     MAKE_RAINY_TITLE,
     PreviewedView,
@@ -21,8 +23,10 @@ from .jobs.make_rainy import (
     preview_job,
 )
 from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch
-from .services import EditorServices
+from .live_rain import LiveRain
+from .status import StatusBus
 from .viewport.options import Texture
+from .viewport_state import ViewportState
 
 COMPARED_MM_H = 8.5
 """Rain of a comparison if no rain is set, because scenes are dry without."""
@@ -31,7 +35,15 @@ COMPARED_MM_H = 8.5
 class WetLookController:
     """The user's choices and the results so far. Main thread only."""
 
-    def __init__(self, scene_files: SceneFiles) -> None:
+    def __init__(
+        self,
+        viewport: ViewportState,
+        live_rain: LiveRain,
+        captures: CaptureController,
+        jobs: JobRunner,
+        files: Files,
+        status: StatusBus,
+    ) -> None:
         """Start with the method that has no requirements, and few views, for a first result within seconds."""
         self.method = METHODS[0].name
         self.settings = TransferSettings()
@@ -41,7 +53,8 @@ class WetLookController:
         self.texture: Texture | None = None
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
-        self._scene_files = scene_files
+        self._viewport, self._document, self._live_rain = viewport, viewport.document, live_rain
+        self._captures, self._jobs, self._files, self._status = captures, jobs, files, status
         self._starts_soon = False
 
     @property
@@ -57,90 +70,111 @@ class WetLookController:
 
     # Preconditions
 
-    def why_not(self, session: EditorServices) -> str | None:
+    @property
+    def why_not(self) -> str | None:
         """Reason why the scene can't be made rainy now, in one sentence, or None."""
-        return self.why_no_transfer or why_no_views(session, self.choice.source) or session.why_wait
+        return self.why_no_transfer or self.why_no_views(self.choice.source) or why_wait(self._jobs, self._viewport)
 
-    def why_no_preview(self, session: EditorServices) -> str | None:
+    @property
+    def why_no_preview(self) -> str | None:
         """Reason why there can't be a preview now, or None."""
         if self.method == "images":
             return "Pictures of another program are of the chosen views alone: there is none from here."
-        if not session.scene.gaussian_count:
+        if not self._document.scene.gaussian_count:
             return "There is no scene yet to be made rainy."
-        return self.why_no_transfer or session.why_wait
+        return self.why_no_transfer or why_wait(self._jobs, self._viewport)
 
     @property
     def why_no_transfer(self) -> str | None:
         """Missing requirements of the method, or None."""
         return missing_requirements(self.row, self.settings)
 
+    def why_no_views(self, source: Source) -> str | None:
+        """Reason why views of a source are not available, in one sentence, or None."""
+        scene, captures = self._document.scene, self._captures
+        if not scene.gaussian_count:
+            return "There is no scene yet to be made rainy."
+        if source == "recorded":
+            if captures.capture is None:
+                return "No capture is open: open the scene's recording in Capture, or choose other views."
+            if not captures.capture.has_poses:
+                return "Nothing tells where the capture's cameras stood: choose other views."
+            if not captures.lies_in(scene):
+                return "The open capture has axes of its own: its cameras are not in the scene."
+        if source == "rig" and not (scene.ego is not None and scene.ego.valid.any() and any(scene.rigs.values())):
+            return "The scene has no drive with a camera rig: choose other views."
+        if source == "path" and scene.path is None:
+            return "There is no camera path yet: insert keyframes in Timeline, or choose other views."
+        return None
+
     # Preview
 
-    def preview(self, session: EditorServices) -> None:
+    def preview(self) -> None:
         """Start to transfer the viewport's view; the result appears next to the live image."""
-        if self.why_no_preview(session) is not None:
+        if self.why_no_preview is not None:
             return
-        shot, no_pixels = session.shot(*self.viewport_px), np.zeros((1, 1, 3), np.uint8)
-        view = PreviewedView(no_pixels, shot.camera, shot.time_s, session.scene, self.recipe)
+        shot, no_pixels = self._viewport.shot(*self.viewport_px), np.zeros((1, 1, 3), np.uint8)
+        view = PreviewedView(no_pixels, shot.camera, shot.time_s, self._document.scene, self.recipe)
 
         def take(*_: object) -> None:
             if job.progress.preview is None:
                 raise ValueError("the transfer has made no picture")
             self.previewed = replace(view, pixels=job.progress.preview)
-            session.view.split = "now | preview"
-            session.jobs.forget(job)  # the image replaces the entry
+            self._viewport.options.split = "now | preview"
+            self._jobs.forget(job)  # the image replaces the entry
 
-        job = session.jobs.start(preview_job(view, self.preview_width_px, self._scene_files.known), take)
+        job = self._jobs.start(preview_job(view, self.preview_width_px, self._files.known), take)
 
-    def fits(self, session: EditorServices) -> bool:
-        """Return whether the preview matches the viewport's view."""
-        shot = session.shot(*self.viewport_px)
-        return self.previewed is not None and self.previewed.is_of(shot.camera, shot.time_s, session.scene)
+    @property
+    def fits(self) -> bool:
+        """True if the preview matches the viewport's view."""
+        shot = self._viewport.shot(*self.viewport_px)
+        return self.previewed is not None and self.previewed.is_of(shot.camera, shot.time_s, self._document.scene)
 
-    def what_is_stale(self, session: EditorServices) -> str | None:
+    @property
+    def what_is_stale(self) -> str | None:
         """Describe changes since the preview was made; None if there are none, or no preview."""
         if self.previewed is not None and self.previewed.recipe != self.recipe:
             return "The settings have changed since."
-        return None if self.previewed is None or self.fits(session) else "The view has changed since."
+        return None if self.previewed is None or self.fits else "The view has changed since."
 
-    def look_from_preview(self, session: EditorServices) -> None:
+    def look_from_preview(self) -> None:
         """Return to the view of the preview."""
         if self.previewed is not None:
-            session.stop_riding()
-            session.following.follow("")
-            session.navigation.look_like(self.previewed.camera)
-            session.clock.seek(self.previewed.time_s)
+            self._viewport.look_from(self.previewed.camera)
+            self._viewport.playback.clock.seek(self.previewed.time_s)
 
-    def poll(self, session: EditorServices) -> None:
+    def poll(self) -> None:
         """Start a job that waits for a scene. Once a frame."""
-        if self._starts_soon and session.scene.gaussian_count and session.why_wait is None:
+        if self._starts_soon and self._document.scene.gaussian_count and why_wait(self._jobs, self._viewport) is None:
             self._starts_soon = False
-            session.problem = self.why_not(session) or session.problem
-            self.make(session)
+            if (why_not := self.why_not) is not None:
+                self._status.report(why_not)
+            self.make()
 
     # Job
 
-    def make(self, session: EditorServices) -> None:
-        """Start the job for the session's scene, if all preconditions hold."""
-        if self.why_not(session) is not None:
+    def make(self) -> None:
+        """Start the job for the present scene, if all preconditions hold."""
+        if self.why_not is not None:
             return
         source = self.choice.source  # "auto" uses the open capture only if the user confirmed that it fits
-        is_sure = session.captures.in_scene_axes is True and why_no_views(session, "recorded") is None
+        is_sure = self._captures.in_scene_axes is True and self.why_no_views("recorded") is None
         uses_capture = source == "recorded" or (source == "auto" and is_sure)
-        capture = session.captures.path if uses_capture else None
-        order = TransferRequest(self.method, self.settings, self.choice, capture, session.captures.allows_outside)
-        job = make_rainy_job(session.scene, self._scene_files.known, order)
-        session.jobs.start(job, scene_results(session, MAKE_RAINY_TITLE))
+        capture = self._captures.path if uses_capture else None
+        order = TransferRequest(self.method, self.settings, self.choice, capture, self._captures.allows_outside)
+        job = make_rainy_job(self._document.scene, self._files.known, order)
+        self._jobs.start(job, scene_results(self._viewport, MAKE_RAINY_TITLE))
 
     def make_soon(self) -> None:
         """Start the job as soon as a scene is open."""
         self._starts_soon = True
 
-    def compare(self, session: EditorServices) -> None:
+    def compare(self) -> None:
         """Show the clear scene next to the rainy one; if there is no rain, add some as an undo step."""
-        session.view.split = "clear | rainy"
-        if session.wetness_now == 0:
-            session.change_rain("Rain to compare", intensity_mm_h=COMPARED_MM_H, wetness=None)
+        self._viewport.options.split = "clear | rainy"
+        if self._live_rain.wetness_now == 0:
+            self._document.change_rain("Rain to compare", intensity_mm_h=COMPARED_MM_H, wetness=None)
 
 
 # View sources
@@ -155,25 +189,6 @@ TITLES: dict[Source, str] = {
     "around": "around the middle",
 }
 """Display names."""
-
-
-def why_no_views(session: EditorServices, source: Source) -> str | None:
-    """Reason why views of a source are not available, in one sentence, or None."""
-    scene, captures = session.scene, session.captures
-    if not scene.gaussian_count:
-        return "There is no scene yet to be made rainy."
-    if source == "recorded":
-        if captures.capture is None:
-            return "No capture is open: open the scene's recording in Capture, or choose other views."
-        if not captures.capture.has_poses:
-            return "Nothing tells where the capture's cameras stood: choose other views."
-        if not captures.lies_in(scene):
-            return "The open capture has axes of its own: its cameras are not in the scene."
-    if source == "rig" and not (scene.ego is not None and scene.ego.valid.any() and any(scene.rigs.values())):
-        return "The scene has no drive with a camera rig: choose other views."
-    if source == "path" and scene.path is None:
-        return "There is no camera path yet: insert keyframes in Timeline, or choose other views."
-    return None
 
 
 # Requirements of transfers, checked before a worker starts

@@ -19,8 +19,9 @@ from ..datasets.capture import Capture, CaptureError
 from ..datasets.undistort import undistort_frame
 from ..scene.camera import Camera
 from ..scene.scene import Scene
-from .services import EditorServices
+from .capture_view import CaptureController
 from .viewport.options import Mode, Texture
+from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
 
@@ -52,7 +53,8 @@ class MatchResult(NamedTuple):
 class MatchingController:
     """Matches the current view with another view of the capture. Main thread only."""
 
-    def __init__(self) -> None:
+    def __init__(self, viewport: ViewportState, captures: CaptureController) -> None:
+        self._viewport, self._captures = viewport, captures
         self.is_on = False
         self.against: Against = "next"
         """Partner of a captured view; the live view is always matched with the selected one."""
@@ -60,8 +62,8 @@ class MatchingController:
         self.lines = False
         """True if lines show the displacement to the other view."""
         self.shown: MatchResult | None = None
-        self.problem: str | None = None
-        """Reason why nothing is shown, in a sentence."""
+        self.why_none: str | None = None
+        """Reason why nothing is displayed, in a sentence."""
         self.texture: Texture | None = None
         """Overlay on the GPU, with its own alpha."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="matching")
@@ -73,7 +75,7 @@ class MatchingController:
 
     @property
     def is_working(self) -> bool:
-        return self._working is not None or (self._last is not None and self.shown is None and self.problem is None)
+        return self._working is not None or (self._last is not None and self.shown is None and self.why_none is None)
 
     @property
     def pending(self) -> list[Future[MatchResult]]:
@@ -89,7 +91,7 @@ class MatchingController:
             self._image = self.shown, self.mode, matching_image(self.shown.matched, self.mode)
         return self._image[2]
 
-    def poll(self, session: EditorServices) -> None:
+    def poll(self) -> None:
         """Process finished matches, and start one for the current view. Once a frame."""
         if self._working is not None and self._working[1].done():
             (request, work), self._working = self._working, None
@@ -98,42 +100,42 @@ class MatchingController:
             except (CaptureError, OSError, ValueError, MemoryError) as error:
                 self._failed = request, str(error)
                 logger.warning("Matching: %s", error)
-        request = self._request(session) if self.is_on else ""
+        request = self._request() if self.is_on else ""
         if isinstance(request, str):
-            self.shown, self.problem, self._last, self._failed = None, request or None, None, None
+            self.shown, self.why_none, self._last, self._failed = None, request or None, None, None
             self._views = self._views if self.is_on else None
             return
-        self.problem = self._failed[1] if self._failed is not None and self._failed[0] == request else None
+        self.why_none = self._failed[1] if self._failed is not None and self._failed[0] == request else None
         if self.shown is not None and self.shown.request != request:
             self.shown = None
         is_still, self._last = request == self._last, request
-        if is_still and self.shown is None and self._working is None and self.problem is None:
-            self._begin(session, request)
+        if is_still and self.shown is None and self._working is None and self.why_none is None:
+            self._begin(request)
 
     def close(self) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def _request(self, session: EditorServices) -> _MatchRequest | str:
+    def _request(self) -> _MatchRequest | str:
         """Request for the current view, or the reason why it can't be matched."""
-        captures = session.captures
+        captures, present = self._captures, self._viewport.document.scene
         capture = captures.capture
         if capture is None or not capture.has_poses:
             return "Open a capture whose cameras are known."
-        scene = session.scene if captures.lies_in(session.scene) and session.scene.gaussian_count else None
-        of = captures.stands_at(session)
+        scene = present if captures.lies_in(present) and present.gaussian_count else None
+        of = captures.view_at_camera
         if of is not None:
             to = neighbor_view(capture, of, self.against, captures.chosen)
             return WHY_NONE[self.against] if to is None else _MatchRequest(capture, scene, of, to)
-        shot = session.shot(*captures.viewport_px)
+        shot = self._viewport.shot(*captures.viewport_px)
         pose = shot.camera.world_to_camera.tobytes() + np.array([shot.camera.fy, *captures.viewport_px]).tobytes()
-        return _MatchRequest(capture, scene, None, captures.chosen, pose, shot.time_s if session.scene.actors else 0.0)
+        return _MatchRequest(capture, scene, None, captures.chosen, pose, shot.time_s if present.actors else 0.0)
 
-    def _begin(self, session: EditorServices, request: _MatchRequest) -> None:
+    def _begin(self, request: _MatchRequest) -> None:
         if request.of is None:
-            shot = session.shot(*session.captures.viewport_px)
+            shot = self._viewport.shot(*self._captures.viewport_px)
             camera, of = shot.camera, PlacedCamera("the view", shot.camera, shot.time_s)
         else:
-            camera, of = session.captures.cameras(session.scene)[request.of], request.of
+            camera, of = self._captures.cameras(self._viewport.document.scene)[request.of], request.of
         self._working = request, self._thread.submit(self._match, request, camera, of)
 
     def _match(self, request: _MatchRequest, camera: Camera, of: int | PlacedCamera) -> MatchResult:

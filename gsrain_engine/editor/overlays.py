@@ -9,10 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..datasets.capture import Capture
-from ..render.draw import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from .camera_path import place_keyframe
 from .viewport.picking import NEAR_M, project_lines, project_point
 from .viewport_state import ViewportState
 
@@ -41,11 +39,11 @@ class PathOverlay:
     """Frustum of the path's camera at the clock's time."""
 
 
-def path_overlay_of(session: ViewportState, camera: Camera) -> PathOverlay | None:
+def path_overlay_of(viewport: ViewportState, camera: Camera) -> PathOverlay | None:
     """Project the user's path into an image; None if there is none."""
-    if session.scene.path is None:
+    if viewport.document.scene.path is None:
         return None
-    path = session.path
+    path = viewport.path
     positions, at_seconds = _sampled(path)
     keys: list[KeyHandle] = []
     for key in range(0, len(path.times_s), max(1, -(-len(path.times_s) // _MAX_KEYS))):
@@ -57,26 +55,8 @@ def path_overlay_of(session: ViewportState, camera: Camera) -> PathOverlay | Non
         project_lines(np.stack([positions[:-1], positions[1:]], axis=1), camera),
         _to_pixels(in_camera[in_camera[:, 2] > NEAR_M], camera),
         keys,
-        _frustum(path.camera(session.clock.time_s, 3, 2), camera),
+        _frustum(path.camera(viewport.playback.clock.time_s, 3, 2), camera),
     )
-
-
-def drag_in_view(session: ViewportState, shot: RenderView, moved_px: tuple[float, float], *, upright: bool) -> None:
-    """Move the dragged keyframe in the plane that faces the view, or if `upright` only vertically."""
-    drag = session.timeline.drag
-    if drag is None:
-        return
-    camera, to_world = shot.camera, session.scene.scene_to_world
-    start = to_world[:3, :3] @ drag.path.positions[drag.key] + to_world[:3, 3]
-    depth = float(camera.world_to_camera[2, :3] @ start + camera.world_to_camera[2, 3])
-    metres_a_pixel = max(depth, NEAR_M) / camera.fy
-    right, down = camera.world_to_camera[0, :3], camera.world_to_camera[1, :3]
-    if upright:
-        steepness = max(-float(down[2]), 0.2)  # from straight above, the height has no length in the image
-        change = np.array([0.0, 0.0, -moved_px[1] * metres_a_pixel / steepness])
-    else:
-        change = metres_a_pixel * (moved_px[0] * right + moved_px[1] * down)
-    place_keyframe(session, drag.key, "Move keyframe", position_m=start + change, gesture="drag a key")
 
 
 @lru_cache(maxsize=4)

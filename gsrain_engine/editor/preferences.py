@@ -12,28 +12,32 @@ from msgspec import Meta
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import read_whole, yaml_values
 from ..scene.files import lock_path, whole_file
-from .notifications import describe_error
+from .status import Answer, Question, StatusBus, describe_error
 
 
 class PreferencesStore:
     """Preferences in memory; each change is saved in `thread`, one write at a time."""
 
-    def __init__(self, thread: ThreadPoolExecutor) -> None:
-        self.value, self.trouble = load_preferences()
-        """Present preferences, and one sentence if the file could not be used, shown once."""
-        if self.trouble is not None:
+    def __init__(self, thread: ThreadPoolExecutor, status: StatusBus) -> None:
+        self.value, trouble = load_preferences()
+        if trouble is not None:
             aside = preferences_file().with_name("preferences.bad.yaml")
             with suppress(OSError):
                 preferences_file().replace(aside)
-                self.trouble += f" (kept as {aside.name}; the usual settings are used)"
-        self._thread = thread
+                trouble += f" (kept as {aside.name}; the usual settings are used)"
+            status.ask(Question("Preferences", trouble, (Answer("OK"),)))
+        self._thread, self._status = thread, status
         self._changed: dict[str, Any] = {}
         self._saving: Future[Preferences] | None = None
 
-    def change(self, **fields: Any) -> None:
-        """Change preferences; raises `msgspec.ValidationError`, which names a value that is out of bounds."""
-        self.value = checked(msgspec.structs.replace(self.value, **fields))
-        self._changed.update(fields)
+    def set(self, **fields: Any) -> None:
+        """Change and save preferences; a value out of bounds is reported."""
+        try:
+            self.value = checked(msgspec.structs.replace(self.value, **fields))
+        except msgspec.ValidationError as error:
+            self._status.report(error, "That can't be preferred")
+        else:
+            self._changed.update(fields)
 
     def poll(self) -> None:
         """Write changes, unless a write is in progress. Once a frame."""

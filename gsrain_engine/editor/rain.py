@@ -1,4 +1,4 @@
-"""Tools of the rain panels: virtual disdrometer, calibration fits, shelter maps, and keyframe panel state."""
+"""Tools of the rain panels: virtual disdrometer, calibration fits, and keyframe panel state."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import platformdirs
 
-from ..rain.calibration import calibration_names, load_calibration, save_calibration
+from ..rain.calibration import Calibration, calibration_names, load_calibration, save_calibration
 from ..rain.keyframes import RainKeyframes
-from ..rain.settings import RainSettings
-from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import RainSimulation
-from ..scene.scene import Scene
-from .document import EditedDocument
+from .document import Document
 from .jobs.job import ThreadTasks
-from .notifications import describe_error
+from .status import StatusBus
 
 if TYPE_CHECKING:
     from ..disdrometer.file_summary import MeasurementSummary
@@ -34,7 +31,8 @@ RECORD_S = 60.0
 class CalibrationTools:
     """One measurement at a time. Main thread only; call `poll` once a frame."""
 
-    def __init__(self) -> None:
+    def __init__(self, document: Document, status: StatusBus) -> None:
+        self._document, self._status = document, status
         self.counted: DisdrometerMeasurement | None = None
         """Last measurement of the virtual disdrometer."""
         self.fitted: FittedCalibration | None = None
@@ -49,10 +47,10 @@ class CalibrationTools:
         self.pass_file = load_calibration(self.compared)
         """That calibration."""
         self.files: list[str] = []
-        """Calibration files opened or written in this session."""
+        """Calibration files opened or written in this window."""
         self.series: tuple[str, DisdrometerReading] | None = None
         """Name and content of a disdrometer file about to be imported as weather."""
-        self.problem: str | None = None
+        self.error: str | None = None
         """Reason why the last measurement failed, in one sentence."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rain lab")
         self._tasks = ThreadTasks(self._thread)
@@ -71,8 +69,9 @@ class CalibrationTools:
         """The measurement in progress, to wait for where there are no frames."""
         return self._tasks.futures
 
-    def measure(self, rain: RainSettings) -> None:
-        """Measure the rain with a virtual disdrometer, from time 0 on."""
+    def measure(self) -> None:
+        """Measure the present rain with a virtual disdrometer, from time 0 on."""
+        rain = self._document.rain_now
         area_m2, seconds = self.area_m2, self.seconds
 
         def count() -> "DisdrometerMeasurement":
@@ -135,6 +134,37 @@ class CalibrationTools:
         if path not in self.calibrations:
             self.files.append(path)
 
+    def use(self, name: str) -> None:
+        """Use another calibration for the rain, by name or file."""
+        if self._load(name) is not None:
+            self.add_file(name)
+            self._document.change_rain("Calibration", calibration=name)
+
+    def compare(self, name: str) -> None:
+        """Display another calibration next to the rain's own."""
+        if (calibration := self._load(name)) is not None:
+            self.pass_file, self.compared = calibration, name
+
+    def use_fitted(self) -> None:
+        """Save the last fit among the user's calibrations, and use it for the rain."""
+        assert self.fitted is not None, "fit before using it"
+        folder = platformdirs.user_data_path("gsrain", appauthor=False) / "calibrations"
+        path = folder / f"{self.fitted.calibration.name}.yaml"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            save_calibration(self.fitted.calibration, path)
+        except OSError as error:
+            self._status.report(error, "The calibration can't be saved")
+        else:
+            self.use(str(path))
+
+    def _load(self, name: str) -> Calibration | None:
+        try:
+            return load_calibration(name)
+        except (ValueError, OSError) as error:
+            self._status.report(error)
+            return None
+
     def poll(self) -> None:
         self._tasks.poll()
 
@@ -148,71 +178,12 @@ class CalibrationTools:
             if error is None:
                 logger.info("%s: done", label)
             else:
-                self.problem = str(error)
+                self.error = str(error)
                 logger.error("%s: %s", label, error)
 
         if self.busy is None:
-            self.problem = None
+            self.error = None
             self._tasks.start(work, lambda result: end(take(result)), end, message=label)
-
-
-# Calibrations; errors are set as `document.problem`
-
-
-def use_calibration(document: EditedDocument, lab: CalibrationTools, name: str) -> None:
-    """Use another calibration for the rain, by name or file."""
-    try:
-        load_calibration(name)
-    except (ValueError, OSError) as error:
-        document.report_problem(str(error))
-    else:
-        lab.add_file(name)
-        document.change_rain("Calibration", calibration=name)
-
-
-def compare_calibration(document: EditedDocument, lab: CalibrationTools, name: str) -> None:
-    """Show another calibration next to the rain's own."""
-    try:
-        lab.pass_file, lab.compared = load_calibration(name), name
-    except (ValueError, OSError) as error:
-        document.report_problem(str(error))
-
-
-def use_fitted_calibration(document: EditedDocument, lab: CalibrationTools) -> None:
-    """Save the last fit among the user's calibrations, and use it for the rain."""
-    assert lab.fitted is not None, "fit before using it"
-    folder = platformdirs.user_data_path("gsrain", appauthor=False) / "calibrations"
-    path = folder / f"{lab.fitted.calibration.name}.yaml"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        save_calibration(lab.fitted.calibration, path)
-    except OSError as error:
-        document.problem = describe_error("The calibration can't be saved", error)
-    else:
-        use_calibration(document, lab, str(path))
-
-
-# Shelter maps, computed in the background because a search takes seconds
-
-
-class ShelterMapBuilder:
-    """Computes shelter maps of one scene after another; results are in the cache of `shelter_map_of`."""
-
-    def __init__(self, thread: ThreadPoolExecutor) -> None:
-        self._thread = thread
-        self._scene: Scene | None = None
-        self.pending: list[Future[ShelterMap | None]] = []
-        """The last search, to wait for where there are no frames."""
-
-    def knows(self, scene: Scene) -> bool:
-        """Return whether the roofs of a scene are already known."""
-        is_same = self._scene is not None and self._scene.geometry_key == scene.geometry_key
-        return is_same and all(each.done() for each in self.pending)
-
-    def look_at(self, scene: Scene) -> None:
-        """Start to search a scene, unless it is known or another search is running."""
-        if all(each.done() for each in self.pending) and not self.knows(scene):
-            self._scene, self.pending = scene, [self._thread.submit(shelter_map_of, scene)]
 
 
 # State of the Rain keyframes panel; not part of the document

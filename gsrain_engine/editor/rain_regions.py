@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..rain.settings import RegionBox
+from ..rain.simulation import RainSimulation
 from ..render.draw import RenderView, rain_anchor
 from ..scene.camera import Camera, look_at
 from ..scene.geometry import EDGES
+from ..scene.scene import Scene
 from .viewport.picking import NEAR_M, project_lines, project_point
 from .viewport_state import ViewportState
 
@@ -188,15 +190,17 @@ def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3
 # Outlines
 
 
-def region_outlines(session: ViewportState, width: int, height: int) -> dict[str, Float64[np.ndarray, "m 2 2"]]:
-    """Edges of the regions that the view options show, by name; see `project_edges`."""
+def region_outlines(
+    viewport: ViewportState, scene: Scene, rainfall: RainSimulation, width: int, height: int
+) -> dict[str, Float64[np.ndarray, "m 2 2"]]:
+    """Edges of the regions that the view options show in a scene and its rain, by name; see `project_edges`."""
     boxes: dict[str, RegionBox] = {}
-    if session.view.show_streak_region:
-        boxes["streak region"] = session.rain.streak_region
-    if session.view.show_haze_region:
-        boxes["haze region"] = session.rain.haze_region
-    shot = session.shot(width, height)
-    anchor = rain_anchor(session.displayed_scene, session.displayed_rain, shot)
+    if viewport.options.show_streak_region:
+        boxes["streak region"] = viewport.document.rain.streak_region
+    if viewport.options.show_haze_region:
+        boxes["haze region"] = viewport.document.rain.haze_region
+    shot = viewport.shot(width, height)
+    anchor = rain_anchor(scene, rainfall, shot)
     return {name: project_edges(box, anchor, shot.camera) for name, box in boxes.items()}
 
 

@@ -15,10 +15,12 @@ from ..scene.camera_path import CameraPath
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Scene
 from .autosave import saved_scene
-from .files import SceneFiles
+from .files import Files
+from .jobs.job import JobRunner
 from .jobs.record import export_job
-from .notifications import describe_error
-from .services import EditorServices
+from .live_rain import LiveRain
+from .status import StatusBus
+from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
 
@@ -36,16 +38,19 @@ class OutputEstimate(NamedTuple):
 
 
 class RenderQueue:
-    """The recording of one session. Main thread only."""
+    """Settings of the next recording, and its start. Main thread only."""
 
-    def __init__(self, session: EditorServices, scene_files: SceneFiles) -> None:
-        self._session, self._scene_files = session, scene_files
+    def __init__(
+        self, viewport: ViewportState, live_rain: LiveRain, jobs: JobRunner, files: Files, status: StatusBus
+    ) -> None:
+        self._viewport, self._document, self._playback = viewport, viewport.document, viewport.playback
+        self._live_rain, self._jobs, self._files, self._status = live_rain, jobs, files, status
         self._settings = ExportSettings(output="", size_px=(960, 640), codec="h264")
 
     @property
     def settings(self) -> ExportSettings:
         """Settings except for the output path. The frame rate is the timeline's."""
-        return msgspec.structs.replace(self._settings, fps=self._session.timeline.fps)
+        return msgspec.structs.replace(self._settings, fps=self._playback.timeline.fps)
 
     @property
     def end_s(self) -> float:
@@ -55,16 +60,16 @@ class RenderQueue:
 
     @property
     def is_recording(self) -> bool:
-        return self._session.jobs.is_running("export")
+        return self._jobs.is_running("export")
 
     def change(self, **fields: object) -> None:
-        """Change settings; inconsistent ones are rejected and the error set as `problem`."""
+        """Change settings; inconsistent ones are rejected and the error reported."""
         try:
             values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
             self._settings = msgspec.convert(values, ExportSettings)
-            self._session.timeline.fps = self._settings.fps
+            self._playback.timeline.fps = self._settings.fps
         except ValueError as error:
-            self._session.problem = str(error)
+            self._status.report(error)
 
     def extent(self) -> OutputEstimate | str:
         """Estimate of the export, or the reason why it is impossible."""
@@ -72,14 +77,14 @@ class RenderQueue:
             sequences = self._sequences(self.settings)
         except ValueError as error:
             return str(error)
-        settings, statistics = self.settings, self._session.statistics
+        settings, statistics = self.settings, self._viewport.statistics
         frames, rough_s = len(frame_numbers(settings, sequences)), None
         if statistics.get("megapixels"):  # time per pixel times all images, without encoding and reading
             megapixels = sum(each.width * each.height for each in sequences.values()) * 1e-6
             image_s = 1e-3 * statistics["frame ms"] * megapixels / statistics["megapixels"]
             images = (2 if settings.twin else 1) * settings.motion_blur * settings.supersampling**2
             if "labels" in settings.passes:  # the three color channels of one image hold three layers or actors
-                images += len(self._session.scene.members) / 3
+                images += len(self._document.scene.members) / 3
             rough_s = frames * image_s * images
         return OutputEstimate(frames, len(sequences), frames / settings.fps, rough_s)
 
@@ -87,11 +92,10 @@ class RenderQueue:
         """Record the timeline; replacing existing files needs confirmation."""
         if self.settings.is_video and not path.suffix:
             path = path.with_name(path.name + self.settings.default_suffix)
-        self._begin(msgspec.structs.replace(self.settings, output=str(path)), saved_scene(self._session))
+        self._begin(msgspec.structs.replace(self.settings, output=str(path)), saved_scene(self._viewport))
 
     def record_still_to(self, path: Path) -> None:
         """Record the viewport's present time and view, in the size and with the samples of the settings."""
-        session = self._session
         still = msgspec.structs.replace(
             self.settings,
             output=str(path if path.suffix else path.with_name(f"{path.name}.png")),
@@ -99,20 +103,20 @@ class RenderQueue:
             quality=None,
             cameras=(),
             twin=False,
-            first_s=session.clock.time_s,
+            first_s=self._playback.clock.time_s,
             last_s=None,
         )
         self._begin(still, self.still_scene())
 
     def still_scene(self) -> Scene:
         """The scene to save, with the viewport's camera as its path, unless that follows the scene's own path."""
-        session, scene = self._session, saved_scene(self._session)
-        if session.view.follow_path:
+        viewport, scene = self._viewport, saved_scene(self._viewport)
+        if viewport.options.follow_path:
             return scene
-        camera = session.shot(*(self.settings.size_px or (960, 640))).camera
+        camera = viewport.shot(*(self.settings.size_px or (960, 640))).camera
         pose = camera.camera_to_world
         path = CameraPath(
-            np.array([session.clock.time_s]),
+            np.array([self._playback.clock.time_s]),
             pose[None, :3, 3],
             quaternions_from_matrices(pose[None, :3, :3]),
             np.array([camera.vertical_fov_deg]),
@@ -125,12 +129,12 @@ class RenderQueue:
             recording.check()
             names = list(self._sequences(recording))
         except ValueError as error:
-            self._session.problem = describe_error("It can't be recorded", error)
+            self._status.report(error, "It can't be recorded")
             return
 
         def start() -> None:
-            session, files, note = self._session, self._scene_files, ""
-            if scene.path is session.scene.path:
+            files, note = self._files, ""
+            if scene.path is self._document.scene.path:
                 saved = " once the scene is saved" if files.home is None or files.has_changes else ""
                 command = export_command(recording, str(files.home or "PROJECT"))
                 note = f"The same from the command line{saved}: {command}"
@@ -140,13 +144,14 @@ class RenderQueue:
                 if note:
                     logger.info("%s", note)
 
-            session.jobs.start(export_job(scene, recording, files.known), log_recorded)
+            self._jobs.start(export_job(scene, recording, files.known), log_recorded)
 
-        self._session.questions.before_replacing(export_outputs(recording, names), start)
+        self._status.ask_before_replacing(export_outputs(recording, names), start)
 
     def _sequences(self, recording: ExportSettings) -> dict[str, FrameSequence]:
-        session = self._session
         if not recording.output:
             recording = msgspec.structs.replace(recording, output=f"clip{recording.default_suffix}")
-        is_own = session.scene.path is not None
-        return export_sequences(recording, session.scene, session.rainfall, session.path, in_scene_time=is_own)
+        is_own = self._document.scene.path is not None
+        return export_sequences(
+            recording, self._document.scene, self._live_rain.simulation, self._viewport.path, in_scene_time=is_own
+        )

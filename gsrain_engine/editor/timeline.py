@@ -1,6 +1,5 @@
-"""Playback clock, and the timeline panel: ruler, selected keyframe, drags, and rows."""
+"""Playback, and the timeline panel: ruler, selected keyframe, drags, and rows."""
 
-import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
@@ -11,71 +10,12 @@ from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
 from ..scene.camera_path import CameraPath
 from ..scene.camera_path_edit import PathSpeed
 from ..scene.scene import PoseTrack, Scene
+from .clock import PlaybackClock
+from .document import Document
 from .viewport.camera import ORBIT_S
 
-_MAX_STALL_S = 0.25
-_LITTLE = 1e-6  # tolerance in frames within which a time counts as that of a frame
 _MIN_SPAN_S, _MAX_SPAN_S = 0.1, 86400.0
 _MARGIN = 0.04  # share of the ruler's width that stays free on each side of a fitted span
-
-
-@dataclass(slots=True)
-class PlaybackClock:
-    """Clock with pause, seek, speed and an optional span. Runs in real time at any frame rate."""
-
-    time_s: float = 0.0
-    playing: bool = True
-    speed: float = 1.0
-    loop: bool = True
-    """Restart at the end of the span, otherwise stop there."""
-    span_s: tuple[float, float] | None = None
-    """Start and end of playback if set by the user."""
-
-    def toggle(self) -> None:
-        self.playing = not self.playing
-
-    def advance(self, real_s: float, span_s: tuple[float, float] | None = None) -> None:
-        """Advance by real seconds; loop or stop at the end of the span. Without a span it runs on."""
-        if not self.playing:
-            return
-        before, self.time_s = self.time_s, self.time_s + self.speed * real_s
-        if span_s is None or self.time_s < span_s[1]:
-            return
-        start, end = span_s
-        if self.loop:
-            beyond = self.time_s - end if before < end else 0.0  # set beyond the end: from the start
-            self.time_s = start + (beyond % (end - start) if end > start else 0.0)
-        elif before >= end:  # played to the end and started again
-            self.time_s = min(start + self.speed * real_s, end)
-        else:
-            self.time_s, self.playing = end, False
-
-    def seek(self, time_s: float) -> None:
-        """Set the time; negative values become 0."""
-        self.time_s = max(0.0, float(time_s))
-
-    def step(self, frames: int, fps: float) -> None:
-        """Pause and go to a neighboring video frame; between two frames, to the one on that side."""
-        self.playing = False
-        number = self.time_s * fps
-        whole = math.floor(number + _LITTLE) + frames if frames > 0 else math.ceil(number - _LITTLE) + frames
-        self.seek(whole / fps)
-
-
-@dataclass(slots=True)
-class FrameClock:
-    """Durations between frames, without stalls."""
-
-    _last_s: float = 0.0
-
-    def step(self, real_s: float) -> float:
-        """Return the time step for a frame that took `real_s`.
-
-        A stall counts as a quarter of a second, to avoid jumps. If successive frames all take longer, time keeps its
-        real speed.
-        """
-        step_s, self._last_s = min(real_s, max(_MAX_STALL_S, self._last_s)), real_s
-        return step_s
 
 
 # Timeline state; not part of the document
@@ -172,6 +112,38 @@ class Timeline:
     """True if the panel has the keyboard focus."""
     asks_for_time: bool = False
     """True if the panel is to open the input of a time."""
+
+
+class Playback:
+    """Time of the scene: its clock, the span that is played, and the state of the timeline."""
+
+    def __init__(self, document: Document, clock: PlaybackClock) -> None:
+        self.clock, self.timeline = clock, Timeline()
+        self.rollout_span_s: tuple[float, float] | None = None
+        """Start and end of the playing roll-out; None if none plays."""
+        self._document = document
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Start and end of playback: as set by the user, else those of the roll-out or of the scene's content."""
+        content = content_span(self._document.scene, self._document.keyframes)
+        return self.clock.span_s or self.rollout_span_s or content
+
+    def advance(self, real_s: float) -> None:
+        self.clock.advance(real_s, self.span_s)
+
+    def nearest_frame_time(self, time_s: float) -> float:
+        return round(time_s * self.timeline.fps) / self.timeline.fps
+
+    def set_span(self, is_start: bool, time_s: float) -> None:
+        """Set the start or end of playback; they stay at least a frame apart."""
+        start, end = self.span_s
+        moment, frame = max(0.0, self.nearest_frame_time(time_s)), 1 / self.timeline.fps
+        self.clock.span_s = (min(moment, end - frame), end) if is_start else (start, max(moment, start + frame))
+
+    def reset(self) -> None:
+        """Forget the timeline and the span of another scene."""
+        self.timeline, self.clock.span_s = Timeline(), None
 
 
 @lru_cache(maxsize=4)

@@ -1,141 +1,160 @@
-"""Viewport state: the document with camera, clock, rain and sky, and scenes waiting to be shown."""
+"""State of the viewport: camera, followers, options, quality, previews, and scenes waiting to be displayed."""
 
-import logging
-from collections.abc import Hashable
+import time
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..rain.settings import RainSettings, load_preset
-from ..rain.simulation import OVERCAST, RainSimulation
 from ..render.draw import RenderView
-from ..render.renderer import Color
-from ..render.sky_color import SkyColor
+from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.scene import Scene, SceneCore, core_bounds
-from ..scene.transforms import with_wet_colors_of
-from .document import Document, EditedDocument
-from .edits.members import with_gaussians_of
-from .timeline import PlaybackClock, Timeline, content_span
+from .document import Document, DocumentState
+from .edits.members import replace_scene
+from .timeline import Playback
 from .viewport.camera import OrbitCamera, find_scene_core, home_viewport_camera
 from .viewport.camera_follow import ActorFollower, ChaseCamera, PathFollower
-from .viewport.options import ViewOptions
+from .viewport.options import FULL_QUALITY, AdaptiveQuality, QualityLevel, Texture, ViewOptions
+from .viewport.picking import SkyColorPick
 
-logger = logging.getLogger("gsrain")
 _VIEW_SIZE = (960, 640)  # aspect ratio for home cameras
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PendingScene:
-    """A new scene, shown as soon as its Gaussians are on the GPU."""
+    """A new scene, displayed as soon as its Gaussians are on the GPU."""
 
     label: str
     scene: Scene
     is_opened: bool = False
     """True if it replaces the present document instead of being a step of it."""
-    is_whole: bool = False
-    """True if it is another scene; otherwise it has new Gaussians for members of the present one."""
-    only_wet_colors: bool = False
-    """True to take only its wet colors, so that concurrent edits stay."""
+    change: Callable[[Scene, Scene], Scene] = replace_scene
+    """Edit of the present scene that takes this one as its argument; `replace_scene` also resets the view."""
     gesture: str | None = None
     """Scenes of one gesture form one undo step: snapshots and the final result of a training."""
     goes_on: bool = False
     """True if it is only used while the step of its gesture is the present one."""
 
 
-class ViewportState(EditedDocument):
-    """The present document with its camera, its clock, and its rain."""
+class ViewportState:
+    """Camera and options of the viewport, and what it draws besides the document. Follows the document."""
 
-    def __init__(self, scene: Scene, rain: RainSettings | None = None) -> None:
-        """Start with a scene; without `rain` it is dry."""
-        super().__init__(Document(scene, rain or load_preset("clear")), PlaybackClock())
+    def __init__(self, document: Document, playback: Playback) -> None:
+        self.document, self.playback = document, playback
         self.navigation = OrbitCamera()
-        self.view = ViewOptions()
-        self.timeline = Timeline()
+        self.options = ViewOptions()
         self.following = ActorFollower()
         self.chase = ChaseCamera()
         """Camera that follows the vehicle of a roll-out."""
-        self._ride = PathFollower()
-        self._core: tuple[Hashable, SceneCore] | None = None
         self.preview: Scene | None = None
         """Scene to draw during a drag; tools set it again in each frame."""
-        self._shown_preview: Scene | None = None
+        self.drawn_preview: Scene | None = None
+        """The preview that was set in the last frame, drawn in this one."""
+        self.is_reading = False
+        """True while a scene that will replace this one is read."""
         self.staged: PendingScene | None = None
-        """Scene to show as soon as its Gaussians are ready for the next frame."""
-        self.rainfall = RainSimulation.start(self.rain)
-        self.sky_seen = SkyColor(OVERCAST, found=False)
-        """Last sky color sample of the live view."""
-        self.sky_is_stale = True
-        """True if the live view has to sample the sky again, e.g. for another scene."""
-        self._scene_of_sky = scene
-
-    # Displayed state
-
-    @property
-    def displayed_scene(self) -> Scene:
-        """Scene of the viewport: the drag preview if there is one."""
-        return self.scene if self._shown_preview is None else self._shown_preview
-
-    @property
-    def displayed_rain(self) -> RainSimulation:
-        return self.rainfall
-
-    @property
-    def wetness_now(self) -> float:
-        """Wetness (share of the wet colors) at the present time, 0..1."""
-        return self.displayed_rain.wetness_at(self.clock.time_s)
-
-    @property
-    def sky(self) -> Color:
-        """Sky color at the present time, used for drops."""
-        return self.sky_seen.at(self.wetness_now)
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """Start and end of playback: as set by the user, else those of the scene's content."""
-        return self.clock.span_s or content_span(self.scene, self.weather)
+        """Scene to display as soon as its Gaussians are ready for the next frame."""
+        self.budget = AdaptiveQuality()
+        self.detail: QualityLevel = FULL_QUALITY
+        """Quality of the present image."""
+        self.is_moving = False
+        """True if the camera has moved since the last frame."""
+        self.statistics: dict[str, float] = {}
+        """Figures of the last frame by name, in the order of the Statistics panel."""
+        self.backend = ""
+        self.is_compiling = False
+        """True if the viewport can't be drawn before kernels are compiled or loaded."""
+        self.is_catching_up = False
+        """True if the next frames continue unfinished work although nothing moves."""
+        self.screenshot: Path | None = None
+        """Path at which the next image is saved."""
+        self.sky_pick: SkyColorPick | None = None
+        """Region of the next image whose color is to become the drop color."""
+        self.job_previews: Mapping[Any, Texture] = {}
+        """Image of each running job that has one."""
+        self._path = PathFollower()
+        self._core: tuple[Hashable, SceneCore] | None = None
+        self._last_view: RenderView | None = None
+        self._observed_at = 0.0
+        document.changed.connect(self._follow)
 
     @property
     def is_opening(self) -> bool:
         """True if another scene is about to replace this one."""
-        return self.staged is not None and self.staged.is_opened
+        return self.is_reading or (self.staged is not None and self.staged.is_opened)
 
     # Camera
 
     @property
     def path(self) -> CameraPath:
         """Path to ride along and to record, in the world: the user's own, else a default one."""
-        return self._ride.path(self.scene)
+        return self._path.path(self.document.scene)
 
     def ride(self, on: bool) -> None:
         """Start to ride along the camera path, or leave it at the camera's present pose."""
         if on:
-            self.view.follow_path = True
+            self.options.follow_path = True
         else:
             self.stop_riding()
 
     def stop_riding(self) -> None:
         self.chase.let_go()
-        if self.view.follow_path:
+        if self.options.follow_path:
             self.navigation.look_like(self.shot(*_VIEW_SIZE).camera)
-            self.view.follow_path = False
+            self.options.follow_path = False
 
     def shot(self, width: int, height: int, focal_scale: float = 1.0) -> RenderView:
         """Present view of the viewport; `focal_scale` is output size over rendered size."""
-        t = self.clock.time_s
-        if self.view.follow_path:
+        clock = self.playback.clock
+        t = clock.time_s
+        if self.options.follow_path:
             camera = self.path.camera(t, width, height)
-            is_still = not self.path.is_timed and not self.clock.playing  # untimed photos, viewed one by one
+            is_still = not self.path.is_timed and not clock.playing  # untimed photos, viewed one by one
             return RenderView(camera, t, None if is_still else self.path.velocity(t), camera.fx * focal_scale)
         camera = self.navigation.camera(width, height)
         ride = self.following.velocity_m_s if self.chase.velocity_m_s is None else self.chase.velocity_m_s
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
         return RenderView(camera, t, velocity, camera.fx * focal_scale)
 
+    def scaled_shot(self, width: int, height: int) -> tuple[RenderView, QualityLevel]:
+        """View of the next frame, in the resolution of its quality, which depends on the camera's motion."""
+        detail = self._observe(self.shot(width, height))
+        if self.screenshot is not None:
+            detail = FULL_QUALITY
+        scale = detail.scale / self.options.shrink
+        drawn_height = max(1, round(height * scale))
+        return self.shot(max(1, round(width * scale)), drawn_height, height / drawn_height), detail
+
+    def _observe(self, now: RenderView) -> QualityLevel:
+        before, at = self._last_view, time.perf_counter()
+        self.is_moving = before is not None and (
+            now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
+            or now.camera.fx != before.camera.fx
+        )
+        resized = before is not None and now.camera.height != before.camera.height
+        self._last_view, real_s, self._observed_at = now, at - self._observed_at, at
+        return self.budget.observe(moving=self.is_moving and not resized, real_s=real_s)
+
+    def look_from(self, camera: Camera) -> None:
+        """Take the pose of a camera (without roll) and its field of view; follow nothing any more."""
+        self.stop_riding()
+        self.following.follow("")
+        self.navigation.stop()
+        self.navigation.look_like(camera)
+
+    def follow_actor(self, key: str) -> None:
+        """Follow an actor, or stop if it is followed already."""
+        self.following.follow("" if self.following.key == key else key)
+        self.options.follow_path = False
+
     def frame_scene(self) -> None:
         """Move back until the selected layer or actor is visible, or else the dense part of the scene."""
-        chosen = next((each for each in self.scene.members if each.key == self.view.member and each.visible), None)
-        part = None if chosen is None else self.scene.part(chosen, self.clock.time_s)
+        scene, key = self.document.scene, self.options.member
+        chosen = next((each for each in scene.members if each.key == key and each.visible), None)
+        part = None if chosen is None else scene.part(chosen, self.playback.clock.time_s)
         self.navigation.frame(self.core if part is None else core_bounds([part]))
 
     def dolly(self, steps: float) -> None:
@@ -145,47 +164,23 @@ class ViewportState(EditedDocument):
     @property
     def core(self) -> SceneCore:
         """Dense part of the scene; recomputed when its visible geometry changes."""
-        key = self.scene.geometry_key
+        key = self.document.scene.geometry_key
         if self._core is None or self._core[0] != key:
-            self._core = key, find_scene_core(self.scene)
+            self._core = key, find_scene_core(self.document.scene)
         return self._core[1]
 
     def go_home(self) -> None:
-        self.navigation = home_viewport_camera(self.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
+        self.navigation = home_viewport_camera(self.document.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
 
-    def enter_scene(self) -> None:
-        """Reset the view and the timeline for another scene."""
-        self._ride, self.timeline, self.clock.span_s = PathFollower(), Timeline(), None
+    def reset(self) -> None:
+        """Reset the camera for another scene."""
+        self._path = PathFollower()
         self.go_home()
-        self.sky_is_stale = True
 
-    # Update after document changes
-
-    def _follow_document(self) -> None:
-        self.preview = self._shown_preview = None
-        if self.scene is not self._scene_of_sky:
-            before, self._scene_of_sky = self._scene_of_sky, self.scene
-            old, new = before.scene_to_world, self.scene.scene_to_world
-            if not np.array_equal(old, new):  # keep the view when the scale or the up direction changes
-                self.navigation.carry(new @ np.linalg.inv(old))
-            self.sky_is_stale = self.sky_is_stale or before.geometry_key != self.scene.geometry_key
-        if self.rainfall.rain != self.rain or self.rainfall.weather is not self.weather:
-            self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s, self.weather)
-
-
-def insert_pending_scene(document: ViewportState, staged: PendingScene) -> None:
-    """Make a pending scene a step of the document."""
-    is_present = document.history.gesture == staged.gesture
-    if staged.goes_on and not is_present:
-        return  # the user has continued with something else
-    if staged.is_whole:
-        document.set_scene(staged.label, staged.scene, staged.gesture)
-        if staged.gesture is None or not is_present:
-            document.enter_scene()
-    elif staged.only_wet_colors:
-        before = document.scene
-        document.edit(staged.label, with_wet_colors_of, staged.scene, gesture=staged.gesture)
-        if document.scene is not before:
-            logger.info("Wet colors are ready: the intensity, or Wetness in the Rain panel, blends them in")
-    else:
-        document.set_scene(staged.label, with_gaussians_of(document.scene, staged.scene), staged.gesture)
+    def _follow(self, old: DocumentState, new: DocumentState) -> None:
+        self.preview = self.drawn_preview = None
+        if old.scene is new.scene:
+            return
+        before, after = old.scene.scene_to_world, new.scene.scene_to_world
+        if not np.array_equal(before, after):  # keep the view when the scale or the up direction changes
+            self.navigation.carry(after @ np.linalg.inv(before))

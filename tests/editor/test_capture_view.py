@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, LidarSweep
+from gsrain_engine.datasets.capture import Capture, CaptureError
 from gsrain_engine.editor import capture_view
-from gsrain_engine.editor.capture_view import MAX_POINTS, THUMBNAIL_PX, CaptureImageLoader, sample_points
+from gsrain_engine.editor.capture_view import THUMBNAIL_PX, CaptureImageLoader, sample_points
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
@@ -18,112 +18,95 @@ from .small_capture import COLORS, small_capture, written_capture
 
 
 @pytest.fixture
-def session():
-    session = Editor(small_scene())
-    yield session
-    session.close()
+def editor():
+    editor = Editor(small_scene())
+    yield editor
+    editor.close()
 
 
-def _wait(session: Editor) -> None:
-    (reading,) = session.captures.pending
+def _wait(editor: Editor) -> None:
+    (reading,) = editor.captures.pending
     reading.exception(timeout=60)
-    session.captures.poll()
+    editor.captures.poll()
 
 
-def _opened(session: Editor, capture: Capture) -> None:
-    session.captures._enter(Path("small"), capture, sample_points(capture))
+def _opened(editor: Editor, capture: Capture) -> None:
+    editor.captures.display(Path("small"), capture, sample_points(capture))
 
 
-def test_files_outside_of_the_folder_are_read_when_a_person_says_so(session: Editor, tmp_path: Path):
+def test_files_outside_of_the_folder_are_read_when_a_person_says_so(editor: Editor, tmp_path: Path):
     folder = written_capture(tmp_path / "drive")
     picture = next(folder.glob("*[0-9a-z].png"))
     picture.rename(tmp_path / "elsewhere.png")
     picture.symlink_to(tmp_path / "elsewhere.png")
-    session.captures.open(folder)
-    _wait(session)
-    assert session.captures.capture is None and session.problem is None
-    session.update(0.01)
-    question = session.questions.present
+    editor.captures.open(folder)
+    _wait(editor)
+    assert editor.captures.capture is None and editor.status.problem is None
+    editor.tick(0.01)
+    question = editor.status.question
     assert question is not None and picture.name in question.text and "--" not in question.text
-    session.questions.answer(question.answers[0])
-    _wait(session)
-    assert session.captures.capture is not None and session.captures.allows_outside
-    session.captures.open(written_capture(tmp_path / "another"))
-    _wait(session)
-    assert not session.captures.allows_outside
+    editor.status.answer(question.answers[0])
+    _wait(editor)
+    assert editor.captures.capture is not None and editor.captures.allows_outside
+    editor.captures.open(written_capture(tmp_path / "another"))
+    _wait(editor)
+    assert not editor.captures.allows_outside
 
 
-def test_a_folder_is_opened_in_the_background(session: Editor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_folder_is_opened_in_the_background(editor: Editor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     may_go_on, threads = threading.Event(), []
-    read = capture_view._read
+    read = capture_view.read_capture
 
     def slowly(path: Path, allow_outside: bool):
         may_go_on.wait(60)
         threads.append(threading.current_thread())
         return read(path, allow_outside)
 
-    monkeypatch.setattr(capture_view, "_read", slowly)
-    session.captures.open(written_capture(tmp_path / "drive"))
-    session.captures.poll()
-    assert session.captures.capture is None
-    assert session.captures.busy == "Reading drive"
-    assert session.is_working
+    monkeypatch.setattr(capture_view, "read_capture", slowly)
+    editor.captures.open(written_capture(tmp_path / "drive"))
+    editor.captures.poll()
+    assert editor.captures.capture is None
+    assert editor.captures.busy == "Reading drive"
+    assert editor.is_working
     may_go_on.set()
-    _wait(session)
-    assert session.captures.busy is None
-    assert session.captures.capture is not None and len(session.captures.capture) == 4
+    _wait(editor)
+    assert editor.captures.busy is None
+    assert editor.captures.capture is not None and len(editor.captures.capture) == 4
     assert threads[0] is not threading.main_thread()
 
 
-def test_what_is_no_capture_is_told_and_the_open_one_stays(session: Editor, tmp_path: Path):
-    _opened(session, small_capture())
-    session.captures.open(tmp_path / "nowhere")
-    _wait(session)
-    assert session.problem is not None and "nowhere" in session.problem
-    assert session.captures.capture is not None and session.captures.capture.name == "small"
-
-
-def test_looking_from_a_view_takes_its_place_and_moment(session: Editor):
-    _opened(session, small_capture())
-    captures = session.captures
-    session.view.follow_path = True
-    captures.look_from(session, 2)
-    camera = captures.cameras(session.scene)[2]
-    eye = session.navigation.camera(300, 200)
+def test_looking_from_a_view_takes_its_place_and_moment(editor: Editor):
+    _opened(editor, small_capture())
+    captures = editor.captures
+    editor.viewport.options.follow_path = True
+    captures.look_from(2)
+    camera = captures.cameras(editor.document.scene)[2]
+    eye = editor.viewport.navigation.camera(300, 200)
     assert eye.position == pytest.approx(camera.position)
     assert eye.world_to_camera[2, :3] == pytest.approx(camera.world_to_camera[2, :3])
-    assert not session.view.follow_path
-    assert captures.stands_at(session) == 2
-    session.navigation.turn(0.01, 0.0)
-    assert captures.stands_at(session) is None
+    assert not editor.viewport.options.follow_path
+    assert captures.view_at_camera == 2
+    editor.viewport.navigation.turn(0.01, 0.0)
+    assert captures.view_at_camera is None
 
 
-def test_stepping_goes_round_the_views_of_one_camera(session: Editor):
-    _opened(session, small_capture())
-    captures = session.captures
+def test_stepping_goes_round_the_views_of_one_camera(editor: Editor):
+    _opened(editor, small_capture())
+    captures = editor.captures
     captures.sensor = "right"
     assert captures.listed == [1, 3]
     seen = []
     for step in (1, 1, 1, -1):
-        captures.step(session, step)
+        captures.step(step)
         seen.append(captures.chosen)
     assert seen == [1, 3, 1, 3]
 
 
-def test_time_stops_at_the_moment_of_a_picture_where_things_move(session: Editor):
-    _opened(session, small_capture())
-    captures = session.captures
-    assert session.scene.actors == ()
-    session.clock.seek(4.0)
-    captures.look_from(session, 3)
-    assert session.clock.time_s == 4.0
-
-
-def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(session: Editor):
+def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(editor: Editor):
     capture = replace(small_capture(), up=(0.0, -1.0, 0.0))
     made = replace(small_scene(), up=(0.05, -1.0, 0.0), metres_per_unit=3.0)
-    _opened(session, capture)
-    captures = session.captures
+    _opened(editor, capture)
+    captures = editor.captures
     assert captures.to_world(made) == pytest.approx(made.scene_to_world)
     assert captures.cameras(made)[1].position == pytest.approx(
         made.scene_to_world[:3, :3] @ capture[1].camera.position, abs=1e-9
@@ -137,22 +120,22 @@ def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(session: Editor)
     assert captures.to_world(Scene("none"))[2, :3] == pytest.approx([0, -1, 0])
 
 
-def test_pictures_come_when_they_are_asked_for_and_broken_ones_are_named(session: Editor):
+def test_pictures_come_when_they_are_asked_for_and_broken_ones_are_named(editor: Editor):
     capture = small_capture()
 
     def broken() -> np.ndarray:
         raise CaptureError("001.png: cut off")
 
     views = (capture[0], replace(capture[1], image_source=broken), *capture.views[2:])
-    _opened(session, replace(capture, views=views, problems=("a frame is missing",)))
-    pictures = session.captures.pictures
+    _opened(editor, replace(capture, views=views, problems=("a frame is missing",)))
+    pictures = editor.captures.pictures
     assert pictures is not None
     for view in (0, 1):
         assert pictures.want(view, THUMBNAIL_PX) is None
         _read_one(pictures)
     shown = pictures.want(0, THUMBNAIL_PX)
     assert shown is not None and tuple(shown[10, 10]) == COLORS[0]
-    assert session.captures.problems == ["a frame is missing", "001.png: cut off"]
+    assert editor.captures.problems == ["a frame is missing", "001.png: cut off"]
     assert pictures.want(1, THUMBNAIL_PX) is None
     pictures.poll()
     assert not pictures.is_reading  # what is broken is not tried again
@@ -163,23 +146,3 @@ def _read_one(pictures: CaptureImageLoader) -> None:
     (reading,) = pictures.pending
     reading.exception(timeout=60)
     pictures.poll()
-
-
-def test_of_many_points_a_fair_share_is_shown():
-    rng = np.random.default_rng(0)
-    sweeps = [LidarSweep(float(i), rng.random((MAX_POINTS, 3), np.float32) + 5 * i, np.zeros(3)) for i in range(2)]
-    got = sample_points(replace(small_capture(), sweeps=tuple(sweeps)))
-    assert got is not None
-    assert got.total == 2 * MAX_POINTS + 500
-    assert MAX_POINTS - 3 <= len(got.positions) <= MAX_POINTS
-    assert np.mean(got.positions[300:, 2] > 3) == pytest.approx(0.5, abs=0.01)
-    heights, colors = got.positions[500:, 2], got.colors[500:].astype(int)
-    low, high = colors[np.argmin(heights)], colors[np.argmax(heights)]
-    assert low[2] > low[0] and high[0] > high[2]  # from blue to red
-
-
-def test_coloured_points_keep_their_colours():
-    got = sample_points(small_capture())
-    assert got is not None and got.total == 500
-    assert (got.colors == [255, 0, 255]).all()
-    assert sample_points(replace(small_capture(), points_m=None)) is None

@@ -1,4 +1,4 @@
-"""Matching in the session: what is matched with what, told in pictures, and again when a person looks elsewhere."""
+"""Matching in the editor: what is matched with what, told in pictures, and again when a person looks elsewhere."""
 
 import time
 from dataclasses import replace
@@ -12,11 +12,8 @@ from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import (
-    MatchableViews,
     MatchedViews,
-    flow_lines,
     matching_image,
-    neighbor_view,
     outcome_shares,
 )
 from gsrain_engine.scene.camera import Camera, look_at
@@ -54,34 +51,34 @@ def written(tmp_path):
 
 
 @pytest.fixture
-def session():
-    session = Editor(small_scene())
-    session.clock.playing = False
-    yield session
-    session.close()
+def editor():
+    editor = Editor(small_scene())
+    editor.playback.clock.playing = False
+    yield editor
+    editor.close()
 
 
-def _until(session, condition):
+def _until(editor, condition):
     """Let frames go by as the window does."""
     last = time.monotonic() + 120
     while not condition():
         assert time.monotonic() < last, "waited in vain"
-        session.update(0.001)
-        for work in [*session.matching.pending, *session.captures.pending]:
+        editor.tick(0.001)
+        for work in [*editor.matching.pending, *editor.captures.pending]:
             work.exception()  # waits for it
 
 
-def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, written):
-    captures, matching = session.captures, session.matching
+def test_recorded_views_are_matched_with_the_one_that_is_asked_for(editor, written):
+    captures, matching = editor.captures, editor.matching
     captures.open(written)
-    _until(session, lambda: captures.capture is not None)
+    _until(editor, lambda: captures.capture is not None)
     assert matching.shown is None
     matching.is_on = True
-    captures.look_from(session, 2)  # front_1
-    _until(session, lambda: matching.shown is not None)
+    captures.look_from(2)  # front_1
+    _until(editor, lambda: matching.shown is not None)
     assert matching.shown.request[2:4] == (2, 4)
     assert matching.shown.matched.to.name == "front_2"
-    np.testing.assert_array_equal(matching.shown.camera.position, captures.cameras(session.scene)[2].position)
+    np.testing.assert_array_equal(matching.shown.camera.position, captures.cameras(editor.document.scene)[2].position)
     assert 0.6 < matching.shown.shares[MatchOutcome.MATCHED] < 0.95
     picture = matching.picture
     assert picture is matching.picture
@@ -89,54 +86,32 @@ def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, writ
     assert matching.picture is not picture
 
     matching.against = "beside"
-    _until(session, lambda: matching.shown is not None and matching.shown.request.to == 3)
-    captures.look_from(session, 4)
+    _until(editor, lambda: matching.shown is not None and matching.shown.request.to == 3)
+    captures.look_from(4)
     matching.against = "next"
-    session.update(0.001)
+    editor.tick(0.001)
     assert matching.shown is None
-    assert matching.problem == "This is the last view of its camera."
+    assert matching.why_none == "This is the last view of its camera."
     assert not captures.is_working
     matching.is_on = False
-    session.update(0.001)
-    assert matching.problem is None
+    editor.tick(0.001)
+    assert matching.why_none is None
 
 
-def test_the_live_view_is_matched_by_the_scenes_depth(session, written):
-    captures, matching = session.captures, session.matching
+def test_the_live_view_is_matched_by_the_scenes_depth(editor, written):
+    captures, matching = editor.captures, editor.matching
     captures.open(written)
-    _until(session, lambda: captures.capture is not None)
+    _until(editor, lambda: captures.capture is not None)
     captures.chosen, captures.in_scene_axes, matching.is_on = 0, True, True
-    session.navigation.look_like(captures.cameras(session.scene)[2])
-    _until(session, lambda: matching.shown is not None)
+    editor.viewport.navigation.look_like(captures.cameras(editor.document.scene)[2])
+    _until(editor, lambda: matching.shown is not None)
     assert matching.shown.request.of is None
     assert matching.shown.matched.to.name == "front_0"
     assert matching.shown.matched.found.valid.any()
     captures.in_scene_axes = False
-    _until(session, lambda: matching.problem is not None)
-    assert "does not lie in the scene" in matching.problem
+    _until(editor, lambda: matching.why_none is not None)
+    assert "does not lie in the scene" in matching.why_none
     assert matching.shown is None
-
-
-def test_views_without_depth_take_that_of_the_scene():
-    capture = deep_capture()
-    bare = replace(capture, views=tuple(replace(view, depth_source=None) for view in capture))
-    scene = small_scene()
-    with_depth, without = (MatchableViews(each, scene).matched(2, 4) for each in (capture, bare))
-    assert with_depth.of.depth[16, 48] == pytest.approx(19, abs=0.1)
-    assert without.of.depth[16, 48] > 25  # the wall of the scene, not that of the pictures
-    np.testing.assert_allclose(without.of.image, with_depth.of.image)
-
-
-def test_neighbours_are_those_a_person_would_name():
-    capture = deep_capture()
-    assert neighbor_view(capture, 2, "next", 0) == 4
-    assert neighbor_view(capture, 2, "previous", 0) == 0
-    assert neighbor_view(capture, 0, "previous", 0) is None
-    assert neighbor_view(capture, 2, "beside", 0) == 3
-    assert neighbor_view(capture, 2, "chosen", 5) == 5
-    assert neighbor_view(capture, 2, "chosen", 2) is None
-    alone = replace(capture, views=capture.views[::2])
-    assert neighbor_view(alone, 0, "beside", 0) is None
 
 
 def _pair(car=0.0):
@@ -166,10 +141,3 @@ def test_pictures_show_the_other_view_the_difference_or_reasons():
     reasons = matching_image(matched, "pixels")
     np.testing.assert_allclose(reasons[20, 20, :3] / 255, COLORS[MatchOutcome.MATCHED], atol=0.01)
     np.testing.assert_allclose(reasons[20, 45, :3] / 255, COLORS[MatchOutcome.MOVING], atol=0.01)
-
-
-def test_lines_lead_to_where_pixels_are_in_the_other_view():
-    lines = flow_lines(_pair())
-    assert len(lines) >= 2
-    np.testing.assert_allclose(lines[:, 1, 0] - lines[:, 0, 0], -6 / 60, atol=1e-5)
-    np.testing.assert_allclose(lines[:, 1, 1], lines[:, 0, 1], atol=1e-5)

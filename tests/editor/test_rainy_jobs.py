@@ -11,6 +11,7 @@ from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.jobs import training
 from gsrain_engine.editor.jobs.make_rainy import (
     MAKE_RAINY_TITLE,
@@ -31,7 +32,7 @@ CHOICE = ViewChoice(source="rig", count=2, width_px=64)
 
 
 @pytest.fixture
-def session():
+def editor():
     opened = Editor(small_scene())
     yield opened
     opened.close()
@@ -66,44 +67,44 @@ def test_a_preview_is_the_view_that_the_job_would_make(tmp_path):
     assert np.array_equal(dry.preview, clear.preview)
 
 
-def test_a_preview_is_shown_next_to_the_image_and_leaves_no_job(session):
-    session.rainy.viewport_px = (96, 64)
-    session.rainy.preview(session)
-    session.jobs.newest("preview").wait(60)
-    assert session.rainy.previewed.pixels.shape == (64, 96, 3)
-    assert session.rainy.fits(session) and session.view.split == "now | preview"
-    assert session.jobs.all == []
-    session.rainy.change(seed=1)
-    assert "settings" in session.rainy.what_is_stale(session)
+def test_a_preview_is_shown_next_to_the_image_and_leaves_no_job(editor):
+    editor.wet_look.viewport_px = (96, 64)
+    editor.wet_look.preview()
+    editor.jobs.newest("preview").wait(60)
+    assert editor.wet_look.previewed.pixels.shape == (64, 96, 3)
+    assert editor.wet_look.fits and editor.viewport.options.split == "now | preview"
+    assert editor.jobs.all == []
+    editor.wet_look.change(seed=1)
+    assert "settings" in editor.wet_look.what_is_stale
 
 
-def test_a_preview_fits_only_what_it_is_of(session):
-    shot, scene = session.shot(96, 64), session.scene
+def test_a_preview_fits_only_what_it_is_of(editor):
+    shot, scene = editor.viewport.shot(96, 64), editor.document.scene
     recipe = PreviewSettings("wet", TransferSettings())
     view = PreviewedView(np.zeros((64, 96, 3), np.uint8), shot.camera, 0.0, scene, recipe)
-    assert view.is_of(session.shot(960, 640).camera, 0.0, scene)
-    assert not view.is_of(session.shot(960, 600).camera, 0.0, scene)
+    assert view.is_of(editor.viewport.shot(960, 640).camera, 0.0, scene)
+    assert not view.is_of(editor.viewport.shot(960, 600).camera, 0.0, scene)
     wet = scene.with_member("layers/road", wet_sh=scene.member("layers/road").gaussians.sh)
     assert view.is_of(shot.camera, 1.0, wet)  # views are clear, and nothing moves
     assert not view.is_of(shot.camera, 0.0, scene.with_member("layers/road", visible=False))
-    session.dolly(1.0)
-    assert not view.is_of(session.shot(96, 64).camera, 0.0, scene)
+    editor.viewport.dolly(1.0)
+    assert not view.is_of(editor.viewport.shot(96, 64).camera, 0.0, scene)
 
 
-def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(session):
-    scene = session.scene
-    session.set_scene("Nothing yet", Scene("nothing"))
-    session.rainy.make_soon()
-    session.update(0.0)
-    assert not session.jobs.all
-    session.set_scene("Everything", scene)
-    session.update(0.0)
-    (job,) = session.jobs.all
-    assert (job.title, session.problem) == (MAKE_RAINY_TITLE, None)
+def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(editor):
+    scene = editor.document.scene
+    editor.document.edit("Nothing yet", replace_scene, Scene("nothing"))
+    editor.wet_look.make_soon()
+    editor.tick(0.0)
+    assert not editor.jobs.all
+    editor.document.edit("Everything", replace_scene, scene)
+    editor.tick(0.0)
+    (job,) = editor.jobs.all
+    assert (job.title, editor.status.problem) == (MAKE_RAINY_TITLE, None)
     job.cancel()
-    session.update(0.0)
-    session.update(0.0)
-    assert session.jobs.all == [job]
+    editor.tick(0.0)
+    editor.tick(0.0)
+    assert editor.jobs.all == [job]
 
 
 @pytest.mark.parametrize(
@@ -116,14 +117,14 @@ def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(session):
         ("rig", "wet", None, "drive"),
     ],
 )
-def test_what_a_transfer_lacks_is_named_once_the_scene_is_there(session, source, method, images, missing):
-    session.set_scene("Without a drive", replace(session.scene, ego=None))
-    rainy = session.rainy
+def test_what_a_transfer_lacks_is_named_once_the_scene_is_there(editor, source, method, images, missing):
+    editor.document.edit("Without a drive", replace_scene, replace(editor.document.scene, ego=None))
+    rainy = editor.wet_look
     rainy.method, rainy.settings, rainy.choice = method, TransferSettings(images=images), ViewChoice(source=source)
     rainy.make_soon()
-    session.update(0.0)
-    assert missing in session.problem
-    assert not session.jobs.all
+    editor.tick(0.0)
+    assert missing in editor.status.problem
+    assert not editor.jobs.all
 
 
 # Trainings
@@ -140,25 +141,25 @@ def learning(task):
 
 
 @pytest.fixture
-def studio(session, tmp_path, monkeypatch):
+def studio(editor, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setattr(finetune, "has_torch", lambda: True)
     monkeypatch.setattr(training, "train_transfer", learning)
     for name in ("clear", "rainy"):
         (tmp_path / name).mkdir()
-    studio = session.studio
+    studio = editor.finetune
     studio.choice = msgspec.structs.replace(
         studio.choice, clear=tmp_path / "clear", rainy=tmp_path / "rainy", output=tmp_path / "out", steps=1000
     )
     return studio
 
 
-def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(session, studio):
+def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(editor, studio):
     clear, output = str(studio.choice.clear), studio.choice.output
     assert not studio.can_resume
     for resume in (False, True):
-        studio.start(session, resume=resume)
-        assert "Train the transfer" in studio.why_not(session)
+        studio.start(resume=resume)
+        assert "Train the transfer" in studio.why_not
         assert studio.job.wait(60) == output / "weights.safetensors"
         assert msgspec.json.decode((output / "task.json").read_bytes()) == [1000, [clear], resume, {}]
         (output / "checkpoint.safetensors").touch()
@@ -168,7 +169,7 @@ def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(
     assert job.progress.preview.shape == (8, 8, 3)
     assert job.curves.curve("cycle_clear").tolist() == [[1, 2, 3], [2, 1, 2 / 3]]
     assert {"cycle_clear", "gan_rainy"} <= {name for names in job.plots.values() for name in names}
-    session.jobs.leave_scene()
+    editor.jobs.leave_scene()
     assert job.result is not None  # it does not belong to the scene
 
 
@@ -176,14 +177,14 @@ def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(
     ("change", "missing"),
     [({"output": None}, "folder"), ({"clear": Path("/nowhere")}, "/nowhere"), ({"config": "own.yaml"}, "own.yaml")],
 )
-def test_a_training_with_wrong_settings_does_not_start(session, studio, change, missing):
+def test_a_training_with_wrong_settings_does_not_start(editor, studio, change, missing):
     studio.choice = msgspec.structs.replace(studio.choice, **change)
-    studio.start(session)
-    assert missing in (studio.why_not(session) or session.problem)
-    assert session.jobs.all == []
+    studio.start()
+    assert missing in (studio.why_not or editor.status.problem)
+    assert editor.jobs.all == []
 
 
-def test_code_that_the_settings_name_runs_only_after_a_question(session, studio, tmp_path):
+def test_code_that_the_settings_name_runs_only_after_a_question(editor, studio, tmp_path):
     (tmp_path / "DSINE" / "models").mkdir(parents=True)
     (tmp_path / "DSINE" / "models" / "dsine.py").write_text(f"DSINE = {str(tmp_path)!r}\n")
     text = "pictures: {clear: [{path: a}], rainy: [{path: b}], normals: dsine, normals_checkout: DSINE}\n"
@@ -191,15 +192,15 @@ def test_code_that_the_settings_name_runs_only_after_a_question(session, studio,
     studio.choice = msgspec.structs.replace(studio.choice, config=str(tmp_path / "own.yaml"))
     checkout = str(tmp_path / "DSINE")
     for label in ("Don't run it", "Cancel", "Run it"):
-        assert session.jobs.all == []
-        studio.start(session)
-        question = session.questions.present
+        assert editor.jobs.all == []
+        studio.start()
+        question = editor.status.question
         assert "own.yaml" in question.text and checkout in question.text
         assert question.answers[0].label == "Don't run it"  # the answer of Enter
-        session.questions.answer(next(each for each in question.answers if each.label == label))
+        editor.status.answer(next(each for each in question.answers if each.label == label))
     studio.job.wait(60)
     *_, code = msgspec.json.decode((studio.choice.output / "task.json").read_bytes())
     assert list(code) == [checkout]
     assert code[checkout] in answers_file().read_text()  # of the next window, too
-    studio.start(session)
-    assert session.questions.present is None
+    studio.start()
+    assert editor.status.question is None

@@ -46,7 +46,7 @@ def saved(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def session():
+def editor():
     opened = Editor()
     yield opened
     opened.close()
@@ -115,32 +115,32 @@ def test_what_belongs_to_the_whole_scene_folder():
     assert weather.rain_at(rain, 4.0).exposure_s == 0.02
 
 
-def test_the_window_opens_the_scene_folder_as_it_was_left(saved, session):
+def test_the_window_opens_the_scene_folder_as_it_was_left(saved, editor):
     shutil.rmtree(saved / ".crossing.autosave")
-    session.open(str(saved / "crossing"))
-    settle(session)
-    assert session.problem is None and session.questions.present is None
-    assert (session.rain.intensity_mm_h, len(session.weather.keys)) == (7.5, 3)
-    assert session.navigation.position.tolist() == [-2.0, 0.5, 2.25]
-    assert (session.navigation.heading, session.clock.time_s) == (0.05, 1.25)
-    assert (session.view.gain_ev, session.view.background) == (0.5, (0.1, 0.2, 0.3))
+    editor.files.open(str(saved / "crossing"))
+    settle(editor)
+    assert editor.status.problem is None and editor.status.question is None
+    assert (editor.document.rain.intensity_mm_h, len(editor.document.keyframes.keys)) == (7.5, 3)
+    assert editor.viewport.navigation.position.tolist() == [-2.0, 0.5, 2.25]
+    assert (editor.viewport.navigation.heading, editor.playback.clock.time_s) == (0.05, 1.25)
+    assert (editor.viewport.options.gain_ev, editor.viewport.options.background) == (0.5, (0.1, 0.2, 0.3))
 
 
-def test_unsaved_changes_are_recovered(saved, session):
-    session.open(str(saved / "crossing"))
-    settle(session)
-    session.questions.answer(session.questions.present.answers[0])
-    settle(session)
-    assert session.rain.intensity_mm_h == 12.0 and session.has_changes
-    assert session.scene.member("layers/hedge").marks.deleted.size == 60
+def test_unsaved_changes_are_recovered(saved, editor):
+    editor.files.open(str(saved / "crossing"))
+    settle(editor)
+    editor.status.answer(editor.status.question.answers[0])
+    settle(editor)
+    assert editor.document.rain.intensity_mm_h == 12.0 and editor.files.has_changes
+    assert editor.document.scene.member("layers/hedge").marks.deleted.size == 60
 
 
-def test_an_unsaved_new_scene_is_recovered(saved, session):
-    session.files.recovery.look()
-    settle(session)
-    session.questions.answer(session.questions.present.answers[0])
-    settle(session)
-    assert (session.scene.name, session.rain.intensity_mm_h) == ("sketch", 3.5)
+def test_an_unsaved_new_scene_is_recovered(saved, editor):
+    editor.files.recovery.look()
+    settle(editor)
+    editor.status.answer(editor.status.question.answers[0])
+    settle(editor)
+    assert (editor.document.scene.name, editor.document.rain.intensity_mm_h) == ("sketch", 3.5)
 
 
 def test_preferences_and_recent_scenes(saved):

@@ -1,8 +1,8 @@
 """Kills sessions at random calls that change the disk, while they edit, keep and save, and recovers what they had.
 
-`python tests/reliability/killed_sessions.py [--deaths 40] [--seed 0]`, on a system that can fork. Not a test. A session
+`python tests/reliability/killed_sessions.py [--deaths 40] [--seed 0]`, on a system that can fork. Not a test. A editor
 deletes one Gaussian more at each step, and says when that was kept by the autosave or saved. After each death the next
-session has to open the scene, to offer what was kept, and to have at least all steps that were said to be safe.
+editor has to open the scene, to offer what was kept, and to have at least all steps that were said to be safe.
 """
 
 import argparse
@@ -20,6 +20,8 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
 from gsrain_engine.compile_cache import use_kernel_cache  # noqa: E402
+from gsrain_engine.editor.drawing.frame import DrawResult  # noqa: E402
+from gsrain_engine.editor.edits.members import replace_scene  # noqa: E402
 
 use_kernel_cache()
 
@@ -37,70 +39,74 @@ from small_scene import small_scene  # noqa: E402
 _STEPS = 6
 
 
-def settle(session: Editor) -> None:
+def settle(editor: Editor) -> None:
     """Let background work end and take it in, without a live view."""
     for _ in range(4):
-        wait(session.pending_files, timeout=60)
-        session.update(0.0)
-        session.swap_in()
+        wait(editor.pending_files, timeout=60)
+        editor.tick(0.0)
+        editor.apply(DrawResult(is_pending_ready=True))
 
 
-def step_of(session: Editor) -> int:
+def step_of(editor: Editor) -> int:
     """Number of deleted Gaussians."""
-    marked = session.scene.members[0].marks.deleted if session.scene.members else None
+    marked = editor.document.scene.members[0].marks.deleted if editor.document.scene.members else None
     return 0 if marked is None else marked.size
 
 
 def recovered(home: Path) -> Editor:
-    """A session with all that there is of the scene."""
-    session = Editor()
-    session.open(str(home))
-    session.files.recovery.look()
-    settle(session)
-    if session.problem is not None:
-        raise ValueError(session.problem)
-    answered(session, "Recover")
-    return session
+    """A editor with all that there is of the scene."""
+    editor = Editor()
+    editor.files.open(str(home))
+    editor.files.recovery.look()
+    settle(editor)
+    if editor.status.problem is not None:
+        raise ValueError(editor.status.problem)
+    answered(editor, "Recover")
+    return editor
 
 
-def answered(session: Editor, label: str) -> None:
+def answered(editor: Editor, label: str) -> None:
     """Answer what is asked, if anything is."""
-    if session.questions.present is not None:
-        session.questions.answer(next(each for each in session.questions.present.answers if each.label == label))
-        settle(session)
+    if editor.status.question is not None:
+        editor.status.answer(next(each for each in editor.status.question.answers if each.label == label))
+        settle(editor)
 
 
 def work_on(home: Path) -> int:
     """Edit, keep and save a few times; says what is safe."""
-    session = recovered(home)
-    first = step_of(session) + 1
+    editor = recovered(home)
+    first = step_of(editor) + 1
     for number in range(first, first + _STEPS):
-        member = session.scene.members[0]
+        member = editor.document.scene.members[0]
         deleted = BitMask.of(np.arange(len(member.gaussians)) < number)
-        session.set_scene("Delete", session.scene.with_member(member.key, marks=SelectionFlags(deleted=deleted)))
-        session.update(0.0)
-        late = session.files.recovery.now() + 1000
-        session.files.recovery.now = lambda late=late: late
-        settle(session)
+        editor.document.edit(
+            "Delete",
+            replace_scene,
+            editor.document.scene.with_member(member.key, marks=SelectionFlags(deleted=deleted)),
+        )
+        editor.tick(0.0)
+        late = editor.files.recovery.now() + 1000
+        editor.files.recovery.now = lambda late=late: late
+        settle(editor)
         print("safe", number, flush=True)
         if number % 2:
-            session.files.save()
-            settle(session)
-            answered(session, "Overwrite")  # it was killed between the save and the end of the autosave
-            assert not session.has_changes
-        if session.problem is not None:
-            raise ValueError(session.problem)
-    session.files.save()
-    settle(session)
-    session.close()
+            editor.files.save()
+            settle(editor)
+            answered(editor, "Overwrite")  # it was killed between the save and the end of the autosave
+            assert not editor.files.has_changes
+        if editor.status.problem is not None:
+            raise ValueError(editor.status.problem)
+    editor.files.save()
+    settle(editor)
+    editor.close()
     return 0
 
 
 def look(home: Path) -> int:
     """Say which step there is, and end as a window does that is not answered."""
-    session = recovered(home)
-    print("found", step_of(session), flush=True)
-    session.close()
+    editor = recovered(home)
+    print("found", step_of(editor), flush=True)
+    editor.close()
     return 0
 
 

@@ -28,23 +28,23 @@ class _Acting(Workspace):
     def update(self) -> None:
         """Act once, as soon as there is a scene."""
         super().update()
-        session = self.session
-        if self.acted or not session.scene.members or session.is_opening:
+        editor = self.editor
+        if self.acted or not editor.document.scene.members or editor.is_opening:
             return
         self.acted = True
         robustness = glfw.get_window_attrib(glfw_utils.glfw_window_hello_imgui(), glfw.CONTEXT_ROBUSTNESS)
-        asked = session.questions.present
+        asked = editor.status.question
         print(
-            f"{_TIMES}: {session.scene.name} at {session.rain.intensity_mm_h} mm/h, changed: {session.has_changes},",
-            f"tells of resets: {robustness == glfw.LOSE_CONTEXT_ON_RESET}, says: {session.problem},",
+            f"{_TIMES}: {editor.document.scene.name} at {editor.document.rain.intensity_mm_h} mm/h, changed: {editor.files.has_changes},",
+            f"tells of resets: {robustness == glfw.LOSE_CONTEXT_ON_RESET}, says: {editor.status.problem},",
             f"asks: {asked and asked.title}",
             flush=True,
         )
         if int(_LOSSES) <= _TIMES:
-            session.files.give_up()
-            session.request_quit()
-        elif not (session.has_changes or "unchanged" in _HOW):
-            session.change_rain("Change the intensity", intensity_mm_h=77.0)
+            editor.files.give_up()
+            editor.request_quit()
+        elif not (editor.files.has_changes or "unchanged" in _HOW):
+            editor.document.change_rain("Change the intensity", intensity_mm_h=77.0)
         if int(_LOSSES) > _TIMES and "raise" not in _HOW:
             lose(self.view._context)
 

@@ -21,12 +21,12 @@ from editor.files.open_document import delete_every_third
 
 def go_on(self, context):
     before(self, context)
-    session = self._session
-    if self.workspace is not None and session.files.home is not None and not session.files.has_changes:
-        delete_every_third(session)
+    editor = self._session
+    if self.workspace is not None and editor.files.home is not None and not editor.files.has_changes:
+        delete_every_third(editor)
         if sys.argv[2] == "close":
             self.ask_to_close()
-            os.kill(os.getpid(), signal.SIGKILL) if session.files.recovery.autosaved_path else None
+            os.kill(os.getpid(), signal.SIGKILL) if editor.files.recovery.autosaved_path else None
         os.kill(os.getpid(), getattr(signal, sys.argv[2]))
 
 before, window.MainWindow._go_on = window.MainWindow._go_on, go_on

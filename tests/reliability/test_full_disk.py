@@ -12,7 +12,9 @@ import pytest
 
 from app.main import run
 from gsrain_engine.editor import autosave
+from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from reliability.commands import complaints, leftovers
 from small_scene import small_scene
@@ -99,59 +101,61 @@ def test_numbers_of_an_earlier_run_stay(scene_folder, tmp_path, capsys):
     assert capsys.readouterr().err.splitlines()[-1] == f"gsrain: {numbers}: File too large"
 
 
-def settle(session):
+def settle(editor):
     for _ in range(4):
-        wait(session.pending_files, timeout=60)
-        session.update(0.0)
-        session.swap_in()
+        wait(editor.pending_files, timeout=60)
+        editor.tick(0.0)
+        editor.apply(DrawResult(is_pending_ready=True))
 
 
 @pytest.fixture
-def session(scene_folder, tmp_path):
+def editor(scene_folder, tmp_path):
     home = tmp_path / "home" / "road"
     shutil.copytree(scene_folder, home)
     opened = Editor()
-    opened.open(str(home))
+    opened.files.open(str(home))
     settle(opened)
     yield opened
     opened.files.give_up()
     opened.close()
 
 
-def duplicated(session):
+def duplicated(editor):
     """A change that has to be written: Gaussians that are in no file."""
-    for each in session.scene.members:
+    for each in editor.document.scene.members:
         g = each.gaussians
-        session.set_scene(
-            "Paler", session.scene.with_member(each.key, gaussians=g.with_sh(g.sh * g.sh.dtype.type(0.5)))
+        editor.document.edit(
+            "Paler",
+            replace_scene,
+            editor.document.scene.with_member(each.key, gaussians=g.with_sh(g.sh * g.sh.dtype.type(0.5))),
         )
 
 
-def keep_now(session):
-    session.update(0.0)
-    late = session.files.recovery.now() + session.preferences.autosave_s
-    session.files.recovery.now = lambda: late
-    settle(session)
+def keep_now(editor):
+    editor.tick(0.0)
+    late = editor.files.recovery.now() + editor.preferences.value.autosave_s
+    editor.files.recovery.now = lambda: late
+    settle(editor)
 
 
-def test_a_save_leaves_the_old_scene_and_the_changes(session):
-    home = session.files.home
+def test_a_save_leaves_the_old_scene_and_the_changes(editor):
+    home = editor.files.home
     before = bytes_in(home)
-    duplicated(session)
+    duplicated(editor)
     with files_of_at_most(4000):
-        session.files.save()
-        settle(session)
-    assert session.problem == f"{home} can't be saved: File too large"
-    assert session.has_changes
+        editor.files.save()
+        settle(editor)
+    assert editor.status.problem == f"{home} can't be saved: File too large"
+    assert editor.files.has_changes
     assert bytes_in(home) == before and not leftovers(home.parent)
-    session.files.save()
-    settle(session)
-    assert not session.has_changes
+    editor.files.save()
+    settle(editor)
+    assert not editor.files.has_changes
     read_scene(home)
 
 
-def test_an_autosave_goes_to_another_disk_where_that_of_the_scene_is_full(session, tmp_path, monkeypatch):
-    home, write = session.files.home, autosave.write_scene_folder
+def test_an_autosave_goes_to_another_disk_where_that_of_the_scene_is_full(editor, tmp_path, monkeypatch):
+    home, write = editor.files.home, autosave.write_scene_folder
 
     def full_beside_the_scene(scene, folder, *rest, **options):
         if folder.is_relative_to(home.parent):
@@ -159,22 +163,22 @@ def test_an_autosave_goes_to_another_disk_where_that_of_the_scene_is_full(sessio
         write(scene, folder, *rest, **options)
 
     monkeypatch.setattr(autosave, "write_scene_folder", full_beside_the_scene)
-    duplicated(session)
-    keep_now(session)
-    assert session.problem is None
+    duplicated(editor)
+    keep_now(editor)
+    assert editor.status.problem is None
     assert not autosave.autosave_folder(home).exists()
     (kept,) = (tmp_path / "state" / "gsrain" / "unsaved").iterdir()
     read_scene(kept / "scene")
-    session.undo()
-    keep_now(session)
+    editor.document.undo()
+    keep_now(editor)
     assert list((tmp_path / "state" / "gsrain" / "unsaved").iterdir()) == [kept]
 
 
-def test_an_autosave_that_fits_nowhere_leaves_nothing_half(session, tmp_path):
-    home = session.files.home
-    duplicated(session)
+def test_an_autosave_that_fits_nowhere_leaves_nothing_half(editor, tmp_path):
+    home = editor.files.home
+    duplicated(editor)
     with files_of_at_most(4000):
-        keep_now(session)
-    assert session.problem == "The autosave can't be written: File too large"
+        keep_now(editor)
+    assert editor.status.problem == "The autosave can't be written: File too large"
     assert not autosave.autosave_folder(home).exists() or not leftovers(autosave.autosave_folder(home))
     assert not list((tmp_path / "state" / "gsrain" / "unsaved").iterdir())

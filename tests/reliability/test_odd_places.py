@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from app.main import run
+from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.jobs.folder import new_report
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -41,40 +43,40 @@ def sessions():
         return every[-1]
 
     yield make
-    for session in every:
-        session.files.give_up()
-        session.close()
+    for editor in every:
+        editor.files.give_up()
+        editor.close()
 
 
-def settle(session):
+def settle(editor):
     for _ in range(4):
-        wait(session.pending_files, timeout=60)
-        session.update(0.0)
-        session.swap_in()
+        wait(editor.pending_files, timeout=60)
+        editor.tick(0.0)
+        editor.apply(DrawResult(is_pending_ready=True))
 
 
-def opened(session, path):
-    session.open(str(path))
-    settle(session)
-    assert session.problem is None
-    return session
+def opened(editor, path):
+    editor.files.open(str(path))
+    settle(editor)
+    assert editor.status.problem is None
+    return editor
 
 
-def answer(session, label):
-    question = session.questions.present
-    session.questions.answer(next(each for each in question.answers if each.label == label))
-    settle(session)
+def answer(editor, label):
+    question = editor.status.question
+    editor.status.answer(next(each for each in question.answers if each.label == label))
+    settle(editor)
 
 
-def edited_and_kept(session):
-    member = session.scene.members[0]
+def edited_and_kept(editor):
+    member = editor.document.scene.members[0]
     marks = SelectionFlags(deleted=BitMask.of(np.arange(len(member.gaussians)) < 7))
-    session.set_scene("Delete", session.scene.with_member(member.key, marks=marks))
-    session.update(0.0)
-    late = session.files.recovery.now() + session.preferences.autosave_s
-    session.files.recovery.now = lambda: late
-    settle(session)
-    assert session.problem is None
+    editor.document.edit("Delete", replace_scene, editor.document.scene.with_member(member.key, marks=marks))
+    editor.tick(0.0)
+    late = editor.files.recovery.now() + editor.preferences.value.autosave_s
+    editor.files.recovery.now = lambda: late
+    settle(editor)
+    assert editor.status.problem is None
 
 
 def deleted_in(scene):
@@ -117,7 +119,7 @@ def test_one_scene_behind_two_links_is_one_scene(sessions, tmp_path):
     (tmp_path / "nearer").symlink_to(tmp_path / "disk" / "far")
     first = opened(sessions(), tmp_path / "near" / "far")
     second = opened(sessions(), tmp_path / "nearer")
-    assert second.questions.present.title == "Open twice"
+    assert second.status.question.title == "Open twice"
     edited_and_kept(first)
     first.files.save()
     settle(first)

@@ -8,6 +8,7 @@ import pytest
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
+from live_frames import draw_frame
 from small_scene import small_scene
 
 SIZE = (96, 64)
@@ -15,20 +16,20 @@ SIZE = (96, 64)
 
 @pytest.mark.parametrize("backend", ["opengl", "cpu"])
 def test_a_closed_scene_is_free(context, backend):
-    session = Editor(small_scene(), load_preset("8.5"))
-    session.clock.playing = False
-    view = LiveView(context, session, backend)
-    session.view.split = "clear | rainy"
+    editor = Editor(small_scene(), load_preset("8.5"))
+    editor.playback.clock.playing = False
+    view = LiveView(context, backend)
+    editor.viewport.options.split = "clear | rainy"
     for _ in range(3):
-        view.draw(*SIZE)
-    session.view.split = "off"
-    view.draw(*SIZE)
-    held = [weakref.ref(each.gaussians.means) for each in session.scene.members]
-    session.files.close_scene()
+        draw_frame(editor, view, SIZE)
+    editor.viewport.options.split = "off"
+    draw_frame(editor, view, SIZE)
+    held = [weakref.ref(each.gaussians.means) for each in editor.document.scene.members]
+    editor.files.close_scene()
     for _ in range(2):
-        view.draw(*SIZE)
+        draw_frame(editor, view, SIZE)
     gc.collect()
     assert [each() is None for each in held] == [True] * 3
-    assert not view._opengl.arrays.masks
-    session.files.give_up()
-    session.close()
+    assert not view.arrays.masks
+    editor.files.give_up()
+    editor.close()

@@ -1,14 +1,18 @@
 """A graphics card without room: it is said once, and the processor draws."""
 
+import time
+
 import numpy as np
 import pytest
 
 from gsrain_engine.editor.drawing import textures
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.render.opengl import buffers
 from gsrain_engine.render.opengl.buffers import GrowableBuffer, reserve_buffer
+from live_frames import draw_frame
 from render.cpu.raster_scenes import random_gaussians
 from small_scene import small_scene
 
@@ -16,19 +20,18 @@ SIZE = (96, 64)
 TOO_LARGE = 1 << 46
 
 
-def picture(view):
-    (texture,) = view.draw(*SIZE)
+def picture(editor, view):
+    (texture,) = draw_frame(editor, view, SIZE)
     return np.frombuffer(texture.read(), np.uint8)
 
 
-def settled_picture(view):
+def settled_picture(editor, view):
     """Image after the change to the CPU renderer."""
-    picture(view)
-    if view._cpu is not None:
-        view._cpu.compile()
-        assert view._cpu._compiled.wait(timeout=60)
-    picture(view)
-    return picture(view)
+    picture(editor, view)
+    while not view.is_settled:
+        time.sleep(0.01)
+    picture(editor, view)
+    return picture(editor, view)
 
 
 def refuse(context, size):
@@ -36,9 +39,9 @@ def refuse(context, size):
 
 
 @pytest.fixture
-def session():
+def editor():
     opened = Editor(small_scene())
-    opened.clock.playing = False
+    opened.playback.clock.playing = False
     yield opened
     opened.close()
 
@@ -70,27 +73,29 @@ def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch)
 
 
 @pytest.mark.parametrize("change", ["edit", "open"])
-def test_the_processor_goes_on_where_the_card_is_full(context, session, monkeypatch, change):
-    view = LiveView(context, session, "opengl")
-    before = picture(view)
+def test_the_processor_goes_on_where_the_card_is_full(context, editor, monkeypatch, change):
+    view = LiveView(context, "opengl")
+    before = picture(editor, view)
     monkeypatch.setattr(buffers, "reserve_buffer", refuse)
     monkeypatch.setattr(textures, "compile_kernels", lambda: None)  # those that are needed compile as they are
-    scene = session.scene
+    scene = editor.document.scene
     for each in scene.members:
         g = each.gaussians
         scene = scene.with_member(each.key, gaussians=g.with_sh((g.sh - np.float32(0.5)).astype(np.float32)))
     if change == "edit":
-        session.set_scene("Darker", scene)
+        editor.document.edit("Darker", replace_scene, scene)
     else:
-        session.staged = PendingScene("Darker", scene)
-    after = settled_picture(view)
-    assert session.staged is None
-    assert [each.gaussians for each in session.scene.members] == [each.gaussians for each in scene.members]
-    assert session.problem.startswith("no room for") and session.problem.endswith(": the processor draws from now on")
-    assert session.backend == "cpu"
+        editor.viewport.staged = PendingScene("Darker", scene)
+    after = settled_picture(editor, view)
+    assert editor.viewport.staged is None
+    assert [each.gaussians for each in editor.document.scene.members] == [each.gaussians for each in scene.members]
+    assert editor.status.problem.startswith("no room for") and editor.status.problem.endswith(
+        ": the processor draws from now on"
+    )
+    assert editor.viewport.backend == "cpu"
     assert not np.array_equal(before, after)
-    assert np.array_equal(after, settled_picture(LiveView(context, session, "cpu")))
-    session.problem = None
-    session.undo()
-    settled_picture(view)
-    assert session.problem is None  # it is said once
+    assert np.array_equal(after, settled_picture(editor, LiveView(context, "cpu")))
+    editor.status.dismiss()
+    editor.document.undo()
+    settled_picture(editor, view)
+    assert editor.status.problem is None  # it is said once

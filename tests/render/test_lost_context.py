@@ -17,6 +17,7 @@ from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import DrawItem
+from live_frames import draw_frame
 from render.cpu.raster_scenes import random_gaussians
 from small_scene import small_scene
 
@@ -122,12 +123,12 @@ def test_a_command_ends_in_a_sentence_and_writes_no_empty_picture(tmp_path, caps
 
 
 def test_a_screenshot_of_nothing_is_not_saved(own_context, tmp_path):
-    session = Editor(small_scene())
-    view = LiveView(own_context, session, "opengl")
-    view.draw(64, 48)
-    session.screenshot = tmp_path / "picture.png"
+    editor = Editor(small_scene())
+    view = LiveView(own_context, "opengl")
+    draw_frame(editor, view, (64, 48))
+    editor.viewport.screenshot = tmp_path / "picture.png"
     context_monitor(own_context).ask = lambda: GUILTY_CONTEXT_RESET
     with pytest.raises(DeviceLostError):
-        view.draw(64, 48)
-    session.close()
+        draw_frame(editor, view, (64, 48))
+    editor.close()
     assert not list(tmp_path.iterdir())

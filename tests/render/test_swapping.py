@@ -8,6 +8,7 @@ from PIL import Image
 from gsrain_engine.editor.drawing import live_view
 from gsrain_engine.editor.drawing.live_view import LiveView, SkyColorSampler
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.draw import LodSubset
@@ -16,6 +17,7 @@ from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.scene import DrawItem, Scene
+from live_frames import draw_frame
 from render.cpu.raster_scenes import random_gaussians, small_camera
 from small_scene import small_scene
 
@@ -31,90 +33,90 @@ def darkened(scene):
     return scene
 
 
-def picture(view):
-    (texture,) = view.draw(*SIZE)
+def picture(editor, view):
+    (texture,) = draw_frame(editor, view, SIZE)
     return np.frombuffer(texture.read(), np.uint8)
 
 
 @pytest.fixture
-def session():
+def editor():
     opened = Editor(small_scene())
-    opened.clock.playing = False
+    opened.playback.clock.playing = False
     yield opened
     opened.close()
 
 
 @pytest.fixture
-def slow_view(context, session, monkeypatch):
+def slow_view(context, editor, monkeypatch):
     """A live view that uploads one slice a frame."""
     monkeypatch.setattr(live_view, "_CHUNK_SIZE", 0)
     monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
-    return LiveView(context, session, "opengl")
+    return LiveView(context, "opengl")
 
 
-def fresh(context, session):
-    return picture(LiveView(context, session, "opengl"))
+def fresh(context, editor):
+    return picture(editor, LiveView(context, "opengl"))
 
 
-def test_the_last_scene_is_shown_until_the_new_one_is_there(context, session, slow_view):
-    before = picture(slow_view)
-    assert not slow_view.is_catching_up
-    session.set_scene("Darker", darkened(session.scene))
+def test_the_last_scene_is_shown_until_the_new_one_is_there(context, editor, slow_view):
+    before = picture(editor, slow_view)
+    assert not editor.viewport.is_catching_up
+    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
     frames = 0
-    while slow_view.is_catching_up or not frames:
-        now = picture(slow_view)
+    while editor.viewport.is_catching_up or not frames:
+        now = picture(editor, slow_view)
         frames += 1
-        if slow_view.is_catching_up:
+        if editor.viewport.is_catching_up:
             assert np.array_equal(now, before)
         assert frames < 100
     assert frames > 2
-    after = fresh(context, session)
+    after = fresh(context, editor)
     assert np.array_equal(now, after)
     assert not np.array_equal(before, after)
-    session.undo()
-    assert np.array_equal(picture(slow_view), before)  # in the very next frame: its arrays are still there
-    assert not slow_view.is_catching_up
+    editor.document.undo()
+    assert np.array_equal(picture(editor, slow_view), before)  # in the very next frame: its arrays are still there
+    assert not editor.viewport.is_catching_up
 
 
-def test_the_camera_goes_on_moving_meanwhile(session, slow_view):
-    before = picture(slow_view)
-    session.set_scene("Darker", darkened(session.scene))
-    session.navigation.turn(0.2, 0.0)
-    assert not np.array_equal(picture(slow_view), before)
-    assert slow_view.is_catching_up
+def test_the_camera_goes_on_moving_meanwhile(editor, slow_view):
+    before = picture(editor, slow_view)
+    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
+    editor.viewport.navigation.turn(0.2, 0.0)
+    assert not np.array_equal(picture(editor, slow_view), before)
+    assert editor.viewport.is_catching_up
 
 
-def test_a_screenshot_does_not_wait(context, session, slow_view, tmp_path):
-    picture(slow_view)
-    session.set_scene("Darker", darkened(session.scene))
-    session.screenshot = tmp_path / "now.png"
-    picture(slow_view)
+def test_a_screenshot_does_not_wait(context, editor, slow_view, tmp_path):
+    picture(editor, slow_view)
+    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
+    editor.viewport.screenshot = tmp_path / "now.png"
+    picture(editor, slow_view)
     saved = np.asarray(Image.open(tmp_path / "now.png"))
-    assert np.array_equal(saved, fresh(context, session).reshape(SIZE[1], SIZE[0], 4)[..., :3])
+    assert np.array_equal(saved, fresh(context, editor).reshape(SIZE[1], SIZE[0], 4)[..., :3])
 
 
-def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, session, slow_view):
-    before, first = picture(slow_view), session.scene
-    session.staged = PendingScene("Darker", darkened(session.scene))
+def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, editor, slow_view):
+    before, first = picture(editor, slow_view), editor.document.scene
+    editor.viewport.staged = PendingScene("Darker", darkened(editor.document.scene))
     frames = 0
-    while session.staged is not None:
-        assert session.scene is first
-        now = picture(slow_view)
-        assert np.array_equal(now, before) == (session.staged is not None)
+    while editor.viewport.staged is not None:
+        assert editor.document.scene is first
+        now = picture(editor, slow_view)
+        assert np.array_equal(now, before)
         frames += 1
         assert frames < 100
     assert frames > 2
-    assert np.array_equal(now, fresh(context, session))
+    assert np.array_equal(picture(editor, slow_view), fresh(context, editor))
 
 
-def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, session):
-    view, first = LiveView(context, session, "opengl"), session.scene
-    picture(view)
-    session.staged = PendingScene("other", darkened(small_scene("other")), is_opened=True)
-    while session.staged is not None:
-        picture(view)
-    picture(view)
-    assert view._opengl.arrays.missing(first.layers[0].gaussians) > 0
+def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, editor):
+    view, first = LiveView(context, "opengl"), editor.document.scene
+    picture(editor, view)
+    editor.viewport.staged = PendingScene("other", darkened(small_scene("other")), is_opened=True)
+    while editor.viewport.staged is not None:
+        picture(editor, view)
+    picture(editor, view)
+    assert view.arrays.missing(first.layers[0].gaussians) > 0
 
 
 def test_giving_up_an_upload_keeps_what_is_shown(context):
@@ -212,20 +214,20 @@ def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, 
     np.testing.assert_allclose(looks[0].color, looks[1].color, atol=0.1)
 
 
-def test_a_screenshot_finds_the_exact_sky(context, session, monkeypatch, tmp_path):
+def test_a_screenshot_finds_the_exact_sky(context, editor, monkeypatch, tmp_path):
     monkeypatch.setattr(live_view, "_QUICK", 500)
-    session.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
-    view = LiveView(context, session, "opengl")
-    picture(view)
-    session.set_scene("Darker", darkened(session.scene))
-    session.navigation.turn(0.1, 0.0)
-    picture(view)
-    assert session.sky_is_stale
-    session.screenshot = tmp_path / "now.png"
-    picture(view)
-    assert not session.sky_is_stale
-    exact = sky_color(SplatRenderer(context), session.scene, session.shot(*SIZE).camera)
-    assert session.sky == pytest.approx(exact.color, abs=1e-6)
+    editor.document.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
+    view = LiveView(context, "opengl")
+    picture(editor, view)
+    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
+    editor.viewport.navigation.turn(0.1, 0.0)
+    picture(editor, view)
+    assert editor.live_rain.sky_is_stale
+    editor.viewport.screenshot = tmp_path / "now.png"
+    picture(editor, view)
+    assert not editor.live_rain.sky_is_stale
+    exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
+    assert editor.live_rain.sky == pytest.approx(exact.color, abs=1e-6)
 
 
 def test_growth_is_worked_out_once_for_all_colours(monkeypatch):

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.drawing import live_view
+from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, load_preset
@@ -20,7 +22,8 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
-from gsrain_engine.scene.transforms import with_wetness_baked
+from gsrain_engine.scene.transforms import with_wet_colors_of, with_wetness_baked
+from live_frames import draw_frame
 from render.cpu.raster_scenes import small_camera
 from render.cpu.test_marked_parts import COLORS
 from render.cpu.test_wet_colors import blended, wet_part
@@ -119,88 +122,91 @@ def test_a_sequence_gets_wet_as_its_weather_does():
 
 
 @pytest.fixture
-def session():
+def editor():
     opened = Editor(small_scene())
-    opened.clock.playing = False
+    opened.playback.clock.playing = False
     yield opened
     opened.close()
 
 
-def picture(view):
-    (texture,) = view.draw(*SIZE)
+def picture(editor, view):
+    (texture,) = draw_frame(editor, view, SIZE)
     return np.frombuffer(texture.read(), np.uint8)
 
 
-def rain_at(session, intensity_mm_h, **fields):
+def rain_at(editor, intensity_mm_h, **fields):
     clear = msgspec.structs.asdict(load_preset("clear"))
-    session.change_rain("Rain", **clear | {"intensity_mm_h": intensity_mm_h, **fields})
+    editor.document.change_rain("Rain", **clear | {"intensity_mm_h": intensity_mm_h, **fields})
 
 
-def test_the_slider_moves_the_appearance(context, session):
-    view = LiveView(context, session, "opengl")
-    clear = picture(view)
-    session.set_scene("Wet colors", darker(session.scene))
-    assert np.array_equal(picture(view), clear)
-    rain_at(session, 0.0, wetness=1.0)
-    soaked = picture(view)
+def test_the_slider_moves_the_appearance(context, editor):
+    view = LiveView(context, "opengl")
+    clear = picture(editor, view)
+    editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
+    assert np.array_equal(picture(editor, view), clear)
+    rain_at(editor, 0.0, wetness=1.0)
+    soaked = picture(editor, view)
     assert soaked.mean() < clear.mean() - 10
-    rain_at(session, 0.0, wetness=0.5)
-    assert clear.mean() > picture(view).mean() > soaked.mean()
-    rain_at(session, 12.0, streaks=False, haze=False)
-    assert soaked.mean() < picture(view).mean() < soaked.mean() + 5
-    session.undo()
-    session.undo()
-    session.undo()
-    assert np.array_equal(picture(view), clear)
+    rain_at(editor, 0.0, wetness=0.5)
+    assert clear.mean() > picture(editor, view).mean() > soaked.mean()
+    rain_at(editor, 12.0, streaks=False, haze=False)
+    assert soaked.mean() < picture(editor, view).mean() < soaked.mean() + 5
+    editor.document.undo()
+    editor.document.undo()
+    editor.document.undo()
+    assert np.array_equal(picture(editor, view), clear)
 
 
-def test_drops_take_the_wet_skys_colour(context, session):
-    view = LiveView(context, session, "opengl")
-    session.set_scene("Wet colors", darker(session.scene))
-    rain_at(session, 1.2)
-    picture(view)
-    light = session.sky
-    rain_at(session, 12.0)
-    assert max(session.sky) < max(light) - 0.02
-    rain_at(session, 12.0, wetness=0.0)
-    exact = sky_color(SplatRenderer(context), session.scene, session.shot(*SIZE).camera)
-    while session.sky_is_stale:
-        picture(view)
-    assert session.sky == pytest.approx(exact.color, abs=1e-6)
+def test_drops_take_the_wet_skys_colour(context, editor):
+    view = LiveView(context, "opengl")
+    editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
+    rain_at(editor, 1.2)
+    picture(editor, view)
+    light = editor.live_rain.sky
+    rain_at(editor, 12.0)
+    assert max(editor.live_rain.sky) < max(light) - 0.02
+    rain_at(editor, 12.0, wetness=0.0)
+    exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
+    while editor.live_rain.sky_is_stale:
+        picture(editor, view)
+    assert editor.live_rain.sky == pytest.approx(exact.color, abs=1e-6)
 
 
-def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, monkeypatch):
+def test_finished_wet_colours_are_one_step_and_come_in_slices(context, editor, monkeypatch):
     monkeypatch.setattr(live_view, "_CHUNK_SIZE", 0)
     monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
-    rain_at(session, 12.0, streaks=False, haze=False)
-    view = LiveView(context, session, "opengl")
-    clear, before = picture(view), session.scene
-    session.staged = PendingScene("Make it rainy", darker(session.scene), only_wet_colors=True)
+    rain_at(editor, 12.0, streaks=False, haze=False)
+    view = LiveView(context, "opengl")
+    clear, before = picture(editor, view), editor.document.scene
+    editor.viewport.staged = PendingScene("Make it rainy", darker(editor.document.scene), change=with_wet_colors_of)
     shown = []
-    while session.staged is not None:
-        shown.append(picture(view))
+    while editor.viewport.staged is not None:
+        shown.append(picture(editor, view))
     assert len(shown) >= 3  # a slice a layer
     assert all(np.array_equal(each, clear) for each in shown[:-1])
-    assert [new.gaussians for new in session.scene.members] == [old.gaussians for old in before.members]
-    wet = picture(view)
+    assert [new.gaussians for new in editor.document.scene.members] == [old.gaussians for old in before.members]
+    wet = picture(editor, view)
     assert wet.mean() < clear.mean() - 10
-    session.undo()
-    assert session.scene is before
-    assert np.array_equal(picture(view), clear)
-    session.redo()
-    assert np.array_equal(picture(view), wet)
+    editor.document.undo()
+    assert editor.document.scene is before
+    assert np.array_equal(picture(editor, view), clear)
+    editor.document.redo()
+    assert np.array_equal(picture(editor, view), wet)
 
 
-def test_wet_colours_that_fit_nothing_are_reported(session):
-    session.staged = PendingScene("Make it rainy", session.scene, only_wet_colors=True)
-    session.swap_in()
-    assert session.problem == "The scene has changed so much that the new wet colors fit none of its layers and actors."
-    assert session.history.undo_label is None
+def test_wet_colours_that_fit_nothing_are_reported(editor):
+    editor.viewport.staged = PendingScene("Make it rainy", editor.document.scene, change=with_wet_colors_of)
+    editor.apply(DrawResult(is_pending_ready=True))
+    assert (
+        editor.status.problem
+        == "The scene has changed so much that the new wet colors fit none of its layers and actors."
+    )
+    assert editor.document.history.undo_label is None
 
 
-def test_the_clear_side_is_dry(context, session):
-    session.set_scene("Wet colors", darker(session.scene))
-    rain_at(session, 12.0, wetness=0.9)
-    session.view.split = "clear | rainy"
-    left, right = LiveView(context, session, "opengl").draw(*SIZE)
+def test_the_clear_side_is_dry(context, editor):
+    editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
+    rain_at(editor, 12.0, wetness=0.9)
+    editor.viewport.options.split = "clear | rainy"
+    left, right = draw_frame(editor, LiveView(context, "opengl"), SIZE)
     assert np.frombuffer(left.read(), np.uint8).mean() > np.frombuffer(right.read(), np.uint8).mean() + 10

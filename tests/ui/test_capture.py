@@ -3,9 +3,8 @@
 import numpy as np
 from imgui_bundle import ImVec2
 
-from editor.small_capture import COLORS, small_capture, written_capture
-from gsrain_engine.editor import capture_view
-from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest, sample_points
+from editor.small_capture import COLORS, written_capture
+from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest
 from window_driver import Driver, imgui
 
 
@@ -26,7 +25,7 @@ def _views(driver) -> str:
 
 
 def _idle(driver) -> None:
-    driver.until(lambda: not driver.session.captures.is_working)
+    driver.until(lambda: not driver.editor.captures.is_working)
     driver.frames(6)
 
 
@@ -34,12 +33,12 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
     folder = written_capture(tmp_path / "drive")
     driver = Driver(tmp_path / "shots", backend="opengl")
     (tmp_path / "shots").mkdir()
-    captures = driver.session.captures
+    captures = driver.editor.captures
 
     def script():
         captures.open(folder)  # its panel comes to the front
         driver.until(lambda: captures.capture is not None)
-        assert driver.session.problem is None
+        assert driver.editor.status.problem is None
         _idle(driver)
         assert {wish.view for wish in captures.textures if wish.width_px == THUMBNAIL_PX} == {0, 1, 2, 3}
 
@@ -49,7 +48,7 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         driver.ctx.item_double_click(f"//{_views(driver)}/##view 001")
         driver.frames()
         assert captures.chosen == 1
-        assert captures.stands_at(driver.session) == 1
+        assert captures.view_at_camera == 1
         _idle(driver)
         assert ImageRequest(1, LARGE_PX) in captures.textures
         assert _share(driver.screen(), COLORS[1]) > 0.05
@@ -57,11 +56,11 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         # Keys go from view to view; the slider and the switch lay the picture over the render.
         driver.ctx.mouse_move("//View/view")
         driver.press(imgui.Key.page_down)
-        assert captures.stands_at(driver.session) == 2
+        assert captures.view_at_camera == 2
         _idle(driver)
         assert _share(driver.screen(), COLORS[2]) > 0.05
         driver.press(imgui.Key.page_up)
-        assert captures.stands_at(driver.session) == 1
+        assert captures.view_at_camera == 1
         driver.ctx.set_ref("//Capture")
         driver.ctx.item_click("###Picture")
         assert not captures.show_picture
@@ -87,16 +86,16 @@ def test_cameras_and_points_stand_in_the_picture_and_are_clicked(tmp_path):
     folder = written_capture(tmp_path / "drive")
     driver = Driver(tmp_path / "shots", backend="opengl")
     (tmp_path / "shots").mkdir()
-    session, captures = driver.session, driver.session.captures
+    editor, captures = driver.editor, driver.editor.captures
 
     def script():
         captures.open(folder)
         driver.until(lambda: captures.capture is not None)
-        session.navigation.position = np.array([-3.0, 1.0, 3.0])
-        session.navigation.heading, session.navigation.pitch = -0.2, -0.3
+        editor.viewport.navigation.position = np.array([-3.0, 1.0, 3.0])
+        editor.viewport.navigation.heading, editor.viewport.navigation.pitch = -0.2, -0.3
         driver.frames(4)
-        camera = session.shot(*captures.viewport_px).camera
-        eye = captures.cameras(session.scene)[3].position
+        camera = editor.viewport.shot(*captures.viewport_px).camera
+        eye = captures.cameras(editor.document.scene)[3].position
         x, y, z = (camera.world_to_camera @ np.append(eye, 1.0))[:3]
         at = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
         corner = driver.ctx.item_info("//View/view").rect_full.min
@@ -108,45 +107,10 @@ def test_cameras_and_points_stand_in_the_picture_and_are_clicked(tmp_path):
         _click_slowly()
         driver.ctx.mouse_double_click()
         driver.frames()
-        assert captures.stands_at(session) == 3
+        assert captures.view_at_camera == 3
 
         # A drag moves on; the cameras show again.
         driver.drag("//View/view", ImVec2(60, 10))
-        assert captures.stands_at(session) is None
-
-    driver.run(script)
-
-
-def test_what_cannot_be_opened_is_told(tmp_path):
-    driver = Driver(tmp_path, backend="opengl")
-
-    def script():
-        driver.session.captures.open(tmp_path / "nothing here")
-        driver.until(lambda: driver.session.problem is not None)
-        assert "nothing here" in driver.session.problem
-        driver.frames(3)
-
-    driver.run(script)
-
-
-def test_measured_points_are_drawn_over_the_picture(tmp_path, monkeypatch):
-    capture = small_capture()
-    monkeypatch.setattr(capture_view, "_read", lambda path, allow_outside: (capture, sample_points(capture)))
-    driver = Driver(tmp_path, backend="opengl")
-    session, captures = driver.session, driver.session.captures
-
-    def script():
-        captures.open(tmp_path)
-        driver.until(lambda: captures.capture is not None)
-        captures.show_frustums = False
-        session.navigation.position = np.array([0.0, 0.0, 1.5])
-        session.navigation.heading = session.navigation.pitch = 0.0
-        with_points = _share(driver.screen(), (255, 0, 255))
-        driver.ctx.window_focus("//Capture")
-        driver.frames()
-        driver.ctx.set_ref("//Capture")
-        driver.ctx.item_click("Points")
-        assert _share(driver.screen(), (255, 0, 255)) == 0
-        assert with_points > 5e-4
+        assert captures.view_at_camera is None
 
     driver.run(script)

@@ -43,8 +43,8 @@ def choose(driver, title, path, button="Open"):
 
 
 def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path):
-    session = driver.session
-    drives = session.drives
+    editor = driver.editor
+    drives = editor.rollouts
 
     def script():
         driver.ctx.window_focus("//Drive")
@@ -68,10 +68,10 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.ctx.item_input_value("##intensity_mm_h", 5.0)
         driver.frames()
         driver.ctx.item_click("###drive")
-        driver.until(lambda: len(session.jobs.all) == 1)
-        job = session.jobs.all[0]
+        driver.until(lambda: len(editor.jobs.all) == 1)
+        job = editor.jobs.all[0]
         driver.until(lambda: job.state != "running" and not drives.is_working, 100_000)
-        assert (job.state, job.error, session.problem) == ("finished", None, None)
+        assert (job.state, job.error, editor.status.problem) == ("finished", None, None)
         assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
         driver.frames()
         driver.ctx.item_click("//Drive/###save roll-out")
@@ -83,25 +83,25 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
 
 
 def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(driver, rollout, tmp_path):
-    session, film = driver.session, tmp_path / "crash.mp4"
+    editor, film = driver.editor, tmp_path / "crash.mp4"
 
     def script():
-        session.timeline.fps = 2.0
+        editor.playback.timeline.fps = 2.0
         driver.window.drop([str(rollout)])
-        driver.until(lambda: session.drives.playing is not None)
+        driver.until(lambda: editor.rollouts.playing is not None)
         driver.click("//Drive/###film roll-out")
         choose(driver, "Render video of the drive", film, "Save")
-        driver.until(lambda: len(session.jobs.all) == 1)
-        job = session.jobs.all[0]
-        assert session.drives.why_no_video(session) == "A video is being rendered."
+        driver.until(lambda: len(editor.jobs.all) == 1)
+        job = editor.jobs.all[0]
+        assert editor.rollouts.why_no_video == "A video is being rendered."
         driver.until(lambda: job.state != "running", 100_000)
         assert (job.state, job.error) == ("finished", None)
         driver.click("//Record/Render video of the drive...")
         choose(driver, "Render video of the drive", film, "Save")
-        assert session.questions.present.text == "crash.mp4 is there already."
+        assert editor.status.question.text == "crash.mp4 is there already."
         driver.ctx.item_click("//Replace?/Cancel")
         driver.frames()
-        assert len(session.jobs.all) == 1
+        assert len(editor.jobs.all) == 1
 
     driver.run(script)
     with av.open(str(film)) as container:
@@ -111,12 +111,12 @@ def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(dri
 
 
 def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
-    session = driver.session
-    drives = session.drives
+    editor = driver.editor
+    drives = editor.rollouts
 
     def script():
         before = driver.picture()
-        home = session.navigation.camera(90, 60).world_to_camera
+        home = editor.viewport.navigation.camera(90, 60).world_to_camera
         driver.window.drop([str(rollout)])
         driver.until(lambda: drives.playing is not None and not drives.is_working)
         driver.ctx.window_focus("//Drive")
@@ -125,56 +125,31 @@ def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
         assert np.abs(first - before).mean() > 2  # a car, another place, rain
         driver.ctx.item_click("//Drive/###collision")
         driver.frames(3)
-        assert drives.step_now(session).collision == "lead"
+        assert drives.step_now.collision == "lead"
         driver.ctx.window_focus("//Drive plots")
         driver.frames(3)
         area = driver.ctx.item_info("//Drive plots/##Speed").rect_full
         driver.ctx.mouse_move_to_pos(imgui.ImVec2((area.min.x + area.max.x) / 2, (area.min.y + area.max.y) / 2))
         driver.ctx.mouse_click(0)
         driver.frames(3)
-        assert 0.3 < session.clock.time_s / drives.playing.duration_s < 0.7
+        assert 0.3 < editor.playback.clock.time_s / drives.playing.duration_s < 0.7
         driver.ctx.item_click("//Drive/front camera")
         driver.frames(3)
-        front = session.navigation.camera(90, 60).world_to_camera
+        front = editor.viewport.navigation.camera(90, 60).world_to_camera
         driver.ctx.item_click("//Drive/Ego car")
         driver.frames()
-        assert [each.id for each in session.displayed_scene.actors] == ["lead"]
+        assert [each.id for each in editor.rollouts.displayed_scene.actors] == ["lead"]
         driver.ctx.mouse_move("//View/view")
         driver.ctx.mouse_drag_with_delta(imgui.ImVec2(40, 0), 1)  # a person looks elsewhere
         driver.frames()
         assert drives.chase.mode == "free"
-        assert not np.allclose(session.navigation.camera(90, 60).world_to_camera, front)
+        assert not np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, front)
         driver.ctx.item_click("//Drive/**/###close")
         driver.frames()
-        assert (drives.playing, session.history.cursor, session.has_changes) == (None, 0, False)
-        session.clock.seek(0.0)
-        session.go_home()
-        assert np.allclose(session.navigation.camera(90, 60).world_to_camera, home)
+        assert (drives.playing, editor.document.history.cursor, editor.files.has_changes) == (None, 0, False)
+        editor.playback.clock.seek(0.0)
+        editor.viewport.go_home()
+        assert np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, home)
         assert np.abs(driver.picture() - before).max() <= 2
-
-    driver.run(script)
-
-
-def test_the_rig_s_cameras_are_drawn_while_their_panel_is_seen(driver, rollout):
-    session = driver.session
-    mosaic = session.drives.mosaic
-
-    def script():
-        driver.ctx.window_focus("//Read-out")
-        driver.frames(3)
-        mosaic.pictures.clear()
-        session.clock.seek(0.5)
-        driver.frames(3)
-        assert mosaic.pictures == {}
-        driver.ctx.window_focus("//Rig cameras")
-        driver.until(lambda: "FRONT" in mosaic.pictures and mosaic.pictures["FRONT"].width == mosaic.width_px)
-        assert mosaic.pictures["FRONT"].height == pytest.approx(mosaic.width_px * 2 / 3, abs=1)
-        session.drives.open(session, rollout)
-        driver.until(lambda: session.drives.playing is not None)
-        driver.ctx.window_focus("//Drive")
-        driver.frames(3)
-        driver.ctx.item_click("//Drive/###collision")
-        driver.frames(3)
-        assert not mosaic.is_behind
 
     driver.run(script)

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.flags import BitMask
-from gsrain_engine.scene.scene import Actor, PoseTrack
-from small_scene import patch, small_scene
 from ui.commands.base import chord
-from ui.tools import TOOLS
 from window_driver import Driver, imgui
 
 
@@ -18,24 +16,11 @@ def driver(tmp_path):
     return Driver(tmp_path)
 
 
-def with_car():
-    """The small scene with a car that drives 3 m/s."""
-    times = np.arange(5.0)
-    track = PoseTrack(times, np.stack([8 + 3 * times, 0 * times, 0 * times], axis=1), np.tile([1.0, 0, 0, 0], (5, 1)),
-                  np.ones(5, bool))  # fmt: skip
-    body = patch((-2, -1, 0.2), np.array([0, 2.0, 0]), np.array([0, 0, 1.4]), 8, (0.8, 0.1, 0.1))
-    return replace(small_scene(), actors=(Actor("car", "car", (4.0, 2.0, 1.5), body, track),))
-
-
-def tool(name):
-    return next(each for each in TOOLS if each.name == name)
-
-
 def on_screen(driver, point_m):
     """Screen position of a world point."""
     info = driver.ctx.item_info("//View/view")
     low, high = info.rect_full.min, info.rect_full.max
-    camera = driver.session.shot(int(high.x - low.x), int(high.y - low.y)).camera
+    camera = driver.editor.viewport.shot(int(high.x - low.x), int(high.y - low.y)).camera
     x, y, z = camera.world_to_camera[:3, :3] @ point_m + camera.world_to_camera[:3, 3]
     return np.array([low.x + camera.fx * x / z + camera.cx, low.y + camera.fy * y / z + camera.cy])
 
@@ -63,35 +48,35 @@ def click_on(driver, point_m):
     driver.frames()
 
 
-def select(session, key, flags):
-    marks = replace(session.scene.member(key).marks, selected=BitMask.of(flags))
-    session.set_scene("Select", session.scene.with_member(key, marks=marks))
+def select(editor, key, flags):
+    marks = replace(editor.document.scene.member(key).marks, selected=BitMask.of(flags))
+    editor.document.edit("Select", replace_scene, editor.document.scene.with_member(key, marks=marks))
 
 
 def use(driver, name):
     driver.ctx.window_focus("//View")
-    driver.session.view.tool = name
+    driver.editor.viewport.options.tool = name
     driver.frames(3)
 
 
 def test_dragging_an_arrow_moves_the_layer_as_one_step(driver):
     def script():
-        session = driver.session
-        session.view.member = "layers/wall"
-        before, steps = driver.picture(), session.history.cursor
+        editor = driver.editor
+        editor.viewport.options.member = "layers/wall"
+        before, steps = driver.picture(), editor.document.history.cursor
         driver.press(imgui.Key.t)
-        assert session.view.tool == "Move"
+        assert editor.viewport.options.tool == "Move"
         driver.frames(3)
         start = on_screen(driver, np.array([40, 0, 4.5]))
         up = on_screen(driver, np.array([40, 0, 8.0])) - start
         handle = start + 28 * up / np.linalg.norm(up)  # in the middle of the arrow
         drag(driver, handle, handle + [0, -40])
-        assert session.history.cursor == steps
+        assert editor.document.history.cursor == steps
         dragged = driver.picture()
         assert np.abs(dragged - before).max() > 20
         release(driver)
-        assert session.history.labels[steps + 1 :] == ["Move wall"]
-        move = session.scene.member("layers/wall").to_scene
+        assert editor.document.history.labels[steps + 1 :] == ["Move wall"]
+        move = editor.document.scene.member("layers/wall").to_scene
         assert move[2, 3] > 1
         assert move[:2, 3] == pytest.approx(np.zeros(2), abs=1e-3)
         assert np.array_equal(driver.picture(), dragged)
@@ -103,11 +88,11 @@ def test_dragging_an_arrow_moves_the_layer_as_one_step(driver):
 
 def test_the_selection_is_dragged_and_escape_takes_it_back(driver):
     def script():
-        session = driver.session
-        session.view.show_selection = False
-        wall = session.scene.member("layers/wall").gaussians
-        select(session, "layers/wall", wall.means[:, 2] > 4.5)
-        before, steps = driver.picture(), session.history.cursor
+        editor = driver.editor
+        editor.viewport.options.show_selection = False
+        wall = editor.document.scene.member("layers/wall").gaussians
+        select(editor, "layers/wall", wall.means[:, 2] > 4.5)
+        before, steps = driver.picture(), editor.document.history.cursor
         use(driver, "Move")
         middle = np.median(wall.means[wall.means[:, 2] > 4.5], axis=0).astype(float)
         start = on_screen(driver, middle)
@@ -120,201 +105,83 @@ def test_the_selection_is_dragged_and_escape_takes_it_back(driver):
         driver.frames()
         driver.ctx.key_up(imgui.Key.escape)
         release(driver)
-        assert session.history.cursor == steps
+        assert editor.document.history.cursor == steps
         use(driver, "Move")
         assert np.array_equal(driver.picture(), before)
         drag(driver, handle, handle + [0, -30])
         release(driver)
-        assert session.history.undo_label == "Move the selection"
-        there = session.scene.member("layers/wall").gaussians
+        assert editor.document.history.undo_label == "Move the selection"
+        there = editor.document.scene.member("layers/wall").gaussians
         assert np.all((there.means - wall.means)[wall.means[:, 2] > 4.5][:, 2] > 0.5)
         assert np.array_equal(there.means[wall.means[:, 2] <= 4.5], wall.means[wall.means[:, 2] <= 4.5])
 
     driver.run(script)
 
 
-def test_turning_and_scaling_by_the_gizmo(driver):
-    def script():
-        session = driver.session
-        session.view.member = "layers/wall"
-        use(driver, "Move")
-        tool("Move").handle = "scale"
-        driver.frames(3)
-        start = on_screen(driver, np.array([40, 0, 4.5]))
-        drag(driver, start, start + [60, 0])
-        release(driver)
-        scaled = session.scene.member("layers/wall").to_scene[:3, :3]
-        assert scaled[0, 0] > 1.1
-        assert scaled == pytest.approx(scaled[0, 0] * np.eye(3), abs=1e-6)
-        assert session.history.undo_label == "Scale wall"
-        tool("Move").handle = "translate"
-
-    driver.run(script)
-
-
-def test_delete_hide_and_show_by_keys(driver):
-    def script():
-        session = driver.session
-        before = driver.picture()
-        select(session, "layers/wall", np.ones(400, bool))
-        driver.press(imgui.Key.delete)
-        assert session.scene.member("layers/wall").marks.deleted.size == 400
-        assert np.abs(driver.picture() - before).max() > 20
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        driver.press(imgui.Key.h)
-        assert session.scene.member("layers/wall").marks.hidden.size == 400
-        driver.press(chord(imgui.Key.mod_shift, imgui.Key.h))
-        assert np.array_equal(driver.picture(), before)
-        session.view.member = "layers/wall"
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.d))
-        assert session.view.member == "layers/wall 2"
-
-    driver.run(script)
-
-
 def test_two_clicks_measure_and_a_true_length_sets_the_metre(driver):
     def script():
-        session = driver.session
+        editor = driver.editor
         use(driver, "Measure")
-        here = session.navigation.position.copy()
+        here = editor.viewport.navigation.position.copy()
         click_on(driver, (12, -2, 0))
         click_on(driver, (12, 2, 0))
-        first, second = tool("Measure")._points_m
+        first, second = driver.tool("Measure").points_m
         assert np.linalg.norm(second - first) == pytest.approx(4, abs=0.3)
-        assert np.array_equal(session.navigation.position, here)
+        assert np.array_equal(editor.viewport.navigation.position, here)
         driver.ctx.item_input_value("**/##true length", 8.0)
         driver.frames()
         driver.ctx.item_click("**/Set scale")
         driver.frames()
-        assert session.scene.metres_per_unit == pytest.approx(8 / np.linalg.norm(second - first))
-        assert session.history.undo_label == "Set the scale"
-        assert session.navigation.position == pytest.approx(session.scene.metres_per_unit * here)
-
-    driver.run(script)
-
-
-def test_three_clicks_level_and_the_ground_levels_itself(driver):
-    def script():
-        session = driver.session
-        turn = np.eye(4)
-        turn[1:3, 1:3] = [[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]]
-        scene = session.scene
-        session.set_scene("Tilt", replace(scene, layers=tuple(replace(each, to_scene=turn) for each in scene.layers)))
-        use(driver, "Level")
-        for x, y in ((8, -2), (8, 2), (20, 0)):
-            click_on(driver, turn[:3, :3] @ [x, y, 0])
-        assert session.history.undo_label == "Level by three points"
-        assert session.scene.up == pytest.approx(turn[:3, 2], abs=0.01)
-        session.undo()
-        driver.ctx.item_click("**/From the ground")
-        driver.frames()
-        assert session.scene.up == pytest.approx(turn[:3, 2], abs=1e-3)
-
-    driver.run(script)
-
-
-def test_the_ego_starts_where_a_click_says(driver):
-    def script():
-        use(driver, "Set origin")
-        click_on(driver, (14, 2, 0))
-        assert driver.session.scene.ego_to_world(0)[:3, 3] == pytest.approx([14, 2, 1.5], abs=0.3)
-        assert driver.session.history.undo_label == "Ego start"
+        assert editor.document.scene.metres_per_unit == pytest.approx(8 / np.linalg.norm(second - first))
+        assert editor.document.history.undo_label == "Set the scale"
+        assert editor.viewport.navigation.position == pytest.approx(editor.document.scene.metres_per_unit * here)
 
     driver.run(script)
 
 
 def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     def script():
-        session = driver.session
+        editor = driver.editor
         use(driver, "Crop")
-        session.frame_scene()
-        session.navigation.orbit(0.5, -0.4)
-        tool("Crop").box = None
+        editor.viewport.frame_scene()
+        editor.viewport.navigation.orbit(0.5, -0.4)
+        driver.tool("Crop").box = None
         driver.frames(3)
-        box = tool("Crop").box
+        box = driver.tool("Crop").box
         start = on_screen(driver, box.face_m(2, True))
-        eye = session.navigation.position.copy()
+        eye = editor.viewport.navigation.position.copy()
         drag(driver, start, on_screen(driver, box.face_m(2, True) - [0, 0, 4]))
         release(driver)
-        smaller = tool("Crop").box
+        smaller = driver.tool("Crop").box
         assert smaller.size_m[2] == pytest.approx(box.size_m[2] - 4, abs=0.2)
         assert smaller.face_m(2, False) == pytest.approx(box.face_m(2, False))
-        assert np.array_equal(session.navigation.position, eye)
+        assert np.array_equal(editor.viewport.navigation.position, eye)
         driver.ctx.item_click("**/Apply##crop")
         driver.frames()
         top = smaller.face_m(2, True)[2]
-        wall = session.scene.member("layers/wall")
+        wall = editor.document.scene.member("layers/wall")
         assert np.all(wall.marks.deleted.flags[wall.gaussians.means[:, 2] > top])
-        assert session.scene.member("layers/sky").marks.deleted is None
-
-    driver.run(script)
-
-
-def test_grading_by_slider_and_back(driver):
-    def script():
-        session = driver.session
-        session.view.member = "layers/wall"
-        before, steps = driver.picture(), session.history.cursor
-        driver.ctx.window_focus("//Edit")
-        driver.frames(3)
-        driver.drag("//Edit/##exposure_ev", (30, 0))
-        assert session.scene.member("layers/wall").grading.exposure_ev > 0.5
-        assert session.history.cursor == steps + 1
-        assert driver.picture().mean() > before.mean()
-        driver.click("//Edit/Reset colors")
-        assert np.array_equal(driver.picture(), before)
-
-    driver.run(script)
-
-
-def test_a_layer_is_placed_by_numbers(driver):
-    def script():
-        session = driver.session
-        session.view.member = "layers/wall"
-        driver.ctx.window_focus("//Edit")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Edit/##position/$$2", 2.5)
-        driver.frames()
-        assert session.scene.member("layers/wall").to_scene[2, 3] == pytest.approx(2.5)
-        assert session.history.undo_label == "Place wall"
+        assert editor.document.scene.member("layers/sky").marks.deleted is None
 
     driver.run(script)
 
 
 def test_floaters_are_found_shown_and_deleted(driver):
     def script():
-        session = driver.session
-        faint = session.scene.member("layers/wall").gaussians
+        editor = driver.editor
+        faint = editor.document.scene.member("layers/wall").gaussians
         opacities = faint.opacities.copy()
         opacities[:9] = 0.01
-        session.set_scene(
-            "Faint", session.scene.with_member("layers/wall", gaussians=replace(faint, opacities=opacities))
+        editor.document.edit(
+            "Faint",
+            replace_scene,
+            editor.document.scene.with_member("layers/wall", gaussians=replace(faint, opacities=opacities)),
         )
         driver.click("//Edit/Find floaters")
-        driver.until(lambda: session.history.undo_label == "Find floaters", 100_000)
+        driver.until(lambda: editor.document.history.undo_label == "Find floaters", 100_000)
         driver.frames()
         driver.click("//Edit/Delete 9 floaters")
-        assert session.scene.member("layers/wall").marks.deleted.size == 9
-        assert session.history.undo_label == "Delete floaters"
-
-    driver.run(script)
-
-
-def test_an_actor_is_retimed_and_followed(tmp_path):
-    driver = Driver(tmp_path, with_car())
-
-    def script():
-        session = driver.session
-        session.view.member = "actors/car"
-        driver.ctx.window_focus("//Edit")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Edit/##duration", 8.0)
-        driver.frames()
-        assert session.scene.actors[0].track.times[-1] == pytest.approx(8)
-        driver.click("//Edit/Follow with the camera")
-        eye = session.navigation.position.copy()
-        session.clock.time_s = 4.0
-        driver.frames()
-        assert session.navigation.position == pytest.approx(eye + [6, 0, 0], abs=1e-6)
+        assert editor.document.scene.member("layers/wall").marks.deleted.size == 9
+        assert editor.document.history.undo_label == "Delete floaters"
 
     driver.run(script)

@@ -1,14 +1,13 @@
 """Saving, leaving and recovering in the real window, with what it asks on the way."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
 
 from editor.files.open_document import HeldJob
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.notifications import Answer, Question
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
@@ -50,7 +49,7 @@ def test_saving_asks_for_a_place_once_and_a_star_tells_of_changes(driver, tmp_pa
         assert read_scene(home).rain["intensity_mm_h"] == 8.5
         driver.click("//Rain/12.0")
         key(driver, CTRL, imgui.Key.s)
-        driver.until(lambda: not driver.session.has_changes)
+        driver.until(lambda: not driver.editor.files.has_changes)
         assert read_scene(home).rain["intensity_mm_h"] == 12.0
 
     driver.run(script)
@@ -60,177 +59,103 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
     screens = []
 
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.click("//Rain/8.5")
         key(driver, CTRL, imgui.Key.q)
         driver.frames(3)
         assert driver.ctx.item_exists("//Unsaved changes/Don't save")
         driver.press(chord(CTRL, imgui.Key.z))  # keys do nothing while something is asked
-        assert session.rain.intensity_mm_h == 8.5
+        assert editor.document.rain.intensity_mm_h == 8.5
         screens.append(driver.screen())
         driver.press(imgui.Key.escape)
-        assert session.questions.present is None and not session.is_leaving
+        assert editor.status.question is None and not editor.should_quit
         driver.frames(3)
         screens.append(driver.screen())
         driver.window.ask_to_close()  # the cross of the window
         driver.frames(3)
         driver.ctx.item_click("//Unsaved changes/Cancel")
         driver.frames(3)
-        assert session.questions.present is None and not session.is_leaving
+        assert editor.status.question is None and not editor.should_quit
         driver.press(chord(CTRL, imgui.Key.z))
-        assert not session.has_changes
+        assert not editor.files.has_changes
         driver.window.ask_to_close()
         driver.frames(1000)  # the window is gone long before
 
     with pytest.raises(RuntimeError, match="the app exited before the test finished"):
         driver.run(script)
-    assert driver.session.is_leaving
+    assert driver.editor.should_quit
     asked, not_asked = screens
     assert np.abs(asked - not_asked).mean() > 5
 
 
-def test_tab_goes_from_answer_to_answer(driver):
-    given = []
-    for title, enter_answers in (("First", True), ("Second", False)):
-        answers = tuple(Answer(each, partial(given.append, (title, each))) for each in ("Save", "Lose", "Cancel"))
-        driver.session.questions.ask(Question(title, "Well?", answers, enter_answers=enter_answers))
-
-    def script():
-        driver.frames(3)
-        driver.press(imgui.Key.tab)
-        driver.press(imgui.Key.enter)
-        driver.frames(3)
-        assert given == [("First", "Lose")]
-        driver.press(imgui.Key.enter)  # nothing is chosen yet
-        driver.frames(3)
-        assert len(given) == 1 and driver.session.questions.present.title == "Second"
-        for _ in range(2):
-            driver.press(imgui.Key.tab)
-        driver.press(imgui.Key.enter)
-        driver.frames(3)
-        assert given[1:] == [("Second", "Lose")]
-        assert not imgui.get_io().config_flags & int(imgui.ConfigFlags_.nav_enable_keyboard)
-
-    driver.run(script)
-
-
-def type_name(driver, dialog, name):
-    driver.ctx.item_click(f"//{dialog}/##file_input")
-    driver.ctx.key_chars_replace(name)
-    driver.ctx.item_click(f"//{dialog}/**/Save")
-    driver.frames(3)
-
-
-def test_an_export_leaves_the_star_and_save_as_writes_no_file(driver, tmp_path):
-    def script():
-        workspace, session = driver.window.workspace, driver.session
-        driver.click("//Rain/8.5")
-        key(driver, CTRL, imgui.Key.e)
-        type_name(driver, "Export a file", str(tmp_path / "out.ply"))
-        assert "It leaves out" in session.questions.present.text and not (tmp_path / "out.ply").exists()
-        driver.ctx.item_click("//Export out.ply/Export")
-        driver.until(lambda: (tmp_path / "out.ply").exists() and session.busy is None)
-        assert workspace.title == "GSRAIN: small *" and session.has_changes
-        key(driver, CTRL, SHIFT, imgui.Key.s)
-        type_name(driver, "Save the scene", str(tmp_path / "saved.ply"))
-        driver.ctx.item_click("//Save writes a scene folder/Save as saved")
-        driver.until(lambda: not session.has_changes)
-        assert workspace.title == "GSRAIN: small" and not (tmp_path / "saved.ply").exists()
-        assert read_scene(tmp_path / "saved").rain["intensity_mm_h"] == 8.5
-
-    driver.run(script)
-
-
-@pytest.mark.parametrize(
-    ("keys", "dialog"), [((CTRL, imgui.Key.e), "Export a file"), ((CTRL, SHIFT, imgui.Key.s), "Save the scene")]
-)
-def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, keys, dialog):
-    places = []
-
-    def script():
-        session = driver.session
-        key(driver, *keys)
-        type_name(driver, dialog, f"{tmp_path}/")
-        assert "no name was typed" in session.problem and session.questions.present is None and not session.files.work
-        places.extend(tmp_path.iterdir())
-        nothing_new = driver.screen()
-        key(driver, *keys)
-        type_name(driver, dialog, str(tmp_path / "rainy"))
-        if session.questions.present is not None:
-            driver.press(imgui.Key.enter)
-        driver.until(lambda: not session.files.work and session.log.lines[-1].text.startswith(("Saved", "Exported")))
-        assert session.problem is None
-        status = slice(695, 718), slice(150, 600)  # px
-        assert np.abs(driver.screen()[status] - nothing_new[status]).mean() > 2
-
-    driver.run(script)
-    assert not places and (tmp_path / "rainy").is_dir() == (dialog == "Save the scene")
-
-
 def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
     job = HeldJob()
-    job.start(driver.session)
+    job.start(driver.editor)
 
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.window.ask_to_close()
         driver.frames(3)
         driver.ctx.item_click("//Work goes on/Cancel")
         driver.frames(3)
-        assert job.state == "running" and session.questions.present is None
+        assert job.state == "running" and editor.status.question is None
         driver.window.ask_to_close()
         driver.frames(3)
         driver.ctx.item_click("//Work goes on/Wait")
         driver.frames(3)
         driver.press(imgui.Key.enter)  # stops nothing
         assert job.state == "running" and driver.ctx.item_exists("//Waiting/Stop it")
-        road = session.scene.layers[0]
-        job.let_end(session.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1)))
-        driver.until(lambda: session.history.undo_label == "Make it rainy" and session.questions.present is not None)
+        road = editor.document.scene.layers[0]
+        job.let_end(
+            editor.document.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1))
+        )
+        driver.until(
+            lambda: editor.document.history.undo_label == "Make it rainy" and editor.status.question is not None
+        )
         driver.frames(3)
-        assert not session.is_leaving
+        assert not editor.should_quit
         driver.ctx.item_click("//Unsaved changes/Don't save")
         driver.frames(1000)  # the window is gone long before
 
     with pytest.raises(RuntimeError, match="the app exited before the test finished"):
         driver.run(script)
-    assert driver.session.is_leaving and job.state == "finished"
+    assert driver.editor.should_quit and job.state == "finished"
 
 
 def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_path):
     home = tmp_path / "crossing"
     write_scene(small_scene("crossing"), home)
     before = Driver(tmp_path)
-    died = before.session
+    died = before.editor
     died.files.home = home
-    member = died.scene.members[0]
+    member = died.document.scene.members[0]
     marks = SelectionFlags(deleted=BitMask.of(np.arange(len(member.gaussians)) < 100))
-    died.set_scene("Delete", died.scene.with_member(member.key, marks=marks))
-    died.files.recovery.enter(home, died.history.previous)
-    died.update(0.0)
+    died.document.edit("Delete", replace_scene, died.document.scene.with_member(member.key, marks=marks))
+    died.files.recovery.enter(home, died.document.history.previous)
+    died.tick(0.0)
     late = died.files.recovery.now() + 20.0
     died.files.recovery.now = lambda: late
-    died.update(0.0)
+    died.tick(0.0)
     died.close()  # without an answer to what becomes of the changes
     driver = Driver(tmp_path)
-    driver.session = Editor()
-    driver.session.clock.playing = False
-    driver.session.open(str(home))
+    driver.editor = Editor()
+    driver.editor.playback.clock.playing = False
+    driver.editor.files.open(str(home))
 
     def script():
-        session = driver.session
-        driver.until(lambda: session.questions.present is not None)
+        editor = driver.editor
+        driver.until(lambda: editor.status.question is not None)
         driver.frames(3)
         driver.ctx.item_click("//Recover unsaved changes/Recover")
-        driver.until(lambda: session.has_changes and session.busy is None)
-        assert session.scene.layers[0].marks.deleted.size == 100
+        driver.until(lambda: editor.files.has_changes and editor.busy is None)
+        assert editor.document.scene.layers[0].marks.deleted.size == 100
         values = json.loads((home / "scene.json").read_text())
         (home / "scene.json").write_text(json.dumps(values | {"name": "theirs"}))
         key(driver, CTRL, imgui.Key.s)
         driver.frames(3)
         assert read_scene(home).name == "theirs"
         driver.ctx.item_click("//Changed on disk/Overwrite")
-        driver.until(lambda: not session.has_changes)
+        driver.until(lambda: not editor.files.has_changes)
         assert read_scene(home).layers[0].marks.deleted.size == 100
 
     driver.run(script)

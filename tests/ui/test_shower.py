@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from imgui_bundle import implot
 
+from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.editor.rain_regions import face_handles, inset_view
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.render.draw import rain_anchor
@@ -27,8 +28,8 @@ def pixel_of(monkeypatch):
     last = {}
     drawn = rain_keyframes._clock
 
-    def spy(session):
-        drawn(session)
+    def spy(editor):
+        drawn(editor)
         last["zero"], last["one"] = implot.plot_to_pixels(0.0, 0.0), implot.plot_to_pixels(1.0, 1.0)
 
     monkeypatch.setattr(rain_keyframes, "_clock", spy)
@@ -50,8 +51,8 @@ def at(driver, place, *, press=None):
 
 def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
     def script():
-        session = driver.session
-        session.set_weather("Hill", hill())
+        editor = driver.editor
+        editor.document.edit_keyframes("Hill", replace_keyframes, hill())
         driver.ctx.window_focus("//Shower")
         driver.frames(4)
         at(driver, pixel_of(10.0, 8.0))
@@ -62,107 +63,42 @@ def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
             driver.frames()
         driver.ctx.mouse_up(0)
         driver.frames()
-        moved = session.weather.keys[1]
+        moved = editor.document.keyframes.keys[1]
         assert (moved.time_s, moved.intensity_mm_h) == (pytest.approx(11.0, abs=0.3), pytest.approx(11.0, abs=0.3))
-        assert session.history.undo_label == "Move rain keyframe"
-        session.undo()
-        assert session.weather == hill()
+        assert editor.document.history.undo_label == "Move rain keyframe"
+        editor.document.undo()
+        assert editor.document.keyframes == hill()
         at(driver, pixel_of(15.0, 7.0))
         driver.ctx.mouse_double_click(0)
         driver.frames(3)
-        assert len(session.weather.keys) == 4
-        added = session.weather.keys[2]
+        assert len(editor.document.keyframes.keys) == 4
+        added = editor.document.keyframes.keys[2]
         assert (added.time_s, added.intensity_mm_h) == (pytest.approx(15.0, abs=0.3), pytest.approx(7.0, abs=0.3))
         at(driver, pixel_of(10.0, 8.0), press=1)
-        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, added.time_s, 20.0]
-
-    driver.run(script)
-
-
-def test_buttons_of_the_shower_panel(driver):
-    def script():
-        session = driver.session
-        session.change_rain("Intensity", intensity_mm_h=3.0)
-        session.clock.time_s = 4.0
-        driver.click("//Shower/###now")
-        assert session.weather.key_at(4.0).intensity_mm_h == 3.0
-        driver.click("//Shower/###now")
-        assert session.weather.keys == ()
-        driver.click("//Shower/Add passing shower")
-        assert session.weather.heaviest_mm_h(session.rain) == 12.0
-        session.clock.time_s = 34.0
-        driver.frames(3)
-        assert session.statistics["drops drawn"] > 0
-        driver.click("//Shower/linear")
-        assert session.weather.between == "linear"
-        driver.click("//Shower/Clear keyframes")
-        assert session.weather.keys == ()
-        for _ in range(3):
-            session.undo()
-        assert session.weather.keys == ()
-        assert session.rain.intensity_mm_h == 3.0
+        assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, added.time_s, 20.0]
 
     driver.run(script)
 
 
 def test_sliders_of_keyed_fields_set_keys_and_one_drag_is_one_step(driver):
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.click("//Rain/1.2")
         driver.click("//Rain/###key intensity_mm_h")
-        assert session.weather.key_at(0.0).intensity_mm_h == 1.2
-        session.clock.time_s = 6.0
-        steps = session.history.cursor
+        assert editor.document.keyframes.key_at(0.0).intensity_mm_h == 1.2
+        editor.playback.clock.time_s = 6.0
+        steps = editor.document.history.cursor
         driver.drag("//Rain/##intensity_mm_h", (60, 0))
-        assert session.history.cursor == steps + 1
-        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, 6.0]
-        assert session.weather.key_at(6.0).intensity_mm_h > 3
-        assert session.rain_now.intensity_mm_h == session.weather.key_at(6.0).intensity_mm_h
+        assert editor.document.history.cursor == steps + 1
+        assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, 6.0]
+        assert editor.document.keyframes.key_at(6.0).intensity_mm_h > 3
+        assert editor.document.rain_now.intensity_mm_h == editor.document.keyframes.key_at(6.0).intensity_mm_h
         driver.click("//Rain/8.5")
-        assert session.weather.key_at(6.0).intensity_mm_h == 8.5
+        assert editor.document.keyframes.key_at(6.0).intensity_mm_h == 8.5
         driver.click("//Rain/###key exposure_s")
-        assert session.weather.key_at(6.0).exposure_s == 0.004
+        assert editor.document.keyframes.key_at(6.0).exposure_s == 0.004
         driver.click("//Rain/###key intensity_mm_h")
-        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0]
-
-    driver.run(script)
-
-
-def test_a_key_is_typed_in_the_table(driver):
-    def script():
-        session = driver.session
-        session.set_weather("Hill", hill())
-        driver.ctx.window_focus("//Shower")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Shower/**/##intensity_mm_h 1", 5.25)
-        driver.frames(3)
-        assert session.weather.key_at(10.0).intensity_mm_h == 5.25
-        driver.ctx.item_input_value("//Shower/**/##time 1", 12.5)
-        driver.frames(3)
-        assert session.weather.key_times["intensity_mm_h"].tolist() == [0.0, 12.5, 20.0]
-        driver.ctx.item_click("//Shower/**/###remove 0")
-        driver.frames(3)
-        assert session.weather.key_times["intensity_mm_h"].tolist() == [12.5, 20.0]
-
-    driver.run(script)
-
-
-def test_a_disdrometers_series_is_imported(driver, test_data):
-    def script():
-        session = driver.session
-        session.lab.read_series(test_data / "disdrometer" / "nasa_gv_iphex_2dvd_test.txt")
-        driver.until(lambda: session.lab.busy is None, 100_000)
-        assert session.lab.problem is None
-        driver.ctx.window_focus("//Shower")
-        driver.frames(3)
-        driver.ctx.item_input_value("//Shower/times faster", 60.0)
-        driver.click("//Shower/Use it")
-        assert session.lab.series is None
-        assert len(session.weather.keys) > 1
-        assert session.weather.keys[0].time_s == 0.0
-        assert session.history.undo_label.startswith("Series nasa_gv")
-        session.undo()
-        assert session.weather.keys == ()
+        assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0]
 
     driver.run(script)
 
@@ -178,15 +114,15 @@ def test_a_face_of_the_region_is_dragged_from_outside(driver):
     """The upper face in the inset: the region gets higher, the floor stays, and it is one step."""
 
     def script():
-        session = driver.session
-        session.view.tool = "Rain regions"
+        editor = driver.editor
+        editor.viewport.options.tool = "Rain regions"
         driver.frames(4)
         corner, width, height = view_corner(driver)
         em = font_size()
         wide, high = int(min(15 * em, 0.5 * width)), int(min(11 * em, 0.5 * height))
-        shot = session.shot(int(width), int(height))
-        anchor = rain_anchor(session.scene, session.rainfall, shot)
-        box = session.rain.streak_region
+        shot = editor.viewport.shot(int(width), int(height))
+        anchor = rain_anchor(editor.document.scene, editor.live_rain.simulation, shot)
+        box = editor.document.rain.streak_region
         camera = inset_view(box, anchor, wide, high).camera
         (top,) = [each for each in face_handles(box, anchor, camera, inset=0.0) if each.face == (2, True)]
         x, y, z = camera.world_to_camera[:3, :3] @ top.point_m + camera.world_to_camera[:3, 3]
@@ -196,18 +132,18 @@ def test_a_face_of_the_region_is_dragged_from_outside(driver):
         driver.frames()
         driver.ctx.mouse_down(0)
         driver.frames()
-        steps = session.history.cursor
+        steps = editor.document.history.cursor
         for up in (4, 8, 12):
             driver.ctx.mouse_move_to_pos(imgui.ImVec2(at_x, at_y - up))
             driver.frames()
         driver.ctx.mouse_up(0)
         driver.frames()
-        changed = session.rain.streak_region
+        changed = editor.document.rain.streak_region
         assert changed.maximum_m[2] > box.maximum_m[2] + 0.3
         assert (changed.minimum_m, changed.maximum_m[:2]) == (box.minimum_m, box.maximum_m[:2])
-        assert session.history.cursor == steps + 1
-        session.undo()
-        assert session.rain.streak_region == box
+        assert editor.document.history.cursor == steps + 1
+        editor.document.undo()
+        assert editor.document.rain.streak_region == box
 
     driver.run(script)
 
@@ -220,8 +156,8 @@ def test_the_drop_colour_is_picked_from_the_view(driver):
     """A pixel of the wall, which is reddish, then a rectangle of the sky; back to the scene's sky."""
 
     def script():
-        session = driver.session
-        session.change_rain("Intensity", intensity_mm_h=8.5)
+        editor = driver.editor
+        editor.document.change_rain("Intensity", intensity_mm_h=8.5)
         driver.frames(3)
         driver.click("//Rain/###pick sky")
         corner, width, height = view_corner(driver)
@@ -229,8 +165,8 @@ def test_the_drop_colour_is_picked_from_the_view(driver):
         reddish = shown[..., 0] - shown[..., 2]
         row, column = np.unravel_index(np.argmax(reddish), reddish.shape)
         at(driver, imgui.ImVec2(corner.x + column + 0.5, corner.y + row + 0.5), press=0)
-        driver.until(lambda: session.rain.drop_color is not None)
-        red, _, blue = session.rain.drop_color
+        driver.until(lambda: editor.document.rain.drop_color is not None)
+        red, _, blue = editor.document.rain.drop_color
         assert red > blue + 0.1
         driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.4 * width, corner.y + 0.14 * height))
         driver.ctx.mouse_down(0)
@@ -238,35 +174,12 @@ def test_the_drop_colour_is_picked_from_the_view(driver):
         driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.6 * width, corner.y + 0.2 * height))
         driver.frames()
         driver.ctx.mouse_up(0)
-        driver.until(lambda: session.sky_pick is None and session.rain.drop_color != (red, _, blue), 200)
+        driver.until(
+            lambda: editor.viewport.sky_pick is None and editor.document.rain.drop_color != (red, _, blue), 200
+        )
         driver.frames()
-        assert session.rain.drop_color[2] > session.rain.drop_color[0] + 0.05
+        assert editor.document.rain.drop_color[2] > editor.document.rain.drop_color[0] + 0.05
         driver.click("//Rain/from the sky")
-        assert session.rain.drop_color is None
-
-    driver.run(script)
-
-
-def test_the_sky_s_colour_is_picked_from_the_picture_and_given_back(driver):
-    """A rectangle over the sky of the small scene: drops become as blue as it is."""
-
-    def script():
-        session = driver.session
-        driver.ctx.window_focus("//View")
-        session.view.tool = "Pick sky color"
-        driver.frames(4)
-        corner, width, height = view_corner(driver)
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.4 * width, corner.y + 0.15 * height))
-        driver.frames()
-        driver.ctx.mouse_down(0)
-        driver.frames()
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.6 * width, corner.y + 0.25 * height))
-        driver.frames()
-        driver.ctx.mouse_up(0)
-        driver.until(lambda: session.rain.drop_color is not None)
-        assert session.rain.drop_color == pytest.approx((0.4, 0.6, 0.9), abs=0.1)  # it lets some black through
-        driver.ctx.item_click("//View/**/From the sky again")
-        driver.frames()
-        assert session.rain.drop_color is None
+        assert editor.document.rain.drop_color is None
 
     driver.run(script)

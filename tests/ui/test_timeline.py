@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.editor import camera_path
 from gsrain_engine.editor.overlays import path_overlay_of
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from ui.commands.base import chord
@@ -16,7 +15,7 @@ UNDO = chord(KEY.mod_ctrl, KEY.z)
 @pytest.fixture
 def driver(tmp_path):
     made = Driver(tmp_path)
-    made.session.view.shrink = 3  # a coarse picture: none of these tests looks at it
+    made.editor.viewport.options.shrink = 3  # a coarse picture: none of these tests looks at it
     return made
 
 
@@ -47,72 +46,72 @@ def hand(driver, start, end, modifier=None):
 
 def four_keys(driver):
     """Look around, and keep four views at 0, 1, 2 and 4 s, by the keyboard alone."""
-    session = driver.session
+    editor = driver.editor
     driver.ctx.mouse_move("//View/view")
     for time_s, step in ((0.0, (0, 0, 0)), (1.0, (3, 0.5, 0.5)), (2.0, (3, -1, 0.5)), (4.0, (4, 0.5, 0))):
-        session.clock.seek(time_s)
-        session.navigation.position = session.navigation.position + np.array(step, float)
+        editor.playback.clock.seek(time_s)
+        editor.viewport.navigation.position = editor.viewport.navigation.position + np.array(step, float)
         driver.frames()
         driver.press(KEY.k)
-    return session.scene.path
+    return editor.document.scene.path
 
 
 def on_ruler(driver, time_s):
     """Screen position of a moment on the ruler."""
     low, high = place(driver, "//Timeline/ruler")
-    return low[0] + driver.session.timeline.ruler.x(time_s), (low[1] + high[1]) / 2 - 4
+    return low[0] + driver.editor.playback.timeline.ruler.x(time_s), (low[1] + high[1]) / 2 - 4
 
 
 def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
     def script():
-        session = driver.session
+        editor = driver.editor
         path = four_keys(driver)
         assert path.times_s.tolist() == [0, 1, 2, 4]
-        assert session.history.labels[1:] == ["Insert keyframe"] * 4
-        by_hand = session.navigation.position.copy()
+        assert editor.document.history.labels[1:] == ["Insert keyframe"] * 4
+        by_hand = editor.viewport.navigation.position.copy()
 
         # a click on a key looks through it
         driver.click("//Timeline/**/key 1")
-        assert session.view.follow_path
-        assert session.clock.time_s == 1.0
-        assert session.shot(96, 64).camera.position == pytest.approx(path.positions[1])
+        assert editor.viewport.options.follow_path
+        assert editor.playback.clock.time_s == 1.0
+        assert editor.viewport.shot(96, 64).camera.position == pytest.approx(path.positions[1])
 
         # dragging the ruler scrubs, and everything follows
         hand(driver, on_ruler(driver, 0.5), on_ruler(driver, 3.0))
-        assert session.clock.time_s == pytest.approx(3.0, abs=0.05)
-        assert session.shot(96, 64).camera.position == pytest.approx(
-            session.path.camera(session.clock.time_s, 96, 64).position
+        assert editor.playback.clock.time_s == pytest.approx(3.0, abs=0.05)
+        assert editor.viewport.shot(96, 64).camera.position == pytest.approx(
+            editor.viewport.path.camera(editor.playback.clock.time_s, 96, 64).position
         )
 
         # a drag in time is one step
         (x, y), _ = place(driver, "//Timeline/**/key 1")
-        pixels = session.timeline.ruler.x(1.5) - session.timeline.ruler.x(0.0)
-        steps = len(session.history.labels)
+        pixels = editor.playback.timeline.ruler.x(1.5) - editor.playback.timeline.ruler.x(0.0)
+        steps = len(editor.document.history.labels)
         hand(driver, (x + 6, y + 6), (x + 6 + pixels, y + 6))
-        assert session.scene.path.times_s == pytest.approx([0, 2, 2.5, 4], abs=0.05)  # past the third one
-        assert session.timeline.key == 2
-        assert session.scene.path.positions[2] == pytest.approx(path.positions[1])
-        assert session.history.labels[steps:] == ["Move keyframe"]
+        assert editor.document.scene.path.times_s == pytest.approx([0, 2, 2.5, 4], abs=0.05)  # past the third one
+        assert editor.playback.timeline.key == 2
+        assert editor.document.scene.path.positions[2] == pytest.approx(path.positions[1])
+        assert editor.document.history.labels[steps:] == ["Move keyframe"]
         driver.press(UNDO)
-        assert session.scene.path is path
+        assert editor.document.scene.path is path
 
         # with Ctrl it copies
         hand(driver, (x + 6, y + 6), (x + 6 + 2 * pixels, y + 6), KEY.mod_ctrl)
-        copied = session.scene.path
+        copied = editor.document.scene.path
         assert len(copied.times_s) == 5
-        assert np.delete(copied.times_s, session.timeline.key) == pytest.approx(path.times_s)
-        assert copied.times_s[session.timeline.key] == pytest.approx(4.0, abs=0.1)
-        assert copied.positions[session.timeline.key] == pytest.approx(path.positions[1])
-        assert session.history.undo_label == "Copy keyframe"
+        assert np.delete(copied.times_s, editor.playback.timeline.key) == pytest.approx(path.times_s)
+        assert copied.times_s[editor.playback.timeline.key] == pytest.approx(4.0, abs=0.1)
+        assert copied.positions[editor.playback.timeline.key] == pytest.approx(path.positions[1])
+        assert editor.document.history.undo_label == "Copy keyframe"
         driver.press(UNDO)
-        assert session.scene.path is path
+        assert editor.document.scene.path is path
 
         # Delete takes the chosen one away
         driver.click("//Timeline/**/key 2")
         driver.press(KEY.delete)
-        assert session.scene.path.times_s.tolist() == [0, 1, 4]
+        assert editor.document.scene.path.times_s.tolist() == [0, 1, 4]
         driver.press(UNDO)
-        assert session.scene.path is path
+        assert editor.document.scene.path is path
 
         # a drag of the picture leaves the ride where the camera is
         driver.click("//Timeline/**/key 3")
@@ -121,145 +120,73 @@ def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
         driver.ctx.mouse_move_to_pos(imgui.ImVec2(*(np.mean(place(driver, "//View/view"), axis=0) + [4, 0]).tolist()))
         driver.ctx.mouse_up(1)
         driver.frames()
-        assert not session.view.follow_path
-        assert session.navigation.position == pytest.approx(path.positions[3])
-        assert session.navigation.position == pytest.approx(by_hand)
+        assert not editor.viewport.options.follow_path
+        assert editor.viewport.navigation.position == pytest.approx(path.positions[3])
+        assert editor.viewport.navigation.position == pytest.approx(by_hand)
 
     driver.run(script)
 
 
 def test_a_key_is_dragged_in_the_picture(driver):
     def script():
-        session = driver.session
+        editor = driver.editor
         path = four_keys(driver)
-        session.navigation.position = np.array([-4.0, -3.0, 4.0])
-        session.navigation.heading, session.navigation.pitch = 0.3, -0.2
+        editor.viewport.navigation.position = np.array([-4.0, -3.0, 4.0])
+        editor.viewport.navigation.heading, editor.viewport.navigation.pitch = 0.3, -0.2
         driver.frames(3)
         corner, end = place(driver, "//View/view")
         width, height = (end - corner).astype(int)
-        camera = session.shot(int(width), int(height)).camera
+        camera = editor.viewport.shot(int(width), int(height)).camera
 
         def handle(key):
-            return corner + next(each.handle_px for each in path_overlay_of(session, camera).keys if each.key == key)
+            return corner + next(
+                each.handle_px for each in path_overlay_of(editor.viewport, camera).keys if each.key == key
+            )
 
-        steps = len(session.history.labels)
+        steps = len(editor.document.history.labels)
         start = handle(2)
         hand(driver, start, start + [40, -30])
-        moved = session.scene.path
+        moved = editor.document.scene.path
         assert handle(2) == pytest.approx(start + [40, -30], abs=2)
         depth = [camera.world_to_camera[2, :3] @ each.positions[2] for each in (path, moved)]
         assert depth[0] == pytest.approx(depth[1])  # in the plane that faces the view
         assert np.array_equal(np.delete(moved.positions, 2, axis=0), np.delete(path.positions, 2, axis=0))
-        assert session.history.labels[steps:] == ["Move keyframe"]
-        assert np.array_equal(session.navigation.position, [-4.0, -3.0, 4.0])  # the view stays
+        assert editor.document.history.labels[steps:] == ["Move keyframe"]
+        assert np.array_equal(editor.viewport.navigation.position, [-4.0, -3.0, 4.0])  # the view stays
 
         driver.press(UNDO)
-        assert session.scene.path is path
+        assert editor.document.scene.path is path
         hand(driver, start, start + [30, -40], KEY.mod_shift)
-        risen = session.scene.path.positions[2] - path.positions[2]
+        risen = editor.document.scene.path.positions[2] - path.positions[2]
         assert risen[:2] == pytest.approx([0, 0], abs=1e-9)
         assert risen[2] > 0.1
 
         driver.click("//Timeline/show path")
         hand(driver, start, start + [30, 0])  # nothing is there to take hold of: the view orbits
-        assert not np.array_equal(session.navigation.position, [-4.0, -3.0, 4.0])
-
-    driver.run(script)
-
-
-def test_numbers_of_a_key_and_of_the_path(driver):
-    def script():
-        session = driver.session
-        four_keys(driver)
-        window = driver.ctx.window_info("//Timeline/numbers").window.name.replace("/", "\\/")
-        driver.ctx.item_input_value(f"//{window}/##key time", 3.0)
-        driver.frames()
-        assert session.scene.path.times_s.tolist() == [0, 1, 2, 3]
-        driver.ctx.item_input_value(f"//{window}/##key place/$$1", 2.5)
-        driver.frames()
-        assert session.scene.path.positions[3, 1] == pytest.approx(2.5)
-        driver.ctx.item_input_value(f"//{window}/##key look/$$2", 20.0)
-        driver.frames()
-        assert camera_path.key_angles(session, 3).roll_deg == pytest.approx(20)
-        driver.ctx.item_input_value(f"//{window}/##key focal", 35.0)
-        driver.frames()
-        assert session.scene.path.vertical_fov_deg[3] == pytest.approx(37.8, abs=0.1)
-        driver.click("//Timeline/**/key 3")
-        down = session.shot(96, 64).camera.world_to_camera[1, :3]
-        assert abs(down[1]) > 0.3  # the roll is seen
-
-        driver.ctx.item_click(f"//{window}/Whole path")
-        driver.ctx.item_input_value(f"//{window}/##duration", 6.0)
-        driver.frames()
-        assert session.scene.path.times_s.tolist() == [0, 2, 4, 6]
-        driver.ctx.item_click(f"//{window}/##loop")
-        driver.frames()
-        assert session.scene.path.loop
-        assert session.span_s == (0, 8)
-        for field, word in (("interpolation", "linear"), ("easing", "at each key")):
-            driver.ctx.item_click(f"//{window}/##{field}")
-            driver.frames()
-            driver.ctx.item_click(f"//**/{word}")
-            driver.frames()
-            assert getattr(session.scene.path, field) == word
-        driver.ctx.item_input_value("//Timeline/##time", 5.5)
-        driver.frames()
-        assert session.clock.time_s == 5.5
-
-    driver.run(script)
-
-
-def test_playing_repeats_within_the_grips_and_frames_are_stepped(driver):
-    def script():
-        session = driver.session
-        driver.click("//Timeline/to end")
-        assert session.clock.time_s == 5.0  # the ego's drive
-        driver.click("//Timeline/step back")
-        assert session.clock.time_s == pytest.approx(5 - 1 / 30)
-        driver.press(chord(KEY.mod_ctrl, KEY.left_arrow))
-        assert session.clock.time_s == 0
-        driver.press(KEY.right_arrow)
-        assert session.clock.time_s == pytest.approx(1 / 30)
-        start, _ = place(driver, "//Timeline/span end")
-        pixels = session.timeline.ruler.x(0.5) - session.timeline.ruler.x(5.0)
-        hand(driver, (start[0] + 5, start[1] + 8), (start[0] + 5 + pixels, start[1] + 8))
-        assert session.span_s == pytest.approx((0, 0.5), abs=0.05)
-        session.clock.speed = 4.0
-        driver.click("//Timeline/play")
-        driver.until(lambda: session.clock.time_s > 0.3)
-        driver.until(lambda: session.clock.time_s < 0.3)  # begun again
-        driver.click("//Timeline/repeat")
-        driver.until(lambda: not session.clock.playing)
-        assert session.clock.time_s == session.span_s[1]
-        # the wheel zooms in on what is under the mouse
-        driver.ctx.mouse_move("//Timeline/ruler")
-        shown = session.timeline.ruler.visible_span_s
-        driver.ctx.mouse_wheel_y(2)
-        driver.frames()
-        assert session.timeline.ruler.visible_span_s == pytest.approx(0.64 * shown)
+        assert not np.array_equal(editor.viewport.navigation.position, [-4.0, -3.0, 4.0])
 
     driver.run(script)
 
 
 def test_paths_come_from_the_drive_and_from_files(driver, tmp_path):
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.click("//Timeline/path")
         driver.ctx.item_click("//**/From the drive")
         driver.ctx.item_click("//**/FRONT##0")
         driver.ctx.item_click("//**/Few keyframes")
         driver.frames()
-        path = session.scene.path
+        path = editor.document.scene.path
         assert path.times_s.tolist() == [0, 5]  # straight on
         assert path.positions[1] == pytest.approx([10, 0, 1.5])
-        camera_path.export_path(session, tmp_path / "mine.json")
+        editor.camera_path.export_path(tmp_path / "mine.json")
         assert np.array_equal(read_camera_path(tmp_path / "mine.json").positions, path.positions)
         driver.press(UNDO)
-        assert session.scene.path is None
-        camera_path.import_path(session, tmp_path / "mine.json")
-        assert np.array_equal(session.scene.path.positions, path.positions)
-        camera_path.import_path(session, tmp_path / "missing.json")
-        assert "missing.json" in session.problem
-        assert session.history.undo_label == "Import mine.json"
+        assert editor.document.scene.path is None
+        editor.camera_path.import_path(tmp_path / "mine.json")
+        assert np.array_equal(editor.document.scene.path.positions, path.positions)
+        editor.camera_path.import_path(tmp_path / "missing.json")
+        assert "missing.json" in editor.status.problem
+        assert editor.document.history.undo_label == "Import mine.json"
 
     driver.run(script)

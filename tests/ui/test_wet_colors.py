@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.viewport_state import PendingScene
-from small_scene import small_scene
+from gsrain_engine.scene.transforms import with_wet_colors_of
 from ui.commands.base import chord
 from window_driver import Driver, imgui
 
@@ -22,20 +22,15 @@ def driver(tmp_path):
     return Driver(tmp_path)
 
 
-@pytest.fixture
-def wet_driver(tmp_path):
-    return Driver(tmp_path, darker(small_scene()))
-
-
 def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
     def script():
-        session = driver.session
+        editor = driver.editor
         driver.click("//Rain/Streaks")  # so that the pictures show the scene alone
         driver.click("//Rain/Haze")
-        clear, before = driver.picture(), session.scene
-        session.staged = PendingScene("Make it rainy", darker(before), only_wet_colors=True)
-        driver.until(lambda: session.scene is not before)
-        assert [new.gaussians for new in session.scene.members] == [old.gaussians for old in before.members]
+        clear, before = driver.picture(), editor.document.scene
+        editor.viewport.staged = PendingScene("Make it rainy", darker(before), change=with_wet_colors_of)
+        driver.until(lambda: editor.document.scene is not before)
+        assert [new.gaussians for new in editor.document.scene.members] == [old.gaussians for old in before.members]
         assert np.array_equal(driver.picture(), clear)  # it does not rain
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
         driver.frames()
@@ -44,65 +39,9 @@ def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
         driver.press(UNDO)
         assert np.array_equal(driver.picture(), clear)
         driver.press(UNDO)
-        assert session.scene is before
+        assert editor.document.scene is before
         driver.press(REDO)
         driver.press(REDO)
         assert np.array_equal(driver.picture(), wet)
-
-    driver.run(script)
-
-
-def test_wetness_by_hand_and_by_the_intensity(wet_driver):
-    driver = wet_driver
-
-    def script():
-        session = driver.session
-        driver.click("//Rain/12.0")
-        assert session.wetness_now == pytest.approx(0.954, abs=1e-3)
-        driver.click("//Rain/auto")
-        assert session.rain.wetness == pytest.approx(0.954, abs=1e-3)
-        driver.ctx.item_input_value("//Rain/##wetness", 0.25)
-        driver.frames()
-        assert session.rain.wetness == 0.25
-        steps = len(session.history.labels)
-        dark = driver.picture().mean()
-        driver.drag("//Rain/##wetness", (-200, 0))
-        assert session.rain.wetness == 0
-        assert len(session.history.labels) == steps + 1
-        assert driver.picture().mean() > dark + 2
-        driver.press(UNDO)
-        assert session.rain.wetness == 0.25
-        driver.click("//Rain/auto")
-        assert session.rain.wetness is None
-        driver.click("//Rain/clear")
-        assert session.wetness_now == 0
-
-    driver.run(script)
-
-
-def test_without_wet_colours_there_is_nothing_to_set(driver):
-    def script():
-        driver.click("//Rain/auto")
-        assert driver.session.rain.wetness is None
-        assert driver.session.history.undo_label is None
-
-    driver.run(script)
-
-
-def test_a_layers_wet_colours_are_taken_away_by_its_menu(wet_driver):
-    driver = wet_driver
-
-    def script():
-        session = driver.session
-        driver.ctx.window_focus("//Layers")
-        driver.frames()
-        driver.ctx.item_click("//Layers/members/###layers wall", imgui.MouseButton_.right)
-        driver.frames()
-        driver.ctx.item_click("//$FOCUSED/Remove wet colors")
-        driver.frames()
-        assert [each.wet_sh is not None for each in session.scene.members] == [True, False, True]
-        assert session.history.undo_label == "Remove wet colors of wall"
-        driver.press(UNDO)
-        assert all(each.wet_sh is not None for each in session.scene.members)
 
     driver.run(script)

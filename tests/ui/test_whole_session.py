@@ -30,7 +30,7 @@ def sitting(name, folder, *arguments):
 
 
 def heard(process, until=None):
-    """Output of a session, first word by the rest, up to a line or its end."""
+    """Output of a editor, first word by the rest, up to a line or its end."""
     said, everything = {}, []
     for line in process.stdout:
         everything.append(line)

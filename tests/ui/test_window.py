@@ -1,16 +1,10 @@
 """The real window under Xvfb, driven as a person drives it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from imgui_bundle import im_file_dialog
-from PIL import Image
 
-from gsrain_engine.disdrometer.netcdf import write_spectra
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.formats.scene_files import write_scene
-from measured_rain import measured_rain
 from small_scene import small_scene
 from ui.commands.base import chord
 from window_driver import Driver, imgui
@@ -25,14 +19,14 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
     def script():
         clear = driver.picture()
         driver.drag("//Rain/##intensity_mm_h", (60, 0))
-        assert driver.session.rain.intensity_mm_h > 1
-        assert driver.session.statistics["drops drawn"] > 0
+        assert driver.editor.document.rain.intensity_mm_h > 1
+        assert driver.editor.viewport.statistics["drops drawn"] > 0
         assert np.abs(driver.picture() - clear).max() > 4
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert driver.session.rain.intensity_mm_h == 0
+        assert driver.editor.document.rain.intensity_mm_h == 0
         assert np.array_equal(driver.picture(), clear)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
-        assert driver.session.rain.intensity_mm_h > 1
+        assert driver.editor.document.rain.intensity_mm_h > 1
 
     driver.run(script)
 
@@ -40,49 +34,21 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
 def test_presets_and_switches(driver):
     def script():
         driver.click("//Rain/8.5")
-        assert driver.session.rain.intensity_mm_h == 8.5
+        assert driver.editor.document.rain.intensity_mm_h == 8.5
         driver.click("//Rain/Haze")
-        assert not driver.session.rain.haze
+        assert not driver.editor.document.rain.haze
         driver.click("//Rain/###camera's")
-        assert driver.session.rain.exposure_s == 0.004
+        assert driver.editor.document.rain.exposure_s == 0.004
         driver.click("//Rain/up to 100 mm\\/h")
         driver.ctx.item_input_value("//Rain/##intensity_mm_h", 50.0)
         driver.frames()
-        assert driver.session.rain.intensity_mm_h == 50
-        assert driver.session.rainfall.state.beyond_calibration
+        assert driver.editor.document.rain.intensity_mm_h == 50
+        assert driver.editor.live_rain.simulation.state.beyond_calibration
         driver.click("//Rain/paper")
-        assert driver.session.rain.closure == "published"
-        assert driver.session.rainfall.state.drops == 257_040
+        assert driver.editor.document.rain.closure == "published"
+        assert driver.editor.live_rain.simulation.state.drops == 257_040
 
     driver.run(script)
-
-
-def test_regions_are_edited_and_drawn(driver):
-    def script():
-        without = _region_pixels(driver.screen())
-        driver.click("//Rain/12.0")
-        before = driver.session.rainfall.state.drops
-        driver.click("//Rain/Regions")
-        driver.click("//Rain/Show streak region")
-        driver.click("//Rain/Show haze region")
-        driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", 8.0)
-        driver.frames()
-        assert driver.session.rain.streak_region.maximum_m[0] == 8.0
-        assert driver.session.rainfall.state.drops == pytest.approx(1.5 * before, rel=1e-3)
-        # inside out is not taken
-        driver.ctx.item_input_value("//Rain/##streak_region.maximum_m/$$0", -5.0)
-        driver.frames()
-        assert driver.session.rain.streak_region.maximum_m[0] == 8.0
-        assert np.all(_region_pixels(driver.screen()) > without + 50)
-
-    driver.run(script)
-
-
-def _region_pixels(screen):
-    """Number of pixels in the colors of the streak region's edges, light blue, and of the haze region's, orange."""
-    red, green, blue = np.moveaxis(screen, 2, 0)
-    light_blue, orange = (blue > 200) & (red < 160) & (green > 170), (red > 200) & (green > 150) & (blue < 160)
-    return np.array([light_blue.sum(), orange.sum()])
 
 
 def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
@@ -91,9 +57,9 @@ def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
         still = driver.picture()
         assert np.array_equal(driver.picture(), still)
         driver.click("//View/###Play")
-        driver.until(lambda: driver.session.clock.time_s > 0.05)
+        driver.until(lambda: driver.editor.playback.clock.time_s > 0.05)
         driver.click("//View/###Play")
-        assert not driver.session.clock.playing
+        assert not driver.editor.playback.clock.playing
         assert not np.array_equal(driver.picture(), still)
 
     driver.run(script)
@@ -101,40 +67,28 @@ def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
 
 def test_navigation_by_mouse_and_keys(driver):
     def script():
-        session = driver.session
-        start = session.navigation.position.copy()
+        editor = driver.editor
+        start = editor.viewport.navigation.position.copy()
         driver.drag("//View/view", (80, 0))
-        assert np.linalg.norm(session.navigation.position - start) > 0.5
+        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.5
         driver.click("//View/###Home")
-        assert session.navigation.position == pytest.approx(start)
+        assert editor.viewport.navigation.position == pytest.approx(start)
         driver.ctx.mouse_move("//View/view")
         driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: session.navigation.position[0] > start[0] + 0.1)
-        assert session.navigation.velocity_m_s[0] > 1
+        driver.until(lambda: editor.viewport.navigation.position[0] > start[0] + 0.1)
+        assert editor.viewport.navigation.velocity_m_s[0] > 1
         driver.ctx.key_up(imgui.Key.w)
         driver.frames()
-        assert np.all(session.navigation.velocity_m_s == 0)
+        assert np.all(editor.viewport.navigation.velocity_m_s == 0)
         driver.press(imgui.Key.f)
-        assert session.navigation.distance_m > 20
+        assert editor.viewport.navigation.distance_m > 20
         driver.press(imgui.Key.r)
-        assert session.navigation.position == pytest.approx(start)
+        assert editor.viewport.navigation.position == pytest.approx(start)
         driver.ctx.mouse_wheel_y(2)
         driver.frames()
-        assert session.navigation.distance_m < 20
+        assert editor.viewport.navigation.distance_m < 20
         driver.click("//View/Follow path")
-        assert session.view.follow_path
-
-    driver.run(script)
-
-
-def test_scene_panel_hides_and_undo_shows_again(driver):
-    def script():
-        before = driver.picture()
-        driver.click("//Layers/members/###show layers wall")
-        assert not driver.session.scene.layers[1].visible
-        assert np.abs(driver.picture() - before).max() > 20
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert driver.session.scene.layers[1].visible
+        assert editor.viewport.options.follow_path
 
     driver.run(script)
 
@@ -145,112 +99,43 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     bad.write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
 
     def script():
-        first = driver.session.scene
+        first = driver.editor.document.scene
         driver.window.drop([str(bad)])
-        driver.until(lambda: driver.session.busy is None)
-        assert driver.session.scene is first
-        assert any("bad.ply" in line.text for line in driver.session.log.lines)
+        driver.until(lambda: driver.editor.busy is None)
+        assert driver.editor.document.scene is first
+        assert any("bad.ply" in line.text for line in driver.editor.status.log.lines)
         driver.window.drop([str(good)])
-        driver.until(lambda: driver.session.busy is None)
-        assert driver.session.scene.name == "wall"
+        driver.until(lambda: driver.editor.busy is None)
+        assert driver.editor.document.scene.name == "wall"
         driver.ctx.window_focus("//Log")
         driver.frames(3)
 
     driver.run(script)
-    assert driver.session.backend in ("opengl", "cpu")
-
-
-def test_open_dialog_comes_and_goes(driver):
-    screens = []
-
-    def script():
-        driver.ctx.window_focus("//View")
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.o))
-        driver.frames(3)
-        dialogs = im_file_dialog.FileDialog.instance()
-        screens.append(driver.screen())
-        driver.press(imgui.Key.escape)
-        dialogs.close()
-        driver.frames(3)
-        screens.append(driver.screen())
-
-    driver.run(script)
-    shown, closed = screens
-    assert np.abs(shown - closed).mean() > 5
-
-
-def test_screenshot_key_saves_a_picture(driver, tmp_path, monkeypatch):
-    import platformdirs
-
-    monkeypatch.setattr(platformdirs, "user_pictures_dir", lambda: str(tmp_path / "pictures"))
-
-    def script():
-        driver.press(imgui.Key.f12)
-        driver.until(lambda: list((tmp_path / "pictures").glob("gsrain_*.png")))
-
-    driver.run(script)
-    (saved,) = (tmp_path / "pictures").glob("gsrain_*.png")
-    assert np.asarray(Image.open(saved)).mean() > 20
-
-
-def test_opens_in_the_background_of_an_empty_window(tmp_path):
-    write_scene(small_scene(), tmp_path / "wall.ply")
-    seen = []
-
-    class Opening(Driver):
-        def script(self):
-            self.until(lambda: self.session.scene.gaussian_count > 0)
-            self.frames(3)
-            assert self.picture().std() > 20
-            assert any("Opened" in line.text for line in self.session.log.lines)
-
-    driver = Opening(tmp_path)
-    driver.session = Editor()
-    driver.session.clock.playing = False
-    seen.append(driver.session.scene.gaussian_count)
-    driver.session.open(str(tmp_path / "wall.ply"))
-    driver.run(driver.script)
-    assert seen == [0]
-
-
-def test_a_scene_that_can_not_be_opened_leaves_a_window_that_says_why(tmp_path):
-    driver = Driver(tmp_path)
-    driver.session = Editor()
-    driver.session.open(str(tmp_path / "missing.ply"))
-
-    def script():
-        driver.until(lambda: driver.session.problem is not None)
-        assert "missing.ply" in driver.session.problem
-        driver.frames(3)
-        driver.ctx.item_click("//View/**/Close")
-        driver.frames()
-        assert driver.session.problem is None
-
-    driver.run(script)
+    assert driver.editor.viewport.backend in ("opengl", "cpu")
 
 
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
     def script():
         driver.click("//Rain/8.5")
-        driver.session.change_rain("Much", streak_gain=50.0)
+        driver.editor.document.change_rain("Much", streak_gain=50.0)
         driver.frames()
         rainy = driver.picture()
-        driver.session.view.split = "clear | rainy"
+        driver.editor.viewport.options.split = "clear | rainy"
         driver.frames()
         both = driver.picture()
         middle = both.shape[1] // 2
         assert np.array_equal(both[:, middle + 1 :], rainy[:, middle + 1 :])
         assert np.abs(both[:, :middle] - rainy[:, :middle]).max() > 4
         driver.drag("//View/divider", (-120, 0))
-        assert driver.session.view.divider < 0.4
+        assert driver.editor.viewport.options.divider < 0.4
         moved = driver.picture()
-        at = round(driver.session.view.divider * moved.shape[1])
+        at = round(driver.editor.viewport.options.divider * moved.shape[1])
         assert np.array_equal(moved[:, at + 1 :], rainy[:, at + 1 :])
         assert np.array_equal(moved[:, : at - 1], both[:, : at - 1])
         driver.ctx.item_double_click("//View/divider")
         driver.frames()
-        assert driver.session.view.divider == 0.5
-        driver.session.view.split = "before | after"
+        assert driver.editor.viewport.options.divider == 0.5
+        driver.editor.viewport.options.split = "before | after"
         driver.frames()
         compared = driver.picture()
         assert np.abs(compared[:, :middle] - rainy[:, :middle]).max() > 4  # before: without the gain
@@ -258,62 +143,30 @@ def test_two_pictures_beside_each_other_and_a_divider_between(driver):
     driver.run(script)
 
 
-def test_looks_are_picked_from_the_toolbar(driver):
-    def script():
-        splats = driver.picture()
-        for look in ("depth", "layers", "splats"):
-            driver.ctx.set_ref("//View")
-            driver.ctx.combo_click(f"##look/{look}")
-            driver.frames()
-            assert driver.session.view.look == look
-            assert np.array_equal(driver.picture(), splats) == (look == "splats")
-
-    driver.run(script)
-
-
 def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
     def script():
-        session = driver.session
-        session.budget.target_ms = 0.01  # no machine holds it
+        editor = driver.editor
+        editor.viewport.budget.target_ms = 0.01  # no machine holds it
         driver.click("//View/###Home")
-        driver.until(lambda: session.detail.is_exact)
+        driver.until(lambda: editor.viewport.detail.is_exact)
         exact = driver.picture()
         driver.ctx.mouse_move("//View/view")
         driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: str(session.detail) == "1/8 of the Gaussians, 33% resolution")
+        driver.until(lambda: str(editor.viewport.detail) == "1/8 of the Gaussians, 33% resolution")
         driver.ctx.key_up(imgui.Key.w)
-        driver.until(lambda: session.detail.is_exact)
+        driver.until(lambda: editor.viewport.detail.is_exact)
         driver.click("//View/###Home")
-        driver.until(lambda: session.detail.is_exact)
+        driver.until(lambda: editor.viewport.detail.is_exact)
         assert np.array_equal(driver.picture(), exact)
 
     driver.run(script)
 
 
-def test_colors_take_fewer_bits_on_the_gpu(tmp_path):
-    scene = small_scene()
-    road = scene.layers[0]
-    shiny = np.random.default_rng(0).normal(0.5, 0.1, (len(road.gaussians), 4, 3)).astype(np.float32)
-    scene = replace(scene, layers=(replace(road, gaussians=road.gaussians.with_sh(shiny)), *scene.layers[1:]))
-    driver = Driver(tmp_path, scene, backend="opengl")
-
-    def script():
-        fine = driver.picture()
-        driver.ctx.window_focus("//Display")
-        driver.ctx.set_ref("//Display")
-        driver.ctx.combo_click("##harmonics/8 bits")
-        driver.frames()
-        assert driver.view.session.view.harmonics == "byte"
-        assert 0 < np.abs(driver.picture() - fine).max() < 8
-
-    driver.run(script)
-
-
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
-    lab, screens = driver.session.lab, []
+    lab, screens = driver.editor.calibration, []
 
     def script():
-        driver.session.change_rain("Intensity", intensity_mm_h=8.5)
+        driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
         driver.ctx.window_focus("//Disdrometer")
         driver.ctx.set_ref("//Disdrometer")
         driver.ctx.item_input_value("##seconds", 20.0)
@@ -328,8 +181,8 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
         assert lab.pass_file.name == "marshall_palmer"
         driver.ctx.combo_click("##calibration/marshall_palmer")
         driver.frames()
-        assert driver.session.rainfall.calibration.name == "marshall_palmer"
-        assert driver.session.history.undo_label == "Calibration"
+        assert driver.editor.live_rain.simulation.calibration.name == "marshall_palmer"
+        assert driver.editor.document.history.undo_label == "Calibration"
         driver.ctx.item_click("Fit to measurements...")
         driver.frames(3)
         screens.append(driver.screen())
@@ -341,26 +194,3 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     driver.run(script)
     shown, closed = screens
     assert np.abs(shown - closed).mean() > 5
-
-
-def test_files_whose_rates_disagree_are_summed_up_and_calibrated_anyway(driver, tmp_path):
-    lab = driver.session.lab
-    heavy = measured_rain(1190.0, 7.132, 0.114, minutes=20, seed=3)
-    light = measured_rain(271.0, 9.705, 0.074, minutes=20, seed=4, start="2024-05-01T10:20")
-    both = heavy.concatenate([heavy, light])
-    write_spectra(tmp_path / "snow.nc", replace(both, reported_mm_h=both.reported_mm_h / 2.27))
-
-    def script():
-        driver.ctx.window_focus("//Calibration")
-        driver.ctx.set_ref("//Calibration")
-        lab.fit([tmp_path / "snow.nc"])
-        driver.until(lambda: lab.busy is None, 100_000)
-        driver.frames()
-        assert lab.fitted is None and "its drops give 2.3 times" in lab.problem
-        driver.ctx.item_click("Calibrate anyway")
-        driver.until(lambda: lab.busy is None, 100_000)
-        driver.frames()
-        assert lab.fitted is not None and lab.problem is None
-        assert not driver.ctx.item_exists("Calibrate anyway")
-
-    driver.run(script)

@@ -8,36 +8,46 @@ from imgui_bundle import imgui
 
 from gsrain_engine.editor.editor import Editor
 
+from ..parts import bind_parts
+
 
 @dataclass(frozen=True)
 class Command:
-    """A user command."""
+    """A user command. Its functions get the editor's parts that their parameters name."""
 
     name: str
     """Unique title in menu and palette, starting with a verb."""
-    run: Callable[[Editor], object]
+    run: Callable[..., object]
     menu: str = ""
     """Title of its menu; "" for commands in palette and keys only."""
     key_names: str = ""
     """Key chords, such as "Ctrl+Shift+Z or Ctrl+Y"; the menu shows the first."""
     help: str = ""
     """One sentence, with the units of any numbers."""
-    is_possible: Callable[[Editor], bool] = lambda session: True
-    is_on: Callable[[Editor], bool] | None = None
+    is_possible: Callable[..., bool] = lambda: True
+    is_on: Callable[..., bool] | None = None
     """State of a toggle command."""
-    more: Callable[[Editor], str] | None = None
+    more: Callable[..., str] | None = None
     """Suffix of the name in the menu, such as the step that undo would revert."""
 
     @property
     def chords(self) -> tuple[int, ...]:
         return tuple(map(parse_chord, self.key_names.split(" or "))) if self.key_names else ()
 
-    def title(self, session: Editor) -> str:
-        return f"{self.name} {self.more(session)}".strip() if self.more is not None else self.name
+    def title(self, editor: Editor) -> str:
+        return self.name if self.more is None else f"{self.name} {bind_parts(self.more, editor)()}".strip()
 
-    def perform(self, session: Editor) -> None:
-        if self.is_possible(session):
-            self.run(session)
+    def can_run(self, editor: Editor) -> bool:
+        return bind_parts(self.is_possible, editor)()
+
+    def is_checked(self, editor: Editor) -> bool:
+        """State of a toggle command."""
+        return self.is_on is not None and bind_parts(self.is_on, editor)()
+
+    def perform(self, editor: Editor) -> None:
+        """Run the command, if that is possible."""
+        if self.can_run(editor):
+            bind_parts(self.run, editor)()
 
 
 # Key chords as numbers and text

@@ -7,8 +7,9 @@ from imgui_bundle import imgui, implot
 
 from gsrain_engine.disdrometer.fit_models import FittedCalibration
 from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.rain import CalibrationTools, compare_calibration, use_calibration, use_fitted_calibration
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.live_rain import LiveRain
+from gsrain_engine.editor.rain import CalibrationTools
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.properties import calibration_curves, spectrum_at
 
@@ -24,49 +25,47 @@ _FIT_HELP = (
 )
 
 
-def calibration_panel(session: Editor) -> None:
-    lab, own = session.lab, session.rainfall.calibration
-    _choose(session, lab)
+def calibration_panel(document: Document, live_rain: LiveRain, calibration: CalibrationTools) -> None:
+    own = live_rain.simulation.calibration
+    _choose(document, calibration)
     imgui.text_wrapped(own.source)
-    _fit(session, lab)
+    _fit(calibration)
     compared = {own.name: own}
-    if lab.fitted is not None:
-        compared.setdefault(lab.fitted.calibration.name, lab.fitted.calibration)
-    compared.setdefault(lab.pass_file.name, lab.pass_file)
-    _plots(session, compared, lab.fitted)
+    if calibration.fitted is not None:
+        compared.setdefault(calibration.fitted.calibration.name, calibration.fitted.calibration)
+    compared.setdefault(calibration.pass_file.name, calibration.pass_file)
+    _plots(document, compared, calibration.fitted)
 
 
-def _choose(session: Editor, lab: CalibrationTools) -> None:
-    present = session.rain.calibration
-    lab.add_file(present)
-    choices = {each: Path(each).stem for each in lab.calibrations}
+def _choose(document: Document, calibration: CalibrationTools) -> None:
+    present = document.rain.calibration
+    calibration.add_file(present)
+    choices = {each: Path(each).stem for each in calibration.calibrations}
     plain_label("Calibration", "Source of the drops' number, sizes and fall speeds.")
     if (picked := combo("##calibration", present, choices)) != present:
-        use_calibration(session, lab, picked)
+        calibration.use(picked)
     plain_label("Compare with", "A calibration to compare with.")
-    if (picked := combo("##compared", lab.compared, choices)) != lab.compared:
-        compare_calibration(session, lab, picked)
+    if (picked := combo("##compared", calibration.compared, choices)) != calibration.compared:
+        calibration.compare(picked)
     if button("Open...", "Use a calibration file."):
-        ask_what_to_open(
-            "Open a calibration", _CALIBRATIONS, lambda chosen: use_calibration(session, lab, str(chosen[0]))
-        )
+        ask_what_to_open("Open a calibration", _CALIBRATIONS, lambda chosen: calibration.use(str(chosen[0])))
     imgui.same_line()
-    if button("Fit to measurements...", _FIT_HELP, enabled=lab.busy is None):
-        ask_what_to_open("Disdrometer files of one instrument", "Disdrometer files{.*}", lab.fit, several=True)
+    if button("Fit to measurements...", _FIT_HELP, enabled=calibration.busy is None):
+        ask_what_to_open("Disdrometer files of one instrument", "Disdrometer files{.*}", calibration.fit, several=True)
 
 
-def _fit(session: Editor, lab: CalibrationTools) -> None:
-    if lab.busy is not None:
-        imgui.text_disabled(lab.busy)
-    warn(lab.problem)
+def _fit(calibration: CalibrationTools) -> None:
+    if calibration.busy is not None:
+        imgui.text_disabled(calibration.busy)
+    warn(calibration.error)
     help_text = "Fit to drops that contradict the instrument's own rain rate: snow, insects, other size classes."
-    if lab.disagreeing and lab.busy is None and button("Calibrate anyway", help_text):
-        lab.fit(lab.disagreeing, force=True)
-    if lab.fitted is not None:
-        _fitted(session, lab, lab.fitted)
-    if lab.measured:
+    if calibration.disagreeing and calibration.busy is None and button("Calibrate anyway", help_text):
+        calibration.fit(calibration.disagreeing, force=True)
+    if calibration.fitted is not None:
+        _fitted(calibration, calibration.fitted)
+    if calibration.measured:
         imgui.separator_text("Measured")
-    for each in lab.measured:  # drops, rain, rejected records with reasons, and agreement of the rates of a file
+    for each in calibration.measured:  # drops, rain, rejected records and reasons, and agreement of the rates of a file
         first, *others = each.lines
         imgui.text_wrapped(first)
         imgui.indent()
@@ -75,18 +74,18 @@ def _fit(session: Editor, lab: CalibrationTools) -> None:
         imgui.unindent()
 
 
-def _fitted(session: Editor, lab: CalibrationTools, fitted: FittedCalibration) -> None:
+def _fitted(calibration: CalibrationTools, fitted: FittedCalibration) -> None:
     imgui.separator_text(visible_name(f"Fitted: {fitted.calibration.name}"))
     imgui.text_wrapped(f"{fitted.records_used:,} of {fitted.records:,} records in {len(fitted.rows)} rows")
-    if fitted.rate_check is not None and len(lab.measured) > 1:
+    if fitted.rate_check is not None and len(calibration.measured) > 1:
         imgui.text_wrapped(f"all files: {fitted.rate_check.line}")
     r2 = fitted.calibration.velocity.r2
     imgui.text_wrapped("fall speed assumed: none was measured" if r2 is None else f"fall speed: R2 = {r2:.4f}")
     if button("Save and use", "Save it among your calibrations, and use it for the rain."):
-        use_fitted_calibration(session, lab)
+        calibration.use_fitted()
 
 
-def _plots(session: Editor, compared: dict[str, Calibration], fitted: FittedCalibration | None) -> None:
+def _plots(document: Document, compared: dict[str, Calibration], fitted: FittedCalibration | None) -> None:
     curves = {name: calibration_curves(each) for name, each in compared.items()}
     with plot("Number density", "mm/h", "drops per m\u00b3", log_x=True, log_y=True, legend=True) as is_visible:
         for name, each in compared.items() if is_visible else ():
@@ -97,7 +96,7 @@ def _plots(session: Editor, compared: dict[str, Calibration], fitted: FittedCali
             line(name, curves[name].intensities_mm_h, curves[name].mean_diameter_mm)
             points(name, _of_rows(each, "intensity_mm_h"), _of_rows(each, "shape") * _of_rows(each, "scale_mm"))
     middles = None if fitted is None else 0.5 * (fitted.diameter_edges_mm[:-1] + fitted.diameter_edges_mm[1:])
-    intensity = session.rain.intensity_mm_h or 8.5
+    intensity = document.rain.intensity_mm_h or 8.5
     title = f"Spectrum at {intensity:.3g} mm/h###spectrum"
     with plot(title, "mm", "N(D) per m\u00b3 and mm", log_y=True) as is_visible:
         for name, each in compared.items() if is_visible else ():
@@ -128,23 +127,25 @@ def _of_rows(calibration: Calibration, field: str) -> np.ndarray:
 _STEP_MM = 0.1
 
 
-def disdrometer_panel(session: Editor) -> None:
-    lab, rain = session.lab, session.rain_now
+def disdrometer_panel(document: Document, calibration: CalibrationTools) -> None:
+    rain = document.rain_now
     help_text = "Area of the horizontal square that catches drops."
-    lab.area_m2 = number("Area (m\u00b2)", "area", lab.area_m2, 0.005, 10, "%.3g", help_text, LOGARITHMIC)
+    calibration.area_m2 = number(
+        "Area (m\u00b2)", "area", calibration.area_m2, 0.005, 10, "%.3g", help_text, LOGARITHMIC
+    )
     help_text = "Simulated time; a minute takes a fraction of a second."
-    lab.seconds = number("Time (s)", "seconds", lab.seconds, 1, 3600, "%.0f", help_text, LOGARITHMIC)
+    calibration.seconds = number("Time (s)", "seconds", calibration.seconds, 1, 3600, "%.0f", help_text, LOGARITHMIC)
     help_text = "Count the simulated drops that fall through the square."
-    if button("Measure", help_text, enabled=lab.busy is None and rain.intensity_mm_h != 0):
-        lab.measure(rain)
-    if lab.busy is not None:
+    if button("Measure", help_text, enabled=calibration.busy is None and rain.intensity_mm_h != 0):
+        calibration.measure()
+    if calibration.busy is not None:
         imgui.same_line()
-        imgui.text_disabled(lab.busy)
+        imgui.text_disabled(calibration.busy)
     if rain.intensity_mm_h == 0:
         imgui.text_wrapped("0 mm/h: nothing to count.")
-    warn(lab.problem)
-    if lab.counted is not None:
-        _result(lab.counted)
+    warn(calibration.error)
+    if calibration.counted is not None:
+        _result(calibration.counted)
 
 
 def _result(counted: DisdrometerMeasurement) -> None:

@@ -3,10 +3,13 @@
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.editor.capture_view import THUMBNAIL_PX, ImageRequest
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.matching import Against
+from gsrain_engine.editor.capture_view import THUMBNAIL_PX, CaptureController, ImageRequest
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.matching import Against, MatchingController
+from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport.options import Mode
+from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.draw import BACKGROUND, DIM, TEXT, color
 from ..widgets.fields import WARNING, ask_what_to_open, button, checkbox, combo, disabled, text_color
@@ -25,41 +28,48 @@ _ROW_EM = 3.6
 _MAX_PROBLEMS = 50
 
 
-def capture_panel(session: Editor) -> None:
-    captures = session.captures
+def capture_panel(
+    document: Document,
+    viewport: ViewportState,
+    captures: CaptureController,
+    matching: MatchingController,
+    training: TrainingController,
+    jobs: JobRunner,
+) -> None:
     if captures.busy is not None:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)
     if (capture := captures.capture) is None:
         imgui.text_wrapped("Recorded images, cameras and points to compare the scene with.")
         if button("Open a capture...", OPEN_FOLDER_HELP, width=-1):
-            ask_for_capture_folder(session)
+            ask_for_capture_folder(captures)
         if button("Open a capture file...", OPEN_FILE_HELP, width=-1):
-            ask_for_capture_file(session)
+            ask_for_capture_file(captures)
         return
-    _head(session, capture)
-    _display_options(session, capture)
-    _steps(session, capture)
+    _head(captures, capture)
+    _display_options(document, captures, capture)
+    _steps(captures, capture)
     _problems(captures.problems)
-    for title, draw in (("Matching", matching_fields), ("Reconstruct", reconstruct_fields)):
-        if imgui.tree_node(title):
-            draw(session)
-            imgui.tree_pop()
-    _list(session, capture)
+    if imgui.tree_node("Matching"):
+        matching_fields(matching)
+        imgui.tree_pop()
+    if imgui.tree_node("Reconstruct"):
+        reconstruct_fields(viewport, captures, training, jobs)
+        imgui.tree_pop()
+    _list(captures, capture)
 
 
 # A capture is a folder or one file, and a dialog offers only one of the two.
 
 
-def ask_for_capture_folder(session: Editor) -> None:
-    ask_what_to_open("Open a capture (folder)", "", lambda chosen: session.captures.open(chosen[0]))
+def ask_for_capture_folder(captures: CaptureController) -> None:
+    ask_what_to_open("Open a capture (folder)", "", lambda chosen: captures.open(chosen[0]))
 
 
-def ask_for_capture_file(session: Editor) -> None:
-    ask_what_to_open("Open a capture (file)", _FILES, lambda chosen: session.captures.open(chosen[0]))
+def ask_for_capture_file(captures: CaptureController) -> None:
+    ask_what_to_open("Open a capture (file)", _FILES, lambda chosen: captures.open(chosen[0]))
 
 
-def _head(session: Editor, capture: Capture) -> None:
-    captures = session.captures
+def _head(captures: CaptureController, capture: Capture) -> None:
     width = imgui.calc_text_size(_ICONS.ICON_FA_XMARK).x + 2 * imgui.get_style().frame_padding.x
     at, room = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x - width
     # Long names of drives are clipped at the button.
@@ -82,8 +92,7 @@ def _head(session: Editor, capture: Capture) -> None:
     imgui.text_disabled(", ".join(parts))
 
 
-def _display_options(session: Editor, capture: Capture) -> None:
-    captures = session.captures
+def _display_options(document: Document, captures: CaptureController, capture: Capture) -> None:
     help_text = "Show the poses of the images, and the nearest images themselves."
     captures.show_frustums = checkbox("Cameras", captures.show_frustums, help_text)
     imgui.same_line()
@@ -108,15 +117,14 @@ def _display_options(session: Editor, capture: Capture) -> None:
     flags = imgui.SliderFlags_.logarithmic
     _, captures.frustum_m = imgui.slider_float("Length", captures.frustum_m, 1e-3, 100.0, f"%.3g {unit}", flags)
     imgui.set_item_tooltip(f"Length of the cameras' pyramids, in the capture's {unit}.")
-    present = captures.lies_in(session.scene)
+    present = captures.lies_in(document.scene)
     help_text = "On: the capture has the units and axes of the scene, which was made from it. Off: it has its own."
     if (lies_in := checkbox("In the scene's axes", present, help_text)) != present:
         captures.in_scene_axes = lies_in
     imgui.tree_pop()
 
 
-def _steps(session: Editor, capture: Capture) -> None:
-    captures = session.captures
+def _steps(captures: CaptureController, capture: Capture) -> None:
     if len(capture.sensors) > 1:
         imgui.set_next_item_width(-_LABEL_EM * imgui.get_font_size())
         choices = {"": "all cameras"} | {each: each for each in capture.sensors}
@@ -124,14 +132,14 @@ def _steps(session: Editor, capture: Capture) -> None:
         if sensor != captures.sensor:
             captures.sensor = sensor
     if button(f"{_ICONS.ICON_FA_CHEVRON_LEFT}###previous view", "Look from the previous view (Page Up)."):
-        captures.step(session, -1)
+        captures.step(-1)
     imgui.same_line()
     if button(f"{_ICONS.ICON_FA_CHEVRON_RIGHT}###next view", "Look from the next view (Page Down)."):
-        captures.step(session, 1)
+        captures.step(1)
     imgui.same_line()
     help_text = "Move to the pose of the chosen image, with its field of view (Shift+V)."
     if button("Look from here", help_text, width=-1):
-        captures.look_from(session, captures.chosen)
+        captures.look_from(captures.chosen)
 
 
 def _problems(problems: list[str]) -> None:
@@ -147,31 +155,31 @@ def _problems(problems: list[str]) -> None:
         imgui.tree_pop()
 
 
-def _list(session: Editor, capture: Capture) -> None:
-    listed, row = session.captures.listed, _ROW_EM * imgui.get_font_size()
+def _list(captures: CaptureController, capture: Capture) -> None:
+    listed, row = captures.listed, _ROW_EM * imgui.get_font_size()
     imgui.begin_child("views", (0, max(imgui.get_content_region_avail().y, 2.5 * row)), imgui.ChildFlags_.borders)
     clipper = imgui.ListClipper()
     clipper.begin(len(listed), row + imgui.get_style().item_spacing.y)
     while clipper.step():
         for number in range(clipper.display_start, clipper.display_end):
-            _row(session, capture, listed[number], row)
+            _row(captures, capture, listed[number], row)
     imgui.end_child()
 
 
-def _row(session: Editor, capture: Capture, index: int, height: float) -> None:
-    captures, view = session.captures, capture[index]
+def _row(captures: CaptureController, capture: Capture, index: int, height: float) -> None:
+    view = capture[index]
     at, line = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
     flags = imgui.SelectableFlags_.allow_double_click
     if imgui.selectable(label("", f"view {view.name}"), captures.chosen == index, flags, ImVec2(0, height))[0]:
         captures.chosen = index
         if imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
-            captures.look_from(session, index)
+            captures.look_from(index)
     fault = captures.pictures.faults.get(index) if captures.pictures is not None else None
     imgui.set_item_tooltip(fault or f"{view.name}\nClick: choose it. Double click: look from there.")
     draw, camera = imgui.get_window_draw_list(), view.camera
     width = min(height * camera.width / camera.height, 2.2 * height)
     image_height = min(height, width * camera.height / camera.width)
-    _thumbnail(session, index, ImVec2(at.x, at.y + (height - image_height) / 2), ImVec2(width, image_height))
+    _thumbnail(captures, index, ImVec2(at.x, at.y + (height - image_height) / 2), ImVec2(width, image_height))
     left, top = at.x + 2.0 * height + imgui.get_font_size() * 0.5, at.y + (height - 2.3 * line) / 2
     draw.add_text(ImVec2(left, top), color(TEXT), view.name.rpartition("/")[2])
     moment = f"{view.time_s:.2f} s" if captures.has_times else f"{camera.width} x {camera.height} px"
@@ -179,8 +187,8 @@ def _row(session: Editor, capture: Capture, index: int, height: float) -> None:
     draw.add_text(ImVec2(left, top + 1.3 * line), color(WARNING) if fault else color(DIM), words)
 
 
-def _thumbnail(session: Editor, index: int, at: ImVec2, size: ImVec2) -> None:
-    captures, draw = session.captures, imgui.get_window_draw_list()
+def _thumbnail(captures: CaptureController, index: int, at: ImVec2, size: ImVec2) -> None:
+    draw = imgui.get_window_draw_list()
     if captures.pictures is not None:
         captures.pictures.want(index, THUMBNAIL_PX)
     texture = captures.textures.get(ImageRequest(index, THUMBNAIL_PX))
@@ -202,8 +210,7 @@ _AGAINST: dict[Against, str] = {
 _MODES: dict[Mode, str] = {"picture": "that view, warped", "difference": "difference", "pixels": "matching pixels"}
 
 
-def matching_fields(session: Editor) -> None:
-    matching = session.matching
+def matching_fields(matching: MatchingController) -> None:
     matching.is_on = checkbox(
         "Show matches", matching.is_on,
         "Find each pixel in another view, by its depth (eq. 13-15): for the recorded view at whose pose the camera "

@@ -2,8 +2,8 @@
 
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.preferences import Preferences
+from gsrain_engine.editor.preferences import Preferences, PreferencesStore
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.opengl.buffers import Harmonics
 
 from ..widgets.fields import CLAMPED, WARNING, combo, disabled, edit_field, number, plain_label, settings_label
@@ -14,8 +14,8 @@ _SHRINKS = {1: "100 %", 2: "50 %", 3: "33 %"}
 _dragged: dict[str, float] = {}  # values of sliders that are being dragged, by preference
 
 
-def display_panel(session: Editor) -> None:
-    view, budget, navigation = session.view, session.budget, session.navigation
+def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> None:
+    view, budget, navigation = viewport.options, viewport.budget, viewport.navigation
     plain_label("Background", "Color of pixels without Gaussians.")
     _, color = imgui.color_edit3("##background", list(view.background))
     view.background = (color[0], color[1], color[2])
@@ -24,7 +24,7 @@ def display_panel(session: Editor) -> None:
     plain_label("Resolution", "Draw fewer pixels while tuning; the rain has the same drops.")
     view.shrink = combo("##resolution", view.shrink, _SHRINKS)
     plain_label("Colors on the GPU", "Fewer bits take less memory and, in large scenes, less time per frame.")
-    with disabled(session.backend != "opengl"):
+    with disabled(viewport.backend != "opengl"):
         view.harmonics = combo("##harmonics", view.harmonics, _STORAGES)
     plain_label("While moving", "Draw less while the camera moves to hold this frame time; exact when it stops.")
     _, budget.enabled = imgui.checkbox("##budget", budget.enabled)
@@ -35,27 +35,26 @@ def display_panel(session: Editor) -> None:
     fov = number("Field of view", "fov", navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0", "Vertical, in degrees.")
     navigation.vertical_fov_deg = fov
     imgui.separator_text("Window")
-    preferences = edit_field(session.preferences, "theme")
-    if preferences is not session.preferences:
-        session.set_preference(theme=preferences.theme)
+    if (changed := edit_field(preferences.value, "theme")) is not preferences.value:
+        preferences.set(theme=changed.theme)
     for name, form in (("font_scale", "%.2f"), ("ui_scale", "%.2f"), ("autosave_s", "%.0f")):
         # It applies when the slider is released, so that the layout doesn't change during the drag.
-        info, present = settings_label(Preferences, name), _dragged.get(name, getattr(session.preferences, name))
+        info, present = settings_label(Preferences, name), _dragged.get(name, getattr(preferences.value, name))
         changed, value = imgui.slider_float(f"##{name}", present, info.low, info.high, form, CLAMPED)
         if changed:
             _dragged[name] = value
         if imgui.is_item_deactivated_after_edit() and name in _dragged:
-            session.set_preference(**{name: _dragged.pop(name)})
+            preferences.set(**{name: _dragged.pop(name)})
 
 
-def statistics_panel(session: Editor) -> None:
-    imgui.text_wrapped(f"{imgui.get_io().framerate:.1f} fps, back end: {session.backend}")
-    if session.detail.is_exact:
+def statistics_panel(viewport: ViewportState) -> None:
+    imgui.text_wrapped(f"{imgui.get_io().framerate:.1f} fps, back end: {viewport.backend}")
+    if viewport.detail.is_exact:
         imgui.text_disabled("full quality")
     else:
-        imgui.text_colored(WARNING, f"while the camera moves: {session.detail}")
+        imgui.text_colored(WARNING, f"while the camera moves: {viewport.detail}")
     rows = [
         (name.replace(" ms", " (ms)"), f"{value:,.{0 if float(value).is_integer() else 2}f}", "Of the last frame.")
-        for name, value in session.statistics.items()
+        for name, value in viewport.statistics.items()
     ]
     readings("statistics", rows)

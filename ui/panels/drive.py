@@ -7,10 +7,12 @@ from typing import TypeVar
 import msgspec
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.drive import DriveSetup
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import DriveSetup, RolloutPlayer
 from gsrain_engine.editor.jobs.drive import LoadedRollout
+from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.viewport.camera_follow import ChaseMode
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.simulation.scenario import ScenarioUser
 
 from ..widgets.draw import color
@@ -62,9 +64,9 @@ _CHASE_HELP: dict[ChaseMode, str] = {
 }
 
 
-def drive_panel(session: Editor) -> None:
-    setup = session.drives.settings
-    _scenario_choice(session)
+def drive_panel(document: Document, viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) -> None:
+    setup = rollouts.setup
+    _scenario_choice(rollouts)
     if imgui.tree_node("Change the scenario"):
         _scenario_fields(setup)
         imgui.tree_pop()
@@ -74,67 +76,67 @@ def drive_panel(session: Editor) -> None:
         settings = edit_field(settings, "intensity_mm_h")
     elif settings.rain == "as the scene":
         plain_label("", "")
-        imgui.text_disabled(f"{session.rain_now.intensity_mm_h:.3g} mm/h")
+        imgui.text_disabled(f"{document.rain_now.intensity_mm_h:.3g} mm/h")
         imgui.set_item_tooltip("Set in the Rain panel; rain keyframes are ignored: the present intensity is used.")
     setup.settings = edit_field(settings, "seed")
-    warn(setup.problem)
-    _start(session)
+    warn(setup.error)
+    _start(viewport, rollouts, jobs)
     imgui.separator_text("Roll-outs")
-    _rollouts(session)
-    if session.drives.playing is not None and imgui.collapsing_header("Metrics", imgui.TreeNodeFlags_.default_open):
-        drive_metrics(session)
+    _rollouts(viewport, rollouts)
+    if rollouts.playing is not None and imgui.collapsing_header("Metrics", imgui.TreeNodeFlags_.default_open):
+        drive_metrics(rollouts)
 
 
 # Dialogs
 
 
-def ask_for_scenario(session: Editor) -> None:
-    ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: session.drives.settings.load(chosen[0]))
+def ask_for_scenario(rollouts: RolloutPlayer) -> None:
+    ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: rollouts.setup.load(chosen[0]))
 
 
 def ask_where_to_save_scenario(setup: DriveSetup) -> None:
     ask_where_to_save("Save the scenario", "Scenario{.yaml}", lambda chosen: setup.save(chosen[0]))
 
 
-def ask_for_rollout(session: Editor) -> None:
+def ask_for_rollout(rollouts: RolloutPlayer) -> None:
     def take(chosen: list[Path]) -> None:
         for path in chosen:
-            session.drives.open(session, path)
+            rollouts.open(path)
 
     ask_what_to_open("Open a roll-out", f"{_ROLLOUTS},{ALL_FILES}", take, several=True)
 
 
-def ask_where_to_save_rollout(session: Editor) -> None:
-    ask_where_to_save("Save the roll-out", _ROLLOUTS, lambda chosen: session.drives.save_as(session, chosen[0]))
+def ask_where_to_save_rollout(rollouts: RolloutPlayer) -> None:
+    ask_where_to_save("Save the roll-out", _ROLLOUTS, lambda chosen: rollouts.save_as(chosen[0]))
 
 
-def ask_where_to_render_drive(session: Editor) -> None:
+def ask_where_to_render_drive(rollouts: RolloutPlayer) -> None:
     kinds = "MP4{.mp4},WebM{.webm}"
-    ask_where_to_save("Render video of the drive", kinds, lambda chosen: session.drives.video_to(session, chosen[0]))
+    ask_where_to_save("Render video of the drive", kinds, lambda chosen: rollouts.video_to(chosen[0]))
 
 
 # Start of a drive
 
 
-def _start(session: Editor) -> None:
-    newest = session.jobs.newest("drive")
+def _start(viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) -> None:
+    newest = jobs.newest("drive")
     if newest is not None and newest.state == "running":
         imgui.separator_text(newest.title)
-        job_fields(session, newest)
+        job_fields(viewport, jobs, newest)
         return
-    why_not = session.drives.why_not(session)
+    why_not = rollouts.why_not
     imgui.spacing()
     height = 1.5 * imgui.get_frame_height()
     if button(f"{_ICONS.ICON_FA_CAR_SIDE}  Drive###drive", _HELP, width=-1, height=height, why_not=why_not):
-        session.drives.start(session)
+        rollouts.start()
     if why_not is not None:
         warn(why_not)
     elif newest is not None and newest.state != "finished":
-        job_fields(session, newest)
+        job_fields(viewport, jobs, newest)
 
 
-def _scenario_choice(session: Editor) -> None:
-    setup = session.drives.settings
+def _scenario_choice(rollouts: RolloutPlayer) -> None:
+    setup = rollouts.setup
     plain_label("Scenario", setup.scenario.description or "Road users, rain, start and duration of the test.")
     names, source = setup.scenario_names, setup.source
     title = source if source in names else Path(source).name
@@ -148,7 +150,7 @@ def _scenario_choice(session: Editor) -> None:
     imgui.set_item_tooltip(f"{setup.source}\n{setup.scenario.description}".strip() + changed)
     imgui.same_line()
     if square_button(_ICONS.ICON_FA_FOLDER_OPEN, "open scenario"):
-        ask_for_scenario(session)
+        ask_for_scenario(rollouts)
     imgui.set_item_tooltip(SCENARIO_HELP)
 
 
@@ -178,57 +180,57 @@ def _text(setup: DriveSetup, name: str, hint: str) -> None:
 # Open roll-outs
 
 
-def _rollouts(session: Editor) -> None:
-    drives, third = session.drives, share_of_width(3)
+def _rollouts(viewport: ViewportState, rollouts: RolloutPlayer) -> None:
+    third = share_of_width(3)
     help_text = "Open a finished drive (JSON lines), such as `gsrain drive` writes; or drop it here."
     if button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", help_text, width=third):
-        ask_for_rollout(session)
+        ask_for_rollout(rollouts)
     imgui.same_line()
     title = f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save as...###save roll-out"
-    if button(title, SAVE_ROLLOUT_HELP, width=third, enabled=drives.playing is not None):
-        ask_where_to_save_rollout(session)
+    if button(title, SAVE_ROLLOUT_HELP, width=third, enabled=rollouts.playing is not None):
+        ask_where_to_save_rollout(rollouts)
     imgui.same_line()
-    title, why_not = f"{_ICONS.ICON_FA_FILM}  Video...###film roll-out", drives.why_no_video(session)
+    title, why_not = f"{_ICONS.ICON_FA_FILM}  Video...###film roll-out", rollouts.why_no_video
     if button(title, VIDEO_HELP, width=third, why_not=why_not):
-        ask_where_to_render_drive(session)
-    if not drives.opened:
+        ask_where_to_render_drive(rollouts)
+    if not rollouts.opened:
         imgui.text_wrapped("None is open. Drive, or open a finished drive, to play it in the viewport and timeline.")
         return
-    for number, (opened, hue) in enumerate(zip(drives.opened, curve_colors(drives.opened), strict=True)):
+    for number, (opened, hue) in enumerate(zip(rollouts.opened, curve_colors(rollouts.opened), strict=True)):
         imgui.push_id(number)
-        _row(session, opened, color(hue))
+        _row(rollouts, opened, color(hue))
         imgui.pop_id()
-    warn(drives.trouble)
-    _jumps(session)
+    warn(rollouts.why_hidden)
+    _jumps(rollouts)
     imgui.align_text_to_frame_padding()
     imgui.text("Camera")
     for mode, help_text in _CHASE_HELP.items():
         imgui.same_line()
-        if imgui.radio_button(mode, drives.chase.mode == mode):
-            drives.follow(session, mode)
+        if imgui.radio_button(mode, viewport.chase.mode == mode):
+            rollouts.follow(mode)
         imgui.set_item_tooltip(help_text)
-    drives.show_boxes = checkbox(
-        "Boxes", drives.show_boxes,
+    rollouts.show_boxes = checkbox(
+        "Boxes", rollouts.show_boxes,
         "Draw boxes of all road users with name and speed in m/s; a collision partner is red.\n"
         "In the front camera, also the agent's detections, with the distance (m) of its leader.",
     )  # fmt: skip
     imgui.same_line()
     help_text = "Draw the planned points of the present step on the road, 0.5 s apart, and the driven path."
-    drives.show_plan = checkbox("Plan", drives.show_plan, help_text)
+    rollouts.show_plan = checkbox("Plan", rollouts.show_plan, help_text)
     imgui.same_line()
     help_text = "Draw a body for the ego vehicle; it is invisible in its own cameras."
-    drives.show_ego_car = checkbox("Ego car", drives.show_ego_car, help_text)
+    rollouts.show_ego_car = checkbox("Ego car", rollouts.show_ego_car, help_text)
     imgui.same_line()
     help_text = "On: the rain of the drive. Off: the scene's rain, as set in the Rain panel."
-    drives.rain_as_driven = checkbox("Rain of the drive", drives.rain_as_driven, help_text)
+    rollouts.rain_as_driven = checkbox("Rain of the drive", rollouts.rain_as_driven, help_text)
 
 
-def _row(session: Editor, opened: LoadedRollout, hue: int) -> None:
-    drives, height = session.drives, imgui.get_frame_height()
+def _row(rollouts: RolloutPlayer, opened: LoadedRollout, hue: int) -> None:
+    height = imgui.get_frame_height()
     at, width = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
     room = width - height - imgui.get_style().item_spacing.x
-    if imgui.selectable("##play", opened is drives.playing, size=ImVec2(room, height))[0]:
-        drives.play(session, opened)
+    if imgui.selectable("##play", opened is rollouts.playing, size=ImVec2(room, height))[0]:
+        rollouts.play(opened)
     path = "not saved" if opened.path is None else str(opened.path)
     imgui.set_item_tooltip(
         f"{opened.title}, seed {opened.rollout.seed}, in {opened.rollout.scene!r}\n{path}\nClick: play it."
@@ -242,25 +244,25 @@ def _row(session: Editor, opened: LoadedRollout, hue: int) -> None:
     draw.pop_clip_rect()
     imgui.same_line()
     if square_button(_ICONS.ICON_FA_XMARK, "close"):
-        drives.close(session, opened)
+        rollouts.close(opened)
     imgui.set_item_tooltip("Close it; without roll-outs the scene has its own traffic.")
 
 
-def _jumps(session: Editor) -> None:
-    drives, half = session.drives, share_of_width(2)
-    if (playing := drives.playing) is None:
+def _jumps(rollouts: RolloutPlayer) -> None:
+    half = share_of_width(2)
+    if (playing := rollouts.playing) is None:
         return
     hit, critical = playing.collision_s, playing.curves.min_ttc_time_s
     why_not = "No collision." if hit is None else None
     help_text = f"Go to {hit or 0:.2f} s, the collision with {playing.metrics.collided_with}."
     title = f"{_ICONS.ICON_FA_CAR_BURST}  Collision###collision"
     if button(title, help_text, width=half, why_not=why_not) and hit is not None:
-        drives.jump(session, hit)
+        rollouts.jump(hit)
     imgui.same_line()
     smallest = float(playing.curves.ttc_s.min())
     help_text = f"Go to {critical:.2f} s, where the time to collision is {smallest:.2f} s (from 0 to 10 s)."
     if button(f"{_ICONS.ICON_FA_STOPWATCH}  Smallest TTC###smallest ttc", help_text, width=half):
-        drives.jump(session, critical)
+        rollouts.jump(critical)
 
 
 # Scenario settings

@@ -8,9 +8,10 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from jaxtyping import Float64
 
-from gsrain_engine.editor.drive import mosaic_rows
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import RolloutPlayer, mosaic_rows
 from gsrain_engine.editor.jobs.drive import LoadedRollout, RolloutCurves
+from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.scene.scene import RigCamera
 from gsrain_engine.simulation.metrics.summary import DriveMetrics
 
@@ -46,9 +47,9 @@ _PLOTS = (
 )
 
 
-def drive_plots(session: Editor) -> None:
+def drive_plots(document: Document, playback: Playback, rollouts: RolloutPlayer) -> None:
     """Draw the plots; a click goes to that time."""
-    if session.drives.playing is None:
+    if rollouts.playing is None:
         imgui.text_wrapped("No roll-out is open: drive, or open one, in the Drive panel.")
         return
     room, em, gap = imgui.get_content_region_avail(), imgui.get_font_size(), imgui.get_style().item_spacing
@@ -61,14 +62,15 @@ def drive_plots(session: Editor) -> None:
         if number % columns:
             imgui.same_line()
         imgui.begin_group()
-        _plot(session, session.drives.playing, plot, ImVec2(width, height))
+        _plot(document, playback, rollouts, rollouts.playing, plot, ImVec2(width, height))
         imgui.end_group()
 
 
-def _plot(session: Editor, playing: LoadedRollout, plot: _Plot, size: ImVec2) -> None:
-    drives = session.drives
-    placed = drives.placed_in(session.scene)
-    now_s = session.clock.time_s - (placed.start_s if placed is not None else 0.0)
+def _plot(
+    document: Document, playback: Playback, rollouts: RolloutPlayer, playing: LoadedRollout, plot: _Plot, size: ImVec2
+) -> None:
+    placed = rollouts.placed_in(document.scene)
+    now_s = playback.clock.time_s - (placed.start_s if placed is not None else 0.0)
     now = float(np.interp(now_s, playing.curves.times_s, plot.of(playing.curves)))
     imgui.text(plot.title)
     imgui.same_line()
@@ -79,12 +81,12 @@ def _plot(session: Editor, playing: LoadedRollout, plot: _Plot, size: ImVec2) ->
     height = size.y - imgui.get_text_line_height_with_spacing()
     implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(4, 5))
     if implot.begin_plot(f"##{plot.title}", ImVec2(size.x, height), flags):
-        _axes(drives.opened, plot)
-        for opened, hue in zip(drives.opened, curve_colors(drives.opened), strict=True):
+        _axes(rollouts.opened, plot)
+        for opened, hue in zip(rollouts.opened, curve_colors(rollouts.opened), strict=True):
             _curve(opened, plot, hue, is_playing=opened is playing)
         implot.plot_inf_lines("now", np.array([now_s]), spec=implot.Spec(line_color=PLAYHEAD, line_weight=1.5))
         if implot.is_plot_hovered() and imgui.is_mouse_down(imgui.MouseButton_.left):
-            drives.seek(session, float(np.clip(implot.get_plot_mouse_pos().x, 0.0, playing.duration_s)))
+            rollouts.seek(float(np.clip(implot.get_plot_mouse_pos().x, 0.0, playing.duration_s)))
         implot.end_plot()
     implot.pop_style_var()
 
@@ -174,9 +176,10 @@ _ROWS: tuple[tuple[str, str, Callable[[DriveMetrics], str]], ...] = (
 )  # fmt: skip
 
 
-def drive_metrics(session: Editor) -> None:
-    drives = session.drives
-    runs = sorted(zip(drives.opened, curve_colors(drives.opened), strict=True), key=lambda each: each[0].intensity_mm_h)
+def drive_metrics(rollouts: RolloutPlayer) -> None:
+    runs = sorted(
+        zip(rollouts.opened, curve_colors(rollouts.opened), strict=True), key=lambda each: each[0].intensity_mm_h
+    )
     runs = runs[:_MAX_COLUMNS]
     if not imgui.begin_table(
         "metrics", 1 + len(runs), imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
@@ -187,9 +190,9 @@ def drive_metrics(session: Editor) -> None:
     imgui.text_disabled("mm/h")
     for opened, hue in runs:
         imgui.table_next_column()
-        mark = " *" if opened is drives.playing and len(runs) > 1 else ""
+        mark = " *" if opened is rollouts.playing and len(runs) > 1 else ""
         imgui.text_colored(hue, f"{opened.intensity_mm_h:g}{mark}")
-        imgui.set_item_tooltip(f"{opened.title}{'; playing' if opened is drives.playing else ''}.")
+        imgui.set_item_tooltip(f"{opened.title}{'; playing' if opened is rollouts.playing else ''}.")
     for title, help_text, value in _ROWS:
         imgui.table_next_row()
         imgui.table_next_column()
@@ -209,9 +212,9 @@ def drive_metrics(session: Editor) -> None:
 _GAP = 3.0
 
 
-def camera_mosaic_panel(session: Editor) -> None:
+def camera_mosaic_panel(document: Document, rollouts: RolloutPlayer) -> None:
     """Draw the panel; images are rendered only while it is visible."""
-    mosaic, scene = session.drives.mosaic, session.scene
+    mosaic, scene = rollouts.mosaic, document.scene
     if scene.ego is None or not scene.rigs:
         imgui.text_wrapped("This scene has no ego vehicle with cameras.")
         return
@@ -229,16 +232,16 @@ def camera_mosaic_panel(session: Editor) -> None:
     top = start.y
     for row in rows:
         for column, camera in enumerate(row):
-            _image(session, camera, ImVec2(start.x + column * (width + _GAP), top), width)
+            _image(rollouts, camera, ImVec2(start.x + column * (width + _GAP), top), width)
         top += max(width * each.height / each.width for each in row) + _GAP
     imgui.set_cursor_screen_pos(start)
     imgui.dummy(ImVec2(columns * (width + _GAP), top - start.y))
 
 
-def _image(session: Editor, camera: RigCamera, at: ImVec2, width: float) -> None:
+def _image(rollouts: RolloutPlayer, camera: RigCamera, at: ImVec2, width: float) -> None:
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     end = ImVec2(at.x + width, at.y + width * camera.height / camera.width)
-    image = session.drives.mosaic.pictures.get(camera.name)
+    image = rollouts.mosaic.pictures.get(camera.name)
     if image is None:
         draw.add_rect_filled(at, end, color(BACKGROUND))
     else:

@@ -5,12 +5,16 @@ from dataclasses import replace
 import msgspec
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import FLOATERS_TITLE, Editor
+from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits import gaussians
 from gsrain_engine.editor.edits.actors import duration_of, retime_actor, start_of, turn_actor
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.layers import duplicate, remove
 from gsrain_engine.editor.edits.transform import Pose, layer_pose, set_layer_pose
+from gsrain_engine.editor.floaters import FLOATERS_TITLE, FloaterFinder
+from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.timeline import Playback
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.scene import Actor, Layer
 
 from ..widgets.fields import (
@@ -39,53 +43,55 @@ class _State:
     """Step that the history was scrolled to."""
 
 
-def edit_panel(session: Editor) -> None:
-    _selection(session)
-    member = next((each for each in session.scene.members if each.key == session.view.member), None)
+def edit_panel(
+    document: Document, viewport: ViewportState, playback: Playback, floaters: FloaterFinder, jobs: JobRunner
+) -> None:
+    _selection(document)
+    member = next((each for each in document.scene.members if each.key == viewport.options.member), None)
     if member is None:
         imgui.separator_text("Layer")
         imgui.text_disabled("Select a layer or an actor in Layers.")
     else:
-        _member(session, member)
+        _member(document, viewport, playback, member)
     if imgui.collapsing_header("Floaters", _OPEN):
-        _floaters(session)
+        _floaters(document, floaters, jobs)
 
 
-def _selection(session: Editor) -> None:
-    scene, half = session.scene, share_of_width(2)
+def _selection(document: Document) -> None:
+    scene, half = document.scene, share_of_width(2)
     count, deleted = gaussians.selected_count(scene), gaussians.deleted_count(scene)
     has_hidden = any(each.marks.hidden for each in scene.members)
     imgui.separator_text(f"{count:,} selected" if count else "Nothing selected")
     if button("Delete", "Delete the selection (Delete); undo restores it.", width=half, enabled=count > 0):
-        session.edit("Delete the selection", gaussians.delete_selected)
+        document.edit("Delete the selection", gaussians.delete_selected)
     imgui.same_line()
     if button("Hide", "Do not draw the selection (H).", width=half, enabled=count > 0):
-        session.edit("Hide the selection", gaussians.hide_selected)
+        document.edit("Hide the selection", gaussians.hide_selected)
     help_text = "Hide everything else; locked layers are not changed (Shift+I)."
     if button("Isolate", help_text, width=half, enabled=count > 0):
-        session.edit("Isolate the selection", gaussians.isolate_selected)
+        document.edit("Isolate the selection", gaussians.isolate_selected)
     imgui.same_line()
     if button("Show all", "Draw all hidden Gaussians (Shift+H).", width=half, enabled=has_hidden):
-        session.edit("Show all", gaussians.show_all)
+        document.edit("Show all", gaussians.show_all)
     help_text = (
         "Remove deleted Gaussians from the arrays; files get smaller. Frames hardly get faster, since deleted\n"
         "Gaussians are not drawn. Undo restores them."
     )
     if deleted and button(f"Purge {deleted:,} deleted", help_text, width=-1):
-        session.edit("Purge deleted", gaussians.compact)
+        document.edit("Purge deleted", gaussians.compact)
 
 
-def _member(session: Editor, member: Layer | Actor) -> None:
+def _member(document: Document, viewport: ViewportState, playback: Playback, member: Layer | Actor) -> None:
     imgui.separator_text(member.name)
     if member.locked:
         imgui.text_disabled("Locked.")
     with disabled(member.locked):
         if imgui.collapsing_header("Place", _OPEN):
-            _place_fields(session, member)
+            _place_fields(document, playback, member)
         if isinstance(member, Actor) and imgui.collapsing_header("Drive", _OPEN):
-            _actor_fields(session, member)
+            _actor_fields(document, viewport, member)
         if imgui.collapsing_header("Color", _OPEN):
-            grading_fields(session, member)
+            grading_fields(document, member)
 
 
 # Floater cleanup
@@ -94,14 +100,14 @@ _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isol
 """Upper bound and number format of each slider."""
 
 
-def _floaters(session: Editor) -> None:
+def _floaters(document: Document, floaters: FloaterFinder, jobs: JobRunner) -> None:
     for name, (high, form) in _RANGES.items():
         settings_label(FloaterRules, name)
         value = getattr(_State.rules, name)
         changed, value = imgui.slider_float(f"##{name}", value, 0.0, high, form if value else "off", LOGARITHMIC)
         if changed:
             _State.rules = msgspec.structs.replace(_State.rules, **{name: value})
-    job, count = session.jobs.newest("floaters"), session.floater_count
+    job, count = jobs.newest("floaters"), floaters.count
     if job is not None and job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), job.progress.message)
         if button("Cancel##floaters", "Stop the search; the selection does not change.", width=-1):
@@ -109,29 +115,29 @@ def _floaters(session: Editor) -> None:
         return
     help_text = "Select Gaussians that meet any of the rules, in background layers that are not locked."
     if button(FLOATERS_TITLE, help_text, width=-1):
-        session.find_floaters(_State.rules)
-    is_latest = session.history.undo_label == FLOATERS_TITLE
+        floaters.find(_State.rules)
+    is_latest = document.history.undo_label == FLOATERS_TITLE
     if job is not None and count is not None and (is_latest or not count):
         imgui.text_wrapped(job.progress.message + ".")
         title = f"Delete {count:,} floaters"
         if count and button(title, "Delete the found floaters; undo restores them.", width=-1):
-            session.edit("Delete floaters", gaussians.delete_selected)
+            document.edit("Delete floaters", gaussians.delete_selected)
 
 
 # Position, rotation and scale
 
 
-def _place_fields(session: Editor, member: Layer | Actor) -> None:
-    time_s, key = session.clock.time_s, member.key
-    pose = layer_pose(session.scene, key, time_s)
+def _place_fields(document: Document, playback: Playback, member: Layer | Actor) -> None:
+    time_s, key = playback.clock.time_s, member.key
+    pose = layer_pose(document.scene, key, time_s)
     if pose is None:
         imgui.text_disabled(f"Not in the scene at {time_s:.2f} s.")
         return
 
     def place(changed: bool, moved: Pose) -> None:
         if changed:
-            session.edit(f"Place {member.name}", set_layer_pose, key, moved, time_s, gesture=f"place {key}")
-        end_gesture_when_released(session)
+            document.edit(f"Place {member.name}", set_layer_pose, key, moved, time_s, gesture=f"place {key}")
+        end_gesture_when_released(document)
 
     origin = "at this time; the whole drive moves along" if isinstance(member, Actor) else "relative to its file"
     plain_label("Position (m)", f"x, y, z in the world, {origin}.")
@@ -148,43 +154,43 @@ def _place_fields(session: Editor, member: Layer | Actor) -> None:
 # Actor motion
 
 
-def _actor_fields(session: Editor, actor: Actor) -> None:
+def _actor_fields(document: Document, viewport: ViewportState, actor: Actor) -> None:
     key, start, duration = actor.key, start_of(actor), duration_of(actor)
     plain_label("Starts at (s)", "Time of the scene at which its drive starts.")
     changed, typed = imgui.drag_float("##start", start, 0.02, -3600, 3600, "%.2f")
     if changed:
-        session.edit(f"Re-time {actor.name}", retime_actor, key, typed, max(duration, 0.01), gesture=f"start {key}")
-    end_gesture_when_released(session)
+        document.edit(f"Re-time {actor.name}", retime_actor, key, typed, max(duration, 0.01), gesture=f"start {key}")
+    end_gesture_when_released(document)
     plain_label("Duration (s)", "Duration of its drive in seconds: shorter is faster.")
     with disabled(duration == 0):
         changed, typed = imgui.drag_float("##duration", duration, 0.02, 0.05, 3600, "%.2f", CLAMPED)
         if changed:
-            session.edit(f"Re-time {actor.name}", retime_actor, key, start, typed, gesture=f"duration {key}")
-        end_gesture_when_released(session)
+            document.edit(f"Re-time {actor.name}", retime_actor, key, start, typed, gesture=f"duration {key}")
+        end_gesture_when_released(document)
     half = share_of_width(2)
     help_text = "Turn it by 15 degrees in place, at all times; its path does not change."
     for number, (title, degrees) in enumerate((("Turn left", 15.0), ("Turn right", -15.0))):
         if number:
             imgui.same_line()
         if button(title, help_text, width=half):
-            session.edit(f"Turn {actor.name}", turn_actor, key, degrees)
+            document.edit(f"Turn {actor.name}", turn_actor, key, degrees)
     if button("Copy##actor", "Add a copy on the same drive; move or re-time it next.", width=half):
-        session.edit(f"Copy {actor.name}", duplicate, key)
+        document.edit(f"Copy {actor.name}", duplicate, key)
     imgui.same_line()
     if button("Remove##actor", "Remove it from the scene; undo restores it.", width=half):
-        session.edit(f"Remove {actor.name}", remove, key)
-    follows = session.following.key == key
+        document.edit(f"Remove {actor.name}", remove, key)
+    follows = viewport.following.key == key
     help_text = "The camera moves and turns with it; a drag still looks around."
     if checkbox("Follow with the camera", follows, help_text) != follows:
-        session.following.follow("" if follows else key)
-        session.view.follow_path = False
+        viewport.following.follow("" if follows else key)
+        viewport.options.follow_path = False
 
 
 # History panel
 
 
-def history_panel(session: Editor) -> None:
-    history, chosen = session.history, None
+def history_panel(document: Document) -> None:
+    history, chosen = document.history, None
     for number, step in enumerate(history.labels):
         with text_color(imgui.Col_.text_disabled if number > history.cursor else imgui.Col_.text):
             if imgui.selectable(label(step, str(number)), number == history.cursor)[0]:
@@ -194,4 +200,4 @@ def history_panel(session: Editor) -> None:
             imgui.set_scroll_here_y(0.8)
     _State.scrolled_to = history.cursor
     if chosen is not None:
-        session.go_to_step(chosen)
+        document.go_to_step(chosen)

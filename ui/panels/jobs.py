@@ -6,22 +6,22 @@ from typing import Any
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.job import Job
-from gsrain_engine.editor.notifications import LogLine
+from gsrain_engine.editor.jobs.job import Job, JobRunner
+from gsrain_engine.editor.status import LogLine, StatusBus
+from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, warn
 
 
-def jobs_panel(session: Editor) -> None:
-    if not session.jobs.all:
+def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
+    if not jobs.all:
         imgui.text_wrapped("No background jobs. The panels Wet look, Capture, Drive and Record start jobs.")
-    for job in reversed(session.jobs.all):
+    for job in reversed(jobs.all):
         imgui.separator_text(job.title)
-        job_fields(session, job)
-    if len(session.jobs.all) > len(session.jobs.running) and imgui.button("Clear", (-1, 0)):
-        session.jobs.clear()
+        job_fields(viewport, jobs, job)
+    if len(jobs.all) > len(jobs.running) and imgui.button("Clear", (-1, 0)):
+        jobs.clear()
 
 
 # One job: progress, preview, cancel button and result
@@ -29,15 +29,15 @@ def jobs_panel(session: Editor) -> None:
 _MAX_PREVIEW_EM = 9.0
 
 
-def job_fields(session: Editor, job: Job[Any]) -> None:
+def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
     """Draw a job: progress, metrics and warning, the cancel button, or its result."""
-    number = session.jobs.all.index(job)
+    number = jobs.all.index(job)
     if job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
         imgui.text_wrapped(job.progress.message)
         _metrics(job)
         warn(job.progress.warning)
-        if (preview := session.previews.get(job)) is not None:
+        if (preview := viewport.job_previews.get(job)) is not None:
             aspect = preview.width / preview.height
             width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
             imgui.image(imgui.ImTextureRef(preview.name), ImVec2(width, width / aspect))
@@ -87,14 +87,14 @@ class _LogFilter:
     words = ""
 
 
-def log_panel(session: Editor) -> None:
+def log_panel(status: StatusBus) -> None:
     imgui.set_next_item_width(7 * imgui.get_font_size())
     _LogFilter.level = combo("##level", _LogFilter.level, _LEVELS, "Show all lines, or only warnings and errors.")
     imgui.same_line()
     imgui.set_next_item_width(-imgui.calc_text_size("Copy").x - 4 * imgui.get_style().frame_padding.x)
     _, _LogFilter.words = imgui.input_text_with_hint("##words", "words", _LogFilter.words)
     imgui.set_item_tooltip("Show only lines with these words.")
-    lines = [line for line in session.log.lines if _passes_filter(line)]
+    lines = [line for line in status.log.lines if _passes_filter(line)]
     imgui.same_line()
     if button("Copy", "Copy these lines to the clipboard, with their details."):
         imgui.set_clipboard_text("\n".join(f"{line.at:%H:%M:%S} {line.text}\n{line.details}".strip() for line in lines))
@@ -102,7 +102,7 @@ def log_panel(session: Editor) -> None:
         for number, line in enumerate(lines):
             _line(line, number)
         if not lines:
-            imgui.text_disabled("No line matches." if session.log.lines else "No messages yet.")
+            imgui.text_disabled("No line matches." if status.log.lines else "No messages yet.")
         if imgui.get_scroll_y() >= imgui.get_scroll_max_y():
             imgui.set_scroll_here_y(1.0)
     imgui.end_child()

@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 import msgspec
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits import layers
+from gsrain_engine.editor.edits.members import set_grading, set_locked, set_opacity, set_visible
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.scene import UNCHANGED, Actor, ColorGrading, Layer, Scene
 from gsrain_engine.scene.transforms import without_wet_colors
 
@@ -40,9 +42,9 @@ class _PanelState:
 _state = _PanelState()
 
 
-def layers_panel(session: Editor) -> None:
-    scene = session.scene
-    chosen = next((each for each in scene.members if each.key == session.view.member), None)
+def layers_panel(document: Document, viewport: ViewportState) -> None:
+    scene = document.scene
+    chosen = next((each for each in scene.members if each.key == viewport.options.member), None)
     imgui.text_wrapped(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
     _state.marked = [key for key in _state.marked if any(each.key == key for each in scene.members)]
     if imgui.begin_table("members", 4, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit):
@@ -58,33 +60,33 @@ def layers_panel(session: Editor) -> None:
                 flags = imgui.TreeNodeFlags_.default_open | imgui.TreeNodeFlags_.no_tree_push_on_open
                 is_open = imgui.tree_node_ex(title, flags | imgui.TreeNodeFlags_.label_span_all_columns)
                 for member in members if is_open else ():
-                    _row(session, member)
+                    _row(document, viewport, member)
         imgui.end_table()
     if chosen is not None:
-        _opacity(session, chosen)
+        _opacity(document, chosen)
     else:
         with text_color(imgui.Col_.text_disabled):
             imgui.text_wrapped("Click a name to edit that layer or actor.")
-    _buttons(session, chosen)
+    _buttons(document, chosen)
 
 
-def _row(session: Editor, member: Layer | Actor) -> None:
+def _row(document: Document, viewport: ViewportState, member: Layer | Actor) -> None:
     key = member.key
     imgui.table_next_row()
     imgui.table_next_column()
     eye = _ICONS.ICON_FA_EYE if member.visible else _ICONS.ICON_FA_EYE_SLASH
     if _icon(eye, f"show {key}", "Show or hide.", bright=member.visible):
-        session.show_member(key, not member.visible)
+        document.edit(f"{'Hide' if member.visible else 'Show'} {member.name}", set_visible, key, not member.visible)
     imgui.table_next_column()
     lock = _ICONS.ICON_FA_LOCK if member.locked else _ICONS.ICON_FA_LOCK_OPEN
     if _icon(lock, f"lock {key}", "Protect from selection and edits.", bright=member.locked):
         verb = "Unlock" if member.locked else "Lock"
-        session.set_scene(f"{verb} {member.name}", session.scene.with_member(key, locked=not member.locked))
+        document.edit(f"{verb} {member.name}", set_locked, key, not member.locked)
     imgui.table_next_column()
     if _state.renamed == key:
-        _rename(session, member)
+        _rename(document, viewport, member)
     else:
-        _name(session, member)
+        _name(document, viewport, member)
     imgui.table_next_column()
     deleted = member.marks.deleted.size if member.marks.deleted is not None else 0
     imgui.text_disabled(f"{len(member.gaussians) - deleted:,}")
@@ -105,12 +107,12 @@ def _icon(icon: str, name: str, help_text: str, *, bright: bool) -> bool:
     return clicked
 
 
-def _name(session: Editor, member: Layer | Actor) -> None:
+def _name(document: Document, viewport: ViewportState, member: Layer | Actor) -> None:
     key, marked = member.key, _state.marked
     drop = "" if member.wet_sh is None else f" {_ICONS.ICON_FA_DROPLET}"
     words = f"{visible_name(member.name)}{drop}###{plain_identity(key.replace('/', ' '))}"
     imgui.align_text_to_frame_padding()
-    is_chosen = session.view.member == key or key in marked
+    is_chosen = viewport.options.member == key or key in marked
     clicked, _ = imgui.selectable(words, is_chosen, imgui.SelectableFlags_.allow_double_click)
     kind = f"actor, {member.class_name}" if isinstance(member, Actor) else member.kind
     wet = "" if member.wet_sh is None else " Has wet colors, blended in by the wetness of the Rain panel."
@@ -120,12 +122,12 @@ def _name(session: Editor, member: Layer | Actor) -> None:
     if clicked and imgui.get_io().key_ctrl:
         _state.marked = [each for each in marked if each != key] if key in marked else [*marked, key]
     elif clicked:
-        session.view.member, _state.marked = key, [key]
+        viewport.options.member, _state.marked = key, [key]
         if imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             _begin_naming(member)
     if imgui.begin_popup_context_item():
-        session.view.member = key
-        _menu(session, member)
+        viewport.options.member = key
+        _menu(document, member)
         imgui.end_popup()
 
 
@@ -133,25 +135,27 @@ def _begin_naming(member: Layer | Actor) -> None:
     _state.renamed, _state.typed, _state.is_new = member.key, member.name, True
 
 
-def _rename(session: Editor, member: Layer | Actor) -> None:
+def _rename(document: Document, viewport: ViewportState, member: Layer | Actor) -> None:
     imgui.set_next_item_width(-1)
     if _state.is_new:
         imgui.set_keyboard_focus_here()
     flags = imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all
     entered, _state.typed = imgui.input_text("##new name", _state.typed, flags)
     if entered and _state.typed.strip() not in ("", member.name):
-        names = {each.key for each in session.scene.members}
-        session.edit(f"Rename {member.name}", layers.rename, member.key, _state.typed)
-        session.view.member = next((each.key for each in session.scene.members if each.key not in names), member.key)
+        names = {each.key for each in document.scene.members}
+        document.edit(f"Rename {member.name}", layers.rename, member.key, _state.typed)
+        viewport.options.member = next(
+            (each.key for each in document.scene.members if each.key not in names), member.key
+        )
     if entered or (imgui.is_item_deactivated() and not _state.is_new):
         _state.renamed = ""
     _state.is_new = False
 
 
-def _menu(session: Editor, member: Layer | Actor) -> None:
+def _menu(document: Document, member: Layer | Actor) -> None:
     def item(title: str, label: str, change: Callable[..., Scene], enabled: bool = True) -> None:
         if imgui.menu_item(title, "", False, enabled)[0]:
-            session.edit(label, change, member.key)
+            document.edit(label, change, member.key)
 
     if imgui.menu_item("Rename", "", False)[0]:
         _begin_naming(member)
@@ -164,60 +168,59 @@ def _menu(session: Editor, member: Layer | Actor) -> None:
     item("Remove", f"Remove {member.name}", layers.remove, not member.locked)
 
 
-def _opacity(session: Editor, member: Layer | Actor) -> None:
+def _opacity(document: Document, member: Layer | Actor) -> None:
     plain_label("Opacity", f"Multiplies the opacity of every Gaussian of {member.name}.")
     with disabled(member.locked):
         changed, value = imgui.slider_float("##opacity", member.opacity, 0, 1, "%.2f", CLAMPED)
-    _set_opacity(session, member, value if changed else member.opacity)
+    _set_opacity(document, member, value if changed else member.opacity)
 
 
-def _set_opacity(session: Editor, member: Layer | Actor, value: float) -> None:
+def _set_opacity(document: Document, member: Layer | Actor, value: float) -> None:
     if value != member.opacity:
-        scene = session.scene.with_member(member.key, opacity=value)
-        session.set_scene(f"Opacity of {member.name}", scene, f"opacity {member.key}")
-    end_gesture_when_released(session)
+        gesture = f"opacity {member.key}"
+        document.edit(f"Opacity of {member.name}", set_opacity, member.key, value, gesture=gesture)
+    end_gesture_when_released(document)
 
 
-def _buttons(session: Editor, chosen: Layer | Actor | None) -> None:
+def _buttons(document: Document, chosen: Layer | Actor | None) -> None:
     marked = [key for key in _state.marked if key.startswith("layers/")]
-    is_selected = any(each.marks.selected for each in session.scene.members)
+    is_selected = any(each.marks.selected for each in document.scene.members)
     half, is_free = share_of_width(2), chosen is not None and not chosen.locked
     help_text = "Copy it under a new name; the copy shares the arrays."
     if button("Duplicate", help_text, width=half, enabled=chosen is not None) and chosen is not None:
-        session.edit(f"Duplicate {chosen.name}", layers.duplicate, chosen.key)
+        document.edit(f"Duplicate {chosen.name}", layers.duplicate, chosen.key)
     imgui.same_line()
     help_text = "Remove it from the scene; undo restores it."
     if button("Remove", help_text, width=half, enabled=is_free) and chosen is not None:
-        session.edit(f"Remove {chosen.name}", layers.remove, chosen.key)
+        document.edit(f"Remove {chosen.name}", layers.remove, chosen.key)
     if button("Separate", "Move the selection to a new layer.", width=half, enabled=is_selected):
-        session.edit("Separate the selection", layers.separate)
+        document.edit("Separate the selection", layers.separate)
     imgui.same_line()
     help_text = "Join the marked layers (Ctrl+click) into the first one."
     if button("Merge", help_text, width=half, enabled=len(marked) > 1):
-        session.edit(f"Merge {len(marked)} layers", layers.merge, marked)
+        document.edit(f"Merge {len(marked)} layers", layers.merge, marked)
 
 
 # Opacity and color grading
 
 
-def grading_fields(session: Editor, member: Layer | Actor) -> None:
+def grading_fields(document: Document, member: Layer | Actor) -> None:
     plain_label("Opacity", f"Multiplies the opacity of every Gaussian of {member.name}.")
-    _set_opacity(session, member, _slider("opacity", member.opacity, 0.0, 1.0, 1.0))
+    _set_opacity(document, member, _slider("opacity", member.opacity, 0.0, 1.0, 1.0))
     for name in ColorGrading.__struct_fields__:
         info, present = settings_label(ColorGrading, name), getattr(member.grading, name)
         value = _slider(name, present, info.low, info.high, getattr(UNCHANGED, name))
         if value != present:
-            _grade(session, member, info.title, msgspec.structs.replace(member.grading, **{name: value}))
-        end_gesture_when_released(session)
+            _grade(document, member, info.title, msgspec.structs.replace(member.grading, **{name: value}))
+        end_gesture_when_released(document)
     help_text = "Reset the color grading; opacity does not change."
     if button("Reset colors", help_text, width=-1, enabled=member.grading != UNCHANGED):
-        _grade(session, member, "Reset colors", UNCHANGED)
-        session.end_gesture()
+        _grade(document, member, "Reset colors", UNCHANGED)
+        document.end_gesture()
 
 
-def _grade(session: Editor, member: Layer | Actor, what: str, grading: ColorGrading) -> None:
-    scene = session.scene.with_member(member.key, grading=grading)
-    session.set_scene(f"{what} of {member.name}", scene, gesture=f"{what} {member.key}")
+def _grade(document: Document, member: Layer | Actor, what: str, grading: ColorGrading) -> None:
+    document.edit(f"{what} of {member.name}", set_grading, member.key, grading, gesture=f"{what} {member.key}")
 
 
 def _slider(name: str, value: float, low: float, high: float, default: float) -> float:

@@ -5,7 +5,10 @@ from functools import cache, lru_cache
 import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.live_rain import LiveRain
+from gsrain_engine.editor.timeline import Playback
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.properties import intensity_for_density
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, RainSettings, load_preset
@@ -39,60 +42,60 @@ PICK_TOOL = "Pick sky color"
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."
 
 
-def rain_panel(session: Editor) -> None:
-    _presets(session)
-    _intensity(session)
-    _exposure(session)
+def rain_panel(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:
+    _presets(document)
+    _intensity(document, viewport, playback)
+    _exposure(document, viewport, playback)
     for name in ("streaks", "haze", "roofs"):
-        fields.toggle(session, name)
+        fields.toggle(document, name)
         if name != "roofs":
             imgui.same_line()
-    _drop_color(session)
-    wetness_fields(session)
-    if session.rain.exaggeration:
-        imgui.text_colored(WARNING, session.rain.exaggeration)
+    _drop_color(document, viewport, live_rain)
+    wetness_fields(document, live_rain)
+    if document.rain.exaggeration:
+        imgui.text_colored(WARNING, document.rain.exaggeration)
     if imgui.collapsing_header("Wind and seed"):
-        _wind(session)
-        fields.slider(session, "gust_m_s")
-        fields.integer(session, "seed")
+        _wind(document, viewport, playback)
+        fields.slider(document, "gust_m_s")
+        fields.integer(document, "seed")
     if imgui.collapsing_header("Regions"):
-        view, help_text = session.view, "Draw the region's edges in the viewport."
+        view, help_text = viewport.options, "Draw the region's edges in the viewport."
         view.show_streak_region = checkbox("Show streak region", view.show_streak_region, help_text)
-        fields.box(session, "streak_region")
+        fields.box(document, "streak_region")
         view.show_haze_region = checkbox("Show haze region", view.show_haze_region, help_text)
-        fields.box(session, "haze_region")
+        fields.box(document, "haze_region")
     if imgui.collapsing_header("Physics"):
         for name in ("closure", "velocity", "streak_frame", "rain_light", "far_drops", "streak_reset", "haze_reset"):
-            fields.choice(session, name)
+            fields.choice(document, name)
     if imgui.collapsing_header("Lens"):
-        fields.slider(session, "aperture_mm", high=10.0)
-        fields.slider(session, "focus_distance_m", logarithmic=True)
+        fields.slider(document, "aperture_mm", high=10.0)
+        fields.slider(document, "focus_distance_m", logarithmic=True)
     if imgui.collapsing_header("Appearance"):
         for name in ("streak_gain", "haze_gain"):
-            fields.slider(session, name, high=10.0)
+            fields.slider(document, name, high=10.0)
         for name in ("critical_haze_coefficient", "haze_opacity", "haze_sigma_m"):
-            fields.slider(session, name, logarithmic=True)
-        fields.slider(session, "drying_s", high=600.0)
+            fields.slider(document, name, logarithmic=True)
+        fields.slider(document, "drying_s", high=600.0)
 
 
-def wetness_fields(session: Editor) -> None:
-    own, now = session.rain.wetness, session.wetness_now
-    has_colors = session.scene.has_wet_colors
+def wetness_fields(document: Document, live_rain: LiveRain) -> None:
+    own, now = document.rain.wetness, live_rain.wetness_now
+    has_colors = document.scene.has_wet_colors
     auto_width = imgui.calc_text_size("auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x
     fields.label("wetness")
     imgui.set_next_item_width(-auto_width)
     with disabled(own is None or not has_colors):
         changed, value = imgui.slider_float("##wetness", now, 0.0, 1.0, "%.2f", CLAMPED)
         if changed:
-            session.change_rain("Wetness", "wetness", wetness=value)
-        fields.end_gesture_when_released(session)
+            document.change_rain("Wetness", "wetness", wetness=value)
+        fields.end_gesture_when_released(document)
     imgui.set_item_tooltip(fields.field_info("wetness").help if has_colors else _NO_WET_COLORS)
     imgui.same_line()
     help_text = "Compute the wetness from the intensity (docs/physics.md, 11)."
     with disabled(not has_colors):
         automatic = checkbox("auto", own is None, help_text if has_colors else _NO_WET_COLORS)
     if automatic != (own is None):
-        session.change_rain("Wetness by the intensity" if automatic else "Wetness", wetness=None if automatic else now)
+        document.change_rain("Wetness by the intensity" if automatic else "Wetness", wetness=None if automatic else now)
 
 
 @cache
@@ -101,7 +104,7 @@ def _shipped_presets() -> dict[str, RainSettings]:
     return presets | {"5": msgspec.structs.replace(presets["8.5"], intensity_mm_h=5.0)}
 
 
-def _presets(session: Editor) -> None:
+def _presets(document: Document) -> None:
     width = share_of_width(_PRESETS_PER_ROW)
     for number, (name, title) in enumerate(_PRESETS.items()):
         preset = _shipped_presets()[name]
@@ -109,95 +112,97 @@ def _presets(session: Editor) -> None:
             imgui.same_line()
         rate = f"{preset.intensity_mm_h:g} mm/h" if preset.intensity_mm_h else "No rain"
         help_text = f"{rate}, with all settings of the paper." if name == "paper" else f"{rate}."
-        if button(f"{title}###{name}", help_text, width=width, is_on=preset == session.rain_now):
-            session.change_rain(f"Preset {name}", **msgspec.structs.asdict(preset))
+        if button(f"{title}###{name}", help_text, width=width, is_on=preset == document.rain_now):
+            document.change_rain(f"Preset {name}", **msgspec.structs.asdict(preset))
 
 
-def _intensity(session: Editor) -> None:
-    intensity = session.rain_now.intensity_mm_h
-    is_beyond = session.view.beyond_calibration or intensity > CALIBRATED_UP_TO_MM_H
-    keyframed_slider(session, "intensity_mm_h", high=_MAX_MM_H if is_beyond else CALIBRATED_UP_TO_MM_H)
+def _intensity(document: Document, viewport: ViewportState, playback: Playback) -> None:
+    intensity = document.rain_now.intensity_mm_h
+    is_beyond = viewport.options.beyond_calibration or intensity > CALIBRATED_UP_TO_MM_H
+    keyframed_slider(
+        document, viewport, playback, "intensity_mm_h", high=_MAX_MM_H if is_beyond else CALIBRATED_UP_TO_MM_H
+    )
     beyond = checkbox("up to 100 mm/h", is_beyond, "Above 13 mm/h the calibration is extrapolated.")
     if beyond != is_beyond:
-        session.view.beyond_calibration = beyond
+        viewport.options.beyond_calibration = beyond
         if not beyond and intensity > CALIBRATED_UP_TO_MM_H:
-            session.change_rain("Intensity", intensity_mm_h=CALIBRATED_UP_TO_MM_H)
+            document.change_rain("Intensity", intensity_mm_h=CALIBRATED_UP_TO_MM_H)
     if intensity > CALIBRATED_UP_TO_MM_H:
         imgui.same_line()
         imgui.text_colored(WARNING, "beyond calibration")
 
 
-def _exposure(session: Editor) -> None:
-    exposure, is_keyed = session.rain_now.exposure_s, session.weather.is_keyed("exposure_s")
+def _exposure(document: Document, viewport: ViewportState, playback: Playback) -> None:
+    exposure, is_keyed = document.rain_now.exposure_s, document.keyframes.is_keyed("exposure_s")
     own = exposure is None
-    camera_s = session.shot(16, 16).camera.exposure_s
+    camera_s = viewport.shot(16, 16).camera.exposure_s
     width = 1.3 * imgui.get_frame_height()
     fields.plain_label("Exposure (ms)", fields.field_info("exposure_s").help)
     imgui.set_next_item_width(-width - imgui.get_style().item_spacing.x - keyframe_button_width())
-    colors = tint_keyframed(session, "exposure_s")
+    colors = tint_keyframed(document, "exposure_s")
     with disabled(own):
         milliseconds = 1000 * (camera_s if exposure is None else exposure)
         changed, milliseconds = imgui.slider_float("##exposure_s", milliseconds, 0.1, 100.0, "%.2f", LOGARITHMIC)
         if changed:
-            session.change_rain("Exposure", "exposure_s", exposure_s=milliseconds / 1000)
-        fields.end_gesture_when_released(session)
+            document.change_rain("Exposure", "exposure_s", exposure_s=milliseconds / 1000)
+        fields.end_gesture_when_released(document)
     imgui.pop_style_color(colors)
     imgui.same_line()
     help_text = f"Use the camera's own exposure, {1000 * camera_s:.1f} ms."
     why_not = f"{help_text} Not while the exposure has keyframes." if is_keyed else None
     if button(f"{icons_fontawesome_6.ICON_FA_CAMERA}###camera's", help_text, width=width, why_not=why_not, is_on=own):
-        session.change_rain("Exposure", exposure_s=camera_s if own else None)
-    keyframe_button(session, "exposure_s")
+        document.change_rain("Exposure", exposure_s=camera_s if own else None)
+    keyframe_button(document, viewport, playback, "exposure_s")
 
 
-def _wind(session: Editor) -> None:
+def _wind(document: Document, viewport: ViewportState, playback: Playback) -> None:
     fields.label("wind_m_s")
     imgui.set_next_item_width(-keyframe_button_width())
-    colors = tint_keyframed(session, "wind_m_s")
-    changed, wind = imgui.slider_float2("##wind_m_s", list(session.rain_now.wind_m_s), -20, 20, "%.1f")
+    colors = tint_keyframed(document, "wind_m_s")
+    changed, wind = imgui.slider_float2("##wind_m_s", list(document.rain_now.wind_m_s), -20, 20, "%.1f")
     imgui.pop_style_color(colors)
     if changed:
-        session.change_rain("Wind", "wind_m_s", wind_m_s=tuple(wind))
-    fields.end_gesture_when_released(session)
-    keyframe_button(session, "wind_m_s")
+        document.change_rain("Wind", "wind_m_s", wind_m_s=tuple(wind))
+    fields.end_gesture_when_released(document)
+    keyframe_button(document, viewport, playback, "wind_m_s")
 
 
-def _drop_color(session: Editor) -> None:
+def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain) -> None:
     fields.label("drop_color")
-    own, is_picking = session.rain.drop_color, session.view.tool == PICK_TOOL
+    own, is_picking = document.rain.drop_color, viewport.options.tool == PICK_TOOL
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label
-    changed, color = imgui.color_edit3("##drop_color", list(own or session.sky), flags)
+    changed, color = imgui.color_edit3("##drop_color", list(own or live_rain.sky), flags)
     imgui.set_item_tooltip("Display color of a drop (eq. 3).")
     if changed:
         drop_color = tuple(min(max(channel, 0.0), 1.0) for channel in color[:3])
-        session.change_rain("Drop color", "drop_color", drop_color=drop_color)
-    fields.end_gesture_when_released(session)
+        document.change_rain("Drop color", "drop_color", drop_color=drop_color)
+    fields.end_gesture_when_released(document)
     imgui.same_line()
     help_text = "Pick the color in the viewport: click a pixel, or drag a rectangle."
     if button(f"{icons_fontawesome_6.ICON_FA_EYE_DROPPER}###pick sky", help_text, is_on=is_picking):
-        session.view.tool = "" if is_picking else PICK_TOOL
+        viewport.options.tool = "" if is_picking else PICK_TOOL
     imgui.same_line()
     help_text = "Use the mean color of the scene's sky in linear light, the default (eq. 3)."
     if button("from the sky", help_text, enabled=own is not None):
-        session.change_rain("Drop color from the sky", drop_color=None)
+        document.change_rain("Drop color from the sky", drop_color=None)
 
 
 # Rain properties panel: quantities derived from the intensity
 
 
-def rain_properties_panel(session: Editor) -> None:
-    state = session.displayed_rain.state_at(session.clock.time_s)
+def rain_properties_panel(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:
+    state = live_rain.displayed.state_at(playback.clock.time_s)
     if state.intensity_mm_h == 0:
-        imgui.text_wrapped("No rain at this time." if session.weather.keys else "No rain.")
+        imgui.text_wrapped("No rain at this time." if document.keyframes.keys else "No rain.")
         return
-    drawn, haze = (int(session.statistics.get(name, 0)) for name in ("drops drawn", "haze Gaussians"))
+    drawn, haze = (int(viewport.statistics.get(name, 0)) for name in ("drops drawn", "haze Gaussians"))
     rows = (
         ("Set rain rate", f"{state.intensity_mm_h:.2f} mm/h", "Rainfall intensity R."),
         ("Simulated rain rate", f"{state.implied_mm_h:.2f} mm/h", "6e-4 pi N E[V D^3] of the simulated drops."),
         ("Rain rate of the table", f"{state.table_implied_mm_h:.2f} mm/h", "The same for the calibration's density."),
         ("Drops per m\u00b3", f"{state.density_m3:,.0f}",
          f"Number density N; {state.table_density_m3:,.0f} in the calibration's table."),
-        ("Same density in the table", _intensity_in_table(state.density_m3, session.displayed_rain.calibration),
+        ("Same density in the table", _intensity_in_table(state.density_m3, live_rain.displayed.calibration),
          "Intensity at which the calibration's table has this density."),
         ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma law of diameters."),
         ("Gamma scale", f"{state.scale_mm:.4f} mm", "theta of the gamma law of diameters."),
@@ -212,7 +217,7 @@ def rain_properties_panel(session: Editor) -> None:
     readings("readout", rows)
     if state.beyond_calibration:
         imgui.text_colored(WARNING, "beyond calibration (13 mm/h)")
-    warn(session.rain.exaggeration)
+    warn(document.rain.exaggeration)
 
 
 @lru_cache(maxsize=4)

@@ -3,22 +3,24 @@
 from functools import lru_cache
 from typing import Literal
 
+import msgspec
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui, implot
 from jaxtyping import Float64
 
 from gsrain_engine.disdrometer.rain_rates import MeasuredKeyframes, keyframes_from_spectra
 from gsrain_engine.disdrometer.spectra import DisdrometerReading
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.rain import PendingInput
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.edits.rain_keyframes import add_shower, move_keyframe, replace_keyframes, set_keyframe_number
+from gsrain_engine.editor.rain import CalibrationTools, KeyframePanelState, PendingInput
+from gsrain_engine.editor.timeline import Playback
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.keyframes import (
     HEAVIEST_MM_H,
-    KEYED,
     NO_KEYFRAMES,
     Keyed,
     RainKeyframe,
     RainKeyframes,
-    shower_keyframes,
 )
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
@@ -32,74 +34,87 @@ _INTERPOLATIONS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
     ("linear", "Straight lines between keyframes."),
     ("smooth", "Smooth, within the values of neighboring keyframes (Fritsch and Carlson, 1980)."),
 )
+_MOVE, _REMOVE = "Move rain keyframe", "Remove rain keyframe"  # labels of steps
 _WIDE_EM, _NUMBERS_EM = 50.0, 22.0  # panel width from which the table is next to the plot, and the table's width
 
 
-def rain_keyframes_panel(session: Editor) -> None:
+def rain_keyframes_panel(
+    document: Document,
+    viewport: ViewportState,
+    playback: Playback,
+    calibration: CalibrationTools,
+    keyframe_panel: KeyframePanelState,
+) -> None:
     room, em = imgui.get_content_region_avail(), imgui.get_font_size()
     is_wide = room.x > _WIDE_EM * em
-    _buttons(session)
-    if session.lab.series is not None:
-        _series(session, *session.lab.series)
+    _buttons(document, viewport, playback, calibration, keyframe_panel)
+    if calibration.series is not None:
+        _series(document, calibration, keyframe_panel, *calibration.series)
     imgui.begin_group()
-    _plot(session, room.x - _NUMBERS_EM * em if is_wide else room.x)
+    _plot(document, playback, keyframe_panel, room.x - _NUMBERS_EM * em if is_wide else room.x)
     imgui.end_group()
     if is_wide:
         imgui.same_line()
     imgui.begin_group()
-    weather = session.weather
+    weather = document.keyframes
     if weather.keys:
         imgui.align_text_to_frame_padding()
         imgui.text("Interpolation")
         for choice, help_text in _INTERPOLATIONS:
             imgui.same_line()
             if imgui.radio_button(choice, weather.between == choice) and weather.between != choice:
-                session.set_weather(f"Interpolation {choice}", RainKeyframes(keys=weather.keys, between=choice))
+                document.edit_keyframes(f"Interpolation {choice}", msgspec.structs.replace, between=choice)
             imgui.set_item_tooltip(help_text)
-        _table(session)
+        _table(document, keyframe_panel)
     else:
         imgui.text_wrapped("No keyframes: the rain is constant. Double click in the plot to add the first one.")
     imgui.end_group()
 
 
-def add_passing_shower(session: Editor) -> None:
+def add_passing_shower(document: Document, playback: Playback, keyframe_panel: KeyframePanelState) -> None:
     """Add a shower that starts now; keyframes of wind and exposure stay."""
-    shower = shower_keyframes(session.clock.time_s)
-    for key in session.weather.without("intensity_mm_h").keys:
-        values = {name: value for name in ("wind_m_s", "exposure_s") if (value := getattr(key, name)) is not None}
-        shower = shower.with_key(key.time_s, **values)
-    session.set_weather("Add passing shower", shower)
-    session.shower.refit = True
+    document.edit_keyframes("Add passing shower", add_shower, playback.clock.time_s)
+    keyframe_panel.refit = True
 
 
-def ask_for_rate_file(session: Editor) -> None:
-    ask_what_to_open("Import a series", _SERIES_FILES, lambda paths: session.lab.read_series(paths[0]))
+def clear_keyframes(document: Document) -> None:
+    document.edit_keyframes("Clear rain keyframes", replace_keyframes, NO_KEYFRAMES)
 
 
-def _buttons(session: Editor) -> None:
-    now_s, lab = session.clock.time_s, session.lab
-    present = session.weather.key_at(now_s)
+def ask_for_rate_file(calibration: CalibrationTools) -> None:
+    ask_what_to_open("Import a series", _SERIES_FILES, lambda paths: calibration.read_series(paths[0]))
+
+
+def _buttons(
+    document: Document,
+    viewport: ViewportState,
+    playback: Playback,
+    calibration: CalibrationTools,
+    keyframe_panel: KeyframePanelState,
+) -> None:
+    now_s = playback.clock.time_s
+    present = document.keyframes.key_at(now_s)
     is_here = present is not None and present.intensity_mm_h is not None
     action = "Remove the keyframe" if is_here else "Insert a keyframe of the present intensity"
     if button("Remove keyframe###now" if is_here else "Insert keyframe###now", f"{action} at {now_s:.2f} s."):
-        toggle_keyframe(session, "intensity_mm_h")
+        toggle_keyframe(document, viewport, playback, "intensity_mm_h")
     _same_line_if_fits("Add passing shower")
     if button("Add passing shower", PASSING_SHOWER_HELP):
-        add_passing_shower(session)
+        add_passing_shower(document, playback, keyframe_panel)
     _same_line_if_fits("Import...")
-    if button("Import...", _IMPORT_HELP, enabled=lab.busy is None):
-        ask_for_rate_file(session)
+    if button("Import...", _IMPORT_HELP, enabled=calibration.busy is None):
+        ask_for_rate_file(calibration)
     _same_line_if_fits("Fit##shower")
     if button(
         f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower", "Show all keyframes. Wheel: zoom in time. Drag: pan."
     ):
-        session.shower.refit = True
+        keyframe_panel.refit = True
     _same_line_if_fits("Clear keyframes")
-    if button("Clear keyframes", _CLEAR_HELP, enabled=bool(session.weather.keys)):
-        session.set_weather("Clear rain keyframes", NO_KEYFRAMES)
-    if lab.busy is not None:
-        imgui.text_disabled(lab.busy)
-    warn(lab.problem)
+    if button("Clear keyframes", _CLEAR_HELP, enabled=bool(document.keyframes.keys)):
+        clear_keyframes(document)
+    if calibration.busy is not None:
+        imgui.text_disabled(calibration.busy)
+    warn(calibration.error)
 
 
 def _same_line_if_fits(label: str) -> None:
@@ -110,29 +125,36 @@ def _same_line_if_fits(label: str) -> None:
         imgui.same_line()
 
 
-def _series(session: Editor, name: str, reading: DisdrometerReading) -> None:
+def _series(
+    document: Document,
+    calibration: CalibrationTools,
+    keyframe_panel: KeyframePanelState,
+    name: str,
+    reading: DisdrometerReading,
+) -> None:
     """Draw the options for importing a disdrometer series."""
-    lab, shower = session.lab, session.shower
     imgui.separator_text(name)
     try:
-        measured = _keyframes_of(reading, shower.speed_up, shower.start_s)
+        measured = _keyframes_of(reading, keyframe_panel.speed_up, keyframe_panel.start_s)
     except ValueError as error:
-        lab.series, lab.problem = None, f"{name}: {error}"
+        calibration.series, calibration.error = None, f"{name}: {error}"
         return
-    imgui.text_wrapped(f"{measured.summary}. Maximum: {measured.weather.heaviest_mm_h(session.rain):.1f} mm/h.")
+    imgui.text_wrapped(f"{measured.summary}. Maximum: {measured.weather.heaviest_mm_h(document.rain):.1f} mm/h.")
     width = 5.5 * imgui.get_font_size()
     imgui.set_next_item_width(width)
-    _, shower.speed_up = imgui.drag_float("times faster", shower.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC)
+    _, keyframe_panel.speed_up = imgui.drag_float(
+        "times faster", keyframe_panel.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC
+    )
     imgui.set_item_tooltip("Compresses time: at 60, a minute of the series takes a second of the scene.")
     imgui.set_next_item_width(width)
-    _, shower.start_s = imgui.drag_float("starts at (s)", shower.start_s, 0.1, -1e6, 1e6, "%.1f")
+    _, keyframe_panel.start_s = imgui.drag_float("starts at (s)", keyframe_panel.start_s, 0.1, -1e6, 1e6, "%.1f")
     imgui.set_item_tooltip("Time of the first record in the scene, in seconds.")
     if button("Use it", "Replace the present keyframes by the series."):
-        session.set_weather(f"Series {name}", measured.weather)
-        lab.series, shower.refit = None, True
+        document.edit_keyframes(f"Series {name}", replace_keyframes, measured.weather)
+        calibration.series, keyframe_panel.refit = None, True
     imgui.same_line()
     if button("Cancel##series", "Do not change the keyframes."):
-        lab.series = None
+        calibration.series = None
     imgui.separator()
 
 
@@ -155,10 +177,10 @@ _CLOSEST_S = 0.01
 _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
 
 
-def _plot(session: Editor, width: float) -> None:
+def _plot(document: Document, playback: Playback, keyframe_panel: KeyframePanelState, width: float) -> None:
     """Draw the plot with a width in pixels, and handle the mouse."""
-    shower, weather = session.shower, session.weather
-    shower.follow(weather.heaviest_mm_h(session.rain))
+    weather = document.keyframes
+    keyframe_panel.follow(weather.heaviest_mm_h(document.rain))
     fit, menu = implot.get_input_map().fit, implot.get_input_map().menu
     implot.get_input_map().fit = implot.get_input_map().menu = imgui.MouseButton_.middle  # both buttons edit keyframes
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
@@ -167,38 +189,40 @@ def _plot(session: Editor, width: float) -> None:
     rows_height = em * _ROW_EM * sum(weather.is_keyed(name) for name, _ in _ROWS)
     height = min(max(imgui.get_content_region_avail().y - rows_height, _MIN_EM * em), _HEIGHT_EM * em)
     if implot.begin_plot("##shower", ImVec2(width, height), flags):
-        _axes(session)
-        _curve(session)
-        is_over_key = _keys(session)  # before the clock: where they overlap, the drag moves the keyframe
-        _clock(session)
+        _axes(document, playback, keyframe_panel)
+        _curve(document, keyframe_panel)
+        is_over_key = _keys(
+            document, keyframe_panel
+        )  # before the clock: where they overlap, the drag moves the keyframe
+        _clock(playback)
         if implot.is_plot_hovered() and not is_over_key and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             at = implot.get_plot_mouse_pos()
             rate = float(np.clip(round(at.y, 1), 0, HEAVIEST_MM_H))
-            session.set_weather("Insert rain keyframe", weather.with_key(round(at.x, 2), intensity_mm_h=rate))
+            document.edit_keyframes("Insert rain keyframe", RainKeyframes.with_key, round(at.x, 2), intensity_mm_h=rate)
         position, size, limits = implot.get_plot_pos(), implot.get_plot_size(), implot.get_plot_limits()
         implot.end_plot()
         for name, title in _ROWS:
             if weather.is_keyed(name):
-                _row(session, name, title, position, size, (limits.x.min, limits.x.max))
+                _row(document, name, title, position, size, (limits.x.min, limits.x.max))
     implot.get_input_map().fit, implot.get_input_map().menu = fit, menu
 
 
-def _axes(session: Editor) -> None:
-    shower, always = session.shower, imgui.Cond_.always
+def _axes(document: Document, playback: Playback, keyframe_panel: KeyframePanelState) -> None:
+    always = imgui.Cond_.always
     implot.setup_axes("", "mm/h", implot.AxisFlags_.no_highlight, implot.AxisFlags_.no_highlight)
-    first, last = shower.span_s(session.weather, session.clock.time_s)
-    implot.setup_axis_limits(implot.ImAxis_.x1, first, last, always if shower.refit else imgui.Cond_.once)
+    first, last = keyframe_panel.span_s(document.keyframes, playback.clock.time_s)
+    implot.setup_axis_limits(implot.ImAxis_.x1, first, last, always if keyframe_panel.refit else imgui.Cond_.once)
     implot.setup_axis_format(implot.ImAxis_.x1, "%g s")
-    shower.refit = False
-    implot.setup_axis_limits(implot.ImAxis_.y1, 0.0, shower.top_mm_h, always)
+    keyframe_panel.refit = False
+    implot.setup_axis_limits(implot.ImAxis_.y1, 0.0, keyframe_panel.top_mm_h, always)
 
 
-def _curve(session: Editor) -> None:
+def _curve(document: Document, keyframe_panel: KeyframePanelState) -> None:
     limits = implot.get_plot_limits()
-    times, rates = _points(session, limits.x.min, limits.x.max)
+    times, rates = _points(document, limits.x.min, limits.x.max)
     implot.plot_shaded("fill", times, rates, spec=implot.Spec(fill_color=_FILL))
     implot.plot_line("rate", times, rates, spec=implot.Spec(line_color=_CURVE, line_weight=2.0))
-    if session.shower.top_mm_h > CALIBRATED_UP_TO_MM_H:
+    if keyframe_panel.top_mm_h > CALIBRATED_UP_TO_MM_H:
         spec = implot.Spec(line_color=_LIMIT, flags=implot.InfLinesFlags_.horizontal)
         implot.plot_inf_lines("calibrated up to", np.array([CALIBRATED_UP_TO_MM_H]), spec=spec)
         at, words = implot.plot_to_pixels(limits.x.max, CALIBRATED_UP_TO_MM_H), "beyond calibration"
@@ -207,11 +231,13 @@ def _curve(session: Editor) -> None:
         _text(ImVec2(at.x - imgui.calc_text_size(words).x - 5, y), imgui.get_color_u32(_LIMIT), words)
 
 
-def _points(session: Editor, first: float, last: float) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+def _points(
+    document: Document, first: float, last: float
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Return the visible curve: its corners, or evenly spaced points if there are too many."""
-    curve = session.weather.curves.get("intensity_mm_h")
+    curve = document.keyframes.curves.get("intensity_mm_h")
     if curve is None:
-        return np.array([first, last]), np.full(2, session.rain.intensity_mm_h)
+        return np.array([first, last]), np.full(2, document.rain.intensity_mm_h)
     inside = curve.times_s[(curve.times_s > first) & (curve.times_s < last)]
     if len(inside) > _MAX_POINTS:
         inside = np.linspace(first, last, _MAX_POINTS)[1:-1]
@@ -225,17 +251,17 @@ def _text(at: ImVec2, color: int, words: str) -> None:
     implot.pop_plot_clip_rect()
 
 
-def _clock(session: Editor) -> None:
-    now_s, clock = session.clock.time_s, session.clock
+def _clock(playback: Playback) -> None:
+    now_s, clock = playback.clock.time_s, playback.clock
     changed, moved, *_ = implot.drag_line_x(1, now_s, _NOW, 1.5, implot.DragToolFlags_.no_fit, False, False, False)
     if changed:
         clock.time_s = moved
     implot.tag_x(now_s, _NOW, f"{now_s:.2f}")
 
 
-def _keys(session: Editor) -> bool:
+def _keys(document: Document, keyframe_panel: KeyframePanelState) -> bool:
     """Draw the intensity keyframes and drag them; returns True if the mouse is over one."""
-    shower, weather, limits = session.shower, session.weather, implot.get_plot_limits()
+    weather, limits = document.keyframes, implot.get_plot_limits()
     times = weather.key_times["intensity_mm_h"]
     visible = range(*np.searchsorted(times, (limits.x.min, limits.x.max)).tolist())
     if len(visible) > _MAX_KEYS:
@@ -243,8 +269,8 @@ def _keys(session: Editor) -> bool:
         color = imgui.get_color_u32(imgui.Col_.text_disabled)
         _text(ImVec2(corner.x + 8, corner.y + 5), color, f"{len(visible):,} keyframes: zoom in to drag")
         return False
-    is_over, was_held = False, shower.is_held
-    shower.is_held = False
+    is_over, was_held = False, keyframe_panel.is_held
+    keyframe_panel.is_held = False
     for number in visible:
         key = weather.key_at(times[number])
         assert key is not None, "a keyframe exists at each of its times"
@@ -252,25 +278,25 @@ def _keys(session: Editor) -> bool:
         moved, at, height, _, hovered, held = implot.drag_point(
             100 + number, key.time_s, rate, _KEY, 5.0, implot.DragToolFlags_.no_fit, False, False, False
         )
-        is_over, shower.is_held = is_over or bool(hovered) or bool(held), shower.is_held or bool(held)
+        is_over, keyframe_panel.is_held = is_over or bool(hovered) or bool(held), keyframe_panel.is_held or bool(held)
         if hovered and not held:
             imgui.set_tooltip(f"{key.time_s:.2f} s, {rate:.2f} mm/h. Drag to move; right click or Delete removes it.")
-        if hovered and (imgui.is_mouse_clicked(imgui.MouseButton_.right) or _deletes(session)):
-            session.set_weather("Remove rain keyframe", weather.without_key(key.time_s, "intensity_mm_h"))
+        if hovered and (imgui.is_mouse_clicked(imgui.MouseButton_.right) or _deletes(document)):
+            document.edit_keyframes(_REMOVE, RainKeyframes.without_key, key.time_s, "intensity_mm_h")
             return True
         if moved:
             to_s = _between(times, number, at)
             height = float(np.clip(height, 0.0, HEAVIEST_MM_H))
-            changed = weather.moved_key(key.time_s, to_s, "intensity_mm_h", intensity_mm_h=height)
-            session.set_weather("Move rain keyframe", changed, "shower key")
-    if was_held and not shower.is_held:
-        session.end_gesture()
+            change = move_keyframe, "intensity_mm_h", number, to_s
+            document.edit_keyframes(_MOVE, *change, gesture="shower key", intensity_mm_h=height)
+    if was_held and not keyframe_panel.is_held:
+        document.end_gesture()
     return is_over
 
 
-def _deletes(session: Editor) -> bool:
+def _deletes(document: Document) -> bool:
     """Return True if Delete was pressed and applies here: selected Gaussians take precedence."""
-    selected = any(each.marks.selected is not None for each in session.scene.members)
+    selected = any(each.marks.selected is not None for each in document.scene.members)
     return imgui.is_key_pressed(imgui.Key.delete) and not selected
 
 
@@ -281,7 +307,9 @@ def _between(times: Float64[np.ndarray, " n"], number: int, time_s: float) -> fl
     return float(times[number]) if low > high else float(np.clip(time_s, low, high))
 
 
-def _row(session: Editor, name: Keyed, title: str, position: ImVec2, size: ImVec2, span_s: tuple[float, float]) -> None:
+def _row(
+    document: Document, name: Keyed, title: str, position: ImVec2, size: ImVec2, span_s: tuple[float, float]
+) -> None:
     """Draw the keyframes of another field as diamonds below the plot; they are dragged in time."""
     height, draw = _ROW_EM * imgui.get_font_size(), imgui.get_window_draw_list()
     top = imgui.get_cursor_screen_pos().y
@@ -290,10 +318,10 @@ def _row(session: Editor, name: Keyed, title: str, position: ImVec2, size: ImVec
     low, high = ImVec2(position.x, top), ImVec2(position.x + size.x, top + height)
     draw.add_rect_filled(low, high, imgui.get_color_u32(imgui.Col_.frame_bg))
     draw.add_text(ImVec2(position.x + 4, top + 1), imgui.get_color_u32(imgui.Col_.text_disabled), title)
-    scale, times = size.x / (span_s[1] - span_s[0]), session.weather.key_times[name]
+    scale, times = size.x / (span_s[1] - span_s[0]), document.keyframes.key_times[name]
     first, end = np.searchsorted(times, span_s).tolist()
     for number in range(first, min(end, first + _MAX_KEYS)):
-        key = session.weather.key_at(times[number])
+        key = document.keyframes.key_at(times[number])
         assert key is not None, "a keyframe exists at each of its times"
         x = position.x + (key.time_s - span_s[0]) * scale
         imgui.set_cursor_screen_pos(ImVec2(x - _GRIP_PX, middle - _GRIP_PX))
@@ -306,15 +334,14 @@ def _row(session: Editor, name: Keyed, title: str, position: ImVec2, size: ImVec
         value = getattr(key, name)
         words = f"wind {value[0]:.1f}, {value[1]:.1f} m/s" if name == "wind_m_s" else f"exposure {1000 * value:.2f} ms"
         imgui.set_item_tooltip(f"{words} at {key.time_s:.2f} s. Drag to move; right click or Delete removes it.")
-        if imgui.is_item_clicked(imgui.MouseButton_.right) or (imgui.is_item_hovered() and _deletes(session)):
-            session.set_weather("Remove rain keyframe", session.weather.without_key(key.time_s, name))
+        if imgui.is_item_clicked(imgui.MouseButton_.right) or (imgui.is_item_hovered() and _deletes(document)):
+            document.edit_keyframes(_REMOVE, RainKeyframes.without_key, key.time_s, name)
             break
         if imgui.is_item_active() and imgui.get_io().mouse_delta.x:
             to_s = _between(times, number, span_s[0] + (imgui.get_mouse_pos().x - position.x) / scale)
-            changed = session.weather.moved_key(key.time_s, to_s, name)
-            session.set_weather("Move rain keyframe", changed, f"shower {name}")
+            document.edit_keyframes(_MOVE, move_keyframe, name, number, to_s, gesture=f"shower {name}")
         if imgui.is_item_deactivated():
-            session.end_gesture()
+            document.end_gesture()
     imgui.set_cursor_screen_pos(after)
     imgui.dummy(ImVec2(0, 0))
 
@@ -331,9 +358,9 @@ _TITLES = {
 }
 
 
-def _table(session: Editor) -> None:
+def _table(document: Document, keyframe_panel: KeyframePanelState) -> None:
     """Draw the table; an edit applies when its field loses the focus."""
-    weather = session.weather
+    weather = document.keyframes
     columns = ["time", "intensity_mm_h"]
     columns += ["wind x", "wind y"] if weather.is_keyed("wind_m_s") else []
     columns += ["exposure_s"] if weather.is_keyed("exposure_s") else []
@@ -359,32 +386,32 @@ def _table(session: Editor) -> None:
             for name in columns:
                 imgui.table_next_column()
                 imgui.set_next_item_width(-1)
-                _cell(session, key, number, name)
+                _cell(document, keyframe_panel, key, number, name)
             imgui.table_next_column()
             if square_button(icons_fontawesome_6.ICON_FA_XMARK, f"remove {number}"):
-                session.set_weather("Remove rain keyframe", session.weather.without_key(key.time_s))
+                document.edit_keyframes(_REMOVE, RainKeyframes.without_key, key.time_s)
             imgui.set_item_tooltip("Remove all keyframes at this time.")
     clipper.end()
     imgui.end_table()
 
 
-def _cell(session: Editor, key: RainKeyframe, number: int, name: str) -> None:
-    shower, value = session.shower, _number(key, name)
+def _cell(document: Document, keyframe_panel: KeyframePanelState, key: RainKeyframe, number: int, name: str) -> None:
+    value = _number(key, name)
     if value is None:
         imgui.align_text_to_frame_padding()
         imgui.text_disabled("-")
         imgui.set_item_tooltip("No keyframe at this time.")
         return
-    typed = shower.typed
+    typed = keyframe_panel.typed
     displayed = typed.value if typed is not None and typed[:2] == (key.time_s, name) else value
     changed, displayed = imgui.input_float(f"##{name} {number}", displayed, 0, 0, "%.2f")
     imgui.set_item_tooltip(_TITLES[name][1])
     if changed:
-        shower.typed = PendingInput(key.time_s, name, displayed)
-    if imgui.is_item_deactivated_after_edit() and shower.typed is not None:
-        label = "Move rain keyframe" if name == "time" else "Change rain keyframe"
-        typed, shower.typed = shower.typed, None
-        session.set_weather(label, _changed(session.weather, key, name, typed.value))
+        keyframe_panel.typed = PendingInput(key.time_s, name, displayed)
+    if imgui.is_item_deactivated_after_edit() and keyframe_panel.typed is not None:
+        label = _MOVE if name == "time" else "Change rain keyframe"
+        typed, keyframe_panel.typed = keyframe_panel.typed, None
+        document.edit_keyframes(label, set_keyframe_number, key.time_s, name, typed.value)
 
 
 def _number(key: RainKeyframe, name: str) -> float | None:
@@ -395,18 +422,3 @@ def _number(key: RainKeyframe, name: str) -> float | None:
     if name == "exposure_s":
         return None if key.exposure_s is None else 1000 * key.exposure_s
     return None if key.wind_m_s is None else key.wind_m_s[name == "wind y"]
-
-
-def _changed(weather: RainKeyframes, key: RainKeyframe, name: str, value: float) -> RainKeyframes:
-    """Return the keyframes with one number of a keyframe changed, clamped to its bounds."""
-    if name == "time":
-        for each in KEYED:  # fields without a keyframe here are unaffected
-            weather = weather.moved_key(key.time_s, min(max(value, -1e6), 1e6), each)
-        return weather
-    if name == "intensity_mm_h":
-        return weather.with_key(key.time_s, intensity_mm_h=min(max(value, 0.0), HEAVIEST_MM_H))
-    if name == "exposure_s":
-        return weather.with_key(key.time_s, exposure_s=min(max(value / 1000, 1e-5), 1.0))
-    x, y = key.wind_m_s or (0.0, 0.0)
-    value = min(max(value, -40.0), 40.0)
-    return weather.with_key(key.time_s, wind_m_s=(value, y) if name == "wind x" else (x, value))

@@ -4,7 +4,9 @@ from pathlib import Path
 
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import RolloutPlayer
+from gsrain_engine.editor.recorder import RenderQueue
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
 
@@ -46,48 +48,48 @@ _PASS_HELP: dict[Pass, str] = {
 }
 
 
-def record_panel(session: Editor) -> None:
-    _format(session)
-    _cameras(session)
-    _size(session)
-    _times(session)
+def record_panel(document: Document, rollouts: RolloutPlayer, render_queue: RenderQueue) -> None:
+    _format(render_queue)
+    _cameras(document, render_queue)
+    _size(render_queue)
+    _times(render_queue)
     imgui.separator_text("Samples")
-    _count(session, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
-    _count(session, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
+    _count(render_queue, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
+    _count(render_queue, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
     imgui.separator_text("Passes")
-    _passes(session)
+    _passes(render_queue)
     imgui.separator()
-    if session.drives.playing is not None:
+    if rollouts.playing is not None:
         warn("A recording shows the scene with its own traffic, not the playing roll-out.")
-        why_not = session.drives.why_no_video(session)
+        why_not = rollouts.why_no_video
         if button("Render video of the drive...", VIDEO_HELP, width=-1, why_not=why_not):
-            ask_where_to_render_drive(session)
-    can_start, half = _extent(session), share_of_width(2)
+            ask_where_to_render_drive(rollouts)
+    can_start, half = _extent(render_queue), share_of_width(2)
     help_text = "Choose a place, then record in the background (Ctrl+R). The Jobs panel shows the progress."
     if button("Record...", help_text, width=half, enabled=can_start):
-        ask_where_to_record(session)
+        ask_where_to_record(render_queue)
     imgui.same_line()
     help_text = "Render the present view at the present time, in this size and with these samples (Ctrl+Shift+R)."
-    if button("Render image...", help_text, width=half, enabled=not session.recorder.is_recording):
-        ask_where_to_render_image(session)
+    if button("Render image...", help_text, width=half, enabled=not render_queue.is_recording):
+        ask_where_to_render_image(render_queue)
 
 
-def ask_where_to_record(session: Editor) -> None:
+def ask_where_to_record(render_queue: RenderQueue) -> None:
     def record(chosen: list[Path]) -> None:
         # The dialog's filter appends a suffix to a folder's name.
-        session.recorder.record_to(chosen[0].with_suffix("") if chosen[0].suffix == ".*" else chosen[0])
+        render_queue.record_to(chosen[0].with_suffix("") if chosen[0].suffix == ".*" else chosen[0])
 
-    ask_where_to_save("Record the timeline", _KINDS.get(session.recorder.settings.codec, _FRAMES), record)
+    ask_where_to_save("Record the timeline", _KINDS.get(render_queue.settings.codec, _FRAMES), record)
 
 
-def ask_where_to_render_image(session: Editor) -> None:
+def ask_where_to_render_image(render_queue: RenderQueue) -> None:
     kinds = "PNG{.png},JPEG{.jpg},EXR{.exr}"
-    ask_where_to_save("Render image", kinds, lambda chosen: session.recorder.record_still_to(chosen[0]))
+    ask_where_to_save("Render image", kinds, lambda chosen: render_queue.record_still_to(chosen[0]))
 
 
-def _extent(session: Editor) -> bool:
+def _extent(render_queue: RenderQueue) -> bool:
     """Draw number of frames and duration; returns True if the recording can start."""
-    extent = session.recorder.extent()
+    extent = render_queue.extent()
     if isinstance(extent, str):
         warn(extent)
         return False
@@ -98,7 +100,7 @@ def _extent(session: Editor) -> bool:
     imgui.set_item_tooltip(
         "The time is estimated from the viewport's last image (min:s), without loading the scene and encoding."
     )
-    return not session.recorder.is_recording
+    return not render_queue.is_recording
 
 
 def _minutes(seconds: float) -> str:
@@ -109,12 +111,12 @@ def _minutes(seconds: float) -> str:
 # Settings
 
 
-def _format(session: Editor) -> None:
-    settings, recorder = session.recorder.settings, session.recorder
+def _format(render_queue: RenderQueue) -> None:
+    settings = render_queue.settings
     plain_label("Format", "A video, or a folder of numbered frames.")
     if (codec := combo("##format", settings.codec, _FORMATS)) != settings.codec:
-        recorder.change(codec=codec, quality=None)
-    if not recorder.settings.is_video:
+        render_queue.change(codec=codec, quality=None)
+    if not render_queue.settings.is_video:
         return
     settings_label(ExportSettings, "quality")
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
@@ -123,20 +125,20 @@ def _format(session: Editor) -> None:
     with disabled(quality is None):
         changed, new = imgui.slider_int("##quality", default if quality is None else quality, 0, highest)
     if changed:
-        recorder.change(quality=new)
+        render_queue.change(quality=new)
     imgui.same_line()
     is_default = checkbox("default###usual", quality is None, "The codec's default quality: hardly a visible loss.")
     if is_default != (quality is None):
-        recorder.change(quality=None if is_default else default)
+        render_queue.change(quality=None if is_default else default)
 
 
-def _size(session: Editor) -> None:
-    present = session.recorder.settings.size_px
+def _size(render_queue: RenderQueue) -> None:
+    present = render_queue.settings.size_px
     settings_label(ExportSettings, "size_px")
     if imgui.begin_combo("##size", _SIZES.get(present, "other")):
         for size, title in _SIZES.items():
             if imgui.selectable(title, size == present)[0]:
-                session.recorder.change(size_px=size)
+                render_queue.change(size_px=size)
         imgui.end_combo()
     if present is None:
         return
@@ -145,78 +147,78 @@ def _size(session: Editor) -> None:
     imgui.set_item_tooltip("Width and height in pixels; even numbers for a video.")
     if changed:
         width, height = (min(max(side, 1), LARGEST_PX) for side in size)
-        session.recorder.change(size_px=(width, height))
+        render_queue.change(size_px=(width, height))
 
 
-def _cameras(session: Editor) -> None:
+def _cameras(document: Document, render_queue: RenderQueue) -> None:
     settings_label(ExportSettings, "cameras")
-    present = session.recorder.settings.cameras
+    present = render_queue.settings.cameras
     if not imgui.begin_combo("##cameras", "all rig cameras" if present == ("all",) else ", ".join(present) or _PATH):
         return
 
     def choice(title: str, cameras: tuple[str, ...]) -> None:
         if imgui.selectable(title, present == cameras)[0]:
-            session.recorder.change(cameras=cameras)
+            render_queue.change(cameras=cameras)
 
     choice(_PATH, ())
-    for rig, mounted in session.scene.rigs.items():
+    for rig, mounted in document.scene.rigs.items():
         imgui.separator_text(visible_name(rig))
         if len(mounted) > 1:
             choice(label(f"all of {rig}"), (rig,))
         for camera in mounted:
             name = f"{rig}/{camera.name}"
             choice(label(f"{camera.name}  ({camera.width} x {camera.height})", name), (name,))
-    if len(session.scene.rigs) > 1:
+    if len(document.scene.rigs) > 1:
         imgui.separator()
         choice("all rig cameras", ("all",))
     imgui.end_combo()
 
 
-def _times(session: Editor) -> None:
-    settings, recorder = session.recorder.settings, session.recorder
+def _times(render_queue: RenderQueue) -> None:
+    settings = render_queue.settings
     settings_label(ExportSettings, "fps")
     changed, fps = imgui.input_float("##fps", settings.fps, 0.0, 0.0, "%.6g")
     if changed:
-        recorder.change(fps=min(max(fps, 0.1), 1000.0))
+        render_queue.change(fps=min(max(fps, 0.1), 1000.0))
     settings_label(ExportSettings, "first_s")
     changed, first_s = imgui.drag_float("##first_s", settings.first_s, 0.02, -36000.0, 36000.0, "%.3f")
     if changed and (settings.last_s is None or first_s < settings.last_s):
-        recorder.change(first_s=first_s)
+        render_queue.change(first_s=first_s)
     settings_label(ExportSettings, "last_s")
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
-    is_whole, end_s = settings.last_s is None, recorder.end_s
+    is_whole, end_s = settings.last_s is None, render_queue.end_s
     with disabled(is_whole):
         changed, last_s = imgui.drag_float("##last_s", end_s, 0.02, settings.first_s + 1e-3, 36000.0, "%.3f")
     if changed and last_s > settings.first_s:
-        recorder.change(last_s=last_s)
+        render_queue.change(last_s=last_s)
     imgui.same_line()
     help_text = (
         "Record until the camera path or the rig's drive ends. "
         f"Without keyframes of your own, a recording has at most {LONGEST_DEFAULT_S:g} s."
     )
     if checkbox("path end###its end", is_whole, help_text) != is_whole:
-        recorder.change(last_s=end_s if is_whole else None)
+        render_queue.change(last_s=end_s if is_whole else None)
 
 
-def _passes(session: Editor) -> None:
-    settings = session.recorder.settings
+def _passes(render_queue: RenderQueue) -> None:
+    settings = render_queue.settings
     for name, help_text in _PASS_HELP.items():
         is_on = name in settings.passes
         if checkbox(name, is_on, help_text) != is_on:
             passes = tuple(each for each in _PASS_HELP if (each in settings.passes) != (each == name))
             if passes:
-                session.recorder.change(passes=passes)
+                render_queue.change(passes=passes)
         if name != "labels":
             imgui.same_line()
     info = field_info("twin", ExportSettings)
     if (twin := checkbox(info.title, settings.twin, info.help)) != settings.twin:
-        session.recorder.change(twin=twin)
+        render_queue.change(twin=twin)
 
 
-def _count(session: Editor, name: str, highest: int, form: str, flags: int) -> None:
+def _count(render_queue: RenderQueue, name: str, highest: int, form: str, flags: int) -> None:
     settings_label(ExportSettings, name)
-    value = getattr(session.recorder.settings, name)
+    value = getattr(render_queue.settings, name)
     text = "off" if value == 1 else form.format(value)
     changed, value = imgui.slider_int(f"##{name}", value, 1, highest, text, flags)
     if changed:
-        session.recorder.change(**{name: value})
+        render_queue.change(**{name: value})

@@ -1,6 +1,5 @@
 """Panels: their definition, the table of them, and panels of installed packages."""
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -10,6 +9,7 @@ from imgui_bundle import imgui
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.plugins import PANELS, Extension, load_extensions, warn_once
 
+from ..parts import bind_parts
 from ..widgets.fields import button
 from .calibration import calibration_panel, disdrometer_panel
 from .capture import capture_panel
@@ -35,7 +35,8 @@ class Panel:
 
     title: str
     side: DockSide
-    draw: Callable[[Editor], None]
+    draw: Callable[..., None]
+    """Draws it; gets the editor's parts that its parameters name."""
     id: str = ""
     """Identity of its window in saved layouts if the title is not: a former title."""
 
@@ -76,8 +77,6 @@ def all_panels() -> tuple[Panel, ...]:
 
 # Panels of other installed packages: one that fails shows its error, and the window continues
 
-logger = logging.getLogger("gsrain")
-
 
 def installed_panels(used: set[str]) -> tuple[Panel, ...]:
     """Return the panels of other packages; unusable ones are omitted and logged. `used` are the existing titles."""
@@ -88,31 +87,32 @@ def installed_panels(used: set[str]) -> tuple[Panel, ...]:
         elif panel.side not in get_args(DockSide):
             warn_once(str(extension.unfit(f"side {panel.side!r} is none of {', '.join(get_args(DockSide))}")))
         else:
-            fit.append(replace(panel, draw=_Guarded(extension, panel)))
+            fit.append(replace(panel, draw=_guarded(extension, panel)))
     return tuple(fit)
 
 
-class _Guarded:
-    def __init__(self, extension: Extension, panel: Panel) -> None:
-        self._extension = extension
-        self._draw = panel.draw
-        self._failure = ""
+def _guarded(extension: Extension, panel: Panel) -> Callable[[Editor], None]:
+    """Return a function that draws a panel, or else its error."""
+    failure = ""
 
-    def __call__(self, session: Editor) -> None:
-        if self._failure:
-            imgui.text_wrapped(self._failure)
+    def draw(editor: Editor) -> None:
+        nonlocal failure
+        if failure:
+            imgui.text_wrapped(failure)
             if button("Try again", "Draw the panel once more."):
-                self._failure = ""
+                failure = ""
             return
         before = imgui.internal.ErrorRecoveryState()
         imgui.internal.error_recovery_store_state(before)
         try:
-            self._draw(session)
+            bind_parts(panel.draw, editor)()
         except Exception as error:  # the panel is third-party code
             _recover(before)
-            self._failure = str(self._extension.unfit(error))
-            session.problem = self._failure
-            logger.error("%s", self._failure, exc_info=True)
+            unfit = extension.unfit(error)
+            failure = str(unfit)
+            editor.status.report(unfit.with_traceback(error.__traceback__))
+
+    return draw
 
 
 def _recover(before: imgui.internal.ErrorRecoveryState) -> None:

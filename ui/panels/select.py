@@ -3,11 +3,11 @@
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui, implot
 
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.selection import commands
+from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.selection.attributes import ATTRIBUTES, Histogram, layer_names, select_attribute_range
 from gsrain_engine.editor.selection.candidates import Mode, selectable_count, selected_count
-from gsrain_engine.editor.selection.commands import select
+from gsrain_engine.editor.selection.commands import SelectionTool, unused_set_name
+from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled
 from ..widgets.text import label
@@ -26,35 +26,35 @@ _RANGE_HELP: dict[Mode, str] = {
 }
 
 
-def select_panel(session: Editor) -> None:
-    count = selected_count(session.scene)
+def select_panel(document: Document, viewport: ViewportState, selection: SelectionTool) -> None:
+    count = selected_count(document.scene)
     imgui.align_text_to_frame_padding()
-    imgui.text(f"{count:,} of {selectable_count(session.scene):,} selected")
+    imgui.text(f"{count:,} of {selectable_count(document.scene):,} selected")
     imgui.set_item_tooltip("Visible Gaussians of layers and actors that are not locked.")
-    _buttons(session, count > 0)
+    _buttons(viewport, selection, count > 0)
     imgui.separator_text("By attribute")
-    _attribute_range(session)
+    _attribute_range(document, viewport, selection)
     imgui.separator_text("Selection sets")
-    _selection_sets(session, count > 0)
+    _selection_sets(document, selection, count > 0)
 
 
-def _buttons(session: Editor, is_selected: bool) -> None:
-    options = session.selecting
+def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: bool) -> None:
+    options = selection
     if button("All", "Select all visible Gaussians (Ctrl+A)."):
-        commands.select_all(session)
+        selection.select_all()
     imgui.same_line()
     if button("None", "Clear the selection (Ctrl+Shift+A).", enabled=is_selected):
-        commands.select_none(session)
+        selection.select_none()
     imgui.same_line()
     if button("Invert", "Select all visible Gaussians that were not selected (Ctrl+I)."):
-        commands.invert(session)
+        selection.invert()
     imgui.same_line()
-    session.view.show_selection = checkbox("Tint", session.view.show_selection, "Tint the selection (Shift+S).")
+    viewport.options.show_selection = checkbox("Tint", viewport.options.show_selection, "Tint the selection (Shift+S).")
     if button("Grow", "Add Gaussians within this distance of the selection (Ctrl+]).", enabled=is_selected):
-        commands.grow(session, options.distance_m)
+        selection.grow()
     imgui.same_line()
     if button("Shrink", "Deselect Gaussians within this distance of unselected ones (Ctrl+[).", enabled=is_selected):
-        commands.shrink(session, options.distance_m)
+        selection.shrink()
     imgui.same_line()
     imgui.align_text_to_frame_padding()
     imgui.text("by")
@@ -67,33 +67,33 @@ def _buttons(session: Editor, is_selected: bool) -> None:
 # Selection sets
 
 
-def _selection_sets(session: Editor, is_selected: bool) -> None:
-    options = session.selecting
+def _selection_sets(document: Document, selection: SelectionTool, is_selected: bool) -> None:
+    options = selection
     with disabled(not is_selected):
         imgui.set_next_item_width(-4.5 * imgui.get_font_size())
-        flags, hint = imgui.InputTextFlags_.enter_returns_true, commands.unused_set_name(session.scene)
+        flags, hint = imgui.InputTextFlags_.enter_returns_true, unused_set_name(document.scene)
         entered, options.set_name = imgui.input_text_with_hint("##set name", hint, options.set_name, flags)
         imgui.set_item_tooltip("Name of the set; a set of the same name is replaced.")
         imgui.same_line()
         is_saved = button("Save", "Store the selection under this name in the scene's file.", width=-1)
-        if (is_saved or entered) and commands.save_set(session, options.set_name.strip() or None):
+        if (is_saved or entered) and selection.save_set():
             options.set_name = ""
-    if not session.scene.selections:
+    if not document.scene.selections:
         imgui.text_disabled("No sets yet: save a selection.")
         return
     if imgui.begin_table("sets", 3, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit):
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)
-        for number, (name, masks) in enumerate(session.scene.selections.items()):
+        for number, (name, masks) in enumerate(document.scene.selections.items()):
             imgui.push_id(number)
-            _row(session, name, sum(mask.size for mask in masks.values()))
+            _row(selection, name, sum(mask.size for mask in masks.values()))
             imgui.pop_id()
         imgui.end_table()
 
 
-def _row(session: Editor, name: str, size: int) -> None:
+def _row(selection: SelectionTool, name: str, size: int) -> None:
     imgui.table_next_row()
     imgui.table_next_column()
-    _name(session, name)
+    _name(selection, name)
     imgui.table_next_column()
     imgui.align_text_to_frame_padding()
     imgui.text_disabled(f"{size:,}")
@@ -101,17 +101,17 @@ def _row(session: Editor, name: str, size: int) -> None:
     imgui.table_next_column()
     for mode, (icon, help_text) in _SET_HELP.items():
         if imgui.small_button(f"{icon}###recall {mode}"):
-            commands.recall_set(session, name, mode)
+            selection.recall_set(name, mode)
         imgui.set_item_tooltip(help_text)
         imgui.same_line(0, 3)
     if imgui.small_button(f"{icons_fontawesome_6.ICON_FA_TRASH}###delete"):
-        commands.remove_set(session, name)
+        selection.remove_set(name)
     imgui.set_item_tooltip("Delete this set; the selection does not change.")
 
 
-def _name(session: Editor, name: str) -> None:
+def _name(selection: SelectionTool, name: str) -> None:
     """Draw the name; a double click edits it."""
-    options = session.selecting
+    options = selection
     if options.renamed_set != name:
         imgui.align_text_to_frame_padding()
         imgui.selectable(label(name), False)
@@ -126,7 +126,7 @@ def _name(session: Editor, name: str) -> None:
     entered, options.new_name = imgui.input_text("##new name", options.new_name, flags)
     imgui.set_item_tooltip("Enter applies the name, Esc cancels.")
     if entered:
-        commands.rename_set(session, name, options.new_name)
+        selection.rename_set(name, options.new_name)
     if entered or imgui.is_item_deactivated():
         options.renamed_set = ""
 
@@ -139,15 +139,15 @@ _HISTOGRAM_COLOR, _SELECTED_COLOR = ImVec4(0.55, 0.6, 0.68, 1.0), ImVec4(1.0, 0.
 _LINE, _INSIDE = ImVec4(0.3, 0.75, 1.0, 1.0), (0.3, 0.75, 1.0, 0.18)
 
 
-def _attribute_range(session: Editor) -> None:
+def _attribute_range(document: Document, viewport: ViewportState, selection: SelectionTool) -> None:
     """Draw the choice of an attribute, its histogram, and the buttons that apply the range."""
-    options, shot = session.selecting, session.shot(_SIZE, _SIZE)
+    options, shot = selection, viewport.shot(_SIZE, _SIZE)
     titles = {name: f"{name} ({each.unit})" if each.unit else name for name, each in ATTRIBUTES.items()}
     imgui.set_next_item_width(-1)
     attribute = combo("##attribute", options.attribute, titles, ATTRIBUTES[options.attribute].help)
     if attribute != options.attribute:
         options.attribute, options.range = attribute, None
-    histogram = options.histogram.of(session.scene, shot, attribute)
+    histogram = options.histogram.of(document.scene, shot, attribute)
     low, high = options.range or (float(histogram.edges[0]), float(histogram.edges[-1]))
     chosen = _numbers(attribute, histogram, *_plot(attribute, histogram, low, high))
     if chosen != (low, high):
@@ -155,7 +155,7 @@ def _attribute_range(session: Editor) -> None:
     if attribute == "layer":
         imgui.push_text_wrap_pos(0.0)
         imgui.text_disabled(
-            ", ".join(name for number, name in layer_names(session.scene).items() if low <= number <= high)
+            ", ".join(name for number, name in layer_names(document.scene).items() if low <= number <= high)
         )
         imgui.pop_text_wrap_pos()
     for mode, help_text in _RANGE_HELP.items():
@@ -163,8 +163,8 @@ def _attribute_range(session: Editor) -> None:
             imgui.same_line()
         if button(f"{mode.capitalize()}##range", help_text):
             limits = histogram.opened(low, high)
-            found = select_attribute_range(session.scene, shot.time_s, shot.camera, attribute, *limits)
-            select(session, found, mode, attribute)
+            view = shot.time_s, shot.camera
+            selection.select(mode, attribute, select_attribute_range, *view, attribute, *limits)
 
 
 def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[float, float]:

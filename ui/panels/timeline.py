@@ -5,9 +5,11 @@ from typing import get_args
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor import camera_path
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.timeline import TimelineRow, ego_speed_km_h, speed_of, track_rows, weather_row
+from gsrain_engine.editor.camera_path import CameraPathEditor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import RolloutPlayer
+from gsrain_engine.editor.timeline import Playback, TimelineRow, ego_speed_km_h, speed_of, track_rows, weather_row
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.camera_path import CameraPath, Easing, Interpolation
 from gsrain_engine.scene.camera_path_edit import ViewAngles, focal_length_mm, fov_of_focal_length
 
@@ -39,9 +41,15 @@ IMPORT_HELP = "Read a camera path: GSRAIN's, nerfstudio's camera_path.json, or 3
 DELETE_PATH_HELP = "Delete all keyframes; Follow path then uses the scene's own path."
 
 
-def timeline_panel(session: Editor) -> None:
-    em, timeline = imgui.get_font_size(), session.timeline
-    _transport(session)
+def timeline_panel(
+    document: Document,
+    viewport: ViewportState,
+    playback: Playback,
+    camera_path: CameraPathEditor,
+    rollouts: RolloutPlayer,
+) -> None:
+    em, timeline = imgui.get_font_size(), playback.timeline
+    _transport(document, viewport, playback, camera_path)
     avail = imgui.get_content_region_avail()
     numbers = _NUMBERS_EM * em if avail.x > _NARROW_EM * em else 0.0
     titles = _TITLES_EM * em
@@ -49,32 +57,32 @@ def timeline_panel(session: Editor) -> None:
     width = max(avail.x - numbers - titles - imgui.get_style().scrollbar_size - 8, 60.0)
     timeline.ruler.width_px = width
     if not timeline.is_fitted:
-        timeline.ruler.fit(*session.span_s)
+        timeline.ruler.fit(*playback.span_s)
         timeline.is_fitted = True
-    if session.clock.playing and not imgui.is_mouse_down(_LEFT):
-        timeline.ruler.show(session.clock.time_s)
+    if playback.clock.playing and not imgui.is_mouse_down(_LEFT):
+        timeline.ruler.show(playback.clock.time_s)
     start, height = imgui.get_cursor_screen_pos(), _RULER_EM * em
     imgui.set_cursor_screen_pos(ImVec2(start.x + titles, start.y))
     imgui.begin_group()
-    _ruler(session, width, height)
-    _playhead(session, ImVec2(start.x + titles, start.y), width, height, with_head=True)
+    _ruler(playback, camera_path, width, height)
+    _playhead(playback, ImVec2(start.x + titles, start.y), width, height, with_head=True)
     imgui.end_group()
     imgui.set_cursor_screen_pos(ImVec2(start.x, start.y + height))
-    _rows(session, titles, width)
+    _rows(document, viewport, playback, camera_path, rollouts, titles, width)
     if numbers:
         imgui.set_cursor_screen_pos(ImVec2(start.x + avail.x - numbers + 8, start.y))
         if imgui.begin_child("numbers", ImVec2(numbers - 8, 0)):
-            key, path = camera_path.active_keyframe(session), session.scene.path
+            key, path = camera_path.active_key, document.scene.path
             if path is not None and key is not None:
-                _keyframe_numbers(session, path, key)
+                _keyframe_numbers(document, viewport, playback, camera_path, path, key)
             else:
-                _path_numbers(session, path)
+                _path_numbers(viewport, playback, camera_path, rollouts, path)
         imgui.end_child()
-    key = camera_path.active_keyframe(session)
+    key = camera_path.active_key
     timeline.takes_keys = imgui.is_window_focused(imgui.FocusedFlags_.child_windows)
     has_focus = timeline.takes_keys and not imgui.get_io().want_text_input
     if has_focus and key is not None and imgui.is_key_pressed(imgui.Key.delete):
-        camera_path.delete_keyframe(session, key)
+        camera_path.delete_keyframe(key)
 
 
 # Transport bar
@@ -83,9 +91,9 @@ _SPEEDS = {each: f"{each:g}\u00d7" for each in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)}
 _GAP = 18.0
 
 
-def _transport(session: Editor) -> None:
-    clock, timeline, view = session.clock, session.timeline, session.view
-    start, end = session.span_s
+def _transport(document: Document, viewport: ViewportState, playback: Playback, camera_path: CameraPathEditor) -> None:
+    clock, timeline, view = playback.clock, playback.timeline, viewport.options
+    start, end = playback.span_s
     if button(f"{_FA.ICON_FA_BACKWARD_FAST}###to start", "To the start (Ctrl+Left)."):
         clock.seek(start)
     imgui.same_line()
@@ -107,49 +115,49 @@ def _transport(session: Editor) -> None:
     imgui.set_next_item_width(4.2 * imgui.get_font_size())
     clock.speed = combo("##speed", clock.speed, _SPEEDS, "Playback speed; exports do not depend on it.")
     imgui.same_line()
-    _time(session, end)
+    _time(playback, end)
     imgui.same_line(spacing=_GAP)
-    _keyframe_buttons(session)
+    _keyframe_buttons(camera_path)
     imgui.same_line(spacing=_GAP)
     help_text = "Follow path: look through the path camera (V)."
     if button(f"{_FA.ICON_FA_VIDEO}###ride", help_text, is_on=view.follow_path):
-        session.ride(not view.follow_path)
+        viewport.ride(not view.follow_path)
     imgui.same_line()
     help_text = "Show path: draw path and keyframes in the viewport."
     if button(f"{_FA.ICON_FA_ROUTE}###show path", help_text, is_on=timeline.show_path):
         timeline.show_path = not timeline.show_path
     imgui.same_line()
-    _path_menu(session)
+    _path_menu(document, playback, camera_path)
 
 
-def _time(session: Editor, end: float) -> None:
-    if session.timeline.asks_for_time:
+def _time(playback: Playback, end: float) -> None:
+    if playback.timeline.asks_for_time:
         imgui.set_keyboard_focus_here()
-        session.timeline.asks_for_time = False
+        playback.timeline.asks_for_time = False
     imgui.set_next_item_width(5.5 * imgui.get_font_size())
-    typed = _typed_number("##time", session.clock.time_s)
+    typed = _typed_number("##time", playback.clock.time_s)
     imgui.set_item_tooltip("Time of the scene in seconds: traffic, rain and camera path depend on it.")
     if typed is not None:
-        session.clock.seek(typed)
+        playback.clock.seek(typed)
     imgui.same_line(spacing=4)
     imgui.align_text_to_frame_padding()
     imgui.text_disabled(f"/ {end:.2f} s")
     imgui.set_item_tooltip("End of the playback range. Drag its handles on the ruler to change it.")
 
 
-def _keyframe_buttons(session: Editor) -> None:
-    key = camera_path.active_keyframe(session)
+def _keyframe_buttons(camera_path: CameraPathEditor) -> None:
+    key = camera_path.active_key
     help_text = "Insert a camera keyframe of the present view at the present time (K). Shift+K: after the last one."
     if button(f"{_FA.ICON_FA_PLUS} Keyframe###add key", help_text):
-        camera_path.add_keyframe(session)
+        camera_path.add_keyframe()
     with disabled(key is None):
         imgui.same_line()
         help_text = "Set the active keyframe to the present view."
         if button(f"{_FA.ICON_FA_CAMERA}###update key", help_text) and key is not None:
-            camera_path.update_keyframe(session, key)
+            camera_path.update_keyframe(key)
         imgui.same_line()
         if button(f"{_FA.ICON_FA_TRASH}###delete key", "Delete the active keyframe (Delete).") and key is not None:
-            camera_path.delete_keyframe(session, key)
+            camera_path.delete_keyframe(key)
 
 
 def _typed_number(name: str, value: float) -> float | None:
@@ -167,67 +175,67 @@ _FRAME_RATES = (10.0, 24.0, 25.0, 30.0, 50.0, 60.0)
 _JSON = "Camera paths{.json},All files{.*}"
 
 
-def ask_for_import(session: Editor) -> None:
-    ask_what_to_open("Import a camera path", _JSON, lambda chosen: camera_path.import_path(session, chosen[0]))
+def ask_for_import(camera_path: CameraPathEditor) -> None:
+    ask_what_to_open("Import a camera path", _JSON, lambda chosen: camera_path.import_path(chosen[0]))
 
 
-def ask_for_export(session: Editor) -> None:
-    ask_where_to_save("Export the camera path", _JSON, lambda chosen: camera_path.export_path(session, chosen[0]))
+def ask_for_export(camera_path: CameraPathEditor) -> None:
+    ask_where_to_save("Export the camera path", _JSON, lambda chosen: camera_path.export_path(chosen[0]))
 
 
-def _path_menu(session: Editor) -> None:
+def _path_menu(document: Document, playback: Playback, camera_path: CameraPathEditor) -> None:
     if button(f"Path {_FA.ICON_FA_CARET_DOWN}###path", "Import, export, create and delete the camera path."):
         imgui.open_popup("path menu")
     if not imgui.begin_popup("path menu"):
         return
     if menu_item("Import...", IMPORT_HELP):
-        ask_for_import(session)
+        ask_for_import(camera_path)
     if imgui.begin_menu("Export"):
-        _export_menu(session)
+        _export_menu(camera_path)
         imgui.end_menu()
     imgui.separator()
-    _drive_menu(session)
+    _drive_menu(camera_path)
     if menu_item("Circle around the target", CIRCLE_HELP):
-        camera_path.circle_target(session)
+        camera_path.circle_target()
     imgui.separator()
     if imgui.begin_menu("fps"):
         for fps in _FRAME_RATES:
-            if imgui.menu_item(f"{fps:g}", "", session.timeline.fps == fps)[0]:
-                session.timeline.fps = fps
+            if imgui.menu_item(f"{fps:g}", "", playback.timeline.fps == fps)[0]:
+                playback.timeline.fps = fps
         imgui.end_menu()
     imgui.set_item_tooltip("Frame rate: keyframes and steps are on whole frames; exports write each frame.")
-    has_path = session.scene.path is not None
+    has_path = document.scene.path is not None
     if menu_item("Reverse", REVERSE_HELP, possible=has_path):
-        camera_path.reverse_path(session)
+        camera_path.reverse_path()
     if menu_item("Delete all keyframes", DELETE_PATH_HELP, possible=has_path):
-        camera_path.delete_path(session)
+        camera_path.delete_path()
     imgui.end_popup()
 
 
-def _export_menu(session: Editor) -> None:
+def _export_menu(camera_path: CameraPathEditor) -> None:
     if menu_item("Keyframes (GSRAIN)...", "Keyframes and interpolation; import restores them exactly."):
-        ask_for_export(session)
+        ask_for_export(camera_path)
     if menu_item("Every frame (nerfstudio)...", "A camera_path.json for ns-render, at the timeline's frame rate."):
         title = "Export for nerfstudio"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(session, chosen[0], "nerfstudio"))
+        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(chosen[0], "nerfstudio"))
     help_text = "A list of cameras at the timeline's frame rate; it has no times."
     if menu_item("Every frame (3DGS cameras.json)...", help_text):
         title = "Export as 3DGS cameras"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(session, chosen[0], "training cameras"))
+        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(chosen[0], "training cameras"))
 
 
-def _drive_menu(session: Editor) -> None:
-    cameras = camera_path.rig_cameras(session)
+def _drive_menu(camera_path: CameraPathEditor) -> None:
+    cameras = camera_path.rig_cameras
     if not imgui.begin_menu("From the drive", bool(cameras)):
         imgui.set_item_tooltip("Fly like a camera of the recording vehicle. This scene has no such vehicle.")
         return
     for number, camera in enumerate(cameras):
         if imgui.begin_menu(label(camera.name, str(number))):
             if menu_item("Few keyframes", "As few as stay within 5 cm and half a degree of the drive."):
-                camera_path.path_from_drive(session, camera)
+                camera_path.path_from_drive(camera)
             for seconds in (0.5, 1.0, 2.0):
                 if menu_item(f"A keyframe every {seconds:g} s", "Keyframes at equal intervals."):
-                    camera_path.path_from_drive(session, camera, seconds)
+                    camera_path.path_from_drive(camera, seconds)
             imgui.end_menu()
     imgui.end_menu()
 
@@ -244,16 +252,16 @@ _RULER_HELP = (
 )
 
 
-def _ruler(session: Editor, width: float, height: float) -> None:
+def _ruler(playback: Playback, camera_path: CameraPathEditor, width: float, height: float) -> None:
     """Draw the ruler at the cursor, and scrub while it is dragged."""
-    corner, ruler = imgui.get_cursor_screen_pos(), session.timeline.ruler
+    corner, ruler = imgui.get_cursor_screen_pos(), playback.timeline.ruler
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button("ruler", ImVec2(width, height))
     imgui.set_item_tooltip(_RULER_HELP)
     if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(_LEFT):
-        ruler.fit(*session.span_s)
+        ruler.fit(*playback.span_s)
     elif imgui.is_item_active() and not imgui.is_mouse_double_clicked(_LEFT):
-        session.clock.seek(camera_path.nearest_frame_time(session, ruler.time(imgui.get_mouse_pos().x - corner.x)))
+        playback.clock.seek(playback.nearest_frame_time(ruler.time(imgui.get_mouse_pos().x - corner.x)))
     draw, low = imgui.get_window_draw_list(), corner.y + height
     for t in ruler.marks(_MARKS_APART_PX):
         x = corner.x + ruler.x(t)
@@ -264,14 +272,16 @@ def _ruler(session: Editor, width: float, height: float) -> None:
         x = corner.x + ruler.x(t)
         draw.add_line(ImVec2(x, low - 9), ImVec2(x, low), color(hues.DIM))
         draw.add_text(ImVec2(x + 3, corner.y), color(hues.DIM), f"{abs(t):.{digits}f} s")
-    _playback_range(session, corner, width, low)
+    _playback_range(playback, camera_path, corner, width, low)
     imgui.set_cursor_screen_pos(corner)
     imgui.dummy(ImVec2(width, height))
 
 
-def _playback_range(session: Editor, corner: ImVec2, width: float, low: float) -> None:
+def _playback_range(
+    playback: Playback, camera_path: CameraPathEditor, corner: ImVec2, width: float, low: float
+) -> None:
     """Draw the playback range, with a handle at either end."""
-    draw, ruler, (start, end) = imgui.get_window_draw_list(), session.timeline.ruler, session.span_s
+    draw, ruler, (start, end) = imgui.get_window_draw_list(), playback.timeline.ruler, playback.span_s
     first, last = corner.x + ruler.x(start), corner.x + ruler.x(end)
     draw.add_rect_filled(ImVec2(first, low - 3), ImVec2(last, low), color(hues.PLAYED))
     for name, x in (("span start", first), ("span end", last)):
@@ -285,15 +295,15 @@ def _playback_range(session: Editor, corner: ImVec2, width: float, low: float) -
         if held or hovered:
             imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew)
         if held and imgui.is_mouse_dragging(_LEFT, 2):
-            camera_path.set_span(session, name == "span start", ruler.time(imgui.get_mouse_pos().x - corner.x))
+            playback.set_span(name == "span start", ruler.time(imgui.get_mouse_pos().x - corner.x))
         if hovered and imgui.is_mouse_clicked(_RIGHT):
-            session.clock.span_s = None
+            playback.clock.span_s = None
         top = low - (11 if held or hovered else 8)
         draw.add_rect_filled(ImVec2(x - 2, top), ImVec2(x + 2, low), color(hues.PLAYED), 1.0)
 
 
-def _playhead(session: Editor, corner: ImVec2, width: float, height: float, *, with_head: bool) -> None:
-    x = session.timeline.ruler.x(session.clock.time_s)
+def _playhead(playback: Playback, corner: ImVec2, width: float, height: float, *, with_head: bool) -> None:
+    x = playback.timeline.ruler.x(playback.clock.time_s)
     if not -1 <= x <= width + 1:
         return
     draw, at, low, hue = imgui.get_window_draw_list(), corner.x + x, corner.y + height, color(hues.PLAYHEAD)
@@ -309,25 +319,33 @@ _DOT_PX = 4.0
 _HINT = "No keyframes yet: find a view, press K; move on in time, find another view, press K."
 
 
-def _rows(session: Editor, titles: float, width: float) -> None:
+def _rows(
+    document: Document,
+    viewport: ViewportState,
+    playback: Playback,
+    camera_path: CameraPathEditor,
+    rollouts: RolloutPlayer,
+    titles: float,
+    width: float,
+) -> None:
     size = ImVec2(titles + width + imgui.get_style().scrollbar_size, 0)
     is_visible = imgui.begin_child("rows", size, window_flags=imgui.WindowFlags_.no_scroll_with_mouse)
     corner, height, io = imgui.get_window_pos(), imgui.get_window_height(), imgui.get_io()
-    ruler, weather = session.timeline.ruler, session.weather
+    ruler, weather = playback.timeline.ruler, document.keyframes
     if is_visible:
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(0, 0))
-        _camera_row(session, titles, width)
+        _camera_row(document, viewport, playback, camera_path, titles, width)
         if weather.keys:
             last_s = ruler.first_s + ruler.visible_span_s
             rain = weather_row(weather, ruler.first_s, last_s, int(width / 6))
-            _row(session, rain, titles, width, hues.FLIGHT, 0.4)
-        for row in track_rows(session.displayed_scene):
-            _row(session, row, titles, width, hues.PRESENT, 0.25)
+            _row(playback, rain, titles, width, hues.FLIGHT, 0.4)
+        for row in track_rows(rollouts.displayed_scene):
+            _row(playback, row, titles, width, hues.PRESENT, 0.25)
         imgui.pop_style_var()
         if io.key_shift and io.mouse_wheel and imgui.is_window_hovered():
             imgui.set_scroll_y(imgui.get_scroll_y() - io.mouse_wheel * imgui.get_text_line_height())
-        _keyframe_menu(session)
-        _playhead(session, ImVec2(corner.x + titles, corner.y), width, height, with_head=False)
+        _keyframe_menu(playback, camera_path)
+        _playhead(playback, ImVec2(corner.x + titles, corner.y), width, height, with_head=False)
     imgui.end_child()
     # Zoom with the wheel and pan with the middle button, over ruler and rows.
     x = imgui.get_mouse_pos().x - corner.x - titles
@@ -338,26 +356,33 @@ def _rows(session: Editor, titles: float, width: float) -> None:
             ruler.pan(io.mouse_delta.x)
 
 
-def _camera_row(session: Editor, titles_px: float, width: float) -> None:
+def _camera_row(
+    document: Document,
+    viewport: ViewportState,
+    playback: Playback,
+    camera_path: CameraPathEditor,
+    titles_px: float,
+    width: float,
+) -> None:
     corner, height = _begin_row("camera", "Keyframes of the camera path.", titles_px, width)
-    if (path := session.scene.path) is None:
+    if (path := document.scene.path) is None:
         place = ImVec2(corner.x + 32, corner.y + 0.12 * height)
         imgui.get_window_draw_list().add_text(place, color(hues.DIM), _HINT)
     else:
-        _bar(session, corner, height, (path.start_s, path.end_s), hues.FLIGHT, 0.4)
-        for span_s in speed_of(session.path).implausible_spans:
-            _bar(session, corner, height, span_s, hues.TOO_FAST, 0.4)
-        _keyframes(session, path, corner, width, height)
+        _bar(playback, corner, height, (path.start_s, path.end_s), hues.FLIGHT, 0.4)
+        for span_s in speed_of(viewport.path).implausible_spans:
+            _bar(playback, corner, height, span_s, hues.TOO_FAST, 0.4)
+        _keyframes(playback, camera_path, path, corner, width, height)
     _end_row(corner, titles_px, width, height)
 
 
-def _row(session: Editor, row: TimelineRow, titles_px: float, width: float, hue: ImVec4, inset: float) -> None:
+def _row(playback: Playback, row: TimelineRow, titles_px: float, width: float, hue: ImVec4, inset: float) -> None:
     corner, height = _begin_row(row.title, row.help, titles_px, width)
     for span_s in row.spans_s:
-        _bar(session, corner, height, span_s, hue, inset)
+        _bar(playback, corner, height, span_s, hue, inset)
     draw = imgui.get_window_draw_list()
     for moment in row.keys_s:
-        at = ImVec2(corner.x + session.timeline.ruler.x(moment), corner.y + height / 2)
+        at = ImVec2(corner.x + playback.timeline.ruler.x(moment), corner.y + height / 2)
         draw.add_circle_filled(at, _DOT_PX + 1, color(hues.OUTLINE))
         draw.add_circle_filled(at, _DOT_PX, color(hues.RAIN))
     _end_row(corner, titles_px, width, height)
@@ -378,9 +403,9 @@ def _begin_row(title: str, help_text: str, titles_px: float, width: float) -> tu
 
 
 def _bar(
-    session: Editor, corner: ImVec2, height: float, span_s: tuple[float, float], hue: ImVec4, inset: float
+    playback: Playback, corner: ImVec2, height: float, span_s: tuple[float, float], hue: ImVec4, inset: float
 ) -> None:
-    x0, x1 = (corner.x + session.timeline.ruler.x(each) for each in span_s)
+    x0, x1 = (corner.x + playback.timeline.ruler.x(each) for each in span_s)
     top, low = corner.y + inset * height, corner.y + (1 - inset) * height
     imgui.get_window_draw_list().add_rect_filled(ImVec2(x0, top), ImVec2(max(x1, x0 + 2), low), color(hue), 2.0)
 
@@ -399,75 +424,77 @@ _APART_PX = 3.0
 """Minimum distance: imported paths have thousands of keyframes, so closer ones are hidden until zoomed in."""
 
 
-def _keyframes(session: Editor, path: CameraPath, corner: ImVec2, width: float, height: float) -> None:
+def _keyframes(
+    playback: Playback, camera_path: CameraPathEditor, path: CameraPath, corner: ImVec2, width: float, height: float
+) -> None:
     """Draw the keyframes into their row: click goes to one, drag moves it in time, Ctrl+drag copies it."""
-    last_x, active = -_RADIUS - _APART_PX, camera_path.active_keyframe(session)
+    last_x, active = -_RADIUS - _APART_PX, camera_path.active_key
     for key, moment in enumerate(path.times_s.tolist()):
-        x = session.timeline.ruler.x(moment)
+        x = playback.timeline.ruler.x(moment)
         if key == active or last_x + _APART_PX <= x <= width + _RADIUS:
             last_x = x
-            _keyframe(session, key, moment, ImVec2(corner.x + x, corner.y + height / 2))
-    _drag(session)
+            _keyframe(playback, camera_path, key, moment, ImVec2(corner.x + x, corner.y + height / 2))
+    _drag(playback, camera_path)
 
 
-def _keyframe(session: Editor, key: int, moment: float, at: ImVec2) -> None:
+def _keyframe(playback: Playback, camera_path: CameraPathEditor, key: int, moment: float, at: ImVec2) -> None:
     imgui.set_cursor_screen_pos(ImVec2(at.x - _RADIUS, at.y - _RADIUS))
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button(f"key {key}", ImVec2(2 * _RADIUS, 2 * _RADIUS))
     hovered = imgui.is_item_hovered()
     if imgui.is_item_activated():
-        camera_path.begin_drag(session, key, copies=imgui.get_io().key_ctrl)
+        camera_path.begin_drag(key, copies=imgui.get_io().key_ctrl)
     if hovered and imgui.is_mouse_clicked(_RIGHT):
-        session.timeline.key = key
+        playback.timeline.key = key
         imgui.open_popup("key menu")
-    if session.timeline.drag is None:
+    if playback.timeline.drag is None:
         imgui.set_item_tooltip(
             f"Keyframe {key + 1} at {moment:.2f} s. Click: look through it. Drag: move in time. Ctrl+drag: copy. "
             "Delete: remove. Right click: menu."
         )
-    draw, is_active = imgui.get_window_draw_list(), camera_path.active_keyframe(session) == key
+    draw, is_active = imgui.get_window_draw_list(), camera_path.active_key == key
     radius = _RADIUS + (1.5 if hovered else 0)
     for r, hue in ((radius + 1.5, hues.OUTLINE), (radius, hues.CHOSEN if is_active else hues.KEY)):
         left, right = ImVec2(at.x - r, at.y), ImVec2(at.x + r, at.y)
         draw.add_quad_filled(left, ImVec2(at.x, at.y - r), right, ImVec2(at.x, at.y + r), color(hue))
 
 
-def _drag(session: Editor) -> None:
+def _drag(playback: Playback, camera_path: CameraPathEditor) -> None:
     """Continue a drag of a keyframe in this row; keyframe numbers change during the drag."""
-    timeline = session.timeline
+    timeline = playback.timeline
     if timeline.drag is None or timeline.drag.in_view:
         return
     moved = imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX).x
     if moved:
         timeline.drag = timeline.drag._replace(has_moved=True)
     if timeline.drag.has_moved:
-        camera_path.drag_in_time(session, timeline.ruler.seconds(moved))
-        imgui.set_tooltip(f"{camera_path.active_keyframe_time(session):.2f} s")
+        camera_path.drag_in_time(timeline.ruler.seconds(moved))
+        imgui.set_tooltip(f"{camera_path.active_time_s:.2f} s")
     if not imgui.is_mouse_down(_LEFT):
         key, has_moved = timeline.drag.key, timeline.drag.has_moved
-        camera_path.end_drag(session)
+        camera_path.end_drag()
         if not has_moved:
-            camera_path.go_to_keyframe(session, key)
+            camera_path.go_to_keyframe(key)
 
 
-def _keyframe_menu(session: Editor) -> None:
+def _keyframe_menu(playback: Playback, camera_path: CameraPathEditor) -> None:
     """Draw the context menu of a keyframe, in the window of the keyframes."""
     if not imgui.begin_popup("key menu"):
         return
-    if (key := camera_path.active_keyframe(session)) is not None:
+    if (key := camera_path.active_key) is not None:
         if menu_item("Look through it", "Follow path, stopped at this keyframe."):
-            camera_path.go_to_keyframe(session, key)
+            camera_path.go_to_keyframe(key)
         if menu_item("Update from the view", "Set this keyframe to the present view."):
-            camera_path.update_keyframe(session, key)
+            camera_path.update_keyframe(key)
         if menu_item("Copy to the present time", "Insert the same camera at the playhead."):
-            camera_path.copy_keyframe(session, key, session.clock.time_s)
+            camera_path.copy_keyframe(key, playback.clock.time_s)
         if menu_item("Move to the present time", "Move this keyframe to the playhead."):
-            camera_path.retime_keyframe(session, key, session.clock.time_s)
+            camera_path.retime_keyframe(key, playback.clock.time_s)
         if menu_item("Snap to the drive", "Move it to the nearest pose of the recorded drive."):
-            camera_path.snap_keyframe(session, key)
+            camera_path.snap_keyframe(key)
         imgui.separator()
         if menu_item("Delete", "Delete this keyframe."):
-            camera_path.delete_keyframe(session, key)
+            camera_path.delete_keyframe(key)
     imgui.end_popup()
 
 
@@ -477,77 +504,90 @@ _TOO_FAST = ImVec4(0.95, 0.45, 0.38, 1.0)
 _LABEL_EM = 6.5
 
 
-def _keyframe_numbers(session: Editor, path: CameraPath, key: int) -> None:
+def _keyframe_numbers(
+    document: Document,
+    viewport: ViewportState,
+    playback: Playback,
+    camera_path: CameraPathEditor,
+    path: CameraPath,
+    key: int,
+) -> None:
     _label(f"Keyframe {key + 1}/{len(path.times_s)}", "Time of the keyframe in seconds, on a whole frame.")
     imgui.set_next_item_width(0.5 * imgui.get_content_region_avail().x - 3)
     typed = _typed_number("##key time", float(path.times_s[key]))
     if typed is not None:
-        camera_path.retime_keyframe(session, key, typed)
+        camera_path.retime_keyframe(key, typed)
     imgui.same_line(spacing=6)
     if button("Whole path", "Show speed, easing and the other numbers of the whole path.", width=-1):
-        session.timeline.key = None
+        playback.timeline.key = None
     help_text = "Position in the world: x, y, z in meters, z is up. Ctrl+click types a number."
     _label("Position", help_text)
-    position = session.path.positions[key].tolist()
+    position = viewport.path.positions[key].tolist()
     changed, moved = imgui.drag_float3("##key place", position, 0.02, 0, 0, "%.2f")
     imgui.set_item_tooltip(help_text)
     if changed:
         position_m = np.array(moved, np.float64)
-        camera_path.place_keyframe(session, key, "Move keyframe", position_m=position_m, gesture="key place")
-    end_gesture_when_released(session)
+        camera_path.place_keyframe(key, "Move keyframe", position_m=position_m, gesture="key place")
+    end_gesture_when_released(document)
     help_text = "Heading from +x to +y, pitch upward, and roll to the right, in degrees."
     _label("Angles", help_text)
-    angles = list(camera_path.key_angles(session, key))
+    angles = list(camera_path.key_angles(key))
     changed, angles = imgui.drag_float3("##key look", angles, 0.1, 0, 0, "%.1f\u00b0")
     imgui.set_item_tooltip(help_text)
     if changed:
-        camera_path.place_keyframe(session, key, "Turn keyframe", look=ViewAngles(*angles), gesture="key look")
-    end_gesture_when_released(session)
+        camera_path.place_keyframe(key, "Turn keyframe", look=ViewAngles(*angles), gesture="key look")
+    end_gesture_when_released(document)
     fov = float(path.vertical_fov_deg[key])
     _label("Field of view", "Vertical, in degrees; and the equivalent focal length on 35 mm film.")
     half = 0.5 * imgui.get_content_region_avail().x - 3
     imgui.set_next_item_width(half)
     changed, angle = imgui.drag_float("##key fov", fov, 0.1, 2, 150, "%.1f\u00b0", CLAMPED)
     imgui.set_item_tooltip("Vertical field of view in degrees.")
-    _set_fov(session, key, angle if changed else None, "key fov")
+    _set_fov(document, camera_path, key, angle if changed else None, "key fov")
     imgui.same_line(spacing=6)
     imgui.set_next_item_width(half)
     changed, focal = imgui.drag_float("##key focal", focal_length_mm(fov), 0.1, 4, 600, "%.1f mm", CLAMPED)
     imgui.set_item_tooltip("Focal length in mm with the same vertical field of view on 35 mm film.")
-    _set_fov(session, key, fov_of_focal_length(focal) if changed else None, "key focal")
+    _set_fov(document, camera_path, key, fov_of_focal_length(focal) if changed else None, "key focal")
 
 
-def _set_fov(session: Editor, key: int, fov_deg: float | None, gesture: str) -> None:
+def _set_fov(document: Document, camera_path: CameraPathEditor, key: int, fov_deg: float | None, gesture: str) -> None:
     if fov_deg is not None:
-        camera_path.place_keyframe(session, key, "Change field of view", vertical_fov_deg=fov_deg, gesture=gesture)
-    end_gesture_when_released(session)
+        camera_path.place_keyframe(key, "Change field of view", vertical_fov_deg=fov_deg, gesture=gesture)
+    end_gesture_when_released(document)
 
 
-def _path_numbers(session: Editor, path: CameraPath | None) -> None:
-    displayed = path or session.path
+def _path_numbers(
+    viewport: ViewportState,
+    playback: Playback,
+    camera_path: CameraPathEditor,
+    rollouts: RolloutPlayer,
+    path: CameraPath | None,
+) -> None:
+    displayed = path or viewport.path
     with disabled(path is None):
         _label("Interpolation", "Curve between keyframes, and easing.")
         half = 0.5 * imgui.get_content_region_avail().x - 3
         imgui.set_next_item_width(half)
         help_text = "spline: smooth through all keyframes. linear: straight, at constant speed between keyframes."
-        _choice(session, "Interpolation", "interpolation", get_args(Interpolation), displayed, help_text)
+        _choice(camera_path, "Interpolation", "interpolation", get_args(Interpolation), displayed, help_text)
         imgui.same_line(spacing=6)
         imgui.set_next_item_width(half)
         help_text = "none: constant speed. in and out: slow at both ends. at each key: stop at every keyframe."
-        _choice(session, "Easing", "easing", get_args(Easing), displayed, help_text)
+        _choice(camera_path, "Easing", "easing", get_args(Easing), displayed, help_text)
         _label("Loop, time", "Continue from the last keyframe to the first; and the duration in seconds.")
         help_text = "Continue from the last keyframe to the first, in the mean time of the other intervals."
         if (loop := checkbox("##loop", displayed.loop, help_text)) != displayed.loop:
-            camera_path.change_path(session, "Loop on" if loop else "Loop off", loop=loop)
+            camera_path.change_path("Loop on" if loop else "Loop off", loop=loop)
         imgui.same_line()
         imgui.set_next_item_width(-1)
         typed = _typed_number("##duration", displayed.duration_s)
         imgui.set_item_tooltip("Duration of the path in seconds: scales the times of all keyframes.")
         if typed is not None:
-            camera_path.stretch_path(session, typed)
-    speed, t = speed_of(session.path), session.clock.time_s
-    ego = ego_speed_km_h(session.displayed_scene, t)
-    now = 3.6 * float(np.linalg.norm(session.path.velocity(t)))
+            camera_path.stretch_path(typed)
+    speed, t = speed_of(viewport.path), playback.clock.time_s
+    ego = ego_speed_km_h(rollouts.displayed_scene, t)
+    now = 3.6 * float(np.linalg.norm(viewport.path.velocity(t)))
     imgui.text(f"{speed.length_m:.1f} m, {speed.mean_km_h:.0f} km/h, at most {speed.fastest_km_h:.0f} km/h")
     imgui.set_item_tooltip("Length, mean speed and maximum speed of the path.")
     imgui.text(f"now {now:.1f} km/h" + (f"   ego vehicle {ego:.1f} km/h" if ego is not None else ""))
@@ -558,11 +598,11 @@ def _path_numbers(session: Editor, path: CameraPath | None) -> None:
 
 
 def _choice(
-    session: Editor, title: str, field: str, choices: tuple[str, ...], path: CameraPath, help_text: str
+    camera_path: CameraPathEditor, title: str, field: str, choices: tuple[str, ...], path: CameraPath, help_text: str
 ) -> None:
     present = getattr(path, field)
     if (picked := combo(f"##{field}", present, choices, help_text)) != present:
-        camera_path.change_path(session, f"{title}: {picked}", **{field: picked})
+        camera_path.change_path(f"{title}: {picked}", **{field: picked})
 
 
 def _label(text: str, help_text: str) -> None:

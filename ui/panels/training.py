@@ -1,6 +1,5 @@
 """Reconstruction of the open capture, recoloring from images, and training of the transfer."""
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -8,11 +7,13 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.finetune.settings import finetuning_names
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.finetune import FinetuneChoice
-from gsrain_engine.editor.job_results import scene_results
-from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch, recolor_job, reconstruction_job
-from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
+from gsrain_engine.editor.capture_view import CaptureController
+from gsrain_engine.editor.finetune import FinetuneChoice, FinetuneController
+from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch
+from gsrain_engine.editor.training import TrainingController
+from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.training.settings import TrainingSettings, settings_names
 
 from ..widgets.fields import (
     ALL_FILES,
@@ -27,16 +28,6 @@ from ..widgets.fields import (
 )
 from .jobs import job_fields
 
-
-@dataclass(slots=True)
-class _ReconstructionChoice:
-    """Settings of the next reconstruction; they are not part of the document."""
-
-    preset: str
-    settings: TrainingSettings
-
-
-_chosen = _ReconstructionChoice("laptop", load_settings("laptop"))
 _PRESETS = {
     "draft": "A first look: two minutes on two processor cores.",
     "laptop": "About ten minutes on two processor cores.",
@@ -57,52 +48,45 @@ _RECOLOR_HELP = (
 _RECOLOR_OTHERS_HELP = "The same with images from a folder, such as transferred ones, named like the capture's own."
 
 
-def reconstruct_fields(session: Editor) -> None:
-    captures = session.captures
-    if captures.capture is None or captures.path is None:
+def reconstruct_fields(
+    viewport: ViewportState, captures: CaptureController, training: TrainingController, jobs: JobRunner
+) -> None:
+    if captures.capture is None:
         return
     if not captures.capture.has_poses:
         imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
         return
-    newest = session.jobs.newest("reconstruct", "recolor")
+    newest = jobs.newest("reconstruct", "recolor")
     if newest is not None and newest.state == "running":
-        job_fields(session, newest)
+        job_fields(viewport, jobs, newest)
         return
-    why_not = session.why_wait
     if has_torch():
-        _reconstruction_settings()
-        if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=why_not):
-            job = reconstruction_job(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
-            session.jobs.start(job, scene_results(session, job.title, is_whole=True))
+        _reconstruction_settings(training)
+        if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=training.why_not):
+            training.reconstruct()
     else:
         imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
-    if not session.scene.gaussian_count:
-        why_not = why_not or "There is no scene to recolor yet."
+    why_not = training.why_no_recoloring
     if button("Recolor to these images", _RECOLOR_HELP, width=-1, why_not=why_not):
-        _recolor(session, captures.path, [])
+        training.recolor()
     if button("Recolor to other images...", _RECOLOR_OTHERS_HELP, width=-1, why_not=why_not):
-        ask_what_to_open("Images to recolor to (folder)", "", partial(_recolor, session, captures.path))
+        ask_what_to_open("Images to recolor to (folder)", "", lambda chosen: training.recolor(chosen[0]))
     if newest is not None:
         imgui.separator_text(newest.title)
-        job_fields(session, newest)
+        job_fields(viewport, jobs, newest)
 
 
-def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
-    images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
-    job = recolor_job(session.scene, session.files.known, capture, images, allow_outside=allowed)
-    session.jobs.start(job, scene_results(session, job.title))
-
-
-def _reconstruction_settings() -> None:
-    help_text = _PRESETS.get(_chosen.preset, "")
+def _reconstruction_settings(training: TrainingController) -> None:
+    help_text = _PRESETS.get(training.preset, "")
     plain_label("Settings", help_text)
-    if (preset := combo("##preset", _chosen.preset, settings_names(), help_text)) != _chosen.preset:
-        _chosen.preset, _chosen.settings = preset, load_settings(preset)
+    if (preset := combo("##preset", training.preset, settings_names(), help_text)) != training.preset:
+        training.choose_preset(preset)
+    settings, info = training.settings, field_info("sh_degree", TrainingSettings)
     for name, step in _STEPS.items():
-        _chosen.settings = edit_field(_chosen.settings, name, step=step)
-    settings, info = edit_field(_chosen.settings, "density"), field_info("sh_degree", TrainingSettings)
+        settings = edit_field(settings, name, step=step)
+    settings = edit_field(settings, "density")
     settings = edit_choice(settings, "sh_degree", range(int(info.low), int(info.high) + 1))
-    _chosen.settings = edit_choice(settings, "own_body", _OWN_BODY)
+    training.settings = edit_choice(settings, "own_body", _OWN_BODY)
 
 
 # Transfer training: settings
@@ -113,29 +97,28 @@ _FINETUNE_PRESETS = {
 }
 
 
-def transfer_training_fields(session: Editor) -> None:
-    studio = session.studio
-    job = studio.job
+def transfer_training_fields(viewport: ViewportState, finetune: FinetuneController, jobs: JobRunner) -> None:
+    job = finetune.job
     if job is None or job.state != "running":
-        _config(session)
+        _config(finetune)
         for name in ("clear", "rainy", "output"):
-            path_field(studio.choice, name, "", partial(_take, session, name))
-        studio.choice = edit_field(studio.choice, "steps", step=100)
-        can_resume, why_not = studio.can_resume, studio.why_not(session)
+            path_field(finetune.choice, name, "", partial(_take, finetune, name))
+        finetune.choice = edit_field(finetune.choice, "steps", step=100)
+        can_resume, why_not = finetune.can_resume, finetune.why_not
         title = "Resume the training" if can_resume else "Train the transfer"
         help_text = "Continue from the folder's checkpoint, with the same result as without a stop."
         if not can_resume:
             help_text = "Fine-tune CycleGAN-Turbo on the two sets of images; Cancel preserves the last checkpoint."
         title = f"{icons_fontawesome_6.ICON_FA_GRADUATION_CAP}  {title}###train"
         if button(title, help_text, width=-1, why_not=why_not):
-            studio.start(session, resume=can_resume)
-    if job is not None and job in session.jobs.all:
+            finetune.start(resume=can_resume)
+    if job is not None and job in jobs.all:
         imgui.separator_text(job.title)
-        job_fields(session, job)
+        job_fields(viewport, jobs, job)
 
 
-def _config(session: Editor) -> None:
-    choice, from_file = session.studio.choice, "from a file..."
+def _config(finetune: FinetuneController) -> None:
+    choice, from_file = finetune.choice, "from a file..."
     names, help_text = finetuning_names(), field_info("config", FinetuneChoice).help
     choices = {each: each for each in names} | {from_file: from_file}
     if choice.config not in names:
@@ -143,15 +126,15 @@ def _config(session: Editor) -> None:
     plain_label("Settings", field_info("config", FinetuneChoice).help)
     picked = combo("##config", choice.config, choices, _FINETUNE_PRESETS.get(choice.config, help_text))
     if picked == from_file:
-        ask_what_to_open("Settings of the training", f"YAML{{.yaml,.yml}},{ALL_FILES}", partial(_take_file, session))
+        ask_what_to_open("Settings of the training", f"YAML{{.yaml,.yml}},{ALL_FILES}", partial(_take_file, finetune))
     elif picked != choice.config:
-        session.studio.choice = msgspec.structs.replace(choice, config=picked)
+        finetune.choice = msgspec.structs.replace(choice, config=picked)
 
 
-def _take_file(session: Editor, chosen: list[Path]) -> None:
-    session.studio.choice = msgspec.structs.replace(session.studio.choice, config=str(chosen[0]))
+def _take_file(finetune: FinetuneController, chosen: list[Path]) -> None:
+    finetune.choice = msgspec.structs.replace(finetune.choice, config=str(chosen[0]))
 
 
-def _take(session: Editor, name: str, text: str) -> None:
+def _take(finetune: FinetuneController, name: str, text: str) -> None:
     path = Path(text).expanduser() if text.strip() else None
-    session.studio.choice = msgspec.structs.replace(session.studio.choice, **{name: path})
+    finetune.choice = msgspec.structs.replace(finetune.choice, **{name: path})

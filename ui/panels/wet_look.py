@@ -7,9 +7,13 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.registry import usable_methods
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.finetune import FinetuneController
+from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
-from gsrain_engine.editor.make_rainy import SOURCES, TITLES, why_no_views
+from gsrain_engine.editor.live_rain import LiveRain
+from gsrain_engine.editor.make_rainy import SOURCES, TITLES, WetLookController
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
 from ..widgets import fields
@@ -43,30 +47,38 @@ _COMPARE_HELP = (
 )
 
 
-def wet_look_panel(session: Editor) -> None:
-    _method(session)
-    _views(session)
+def wet_look_panel(
+    document: Document,
+    viewport: ViewportState,
+    live_rain: LiveRain,
+    wet_look: WetLookController,
+    finetune: FinetuneController,
+    jobs: JobRunner,
+) -> None:
+    _method(wet_look)
+    _views(wet_look)
     imgui.spacing()
-    _preview(session)
-    _make(session)
-    if session.scene.has_wet_colors:
-        _result(session)
+    _preview(wet_look, jobs)
+    _make(viewport, wet_look, jobs)
+    if document.scene.has_wet_colors:
+        _result(document, viewport, live_rain, wet_look)
     if imgui.collapsing_header("Train the transfer"):
-        transfer_training_fields(session)
+        transfer_training_fields(viewport, finetune, jobs)
 
 
-def _method(session: Editor) -> None:
-    rainy = session.rainy
+def _method(wet_look: WetLookController) -> None:
     fields.plain_label("Method", "Method of the transfer from clear to rainy views.")
-    rainy.method = combo("##method", rainy.method, {each.name: each.title for each in usable_methods()}, rainy.row.help)
-    names = [name for name in rainy.row.uses if _applies(name, rainy.settings)]
+    wet_look.method = combo(
+        "##method", wet_look.method, {each.name: each.title for each in usable_methods()}, wet_look.row.help
+    )
+    names = [name for name in wet_look.row.uses if _applies(name, wet_look.settings)]
     for name in names[:1]:
-        _setting(session, name)
+        _setting(wet_look, name)
     if names[1:] and imgui.tree_node("More settings"):
         for name in names[1:]:
-            _setting(session, name)
+            _setting(wet_look, name)
         imgui.tree_pop()
-    warn(rainy.why_no_transfer)
+    warn(wet_look.why_no_transfer)
 
 
 def _applies(name: str, settings: TransferSettings) -> bool:
@@ -77,33 +89,32 @@ def _applies(name: str, settings: TransferSettings) -> bool:
     return (name != "guide" or settings.normals != "none") and (name != "neighbours" or settings.mutual_attention)
 
 
-def _setting(session: Editor, name: str) -> None:
-    settings, label = session.rainy.settings, _LABELS.get(name)
+def _setting(wet_look: WetLookController, name: str) -> None:
+    settings, label = wet_look.settings, _LABELS.get(name)
     if name in _PATHS:
         is_folder = name == "normals_weights" and settings.normals == "marigold"
-        path_field(settings, name, "" if is_folder else _PATHS[name], partial(_take, session, name), label=label)
+        path_field(settings, name, "" if is_folder else _PATHS[name], partial(_take, wet_look, name), label=label)
     else:
-        session.rainy.settings = edit_field(settings, name, label=label)
+        wet_look.settings = edit_field(settings, name, label=label)
 
 
-def _take(session: Editor, name: str, text: str) -> None:
-    session.rainy.change(**{name: Path(text).expanduser() if text.strip() else None})
+def _take(wet_look: WetLookController, name: str, text: str) -> None:
+    wet_look.change(**{name: Path(text).expanduser() if text.strip() else None})
 
 
-def _views(session: Editor) -> None:
-    choice = edit_choice(session.rainy.choice, "source", {each: TITLES[each] for each in SOURCES}, _SOURCE_HELP)
+def _views(wet_look: WetLookController) -> None:
+    choice = edit_choice(wet_look.choice, "source", {each: TITLES[each] for each in SOURCES}, _SOURCE_HELP)
     choice = edit_field(choice, "count", label="Number of views")
-    session.rainy.choice = edit_field(choice, "width_px", label="Width (px)", step=16)
-    warn(why_no_views(session, choice.source))
+    wet_look.choice = edit_field(choice, "width_px", label="Width (px)", step=16)
+    warn(wet_look.why_no_views(choice.source))
 
 
-def _preview(session: Editor) -> None:
-    rainy = session.rainy
+def _preview(wet_look: WetLookController, jobs: JobRunner) -> None:
     title = f"{_ICONS.ICON_FA_EYE}  Preview this view###preview"
-    if button(title, _PREVIEW_HELP, width=-1, why_not=rainy.why_no_preview(session)):
-        rainy.preview(session)
-    texture, stale = rainy.texture, rainy.what_is_stale(session)
-    if texture is None or session.jobs.running:
+    if button(title, _PREVIEW_HELP, width=-1, why_not=wet_look.why_no_preview):
+        wet_look.preview()
+    texture, stale = wet_look.texture, wet_look.what_is_stale
+    if texture is None or jobs.running:
         return  # a running job shows its own previews
     aspect = texture.width / texture.height
     width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
@@ -113,35 +124,35 @@ def _preview(session: Editor) -> None:
     if stale is not None:
         imgui.align_text_to_frame_padding()
         imgui.text_disabled(stale)
-        if not rainy.fits(session):
+        if not wet_look.fits:
             imgui.same_line()
             if imgui.small_button("Return to it"):
-                rainy.look_from_preview(session)
+                wet_look.look_from_preview()
             imgui.set_item_tooltip("Look from the camera of the preview.")
 
 
-def _make(session: Editor) -> None:
-    rainy, newest = session.rainy, session.jobs.newest("make rainy", "preview")
+def _make(viewport: ViewportState, wet_look: WetLookController, jobs: JobRunner) -> None:
+    newest = jobs.newest("make rainy", "preview")
     if newest is None or newest.state != "running":
         title, height = f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {MAKE_RAINY_TITLE}###make", imgui.get_frame_height()
-        if button(title, _MAKE_HELP, width=-1, height=1.5 * height, why_not=rainy.why_not(session)):
-            rainy.make(session)
+        if button(title, _MAKE_HELP, width=-1, height=1.5 * height, why_not=wet_look.why_not):
+            wet_look.make()
     if newest is not None:
         imgui.separator_text(newest.title)
-        job_fields(session, newest)
+        job_fields(viewport, jobs, newest)
 
 
-def _result(session: Editor) -> None:
+def _result(document: Document, viewport: ViewportState, live_rain: LiveRain, wet_look: WetLookController) -> None:
     """Draw the blending of wet colors, and the comparison with the clear ones."""
     imgui.separator_text("Wet colors")
-    if session.wetness_now == 0:
+    if live_rain.wetness_now == 0:
         imgui.text_wrapped("The scene is dry now: the wetness follows the rain.")
-    fields.slider(session, "intensity_mm_h", high=max(CALIBRATED_UP_TO_MM_H, session.rain_now.intensity_mm_h))
-    wetness_fields(session)
-    is_compared = session.view.split == "clear | rainy"
+    fields.slider(document, "intensity_mm_h", high=max(CALIBRATED_UP_TO_MM_H, document.rain_now.intensity_mm_h))
+    wetness_fields(document, live_rain)
+    is_compared = viewport.options.split == "clear | rainy"
     title = f"{_ICONS.ICON_FA_TABLE_COLUMNS}  {'Stop comparing' if is_compared else 'Compare'}###compare"
     if button(title, _COMPARE_HELP, width=-1):
         if is_compared:
-            session.view.split = "off"
+            viewport.options.split = "off"
         else:
-            session.rainy.compare(session)
+            wet_look.compare()

@@ -6,7 +6,7 @@ from .select_screen import BrushTool, ColorPickTool, FloodTool, LassoTool, Polyg
 from .select_volume import BoxTool, CropTool, SphereTool
 from .transform import LevelTool, MeasureTool, MoveTool, OriginTool
 
-TOOLS: tuple[Tool, ...] = (
-    RectangleTool(), LassoTool(), PolygonTool(), BrushTool(), SphereTool(), BoxTool(), FloodTool(), ColorPickTool(),
-    MoveTool(), CropTool(), MeasureTool(), LevelTool(), OriginTool(), RegionTool(), SkyPickTool(),
+TOOLS: tuple[type[Tool], ...] = (
+    RectangleTool, LassoTool, PolygonTool, BrushTool, SphereTool, BoxTool, FloodTool, ColorPickTool, MoveTool, CropTool,
+    MeasureTool, LevelTool, OriginTool, RegionTool, SkyPickTool,
 )  # fmt: skip

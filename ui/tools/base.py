@@ -8,10 +8,10 @@ from imgui_bundle import ImVec4, imgui
 from imgui_bundle.imgui import ImVec2Like
 from jaxtyping import Float64
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.viewport.picking import pick_point
 
-from ..widgets.draw import Viewport, is_clicked
+from ..widgets.draw import Canvas, is_clicked
 
 Pixel = tuple[float, float]
 CLAMP = imgui.SliderFlags_.always_clamp
@@ -19,7 +19,10 @@ _STILL_PX = 4.0  # movement up to this distance is a click
 
 
 class Tool:
-    """A tool that draws over the viewport and may use the left button; `session.view.tool` names the active one."""
+    """A tool that draws over the viewport and may use the left button; `viewport.options.tool` names the active one.
+
+    Its constructor gets the editor's parts that its parameters name.
+    """
 
     name: str
     """Name on its button and in the command palette, such as "Lasso"."""
@@ -30,11 +33,11 @@ class Tool:
     """Tooltip with its function and keys."""
     _frame = -1
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
+    def draw(self, canvas: Canvas) -> bool:
         """Draw over the viewport and handle the mouse, each frame; returns True if the tool uses the left button."""
         raise NotImplementedError
 
-    def options(self, session: Editor) -> None:
+    def options(self) -> None:
         """Draw its settings into the bar above the viewport."""
         raise NotImplementedError
 
@@ -57,31 +60,31 @@ class DragTool(Tool):
         x, y = self.points[0] if self.points else (0.0, 0.0)
         return any(max(abs(u - x), abs(v - y)) > _STILL_PX for u, v in self.points)
 
-    def follow_drag(self, viewport: Viewport) -> Literal["none", "pressed", "dragged", "released"]:
+    def follow_drag(self, canvas: Canvas) -> Literal["none", "pressed", "dragged", "released"]:
         """Read the mouse, once per frame."""
         if self.is_resumed() or self._state == "released":
             self.points = []
-        if viewport.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            self._state, self.points = "pressed", [viewport.mouse_px]
+        if canvas.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
+            self._state, self.points = "pressed", [canvas.mouse_px]
         elif not self.points:
             self._state = "none"
-        elif viewport.active and imgui.is_mouse_down(imgui.MouseButton_.left):
+        elif canvas.active and imgui.is_mouse_down(imgui.MouseButton_.left):
             self._state = "dragged"
-            if viewport.mouse_px != self.points[-1]:
-                self.points = [*self.points, viewport.mouse_px]
+            if canvas.mouse_px != self.points[-1]:
+                self.points = [*self.points, canvas.mouse_px]
         else:
             self._state = "released"
         return self._state
 
 
-def point_under_mouse(session: Editor, viewport: Viewport) -> Float64[np.ndarray, "3"] | None:
+def point_under_mouse(document: Document, canvas: Canvas) -> Float64[np.ndarray, "3"] | None:
     """Return the world point (meters) of the surface under the mouse; None for sky or nothing."""
-    return pick_point(session.scene, viewport.shot, *viewport.mouse_px)
+    return pick_point(document.scene, canvas.shot, *canvas.mouse_px)
 
 
-def clicked_point(session: Editor, viewport: Viewport) -> Float64[np.ndarray, "3"] | None:
+def clicked_point(document: Document, canvas: Canvas) -> Float64[np.ndarray, "3"] | None:
     """Return the world point (meters) of a surface that was clicked in this frame."""
-    return point_under_mouse(session, viewport) if is_clicked(viewport) else None
+    return point_under_mouse(document, canvas) if is_clicked(canvas) else None
 
 
 # Numbers in the bar of a tool
@@ -134,20 +137,20 @@ _FILL = ImVec4(1.0, 0.85, 0.3, 0.10)
 _FAINT = ImVec4(1.0, 0.85, 0.3, 0.55)
 
 
-def draw_polyline(viewport: Viewport, points: Sequence[Sequence[float]], *, closed: bool = False) -> None:
-    on_screen: list[ImVec2Like] = [viewport.on_screen(x, y) for x, y in points]
+def draw_polyline(canvas: Canvas, points: Sequence[Sequence[float]], *, closed: bool = False) -> None:
+    on_screen: list[ImVec2Like] = [canvas.on_screen(x, y) for x, y in points]
     flags = imgui.ImDrawFlags_.closed if closed else 0
     for color, width in ((DARK, 3.5), (LIGHT, 1.5)):
         imgui.get_window_draw_list().add_polyline(on_screen, imgui.get_color_u32(color), thickness=width, flags=flags)
 
 
-def draw_rectangle(viewport: Viewport, first: Pixel, second: Pixel) -> None:
-    low, high = viewport.on_screen(*first), viewport.on_screen(*second)
+def draw_rectangle(canvas: Canvas, first: Pixel, second: Pixel) -> None:
+    low, high = canvas.on_screen(*first), canvas.on_screen(*second)
     imgui.get_window_draw_list().add_rect_filled(low, high, imgui.get_color_u32(_FILL))
-    draw_polyline(viewport, [first, (second[0], first[1]), second, (first[0], second[1])], closed=True)
+    draw_polyline(canvas, [first, (second[0], first[1]), second, (first[0], second[1])], closed=True)
 
 
-def draw_faint_line(viewport: Viewport, first: Pixel, second: Pixel) -> None:
+def draw_faint_line(canvas: Canvas, first: Pixel, second: Pixel) -> None:
     """Draw a thin line, such as the closing edge of a shape."""
-    start, end = viewport.on_screen(*first), viewport.on_screen(*second)
+    start, end = canvas.on_screen(*first), canvas.on_screen(*second)
     imgui.get_window_draw_list().add_line(start, end, imgui.get_color_u32(_FAINT), 1.0)

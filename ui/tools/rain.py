@@ -7,14 +7,17 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from jaxtyping import Float64
 
 from gsrain_engine.editor import rain_regions as regions
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import RolloutPlayer
+from gsrain_engine.editor.live_rain import LiveRain
 from gsrain_engine.editor.rain_regions import FaceHandle, RegionName
 from gsrain_engine.editor.viewport.picking import SkyColorPick
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, RegionBox
 from gsrain_engine.render.draw import RenderView, rain_anchor
 
 from ..panels.rain import PICK_TOOL
-from ..widgets.draw import WHITE, Rgba, Viewport, draw_hint, draw_line, draw_point, draw_words
+from ..widgets.draw import WHITE, Canvas, Rgba, draw_hint, draw_line, draw_point, draw_words
 from ..widgets.fields import help_button
 from ..widgets.text import inline_text
 from .base import DragTool, Tool, draw_rectangle
@@ -37,93 +40,98 @@ class RegionTool(Tool):
     _drag: regions.BoxFaceDrag | None = None
     _frozen: RenderView | None = None
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
+    def __init__(self, document: Document, live_rain: LiveRain, rollouts: RolloutPlayer) -> None:
+        self._document, self._live_rain, self._rollouts = document, live_rain, rollouts
+
+    def draw(self, canvas: Canvas) -> bool:
         """Draw the region with a dot on each visible face, and an outside view; handle the mouse."""
-        box = getattr(session.rain, self._region)
-        anchor = rain_anchor(session.displayed_scene, session.displayed_rain, viewport.shot)
-        _edges(viewport, box, anchor, _COLORS[self._region])
-        inset = self._inset(viewport, box, anchor)
-        handles = regions.face_handles(box, anchor, viewport.shot.camera)
+        box = getattr(self._document.rain, self._region)
+        anchor = rain_anchor(self._rollouts.displayed_scene, self._live_rain.displayed, canvas.shot)
+        _edges(canvas, box, anchor, _COLORS[self._region])
+        inset = self._inset(canvas, box, anchor)
+        handles = regions.face_handles(box, anchor, canvas.shot.camera)
         outside = regions.face_handles(box, anchor, inset.shot.camera, inset=0.0)
-        place, there = (inset, outside) if inset.hovered else (viewport, handles)
+        place, there = (inset, outside) if inset.hovered else (canvas, handles)
         under = _under_mouse(place, there)
         if under is not None and self._drag is None and imgui.is_mouse_clicked(imgui.MouseButton_.left):
             self._drag = regions.BoxFaceDrag(under, box, self._region, place.shot.camera, place.mouse_px)
             self._frozen = inset.shot
-        self._move_face(session, viewport, inset)
+        self._move_face(canvas, inset)
         lit = self._drag.handle if self._drag is not None else under
-        self._dots(viewport, box, handles, lit, labeled=place is viewport)
+        self._dots(canvas, box, handles, lit, labeled=place is canvas)
         draw, far = imgui.get_window_draw_list(), inset.on_screen(inset.width, inset.height)
         draw.add_rect_filled(inset.corner, far, imgui.get_color_u32((0.05, 0.06, 0.08, 0.82)), 5.0)
         ink = imgui.get_color_u32((0.8, 0.8, 0.8, 0.8))
         draw.add_text(inset.on_screen(8, 5), ink, "From outside: drag the dots")
-        for start, end in regions.frustum_lines(viewport.shot.camera, 0.45 * float(min(box.size_m))):
+        for start, end in regions.frustum_lines(canvas.shot.camera, 0.45 * float(min(box.size_m))):
             draw_line(inset, start, end, _CAMERA)
         _edges(inset, box, anchor, _COLORS[self._region])
         self._dots(inset, box, outside, lit, labeled=True)
         return lit is not None or inset.hovered
 
     def _dots(
-        self, viewport: Viewport, box: RegionBox, handles: list[FaceHandle], lit: FaceHandle | None, *, labeled: bool
+        self, canvas: Canvas, box: RegionBox, handles: list[FaceHandle], lit: FaceHandle | None, *, labeled: bool
     ) -> None:
         for handle in handles:
             is_lit = lit is not None and handle.face == lit.face
-            draw_point(viewport, handle.point_m, *((WHITE, 7.0) if is_lit else (_COLORS[self._region], 5.5)))
+            draw_point(canvas, handle.point_m, *((WHITE, 7.0) if is_lit else (_COLORS[self._region], 5.5)))
             if is_lit and labeled:
                 place = (box.maximum_m if handle.upper else box.minimum_m)[handle.axis]
-                draw_words(viewport, handle.point_m, f"{'xyz'[handle.axis]} {place:.2f} m")
+                draw_words(canvas, handle.point_m, f"{'xyz'[handle.axis]} {place:.2f} m")
 
-    def _inset(self, viewport: Viewport, box: RegionBox, anchor: Float64[np.ndarray, "4 4"]) -> Viewport:
+    def _inset(self, canvas: Canvas, box: RegionBox, anchor: Float64[np.ndarray, "4 4"]) -> Canvas:
         """Return the inset viewport at the lower right; its camera is fixed while a face is dragged."""
         em = imgui.get_font_size()
-        width, height = int(min(15 * em, 0.5 * viewport.width)), int(min(11 * em, 0.5 * viewport.height))
-        corner = viewport.on_screen(viewport.width - width - 0.6 * em, viewport.height - height - 0.6 * em)
+        width, height = int(min(15 * em, 0.5 * canvas.width)), int(min(11 * em, 0.5 * canvas.height))
+        corner = canvas.on_screen(canvas.width - width - 0.6 * em, canvas.height - height - 0.6 * em)
         shot = self._frozen if self._frozen is not None else regions.inset_view(box, anchor, width, height)
-        inset = Viewport(corner, width, height, shot, viewport.hovered, viewport.active)
+        inset = Canvas(corner, width, height, shot, canvas.hovered, canvas.active)
         x, y = inset.mouse_px
-        return replace(inset, hovered=viewport.hovered and 0 <= x < width and 0 <= y < height)
+        return replace(inset, hovered=canvas.hovered and 0 <= x < width and 0 <= y < height)
 
-    def options(self, session: Editor) -> None:
+    def options(self) -> None:
         for region, label in _LABELS.items():
             if imgui.radio_button(label, self._region == region):
                 self._region, self._drag = region, None
             imgui.set_item_tooltip(_HELP[region])
             imgui.same_line()
-        x, y, z = getattr(session.rain, self._region).size_m
+        x, y, z = getattr(self._document.rain, self._region).size_m
         imgui.align_text_to_frame_padding()
         imgui.text_disabled(f"{x:.1f} x {y:.1f} x {z:.1f} m")
         imgui.set_item_tooltip("Ahead, across, upward; numbers of both corners are in the Rain panel under Regions.")
         imgui.same_line()
         if help_button("Reset##region", "The region of the paper's setup."):
             label = f"Reset the {_LABELS[self._region].lower()}"
-            session.change_rain(label, None, **{self._region: _WHOLE[self._region]})
+            self._document.change_rain(label, None, **{self._region: _WHOLE[self._region]})
 
-    def _move_face(self, session: Editor, viewport: Viewport, inset: Viewport) -> None:
+    def _move_face(self, canvas: Canvas, inset: Canvas) -> None:
         """Move the dragged face with the mouse, until the button is released."""
         if self._drag is None:
             return
         if not imgui.is_mouse_down(imgui.MouseButton_.left):
             self._drag = self._frozen = None
-            session.end_gesture()
+            self._document.end_gesture()
             return
         moved = imgui.get_io().mouse_delta
-        if viewport.active and (moved.x or moved.y):
-            place = inset if self._drag.camera is inset.shot.camera else viewport
+        if canvas.active and (moved.x or moved.y):
+            place = inset if self._drag.camera is inset.shot.camera else canvas
             changed = self._drag.pulled(*place.mouse_px)
-            session.change_rain(f"Drag the {_LABELS[self._region].lower()}", "region face", **{self._region: changed})
+            self._document.change_rain(
+                f"Drag the {_LABELS[self._region].lower()}", "region face", **{self._region: changed}
+            )
 
 
-def _edges(viewport: Viewport, box: RegionBox, anchor: Float64[np.ndarray, "4 4"], color: Rgba) -> None:
+def _edges(canvas: Canvas, box: RegionBox, anchor: Float64[np.ndarray, "4 4"], color: Rgba) -> None:
     draw = imgui.get_window_draw_list()
-    for start, end in regions.project_edges(box, anchor, viewport.shot.camera).tolist():
-        draw.add_line(viewport.on_screen(*start), viewport.on_screen(*end), imgui.get_color_u32(color), 2.0)
+    for start, end in regions.project_edges(box, anchor, canvas.shot.camera).tolist():
+        draw.add_line(canvas.on_screen(*start), canvas.on_screen(*end), imgui.get_color_u32(color), 2.0)
 
 
-def _under_mouse(viewport: Viewport, handles: list[FaceHandle]) -> FaceHandle | None:
-    x, y = viewport.mouse_px
+def _under_mouse(canvas: Canvas, handles: list[FaceHandle]) -> FaceHandle | None:
+    x, y = canvas.mouse_px
     near: list[tuple[float, int]] = []
-    for number, handle in enumerate(handles if viewport.hovered else ()):
-        pixel = viewport.pixel(handle.point_m)
+    for number, handle in enumerate(handles if canvas.hovered else ()):
+        pixel = canvas.pixel(handle.point_m)
         if pixel is not None and (away := float(np.hypot(pixel[0] - x, pixel[1] - y))) < _GRIP_PX:
             near.append((away, number))
     return handles[min(near)[1]] if near else None
@@ -136,26 +144,29 @@ class SkyPickTool(DragTool):
     icon = icons_fontawesome_6.ICON_FA_CLOUD_SUN
     help = "Give drops the color of the sky you show: click a pixel, or drag a rectangle (mean in linear light)."
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
+    def __init__(self, document: Document, viewport: ViewportState, live_rain: LiveRain) -> None:
+        self._document, self._viewport, self._live_rain = document, viewport, live_rain
+
+    def draw(self, canvas: Canvas) -> bool:
         """Draw the rectangle, and request its color on release."""
-        state = self.follow_drag(viewport)
+        state = self.follow_drag(canvas)
         if state in ("pressed", "dragged") and self.has_moved:
-            draw_rectangle(viewport, self.points[0], self.points[-1])
+            draw_rectangle(canvas, self.points[0], self.points[-1])
         elif state == "released":
             ends = self.points[0], self.points[-1 if self.has_moved else 0]
-            start, end = ((x / viewport.width, y / viewport.height) for x, y in ends)
-            session.sky_pick = SkyColorPick.between(start, end)
-        draw_hint(viewport, "Click the sky, or drag a rectangle over it")
+            start, end = ((x / canvas.width, y / canvas.height) for x, y in ends)
+            self._viewport.sky_pick = SkyColorPick.between(start, end)
+        draw_hint(canvas, "Click the sky, or drag a rectangle over it")
         return True
 
-    def options(self, session: Editor) -> None:
-        own = session.rain.drop_color
-        red, green, blue = own or session.sky
+    def options(self) -> None:
+        own = self._document.rain.drop_color
+        red, green, blue = own or self._live_rain.sky
         imgui.color_button("##drops now", (red, green, blue, 1.0))
         imgui.same_line()
         inline_text("picked" if own is not None else "from the scene's sky")
         imgui.begin_disabled(own is None)
         if imgui.button("From the sky again"):
-            session.change_rain("Drop color from the sky", drop_color=None)
+            self._document.change_rain("Drop color from the sky", drop_color=None)
         imgui.end_disabled()
         imgui.set_item_tooltip("Take the mean of the scene's own sky in linear light, as at first (eq. 3).")

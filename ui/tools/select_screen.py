@@ -1,20 +1,20 @@
 """Selection tools on the screen: brush, lasso, polygon, rectangle, flood and color pick."""
 
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
 from jaxtyping import Bool
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits.members import is_editable
 from gsrain_engine.editor.selection import screen
-from gsrain_engine.editor.selection.candidates import Found, Mode, base_color, select_similar_colors
-from gsrain_engine.editor.selection.commands import select
+from gsrain_engine.editor.selection.candidates import Mode, base_color, select_similar_colors
+from gsrain_engine.editor.selection.commands import SelectionTool
 from gsrain_engine.editor.selection.volume import flood_select
 from gsrain_engine.editor.viewport.picking import PickResult, pick
 
-from ..widgets.draw import Viewport, is_clicked
+from ..widgets.draw import Canvas, is_clicked
 from . import base
 from .base import same_line_if_fits
 
@@ -31,29 +31,32 @@ class ShapeTool(base.DragTool):
 
     selects_by_click = False
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        state = self.follow_drag(viewport)
+    def __init__(self, selection: SelectionTool) -> None:
+        self._selection = selection
+
+    def draw(self, canvas: Canvas) -> bool:
+        state = self.follow_drag(canvas)
         if state in ("pressed", "dragged"):
-            self.outline(session, viewport)
+            self.outline(canvas)
         elif state == "released" and (self.has_moved or self.selects_by_click):
-            self.select(session, viewport)
+            self.select(canvas)
         return True
 
-    def outline(self, session: Editor, viewport: Viewport) -> None:
+    def outline(self, canvas: Canvas) -> None:
         raise NotImplementedError
 
-    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+    def mask(self, width: int, height: int) -> Bool[np.ndarray, "h w"]:
         """Pixels of the shape in a viewport of a size."""
         raise NotImplementedError
 
-    def select(self, session: Editor, viewport: Viewport) -> None:
-        pixels = self.mask(session, viewport.width, viewport.height)
-        found = screen.select_in_screen_shape(session.scene, viewport.shot, pixels, session.selecting.reach)
-        select(session, found, mode_now(session), self.name.lower())
+    def select(self, canvas: Canvas) -> None:
+        pixels = self.mask(canvas.width, canvas.height)
+        shape = canvas.shot, pixels, self._selection.reach
+        self._selection.select(mode_now(self._selection), self.name.lower(), screen.select_in_screen_shape, *shape)
 
-    def options(self, session: Editor) -> None:
-        options = session.selecting
-        mode_options(session)
+    def options(self) -> None:
+        options = self._selection
+        mode_options(self._selection)
         same_line_if_fits(14)
         choices = get_args(screen.Depths)
         imgui.set_next_item_width(7.5 * imgui.get_font_size())
@@ -83,10 +86,10 @@ class RectangleTool(ShapeTool):
     key = imgui.Key.b
     help = f"Drag from corner to corner. {MODIFIERS}"
 
-    def outline(self, session: Editor, viewport: Viewport) -> None:
-        base.draw_rectangle(viewport, self.points[0], self.points[-1])
+    def outline(self, canvas: Canvas) -> None:
+        base.draw_rectangle(canvas, self.points[0], self.points[-1])
 
-    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+    def mask(self, width: int, height: int) -> Bool[np.ndarray, "h w"]:
         return screen.rectangle(self.points[0], self.points[-1], width, height)
 
 
@@ -98,11 +101,11 @@ class LassoTool(ShapeTool):
     key = imgui.Key.l
     help = f"Drag around what to select. {MODIFIERS}"
 
-    def outline(self, session: Editor, viewport: Viewport) -> None:
-        base.draw_polyline(viewport, self.points)
-        base.draw_faint_line(viewport, self.points[-1], self.points[0])
+    def outline(self, canvas: Canvas) -> None:
+        base.draw_polyline(canvas, self.points)
+        base.draw_faint_line(canvas, self.points[-1], self.points[0])
 
-    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+    def mask(self, width: int, height: int) -> Bool[np.ndarray, "h w"]:
         return screen.polygon(self.points, width, height)
 
 
@@ -114,40 +117,40 @@ class PolygonTool(LassoTool):
     key = imgui.Key.p
     help = f"Click corners; Enter or the first one closes, Backspace drops the last. {MODIFIERS}"
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
+    def draw(self, canvas: Canvas) -> bool:
         corners = () if self.is_resumed() else self.points
         closes = False
         if not imgui.get_io().want_text_input:
             if imgui.is_key_pressed(imgui.Key.backspace):
                 corners = corners[:-1]
             closes = any(imgui.is_key_pressed(key, False) for key in (imgui.Key.enter, imgui.Key.keypad_enter))
-        if viewport.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            if len(corners) >= 3 and _is_mouse_at(viewport, corners[0]):
+        if canvas.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
+            if len(corners) >= 3 and _is_mouse_at(canvas, corners[0]):
                 closes = True
             else:
-                corners = (*corners, viewport.mouse_px)
+                corners = (*corners, canvas.mouse_px)
         self.points = corners
         if closes and len(corners) >= 3:
-            self.select(session, viewport)
+            self.select(canvas)
             self.points = ()
         if self.points:
-            self.outline(session, viewport)
+            self.outline(canvas)
         return True
 
-    def outline(self, session: Editor, viewport: Viewport) -> None:
-        if viewport.hovered:
+    def outline(self, canvas: Canvas) -> None:
+        if canvas.hovered:
             for end in {self.points[0], self.points[-1]}:
-                base.draw_faint_line(viewport, end, viewport.mouse_px)
-        base.draw_polyline(viewport, self.points)
+                base.draw_faint_line(canvas, end, canvas.mouse_px)
+        base.draw_polyline(canvas, self.points)
         draw = imgui.get_window_draw_list()
         for corner in self.points:
-            closes = corner is self.points[0] and len(self.points) >= 3 and _is_mouse_at(viewport, corner)
-            center = viewport.on_screen(*corner)
+            closes = corner is self.points[0] and len(self.points) >= 3 and _is_mouse_at(canvas, corner)
+            center = canvas.on_screen(*corner)
             draw.add_circle_filled(center, _KNOB_PX if closes else _KNOB_PX - 2, imgui.get_color_u32(base.DARK))
             draw.add_circle_filled(center, _KNOB_PX - (2 if closes else 3.5), imgui.get_color_u32(base.LIGHT))
 
-    def options(self, session: Editor) -> None:
-        super().options(session)
+    def options(self) -> None:
+        super().options()
         same_line_if_fits(10)
         imgui.align_text_to_frame_padding()
         imgui.text_disabled("click corners, Enter closes" if self.points else "click corners")
@@ -157,8 +160,8 @@ class PolygonTool(LassoTool):
 _KNOB_PX = 7.0  # half the width of a corner's knob
 
 
-def _is_mouse_at(viewport: Viewport, at: base.Pixel) -> bool:
-    x, y = viewport.mouse_px
+def _is_mouse_at(canvas: Canvas, at: base.Pixel) -> bool:
+    x, y = canvas.mouse_px
     return max(abs(x - at[0]), abs(y - at[1])) <= _KNOB_PX + 2
 
 
@@ -171,29 +174,29 @@ class BrushTool(ShapeTool):
     help = f"Paint over what to select; [ and ] change the brush. {MODIFIERS}"
     selects_by_click = True
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        options, io = session.selecting, imgui.get_io()
+    def draw(self, canvas: Canvas) -> bool:
+        options, io = self._selection, imgui.get_io()
         if not (io.want_text_input or io.key_ctrl):
             for key, factor in ((imgui.Key.left_bracket, 1 / _STEP), (imgui.Key.right_bracket, _STEP)):
                 if imgui.is_key_pressed(key):
                     options.brush_radius_px = min(max(options.brush_radius_px * factor, _RADII_PX[0]), _RADII_PX[1])
-        super().draw(session, viewport)
-        if viewport.hovered or viewport.active:
-            draw, at = imgui.get_window_draw_list(), viewport.on_screen(*viewport.mouse_px)
+        super().draw(canvas)
+        if canvas.hovered or canvas.active:
+            draw, at = imgui.get_window_draw_list(), canvas.on_screen(*canvas.mouse_px)
             for color, width in ((base.DARK, 3.5), (base.LIGHT, 1.5)):
                 draw.add_circle(at, options.brush_radius_px, imgui.get_color_u32(color), 0, width)
         return True
 
-    def outline(self, session: Editor, viewport: Viewport) -> None:
-        for edge in screen.outlines(self.mask(session, viewport.width, viewport.height)):
-            base.draw_polyline(viewport, edge.tolist(), closed=True)
+    def outline(self, canvas: Canvas) -> None:
+        for edge in screen.outlines(self.mask(canvas.width, canvas.height)):
+            base.draw_polyline(canvas, edge.tolist(), closed=True)
 
-    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
-        return screen.stroke(self.points, session.selecting.brush_radius_px, width, height)
+    def mask(self, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+        return screen.stroke(self.points, self._selection.brush_radius_px, width, height)
 
-    def options(self, session: Editor) -> None:
-        options = session.selecting
-        super().options(session)
+    def options(self) -> None:
+        options = self._selection
+        super().options()
         same_line_if_fits(7)
         help_text = "Radius of the brush in pixels ([ and ])."
         _, options.brush_radius_px = base.drag_number(
@@ -216,22 +219,25 @@ class ColorPickTool(base.Tool):
     help = f"Click on a color to select it everywhere. {MODIFIERS}"
     by = "color"
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        if is_clicked(viewport):
-            picked = pick(session.scene, viewport.shot, *viewport.mouse_px, is_editable)
+    def __init__(self, document: Document, selection: SelectionTool) -> None:
+        self._document, self._selection = document, selection
+
+    def draw(self, canvas: Canvas) -> bool:
+        if is_clicked(canvas):
+            picked = pick(self._document.scene, canvas.shot, *canvas.mouse_px, is_editable)
             if picked is not None:
-                select(session, self.find(session, picked, viewport.shot.time_s), mode_now(session), self.by)
+                self._selection.select(mode_now(self._selection), self.by, *self.search(picked, canvas.shot.time_s))
         return False
 
-    def find(self, session: Editor, picked: PickResult, time_s: float) -> Found:
-        part = session.scene.part(session.scene.member(picked.key), time_s)
+    def search(self, picked: PickResult, time_s: float) -> tuple[Any, ...]:
+        """Function that finds Gaussians like the picked one, and its arguments."""
+        part = self._document.scene.part(self._document.scene.member(picked.key), time_s)
         assert part is not None, "what was picked is there"
-        color = base_color(part, picked.gaussian)
-        return select_similar_colors(session.scene, time_s, color, session.selecting.tolerance)
+        return select_similar_colors, time_s, base_color(part, picked.gaussian), self._selection.tolerance
 
-    def options(self, session: Editor) -> None:
-        options = session.selecting
-        mode_options(session)
+    def options(self) -> None:
+        options = self._selection
+        mode_options(self._selection)
         same_line_if_fits(9)
         help_text = (
             "How far red, green and blue may each differ from the color under the mouse, 0..1.\n"
@@ -251,13 +257,13 @@ class FloodTool(ColorPickTool):
     help = f"Click on what to select as far as it hangs together and looks alike. {MODIFIERS}"
     by = "flood"
 
-    def find(self, session: Editor, picked: PickResult, time_s: float) -> Found:
-        options = session.selecting
-        return flood_select(session.scene, time_s, picked.key, picked.gaussian, options.tolerance, options.flood_reach)
+    def search(self, picked: PickResult, time_s: float) -> tuple[Any, ...]:
+        limits = self._selection.tolerance, self._selection.flood_reach
+        return flood_select, time_s, picked.key, picked.gaussian, *limits
 
-    def options(self, session: Editor) -> None:
-        options = session.selecting
-        super().options(session)
+    def options(self) -> None:
+        options = self._selection
+        super().options()
         same_line_if_fits(9)
         help_text = (
             "Over how wide a gap the flood runs, in spacings: the distance to the eighth nearest alike Gaussian there."
@@ -277,24 +283,24 @@ _MODE_HELP: dict[Mode, str] = {
 }
 
 
-def mode_now(session: Editor) -> Mode:
+def mode_now(selection: SelectionTool) -> Mode:
     """Return the selection mode: from the held modifier keys, else as chosen in the bar."""
     io = imgui.get_io()
     removes = io.key_ctrl or io.key_alt
     if io.key_shift:
         return "intersect" if removes else "add"
-    return "remove" if removes else session.selecting.mode
+    return "remove" if removes else selection.mode
 
 
-def mode_options(session: Editor) -> None:
+def mode_options(selection: SelectionTool) -> None:
     """Draw the four selection modes; the current one is highlighted."""
-    now = mode_now(session)
+    now = mode_now(selection)
     for number, (mode, help_text) in enumerate(_MODE_HELP.items()):
         if number:
             imgui.same_line(0, 2)
         color = imgui.get_style_color_vec4(imgui.Col_.button_active if mode == now else imgui.Col_.button)
         imgui.push_style_color(imgui.Col_.button, color)
         if imgui.button(mode.capitalize()):
-            session.selecting.mode = mode
+            selection.mode = mode
         imgui.pop_style_color()
         imgui.set_item_tooltip(help_text)

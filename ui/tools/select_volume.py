@@ -4,13 +4,14 @@ from dataclasses import replace
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits.gaussians import CropBox, box_around, crop
-from gsrain_engine.editor.selection.commands import select
+from gsrain_engine.editor.selection.commands import SelectionTool
 from gsrain_engine.editor.selection.volume import Sphere, Volume, in_volume, placed_on
+from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.scene.scene import Scene
 
-from ..widgets.draw import WHITE, YELLOW, Viewport, draw_hint, draw_line, draw_point
+from ..widgets.draw import WHITE, YELLOW, Canvas, draw_hint, draw_line, draw_point
 from ..widgets.fields import help_button
 from ..widgets.text import inline_text
 from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse, same_line_if_fits
@@ -27,21 +28,21 @@ class BoxFaceTool(Tool):
 
     _held: tuple[int, bool] | None = None
 
-    def drag_faces(self, viewport: Viewport, box: CropBox) -> CropBox:
+    def drag_faces(self, canvas: Canvas, box: CropBox) -> CropBox:
         """Move the face whose dot is dragged; returns the box."""
-        if is_pressed(viewport):
-            self._held = face_under_mouse(viewport, box)
-        if not (viewport.active and imgui.is_mouse_down(imgui.MouseButton_.left)):
+        if is_pressed(canvas):
+            self._held = face_under_mouse(canvas, box)
+        if not (canvas.active and imgui.is_mouse_down(imgui.MouseButton_.left)):
             self._held = None
-        return box if self._held is None else box.pulled(*self._held, *viewport.ray(*viewport.mouse_px))
+        return box if self._held is None else box.pulled(*self._held, *canvas.ray(*canvas.mouse_px))
 
-    def draw_box(self, viewport: Viewport, box: CropBox) -> None:
+    def draw_box(self, canvas: Canvas, box: CropBox) -> None:
         """Draw the edges and the dots; the dragged one, or the one under the mouse, is bright."""
         for first, second in _EDGES:
-            draw_line(viewport, box.corners_m[first], box.corners_m[second])
-        bright = (self._held, face_under_mouse(viewport, box))
+            draw_line(canvas, box.corners_m[first], box.corners_m[second])
+        bright = (self._held, face_under_mouse(canvas, box))
         for face in _FACES:
-            draw_point(viewport, box.face_m(*face), *((WHITE, 7) if face in bright else (YELLOW, 6)))
+            draw_point(canvas, box.face_m(*face), *((WHITE, 7) if face in bright else (YELLOW, 6)))
 
 
 class BoxTool(BoxFaceTool):
@@ -52,25 +53,28 @@ class BoxTool(BoxFaceTool):
     key = imgui.Key.x
     help = f"Click on a surface, drag the dots on the faces; Enter selects what is inside. {MODIFIERS}"
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        options = session.selecting
+    def __init__(self, document: Document, playback: Playback, selection: SelectionTool) -> None:
+        self._document, self._playback, self._selection = document, playback, selection
+
+    def draw(self, canvas: Canvas) -> bool:
+        options = self._selection
         if options.box is not None:
-            options.box = self.drag_faces(viewport, options.box)
-        if is_pressed(viewport) and self._held is None:  # in its previous size
-            point = point_under_mouse(session, viewport)
+            options.box = self.drag_faces(canvas, options.box)
+        if is_pressed(canvas) and self._held is None:  # in its previous size
+            point = point_under_mouse(self._document, canvas)
             if point is not None:
                 options.box = placed_on(options.box or CropBox((0.0, 0.0, 0.0), _FIRST_SIZE_M), point)
         if options.box is None:
-            draw_hint(viewport, "Click on a surface to put the box there")
+            draw_hint(canvas, "Click on a surface to put the box there")
             return True
-        self.draw_box(viewport, options.box)
-        draw_hint(viewport, "Drag the dots; Enter selects what is inside; click elsewhere to place it anew")
-        _apply_on_enter(session, viewport, options.box, "box")
+        self.draw_box(canvas, options.box)
+        draw_hint(canvas, "Drag the dots; Enter selects what is inside; click elsewhere to place it anew")
+        _apply_on_enter(self._selection, canvas, options.box, "box")
         return True
 
-    def options(self, session: Editor) -> None:
-        mode_options(session)
-        box = session.selecting.box
+    def options(self) -> None:
+        mode_options(self._selection)
+        box = self._selection.box
         if box is None:
             return
         same_line_if_fits(14.5)
@@ -82,9 +86,9 @@ class BoxTool(BoxFaceTool):
         same_line_if_fits(7)
         inline_text("turn", faint=True)
         _, yaw = drag_number("##yaw", box.yaw_deg, 0.5, (-180.0, 180.0), "%.1f°", _YAW_HELP, 4.5)
-        session.selecting.box = CropBox(center, size, yaw)
-        if _is_dropped(session, session.selecting.box, "box"):
-            session.selecting.box = None
+        self._selection.box = CropBox(center, size, yaw)
+        if _is_dropped(self._playback, self._selection, self._selection.box, "box"):
+            self._selection.box = None
 
 
 class SphereTool(DragTool):
@@ -96,31 +100,34 @@ class SphereTool(DragTool):
     help = f"Press on a surface for the center, drag for the radius; Enter selects what is inside. {MODIFIERS}"
     _radius_m = 1.0
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        options = session.selecting
-        if is_pressed(viewport):
-            point = point_under_mouse(session, viewport)
+    def __init__(self, document: Document, playback: Playback, selection: SelectionTool) -> None:
+        self._document, self._playback, self._selection = document, playback, selection
+
+    def draw(self, canvas: Canvas) -> bool:
+        options = self._selection
+        if is_pressed(canvas):
+            point = point_under_mouse(self._document, canvas)
             if point is not None:
                 x, y, z = point.tolist()
                 options.ball = Sphere((x, y, z), self._radius_m)
-        if self.follow_drag(viewport) == "dragged" and self.has_moved and options.ball is not None:
-            options.ball = options.ball.reaching(*viewport.ray(*viewport.mouse_px))
+        if self.follow_drag(canvas) == "dragged" and self.has_moved and options.ball is not None:
+            options.ball = options.ball.reaching(*canvas.ray(*canvas.mouse_px))
             self._radius_m = options.ball.radius_m
         if options.ball is None:
-            draw_hint(viewport, "Press on a surface for the center, drag for the radius")
+            draw_hint(canvas, "Press on a surface for the center, drag for the radius")
             return True
         for circle in options.ball.circles_m(points=64):
-            pixels = [pixel for point in circle if (pixel := viewport.pixel(point)) is not None]
+            pixels = [pixel for point in circle if (pixel := canvas.pixel(point)) is not None]
             if len(pixels) == len(circle):
-                draw_polyline(viewport, pixels, closed=True)
-        draw_point(viewport, options.ball.middle, radius=4)
-        draw_hint(viewport, "Enter selects what is inside; press elsewhere to place it anew")
-        _apply_on_enter(session, viewport, options.ball, "sphere")
+                draw_polyline(canvas, pixels, closed=True)
+        draw_point(canvas, options.ball.middle, radius=4)
+        draw_hint(canvas, "Enter selects what is inside; press elsewhere to place it anew")
+        _apply_on_enter(self._selection, canvas, options.ball, "sphere")
         return True
 
-    def options(self, session: Editor) -> None:
-        mode_options(session)
-        ball = session.selecting.ball
+    def options(self) -> None:
+        mode_options(self._selection)
+        ball = self._selection.ball
         if ball is None:
             return
         same_line_if_fits(13)
@@ -132,27 +139,27 @@ class SphereTool(DragTool):
             "##radius_m", ball.radius_m, 0.01, (0.01, 1e4), "radius %.2f m", help_text, 7, flags
         )
         if moved or sized:
-            session.selecting.ball = ball = Sphere(center, radius)
+            self._selection.ball = ball = Sphere(center, radius)
             self._radius_m = radius
-        if _is_dropped(session, ball, "sphere"):
-            session.selecting.ball = None
+        if _is_dropped(self._playback, self._selection, ball, "sphere"):
+            self._selection.ball = None
 
 
-def _apply_on_enter(session: Editor, viewport: Viewport, volume: Volume, name: str) -> None:
+def _apply_on_enter(selection: SelectionTool, canvas: Canvas, volume: Volume, name: str) -> None:
     keys = (imgui.Key.enter, imgui.Key.keypad_enter)
     if not imgui.get_io().want_text_input and any(imgui.is_key_pressed(key, False) for key in keys):
-        _apply(session, viewport.shot.time_s, volume, name)
+        _apply(selection, canvas.shot.time_s, volume, name)
 
 
-def _apply(session: Editor, time_s: float, volume: Volume, name: str) -> None:
-    select(session, in_volume(session.scene, time_s, volume), mode_now(session), name)
+def _apply(selection: SelectionTool, time_s: float, volume: Volume, name: str) -> None:
+    selection.select(mode_now(selection), name, in_volume, time_s, volume)
 
 
-def _is_dropped(session: Editor, volume: Volume, name: str) -> bool:
+def _is_dropped(playback: Playback, selection: SelectionTool, volume: Volume, name: str) -> bool:
     """Draw the buttons of a volume; returns True if it is to be removed."""
     same_line_if_fits(11)
     if help_button(f"Apply##{name}", "Select what is inside (Enter), whether the camera sees it or not."):
-        _apply(session, session.clock.time_s, volume, name)
+        _apply(selection, playback.clock.time_s, volume, name)
     imgui.same_line()
     return help_button(f"Drop##{name}", f"Take the {name} away; the selection stays.")
 
@@ -166,20 +173,23 @@ class CropTool(BoxFaceTool):
     box: CropBox | None = None
     _scene_name = ""
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        self.box = self.drag_faces(viewport, self._box_of(session.scene))
-        self.draw_box(viewport, self.box)
-        draw_hint(viewport, "Drag the dots on the faces, then Apply")
-        return self._held is not None or face_under_mouse(viewport, self.box) is not None
+    def __init__(self, document: Document) -> None:
+        self._document = document
 
-    def options(self, session: Editor) -> None:
-        box = self._box_of(session.scene)
+    def draw(self, canvas: Canvas) -> bool:
+        self.box = self.drag_faces(canvas, self._box_of(self._document.scene))
+        self.draw_box(canvas, self.box)
+        draw_hint(canvas, "Drag the dots on the faces, then Apply")
+        return self._held is not None or face_under_mouse(canvas, self.box) is not None
+
+    def options(self) -> None:
+        box = self._box_of(self._document.scene)
         help_text = "Delete what lies outside, of background layers that are shown and not locked."
         if help_button("Apply##crop", help_text):
-            session.edit("Crop to the box", crop, box)
+            self._document.edit("Crop to the box", crop, box)
         imgui.same_line()
         if help_button("Reset##crop", "Put the box around most of what can be seen."):
-            box = box_around(session.scene)
+            box = box_around(self._document.scene)
         imgui.same_line()
         changed, yaw = drag_number("##yaw", box.yaw_deg, 0.5, (-180, 180), "%.1f°", _YAW_HELP, 5, flags=0)
         if changed:
@@ -207,16 +217,16 @@ _FACES = [(axis, upper) for axis in range(3) for upper in (False, True)]
 _GRIP_PX = 10.0
 
 
-def face_under_mouse(viewport: Viewport, box: CropBox) -> tuple[int, bool] | None:
+def face_under_mouse(canvas: Canvas, box: CropBox) -> tuple[int, bool] | None:
     """Return the face of the dot under the mouse: its axis, and True for its upper side."""
-    x, y = viewport.mouse_px
-    for face in _FACES if viewport.hovered else ():
-        pixel = viewport.pixel(box.face_m(*face))
+    x, y = canvas.mouse_px
+    for face in _FACES if canvas.hovered else ():
+        pixel = canvas.pixel(box.face_m(*face))
         if pixel is not None and abs(pixel[0] - x) < _GRIP_PX and abs(pixel[1] - y) < _GRIP_PX:
             return face
     return None
 
 
-def is_pressed(viewport: Viewport) -> bool:
+def is_pressed(canvas: Canvas) -> bool:
     """Return True if the left button was pressed over the viewport in this frame."""
-    return viewport.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left)
+    return canvas.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left)

@@ -6,15 +6,17 @@ import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
 from jaxtyping import Float64
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits import level
 from gsrain_engine.editor.edits.actors import SENSOR_HEIGHT_M, set_ego_start, set_origin
 from gsrain_engine.editor.edits.gaussians import selected_count
 from gsrain_engine.editor.edits.transform import move_member, move_selected, pivot, preview_move
+from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport.picking import Handle, frame_at
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.scene import Scene
 
-from ..widgets.draw import Gizmo, Viewport, draw_hint, draw_line, draw_point, draw_words
+from ..widgets.draw import Canvas, Gizmo, draw_hint, draw_line, draw_point, draw_words
 from ..widgets.fields import help_button
 from ..widgets.text import inline_text
 from .base import Tool, clicked_point, drag_number
@@ -41,48 +43,51 @@ class MoveTool(Tool):
     handle: Handle = "translate"
     _drag: _Drag | None = None
 
-    def __init__(self) -> None:
+    def __init__(self, document: Document, viewport: ViewportState, playback: Playback) -> None:
+        self._document, self._viewport, self._playback = document, viewport, playback
         self._gizmo = Gizmo("move")
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
+    def draw(self, canvas: Canvas) -> bool:
         """Draw the gizmo and preview the transform; one drag is one undo step."""
-        scene, is_resumed = session.scene, self.is_resumed()
+        scene, is_resumed = self._document.scene, self.is_resumed()
         if is_resumed:
             self._gizmo.let_go()
         if self._drag is not None and (is_resumed or self._drag.scene is not scene):
             self._drag = None  # canceled by Esc, or the document has changed
-        key, time_s = _target(session), session.clock.time_s
+        key, time_s = _target(self._document, self._viewport), self._playback.clock.time_s
         middle = pivot(scene, key, time_s) if key != "" else None
         if middle is None:
-            draw_hint(viewport, "Select something, or pick an unlocked layer or actor in Layers")
+            draw_hint(canvas, "Select something, or pick an unlocked layer or actor in Layers")
             return False
-        delta, uses_button = self._gizmo.draw(viewport, frame_at(middle), self.handle)
+        delta, uses_button = self._gizmo.draw(canvas, frame_at(middle), self.handle)
         if delta is not None:
             self._drag = _Drag(scene, key, time_s, delta)
-            session.preview = preview_move(scene, key, delta, time_s)
+            self._viewport.preview = preview_move(scene, key, delta, time_s)
         elif self._drag is not None:
-            self._finish(session, self._drag)
+            self._finish(self._drag)
         return uses_button
 
-    def options(self, session: Editor) -> None:
+    def options(self) -> None:
         for handle, (verb, help_text) in _VERBS.items():
             if imgui.radio_button(f"{verb}##handle", self.handle == handle):
                 self.handle = handle
             imgui.set_item_tooltip(help_text)
             imgui.same_line()
-        key = _target(session)
-        name = f"{selected_count(session.scene):,} selected" if key is None else key.partition("/")[2] or "nothing"
+        key = _target(self._document, self._viewport)
+        name = (
+            f"{selected_count(self._document.scene):,} selected" if key is None else key.partition("/")[2] or "nothing"
+        )
         imgui.text_disabled(name)
         imgui.set_item_tooltip("What the gizmo acts on: the selection, else the layer or actor picked in Layers.")
 
-    def _finish(self, session: Editor, drag: _Drag) -> None:
+    def _finish(self, drag: _Drag) -> None:
         self._drag, verb = None, _VERBS[self.handle][0]
         if np.array_equal(drag.delta, np.eye(4)):
             return
         if drag.key is None:
-            session.edit(f"{verb} the selection", move_selected, drag.delta, drag.time_s)
+            self._document.edit(f"{verb} the selection", move_selected, drag.delta, drag.time_s)
         else:
-            session.edit(f"{verb} {drag.key.partition('/')[2]}", move_member, drag.key, drag.delta)
+            self._document.edit(f"{verb} {drag.key.partition('/')[2]}", move_member, drag.key, drag.delta)
 
 
 _VERBS: dict[Handle, tuple[str, str]] = {
@@ -92,11 +97,11 @@ _VERBS: dict[Handle, tuple[str, str]] = {
 }
 
 
-def _target(session: Editor) -> str | None:
+def _target(document: Document, viewport: ViewportState) -> str | None:
     """Return None for the selection, the key of a layer or actor, or "" for nothing."""
-    if selected_count(session.scene):
+    if selected_count(document.scene):
         return None
-    chosen = next((each for each in session.scene.members if each.key == session.view.member), None)
+    chosen = next((each for each in document.scene.members if each.key == viewport.options.member), None)
     return chosen.key if chosen is not None and chosen.visible and not chosen.locked else ""
 
 
@@ -108,35 +113,45 @@ class LevelTool(Tool):
     help = "Click three points of the ground, far from one another: the scene is turned until they lie level."
     _points_m: tuple[Point, ...] = ()
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        point = clicked_point(session, viewport)
+    def __init__(self, document: Document) -> None:
+        self._document = document
+
+    def draw(self, canvas: Canvas) -> bool:
+        point = clicked_point(self._document, canvas)
         if point is not None:
             self._points_m = (*self._points_m, point)
         if len(self._points_m) == 3:
             points, self._points_m = np.stack(self._points_m), ()
-            session.edit("Level by three points", level.level_from_points, points)
+            self._document.edit("Level by three points", level.level_from_points, points)
         for point in self._points_m:
-            draw_point(viewport, point)
+            draw_point(canvas, point)
         if len(self._points_m) == 2:
-            draw_line(viewport, *self._points_m)
-        draw_hint(viewport, f"Click the {('first', 'second', 'third')[len(self._points_m)]} point of the ground")
+            draw_line(canvas, *self._points_m)
+        draw_hint(canvas, f"Click the {('first', 'second', 'third')[len(self._points_m)]} point of the ground")
         return False
 
-    def options(self, session: Editor) -> None:
+    def options(self) -> None:
         help_text = "Find the largest low plane of the scene and make it level; it becomes the ground."
         if help_button("From the ground", help_text):
             self._points_m = ()
-            session.edit("Level by the ground", level.level_from_ground)
+            self._document.edit("Level by the ground", level.level_from_ground)
         imgui.same_line()
         inline_text("ground at")
         help_text = "Height of the ground in the world, in meters: rain falls down to it."
         changed, height = drag_number(
-            "##ground height", session.scene.ground_m or 0.0, 0.01, (-1000, 1000), "%.2f m", help_text, 6, flags=0
+            "##ground height",
+            self._document.scene.ground_m or 0.0,
+            0.01,
+            (-1000, 1000),
+            "%.2f m",
+            help_text,
+            6,
+            flags=0,
         )
         if changed:
-            session.edit("Ground height", level.set_ground_height, height, gesture="ground height")
+            self._document.edit("Ground height", level.set_ground_height, height, gesture="ground height")
         if imgui.is_item_deactivated():
-            session.end_gesture()
+            self._document.end_gesture()
         imgui.same_line()
         if help_button("Clear##level", "Forget the points that were clicked."):
             self._points_m = ()
@@ -150,25 +165,28 @@ class OriginTool(Tool):
     help = "Click a point of the ground: where the ego vehicle starts, or the world's origin, or the ground's height."
     meaning: Literal["Ego start", "World origin", "Ground height"] = "Ego start"
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        ego = session.scene.ego_to_world(session.clock.time_s)
+    def __init__(self, document: Document, viewport: ViewportState, playback: Playback) -> None:
+        self._document, self._viewport, self._playback = document, viewport, playback
+
+    def draw(self, canvas: Canvas) -> bool:
+        ego = self._document.scene.ego_to_world(self._playback.clock.time_s)
         if ego is not None:
-            draw_point(viewport, ego[:3, 3])
-            draw_words(viewport, ego[:3, 3], "ego")
-        draw_hint(viewport, f"Click a point of the ground: {self.meaning.lower()}")
-        point = clicked_point(session, viewport)
+            draw_point(canvas, ego[:3, 3])
+            draw_words(canvas, ego[:3, 3], "ego")
+        draw_hint(canvas, f"Click a point of the ground: {self.meaning.lower()}")
+        point = clicked_point(self._document, canvas)
         if point is None:
             return False
         if self.meaning == "Ego start":
-            session.edit("Ego start", set_ego_start, point, session.navigation.heading)
+            self._document.edit("Ego start", set_ego_start, point, self._viewport.navigation.heading)
         elif self.meaning == "Ground height":
-            session.edit("Ground height", level.set_ground_height, float(point[2]))
+            self._document.edit("Ground height", level.set_ground_height, float(point[2]))
         else:
-            session.edit("World origin", set_origin, point)
-            session.navigation.position = session.navigation.position - point
+            self._document.edit("World origin", set_origin, point)
+            self._viewport.navigation.position = self._viewport.navigation.position - point
         return False
 
-    def options(self, session: Editor) -> None:
+    def options(self) -> None:
         for meaning, help_text in _MEANINGS.items():
             if imgui.radio_button(meaning, self.meaning == meaning):
                 self.meaning = meaning
@@ -193,30 +211,33 @@ class MeasureTool(Tool):
     key = imgui.Key.m
     help = "Click two points: their distance in meters. Type how long it truly is to set the scene's scale."
     true_m = 1.0
-    _points_m: tuple[Point, ...] = ()
+    points_m: tuple[Point, ...] = ()
     _scene_to_world: Float64[np.ndarray, "4 4"] | None = None
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
+    def __init__(self, document: Document) -> None:
+        self._document = document
+
+    def draw(self, canvas: Canvas) -> bool:
         # The points are in world coordinates: clear them when the scene gets another scale or orientation.
-        present = session.scene.scene_to_world
+        present = self._document.scene.scene_to_world
         if self._scene_to_world is None or not np.array_equal(present, self._scene_to_world):
-            self._points_m, self._scene_to_world = (), present
-        point = clicked_point(session, viewport)
+            self.points_m, self._scene_to_world = (), present
+        point = clicked_point(self._document, canvas)
         if point is not None:
-            self._points_m = (*self._points_m, point) if len(self._points_m) < 2 else (point,)
+            self.points_m = (*self.points_m, point) if len(self.points_m) < 2 else (point,)
             self.true_m = self._length_m or self.true_m
-        for point in self._points_m:
-            draw_point(viewport, point)
+        for point in self.points_m:
+            draw_point(canvas, point)
         length = self._length_m
         if length is None:
-            draw_hint(viewport, "Click the second point" if self._points_m else "Click the first point")
+            draw_hint(canvas, "Click the second point" if self.points_m else "Click the first point")
         else:
-            first, second = self._points_m
-            draw_line(viewport, first, second)
-            draw_words(viewport, (first + second) / 2, _in_words(length))
+            first, second = self.points_m
+            draw_line(canvas, first, second)
+            draw_words(canvas, (first + second) / 2, _in_words(length))
         return False
 
-    def options(self, session: Editor) -> None:
+    def options(self) -> None:
         length = self._length_m
         imgui.begin_disabled(length is None)
         imgui.align_text_to_frame_padding()
@@ -231,17 +252,17 @@ class MeasureTool(Tool):
         imgui.same_line()
         help_text = "Let the whole scene grow or shrink so that the line is as long as this."
         if help_button("Set scale", help_text) and length is not None:
-            session.edit("Set the scale", level.set_length, length, self.true_m)
+            self._document.edit("Set the scale", level.set_length, length, self.true_m)
         imgui.end_disabled()
         imgui.same_line()
         if help_button("Clear##measure", "Forget both points."):
-            self._points_m = ()
+            self.points_m = ()
 
     @property
     def _length_m(self) -> float | None:
-        if len(self._points_m) < 2:
+        if len(self.points_m) < 2:
             return None
-        first, second = self._points_m
+        first, second = self.points_m
         return float(np.linalg.norm(second - first))
 
 

@@ -7,19 +7,26 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from jaxtyping import Float64
 
 from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome
-from gsrain_engine.editor import camera_path
-from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.matching import MatchResult
-from gsrain_engine.editor.overlays import Frustum, KeyHandle, drag_in_view, frustums, image_grid, path_overlay_of
+from gsrain_engine.editor.camera_path import CameraPathEditor
+from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, CaptureController, ImageRequest
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import RolloutPlayer
+from gsrain_engine.editor.make_rainy import WetLookController
+from gsrain_engine.editor.matching import MatchingController, MatchResult
+from gsrain_engine.editor.overlays import Frustum, KeyHandle, frustums, image_grid, path_overlay_of
 from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection_boxes, rollout_overlay
+from gsrain_engine.editor.timeline import Playback
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
-from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Viewport, color, draw_card, draw_dot, draw_lines
+from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Canvas, color, draw_card, draw_dot, draw_lines
 
-Overlay = Callable[[Editor, Viewport], bool]
-"""Draws into the window's draw list; returns True if it uses the left mouse button now (a handle is dragged)."""
+Overlay = Callable[..., bool]
+"""Draws into the window's draw list; returns True if it uses the left mouse button now (a handle is dragged).
+
+Gets `canvas` and the editor's parts that its parameters name.
+"""
 
 Grid = Float64[np.ndarray, "rows columns 2"]
 """Viewport pixels of the corners of an image's cells."""
@@ -37,65 +44,65 @@ _HANDLE_PX, _REACH_PX = 5.5, 10.0
 _DRAG_PX = 2.0
 
 
-def path_overlay(session: Editor, viewport: Viewport) -> bool:
+def path_overlay(viewport: ViewportState, playback: Playback, camera_path: CameraPathEditor, canvas: Canvas) -> bool:
     """Draw the path, unless the camera rides along it; returns True if a keyframe is dragged or under the mouse."""
-    timeline = session.timeline
+    timeline = playback.timeline
     is_dragged = timeline.drag is not None and timeline.drag.in_view
-    if not timeline.show_path or session.view.follow_path:
+    if not timeline.show_path or viewport.options.follow_path:
         return False
-    drawing = path_overlay_of(session, viewport.shot.camera)
+    drawing = path_overlay_of(viewport, canvas.shot.camera)
     if drawing is None:
         return False
-    draw_lines(viewport, drawing.path_px.tolist(), _PATH_COLOR, 2.0, outline=1.5)
+    draw_lines(canvas, drawing.path_px.tolist(), _PATH_COLOR, 2.0, outline=1.5)
     for x, y in drawing.ticks_px.tolist():
-        imgui.get_window_draw_list().add_circle_filled(viewport.on_screen(x, y), 2.5, color(_PATH_COLOR))
-    draw_lines(viewport, drawing.now_px.tolist(), PLAYHEAD, 1.5, outline=1.5)
+        imgui.get_window_draw_list().add_circle_filled(canvas.on_screen(x, y), 2.5, color(_PATH_COLOR))
+    draw_lines(canvas, drawing.now_px.tolist(), PLAYHEAD, 1.5, outline=1.5)
     under: int | None = None
-    if session.view.tool == "" or is_dragged:
-        near = [mark.key for mark in drawing.keys if _is_near(viewport, mark.handle_px, _REACH_PX)]
+    if viewport.options.tool == "" or is_dragged:
+        near = [mark.key for mark in drawing.keys if _is_near(canvas, mark.handle_px, _REACH_PX)]
         under = near[-1] if near else None  # drawn last
     for mark in drawing.keys:
-        _draw_keyframe(session, viewport, mark, is_near=mark.key == under)
+        _draw_keyframe(camera_path, canvas, mark, is_near=mark.key == under)
     if is_dragged:
-        _drag_keyframe(session, viewport)
+        _drag_keyframe(playback, camera_path, canvas)
         return True
-    if under is None or not viewport.hovered:
+    if under is None or not canvas.hovered:
         return False
     imgui.set_tooltip(
         f"Keyframe {under + 1}. Drag: move it in the plane that faces you. Shift+drag: up and down. Click: choose it."
     )
     if imgui.is_mouse_clicked(_LEFT):
-        camera_path.begin_drag(session, under, in_view=True)
+        camera_path.begin_drag(under, in_view=True)
     return True
 
 
-def _is_near(viewport: Viewport, pixel: tuple[float, float], reach_px: float) -> bool:
-    x, y = viewport.mouse_px
+def _is_near(canvas: Canvas, pixel: tuple[float, float], reach_px: float) -> bool:
+    x, y = canvas.mouse_px
     return abs(pixel[0] - x) <= reach_px and abs(pixel[1] - y) <= reach_px
 
 
-def _draw_keyframe(session: Editor, viewport: Viewport, mark: KeyHandle, *, is_near: bool) -> None:
-    hue = CHOSEN if camera_path.active_keyframe(session) == mark.key else KEY
-    draw_lines(viewport, mark.frustum_px.tolist(), hue, 1.5, outline=1.5)
+def _draw_keyframe(camera_path: CameraPathEditor, canvas: Canvas, mark: KeyHandle, *, is_near: bool) -> None:
+    hue = CHOSEN if camera_path.active_key == mark.key else KEY
+    draw_lines(canvas, mark.frustum_px.tolist(), hue, 1.5, outline=1.5)
     radius = _HANDLE_PX + (2 if is_near else 0)
-    draw_dot(viewport, mark.handle_px, hue, radius)
-    at = viewport.on_screen(*mark.handle_px)
+    draw_dot(canvas, mark.handle_px, hue, radius)
+    at = canvas.on_screen(*mark.handle_px)
     low = at.y + 0.35 * imgui.get_font_size()
     for offset, ink in ((1.0, OUTLINE), (0.0, hue)):
         corner = ImVec2(at.x + radius + 3 + offset, low + offset)
         imgui.get_window_draw_list().add_text(corner, color(ink), str(mark.key + 1))
 
 
-def _drag_keyframe(session: Editor, viewport: Viewport) -> None:
-    drag, moved = session.timeline.drag, imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX)
+def _drag_keyframe(playback: Playback, camera_path: CameraPathEditor, canvas: Canvas) -> None:
+    drag, moved = playback.timeline.drag, imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX)
     if drag is None:
         return
     if moved.x or moved.y:
-        session.timeline.drag = drag = drag._replace(has_moved=True)
+        playback.timeline.drag = drag = drag._replace(has_moved=True)
     if drag.has_moved:
-        drag_in_view(session, viewport.shot, (moved.x, moved.y), upright=imgui.get_io().key_shift)
+        camera_path.drag_in_view(canvas.shot, (moved.x, moved.y), upright=imgui.get_io().key_shift)
     if not imgui.is_mouse_down(_LEFT):
-        camera_path.end_drag(session)
+        camera_path.end_drag()
 
 
 # Capture
@@ -105,80 +112,85 @@ _CAMERA_PX, _CAMERA_REACH_PX = 4.0, 9.0
 _IMAGES = 24  # number of nearest cameras that show their images
 
 
-def capture_overlay(session: Editor, viewport: Viewport) -> bool:
+def capture_overlay(document: Document, viewport: ViewportState, captures: CaptureController, canvas: Canvas) -> bool:
     """Draw the visible parts of the capture; returns True if the mouse is over one of its cameras."""
-    captures = session.captures
-    captures.viewport_px = viewport.width, viewport.height
+    captures.viewport_px = canvas.width, canvas.height
     if captures.capture is None:
         return False
-    here = captures.stands_at(session)
+    here = captures.view_at_camera
     if here is not None:
-        _draw_recorded_image(session, viewport, here)
+        _draw_recorded_image(document, captures, canvas, here)
     if captures.points_texture is not None:
-        low, high = viewport.corner, viewport.on_screen(viewport.width, viewport.height)
+        low, high = canvas.corner, canvas.on_screen(canvas.width, canvas.height)
         imgui.get_window_draw_list().add_image(imgui.ImTextureRef(captures.points_texture.name), low, high)
     if here is not None or not captures.show_frustums:  # from inside, frustums would hide the compared images
         return False
-    cameras = captures.cameras(session.scene)
-    found = frustums(cameras, captures.listed, captures.length_m(session.scene), viewport.shot.camera)
+    cameras = captures.cameras(document.scene)
+    found = frustums(cameras, captures.listed, captures.length_m(document.scene), canvas.shot.camera)
     under: Frustum | None = None
-    if viewport.hovered and session.view.tool == "":
-        near = [each for each in found if each.eye_px and _is_near(viewport, each.eye_px, _CAMERA_REACH_PX)]
+    if canvas.hovered and viewport.options.tool == "":
+        near = [each for each in found if each.eye_px and _is_near(canvas, each.eye_px, _CAMERA_REACH_PX)]
         under = near[-1] if near else None
     for number, each in enumerate(found):
         if number >= len(found) - _IMAGES:
-            _draw_image(session, viewport, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
+            _draw_image(document, captures, canvas, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
         is_chosen = captures.chosen == each.view
         hue = CHOSEN if is_chosen or under is each else _CAMERA
-        draw_lines(viewport, each.lines_px.tolist(), hue, 2.0 if is_chosen else 1.0)
+        draw_lines(canvas, each.lines_px.tolist(), hue, 2.0 if is_chosen else 1.0)
         if each.eye_px is not None:
-            draw_dot(viewport, each.eye_px, hue, _CAMERA_PX + 2 * (under is each))
+            draw_dot(canvas, each.eye_px, hue, _CAMERA_PX + 2 * (under is each))
     if under is None:
         return False
     view = captures.capture[under.view]
     moment = f", {view.time_s:.2f} s" if captures.has_times else ""
     imgui.set_tooltip(f"{view.name}{moment}. Click: choose it. Double click: look from there.")
     if imgui.is_mouse_double_clicked(_LEFT):
-        captures.look_from(session, under.view)
+        captures.look_from(under.view)
     elif imgui.is_mouse_clicked(_LEFT):
         captures.chosen = under.view
     return True
 
 
-def _draw_recorded_image(session: Editor, viewport: Viewport, view: int) -> None:
-    captures = session.captures
-    camera = captures.cameras(session.scene)[view]
+def _draw_recorded_image(document: Document, captures: CaptureController, canvas: Canvas, view: int) -> None:
+    camera = captures.cameras(document.scene)[view]
     if captures.show_picture and captures.opacity > 0:
         is_there = ImageRequest(view, LARGE_PX) in captures.textures
         if captures.pictures is not None:
             captures.pictures.want(view, LARGE_PX)
-        _draw_image(session, viewport, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
-    grid = image_grid(camera, captures.length_m(session.scene), viewport.shot.camera, (1, 1))
+        _draw_image(document, captures, canvas, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
+    grid = image_grid(camera, captures.length_m(document.scene), canvas.shot.camera, (1, 1))
     if grid is not None:
-        a, b, d, c = (viewport.on_screen(x, y) for x, y in grid.reshape(4, 2).tolist())
+        a, b, d, c = (canvas.on_screen(x, y) for x, y in grid.reshape(4, 2).tolist())
         imgui.get_window_draw_list().add_quad(a, b, c, d, color(CHOSEN), 1.5)
 
 
-def _draw_image(session: Editor, viewport: Viewport, camera: Camera, view: int, width: int, opacity: float) -> None:
+def _draw_image(
+    document: Document,
+    captures: CaptureController,
+    canvas: Canvas,
+    camera: Camera,
+    view: int,
+    width: int,
+    opacity: float,
+) -> None:
     """Draw a recorded image in its camera's frustum."""
-    captures = session.captures
     if captures.pictures is None:
         return
     captures.pictures.want(view, width)
     texture = captures.textures.get(ImageRequest(view, width))
     cells = (4, 3) if width == THUMBNAIL_PX else (8, 6)
-    grid = image_grid(camera, captures.length_m(session.scene), viewport.shot.camera, cells)
+    grid = image_grid(camera, captures.length_m(document.scene), canvas.shot.camera, cells)
     if texture is not None and grid is not None:
-        _draw_placed_image(viewport, texture.name, grid, opacity)
+        _draw_placed_image(canvas, texture.name, grid, opacity)
 
 
-def _draw_placed_image(viewport: Viewport, texture: int, grid: Grid, opacity: float) -> None:
+def _draw_placed_image(canvas: Canvas, texture: int, grid: Grid, opacity: float) -> None:
     """Draw a texture (its OpenGL name), first row on top; in cells, since draw lists have no perspective."""
     low, high = grid.min(axis=(0, 1)), grid.max(axis=(0, 1))
-    if not (high[0] > 0 and high[1] > 0 and low[0] < viewport.width and low[1] < viewport.height):
+    if not (high[0] > 0 and high[1] > 0 and low[0] < canvas.width and low[1] < canvas.height):
         return
     draw, tint = imgui.get_window_draw_list(), imgui.get_color_u32(ImVec4(1.0, 1.0, 1.0, opacity))
-    on_screen = [[viewport.on_screen(x, y) for x, y in row] for row in grid.tolist()]
+    on_screen = [[canvas.on_screen(x, y) for x, y in row] for row in grid.tolist()]
     rows, columns = len(on_screen) - 1, len(on_screen[0]) - 1
     for row in range(rows):
         for column in range(columns):
@@ -202,30 +214,29 @@ _INSET_SHARE, _MAX_INSET_EM = 0.3, 16.0
 _LEGEND_PAPER = ImVec4(0.06, 0.065, 0.08, 0.82)
 
 
-def matching_overlay(session: Editor, viewport: Viewport) -> bool:
+def matching_overlay(captures: CaptureController, matching: MatchingController, canvas: Canvas) -> bool:
     """Draw the match with another view, if enabled; never uses the mouse."""
-    matching = session.matching
     if not matching.is_on:
         return False
     result = matching.shown
     if result is None:
-        _draw_legend(viewport, matching.problem or "Matching...", [])
+        _draw_legend(canvas, matching.why_none or "Matching...", [])
         return False
-    grid = image_grid(result.camera, 1.0, viewport.shot.camera, _CELLS)
+    grid = image_grid(result.camera, 1.0, canvas.shot.camera, _CELLS)
     if matching.texture is None or grid is None:
         return False
-    _draw_placed_image(viewport, matching.texture.name, grid, 1.0)
+    _draw_placed_image(canvas, matching.texture.name, grid, 1.0)
     if matching.lines:
         starts, ends = (_on_grid(result.lines[:, k], grid).tolist() for k in (0, 1))
         for start, end in zip(starts, ends, strict=True):
-            draw_lines(viewport, [(start, end)], _LINE, 1.3, outline=1.7)
-            draw_dot(viewport, start, _LINE, 1.6, outline=0.8)
-    _draw_other_view(session, viewport, result, _match_under_mouse(viewport, result, grid))
+            draw_lines(canvas, [(start, end)], _LINE, 1.3, outline=1.7)
+            draw_dot(canvas, start, _LINE, 1.6, outline=0.8)
+    _draw_other_view(captures, canvas, result, _match_under_mouse(canvas, result, grid))
     named = [each for each in result.shares.items() if each[1] >= _MIN_SHARE]
     if matching.mode != "pixels":  # matches have their own colors, and the title has their share
         named = [each for each in named if each[0] != MatchOutcome.MATCHED]
     title = f"{result.matched.found.valid.mean():.0%} matched with {result.matched.to.name}"
-    _draw_legend(viewport, title, named)
+    _draw_legend(canvas, title, named)
     return False
 
 
@@ -237,29 +248,31 @@ def _on_grid(shares: np.ndarray, grid: Grid) -> Float64[np.ndarray, "n 2"]:
     return (1 - y) * top + y * bottom
 
 
-def _match_under_mouse(viewport: Viewport, result: MatchResult, grid: Grid) -> tuple[int, int] | None:
+def _match_under_mouse(canvas: Canvas, result: MatchResult, grid: Grid) -> tuple[int, int] | None:
     """Return row and column of the matched image under the mouse; None outside it."""
-    if not viewport.hovered:
+    if not canvas.hovered:
         return None
     height, width = result.matched.found.outcome.shape
     right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    share = np.linalg.solve(np.stack([right, down], axis=1), np.array(viewport.mouse_px) - grid[0, 0])
+    share = np.linalg.solve(np.stack([right, down], axis=1), np.array(canvas.mouse_px) - grid[0, 0])
     column, row = int(np.floor(share[0] * width)), int(np.floor(share[1] * height))
     return (row, column) if 0 <= row < height and 0 <= column < width else None
 
 
-def _draw_other_view(session: Editor, viewport: Viewport, result: MatchResult, under: tuple[int, int] | None) -> None:
+def _draw_other_view(
+    captures: CaptureController, canvas: Canvas, result: MatchResult, under: tuple[int, int] | None
+) -> None:
     """Draw the other view in the corner, with a cross at the pixel that matches the mouse position."""
-    captures, other = session.captures, result.matched.to
+    other = result.matched.to
     if captures.pictures is None:
         return
     captures.pictures.want(result.request.to, THUMBNAIL_PX)
     texture = captures.textures.get(ImageRequest(result.request.to, THUMBNAIL_PX))
     if texture is None:
         return
-    width = min(_INSET_SHARE * viewport.width, _MAX_INSET_EM * imgui.get_font_size())
+    width = min(_INSET_SHARE * canvas.width, _MAX_INSET_EM * imgui.get_font_size())
     height = width * other.camera.height / other.camera.width
-    low = viewport.on_screen(viewport.width - width - _MARGIN, _MARGIN)
+    low = canvas.on_screen(canvas.width - width - _MARGIN, _MARGIN)
     high = ImVec2(low.x + width, low.y + height)
     draw = imgui.get_window_draw_list()
     draw.add_image(imgui.ImTextureRef(texture.name), low, high)
@@ -278,14 +291,14 @@ def _draw_other_view(session: Editor, viewport: Viewport, result: MatchResult, u
     imgui.set_tooltip(f"There at column {x:.1f}, row {y:.1f} of {other.camera.width} x {other.camera.height} px.")
 
 
-def _draw_legend(viewport: Viewport, title: str, shares: list[tuple[MatchOutcome, float]]) -> None:
+def _draw_legend(canvas: Canvas, title: str, shares: list[tuple[MatchOutcome, float]]) -> None:
     """Draw the legend in the lower right corner; tools are on the left."""
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     line = imgui.get_text_line_height() * 1.2
     rows = [f"{_WORDS[each]}  {share:.0%}" for each, share in shares]
     width = max([imgui.calc_text_size(title).x, *(imgui.calc_text_size(row).x + 1.4 * em for row in rows)]) + 1.2 * em
     height = (1 + len(rows)) * line + 0.8 * em
-    low = viewport.on_screen(viewport.width - width - _MARGIN, viewport.height - height - _MARGIN)
+    low = canvas.on_screen(canvas.width - width - _MARGIN, canvas.height - height - _MARGIN)
     draw.add_rect_filled(low, ImVec2(low.x + width, low.y + height), color(_LEGEND_PAPER), 5.0)
     x, y = low.x + 0.6 * em, low.y + 0.4 * em
     draw.add_text(ImVec2(x, y), color(_INK), title)
@@ -311,55 +324,55 @@ _ENDS = {
 }  # fmt: skip
 
 
-def drive_overlay(session: Editor, viewport: Viewport) -> bool:
+def drive_overlay(
+    document: Document, viewport: ViewportState, playback: Playback, rollouts: RolloutPlayer, canvas: Canvas
+) -> bool:
     """Draw the roll-out at the current time; never uses the mouse."""
-    drives = session.drives
-    rollout = drives.placed_in(session.scene)
+    rollout = rollouts.placed_in(document.scene)
     if rollout is None:
         return False
-    inside = drives.chase.mode == "front camera"
-    drawing = rollout_overlay(rollout, session.clock.time_s, viewport.shot.camera, from_inside=inside)
-    if drives.show_plan:
-        draw_lines(viewport, drawing.driven_px.tolist(), _DRIVEN, 2.0)
-        draw_lines(viewport, drawing.plan_px.tolist(), _PLAN, 2.5, outline=2.0)
+    inside = viewport.chase.mode == "front camera"
+    drawing = rollout_overlay(rollout, playback.clock.time_s, canvas.shot.camera, from_inside=inside)
+    if rollouts.show_plan:
+        draw_lines(canvas, drawing.driven_px.tolist(), _DRIVEN, 2.0)
+        draw_lines(canvas, drawing.plan_px.tolist(), _PLAN, 2.5, outline=2.0)
         for x, y, radius in drawing.dots:
-            draw_dot(viewport, (x, y), _PLAN, radius)
-    if drives.show_boxes:
+            draw_dot(canvas, (x, y), _PLAN, radius)
+    if rollouts.show_boxes:
         for box in drawing.boxes:
-            _draw_box(viewport, box)
-    if drives.show_boxes and inside and rollout.front_camera is not None:
-        step = rollout.played.step(rollout.own_time_s(session.clock.time_s))
-        for detection in detection_boxes(step, rollout.front_camera, viewport.shot.camera):
-            _draw_detection(viewport, detection)
-    _draw_figures(session, viewport)
+            _draw_box(canvas, box)
+    if rollouts.show_boxes and inside and rollout.front_camera is not None:
+        step = rollout.played.step(rollout.own_time_s(playback.clock.time_s))
+        for detection in detection_boxes(step, rollout.front_camera, canvas.shot.camera):
+            _draw_detection(canvas, detection)
+    _draw_figures(document, playback, rollouts, canvas)
     return False
 
 
-def _draw_box(viewport: Viewport, box: BoxMark) -> None:
+def _draw_box(canvas: Canvas, box: BoxMark) -> None:
     hue = _HIT if box.is_hit else _EGO if box.is_ego else _USER
-    draw_lines(viewport, box.lines_px.tolist(), hue, 2.0 if box.is_hit else 1.3)
+    draw_lines(canvas, box.lines_px.tolist(), hue, 2.0 if box.is_hit else 1.3)
     if box.top_px is None or box.is_ego:
         return
     words, (x, y) = f"{box.name}  {box.speed_m_s:.1f} m/s", box.top_px
     size = imgui.calc_text_size(words)
-    draw_card(words, viewport.on_screen(x - size.x / 2, y - size.y - 10), hue, _PAPER, (5, 2))
+    draw_card(words, canvas.on_screen(x - size.x / 2, y - size.y - 10), hue, _PAPER, (5, 2))
 
 
-def _draw_detection(viewport: Viewport, box: DetectionBox) -> None:
+def _draw_detection(canvas: Canvas, box: DetectionBox) -> None:
     hue = _PLAN if box.is_lead else _DETECTION_COLOR
-    low, high = viewport.on_screen(*box.low_px), viewport.on_screen(*box.high_px)
+    low, high = canvas.on_screen(*box.low_px), canvas.on_screen(*box.high_px)
     thick = 2.0 if box.is_lead else 1.2
     imgui.get_window_draw_list().add_rect(low, high, color(hue), 2.0, thickness=thick)
     draw_card(box.words, ImVec2(low.x + 4, high.y + 2), hue, _PAPER, (4, 0), 3.0)
 
 
-def _draw_figures(session: Editor, viewport: Viewport) -> None:
+def _draw_figures(document: Document, playback: Playback, rollouts: RolloutPlayer, canvas: Canvas) -> None:
     """Draw the ego vehicle's current state at the lower edge; above it, the collision."""
-    drives = session.drives
-    step, playing, rollout = drives.step_now(session), drives.playing, drives.placed_in(session.scene)
+    step, playing, rollout = rollouts.step_now, rollouts.playing, rollouts.placed_in(document.scene)
     if step is None or playing is None or rollout is None:
         return
-    time_s = rollout.own_time_s(session.clock.time_s)
+    time_s = rollout.own_time_s(playback.clock.time_s)
     state, ttc_s = rollout.played.state(time_s), playing.curves.ttc_at(time_s)
     words = [
         f"{time_s:.2f} s",
@@ -367,17 +380,17 @@ def _draw_figures(session: Editor, viewport: Viewport) -> None:
         f"{step.ego.acceleration_m_s2:z.1f} m/s\u00b2",
         f"TTC {ttc_s:.1f} s" if ttc_s < LONGEST_S else f"TTC {LONGEST_S:g} s or more",
     ]
-    y = _draw_line_of_text(viewport, "    ".join(words), viewport.height - _MARGIN, _INK)
+    y = _draw_line_of_text(canvas, "    ".join(words), canvas.height - _MARGIN, _INK)
     if step.collision is not None:
-        _draw_line_of_text(viewport, f"Hits {step.collision} at {step.ego.speed_m_s:.1f} m/s", y - 4, _HIT)
+        _draw_line_of_text(canvas, f"Hits {step.collision} at {step.ego.speed_m_s:.1f} m/s", y - 4, _HIT)
     elif time_s >= rollout.played.end_s:
-        _draw_line_of_text(viewport, _ENDS.get(playing.rollout.end, playing.rollout.end), y - 4, _FAINT)
+        _draw_line_of_text(canvas, _ENDS.get(playing.rollout.end, playing.rollout.end), y - 4, _FAINT)
 
 
-def _draw_line_of_text(viewport: Viewport, words: str, low: float, ink: ImVec4) -> float:
+def _draw_line_of_text(canvas: Canvas, words: str, low: float, ink: ImVec4) -> float:
     """Draw a line of text above a height of the viewport; returns the height of its upper edge."""
     size, em = imgui.calc_text_size(words), imgui.get_font_size()
-    at = viewport.on_screen((viewport.width - size.x) / 2, low - size.y - 0.25 * em)
+    at = canvas.on_screen((canvas.width - size.x) / 2, low - size.y - 0.25 * em)
     draw_card(words, at, ink, _PAPER, (0.7 * em, 0.25 * em), 5.0)
     return low - size.y - 0.5 * em
 
@@ -390,9 +403,9 @@ _GRIP_PX = 6.0  # half its width
 _LABEL_PX = 8.0  # margin of the labels
 
 
-def draw_divider(session: Editor, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
+def draw_divider(viewport: ViewportState, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
     """Draw the draggable divider with the labels of both images; a double click centers it."""
-    view = session.view
+    view = viewport.options
     x = corner.x + view.divider * width
     imgui.set_cursor_screen_pos(ImVec2(x - _GRIP_PX, corner.y))
     imgui.invisible_button("divider", ImVec2(2 * _GRIP_PX, height))
@@ -415,13 +428,14 @@ def draw_divider(session: Editor, labels: tuple[str, str], corner: ImVec2, width
     draw.pop_clip_rect()
 
 
-def preview_side(session: Editor, corner: ImVec2, width: int, height: int) -> tuple[str, str] | None:
+def preview_side(
+    viewport: ViewportState, wet_look: WetLookController, corner: ImVec2, width: int, height: int
+) -> tuple[str, str] | None:
     """Draw the preview over the right part of the viewport; returns the labels of both images, or None."""
-    rainy = session.rainy
-    rainy.viewport_px = width, height
-    if session.view.split != "now | preview" or rainy.texture is None or not rainy.fits(session):
+    wet_look.viewport_px = width, height
+    if viewport.options.split != "now | preview" or wet_look.texture is None or not wet_look.fits:
         return None
-    at = session.view.divider
+    at = viewport.options.divider
     low, high = ImVec2(corner.x + at * width, corner.y), ImVec2(corner.x + width, corner.y + height)
-    imgui.get_window_draw_list().add_image(imgui.ImTextureRef(rainy.texture.name), low, high, ImVec2(at, 0))
+    imgui.get_window_draw_list().add_image(imgui.ImTextureRef(wet_look.texture.name), low, high, ImVec2(at, 0))
     return "now", "preview, soaked"

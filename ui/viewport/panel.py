@@ -1,6 +1,6 @@
 """The viewport: image, navigation by mouse and keys, region outlines, bars, notices, and the start page."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import get_args
 
@@ -9,13 +9,17 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import region_outlines
+from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.viewport.options import Split
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.renderer import RenderMode
 
 from ..commands.base import chord_name
 from ..commands.registry import ACTIONS
+from ..parts import bind_parts
 from ..tools import TOOLS
-from ..widgets.draw import Viewport, draw_lines
+from ..tools.base import Tool
+from ..widgets.draw import Canvas, draw_lines
 from ..widgets.fields import help_button
 from ..widgets.text import label
 from .overlays import OVERLAYS, draw_divider, preview_side
@@ -23,47 +27,50 @@ from .overlays import OVERLAYS, draw_divider, preview_side
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
 
-def viewport_panel(session: Editor, textures_of: Callable[[int, int], list[int]]) -> None:
+def viewport_panel(editor: Editor, tools: Sequence[Tool], textures_of: Callable[[int, int], list[int]]) -> None:
     """Draw the panel; `textures_of` a size in pixels returns the OpenGL names of the panes, from left to right."""
-    view_bar(session)
+    view_bar(editor)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
     textures = textures_of(width, height)
-    at = round(session.view.divider * width) if len(textures) == 2 else 0
+    at = round(editor.viewport.options.divider * width) if len(textures) == 2 else 0
     if at > 0:
         imgui.image(imgui.ImTextureRef(textures[0]), ImVec2(at, height), ImVec2(0, 0), ImVec2(at / width, 1))
         imgui.set_cursor_screen_pos(ImVec2(corner.x + at, corner.y))
     if at < width:
         imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
-    labels = preview_side(session, corner, width, height)
+    labels = preview_side(editor.viewport, editor.wet_look, corner, width, height)
     if len(textures) == 2:
-        labels = session.split_panes[0].label, session.split_panes[1].label
+        labels = editor.split_panes[0].label, editor.split_panes[1].label
     if labels is not None:
-        draw_divider(session, labels, corner, width, height)
+        draw_divider(editor.viewport, labels, corner, width, height)
     imgui.set_cursor_screen_pos(corner)
     imgui.set_next_item_allow_overlap()
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
     imgui.invisible_button("view", ImVec2(width, height), flags | imgui.ButtonFlags_.mouse_button_middle)
     hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
-    viewport = Viewport(corner, width, height, session.shot(width, height), hovered, active)
+    canvas = Canvas(corner, width, height, editor.viewport.shot(width, height), hovered, active)
     imgui.get_window_draw_list().push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
-    use_button = [overlay(session, viewport) for overlay in OVERLAYS]
-    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
-    uses_button = any(use_button) or (tool is not None and tool.draw(session, viewport))
-    for name, lines_px in region_outlines(session, width, height).items():
-        draw_lines(viewport, lines_px.tolist(), _OUTLINE[name], 1.5)
+    use_button = [bind_parts(overlay, editor, canvas=canvas)() for overlay in OVERLAYS]
+    tool = next((each for each in tools if each.name == editor.viewport.options.tool), None)
+    uses_button = any(use_button) or (tool is not None and tool.draw(canvas))
+    for name, lines_px in region_outlines(
+        editor.viewport, editor.rollouts.displayed_scene, editor.live_rain.displayed, width, height
+    ).items():
+        draw_lines(canvas, lines_px.tolist(), _OUTLINE[name], 1.5)
     imgui.get_window_draw_list().pop_clip_rect()
-    _navigate_by_mouse(session, viewport, uses_button)
-    _navigate_by_keys(session)
-    left = tool_bar(session, corner, height)
-    tool_options(session, corner, left, width)
-    if not session.scene.members and session.busy is None:
-        draw_start_page(session, corner, width, height)
-    if session.busy is not None:
-        _draw_busy(session.busy, corner, width, height)
-    if session.problem is not None:
-        _draw_problem(session, session.problem, corner, width, height)
+    _navigate_by_mouse(editor.viewport, canvas, uses_button)
+    _navigate_by_keys(editor.viewport)
+    left = tool_bar(editor.viewport, corner, height)
+    if tool is not None:
+        tool_options(tool, corner, left, width)
+    if not editor.document.scene.members and editor.busy is None:
+        draw_start_page(editor, corner, width, height)
+    if editor.busy is not None:
+        _draw_busy(editor.busy, corner, width, height)
+    if editor.status.problem is not None:
+        _draw_problem(editor.status, editor.status.problem, corner, width, height)
 
 
 _RADIANS_PER_PIXEL = 0.005
@@ -74,37 +81,37 @@ _KEYS = {
 }  # fmt: skip
 
 
-def _navigate_by_mouse(session: Editor, viewport: Viewport, uses_left: bool) -> None:
-    navigation, io = session.navigation, imgui.get_io()
-    if viewport.active:
+def _navigate_by_mouse(viewport: ViewportState, canvas: Canvas, uses_left: bool) -> None:
+    navigation, io = viewport.navigation, imgui.get_io()
+    if canvas.active:
         moved = io.mouse_delta
         if uses_left and imgui.is_mouse_down(imgui.MouseButton_.left):
             return
         if moved.x or moved.y:
-            session.stop_riding()
+            viewport.stop_riding()
         if imgui.is_mouse_down(imgui.MouseButton_.left):
             navigation.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
         elif imgui.is_mouse_down(imgui.MouseButton_.right):
             navigation.turn(-moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
         elif imgui.is_mouse_down(imgui.MouseButton_.middle):
-            navigation.pan(-moved.x / viewport.height, moved.y / viewport.height)
-    if viewport.hovered and io.mouse_wheel:
+            navigation.pan(-moved.x / canvas.height, moved.y / canvas.height)
+    if canvas.hovered and io.mouse_wheel:
         if io.key_ctrl:
             navigation.change_speed(io.mouse_wheel)
         else:
-            session.stop_riding()
-            session.dolly(io.mouse_wheel)
+            viewport.stop_riding()
+            viewport.dolly(io.mouse_wheel)
 
 
-def _navigate_by_keys(session: Editor) -> None:
-    io, navigation = imgui.get_io(), session.navigation
+def _navigate_by_keys(viewport: ViewportState) -> None:
+    io, navigation = imgui.get_io(), viewport.navigation
     is_here = imgui.is_window_hovered(imgui.HoveredFlags_.root_and_child_windows)
     listens = is_here and not (io.want_text_input or io.key_ctrl)
     pressed = [direction for key, direction in _KEYS.items() if listens and imgui.is_key_down(key)]
     if not pressed:
         navigation.stop()
         return
-    session.stop_riding()
+    viewport.stop_riding()
     fast = _FAST if io.key_shift else 1.0
     # The frame in which a key was pressed may have begun long before: don't move in that one.
     held_s = io.delta_time if navigation.is_flying else 0.0
@@ -116,7 +123,7 @@ def _navigate_by_keys(session: Editor) -> None:
 _GAP = 3.0
 
 
-def tool_bar(session: Editor, corner: ImVec2, height: float) -> float:
+def tool_bar(viewport: ViewportState, corner: ImVec2, height: float) -> float:
     """Draw the bar over the viewport; a click activates a tool or deactivates it. Returns its right edge."""
     side = 1.9 * imgui.get_font_size()
     columns = -(-(len(TOOLS) + 1) // max(int((height - 24) / (side + _GAP)), 1))
@@ -124,14 +131,14 @@ def tool_bar(session: Editor, corner: ImVec2, height: float) -> float:
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(4, 4))
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(_GAP, _GAP))
     with _card("tools", 0, imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.auto_resize_x):
-        if _tool_button(icons.ICON_FA_ARROW_POINTER, "Navigate", session.view.tool == "", side):
-            session.view.tool = ""
+        if _tool_button(icons.ICON_FA_ARROW_POINTER, "Navigate", viewport.options.tool == "", side):
+            viewport.options.tool = ""
         imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
         for number, tool in enumerate(TOOLS, start=1):
             if number % columns:
                 imgui.same_line()
-            if _tool_button(tool.icon, tool.name, session.view.tool == tool.name, side):
-                session.view.tool = "" if session.view.tool == tool.name else tool.name
+            if _tool_button(tool.icon, tool.name, viewport.options.tool == tool.name, side):
+                viewport.options.tool = "" if viewport.options.tool == tool.name else tool.name
             key = f" ({chord_name(int(tool.key))})" if tool.key is not None else ""
             imgui.set_item_tooltip(f"{tool.name}{key}: {tool.help}")
     imgui.pop_style_var(2)
@@ -146,11 +153,8 @@ def _tool_button(icon: str, name: str, is_on: bool, side: float) -> bool:
     return clicked
 
 
-def tool_options(session: Editor, corner: ImVec2, left: float, width: float) -> None:
-    """Draw the bar over the viewport, starting at `left`; nothing without an active tool."""
-    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
-    if tool is None:
-        return
+def tool_options(tool: Tool, corner: ImVec2, left: float, width: float) -> None:
+    """Draw the bar of the active tool over the viewport, starting at `left`."""
     imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
     with _card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82):
@@ -158,22 +162,22 @@ def tool_options(session: Editor, corner: ImVec2, left: float, width: float) -> 
         imgui.text(tool.name)
         imgui.set_item_tooltip(tool.help)
         imgui.same_line(0, 12)
-        tool.options(session)
+        tool.options()
     imgui.pop_style_var()
 
 
-def view_bar(session: Editor) -> None:
-    icon = icons.ICON_FA_PAUSE if session.clock.playing else icons.ICON_FA_PLAY
+def view_bar(editor: Editor) -> None:
+    icon = icons.ICON_FA_PAUSE if editor.playback.clock.playing else icons.ICON_FA_PLAY
     if _view_button(icon, "Play", "Start or stop time (Space)."):
-        session.clock.toggle()
+        editor.playback.clock.toggle()
     frame_help = "Move back until the active layer or actor, or else the whole scene, is visible (F)."
     if _view_button(icons.ICON_FA_EXPAND, "Frame", frame_help):
-        session.frame_scene()
+        editor.viewport.frame_scene()
     if _view_button(icons.ICON_FA_HOUSE, "Home", "Return to the initial view of the scene (R)."):
-        session.go_home()
+        editor.viewport.go_home()
     if _view_button(icons.ICON_FA_CAMERA, "Screenshot", "Save the viewport as PNG (F12); the log has its path."):
-        session.take_screenshot()
-    _, session.view.follow_path = imgui.checkbox("Follow path", session.view.follow_path)
+        editor.take_screenshot()
+    _, editor.viewport.options.follow_path = imgui.checkbox("Follow path", editor.viewport.options.follow_path)
     imgui.set_item_tooltip("Follow the camera path: your own keyframes, else the ego vehicle's drive or a swing (V).")
     imgui.same_line()
     for field, title, choices, width_em, help_text in (
@@ -181,15 +185,15 @@ def view_bar(session: Editor) -> None:
         ("split", "Compare", get_args(Split), 11, "Compare two images side by side."),
     ):
         imgui.set_next_item_width(width_em * imgui.get_font_size())
-        present = getattr(session.view, field)
+        present = getattr(editor.viewport.options, field)
         if imgui.begin_combo(f"##{field}", f"{title}: {present}"):
             for each in choices:
                 if imgui.selectable(each, each == present)[0]:
-                    setattr(session.view, field, each)
+                    setattr(editor.viewport.options, field, each)
             imgui.end_combo()
         imgui.set_item_tooltip(help_text)
         imgui.same_line()
-    words = f"{session.clock.time_s:.2f} s   Fly speed {session.navigation.speed_m_s:.3g} m/s"
+    words = f"{editor.playback.clock.time_s:.2f} s   Fly speed {editor.viewport.navigation.speed_m_s:.3g} m/s"
     if imgui.calc_text_size(words).x < imgui.get_content_region_avail().x:
         imgui.text_disabled(words)
         imgui.set_item_tooltip("Time in the scene, and speed of W A S D (Ctrl+wheel). F1 shows all keys.")
@@ -210,7 +214,7 @@ _OFFERED = ("Open...", "Open the built-in street")
 _MAX_RECENT = 6
 
 
-def draw_start_page(session: Editor, corner: ImVec2, width: int, height: int) -> None:
+def draw_start_page(editor: Editor, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_WIDTH_EM * imgui.get_font_size(), width - 20.0)
     imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.25 * height))
     flags = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
@@ -219,14 +223,14 @@ def draw_start_page(session: Editor, corner: ImVec2, width: int, height: int) ->
         imgui.spacing()
         for action in ACTIONS:
             if action.name in _OFFERED and imgui.button(action.name, ImVec2(-1, 0)):
-                action.perform(session)
-        recent = session.files.recent[:_MAX_RECENT]
+                action.perform(editor)
+        recent = editor.files.recent[:_MAX_RECENT]
         if recent:
             imgui.separator_text("Recent")
         for path in recent:
             name = label(f"{icons.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path))
             if imgui.button(name, ImVec2(-1, 0)):
-                session.open(str(path))
+                editor.files.open(str(path))
             imgui.set_item_tooltip(str(path))
     imgui.end_child()
 
@@ -245,7 +249,7 @@ def _draw_busy(words: str, corner: ImVec2, width: int, height: int) -> None:
         imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
 
 
-def _draw_problem(session: Editor, problem: str, corner: ImVec2, width: int, height: int) -> None:
+def _draw_problem(status: StatusBus, problem: str, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_NOTICE_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
     padding = imgui.get_style().window_padding
     words = f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {problem}"
@@ -257,7 +261,7 @@ def _draw_problem(session: Editor, problem: str, corner: ImVec2, width: int, hei
         imgui.text_wrapped(words)
         imgui.pop_style_color()
         if imgui.button("Close"):
-            session.problem = None
+            status.dismiss()
         imgui.same_line()
         if help_button("Details", "Show the log, which has the rest."):
             imgui.set_window_focus("Log")

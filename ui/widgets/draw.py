@@ -45,7 +45,7 @@ def color(value: Color) -> int:
 
 
 @dataclass(frozen=True)
-class Viewport:
+class Canvas:
     """Viewport of this frame, for tools and overlays. Pixels count from its upper left corner."""
 
     corner: ImVec2
@@ -83,45 +83,45 @@ class Viewport:
 # Points, lines and text at positions of the world, and of the viewport
 
 
-def draw_point(viewport: Viewport, point_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW, radius: float = 5) -> None:
+def draw_point(canvas: Canvas, point_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW, radius: float = 5) -> None:
     """Draw a dot; nothing behind the camera."""
-    pixel = viewport.pixel(point_m)
+    pixel = canvas.pixel(point_m)
     if pixel is not None:
-        draw_dot(viewport, pixel, color, radius, shadow=_SHADOW)
+        draw_dot(canvas, pixel, color, radius, shadow=_SHADOW)
 
 
 def draw_line(
-    viewport: Viewport, start_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW
+    canvas: Canvas, start_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW
 ) -> None:
     """Draw a straight line; nothing if one end is behind the camera."""
-    start, end = viewport.pixel(start_m), viewport.pixel(end_m)
+    start, end = canvas.pixel(start_m), canvas.pixel(end_m)
     if start is not None and end is not None:
-        draw_lines(viewport, [(start, end)], color, 2.0, outline=2.0, shadow=_SHADOW)
+        draw_lines(canvas, [(start, end)], color, 2.0, outline=2.0, shadow=_SHADOW)
 
 
-def draw_words(viewport: Viewport, point_m: Float64[np.ndarray, "3"], words: str) -> None:
-    pixel = viewport.pixel(point_m)
+def draw_words(canvas: Canvas, point_m: Float64[np.ndarray, "3"], words: str) -> None:
+    pixel = canvas.pixel(point_m)
     if pixel is not None:
-        at = viewport.on_screen(*pixel)
+        at = canvas.on_screen(*pixel)
         draw_card(words, ImVec2(at.x + 10, at.y - 0.5 * imgui.get_font_size()))
 
 
-def draw_hint(viewport: Viewport, words: str) -> None:
+def draw_hint(canvas: Canvas, words: str) -> None:
     """Draw a tool's hint at the lower edge of the viewport."""
     size = imgui.calc_text_size(words)
-    draw_card(words, viewport.on_screen((viewport.width - size.x) / 2, viewport.height - 2.2 * size.y))
+    draw_card(words, canvas.on_screen((canvas.width - size.x) / 2, canvas.height - 2.2 * size.y))
 
 
 def draw_dot(
-    viewport: Viewport, pixel: Sequence[float], hue: Color, radius: float, outline: float = 1.5, shadow: Color = OUTLINE
+    canvas: Canvas, pixel: Sequence[float], hue: Color, radius: float, outline: float = 1.5, shadow: Color = OUTLINE
 ) -> None:
-    draw, at = imgui.get_window_draw_list(), viewport.on_screen(*pixel)
+    draw, at = imgui.get_window_draw_list(), canvas.on_screen(*pixel)
     draw.add_circle_filled(at, radius + outline, color(shadow))
     draw.add_circle_filled(at, radius, color(hue))
 
 
 def draw_lines(
-    viewport: Viewport,
+    canvas: Canvas,
     lines_px: Iterable[Sequence[Sequence[float]]],
     hue: Color,
     width: float,
@@ -130,7 +130,7 @@ def draw_lines(
     shadow: Color = OUTLINE,
 ) -> None:
     """Draw lines between pixels of the viewport; `outline` is the additional width of dark lines below all of them."""
-    ends = [(viewport.on_screen(*start), viewport.on_screen(*end)) for start, end in lines_px]
+    ends = [(canvas.on_screen(*start), canvas.on_screen(*end)) for start, end in lines_px]
     for ink, thick in ((shadow, width + outline), (hue, width))[0 if outline else 1 :]:
         for start, end in ends:
             imgui.get_window_draw_list().add_line(start, end, color(ink), thick)
@@ -151,11 +151,11 @@ def draw_card(
     draw.add_text(at, color(ink), words)
 
 
-def is_clicked(viewport: Viewport) -> bool:
+def is_clicked(canvas: Canvas) -> bool:
     """Return True for a click over the viewport without dragging, which still orbits."""
     left = imgui.MouseButton_.left
     moved = imgui.get_io().mouse_drag_max_distance_sqr[left]
-    return viewport.hovered and imgui.is_mouse_released(left) and moved < 16.0
+    return canvas.hovered and imgui.is_mouse_released(left) and moved < 16.0
 
 
 # Plots in panels
@@ -216,7 +216,7 @@ class Gizmo:
         self._start = self._present = None
 
     def draw(
-        self, viewport: Viewport, frame: Float64[np.ndarray, "4 4"], handle: picking.Handle
+        self, canvas: Canvas, frame: Float64[np.ndarray, "4 4"], handle: picking.Handle
     ) -> tuple[Float64[np.ndarray, "4 4"] | None, bool]:
         """Draw the gizmo in a frame of the world (meters) and handle the mouse, each frame.
 
@@ -231,11 +231,11 @@ class Gizmo:
         _GIZMO.set_gizmo_size_clip_space(_SIZE)
         _GIZMO.allow_axis_flip(False)
         _GIZMO.set_drawlist()
-        _GIZMO.set_rect(viewport.corner.x, viewport.corner.y, viewport.width, viewport.height)
+        _GIZMO.set_rect(canvas.corner.x, canvas.corner.y, canvas.width, canvas.height)
         matrix = _GIZMO.Matrix16(picking.column_major(present))
         snap = _GIZMO.Matrix3([_STEPS[handle]] * 3) if imgui.get_io().key_ctrl else None
-        camera = viewport.shot.camera
-        with _hide_viewport_button(viewport):
+        camera = canvas.shot.camera
+        with _hide_viewport_button(canvas):
             _GIZMO.manipulate(
                 _GIZMO.Matrix16(picking.column_major(_FLIP @ camera.world_to_camera)),
                 _GIZMO.Matrix16(picking.opengl_projection(camera)),
@@ -255,11 +255,11 @@ class Gizmo:
 
 
 @contextmanager
-def _hide_viewport_button(viewport: Viewport) -> Generator[None]:
+def _hide_viewport_button(canvas: Canvas) -> Generator[None]:
     """Hide the viewport's own button: ImGuizmo ignores clicks over another item."""
     context = imgui.get_current_context()
     hovered, before, active = context.hovered_id, context.hovered_id_previous_frame, context.active_id
-    if viewport.hovered or viewport.active:
+    if canvas.hovered or canvas.active:
         context.hovered_id = context.hovered_id_previous_frame = context.active_id = 0
     yield
     context.hovered_id, context.hovered_id_previous_frame, context.active_id = hovered, before, active

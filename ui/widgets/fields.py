@@ -11,8 +11,11 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 import msgspec
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, im_file_dialog, imgui
 
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.rain.keyframes import Keyed
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.timeline import Playback
+from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.scene.formats.registry import writable_suffixes
 
@@ -77,61 +80,61 @@ def plain_label(text: str, help_text: str) -> None:
 
 
 def slider(
-    session: Editor, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
+    document: Document, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
 ) -> None:
     """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
     info = label(name)
     if beside_px:
         imgui.set_next_item_width(-beside_px)
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
-    value = getattr(session.rain_now, name)
+    value = getattr(document.rain_now, name)
     changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.high, "%.4g", flags)
     if changed:
-        session.change_rain(info.title, name, **{name: value})
-    end_gesture_when_released(session)
+        document.change_rain(info.title, name, **{name: value})
+    end_gesture_when_released(document)
 
 
-def integer(session: Editor, name: str) -> None:
+def integer(document: Document, name: str) -> None:
     info = label(name)
-    changed, value = imgui.input_int(f"##{name}", getattr(session.rain, name))
+    changed, value = imgui.input_int(f"##{name}", getattr(document.rain, name))
     if changed:
-        session.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
-    end_gesture_when_released(session)
+        document.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
+    end_gesture_when_released(document)
 
 
-def choice(session: Editor, name: str) -> None:
+def choice(document: Document, name: str) -> None:
     info = label(name)
-    present = info.choices.index(getattr(session.rain, name))
+    present = info.choices.index(getattr(document.rain, name))
     changed, picked = imgui.combo(f"##{name}", present, list(info.choices))
     if changed:
-        session.change_rain(info.title, **{name: info.choices[picked]})
+        document.change_rain(info.title, **{name: info.choices[picked]})
 
 
-def toggle(session: Editor, name: str) -> None:
+def toggle(document: Document, name: str) -> None:
     info = field_info(name)
-    changed, value = imgui.checkbox(info.title, getattr(session.rain, name))
+    changed, value = imgui.checkbox(info.title, getattr(document.rain, name))
     imgui.set_item_tooltip(info.help)
     if changed:
-        session.change_rain(f"{info.title} {'on' if value else 'off'}", **{name: value})
+        document.change_rain(f"{info.title} {'on' if value else 'off'}", **{name: value})
 
 
-def box(session: Editor, name: str) -> None:
+def box(document: Document, name: str) -> None:
     """Edit the lower and upper corner of a region in meters; corners that would invert it are ignored."""
-    info, region = field_info(name), getattr(session.rain, name)
+    info, region = field_info(name), getattr(document.rain, name)
     for corner, words in (("minimum_m", "from"), ("maximum_m", "to")):
         plain_label(f"{words} x, y, z (m)", f"{info.help} In the ego's frame: x forward, y left, z up.")
         changed, value = imgui.drag_float3(f"##{name}.{corner}", list(getattr(region, corner)), 0.05, -200, 200, "%.2f")
         if changed:
             corners = {"minimum_m": region.minimum_m, "maximum_m": region.maximum_m} | {corner: tuple(value)}
             if all(low + 0.1 <= high for low, high in zip(*corners.values(), strict=True)):
-                session.change_rain(info.title, f"{name}.{corner}", **{name: RegionBox(**corners)})
-        end_gesture_when_released(session)
+                document.change_rain(info.title, f"{name}.{corner}", **{name: RegionBox(**corners)})
+        end_gesture_when_released(document)
 
 
-def end_gesture_when_released(session: Editor) -> None:
+def end_gesture_when_released(document: Document) -> None:
     """End the undo step when the last widget is released."""
     if imgui.is_item_deactivated():
-        session.end_gesture()
+        document.end_gesture()
 
 
 # Fields of any settings: metadata and type select the widget
@@ -210,9 +213,9 @@ def keyframe_button_width() -> float:
     return imgui.get_frame_height() + imgui.get_style().item_spacing.x
 
 
-def keyframe_button(session: Editor, name: Keyed) -> None:
-    now_s, title = session.clock.time_s, _TITLES[name]
-    is_keyed, is_here = session.weather.is_keyed(name), _is_keyed_now(session, name)
+def keyframe_button(document: Document, viewport: ViewportState, playback: Playback, name: Keyed) -> None:
+    now_s, title = playback.clock.time_s, _TITLES[name]
+    is_keyed, is_here = document.keyframes.is_keyed(name), _is_keyed_now(document, playback, name)
     imgui.same_line()
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
     color = _HERE if is_here else _KEYED if is_keyed else imgui.get_style_color_vec4(imgui.Col_.text_disabled)
@@ -228,40 +231,42 @@ def keyframe_button(session: Editor, name: Keyed) -> None:
     else:
         imgui.set_item_tooltip(f"Animate the {title}: insert its first keyframe at {now_s:.2f} s.")
     if clicked:
-        toggle_keyframe(session, name)
+        toggle_keyframe(document, viewport, playback, name)
 
 
-def toggle_keyframe(session: Editor, name: Keyed) -> None:
+def toggle_keyframe(document: Document, viewport: ViewportState, playback: Playback, name: Keyed) -> None:
     """Set a field's keyframe at the current time to its current value, or remove the one there."""
-    weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
+    weather, now_s, title = document.keyframes, playback.clock.time_s, _TITLES[name]
     present = weather.key_at(now_s)
     if present is not None and getattr(present, name) is not None:
-        session.set_weather(f"Remove {title} keyframe", weather.without_key(now_s, name))
+        document.edit_keyframes(f"Remove {title} keyframe", RainKeyframes.without_key, now_s, name)
         return
-    value = getattr(session.rain_now, name)
+    value = getattr(document.rain_now, name)
     if value is None:  # exposure: the camera's own
-        value = session.shot(16, 16).camera.exposure_s
-    session.set_weather(f"Insert {title} keyframe", weather.with_key(now_s, **{name: value}))
+        value = viewport.shot(16, 16).camera.exposure_s
+    document.edit_keyframes(f"Insert {title} keyframe", RainKeyframes.with_key, now_s, **{name: value})
 
 
-def _is_keyed_now(session: Editor, name: Keyed) -> bool:
-    present = session.weather.key_at(session.clock.time_s)
+def _is_keyed_now(document: Document, playback: Playback, name: Keyed) -> bool:
+    present = document.keyframes.key_at(playback.clock.time_s)
     return present is not None and getattr(present, name) is not None
 
 
-def tint_keyframed(session: Editor, name: Keyed) -> int:
+def tint_keyframed(document: Document, name: Keyed) -> int:
     """Tint the frame of the next field if it has keyframes; returns the number of colors to pop."""
-    if not session.weather.is_keyed(name):
+    if not document.keyframes.is_keyed(name):
         return 0
     imgui.push_style_color(imgui.Col_.frame_bg, ImVec4(_KEYED.x, _KEYED.y, _KEYED.z, 0.22))
     return 1
 
 
-def keyframed_slider(session: Editor, name: Keyed, *, high: float) -> None:
-    colors = tint_keyframed(session, name)
-    slider(session, name, high=high, beside_px=keyframe_button_width())
+def keyframed_slider(
+    document: Document, viewport: ViewportState, playback: Playback, name: Keyed, *, high: float
+) -> None:
+    colors = tint_keyframed(document, name)
+    slider(document, name, high=high, beside_px=keyframe_button_width())
     imgui.pop_style_color(colors)
-    keyframe_button(session, name)
+    keyframe_button(document, viewport, playback, name)
 
 
 # File dialogs, answered by a callback in a later frame
@@ -290,7 +295,7 @@ def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
     im_file_dialog.FileDialog.instance().save(title, title, kinds)
 
 
-def answer_dialogs(session: Editor) -> None:
+def answer_dialogs(status: StatusBus) -> None:
     """Handle closed dialogs. Call it once per frame."""
     dialogs = im_file_dialog.FileDialog.instance()
     for title in [each for each in _open if dialogs.is_done(each)]:
@@ -298,7 +303,7 @@ def answer_dialogs(session: Editor) -> None:
         chosen = [Path(each.path()) for each in dialogs.get_results()] if dialogs.has_result() else []
         dialogs.close()
         if any(path.name in suffixes for path in chosen):
-            session.problem = f"{title}: no name was typed; choose a folder, then type a name behind File name."
+            status.report(f"{title}: no name was typed; choose a folder, then type a name behind File name.")
         elif chosen:
             # The dialog appends the chosen type's suffix to a name without one, even `.*`.
             answer([path.with_suffix("") if path.suffix == ".*" else path for path in chosen])

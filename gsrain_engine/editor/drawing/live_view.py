@@ -4,28 +4,31 @@ import logging
 import time
 from collections.abc import Generator, Hashable, Iterator
 from pathlib import Path
+from typing import Literal
 
 import moderngl
 import numpy as np
 
 from ...compile_cache import has_kernels
+from ...rain.simulation import RainSimulation
 from ...render.draw import LodSubset, RenderView, draw_view
 from ...render.images import write_png
+from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context, is_software
 from ...render.opengl.renderer import Screen, SplatRenderer
-from ...render.renderer import Renderer
+from ...render.renderer import Color, Renderer
 from ...render.sky_color import SkyColor, sample_sky
 from ...scene.camera import Camera
 from ...scene.gaussians import IdentityKey
-from ...scene.scene import RigCamera, Scene
-from ...simulation.sensors import camera_of_width, placed_camera
-from ..editor import Editor, WindowBackend
-from ..viewport.options import FULL_QUALITY, QualityLevel, SplitPane, Texture
+from ...scene.scene import Scene
+from ..viewport.options import Texture
 from ..viewport.picking import mean_color_in_rectangle
 from ..viewport_state import PendingScene
+from .frame import DrawnImage, DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .textures import CpuTexture
 
 logger = logging.getLogger("gsrain")
+WindowBackend = Literal["auto", "opengl", "cpu"]
 _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
 _LOADING_S = 2.0  # time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
@@ -41,8 +44,7 @@ class LiveView:
     instead, because compiling shaders takes longer. `backend` overrides the choice.
     """
 
-    def __init__(self, context: moderngl.Context, session: Editor, backend: WindowBackend = "auto") -> None:
-        self.session = session
+    def __init__(self, context: moderngl.Context, backend: WindowBackend = "auto") -> None:
         self._context = context
         self._opengl = SplatRenderer(context)
         on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
@@ -51,28 +53,26 @@ class LiveView:
         if self._cpu is not None and has_kernels():
             self._cpu.compile()
             self._waits_until = time.perf_counter() + _LOADING_S
-        self._on_cpu = self._gpu_is_full = self._is_empty = False
+        self._on_cpu = self._gpu_is_full = self._can_draw = self._is_empty = False
         self._panes = (_PaneImage(context), _PaneImage(context))
+        self._pane_count = 1
         self._sky = SkyColorSampler()
-        self._moment: RenderView | None = None
-        self._is_moving = False
-        self._asked_at = 0.0
-        self._staged: PendingScene | None = None
+        self._pending: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
+        self._is_pending_ready = False
         self._upload = SceneUpload(self._opengl)
         self._is_uploading = False  # a pane still shows an older scene
         self._upload_until = 0.0
         self._thinnings: dict[float, LodSubset] = {}
-        self._thinned = session.scene
+        self._thinned: Scene | None = None
 
-    def draw(self, width: int, height: int) -> list[moderngl.Texture]:
-        """Draw the present frame for a viewport size in pixels and return a texture for each of the editor's panes.
+    def draw(self, frame: RenderInput) -> DrawResult:
+        """Draw a frame. Returns the last textures if nothing has changed.
 
-        Each shows the whole image, first row on top. Returns the last textures if nothing has changed. If the scene
-        exceeds GPU memory, the CPU renderer takes over.
+        If the scene exceeds GPU memory, the CPU renderer takes over.
         """
         try:
-            return self._draw(width, height)
+            return self._draw(frame)
         except MemoryError as error:
             if self._on_cpu or self._gpu_is_full:
                 raise
@@ -81,46 +81,48 @@ class LiveView:
             self._cpu.compile()
             self._upload.give_up()
             self._opengl.arrays.release_everything()
-            self.session.problem = f"{error}: the processor draws from now on"
-            logger.warning("%s", self.session.problem)
-            return self.last_textures
+            problem = f"{error}: the processor draws from now on"
+            return DrawResult(self.last_textures, is_compiling=True, problems=[problem])
 
-    def _draw(self, width: int, height: int) -> list[moderngl.Texture]:
-        session = self.session
+    def _draw(self, frame: RenderInput) -> DrawResult:
         if self._cpu is not None and self._cpu.has_failed:
             self._cpu, self._gpu_is_full = None, False
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may change at any moment
-        if session.view.harmonics != self._opengl.arrays.harmonics:
-            self._opengl.arrays.keep_harmonics_as(session.view.harmonics)
+        self._can_draw = self._cpu is None or self._on_cpu or self._substitutes_cpu(frame.scene)
+        if frame.harmonics != self._opengl.arrays.harmonics:
+            self._opengl.arrays.keep_harmonics_as(frame.harmonics)
             self._upload.give_up()
-            self._staged = None  # its upload starts over
+            self._pending, self._is_pending_ready = None, False  # its upload starts over
         self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
-        self._prepare_staged()
-        contents = session.split_panes
-        for pane in self._panes[: -len(contents)]:
+        self._prepare(frame)
+        self._pane_count = len(frame.panes)
+        for pane in self._panes[: -self._pane_count]:
             pane.state = pane.scene = None
-        self._release_closed_scene()
-        detail = self._choose_detail(session.shot(width, height))
-        if session.screenshot is not None:
-            detail = FULL_QUALITY
-        scale = detail.scale / session.view.shrink
-        drawn_height = max(1, round(height * scale))
-        shot = session.shot(max(1, round(width * scale)), drawn_height, height / drawn_height)
+        self._release_closed_scene(frame)
+        result = DrawResult(is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
         if self._can_draw:
-            self._sample_sky(shot)
+            self._sample_sky(frame, result)
+        sky = (result.sky or frame.sky).at(frame.wetness)
         # The last pane, on the right, is the document itself: statistics are those of its image.
-        started, has_drawn, panes = time.perf_counter(), False, self._panes[-len(contents) :]
-        for side, pane in zip(contents, panes, strict=True):
-            has_drawn = self._draw_pane(side, pane, shot, detail)
-        if self._cpu is not None and (has_drawn or not self._can_draw) and session.scene.gaussian_count:
+        started, has_drawn, panes = time.perf_counter(), False, self._panes[-self._pane_count :]
+        for side, pane in zip(frame.panes, panes, strict=True):
+            has_drawn = self._draw_pane(frame, side, pane, sky)
+        if self._cpu is not None and (has_drawn or not self._can_draw) and frame.scene.gaussian_count:
             self._cpu.compile()  # after the first image, which compiling would delay
-        session.is_compiling = not self._can_draw
         if has_drawn:
-            self._publish_statistics(1000 * (time.perf_counter() - started), detail)
-        path, session.screenshot = session.screenshot, None
-        if path is not None:
-            self._save_screenshot(path)
-        return [pane.texture for pane in panes]
+            result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started))
+        if frame.screenshot is not None:
+            self._save_screenshot(frame.screenshot, frame.divider, result)
+            result.has_screenshot = True
+        samples = frame.samples_sky and not result.sky_is_exact and not self._sky.is_through
+        result.is_catching_up = self._is_uploading or (samples and self._can_draw)
+        result.textures = self.last_textures
+        return result
+
+    @property
+    def arrays(self) -> GpuArrays:
+        """Arrays of Gaussians on the GPU."""
+        return self._opengl.arrays
 
     @property
     def is_settled(self) -> bool:
@@ -128,36 +130,23 @@ class LiveView:
         return self._cpu is None or self._cpu.is_ready
 
     @property
-    def is_catching_up(self) -> bool:
-        """True if the next frames continue unfinished work although nothing moves."""
-        samples = self.session.sky_is_stale and self.session.displayed_rain.can_rain and not self._sky.is_through
-        return self._is_uploading or (samples and self._can_draw)
-
-    @property
-    def last_textures(self) -> list[moderngl.Texture]:
+    def last_textures(self) -> tuple[moderngl.Texture, ...]:
         """Last textures, one per pane."""
-        return [pane.texture for pane in self._panes[-len(self.session.split_panes) :]]
+        return tuple(pane.texture for pane in self._panes[-self._pane_count :])
 
-    def draw_aside(self, scene: Scene, shot: RenderView, screen: Screen) -> moderngl.Texture | None:
+    def draw_aside(self, images: MosaicInput, camera: RenderView, screen: Screen) -> moderngl.Texture | None:
         """Draw a small image next to the viewport after `draw`, with fewer Gaussians in playback, or None."""
-        session = self.session
-        if not self._can_draw or (not self._on_cpu and self._upload.missing(scene) > _CHUNK_SIZE):
+        if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
-        share = min(session.detail.gaussians, _ASIDE) if session.clock.playing else 1.0
-        thinning = self._thinning(QualityLevel(share, 1.0))
-        draw_view(self._renderer, scene, session.displayed_rain, session.sky, shot, thinning=thinning)
-        return screen.show(self._picture(), session.view.background, 2.0**session.view.gain_ev)
+        share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
+        thinning = self._thinning(share)
+        draw_view(self._renderer, images.scene, images.rainfall, images.sky, camera, thinning=thinning)
+        return screen.show(self._picture(), images.background, 2.0**images.gain_ev)
 
-    @property
-    def _can_draw(self) -> bool:
-        if self._cpu is None or self._on_cpu:
-            return True
-        return not (self._waits or self._gpu_is_full) and self.session.scene.gaussian_count <= _STAND_IN_GAUSSIANS
-
-    @property
-    def _waits(self) -> bool:
-        """True if the CPU renderer will draw as soon as its kernels are loaded."""
-        return self._cpu is not None and time.perf_counter() < self._waits_until
+    def _substitutes_cpu(self, scene: Scene) -> bool:
+        """Return whether OpenGL draws until the CPU renderer is ready."""
+        waits = time.perf_counter() < self._waits_until  # its kernels are loaded soon
+        return not (waits or self._gpu_is_full) and scene.gaussian_count <= _STAND_IN_GAUSSIANS
 
     @property
     def _renderer(self) -> Renderer:
@@ -167,64 +156,52 @@ class LiveView:
         """Texture of the renderer's last image."""
         return self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
 
-    def _release_closed_scene(self) -> None:
+    def _release_closed_scene(self, frame: RenderInput) -> None:
         """Free the resources of the previous scene, once, after it was closed."""
-        is_empty = not self.session.scene.members and self.session.staged is None
+        is_empty = not frame.scene.members and frame.pending is None
         if is_empty and not self._is_empty:
             self._sky.forget()
             self._thinnings.clear()
-            self._thinned = self.session.scene
+            self._thinned = frame.scene
             self._upload.give_up()
             self._opengl.arrays.release_everything()
         self._is_empty = is_empty
+        if self._thinned is not frame.scene:
+            self._thinned = frame.scene
+            for thinning in self._thinnings.values():
+                thinning.forget_all_but(member.gaussians for member in frame.scene.members)
 
-    def _choose_detail(self, now: RenderView) -> QualityLevel:
-        """Quality level from the budget, which depends on camera motion."""
-        before, at = self._moment, time.perf_counter()
-        self._is_moving = before is not None and (
-            now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
-            or now.camera.fx != before.camera.fx
-        )
-        resized = before is not None and now.camera.height != before.camera.height
-        self._moment, real_s, self._asked_at = now, at - self._asked_at, at
-        return self.session.budget.observe(moving=self._is_moving and not resized, real_s=real_s)
+    def _sample_sky(self, frame: RenderInput, result: DrawResult) -> None:
+        """Continue to sample the sky color if it is out of date, and measure a color that was picked."""
+        if frame.samples_sky:
+            resting, whole = not (frame.is_moving or frame.is_playing), frame.screenshot is not None
+            camera = frame.view.camera
+            result.sky = self._sky.look(self._renderer, frame.scene, camera, resting=resting, at_once=whole)
+            result.sky_is_exact = self._sky.is_exact
+        if frame.picked is not None:
+            region, wetness = frame.picked
+            result.picked_color = mean_color_in_rectangle(
+                self._renderer, frame.scene, frame.view, region, frame.background, wetness
+            )
 
-    def _sample_sky(self, shot: RenderView) -> None:
-        """Continue to sample the sky color if it is out of date, and give drops a color that was picked."""
-        session = self.session
-        if session.sky_is_stale and session.displayed_rain.can_rain:
-            resting = not (self._is_moving or session.clock.playing)
-            whole = session.screenshot is not None
-            sky = self._sky.look(self._renderer, session.scene, shot.camera, resting=resting, at_once=whole)
-            if sky is not None:
-                session.sky_seen = sky
-            session.sky_is_stale = not self._sky.is_exact
-        pick, session.sky_pick = session.sky_pick, None
-        if pick is not None:
-            background, wetness = session.view.background, session.rainfall.wetness_at(shot.time_s)
-            color = mean_color_in_rectangle(self._renderer, session.scene, shot, pick, background, wetness)
-            session.change_rain("Pick drop color", drop_color=color)
-
-    def _draw_pane(self, side: SplitPane, pane: "_PaneImage", shot: RenderView, detail: QualityLevel) -> bool:
+    def _draw_pane(self, frame: RenderInput, side: SplitPane, pane: "_PaneImage", sky: Color) -> bool:
         """Draw a pane unless it is up to date; return whether it was drawn."""
-        session, view = self.session, self.session.view
-        side = side._replace(scene=self._drawable(side.scene, pane))
-        state = (_fingerprint(session, side, shot), detail.gaussians, self._on_cpu)
+        scene = self._drawable(side.scene, pane, whole=frame.screenshot is not None)
+        state = (_fingerprint(frame, scene, side.rainfall, sky), frame.quality.gaussians, self._on_cpu)
         if state == pane.state or not self._can_draw:
             return False
-        rainfall = side.rainfall if side.scene.members else None  # the rain has nothing to fall on yet
-        selection, thinning = view.show_selection and session.screenshot is None, self._thinning(detail)
+        rainfall = side.rainfall if scene.members else None  # the rain has nothing to fall on yet
+        selection, thinning = frame.selection and frame.screenshot is None, self._thinning(frame.quality.gaussians)
         draw_view(
-            self._renderer, side.scene, rainfall, session.sky, shot, look=view.look, thinning=thinning,
-            selection=selection,
-        )  # fmt: skip
-        pane.texture = pane.screen.show(self._picture(), view.background, 2.0**view.gain_ev)
-        pane.state, pane.scene = state, side.scene
+            self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning, selection=selection
+        )
+        pane.texture = pane.screen.show(self._picture(), frame.background, 2.0**frame.gain_ev)
+        pane.state, pane.scene = state, scene
         return True
 
-    def _drawable(self, scene: Scene, pane: "_PaneImage") -> Scene:
-        """The scene; or the last one, while much of the new one has yet to be uploaded."""
-        if self._on_cpu or not self._can_draw or pane.scene is None or self.session.screenshot is not None:
+    def _drawable(self, scene: Scene, pane: "_PaneImage", *, whole: bool) -> Scene:
+        """The scene; or unless `whole` the last one, while much of the new one has yet to be uploaded."""
+        if self._on_cpu or not self._can_draw or pane.scene is None or whole:
             return scene
         if self._upload.missing(scene) <= _CHUNK_SIZE or self._upload.missing(pane.scene):
             return scene
@@ -233,47 +210,35 @@ class LiveView:
         self._is_uploading = True
         return pane.scene
 
-    def _thinning(self, detail: QualityLevel) -> LodSubset | None:
-        if detail.gaussians == 1:
-            return None
-        if self._thinned is not self.session.scene:
-            self._thinned = self.session.scene
-            for thinning in self._thinnings.values():
-                thinning.forget_all_but(member.gaussians for member in self._thinned.members)
-        return self._thinnings.setdefault(detail.gaussians, LodSubset(detail.gaussians))
+    def _thinning(self, share: float) -> LodSubset | None:
+        return None if share == 1 else self._thinnings.setdefault(share, LodSubset(share))
 
-    def _publish_statistics(self, milliseconds: float, detail: QualityLevel) -> None:
-        session, statistics = self.session, self._renderer.statistics
-        session.budget.measured(detail, milliseconds)
-        session.detail, session.backend = detail, self._renderer.name
-        camera = None if self._moment is None else self._moment.camera
-        session.statistics = {
+    def _measured(self, frame: RenderInput, milliseconds: float) -> DrawnImage:
+        statistics, camera = self._renderer.statistics, frame.view.camera
+        figures = {
             "frame ms": milliseconds,
-            "megapixels": 0.0 if camera is None else 1e-6 * camera.width * camera.height,
+            "megapixels": 1e-6 * camera.width * camera.height,
             **{f"{stage} ms": value for stage, value in statistics.stages_ms.items()},
             "Gaussians": statistics.gaussians,
             "splats drawn": statistics.splats_drawn,
             "drops drawn": statistics.drops_drawn,
             "haze Gaussians": statistics.haze_drawn,
         }
+        return DrawnImage(frame.quality, milliseconds, self._renderer.name, figures)
 
-    def _prepare_staged(self) -> None:
-        """Continue to prepare a staged scene for its first frame; swap it in when done."""
-        session = self.session
-        if session.staged is not self._staged:
-            self._upload.give_up()
-            self._staged = session.staged
-            self._preparing = self._preparations(self._staged.scene) if self._staged is not None else iter(())
-        while self._staged is not None:
-            if next(self._preparing, self) is self:
-                session.swap_in()
-                if session.staged is self._staged:  # a question to the user is open
-                    break
-                is_opened, self._staged = self._staged.is_opened, None
-                if is_opened:
-                    self._sky.forget()
-                    self._opengl.arrays.release_all_but((each.gaussians, each.wet_sh) for each in session.scene.members)
-            elif time.perf_counter() >= self._upload_until:
+    def _prepare(self, frame: RenderInput) -> None:
+        """Continue to prepare the pending scene for its first frame."""
+        if frame.pending is not self._pending:
+            if not self._is_pending_ready:
+                self._upload.give_up()
+            elif self._pending is not None and self._pending.is_opened:
+                self._sky.forget()
+                self._opengl.arrays.release_all_but((each.gaussians, each.wet_sh) for each in frame.scene.members)
+            self._pending, self._is_pending_ready = frame.pending, False
+            self._preparing = iter(()) if frame.pending is None else self._preparations(frame.pending.scene)
+        while self._pending is not None and not self._is_pending_ready:
+            self._is_pending_ready = next(self._preparing, self) is self
+            if time.perf_counter() >= self._upload_until:
                 break
 
     def _preparations(self, scene: Scene) -> Iterator[None]:
@@ -281,12 +246,11 @@ class LiveView:
             for thinning in self._thinnings.values():
                 thinning.growth(member.gaussians)
                 yield
-        too_large = self._cpu is not None and scene.gaussian_count > _STAND_IN_GAUSSIANS
-        if not (self._on_cpu or self._waits or self._gpu_is_full or too_large):
+        if self._cpu is None or (not self._on_cpu and self._substitutes_cpu(scene)):
             while not self._upload.go_on(scene, self._upload_until):
                 yield
 
-    def _save_screenshot(self, path: Path) -> None:
+    def _save_screenshot(self, path: Path, divider: float, result: DrawResult) -> None:
         pictures = [
             np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)[..., :3]
             for texture in self.last_textures
@@ -294,13 +258,12 @@ class LiveView:
         check_context(self._context)
         pixels = pictures[-1].copy()
         if len(pictures) == 2:
-            at = round(self.session.view.divider * pixels.shape[1])
+            at = round(divider * pixels.shape[1])
             pixels[:, :at] = pictures[0][:, :at]
         try:
             write_png(path, pixels)
         except OSError as error:
-            self.session.problem = f"{path}: the screenshot can't be saved: {error.strerror or error}"
-            logger.error("%s", self.session.problem)
+            result.problems.append(f"{path}: the screenshot can't be saved: {error.strerror or error}")
         else:
             logger.info("Saved %s", path)
 
@@ -315,20 +278,19 @@ class _PaneImage:
         self.scene: Scene | None = None
 
 
-def _fingerprint(session: Editor, side: SplitPane, shot: RenderView) -> Hashable:
+def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: Color) -> Hashable:
     """Everything that a pane's image depends on; scenes and rains are values and compare by identity."""
-    camera, view = shot.camera, session.view
-    raining = view.look == "splats" and side.rainfall.state_at(shot.time_s).intensity_mm_h > 0
-    velocity = b"" if shot.velocity_m_s is None or not raining else shot.velocity_m_s.tobytes()
+    view, camera, time_s = frame.view, frame.view.camera, frame.view.time_s
+    raining = frame.mode == "splats" and rainfall.state_at(time_s).intensity_mm_h > 0
     return (
-        side.scene.appearance,
-        side.rainfall if raining else None,
-        session.sky if raining else None,
-        shot.time_s if raining or side.scene.actors else 0.0,
+        scene.appearance,
+        rainfall if raining else None,
+        sky if raining else None,
+        time_s if raining or scene.actors else 0.0,
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
-        velocity,
-        (view.background, view.gain_ev, view.look, view.harmonics, view.show_selection),
-        side.rainfall.wetness_at(shot.time_s) if side.scene.has_wet_colors else 0.0,
+        b"" if view.velocity_m_s is None or not raining else view.velocity_m_s.tobytes(),
+        (frame.background, frame.gain_ev, frame.mode, frame.harmonics, frame.selection),
+        rainfall.wetness_at(time_s) if scene.has_wet_colors else 0.0,
     )
 
 
@@ -449,52 +411,26 @@ class MosaicImages:
         self._context = context
         self._screens: dict[str, Screen] = {}
         self._states: dict[str, Hashable] = {}
+        self._pictures: dict[str, Texture] = {}
         self._turn: list[str] = []
         """Names of the cameras, the one drawn last at the end."""
 
-    def update(self, session: Editor, view: LiveView) -> None:
-        """Draw one outdated camera if the mosaic is visible. Once a frame, after the viewport."""
-        mosaic = session.drives.mosaic
-        wanted, mosaic.is_requested, mosaic.is_behind = mosaic.is_requested, False, False
-        scene = session.drives.rig_scene(session.scene)
-        if not wanted or scene.ego is None:
-            return
-        cameras = {each.name: each for each in mosaic.cameras(scene)}
+    def draw(self, images: MosaicInput, view: LiveView) -> MosaicResult:
+        """Draw one outdated camera. Once a frame, after the viewport."""
+        cameras = {each.name: each for each in images.cameras}
         self._turn = [name for name in self._turn if name in cameras]
         self._turn += [name for name in cameras if name not in self._turn]
-        for each in (self._screens, self._states, mosaic.pictures):
+        for each in (self._screens, self._states, self._pictures):
             for name in each.keys() - cameras.keys():
                 del each[name]
-        stale = [name for name in self._turn if self._states.get(name) != _state(session, scene, cameras[name])]
+        stale = [name for name in self._turn if self._states.get(name) != images.state_of(cameras[name])]
         if not stale:
-            return
+            return MosaicResult(dict(self._pictures), is_behind=False)
         name = stale[0]
-        picture = self._draw(session, view, scene, cameras[name])
-        if picture is not None:
-            mosaic.pictures[name] = picture
-            self._states[name] = _state(session, scene, cameras[name])
+        screen = self._screens.setdefault(name, Screen(self._context))
+        texture = view.draw_aside(images, images.view_of(cameras[name]), screen)
+        if texture is not None:
+            self._pictures[name] = Texture(texture.glo, texture.width, texture.height)
+            self._states[name] = images.state_of(cameras[name])
         self._turn = [each for each in self._turn if each != name] + [name]
-        mosaic.is_behind = len(stale) > 1 or picture is None
-
-    def _draw(self, session: Editor, view: LiveView, scene: Scene, mounted: RigCamera) -> Texture | None:
-        time_s = session.clock.time_s
-        pose = scene.ego_to_world(time_s)
-        if pose is None:
-            return None
-        before, after = scene.ego_to_world(time_s - _STEP_S), scene.ego_to_world(time_s + _STEP_S)
-        velocity = None if before is None or after is None else (after[:3, 3] - before[:3, 3]) / (2 * _STEP_S)
-        small = camera_of_width(mounted, session.drives.mosaic.width_px)
-        shot = RenderView(placed_camera(small, pose), time_s, velocity, mounted.fx)
-        screen = self._screens.setdefault(mounted.name, Screen(self._context))
-        texture = view.draw_aside(scene, shot, screen)
-        return None if texture is None else Texture(texture.glo, texture.width, texture.height)
-
-
-_STEP_S = 0.05  # half the time over which the ego vehicle's velocity is averaged
-
-
-def _state(session: Editor, scene: Scene, camera: RigCamera) -> Hashable:
-    return (
-        scene.appearance, session.displayed_rain, session.sky, session.clock.time_s, session.drives.mosaic.width_px,
-        camera, session.clock.playing, session.view.gain_ev,
-    )  # fmt: skip
+        return MosaicResult(dict(self._pictures), is_behind=len(stale) > 1 or texture is None)

@@ -2,6 +2,7 @@
 
 import logging
 import threading
+from collections.abc import Iterable
 from typing import Any, get_args
 
 import moderngl
@@ -18,11 +19,10 @@ from ...render.renderer import RenderMode
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians
 from ...scene.lod_order import sort_into_lod_order
-from ...scene.scene import DrawItem
-from ..capture_view import ImageRequest, PointSample
-from ..editor import Editor
+from ...scene.scene import DrawItem, Scene
+from ..capture_view import CaptureController, ImageRequest, PointSample
 from ..jobs.job import Job
-from ..services import EditorServices
+from ..matching import MatchingController
 from ..viewport.options import Texture
 
 _NEAR_M, _POINT_PX = 0.05, 3.0
@@ -72,26 +72,25 @@ class CaptureTextures:
         self._drawn: tuple[object, ...] | None = None
         self._matching = CachedTexture(context)
 
-    def update(self, session: Editor) -> None:
-        """Upload new images, release old ones, and update the editor's textures. Once a frame."""
-        there = {} if session.captures.pictures is None else dict(session.captures.pictures)
+    def update(self, captures: CaptureController, matching: MatchingController) -> None:
+        """Upload new images, release old ones, and update the textures of both. Once a frame."""
+        there = {} if captures.pictures is None else dict(captures.pictures)
         for request in [each for each, cached in self._pictures.items() if there.get(each) is not cached.pixels]:
             self._pictures.pop(request).show(None)
         for request in [each for each in there if each not in self._pictures][:_PER_FRAME]:
             self._pictures[request] = CachedTexture(self._context)
             self._pictures[request].show(there[request])
-        session.captures.textures = {
+        captures.textures = {
             request: texture for request, cached in self._pictures.items() if (texture := cached.texture) is not None
         }
-        session.matching.texture = self._matching.show(session.matching.picture)
+        matching.texture = self._matching.show(matching.picture)
 
-    def draw_points(self, session: Editor, camera: Camera) -> None:
+    def draw_points(self, captures: CaptureController, scene: Scene, camera: Camera) -> None:
         """Draw the points for a camera of the viewport's size, on a transparent background."""
-        captures = session.captures
         captures.points_texture = None
         if captures.points is None or not captures.show_points:
             return
-        matrix = camera.world_to_camera @ captures.to_world(session.scene)
+        matrix = camera.world_to_camera @ captures.to_world(scene)
         state = captures.points, matrix.tobytes(), camera.width, camera.height, camera.fx, camera.cx, camera.cy
         target = self._target_of(camera.width, camera.height)
         if state != self._drawn:
@@ -143,14 +142,14 @@ class JobPreviews:
         self._context = context
         self._cached: dict[Job[Any], CachedTexture] = {}
 
-    def update(self, session: EditorServices) -> None:
-        """Upload new previews and update `session.previews`. Once a frame."""
+    def update(self, running: Iterable[Job[Any]]) -> dict[Job[Any], Texture]:
+        """Upload new previews of running jobs, and return all. Once a frame."""
         for job in [each for each in self._cached if each.state != "running"]:
             self._cached.pop(job).show(None)
-        for job in session.jobs.running:
+        for job in running:
             if job.progress.preview is not None:
                 self._cached.setdefault(job, CachedTexture(self._context)).show(job.progress.preview)
-        session.previews = {job: texture for job, each in self._cached.items() if (texture := each.texture) is not None}
+        return {job: texture for job, each in self._cached.items() if (texture := each.texture) is not None}
 
 
 class CpuTexture:

@@ -4,9 +4,12 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import count
+from typing import Any
 
-from ...scene.flags import UNMARKED, BitMask
-from ...scene.scene import Actor, Layer, Scene
+from ...scene.camera_path import CameraPath
+from ...scene.camera_path_edit import EditedKeyframe
+from ...scene.flags import BitMask
+from ...scene.scene import Actor, ColorGrading, Layer, Scene
 
 
 def is_editable(member: Layer | Actor) -> bool:
@@ -72,11 +75,35 @@ def unique_name(name: str, used: Collection[str]) -> str:
     return next(each for number in count(2) if (each := f"{stem} {number}") not in used)
 
 
-def with_gaussians_of(scene: Scene, other: Scene) -> Scene:
-    """Return the scene with the Gaussians of another version of it; unmatched members stay unchanged."""
-    others = {each.key: each for each in other.members}
-    for each in scene.members:
-        new = others.get(each.key, each)
-        marks = each.marks if len(new.gaussians) == len(each.gaussians) else UNMARKED
-        scene = scene.with_member(each.key, gaussians=new.gaussians, wet_sh=new.wet_sh, marks=marks)
-    return scene
+def replace_scene(scene: Scene, other: Scene) -> Scene:
+    """Take another scene in place of a scene: the result of a job, or of another program."""
+    return other
+
+
+def set_path(scene: Scene, path: CameraPath | None) -> Scene:
+    """Set the camera path, in scene units and axes; None removes it."""
+    return replace(scene, path=path)
+
+
+def with_path(
+    scene: Scene, change: Callable[..., CameraPath | EditedKeyframe | None], *arguments: Any, **options: Any
+) -> Scene:
+    """Set the camera path that `change(path, *arguments, **options)` returns."""
+    path = change(scene.path, *arguments, **options)
+    return replace(scene, path=path.path if isinstance(path, EditedKeyframe) else path)
+
+
+def set_opacity(scene: Scene, key: str, opacity: float) -> Scene:
+    return scene.with_member(key, opacity=opacity)
+
+
+def set_grading(scene: Scene, key: str, grading: ColorGrading) -> Scene:
+    return scene.with_member(key, grading=grading)
+
+
+def set_visible(scene: Scene, key: str, visible: bool) -> Scene:
+    return scene.with_member(key, visible=visible)
+
+
+def set_locked(scene: Scene, key: str, locked: bool) -> Scene:
+    return scene.with_member(key, locked=locked)

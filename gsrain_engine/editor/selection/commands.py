@@ -1,11 +1,14 @@
-"""Selection commands, each one labeled undo step; selection sets; and the options of the tools."""
+"""Selection commands, each a labeled undo step; selection sets; and the options of the selection tools."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import count
+from typing import Any
 
 from ...scene.scene import Scene
-from ..document import EditedDocument
+from ..document import Document
 from ..edits.gaussians import CropBox
+from ..timeline import Playback
 from . import candidates
 from .attributes import AttributeHistogram
 from .candidates import Found, Mode
@@ -13,109 +16,12 @@ from .screen import DepthMode, Depths
 from .volume import Sphere, near_selection
 
 
-def select(session: EditedDocument, found: Found, mode: Mode, by: str) -> None:
-    """Combine found Gaussians with the selection; no undo step if nothing changes. `by` ends the step's label."""
-    before, after = session.scene, candidates.combine_selection(session.scene, found, mode)
-    if after is before:
-        return
-    now, then = candidates.selected_count(after), candidates.selected_count(before)
-    named = {
-        "set": f"Select {now:,} by {by}" if now else f"Select none by {by}",
-        "add": f"Add {now - then:,} by {by}",
-        "remove": f"Remove {then - now:,} by {by}",
-        "intersect": f"Keep {now:,} by {by}",
-    }
-    session.set_scene(named[mode], after)
+@dataclass(slots=True, eq=False)
+class SelectionTool:
+    """Options of the selection tools, which are not part of the document, and the commands that select."""
 
-
-def select_all(session: EditedDocument) -> None:
-    _change(session, "Select all {:,}", candidates.all_selected(session.scene))
-
-
-def select_none(session: EditedDocument) -> None:
-    _change(session, "Select none", candidates.none_selected(session.scene))
-
-
-def invert(session: EditedDocument) -> None:
-    _change(session, "Invert selection to {:,}", candidates.inverted(session.scene))
-
-
-def grow(session: EditedDocument, distance_m: float) -> None:
-    """Add Gaussians within a distance of the selection."""
-    found = near_selection(session.scene, session.clock.time_s, distance_m)
-    scene = candidates.combine_selection(session.scene, found, "add")
-    _change(session, f"Grow selection by {distance_m:.3g} m to {{:,}}", scene)
-
-
-def shrink(session: EditedDocument, distance_m: float) -> None:
-    """Deselect Gaussians within a distance of unselected ones."""
-    found = near_selection(session.scene, session.clock.time_s, distance_m, inside=True)
-    scene = candidates.combine_selection(session.scene, found, "remove")
-    _change(session, f"Shrink selection by {distance_m:.3g} m to {{:,}}", scene)
-
-
-def _change(session: EditedDocument, label: str, scene: Scene) -> None:
-    """Make a scene with another selection an undo step; `label` has a place for the number of selected Gaussians."""
-    if scene is not session.scene:
-        session.set_scene(label.format(candidates.selected_count(scene)), scene)
-
-
-def has_selection(session: EditedDocument) -> bool:
-    return bool(candidates.selections(session.scene))
-
-
-# Selection sets
-
-
-def save_set(session: EditedDocument, name: str | None = None) -> bool:
-    """Save the selection as a set (None: an unused name); on error sets `problem` and returns False."""
-    sets, now = session.scene.selections, candidates.selections(session.scene)
-    name = (unused_set_name(session.scene) if name is None else name).strip()
-    if not (now and name):
-        trouble = "a selection set needs a name" if now else "nothing is selected that a selection set could keep"
-        session.problem = f"The selection set is not saved: {trouble}"
-        return False
-    session.set_scene(f"Save set {name}", replace(session.scene, selections={**sets, name: now}))
-    return True
-
-
-def unused_set_name(scene: Scene) -> str:
-    return next(each for number in count(1) if (each := f"selection {number}") not in scene.selections)
-
-
-def recall_set(session: EditedDocument, name: str, mode: Mode) -> None:
-    """Combine a set with the selection, without members that are gone or whose number of Gaussians has changed."""
-    counts = {member.key: len(member.gaussians) for member in session.scene.members}
-    own = session.scene.selections[name]
-    select(session, {key: mask for key, mask in own.items() if counts.get(key) == mask.count}, mode, f"set {name}")
-
-
-def rename_set(session: EditedDocument, name: str, other: str) -> bool:
-    """Rename a set in its place; without a name, or if it is in use, sets `problem` and returns False."""
-    sets, other = session.scene.selections, other.strip()
-    if not other or (other != name and other in sets):
-        trouble = f"there is a selection set named {other!r} already" if other else "a selection set needs a name"
-        session.problem = f"The selection set keeps its name: {trouble}"
-        return False
-    if other != name:
-        renamed = {other if each == name else each: own for each, own in sets.items()}
-        session.set_scene(f"Rename set {name} to {other}", replace(session.scene, selections=renamed))
-    return True
-
-
-def remove_set(session: EditedDocument, name: str) -> None:
-    """Delete a set; the selection is unchanged."""
-    rest = {each: own for each, own in session.scene.selections.items() if each != name}
-    session.set_scene(f"Delete set {name}", replace(session.scene, selections=rest))
-
-
-# Tool options
-
-
-@dataclass(slots=True)
-class SelectionOptions:
-    """Settings of the selection tools; not part of the document."""
-
+    document: Document
+    playback: Playback
     mode: Mode = "set"
     """Mode without a modifier key."""
     depths: Depths = "all through"
@@ -146,3 +52,104 @@ class SelectionOptions:
     def reach(self) -> DepthMode:
         """Depth reach of shapes drawn in the image."""
         return DepthMode(self.depths, self.depth_m, self.touching)
+
+    @property
+    def is_empty(self) -> bool:
+        return not candidates.selections(self.document.scene)
+
+    def select(self, mode: Mode, by: str, find: Callable[..., Found], *arguments: Any) -> None:
+        """Combine what `find(scene, *arguments)` returns with the selection. `by` ends the step's label."""
+
+        def label(before: Scene, after: Scene) -> str:
+            now, then = candidates.selected_count(after), candidates.selected_count(before)
+            return {
+                "set": f"Select {now:,} by {by}" if now else f"Select none by {by}",
+                "add": f"Add {now - then:,} by {by}",
+                "remove": f"Remove {then - now:,} by {by}",
+                "intersect": f"Keep {now:,} by {by}",
+            }[mode]
+
+        self.document.edit(label, select_found, mode, find, *arguments)
+
+    def select_all(self) -> None:
+        self.document.edit(_counted("Select all {:,}"), candidates.all_selected)
+
+    def select_none(self) -> None:
+        self.document.edit("Select none", candidates.none_selected)
+
+    def invert(self) -> None:
+        self.document.edit(_counted("Invert selection to {:,}"), candidates.inverted)
+
+    def grow(self) -> None:
+        """Add Gaussians within the chosen distance of the selection."""
+        label = _counted(f"Grow selection by {self.distance_m:.3g} m to {{:,}}")
+        time_s = self.playback.clock.time_s
+        self.document.edit(label, select_found, "add", near_selection, time_s, self.distance_m)
+
+    def shrink(self) -> None:
+        """Deselect Gaussians within the chosen distance of unselected ones."""
+        label = _counted(f"Shrink selection by {self.distance_m:.3g} m to {{:,}}")
+        time_s = self.playback.clock.time_s
+        self.document.edit(label, select_found, "remove", near_selection, time_s, self.distance_m, True)
+
+    # Selection sets
+
+    def save_set(self) -> bool:
+        """Save the selection as a set under the typed name, or an unused one; return whether it was saved."""
+        name = self.set_name.strip() or unused_set_name(self.document.scene)
+        return self.document.edit(f"Save set {name}", save_set, name)
+
+    def recall_set(self, name: str, mode: Mode) -> None:
+        """Combine a set with the selection."""
+        self.select(mode, f"set {name}", members_of_set, name)
+
+    def rename_set(self, name: str, other: str) -> None:
+        if other.strip() != name:
+            self.document.edit(f"Rename set {name} to {other.strip()}", rename_set, name, other.strip())
+
+    def remove_set(self, name: str) -> None:
+        """Delete a set; the selection is unchanged."""
+        self.document.edit(f"Delete set {name}", remove_set, name)
+
+
+def _counted(label: str) -> Callable[[Scene, Scene], str]:
+    """Label with the number of selected Gaussians."""
+    return lambda _, after: label.format(candidates.selected_count(after))
+
+
+# Edits
+
+
+def select_found(scene: Scene, mode: Mode, find: Callable[..., Found], *arguments: Any) -> Scene:
+    """Combine the Gaussians that `find(scene, *arguments)` returns with the selection."""
+    return candidates.combine_selection(scene, find(scene, *arguments), mode)
+
+
+def unused_set_name(scene: Scene) -> str:
+    return next(each for number in count(1) if (each := f"selection {number}") not in scene.selections)
+
+
+def save_set(scene: Scene, name: str) -> Scene:
+    """Save the selection as a set, in place of one of that name; raises `ValueError` if nothing is selected."""
+    now = candidates.selections(scene)
+    if not now:
+        raise ValueError("The selection set is not saved: nothing is selected that a selection set could keep")
+    return replace(scene, selections={**scene.selections, name: now})
+
+
+def members_of_set(scene: Scene, name: str) -> Found:
+    """Gaussians of a set, without members that are gone or whose number of Gaussians has changed."""
+    counts = {member.key: len(member.gaussians) for member in scene.members}
+    return {key: mask for key, mask in scene.selections[name].items() if counts.get(key) == mask.count}
+
+
+def rename_set(scene: Scene, name: str, other: str) -> Scene:
+    """Rename a set in its place; raises `ValueError` without a name, or if it is in use."""
+    if not other or other in scene.selections:
+        trouble = f"there is a selection set named {other!r} already" if other else "a selection set needs a name"
+        raise ValueError(f"The selection set keeps its name: {trouble}")
+    return replace(scene, selections={other if each == name else each: own for each, own in scene.selections.items()})
+
+
+def remove_set(scene: Scene, name: str) -> Scene:
+    return replace(scene, selections={each: own for each, own in scene.selections.items() if each != name})

@@ -85,7 +85,7 @@ def _find_inside(means, m, is_round, flags):
 # Grow and shrink
 
 
-def near_selection(scene: Scene, time_s: float, distance_m: float, *, inside: bool = False) -> dict[str, BitMask]:
+def near_selection(scene: Scene, time_s: float, distance_m: float, inside: bool = False) -> dict[str, BitMask]:
     """Find shown Gaussians within a distance of selected ones, or with `inside` selected ones near any others."""
     own = candidates(scene, time_s)
     members = [scene.member(key) for key in own]

@@ -4,10 +4,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from ...rain.simulation import RainSimulation
 from ...render.opengl.buffers import Harmonics
 from ...render.renderer import Color, RenderMode
-from ...scene.scene import Scene
 
 Mode = Literal["picture", "difference", "pixels"]
 
@@ -46,14 +44,6 @@ class ViewOptions:
     """Key of the layer or actor to edit; none if empty or gone."""
     tool: str = ""
     """Name of the active viewport tool; empty for navigation."""
-
-
-class SplitPane(NamedTuple):
-    """Content of one pane of the viewport."""
-
-    label: str
-    scene: Scene
-    rainfall: RainSimulation
 
 
 class Texture(NamedTuple):

@@ -45,16 +45,16 @@ def scaled(scene, metres_per_unit):
     return replace(scene, layers=layers, ego=ego, metres_per_unit=metres_per_unit)
 
 
-def settled(session):
+def settled(editor):
     """Wait for what is read and written."""
-    while session.drives.is_working:
-        for pending in session.drives.pending:
+    while editor.rollouts.is_working:
+        for pending in editor.rollouts.pending:
             pending.exception(timeout=60)
-        session.update(0.0)
+        editor.tick(0.0)
 
 
 def stopped_session(scene, intensity_mm_h=0.0):
-    """A session in which time stands."""
-    session = Editor(scene, RainSettings(intensity_mm_h=intensity_mm_h))
-    session.clock.playing = False
-    return session
+    """A editor in which time stands."""
+    editor = Editor(scene, RainSettings(intensity_mm_h=intensity_mm_h))
+    editor.playback.clock.playing = False
+    return editor

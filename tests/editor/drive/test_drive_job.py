@@ -1,4 +1,4 @@
-"""A drive from a session, in the process that a window would start."""
+"""A drive from a editor, in the process that a window would start."""
 
 from dataclasses import replace
 
@@ -6,67 +6,67 @@ import msgspec
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.edits.members import replace_scene, set_visible
+
 from .driven import CRASH, driven, settled, stopped_session
 
 
 @pytest.fixture
-def session():
-    session = stopped_session(driven()[0], 4.0)
-    session.drives.settings.settings = msgspec.structs.replace(
-        session.drives.settings.settings, agent="constant-velocity"
-    )
-    wanted = session.drives.settings
+def editor():
+    editor = stopped_session(driven()[0], 4.0)
+    editor.rollouts.setup.settings = msgspec.structs.replace(editor.rollouts.setup.settings, agent="constant-velocity")
+    wanted = editor.rollouts.setup
     wanted.change(msgspec.convert(CRASH | {"duration_s": 3.0}, type(wanted.scenario)))
-    yield session
-    session.close()
+    yield editor
+    editor.close()
 
 
-def follow(session):
+def follow(editor):
     """Look after the last job as the window does, until it ends; returns it and what it showed."""
-    job, shown = session.jobs.all[-1], []
+    job, shown = editor.jobs.all[-1], []
     while job.state == "running":
-        session.jobs.wait(60)
-        session.update(0.0)
+        editor.jobs.wait(60)
+        editor.tick(0.0)
         if job.progress.preview is not None:
             shown.append(job.progress.preview)
-    settled(session)
+    settled(editor)
     return job, shown
 
 
-def test_what_a_person_has_edited_is_driven_through_and_opened(session):
-    session.show_member("layers/wall", False)
-    steps = session.history.cursor
-    session.drives.start(session)
-    assert session.drives.why_not(session) == "A drive goes on."
-    job, shown = follow(session)
+def test_what_a_person_has_edited_is_driven_through_and_opened(editor):
+    editor.document.edit("Show or hide", set_visible, "layers/wall", False)
+    steps = editor.document.history.cursor
+    editor.rollouts.start()
+    assert editor.rollouts.why_not == "A drive goes on."
+    job, shown = follow(editor)
     assert job.kind == "drive"
-    assert (job.state, job.error, session.problem) == ("finished", None, None)
-    (opened,) = session.drives.opened
-    assert session.drives.playing is opened
+    assert (job.state, job.error, editor.status.problem) == ("finished", None, None)
+    (opened,) = editor.rollouts.opened
+    assert editor.rollouts.playing is opened
     assert (opened.intensity_mm_h, opened.metrics.collided_with, opened.path) == (4.0, "lead", None)
     assert opened.metrics.with_background
     assert shown[-1].shape[1] == 320
     assert np.ptp(shown[-1]) > 50
-    assert session.history.cursor == steps
-    assert session.drives.step_now(session).step == 0
+    assert editor.document.history.cursor == steps
+    assert editor.rollouts.step_now.step == 0
 
 
-def test_an_agent_that_can_t_be_opened_is_told_in_one_sentence(session, tmp_path):
+def test_an_agent_that_can_t_be_opened_is_told_in_one_sentence(editor, tmp_path):
     bad = tmp_path / "bad.onnx"
     bad.write_bytes(b"no network")
-    session.drives.settings.settings = msgspec.structs.replace(
-        session.drives.settings.settings, agent="camera-idm", detector=bad
+    editor.rollouts.setup.settings = msgspec.structs.replace(
+        editor.rollouts.setup.settings, agent="camera-idm", detector=bad
     )
-    session.drives.start(session)
-    job, _ = follow(session)
+    editor.rollouts.start()
+    job, _ = follow(editor)
     assert job.state == "failed"
     assert "bad.onnx" in job.error
-    assert session.drives.opened == []
+    assert editor.rollouts.opened == []
 
 
-def test_a_scene_without_a_drive_can_t_be_driven_through(session):
-    session.set_scene("no drive", replace(session.scene, ego=None))
-    assert "no recorded drive" in session.drives.why_not(session)
-    session.drives.start(session)
-    assert session.jobs.all == []
-    assert "no recorded drive" in session.problem
+def test_a_scene_without_a_drive_can_t_be_driven_through(editor):
+    editor.document.edit("no drive", replace_scene, replace(editor.document.scene, ego=None))
+    assert "no recorded drive" in editor.rollouts.why_not
+    editor.rollouts.start()
+    assert editor.jobs.all == []
+    assert "no recorded drive" in editor.status.problem

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch
 from gsrain_engine.editor.edits.gaussians import box_around
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Layer, Scene
-
-OFF = FloaterRules(opacity_below=0, size_above_m=0, isolation_above=0)
 
 
 def cloud():
@@ -60,22 +58,6 @@ def test_what_is_locked_hidden_or_deleted_is_no_floater():
     assert found(scene().with_member("layers/cloud", marks=marks), rules) == {"layers/cloud": [3]}
 
 
-def test_few_and_equal_gaussians_do_not_trouble_the_search():
-    one = Scene("one", (Layer("one", cloud().take(np.arange(1))), Layer("none", Gaussians.empty())))
-    assert found(one, FloaterRules(opacity_below=0)) == {"layers/one": [], "layers/none": []}
-    stacked = Scene("stacked", (Layer("stacked", cloud().take(np.zeros(50, np.int64))),))
-    assert found(stacked, FloaterRules(opacity_below=0)) == {"layers/stacked": []}
-
-
-def test_a_layer_that_has_changed_since_is_passed_by():
-    before = scene()
-    search = FloaterSearch(before, FloaterRules())
-    list(search.run())
-    assert select_floaters(before, search.found).layers[0].marks.selected.size == 3
-    other = before.with_member("layers/cloud", gaussians=cloud())
-    assert select_floaters(other, search.found) is other
-
-
 def test_a_sky_dome_in_the_same_file_is_no_floater_and_not_in_the_crop_box():
     f, rng = np.float32, np.random.default_rng(1)
     ways = rng.normal(size=(300, 3))
@@ -93,21 +75,12 @@ def test_a_sky_dome_in_the_same_file_is_no_floater_and_not_in_the_crop_box():
 
 
 def test_the_job_selects_as_one_step():
-    session = Editor(scene())
-    job = session.find_floaters(FloaterRules())
+    editor = Editor(scene())
+    job = editor.floaters.find(FloaterRules())
     job.wait(60)
-    assert (session.floater_count, job.progress.message) == (3, "3 Gaussians look like floaters and are selected")
-    assert session.history.labels == ["Open", "Find floaters"]
-    assert session.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
-    session.undo()
-    assert session.scene.layers[0].marks.selected is None
-    session.close()
-
-
-def test_a_cancelled_job_changes_nothing():
-    session = Editor(scene())
-    job = session.find_floaters(FloaterRules())
-    job.cancel()
-    session.jobs.poll()
-    assert (job.state, session.floater_count, session.history.labels) == ("cancelled", None, ["Open"])
-    session.close()
+    assert (editor.floaters.count, job.progress.message) == (3, "3 Gaussians look like floaters and are selected")
+    assert editor.document.history.labels == ["Open", "Find floaters"]
+    assert editor.document.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
+    editor.document.undo()
+    assert editor.document.scene.layers[0].marks.selected is None
+    editor.close()

@@ -1,23 +1,29 @@
+"""Edits of layers: duplicate, separate, merge, rename, import; with their wet colors."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.edits import layers
-from gsrain_engine.editor.edits.members import unique_name
+from gsrain_engine.editor.edits import gaussians, layers
+from gsrain_engine.editor.edits.actors import turn_actor
+from gsrain_engine.editor.edits.gaussians import compact
+from gsrain_engine.editor.edits.transform import move_member, move_selected, preview_move
+from gsrain_engine.recolor.result import with_colors
 from gsrain_engine.scene.flags import BitMask
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.transforms import (
+    blend_wet_sh,
+    flatten_scene,
+    with_wet_colors_of,
+    with_wetness_baked,
+)
 
-from .edited_scene import assert_same, edited_scene, seen, with_selection
+from .edited_scene import assert_same, edited_scene, seen, turned, with_selection, without
 
 
 def names(scene):
     return [each.name for each in scene.members]
-
-
-def test_names_get_the_first_free_number():
-    assert unique_name("road", {"wall"}) == "road"
-    assert unique_name("road", {"road"}) == "road 2"
-    assert unique_name("road 2", {"road", "road 2", "road 3"}) == "road 4"
 
 
 def test_a_duplicate_stands_behind_its_original_and_shares_its_arrays():
@@ -43,25 +49,6 @@ def test_separating_keeps_the_picture_and_marks_what_left():
     assert_same(seen(parted), seen(scene))
 
 
-def test_what_is_selected_of_several_layers_becomes_one():
-    scene = with_selection(edited_scene(), ground=5, house=6, car=4, sky=3)
-    parted = layers.separate(scene)
-    assert names(parted) == ["ground", "ground 2", "house", "sky", "sky 2", "car", "car 2"]
-    assert len(parted.layers[1].gaussians) == 11
-    assert parted.actors[1].track is scene.actors[0].track
-    assert_same(seen(parted), seen(scene))
-    with pytest.raises(ValueError, match="Nothing is selected"):
-        layers.separate(edited_scene())
-
-
-def test_what_can_not_be_seen_is_not_separated():
-    scene = with_selection(edited_scene(), house=7)
-    house = scene.layers[1]
-    hidden = replace(house.marks, hidden=BitMask.of(np.arange(30) < 4))
-    parted = layers.separate(scene.with_member(house.key, marks=hidden))
-    assert len(parted.layers[2].gaussians) == 3
-
-
 def test_merging_keeps_the_picture_and_the_marks():
     scene = with_selection(edited_scene(), ground=5, house=6)
     ground = scene.layers[0]
@@ -82,36 +69,6 @@ def test_merging_keeps_the_picture_and_the_marks():
     assert np.abs(found - expected[:3]).sum(axis=1).min() < 1e-5
 
 
-def test_layers_that_agree_keep_opacity_and_grading():
-    scene = layers.duplicate(edited_scene(), "layers/house")
-    one = layers.merge(scene, ["layers/house", "layers/house 2"])
-    assert (one.layers[1].opacity, one.layers[1].grading) == (scene.layers[1].opacity, scene.layers[1].grading)
-    assert np.array_equal(np.unique(one.layers[1].gaussians.means), np.unique(scene.layers[1].gaussians.means))
-
-
-@pytest.mark.parametrize(
-    ("keys", "trouble"),
-    [
-        (["layers/ground"], "two layers or more"),
-        (["layers/ground", "layers/ground"], "two layers or more"),
-        (["layers/ground", "actors/car"], "Actors"),
-        (["layers/ground", "layers/sky"], "sky"),
-        (["layers/ground", "layers/moon"], "no 'layers/moon'"),
-    ],
-)
-def test_what_can_not_be_merged_is_told(keys, trouble):
-    with pytest.raises(ValueError, match=trouble):
-        layers.merge(edited_scene(), keys)
-
-
-def test_locked_layers_are_neither_merged_nor_removed():
-    scene = edited_scene().with_member("layers/house", locked=True)
-    with pytest.raises(ValueError, match="house is locked"):
-        layers.merge(scene, ["layers/ground", "layers/house"])
-    with pytest.raises(ValueError, match="house is locked"):
-        layers.remove(scene, "layers/house")
-
-
 def test_renaming_keeps_names_unique_and_selection_sets_true():
     mask = BitMask.of(np.arange(40) < 3)
     scene = replace(edited_scene(), selections={"three": {"layers/ground": mask}})
@@ -123,19 +80,6 @@ def test_renaming_keeps_names_unique_and_selection_sets_true():
     assert layers.remove(renamed, "layers/house 2").selections["three"] == {}
     with pytest.raises(ValueError, match="empty"):
         layers.rename(scene, "layers/ground", "  ")
-
-
-def test_order_changes_by_one_place():
-    scene = edited_scene()
-    assert names(layers.move_down(scene, "layers/ground")) == ["house", "ground", "sky", "car"]
-    assert names(layers.move_up(scene, "layers/sky")) == ["ground", "sky", "house", "car"]
-    for move, key in (
-        (layers.move_up, "layers/ground"),
-        (layers.move_down, "layers/sky"),
-        (layers.move_up, "actors/car"),
-    ):
-        with pytest.raises(ValueError, match="already"):
-            move(scene, key)
 
 
 def test_imported_scenes_keep_their_place_in_the_world():
@@ -151,9 +95,88 @@ def test_imported_scenes_keep_their_place_in_the_world():
     assert layers.import_scene(replace(scene, layers=(), actors=()), other) is other
 
 
-def test_scenes_of_the_same_units_share_arrays_with_the_import():
+TURN = turned(35, 0, 1.3, (0.5, -0.2, 0.1))
+
+
+def wet_of(member, seed=5):
+    return np.random.default_rng(seed).normal(0, 0.4, member.gaussians.sh.shape).astype(np.float32)
+
+
+def wet_scene(*names):
+    """The scene of the other tests with wet colors for the members that are named, a selection and what is deleted."""
+    scene = with_selection(edited_scene(), ground=9, house=7, car=5)
+    for seed, each in enumerate(scene.members):
+        gone = BitMask.of(np.arange(len(each.gaussians)) % 4 == 1)
+        wet = wet_of(each, seed) if not names or each.name in names else None
+        scene = scene.with_member(each.key, wet_sh=wet, marks=replace(each.marks, deleted=gone))
+    return scene
+
+
+def soaked(scene):
+    """Wet colors as the only ones."""
+    return with_wetness_baked(scene, 1.0)
+
+
+def wet_image(scene, wetness=0.0):
+    baked = [
+        flatten_scene(replace(scene, layers=(each,), actors=())) for each in with_wetness_baked(scene, wetness).layers
+    ]
+    baked += [
+        flatten_scene(replace(scene, layers=(), actors=(each,))) for each in with_wetness_baked(scene, wetness).actors
+    ]
+    return Gaussians.concatenate(baked)
+
+
+EDITS = {
+    "nothing": lambda scene: scene,
+    "delete": gaussians.delete_selected,
+    "isolate": gaussians.isolate_selected,
+    "compact": compact,
+    "separate": layers.separate,
+    "merge": lambda scene: layers.merge(scene, ["layers/ground", "layers/house"]),
+    "merge alike": lambda scene: layers.merge(
+        layers.duplicate(scene, "layers/house"), ["layers/house", "layers/house 2"]
+    ),
+    "duplicate": lambda scene: layers.duplicate(scene, "actors/car"),
+    "rename": lambda scene: layers.rename(scene, "layers/house", "shed"),
+    "import": lambda scene: layers.import_scene(replace(without(scene, "sky"), up=(0.0, 0.0, 1.0)), scene),
+    "move the selection": lambda scene: move_selected(scene, TURN),
+    "shift the selection": lambda scene: move_selected(scene, turned(0, by=(1.0, 0.0, 0.0))),
+    "move a layer": lambda scene: move_member(scene, "layers/house", TURN),
+    "move an actor": lambda scene: move_member(scene, "actors/car", TURN),
+    "drag": lambda scene: preview_move(scene, None, TURN),
+    "turn an actor": lambda scene: turn_actor(scene, "actors/car", 30.0),
+}
+
+
+@pytest.mark.parametrize("names", [(), ("ground",), ("house", "car")], ids=["all", "one", "some"])
+@pytest.mark.parametrize("name", EDITS)
+def test_wet_colours_come_along(name, names):
+    edit, scene = EDITS[name], wet_scene(*names)
+    edited = edit(scene)
+    assert_same(wet_image(edited, 1.0), wet_image(edit(soaked(scene))))
+    assert_same(wet_image(edited, 0.0), wet_image(edit(with_wetness_baked(scene, 0.0))))
+    assert any(each.wet_sh is not None for each in edited.members)
+    assert np.abs(wet_image(edited, 1.0).sh - wet_image(edited, 0.0).sh).max() > 0.1
+
+
+def test_blends_end_at_the_very_numbers():
+    member = wet_scene().layers[0]
+    clear, wet = member.gaussians.sh, member.wet_sh
+    assert blend_wet_sh(clear, wet, 0.0).tobytes() == clear.tobytes()
+    assert blend_wet_sh(clear, wet, 1.0).tobytes() == wet.tobytes()
+    np.testing.assert_allclose(blend_wet_sh(clear, wet, 0.25), 0.75 * clear + 0.25 * wet, atol=1e-6)
+
+
+def test_a_finished_recolouring_leaves_everything_else():
     scene = edited_scene()
-    both = layers.import_scene(scene, scene)
-    assert both.actors[1].gaussians is scene.actors[0].gaussians
-    assert np.array_equal(both.layers[3].to_scene, scene.layers[0].to_scene)
-    assert both.layers[3].marks is scene.layers[0].marks
+    finished = with_colors(scene, {each.key: wet_of(each) for each in scene.members})
+    assert all(new.gaussians is old.gaussians for new, old in zip(finished.members, scene.members, strict=True))
+    meanwhile = move_selected(with_selection(layers.rename(scene, "layers/sky", "heaven"), house=3), TURN)
+    taken = with_wet_colors_of(meanwhile, finished)
+    assert [each.wet_sh is not None for each in taken.members] == [True, True, False, True]
+    assert all(new.gaussians is old.gaussians for new, old in zip(taken.members, meanwhile.members, strict=True))
+    with pytest.raises(ValueError, match="fit none"):
+        with_wet_colors_of(without(meanwhile, "ground", "house", "car"), finished)
+    with pytest.raises(ValueError, match="fit none"):
+        with_wet_colors_of(scene, scene)

@@ -23,8 +23,8 @@ def sessions():
         return every[-1]
 
     yield make
-    for session in every:
-        session.close()
+    for editor in every:
+        editor.close()
 
 
 @pytest.fixture
@@ -34,9 +34,9 @@ def home(tmp_path):
 
 
 @pytest.fixture
-def session(sessions, home):
+def editor(sessions, home):
     opened = sessions()
-    opened.open(str(home))
+    opened.files.open(str(home))
     settle(opened)
-    assert opened.scene.name == "crossing" and opened.questions.present is None
+    assert opened.document.scene.name == "crossing" and opened.status.question is None
     return opened

@@ -6,38 +6,42 @@ from contextlib import suppress
 
 import numpy as np
 
+from gsrain_engine.editor.drawing.frame import DrawResult
+from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.jobs.job import Job, JobError
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.progress import Progress
 
 
-def settle(session):
+def settle(editor):
     """Let background work end and take it in, without a live view."""
     for _ in range(4):
-        wait(session.pending_files, timeout=60)
-        session.update(0.0)
-        session.swap_in()
+        wait(editor.pending_files, timeout=60)
+        editor.tick(0.0)
+        editor.apply(DrawResult(is_pending_ready=True))
 
 
-def answer(session, label):
-    session.questions.answer(next(each for each in session.questions.present.answers if each.label == label))
-    settle(session)
+def answer(editor, label):
+    editor.status.answer(next(each for each in editor.status.question.answers if each.label == label))
+    settle(editor)
 
 
-def delete_every_third(session):
-    member = session.scene.members[0]
+def delete_every_third(editor):
+    member = editor.document.scene.members[0]
     deleted = BitMask.of(np.arange(len(member.gaussians)) % 3 == 0)
-    session.set_scene("Delete", session.scene.with_member(member.key, marks=SelectionFlags(deleted=deleted)))
+    editor.document.edit(
+        "Delete", replace_scene, editor.document.scene.with_member(member.key, marks=SelectionFlags(deleted=deleted))
+    )
     return deleted
 
 
-def keep_now(session):
+def keep_now(editor):
     """Let the time of an autosave come."""
-    session.update(0.0)  # sees the change
-    late = session.files.recovery.now() + session.preferences.autosave_s
-    session.files.recovery.now = lambda: late
-    settle(session)
+    editor.tick(0.0)  # sees the change
+    late = editor.files.recovery.now() + editor.preferences.value.autosave_s
+    editor.files.recovery.now = lambda: late
+    settle(editor)
 
 
 def names_in(folder):
@@ -53,17 +57,17 @@ class HeldJob(Job):
             "make rainy", title, self._held, lambda _: self._scene, ends_with_scene=ends_with_scene, in_thread=True
         )
 
-    def start(self, session):
+    def start(self, editor):
         """Start, and wait until it is at work."""
 
         def stage(scene, _):
             if scene is not None:
-                session.staged = PendingScene(self.title, scene)
+                editor.viewport.staged = PendingScene(self.title, scene)
 
-        session.jobs.start(self, stage)
+        editor.jobs.start(self, stage)
         while self.progress.fraction < 0.4:
-            session.jobs.wait(0.01)
-            session.jobs.poll()
+            editor.jobs.wait(0.01)
+            editor.jobs.poll()
 
     def end(self, scene=None, *, fails=False):
         """End with a scene or without one, or with an error."""

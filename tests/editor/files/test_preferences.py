@@ -3,71 +3,45 @@
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.files import MAX_RECENT_FILES, recent_files, update_recent_files
-from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file, save_preferences
+from gsrain_engine.editor.files import recent_files, update_recent_files
+from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file
 
 
 def test_preferences_come_back():
     assert load_preferences() == (Preferences(), None)
-    session = Editor()
-    session.set_preference(theme="light", font_scale=1.5)
-    assert session.preferences.font_scale == 1.5
-    session.close()  # writes what is still to be written
+    editor = Editor()
+    editor.preferences.set(theme="light", font_scale=1.5)
+    assert editor.preferences.value.font_scale == 1.5
+    editor.close()  # writes what is still to be written
     again = Editor()
-    assert (again.preferences.theme, again.preferences.font_scale) == ("light", 1.5)
+    assert (again.preferences.value.theme, again.preferences.value.font_scale) == ("light", 1.5)
     again.close()
 
 
 def test_two_windows_keep_each_others_preferences():
     first, second = Editor(), Editor()
-    first.set_preference(theme="light")
-    second.set_preference(autosave_s=60.0)
+    first.preferences.set(theme="light")
+    second.preferences.set(autosave_s=60.0)
     first.close()
     second.close()
     assert load_preferences()[0] == Preferences(theme="light", autosave_s=60.0)
-
-
-def test_what_is_out_of_bounds_is_told_and_not_taken():
-    session = Editor()
-    session.set_preference(font_scale=100.0)
-    assert "<= 3.0 - at `$.font_scale`" in session.problem
-    assert session.preferences.font_scale == 1.0
-    with pytest.raises(msgspec.ValidationError):
-        save_preferences(theme="pink")
-    session.close()
 
 
 @pytest.mark.parametrize("text", ["theme: [", "theme: pink", "- 1", "\x00"])
 def test_a_bad_file_is_told_once_and_kept(text):
     preferences_file().parent.mkdir(parents=True)
     preferences_file().write_text(text)
-    session = Editor()
-    assert str(preferences_file()) in session.questions.present.text
-    assert session.preferences == Preferences()
+    editor = Editor()
+    assert str(preferences_file()) in editor.status.question.text
+    assert editor.preferences.value == Preferences()
     assert preferences_file().with_name("preferences.bad.yaml").read_text() == text
-    session.close()
+    editor.close()
     again = Editor()
-    assert again.questions.present is None
+    assert again.status.question is None
     again.close()
-
-
-def test_a_newer_programs_preferences_are_passed_over():
-    preferences_file().parent.mkdir(parents=True)
-    preferences_file().write_text("theme: light\nholograms: true\n")
-    assert load_preferences() == (Preferences(theme="light"), None)
-
-
-def test_recent_files_are_the_latest_first_and_few():
-    for n in range(MAX_RECENT_FILES + 3):
-        update_recent_files(Path(f"/scenes/{n}"))
-    update_recent_files(Path("/scenes/5"))
-    assert [path.name for path in recent_files()[:3]] == ["5", str(MAX_RECENT_FILES + 2), str(MAX_RECENT_FILES + 1)]
-    assert len(recent_files()) == MAX_RECENT_FILES
-    assert Path("/scenes/5") not in update_recent_files(Path("/scenes/5"), add=False)
 
 
 def test_windows_do_not_lose_each_others_recent_files():

@@ -1,4 +1,4 @@
-"""Autosaves of unsaved changes, and recovery in the next session."""
+"""Autosaves of unsaved changes, and recovery in the next editor."""
 
 import subprocess
 import sys
@@ -7,84 +7,72 @@ from pathlib import Path
 from editor.files.open_document import answer, delete_every_third, keep_now, names_in, settle
 from gsrain_engine.editor.autosave import autosave_folder
 from gsrain_engine.scene.formats.scene_files import read_scene
-from small_scene import small_scene
 
 
-def test_an_autosave_that_fails_is_told_once_and_tried_again(session, home, monkeypatch):
+def test_an_autosave_that_fails_is_told_once_and_tried_again(editor, home, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    delete_every_third(session)
+    delete_every_third(editor)
     with monkeypatch.context() as patched:
         patched.setattr("gsrain_engine.editor.autosave.write_scene_folder", full)
-        keep_now(session)
-        assert "autosave can't be written: No space left" in session.problem
-        session.problem = None
-        keep_now(session)
-        assert session.problem is None
-    keep_now(session)
+        keep_now(editor)
+        assert "autosave can't be written: No space left" in editor.status.problem
+        editor.status.dismiss()
+        keep_now(editor)
+        assert editor.status.problem is None
+    keep_now(editor)
     assert (autosave_folder(home) / "scene" / "scene.json").exists()
-    session.files.give_up()
+    editor.files.give_up()
 
 
-def test_an_autosave_comes_in_time_and_goes_with_a_save(session, home):
-    session.update(0.0)
-    keep_now(session)
+def test_an_autosave_comes_in_time_and_goes_with_a_save(editor, home):
+    editor.tick(0.0)
+    keep_now(editor)
     assert not autosave_folder(home).exists()  # nothing has changed
-    session.files.save()
-    settle(session)
-    deleted = delete_every_third(session)
-    session.update(0.0)
-    settle(session)
+    editor.files.save()
+    settle(editor)
+    deleted = delete_every_third(editor)
+    editor.tick(0.0)
+    settle(editor)
     assert not autosave_folder(home).exists()  # not yet
-    keep_now(session)
+    keep_now(editor)
     kept = autosave_folder(home) / "scene"
     assert read_scene(kept).members[0].marks.deleted.same_as(deleted)
     assert read_scene(home).members[0].marks.deleted is None
     linked = set(names_in(kept).values()) & set(names_in(home).values())
     assert len(linked) == 3  # the PLY files have a second name instead of a copy
-    session.files.save()
-    settle(session)
+    editor.files.save()
+    settle(editor)
     assert not autosave_folder(home).exists()
 
 
-def test_an_autosave_of_a_scene_without_folder_is_kept_in_the_state_folder(sessions, tmp_path):
-    session = sessions(small_scene("nowhere"))
-    delete_every_third(session)
-    keep_now(session)
-    (kept,) = (tmp_path / "state" / "gsrain" / "unsaved").iterdir()
-    assert read_scene(kept / "scene").name == "nowhere"
-    session.files.give_up()
-    session.close()
-    assert not kept.exists()
-
-
-def test_closing_without_an_answer_loses_nothing(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
-    session.close()  # the display is gone, say
+def test_closing_without_an_answer_loses_nothing(sessions, home, editor):
+    delete_every_third(editor)
+    keep_now(editor)
+    editor.close()  # the display is gone, say
     again = sessions()
     again.files.recovery.look()
     settle(again)
-    assert "crossing" in again.questions.present.text and str(home) in again.questions.present.text
+    assert "crossing" in again.status.question.text and str(home) in again.status.question.text
     answer(again, "Recover")
-    assert again.scene.members[0].marks.deleted is not None
-    assert again.has_changes and again.files.home == home
+    assert again.document.scene.members[0].marks.deleted is not None
+    assert again.files.has_changes and again.files.home == home
     again.files.save()
     settle(again)
     assert read_scene(home).members[0].marks.deleted is not None
     assert not autosave_folder(home).exists()
 
 
-def test_discard_and_later(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
-    session.close()
+def test_discard_and_later(sessions, home, editor):
+    delete_every_third(editor)
+    keep_now(editor)
+    editor.close()
     later = sessions()
-    later.open(str(home))
+    later.files.open(str(home))
     settle(later)
     answer(later, "Later")
-    assert later.scene.members[0].marks.deleted is None
+    assert later.document.scene.members[0].marks.deleted is None
     delete_every_third(later)
     before = names_in(autosave_folder(home))
     keep_now(later)
@@ -92,26 +80,26 @@ def test_discard_and_later(sessions, home, session):
     later.files.give_up()
     later.close()
     again = sessions()
-    again.open(str(home))
+    again.files.open(str(home))
     settle(again)
     answer(again, "Discard")
-    assert again.questions.present is None
+    assert again.status.question is None
     again.close()
     assert not autosave_folder(home).exists()
 
 
-def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sessions, home, session):
-    delete_every_third(session)
-    keep_now(session)
+def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sessions, home, editor):
+    delete_every_third(editor)
+    keep_now(editor)
     before = names_in(autosave_folder(home))
     other = sessions()
     other.files.recovery.look()
-    other.open(str(home))
+    other.files.open(str(home))
     settle(other)
-    assert other.questions.present.title == "Open twice"
+    assert other.status.question.title == "Open twice"
     answer(other, "Go on")
-    assert other.questions.present is None
-    other.change_rain("Intensity", intensity_mm_h=3.0)
+    assert other.status.question is None
+    other.document.change_rain("Intensity", intensity_mm_h=3.0)
     keep_now(other)
     assert names_in(autosave_folder(home)) == before
     other.files.give_up()
@@ -124,41 +112,20 @@ def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_
     ) as process:
         assert process.stdout.readline() == "kept\n"
         early = sessions()
-        early.open(str(home))
+        early.files.open(str(home))
         early.files.recovery.look()
         settle(early)
-        assert early.questions.present.title == "Open twice"
+        assert early.status.question.title == "Open twice"
         answer(early, "Close it here")
-        assert early.questions.present is None
+        assert early.status.question is None
         process.kill()
     late = sessions()
     late.files.recovery.look()
     settle(late)
-    assert late.questions.present.title == "Recover unsaved changes"
+    assert late.status.question.title == "Recover unsaved changes"
     answer(late, "Recover")
-    assert late.scene.layers[0].marks.deleted.size == 100
-    assert late.rain.intensity_mm_h == 8.5
-    assert late.files.home == home and late.has_changes
+    assert late.document.scene.layers[0].marks.deleted.size == 100
+    assert late.document.rain.intensity_mm_h == 8.5
+    assert late.files.home == home and late.files.has_changes
     assert read_scene(home).layers[0].marks.deleted is None
     late.files.give_up()
-
-
-def test_closing_it_here_goes_to_an_empty_scene(sessions, home, session):
-    other = sessions()
-    other.open(str(home))
-    settle(other)
-    answer(other, "Close it here")
-    assert other.scene.members == ()
-    assert not other.has_changes
-
-
-def test_an_autosave_that_was_never_whole_stands_in_nobody_s_way(session, home, tmp_path):
-    """A process was killed in its first autosave: there is nothing to recover, and the place is free."""
-    autosave_folder(home).mkdir()
-    (autosave_folder(home) / "autosave.json").write_text('{"name": "crossing"}')
-    (autosave_folder(home) / ".scene.01dc11b5.part").mkdir()
-    delete_every_third(session)
-    keep_now(session)
-    assert sorted(each.name for each in autosave_folder(home).iterdir()) == ["autosave.json", "scene"]
-    assert not (tmp_path / "state" / "gsrain" / "unsaved").exists()
-    session.files.give_up()

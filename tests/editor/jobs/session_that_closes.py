@@ -1,4 +1,4 @@
-"""A session in a process of its own: reconstructs a capture, and closes while that is under way.
+"""A editor in a process of its own: reconstructs a capture, and closes while that is under way.
 
 Run as a program with a capture folder.
 """
@@ -16,15 +16,15 @@ from gsrain_engine.training.settings import TrainingSettings
 
 def main(capture: str) -> None:
     """Do as the module says; prints the worker's number while it trains."""
-    session = Editor()
+    editor = Editor()
     settings = TrainingSettings(steps=100_000, gaussians=1500, device="cpu")
-    job = session.jobs.start(reconstruction_job(Path(capture), settings), scene_results(session, "Reconstruct"))
+    job = editor.jobs.start(reconstruction_job(Path(capture), settings), scene_results(editor, "Reconstruct"))
     while job.state == "running" and "loss" not in job.progress.metrics:
-        session.jobs.wait(60)
-        session.update(0.0)
+        editor.jobs.wait(60)
+        editor.tick(0.0)
     workers = [each.pid for each in psutil.Process().children() if "--multiprocessing-fork" in each.cmdline()]
     print(job.error or workers[0], flush=True)
-    session.close()
+    editor.close()
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from gsrain_engine.editor.selection.attributes import (
     read_attribute,
     select_attribute_range,
 )
-from gsrain_engine.editor.selection.candidates import all_selected, base_colors, combine_selection
+from gsrain_engine.editor.selection.candidates import all_selected, base_colors
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 from .selection_scenes import cloud, pixels_of, shot_at, world_means
@@ -52,15 +52,6 @@ def test_colors_as_the_standard_library_has_them(values):
     assert np.stack([read["red"], read["green"], read["blue"]], 1) == pytest.approx(colors, abs=1e-6)
 
 
-def test_height_is_above_the_ground_where_that_is_known():
-    from dataclasses import replace
-
-    scene, camera = cloud(), shot_at().camera
-    raised = replace(scene, ground_m=1.5)
-    heights = [read_attribute("height", attribute_inputs(each, 0.0, camera)[KEY]) for each in (scene, raised)]
-    assert heights[0] - heights[1] == pytest.approx(np.full(300, 1.5), abs=1e-5)
-
-
 @pytest.mark.parametrize("name", ATTRIBUTES)
 def test_a_range_takes_what_lies_in_it(values, name):
     scene, shot, read = values
@@ -86,26 +77,3 @@ def test_histogram_counts_what_is_shown_and_what_is_selected(name):
         scene, 0.0, shot.camera, name, *histogram.opened(histogram.edges[0], histogram.edges[-1])
     )
     assert everything[KEY].size == 300
-
-
-@pytest.mark.parametrize("name", ["opacity", "saturation"])
-def test_histogram_ends_where_an_attribute_can_not_go_on(name):
-    edges = AttributeHistogram().of(cloud(), shot_at(), name).edges
-    assert 0 <= edges[0] < edges[-1] <= 1
-
-
-def test_histogram_is_made_again_only_when_something_changes():
-    scene, shot, histogram = cloud(), shot_at(), AttributeHistogram()
-    first = histogram.of(scene, shot, "opacity")
-    assert histogram.of(scene, shot_at((3.0, -9, 1)), "opacity") is first
-    depth = histogram.of(scene, shot, "depth")
-    assert histogram.of(scene, shot, "depth") is depth
-    assert not np.array_equal(histogram.of(scene, shot_at((3.0, -9, 1)), "depth").edges, depth.edges)
-    chosen = combine_selection(scene, {KEY: BitMask.of(np.arange(300) < 11)}, "set")
-    assert histogram.of(chosen, shot, "opacity").selected.sum() == 11
-
-
-def test_histogram_of_nothing():
-    histogram = AttributeHistogram().of(cloud(0), shot_at(), "size")
-    assert histogram.shown.sum() == 0
-    assert np.all(np.diff(histogram.edges) > 0)

@@ -1,10 +1,11 @@
-from dataclasses import replace
+"""Selection commands, sets and modes."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.selection.candidates import (
     all_selected,
     combine_selection,
@@ -67,15 +68,67 @@ def test_all_none_invert():
     assert all(selected(a).same_as(selected(b)) for a, b in zip(twice.layers, half.layers, strict=True))
 
 
-def test_what_changes_nothing_is_the_very_same_scene():
-    scene = all_selected(cloud(N))
-    assert all_selected(scene) is scene
-    assert combine_selection(scene, {}, "remove") is scene
-    assert none_selected(cloud(N)).layers[0].marks.selected is None
+KEY = "layers/plain"
 
 
-def test_set_lets_go_of_members_in_which_nothing_is_found():
-    scene = all_selected(cloud(N))
-    after = combine_selection(scene, {"layers/turned": BitMask.of(np.arange(N) < 3)}, "set")
-    assert selected_count(after) == 3
-    assert replace(after.layers[0]).marks.selected is None
+@pytest.fixture
+def editor():
+    opened = Editor(cloud())
+    yield opened
+    opened.close()
+
+
+def first(count):
+    return {KEY: BitMask.of(np.arange(300) < count)}
+
+
+def choose(editor, mode, by, found):
+    editor.selection.select(mode, by, lambda scene: found)
+
+
+def test_names_of_steps_tell_what_happened(editor):
+    choose(editor, "set", "lasso", first(200))
+    choose(editor, "add", "brush", {KEY: BitMask.of(np.arange(300) >= 150)})
+    choose(editor, "remove", "box", first(20))
+    choose(editor, "intersect", "sphere", first(100))
+    choose(editor, "set", "rectangle", {})
+    editor.selection.select_all()
+    editor.selection.invert()
+    assert editor.document.history.labels[1:] == [
+        "Select 200 by lasso", "Add 100 by brush", "Remove 20 by box", "Keep 80 by sphere", "Select none by rectangle",
+        "Select all 600", "Invert selection to 0",
+    ]  # fmt: skip
+    editor.document.go_to_step(4)
+    assert selected_count(editor.document.scene) == 80
+
+
+def test_sets_are_saved_recalled_renamed_and_deleted_and_all_is_undone(editor):
+    assert editor.selection.is_empty
+    choose(editor, "set", "lasso", first(30))
+    assert editor.selection.save_set()
+    assert list(editor.document.scene.selections) == ["selection 1"]
+    editor.selection.select_none()
+    editor.selection.recall_set("selection 1", "add")
+    assert editor.document.history.undo_label == "Add 30 by set selection 1"
+    editor.selection.rename_set("selection 1", " heads ")
+    assert list(editor.document.scene.selections) == ["heads"]
+    editor.selection.remove_set("heads")
+    assert editor.document.scene.selections == {}
+    assert selected_count(editor.document.scene) == 30
+    while editor.document.history.undo_label is not None:
+        editor.document.undo()
+    assert editor.document.scene.selections == {}
+    assert selected_count(editor.document.scene) == 0
+
+
+def test_sets_need_a_selection_and_a_name_of_their_own(editor):
+    editor.selection.save_set()
+    assert "nothing is selected" in editor.status.problem
+    choose(editor, "set", "lasso", first(3))
+    for editor.selection.set_name in ("a", "b"):
+        assert editor.selection.save_set()
+    before = editor.document.scene
+    for other in ("b", "  "):
+        editor.status.dismiss()
+        editor.selection.rename_set("a", other)
+        assert editor.status.problem and editor.document.scene is before

@@ -1,11 +1,60 @@
-"""Faces of the rain regions: where their handles are, and what a pull does."""
+"""Overlays: frustums of captured cameras, and faces of rain regions."""
 
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.rain_regions import BoxFaceDrag, FaceHandle, face_handles, frustum_lines, inset_view
-from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, RegionBox
+from gsrain_engine.editor.overlays import (
+    MAX_FRUSTUMS,
+    RecordedCameras,
+    fov_to_fit_deg,
+    frustums,
+    image_grid,
+)
+from gsrain_engine.editor.rain_regions import BoxFaceDrag, FaceHandle, face_handles, inset_view
+from gsrain_engine.rain.settings import STREAK_REGION, RegionBox
 from gsrain_engine.scene.camera import Camera, look_at
+
+from .small_capture import UP, small_capture
+
+_ABOVE = Camera.from_fov(300, 200, 60.0, look_at(np.array([-6.0, 1.0, 6.0]), np.array([2.0, 0.0, 1.5]), UP))
+
+
+def _cameras(count: int = 4) -> RecordedCameras:
+    return RecordedCameras(view.camera for view in small_capture(count))
+
+
+def test_cameras_behind_the_eye_are_left_out_and_only_the_nearest_are_drawn():
+    between = Camera.from_fov(300, 200, 60.0, look_at(np.array([1.6, 0, 1.5]), np.array([9.0, 0, 1.5]), UP))
+    assert {each.view for each in frustums(_cameras(), range(4), 0.3, between)} == {2, 3}
+    many = _cameras(MAX_FRUSTUMS + 40)
+    found = frustums(many, range(len(many)), 0.3, _ABOVE)
+    assert len(found) == MAX_FRUSTUMS
+    assert found[-1].view == 0
+    assert frustums(_cameras(), [], 0.3, _ABOVE) == []
+
+
+def test_from_the_recorded_camera_its_picture_fills_its_own_pixels_at_any_length():
+    camera = _cameras()[2]
+    for length in (0.1, 7.0):
+        grid = image_grid(camera, length, camera, (4, 3))
+        assert grid is not None
+        assert grid[0, 0] == pytest.approx([0, 0], abs=1e-9)
+        assert grid[3, 4] == pytest.approx([80, 48])
+        assert grid[1, 2] == pytest.approx([40, 16])
+
+
+@pytest.mark.parametrize("aspect", [0.6, 1.0, 3.0])
+def test_a_whole_recorded_picture_fits_into_the_viewport(aspect: float):
+    camera = _cameras()[0]
+    width, height = round(300 * aspect), 300
+    view = Camera.from_fov(width, height, fov_to_fit_deg(camera, width / height), camera.world_to_camera)
+    grid = image_grid(camera, 1.0, view, (1, 1))
+    assert grid is not None
+    assert grid.min() > -0.01
+    assert grid[..., 0].max() < width + 0.01 and grid[..., 1].max() < height + 0.01
+    touches = [grid[..., 0].min(), grid[..., 1].min(), width - grid[..., 0].max(), height - grid[..., 1].max()]
+    assert min(touches) == pytest.approx(0, abs=1e-6)
+
 
 UP = np.array([0.0, 0, 1])
 
@@ -21,35 +70,6 @@ def anchor(yaw=0.7, at=(10.0, -4.0, 2.0)):
 def project(camera, point):
     x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
     return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-
-
-@pytest.mark.parametrize("box", [STREAK_REGION, HAZE_REGION])
-def test_from_outside_every_face_has_its_handle_in_its_middle(box):
-    camera = inset_view(box, anchor(), 240, 170).camera
-    handles = face_handles(box, anchor(), camera, inset=0.0)
-    assert len(handles) == 6
-    for handle in handles:
-        local = np.linalg.inv(anchor()) @ [*handle.point_m, 1.0]
-        expected = np.array(box.center_m)
-        expected[handle.axis] = (box.maximum_m if handle.upper else box.minimum_m)[handle.axis]
-        assert local[:3] == pytest.approx(expected, abs=1e-9)
-        x, y = project(camera, handle.point_m)
-        assert 0 < x < 240 and 0 < y < 170
-
-
-def test_from_inside_handles_stand_on_what_is_seen():
-    """An ego camera that looks ahead sees the front face, and of the floor a part, whose handle lies in the picture."""
-    eye = anchor()[:3, 3]
-    camera = Camera.from_fov(960, 640, 50.0, look_at(eye, eye + anchor()[:3, 0], UP))
-    handles = {handle.face: handle for handle in face_handles(STREAK_REGION, anchor(), camera)}
-    assert (0, True) in handles and (2, False) in handles
-    assert (0, False) not in handles
-    for handle in handles.values():
-        x, y = project(camera, handle.point_m)
-        assert 0.07 * 960 < x < 0.93 * 960 and 0.07 * 640 < y < 0.93 * 640
-        local = np.linalg.inv(anchor()) @ [*handle.point_m, 1.0]
-        side = STREAK_REGION.maximum_m if handle.upper else STREAK_REGION.minimum_m
-        assert local[handle.axis] == pytest.approx(side[handle.axis], abs=1e-9)
 
 
 @pytest.mark.parametrize("face", [(0, False), (0, True), (1, False), (1, True), (2, False), (2, True)])
@@ -90,10 +110,3 @@ def test_no_pull_turns_a_region_inside_out_or_makes_it_too_large():
     pull = BoxFaceDrag(top, huge, "streak_region", camera, pull.start_px)
     assert pull.pulled(x, y - 100) == huge  # what was typed stays; it can be made smaller
     assert pull.pulled(x, y + 1).maximum_m[2] < 10.0
-
-
-def test_a_frustum_begins_at_the_eye():
-    camera = Camera.from_fov(960, 640, 50.0, look_at(np.array([1.0, 2, 3]), np.array([5.0, 2, 3]), UP))
-    lines = frustum_lines(camera, 2.0)
-    assert lines[:4, 0] == pytest.approx(np.tile([1.0, 2, 3], (4, 1)))
-    assert lines[4:, :, 0] == pytest.approx(np.full((4, 2), 3.0))

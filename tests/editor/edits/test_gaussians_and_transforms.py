@@ -1,23 +1,30 @@
+"""Edits of the selection, and moves of layers, actors and the selection."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from gsrain_engine.editor.edits.gaussians import (
     CropBox,
-    box_around,
     compact,
     crop,
     delete_selected,
     deleted_count,
-    hide_selected,
-    isolate_selected,
     selected_count,
-    show_all,
+)
+from gsrain_engine.editor.edits.transform import (
+    Pose,
+    layer_pose,
+    move_member,
+    move_selected,
+    set_layer_pose,
 )
 from gsrain_engine.scene.flags import BitMask
+from gsrain_engine.scene.transforms import transform_gaussians
 
-from .edited_scene import assert_same, edited_scene, seen, with_selection
+from .edited_scene import assert_same, edited_scene, seen, turned, with_selection, without
 
 
 def test_deleting_only_marks():
@@ -28,37 +35,6 @@ def test_deleting_only_marks():
     assert all(a.gaussians is b.gaussians for a, b in zip(gone.members, scene.members, strict=True))
     assert gone.layers[1] is scene.layers[1]
     assert delete_selected(gone) is gone
-
-
-def test_locked_and_invisible_members_are_passed_by():
-    scene = with_selection(edited_scene(), ground=5, house=6)
-    scene = scene.with_member("layers/ground", locked=True).with_member("layers/house", visible=False)
-    assert delete_selected(scene) is scene
-    assert hide_selected(scene) is scene
-    assert selected_count(scene) == 0
-
-
-def test_hidden_ones_come_back_and_deleted_ones_do_not():
-    scene = hide_selected(with_selection(edited_scene(), ground=5))
-    scene = delete_selected(with_selection(scene, house=4))
-    assert len(seen(scene)) == 115 - 9
-    shown = show_all(scene)
-    assert len(seen(shown)) == 115 - 4
-    assert show_all(shown) is shown
-
-
-def test_hidden_ones_are_not_deleted_with_a_selection_that_holds_them():
-    scene = with_selection(hide_selected(with_selection(edited_scene(), ground=5)), ground=8)
-    assert selected_count(scene) == 3
-    assert delete_selected(scene).layers[0].marks.deleted.size == 3
-
-
-def test_isolating_hides_the_rest():
-    scene = isolate_selected(with_selection(edited_scene(), ground=5).with_member("layers/sky", locked=True))
-    assert len(seen(scene)) == 5 + 20
-    assert selected_count(scene) == 5
-    with pytest.raises(ValueError, match="Nothing is selected"):
-        isolate_selected(edited_scene())
 
 
 def test_compacting_keeps_the_picture_and_remaps_marks_and_sets():
@@ -101,12 +77,6 @@ def test_cropping_deletes_what_lies_outside_of_the_box():
     assert crop(scene.with_member("layers/ground", locked=True), box).layers[0].marks.deleted is None
 
 
-def test_the_first_box_holds_nearly_all():
-    scene = edited_scene()
-    assert deleted_count(crop(scene, box_around(scene))) < 8
-    assert box_around(replace(scene, layers=())).size_m == (10.0, 10.0, 10.0)
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("upper", [False, True])
 def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper):
@@ -119,3 +89,56 @@ def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper
     assert pulled.face_m(axis, not upper) == pytest.approx(box.face_m(axis, not upper))
     through = box.face_m(axis, upper) - 100 * outward - eye
     assert box.pulled(axis, upper, eye, through / np.linalg.norm(through)).size_m[axis] == pytest.approx(0.01)
+
+
+DELTAS = [turned(0, by=(1.0, -2.0, 0.5)), turned(50, 2, 1.0, (0.3, 0.1, 0.0)), turned(-35, 0, 1.7, (1.0, 0.0, 2.0))]
+
+
+@pytest.mark.parametrize("delta", DELTAS)
+@pytest.mark.parametrize("name", ["ground", "car"])
+def test_a_member_is_moved_in_the_world(delta, name):
+    scene = without(edited_scene(), *({"ground", "house", "sky", "car"} - {name}))
+    key = scene.members[0].key
+    for time_s in (0.0, 2.5):
+        before, after = scene.parts(time_s)[0], move_member(scene, key, delta).parts(time_s)[0]
+        expected = transform_gaussians(transform_gaussians(before.gaussians, before.to_world), delta)
+        assert_same(transform_gaussians(after.gaussians, after.to_world), expected)
+
+
+@pytest.mark.parametrize("delta", DELTAS)
+def test_what_is_selected_is_moved_and_nothing_else(delta):
+    scene = with_selection(edited_scene(), ground=6, car=5)
+    there = move_selected(scene, delta, 1.5)
+    for member, count in ((scene.layers[0], 6), (scene.actors[0], 5)):
+        before, after = scene.part(member, 1.5), there.part(there.member(member.key), 1.5)
+        first, rest = slice(0, count), slice(count, None)
+        expected = transform_gaussians(transform_gaussians(before.gaussians.take(first), before.to_world), delta)
+        assert_same(transform_gaussians(after.gaussians.take(first), after.to_world), expected)
+        for name in ("means", "scales", "quaternions", "opacities", "sh"):
+            assert np.array_equal(getattr(after.gaussians, name)[rest], getattr(before.gaussians, name)[rest])
+    assert there.layers[1] is scene.layers[1]
+
+
+ANGLE, METRES = st.floats(-179, 179), st.floats(-50, 50)
+
+
+def test_a_layer_is_placed_by_numbers():
+    scene = without(edited_scene(), "house", "sky", "car").with_member("layers/ground", to_scene=np.eye(4))
+    assert layer_pose(scene, "layers/ground") == Pose((0, 0, 0), (0, 0, 0), 1)
+    pose = Pose((1.0, -2.0, 3.0), (10.0, 20.0, -30.0), 2.0)
+    placed = set_layer_pose(scene, "layers/ground", pose)
+    assert placed.part(placed.layers[0]).to_world == pytest.approx(pose.matrix @ scene.part(scene.layers[0]).to_world)
+    again = layer_pose(placed, "layers/ground")
+    assert (again.position_m, again.turn_deg) == (pytest.approx(pose.position_m), pytest.approx(pose.turn_deg))
+    with pytest.raises(ValueError, match="above 0"):
+        set_layer_pose(scene, "layers/ground", replace(pose, scale=0.0))
+
+
+def test_an_actor_is_placed_where_the_numbers_say_at_that_moment():
+    scene = replace(edited_scene(), up=(0.0, 0.0, 1.0))
+    pose = layer_pose(scene, "actors/car", 2.0)
+    assert (pose.position_m, pose.scale) == (pytest.approx((1.0, 0.0, 0.0)), pytest.approx(1))
+    placed = set_layer_pose(scene, "actors/car", replace(pose, position_m=(5.0, 6.0, 0.0)), 2.0)
+    assert layer_pose(placed, "actors/car", 2.0).position_m == pytest.approx((5.0, 6.0, 0.0))
+    assert layer_pose(placed, "actors/car", 0.0).position_m == pytest.approx((4.0, 6.0, 0.0))
+    assert placed.actors[0].gaussians is scene.actors[0].gaussians

@@ -1,0 +1,43 @@
+"""Edits of the rain keyframes."""
+
+from typing import Any
+
+from ...rain.keyframes import HEAVIEST_MM_H, KEYED, Keyed, RainKeyframes, shower_keyframes
+
+
+def replace_keyframes(keyframes: RainKeyframes, other: RainKeyframes) -> RainKeyframes:
+    """Take other keyframes, such as a measured series, or none."""
+    return other
+
+
+def add_shower(keyframes: RainKeyframes, start_s: float) -> RainKeyframes:
+    """Replace the intensity by a passing shower from a time on; keyframes of wind and exposure stay."""
+    shower = shower_keyframes(start_s)
+    for key in keyframes.without("intensity_mm_h").keys:
+        values = {name: value for name in ("wind_m_s", "exposure_s") if (value := getattr(key, name)) is not None}
+        shower = shower.with_key(key.time_s, **values)
+    return shower
+
+
+def move_keyframe(keyframes: RainKeyframes, name: Keyed, number: int, to_s: float, **fields: Any) -> RainKeyframes:
+    """Move a field's keyframe, given by its number, to another time, optionally with a new value."""
+    return keyframes.moved_key(float(keyframes.key_times[name][number]), to_s, name, **fields)
+
+
+def set_keyframe_number(keyframes: RainKeyframes, time_s: float, name: str, value: float) -> RainKeyframes:
+    """Change one number of a keyframe, clamped to its bounds.
+
+    `name` is "time" (s), "intensity_mm_h", "wind x" or "wind y" (m/s), or "exposure_s" (with a value in milliseconds).
+    """
+    if name == "time":
+        for each in KEYED:  # fields without a keyframe here are unaffected
+            keyframes = keyframes.moved_key(time_s, min(max(value, -1e6), 1e6), each)
+        return keyframes
+    if name == "intensity_mm_h":
+        return keyframes.with_key(time_s, intensity_mm_h=min(max(value, 0.0), HEAVIEST_MM_H))
+    if name == "exposure_s":
+        return keyframes.with_key(time_s, exposure_s=min(max(value / 1000, 1e-5), 1.0))
+    key = keyframes.key_at(time_s)
+    x, y = (key.wind_m_s if key is not None else None) or (0.0, 0.0)
+    value = min(max(value, -40.0), 40.0)
+    return keyframes.with_key(time_s, wind_m_s=(value, y) if name == "wind x" else (x, value))

@@ -1,0 +1,115 @@
+"""The rain that the viewport displays: the simulation of the document's rain, its shelter map, and the sky color."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+
+import msgspec
+
+from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
+from ..rain.settings import RainSettings
+from ..rain.shelter_map import ShelterMap, shelter_map_of
+from ..rain.simulation import OVERCAST, RainSimulation
+from ..render.renderer import Color
+from ..render.sky_color import SkyColor
+from ..scene.scene import Scene
+from .document import Document, DocumentState
+from .drive import RolloutPlayer
+from .viewport_state import ViewportState
+
+
+class LiveRain:
+    """Rain of the viewport. Follows the document; call `poll` once a frame."""
+
+    def __init__(
+        self, document: Document, viewport: ViewportState, rollouts: RolloutPlayer, thread: ThreadPoolExecutor
+    ) -> None:
+        """`thread` searches for roofs."""
+        self._document, self._viewport, self._rollouts = document, viewport, rollouts
+        self.simulation = RainSimulation.start(document.rain, weather=document.keyframes)
+        """The document's rain."""
+        self._other = self.simulation
+        self._shelter = ShelterMapBuilder(thread)
+        self.sky_color = SkyColor(OVERCAST, found=False)
+        """Last sample of the scene's sky."""
+        self.sky_is_stale = True
+        """True if the sky has to be sampled again, e.g. for another scene."""
+        document.changed.connect(self._follow)
+
+    @property
+    def displayed(self) -> RainSimulation:
+        """Rain of the viewport: the document's, or that of the playing roll-out.
+
+        It is without roofs until they are found, because finding them takes seconds.
+        """
+        has_roofs, rain = self._shelter.has_map(self._document.scene), self._document.rain
+        if (driven := self._rollouts.rainfall(roofs=has_roofs)) is not None:
+            return driven
+        if not rain.roofs or (has_roofs and self._viewport.drawn_preview is None):
+            return self.simulation
+        return replace(self.simulation, rain=msgspec.structs.replace(rain, roofs=False))
+
+    @property
+    def without_rain(self) -> RainSimulation:
+        return self.of(self.displayed.rain.without_rain, NO_KEYFRAMES)
+
+    def of(self, rain: RainSettings, keyframes: RainKeyframes) -> RainSimulation:
+        """Simulation of other rain, such as that before the last edit; the last one is cached."""
+        for each in (self.simulation, self._other):
+            if each.rain == rain and each.weather is keyframes:
+                return each
+        self._other = RainSimulation.start(rain, weather=keyframes)
+        return self._other
+
+    @property
+    def wetness_now(self) -> float:
+        """Wetness (share of the wet colors) at the present time, 0..1."""
+        return self.displayed.wetness_at(self._viewport.playback.clock.time_s)
+
+    @property
+    def sky(self) -> Color:
+        """Sky color at the present time, used for drops."""
+        return self.sky_color.at(self.wetness_now)
+
+    @property
+    def needs_sky(self) -> bool:
+        """True if the sky has to be sampled for the displayed rain."""
+        return self.sky_is_stale and self.displayed.can_rain
+
+    @property
+    def is_searching_roofs(self) -> bool:
+        return self._document.rain.roofs and not self._shelter.has_map(self._document.scene)
+
+    @property
+    def pending(self) -> list[Future[ShelterMap | None]]:
+        """Search for roofs in progress, to wait for where there are no frames."""
+        return self._shelter.pending
+
+    def poll(self) -> None:
+        if self._document.rain.roofs:
+            self._shelter.search(self._document.scene)
+
+    def _follow(self, old: DocumentState, new: DocumentState) -> None:
+        self.sky_is_stale = self.sky_is_stale or old.scene.geometry_key != new.scene.geometry_key
+        if self.simulation.rain != new.rain or self.simulation.weather is not new.keyframes:
+            time_s = self._viewport.playback.clock.time_s
+            self.simulation = self.simulation.changed(new.rain, time_s, new.keyframes)
+
+
+class ShelterMapBuilder:
+    """Computes shelter maps of one scene after another; results are in the cache of `shelter_map_of`."""
+
+    def __init__(self, thread: ThreadPoolExecutor) -> None:
+        self._thread = thread
+        self._scene: Scene | None = None
+        self.pending: list[Future[ShelterMap | None]] = []
+        """The last search, to wait for where there are no frames."""
+
+    def has_map(self, scene: Scene) -> bool:
+        """Return whether the roofs of a scene have been found."""
+        is_same = self._scene is not None and self._scene.geometry_key == scene.geometry_key
+        return is_same and all(each.done() for each in self.pending)
+
+    def search(self, scene: Scene) -> None:
+        """Start to search a scene, unless its roofs are found or another search is running."""
+        if all(each.done() for each in self.pending) and not self.has_map(scene):
+            self._scene, self.pending = scene, [self._thread.submit(shelter_map_of, scene)]
