@@ -129,7 +129,7 @@ def _train(folder: Path) -> Callable[[Editor], None]:
 
     def start(editor: Editor) -> None:
         job = reconstruction_job(folder / "street", load_settings("laptop", measured_every=0))
-        editor.jobs.start(job, scene_results(editor, job.title, is_whole=True))
+        editor.jobs.start(job, scene_results(editor.viewport, job.title, is_whole=True))
 
     return start
 
