@@ -90,18 +90,6 @@ def test_looking_from_a_view_takes_its_place_and_moment(editor: Editor):
     assert captures.view_at_camera is None
 
 
-def test_stepping_goes_round_the_views_of_one_camera(editor: Editor):
-    _opened(editor, small_capture())
-    captures = editor.captures
-    captures.sensor = "right"
-    assert captures.listed == [1, 3]
-    seen = []
-    for step in (1, 1, 1, -1):
-        captures.step(step)
-        seen.append(captures.chosen)
-    assert seen == [1, 3, 1, 3]
-
-
 def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(editor: Editor):
     capture = replace(small_capture(), up=(0.0, -1.0, 0.0))
     made = replace(small_scene(), up=(0.05, -1.0, 0.0), metres_per_unit=3.0)

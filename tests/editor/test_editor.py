@@ -1,20 +1,15 @@
 import gc
-import platform
-import subprocess
-import sys
 import weakref
 from concurrent.futures import wait
 
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.edits.transform import pivot
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.shelter_map import shelter_map_of
-from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.simulation.ground import road_surface_of
 from gsrain_engine.simulation.obstacles import occupied_space_of
 from oracles.drop_phases import displacement
@@ -26,13 +21,6 @@ def editor():
     opened = Editor(small_scene())
     yield opened
     opened.close()
-
-
-def settle(editor):
-    """Let background work end and take it in, without a live view that would upload it first."""
-    wait(editor.pending_files, timeout=60)
-    editor.tick(0.0)
-    editor.apply(DrawResult(is_pending_ready=True))
 
 
 def test_rain_changes_are_undone_and_the_rainfall_follows(editor):
@@ -53,17 +41,6 @@ def test_moving_the_slider_moves_no_drop(editor):
     before = displacement(editor.live_rain.simulation.motion, editor.playback.clock.time_s)
     editor.document.change_rain("Intensity", intensity_mm_h=4.5)
     assert np.allclose(displacement(editor.live_rain.simulation.motion, editor.playback.clock.time_s), before)
-
-
-def test_a_scene_with_unusable_rain_opens_all_the_same(editor, tmp_path):
-    from dataclasses import replace
-
-    write_scene(replace(small_scene(), rain={"intensity_mm_h": 1000.0}), tmp_path / "wild")
-    editor.files.open(str(tmp_path / "wild"))
-    settle(editor)
-    assert editor.document.scene.name == "small"
-    assert editor.document.rain.intensity_mm_h == 0
-    assert any("rain can't be used" in line.text for line in editor.status.log.lines)
 
 
 def test_riding_along_follows_the_ego(editor):
@@ -87,44 +64,6 @@ def test_roofs_are_found_behind_the_window_and_rain_falls_through_them_until_the
     )  # another scene, as seen from above
     assert editor.busy == "Finding roofs"
     editor.close()
-
-
-LEFT_BY_THREADS = """
-import sys, threading
-import psutil
-from gsrain_engine.malloc_tuning import tune_malloc
-from gsrain_engine.malloc_tuning import trim_memory, use_one_arena
-
-if sys.argv[1] == "one":
-    use_one_arena()
-tune_malloc()
-before = psutil.Process().memory_info().rss
-together = threading.Barrier(4)
-
-def work():
-    blocks = [bytearray(1_000_000) for _ in range(40)]
-    together.wait(60)
-    blocks.clear()
-    together.wait(60)
-
-threads = [threading.Thread(target=work) for _ in range(4)]
-for each in threads:
-    each.start()
-for each in threads:
-    each.join()
-trim_memory()
-print(psutil.Process().memory_info().rss - before)
-"""
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no arenas")
-def test_memory_that_threads_free_goes_back_only_from_one_arena():
-    def left_behind(arenas: str) -> float:
-        """Bytes of 160 MB."""
-        command = [sys.executable, "-c", LEFT_BY_THREADS, arenas]
-        return float(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
-
-    assert left_behind("one") < 20e6 < 100e6 < left_behind("many")
 
 
 def test_nothing_holds_on_to_a_closed_scene():

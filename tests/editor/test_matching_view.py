@@ -1,21 +1,14 @@
 """Matching in the editor: what is matched with what, told in pictures, and again when a person looks elsewhere."""
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from appearance.street_views import made_view
-from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome, correspondence
+from gsrain_engine.appearance.correspondence import MatchOutcome
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.matching import (
-    MatchedViews,
-    matching_image,
-    outcome_shares,
-)
 from gsrain_engine.scene.camera import Camera, look_at
 from small_scene import small_scene
 
@@ -112,32 +105,3 @@ def test_the_live_view_is_matched_by_the_scenes_depth(editor, written):
     _until(editor, lambda: matching.why_none is not None)
     assert "does not lie in the scene" in matching.why_none
     assert matching.shown is None
-
-
-def _pair(car=0.0):
-    camera = Camera(60, 40, 50.0, 50.0, 30.0, 20.0)
-    depth = np.full((40, 60), 10.0)
-    moved = replace(camera, world_to_camera=np.array([[1.0, 0, 0, -1.2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
-    red, blue = np.full((40, 60, 3), (1, 0, 0)), np.full((40, 60, 3), (0, 0, 1))
-    vehicles = np.zeros((40, 60))
-    vehicles[:, 40:50] = car
-    of = made_view(camera, depth, red, vehicles=vehicles)
-    to = made_view(moved, depth, blue, time_s=0.1)
-    return MatchedViews(of, to, correspondence(of, to))
-
-
-def test_pictures_show_the_other_view_the_difference_or_reasons():
-    matched = _pair(car=1.0)
-    found = outcome_shares(matched)
-    assert found[MatchOutcome.MATCHED] == pytest.approx(44 / 60)
-    assert found[MatchOutcome.MOVING] == pytest.approx(10 / 60)
-    assert found[MatchOutcome.OUTSIDE] == pytest.approx(6 / 60)
-    other = matching_image(matched, "picture")
-    assert tuple(other[20, 20]) == (0, 0, 255, 255)
-    assert tuple(other[20, 2]) == (0, 0, 0, 166)
-    assert 0 < other[20, 45, 3] < 255
-    difference = matching_image(matched, "difference")
-    assert difference[20, 20, :3].min() > 180  # red and blue differ by more than the scale has
-    reasons = matching_image(matched, "pixels")
-    np.testing.assert_allclose(reasons[20, 20, :3] / 255, COLORS[MatchOutcome.MATCHED], atol=0.01)
-    np.testing.assert_allclose(reasons[20, 45, :3] / 255, COLORS[MatchOutcome.MOVING], atol=0.01)

@@ -1,6 +1,5 @@
 """Driving in the real window: from the panel, a roll-out that plays, plots that are clicked, the rig's cameras."""
 
-import av
 import msgspec
 import numpy as np
 import pytest
@@ -55,7 +54,7 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.ctx.item_input_value("**/##duration_s", 1.0)
         driver.ctx.item_input_value("**/##speed_m_s", 2.5)
         driver.frames()
-        assert drives.settings.is_changed
+        assert drives.setup.is_changed
         driver.ctx.item_click("**/###save scenario")
         choose(driver, "Save the scenario", tmp_path / "short.yaml", "Save")
         saved = load_scenario(tmp_path / "short.yaml")
@@ -80,34 +79,6 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
 
     driver.run(script)
-
-
-def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(driver, rollout, tmp_path):
-    editor, film = driver.editor, tmp_path / "crash.mp4"
-
-    def script():
-        editor.playback.timeline.fps = 2.0
-        driver.window.drop([str(rollout)])
-        driver.until(lambda: editor.rollouts.playing is not None)
-        driver.click("//Drive/###film roll-out")
-        choose(driver, "Render video of the drive", film, "Save")
-        driver.until(lambda: len(editor.jobs.all) == 1)
-        job = editor.jobs.all[0]
-        assert editor.rollouts.why_no_video == "A video is being rendered."
-        driver.until(lambda: job.state != "running", 100_000)
-        assert (job.state, job.error) == ("finished", None)
-        driver.click("//Record/Render video of the drive...")
-        choose(driver, "Render video of the drive", film, "Save")
-        assert editor.status.question.text == "crash.mp4 is there already."
-        driver.ctx.item_click("//Replace?/Cancel")
-        driver.frames()
-        assert len(editor.jobs.all) == 1
-
-    driver.run(script)
-    with av.open(str(film)) as container:
-        pictures = sum(1 for _ in container.decode(video=0))
-    end_s = read_rollout(rollout).steps[-1].time_s
-    assert pictures == np.ceil(2 * end_s) + 1 + 2  # the last moment is held for a second
 
 
 def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
@@ -142,7 +113,7 @@ def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
         driver.ctx.mouse_move("//View/view")
         driver.ctx.mouse_drag_with_delta(imgui.ImVec2(40, 0), 1)  # a person looks elsewhere
         driver.frames()
-        assert drives.chase.mode == "free"
+        assert driver.editor.viewport.chase.mode == "free"
         assert not np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, front)
         driver.ctx.item_click("//Drive/**/###close")
         driver.frames()

@@ -172,26 +172,6 @@ def test_sphere_and_box_are_placed_sized_and_applied(hand):
     hand.run(script)
 
 
-def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
-    def script():
-        editor = hand.editor
-        hand.use("Flood")
-        start = editor.viewport.navigation.position.copy()
-        hand.draw((0.5, 0.7), (0.6, 0.7))
-        assert hand.said is None
-        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.1
-        hand.click("//View/Home")
-        hand.tap(0.5, 0.75)
-        assert hand.counts() == {"road": 400, "wall": 0, "sky": 0}
-        assert hand.said == "Select 400 by flood"
-        hand.use("Color pick")
-        hand.tap(0.5, 0.42, held=(KEY.mod_shift,))
-        assert hand.counts() == {"road": 400, "wall": 400, "sky": 0}
-        assert hand.said == "Add 400 by color"
-
-    hand.run(script)
-
-
 def test_a_range_dragged_over_the_histogram_selects(hand):
     def script():
         options = hand.editor.selection

@@ -80,29 +80,6 @@ def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
     driver.run(script)
 
 
-def test_sliders_of_keyed_fields_set_keys_and_one_drag_is_one_step(driver):
-    def script():
-        editor = driver.editor
-        driver.click("//Rain/1.2")
-        driver.click("//Rain/###key intensity_mm_h")
-        assert editor.document.keyframes.key_at(0.0).intensity_mm_h == 1.2
-        editor.playback.clock.time_s = 6.0
-        steps = editor.document.history.cursor
-        driver.drag("//Rain/##intensity_mm_h", (60, 0))
-        assert editor.document.history.cursor == steps + 1
-        assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, 6.0]
-        assert editor.document.keyframes.key_at(6.0).intensity_mm_h > 3
-        assert editor.document.rain_now.intensity_mm_h == editor.document.keyframes.key_at(6.0).intensity_mm_h
-        driver.click("//Rain/8.5")
-        assert editor.document.keyframes.key_at(6.0).intensity_mm_h == 8.5
-        driver.click("//Rain/###key exposure_s")
-        assert editor.document.keyframes.key_at(6.0).exposure_s == 0.004
-        driver.click("//Rain/###key intensity_mm_h")
-        assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0]
-
-    driver.run(script)
-
-
 def view_corner(driver):
     driver.ctx.window_focus("//View")
     driver.frames(3)

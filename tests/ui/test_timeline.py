@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.overlays import path_overlay_of
-from gsrain_engine.scene.camera_path_io import read_camera_path
 from ui.commands.base import chord
 from window_driver import Driver, imgui
 
@@ -164,29 +163,5 @@ def test_a_key_is_dragged_in_the_picture(driver):
         driver.click("//Timeline/show path")
         hand(driver, start, start + [30, 0])  # nothing is there to take hold of: the view orbits
         assert not np.array_equal(editor.viewport.navigation.position, [-4.0, -3.0, 4.0])
-
-    driver.run(script)
-
-
-def test_paths_come_from_the_drive_and_from_files(driver, tmp_path):
-    def script():
-        editor = driver.editor
-        driver.click("//Timeline/path")
-        driver.ctx.item_click("//**/From the drive")
-        driver.ctx.item_click("//**/FRONT##0")
-        driver.ctx.item_click("//**/Few keyframes")
-        driver.frames()
-        path = editor.document.scene.path
-        assert path.times_s.tolist() == [0, 5]  # straight on
-        assert path.positions[1] == pytest.approx([10, 0, 1.5])
-        editor.camera_path.export_path(tmp_path / "mine.json")
-        assert np.array_equal(read_camera_path(tmp_path / "mine.json").positions, path.positions)
-        driver.press(UNDO)
-        assert editor.document.scene.path is None
-        editor.camera_path.import_path(tmp_path / "mine.json")
-        assert np.array_equal(editor.document.scene.path.positions, path.positions)
-        editor.camera_path.import_path(tmp_path / "missing.json")
-        assert "missing.json" in editor.status.problem
-        assert editor.document.history.undo_label == "Import mine.json"
 
     driver.run(script)

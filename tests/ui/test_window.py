@@ -31,26 +31,6 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
     driver.run(script)
 
 
-def test_presets_and_switches(driver):
-    def script():
-        driver.click("//Rain/8.5")
-        assert driver.editor.document.rain.intensity_mm_h == 8.5
-        driver.click("//Rain/Haze")
-        assert not driver.editor.document.rain.haze
-        driver.click("//Rain/###camera's")
-        assert driver.editor.document.rain.exposure_s == 0.004
-        driver.click("//Rain/up to 100 mm\\/h")
-        driver.ctx.item_input_value("//Rain/##intensity_mm_h", 50.0)
-        driver.frames()
-        assert driver.editor.document.rain.intensity_mm_h == 50
-        assert driver.editor.live_rain.simulation.state.beyond_calibration
-        driver.click("//Rain/paper")
-        assert driver.editor.document.rain.closure == "published"
-        assert driver.editor.live_rain.simulation.state.drops == 257_040
-
-    driver.run(script)
-
-
 def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
     def script():
         driver.click("//Rain/8.5")

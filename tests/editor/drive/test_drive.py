@@ -6,8 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive import EGO_CAR, CameraMosaic, DriveSetup, RolloutInScene, mosaic_rows
-from gsrain_engine.editor.edits.members import set_visible
+from gsrain_engine.editor.drive import EGO_CAR, DriveSetup, RolloutInScene
 from gsrain_engine.editor.overlays_drive import planned_points_m, rollout_overlay
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.simulation.rollout_io import write_rollout
@@ -24,28 +23,6 @@ def test_what_is_out_of_bounds_is_not_taken():
     wanted.load("no-such-scenario")
     assert "no-such-scenario" in wanted.error
     assert wanted.scenario is before
-
-
-def test_the_mosaic_shows_the_rig_as_one_would_look_for_it():
-    scene = driven()[0]
-    (front,) = scene.rigs["one"]
-    turned = {}
-    for name, degrees in (("left", 55), ("right", -55), ("back", 180), ("back left", 110), ("back right", -110)):
-        pose = front.camera_to_ego.copy()
-        pose[:3, :3] = rotation(degrees) @ pose[:3, :3]
-        turned[name] = replace(front, name=name, camera_to_ego=pose)
-    rows = mosaic_rows([front, *(turned[name] for name in ("back right", "right", "back", "left", "back left"))])
-    names = [[each.name for each in row] for row in rows]
-    assert names == [["left", "FRONT", "right"], ["back left", "back", "back right"]]
-    mosaic = CameraMosaic(rig="gone")
-    assert mosaic.cameras(scene) == (front,)
-    mosaic.want(251.0)
-    assert (mosaic.is_requested, mosaic.width_px) == (True, 256)
-
-
-def rotation(degrees):
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
 
 
 def world_pose(scene, key, time_s):
@@ -151,14 +128,6 @@ def test_an_opened_rollout_is_shown_and_the_document_stays(editor, file):
     assert editor.rollouts.displayed_scene is scene
     assert editor.playback.span_s == (0.0, 5.0)  # of the recorded drive
     assert drives.opened == []
-
-
-def test_an_edit_of_the_document_is_seen_while_a_rollout_plays(editor):
-    editor.document.edit("Show or hide", set_visible, "layers/wall", False)
-    assert not editor.rollouts.displayed_scene.member("layers/wall").visible
-    assert [each.id for each in editor.rollouts.displayed_scene.actors] == ["lead", "ego car"]
-    editor.document.undo()
-    assert editor.rollouts.displayed_scene.member("layers/wall").visible
 
 
 def test_several_stay_open_and_one_of_them_plays(editor, tmp_path):

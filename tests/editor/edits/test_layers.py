@@ -26,17 +26,6 @@ def names(scene):
     return [each.name for each in scene.members]
 
 
-def test_a_duplicate_stands_behind_its_original_and_shares_its_arrays():
-    scene = edited_scene()
-    twice = layers.duplicate(scene, "layers/ground")
-    assert names(twice) == ["ground", "ground 2", "house", "sky", "car"]
-    assert twice.layers[1].gaussians is scene.layers[0].gaussians
-    assert np.array_equal(twice.layers[1].to_scene, scene.layers[0].to_scene)
-    assert names(layers.duplicate(scene, "actors/car"))[-2:] == ["car", "car 2"]
-    with pytest.raises(ValueError, match="no 'layers/moon'"):
-        layers.duplicate(scene, "layers/moon")
-
-
 def test_separating_keeps_the_picture_and_marks_what_left():
     scene = with_selection(edited_scene(), house=7)
     parted = layers.separate(scene)

@@ -11,7 +11,6 @@ from gsrain_engine.editor.edits.level import (
     find_ground,
     level_from_ground,
     level_from_points,
-    set_camera_height,
     set_length,
 )
 from gsrain_engine.editor.viewport.camera import OrbitCamera
@@ -81,21 +80,6 @@ def test_a_known_length_sets_the_metre():
     for measured, true in ((0.0, 1.0), (1.0, -1.0), (1.0, np.inf)):
         with pytest.raises(ValueError, match="above 0"):
             set_length(scene, measured, true)
-
-
-def test_a_cameras_height_sets_the_metre():
-    places = np.array([[0.0, 0, 3], [1, 0, 4], [2, 0, 9]])
-    path = CameraPath(np.arange(3.0), places, np.tile([1.0, 0, 0, 0], (3, 1)), np.full(3, 40.0))
-    scene = replace(edited_scene(), up=(0.0, 0.0, 1.0), metres_per_unit=0.5, ground_m=1.0, path=path)
-    scaled = set_camera_height(scene, 1.5)  # 4 units are 2 m: 1 m above the ground
-    assert (scaled.metres_per_unit, scaled.ground_m) == (pytest.approx(0.75), pytest.approx(1.5))
-    for change, words in (
-        ({"path": None}, "no camera path"),
-        ({"ground_m": None}, "level it first"),
-        ({"ground_m": 7.0}, "5 m below the ground"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            set_camera_height(replace(scene, **change), 1.5)
 
 
 def test_three_points_level():

@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from editor.files.open_document import HeldJob, answer, delete_every_third, keep_now, names_in, settle
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import Layer, Scene
@@ -120,27 +118,6 @@ def test_an_export_says_before_what_it_leaves_out(editor, tmp_path):
     assert lost_when_flattened(Scene("one", (Layer("one", scene.layers[0].gaussians),))) == []
 
 
-def test_a_capture_is_offered_as_one(editor, tmp_path):
-    photos, broken = tmp_path / "photos", tmp_path / "broken"
-    for folder in (photos, broken):
-        folder.mkdir()
-        Image.new("RGB", (32, 24)).save(folder / "one.jpg")
-    (broken / "scene.json").write_text("{")
-    editor.files.open(str(photos))
-    settle(editor)
-    assert "photos is a capture (image folder)" in editor.status.question.text and editor.status.problem is None
-    answer(editor, "Open the capture")
-    while editor.captures.busy is not None:
-        editor.tick(0.0)
-    assert editor.captures.path == photos and editor.document.scene.name == "crossing"
-    editor.files.import_from(str(photos))
-    settle(editor)
-    assert "File > Open a capture" in editor.status.problem
-    editor.files.open(str(broken))
-    settle(editor)
-    assert "scene.json" in editor.status.problem and editor.status.question is None
-
-
 def test_a_save_that_fails_does_not_leave(editor, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
@@ -183,22 +160,6 @@ def test_revert_asks_and_reads_again(editor):
     assert editor.document.scene.members[0].marks.deleted is None and not editor.files.has_changes
 
 
-def test_a_newer_scene_is_refused_and_nothing_is_lost(editor, home, tmp_path):
-    values = json.loads((home / "scene.json").read_text())
-    (home / "scene.json").write_text(json.dumps(values | {"version": 99}))
-    with pytest.raises(SceneFormatError, match="newer program"):
-        read_scene(home)
-    editor.files.open(str(home))
-    settle(editor)
-    assert "newer program" in editor.status.problem
-    assert editor.document.scene.name == "crossing"
-    delete_every_third(editor)
-    editor.files.save()
-    answer(editor, "Overwrite")
-    assert "newer program" in editor.status.problem  # not even then
-    assert editor.files.has_changes
-
-
 def at_work(editor, *jobs):
     for job in jobs:
         job.start(editor)
@@ -228,21 +189,6 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(editor, changes):
         job.end()
         editor.tick(0.0)
     assert editor.should_quit and editor.status.question is None
-
-
-def test_cancelling_leaves_window_and_job_as_they_are(editor):
-    (job,) = at_work(editor, HeldJob())
-    editor.request_quit()
-    answer(editor, "Cancel")
-    assert (job.state, editor.should_quit, editor.status.question) == ("running", False, None)
-    editor.request_quit()
-    answer(editor, "Wait")
-    answer(editor, "Cancel")
-    job.end()
-    settle(editor)
-    assert (editor.should_quit, editor.status.question) == (False, None)
-    editor.request_quit()
-    assert editor.should_quit
 
 
 @pytest.mark.parametrize("go", ["open", "close", "revert"])

@@ -1,5 +1,3 @@
-import colorsys
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from gsrain_engine.editor.selection.attributes import (
     read_attribute,
     select_attribute_range,
 )
-from gsrain_engine.editor.selection.candidates import all_selected, base_colors
+from gsrain_engine.editor.selection.candidates import all_selected
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 from .selection_scenes import cloud, pixels_of, shot_at, world_means
@@ -39,17 +37,6 @@ def test_places_and_sizes(values):
     assert np.array_equal(read["opacity"], scene.layers[1].gaussians.opacities)
     assert set(read["layer"]) == {2.0}
     assert layer_names(scene) == {1: "plain", 2: "turned"}
-
-
-def test_colors_as_the_standard_library_has_them(values):
-    scene, _, read = values
-    colors = base_colors(scene.parts()[1]).astype(float)
-    expected = np.array([colorsys.rgb_to_hsv(*color) for color in colors])
-    turn = np.abs(read["hue"] - 360 * expected[:, 0])
-    assert np.minimum(turn, 360 - turn).max() < 0.05
-    assert read["saturation"] == pytest.approx(expected[:, 1], abs=1e-4)
-    assert read["value"] == pytest.approx(expected[:, 2], abs=1e-5)
-    assert np.stack([read["red"], read["green"], read["blue"]], 1) == pytest.approx(colors, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ATTRIBUTES)

@@ -1,7 +1,6 @@
 """Selection in 3D: spheres, boxes, growing, shrinking and flood fill."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
@@ -9,16 +8,13 @@ from scipy.sparse.csgraph import connected_components
 
 from gsrain_engine.editor.edits.gaussians import CropBox
 from gsrain_engine.editor.selection.candidates import (
-    base_color,
-    base_colors,
     combine_selection,
     selected,
     selected_count,
 )
 from gsrain_engine.editor.selection.volume import Sphere, _connected, flood_select, in_volume, near_selection
 from gsrain_engine.scene.flags import BitMask
-from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.scene import ColorGrading, Layer, Scene
+from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import patch
 
 from .selection_scenes import cloud, world_means
@@ -46,11 +42,6 @@ def test_box_takes_what_is_between_its_faces(center, size, yaw):
         beyond = np.abs([c * x + s * y, c * y - s * x, z]) - np.array(size)[:, None] / 2
         clear = np.abs(beyond).min(axis=0) > 1e-4
         assert np.array_equal(mask.flags[clear], (beyond <= 0).all(axis=0)[clear])
-
-
-def test_a_ball_reaches_to_where_the_mouse_points():
-    ball = Sphere((0.0, 10, 0), 1.0).reaching(np.zeros(3), np.array([3.0, 4, 0]) / 5)
-    assert np.isclose(ball.radius_m, 6.0)
 
 
 N = 120
@@ -95,15 +86,6 @@ def test_what_has_grown_and_shrunk_holds_what_it_was(seed, distance_m):
     _, now = everything(back)
     assert now[was].all()
     assert selected_count(larger) >= selected_count(back) >= selected_count(before)
-
-
-def test_base_colors_are_graded_and_within_bounds():
-    scene = cloud()
-    part = scene.parts()[0]
-    assert base_colors(part) == pytest.approx(np.clip(SH_C0 * part.gaussians.sh[:, 0] + 0.5, 0, 1), abs=1e-6)
-    grey = scene.with_member("layers/plain", grading=ColorGrading(saturation=0.0)).parts()[0]
-    assert np.ptp(base_colors(grey), axis=1).max() < 1e-5
-    assert np.array_equal(base_color(grey, 7), base_colors(grey)[7])
 
 
 @settings(max_examples=30)
