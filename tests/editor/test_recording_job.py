@@ -78,9 +78,9 @@ def test_so_is_that_of_a_project_that_was_opened_again(editor, tmp_path):
     again = Editor()
     try:
         open_now(again, project)
-        assert again.rain.intensity_mm_h == 8.5
-        again.recorder.change(codec="png", size_px=(96, 64), last_s=0.1)
-        again.recorder.record_to(tmp_path / "window")
+        assert again.document.rain.intensity_mm_h == 8.5
+        again.render_queue.change(codec="png", size_px=(96, 64), last_s=0.1)
+        again.render_queue.record_to(tmp_path / "window")
         again.jobs.newest("export").wait(60)
     finally:
         again.close()

@@ -21,7 +21,7 @@ from editor.files.open_document import delete_every_third
 
 def go_on(self, context):
     before(self, context)
-    editor = self._session
+    editor = self._editor
     if self.workspace is not None and editor.files.home is not None and not editor.files.has_changes:
         delete_every_third(editor)
         if sys.argv[2] == "close":

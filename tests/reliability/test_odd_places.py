@@ -94,10 +94,10 @@ def test_a_scene_of_any_name_is_kept_recovered_and_saved(sessions, tmp_path, nam
     first.close()
     again = opened(sessions(), home)
     answer(again, "Recover")
-    assert deleted_in(again.scene) == 7
+    assert deleted_in(again.document.scene) == 7
     again.files.save_to(home)
     settle(again)
-    assert again.problem is None
+    assert again.status.problem is None
     assert deleted_in(read_scene(home)) == 7
     assert [os.fsencode(each) for each in (tmp_path / "scenes").iterdir()] == [os.fsencode(home)]
 

@@ -88,8 +88,8 @@ class DrawResult:
     """True if the next frames continue unfinished work although nothing moves."""
     sky: SkyColor | None = None
     """A new sample of the sky color."""
-    sky_is_exact: bool = True
-    """True if the sky needs no further sample."""
+    sky_is_exact: bool = False
+    """True if the sky was sampled and needs no further sample."""
     picked_color: Color | None = None
     has_screenshot: bool = False
     """True if the requested screenshot was saved, or can't be saved."""
