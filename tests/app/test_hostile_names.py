@@ -139,7 +139,7 @@ WAYS = (
     Way("missing", _missing("reconstruct", "{}", "-o", "{}.scene")),
     Way("view", _missing("{}")),
 )
-"""Names in scenes, captures, scenarios, settings, files; all commands print by one door (tests/test_architecture.py)."""
+"""Names in scenes, captures, scenarios, settings and files; all commands print by one door (test_architecture.py)."""
 
 
 def _two(place: Path) -> list[str]:
