@@ -70,7 +70,7 @@ def test_a_scene_format_is_read_and_written(rain_lab, scene, tmp_path, capsys):
     scan.write_text("nothing\n")
     assert run(["info", str(scan)]) == BAD_INPUT
     assert (
-        "pts (rain_lab.laser_scan:FORMAT of rain-lab): line 15 of laser_scan.py: invalid literal"
+        "pts (rain_lab.laser_scan:FORMAT of rain-lab): line 17 of laser_scan.py: invalid literal"
         in capsys.readouterr().err
     )
     assert run(["info", str(tmp_path / "scan.xyz")]) == BAD_INPUT
