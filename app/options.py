@@ -89,7 +89,8 @@ def options_of(
     for each in fields_of(kind):
         if command in each.commands:
             text = (defaults or {}).get(each.name, _spelled(each, each.default_text))
-            ending = default.format(text) if text or "{}" not in default else ""
+            has_ending = (text or "{}" not in default) and "on" not in each.extra
+            ending = default.format(text) if has_ending else ""
             annotated = Annotated[_option_type(kind, each) | None, setting(kind, each.name, ending)]
             is_required = each.default is msgspec.NODEFAULT and "{}" in default  # else a file has it
             made.setdefault(each.options, (each.name, annotated) if is_required else (each.name, annotated, None))

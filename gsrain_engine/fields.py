@@ -120,7 +120,9 @@ class Field:
 
     @property
     def described(self) -> str:
-        """Help text with bounds and unit."""
+        """Help text with bounds and unit, or with the value that an option without one sets."""
+        if "on" in self.extra:
+            return f"{self.help} Sets {self.extra['on']}."
         if self.range:
             return f"{self.help} Range {self.range}.".lstrip()
         return f"{self.help} In {self.unit}.".lstrip() if self.unit else self.help

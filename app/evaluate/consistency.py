@@ -29,7 +29,7 @@ from gsrain_engine.scene.open import file_hash
 from ..console import Console, bold, print, progress_bar, table_of
 from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
 from ..outputs import check_image, check_page, provenance_lines, run_provenance, table_stream, write_numbers, write_page
-from .images import open_lpips
+from .images import LpipsChoice, Report, open_lpips
 
 _COLUMNS = 150
 
@@ -41,10 +41,10 @@ def consistency(
     neighbors: Annotated[int, option("Number of neighbors that each view is compared with.")] = 2,
     water_film: Annotated[float, option("Minimum share of reflected light, 0..1, of water film.")] = FILM_SHARE,
     width: Annotated[int | None, option("Maximum width of a capture's images; default: 960.")] = None,
-    lpips: Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")] = None,
+    lpips: LpipsChoice = None,
     contact_sheet: Annotated[Path | None, option("Image of some pairs, warped, with their errors (.png).")] = None,
     contact_sheet_pairs: Annotated[int, option("Number of pairs on that image.")] = 4,
-    report: Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")] = None,
+    report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:

@@ -36,6 +36,8 @@ from .. import outputs
 from ..console import Console, Table, bold, print, progress_bar
 from ..options import AllowOutside, JsonFileOrScreen, check_within, flag, let_names_lead_outside, option
 
+LpipsChoice = Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")]
+FeatureDevice = Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")]
 Report = Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")]
 _COLUMNS = 120
 _MAX_ROWS = 40
@@ -51,7 +53,7 @@ def images(
     masks: Annotated[
         Path | None, option("Mask or folder of masks NAME.png, black where ignored; default: those of B.")
     ] = None,
-    lpips: Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")] = None,
+    lpips: LpipsChoice = None,
     seed: Annotated[int, option("Same seed, same intervals.")] = 0,
     report: Report = None,
     allow_outside: AllowOutside = False,
@@ -186,7 +188,7 @@ def fid(
     ] = "inception",
     weights: Annotated[Path | None, option("File of the extractor's weights; default: this machine's.")] = None,
     torchscript: Annotated[bool, flag("Allow a TorchScript file of Inception, which contains a program.")] = False,
-    device: Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")] = "cpu",
+    device: FeatureDevice = "cpu",
     resamples: Annotated[int | None, option("Bootstrap resamples; default: 200, fewer for over 500 images.")] = None,
     seed: Annotated[int, option("Same seed, same intervals.")] = 0,
     cache: Annotated[bool, option("Read and write cached features of images.")] = True,

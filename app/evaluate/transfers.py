@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 from PIL import Image
@@ -26,7 +26,7 @@ from .. import outputs
 from ..console import Console, bold, print, run_with_progress, table_of
 from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outside, option, split_words, with_trust
 from ..scene import names_scene
-from .images import extractor_of
+from .images import FeatureDevice, extractor_of
 
 _COLUMNS = 160
 
@@ -39,7 +39,7 @@ def transfers(
     *,
     output: Annotated[Path, option("Folder for images, table, figure; a second run resumes.", "--output", "-o")],
     only: Annotated[str, option("Run only these methods, by name, with commas.")] = "",
-    device: Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")] = "cpu",
+    device: FeatureDevice = "cpu",
     trust: Trust = False,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,

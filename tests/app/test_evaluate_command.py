@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.main import run
+from app.main import BAD_INPUT, run
 from gsrain_engine.datasets.rainsense import find_rain_sequences
 
 WIDTH, HEIGHT, FRAMES = 256, 192, 8
@@ -109,3 +109,18 @@ def test_options_change_our_rain(real, tmp_path):
     assert mean_std("--light", "display")[1] < plain - 0.03
     assert mean_std("--aperture", "8")[1] < plain - 0.03
     assert mean_std("--seed", "1")[1] != plain
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "words"),
+    [
+        ("image/image_002.jpg", "no picture", "image_002.jpg"),
+        ("timestamps.txt", "timestamps,index\n1.0,0\n", "timestamps.txt: 1 time stamps"),
+        ("context/camera_intrinsics.txt", "K_cam:\n1 2 3\n", "camera_intrinsics.txt: 3 numbers"),
+        ("context/rainfall_intensity.txt", "current intensity:-3", "-3.0 mm/h"),
+    ],
+)
+def test_a_damaged_sequence_is_named(real, capsys, file, damage, words):
+    (real / "a" / "case_000" / file).write_text(damage)
+    assert streaks(real / "a") == BAD_INPUT
+    assert words in capsys.readouterr().err.splitlines()[-1]

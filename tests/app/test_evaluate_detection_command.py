@@ -10,11 +10,13 @@ from PIL import Image
 
 from app.main import BAD_INPUT, run
 from boxy_scene import boxy_scene
+from colmap_files import write_binary, write_pictures
 from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.evaluation.detection.detector import Detector
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.rig import rig_camera
+from small_scene import small_scene
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("pycocotools")
@@ -179,6 +181,19 @@ def test_objects_of_many_classes_are_drawn_and_those_without_a_word_are_listed_a
     (tmp_path / "truth.json").write_text(json.dumps(truth))
     assert evaluate(tmp_path / "pictures", detector, *options) == BAD_INPUT
     assert "nothing there can be named: red has no word for sign (1)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [("empty", "has no actors"), ("far", "an object of 16 px or more"), ("photos", "its unit of length is unknown")],
+)
+def test_a_source_without_anything_to_find_is_refused(detector, tmp_path, capsys, source, words):
+    write_scene(small_scene(), tmp_path / "empty")
+    write_scene(boxy_scene(), tmp_path / "far")
+    write_binary(tmp_path / "photos" / "sparse" / "0")
+    write_pictures(tmp_path / "photos")
+    assert evaluate(tmp_path / source, detector, "--seeds", "1", "--rain", "0") == BAD_INPUT
+    assert words in capsys.readouterr().err
 
 
 def test_a_reconstruction_is_tried_beside_its_pictures(project, detector, tmp_path):

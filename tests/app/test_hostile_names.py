@@ -139,7 +139,7 @@ WAYS = (
     Way("missing", _missing("reconstruct", "{}", "-o", "{}.scene")),
     Way("view", _missing("{}")),
 )
-"""Names in scenes, captures, scenarios, settings, files; all commands print by one door (test_architecture.py)."""
+"""Names in scenes, captures, scenarios, settings and files; all commands print by one door (test_architecture.py)."""
 
 
 def _two(place: Path) -> list[str]:
@@ -164,6 +164,17 @@ def test_nor_in_a_terminal(place, capsys, monkeypatch):
     assert "\x1b[1m" in out  # a terminal it is: the line of means is bold
     assert SHOWN.replace("/", "") in clean(_STYLES.sub("", out))
     clean(_STYLES.sub("", err).replace("\r", ""))
+
+
+def test_titles_and_warnings_of_progress(capsys, monkeypatch):
+    def work():
+        yield Progress(0.5, f"1 of 2: {NAME}", warning=f"beware of {NAME}")
+
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "200")
+    run_with_progress(work())
+    assert f"beware of {SHOWN}" in clean(_STYLES.sub("", capsys.readouterr().err).replace("\r", ""))
 
 
 def test_cells_titles_and_bold_ones(capsys):
