@@ -39,17 +39,6 @@ def test_moments_are_those_of_the_truncated_gamma(sizes, power):
     assert sizes.expectation(lambda d: d**power) == pytest.approx(expected, rel=1e-7)
 
 
-@given(laws)
-@settings(max_examples=25, deadline=None)
-def test_classes_have_the_moments_of_the_law(sizes):
-    diameters = sizes.class_diameters_mm
-    assert len(diameters) == CLASSES
-    assert diameters[[0, -1]] == pytest.approx(sizes.quantile(np.array([0.5, CLASSES - 0.5]) / CLASSES))
-    assert np.all(np.diff(diameters) >= 0)
-    assert diameters.mean() == pytest.approx(sizes.expectation(lambda d: d), rel=1e-4)
-    assert np.mean(diameters**3) == pytest.approx(sizes.expectation(lambda d: d**3), rel=5e-3)
-
-
 def test_a_law_of_nothing_but_mist_lies_at_its_lower_end():
     """Of it e^-1000 is within 0.1..8 mm: a number that only exists as a logarithm."""
     assert DropSizes(2.0, 1e-4).expectation(lambda d: d) == pytest.approx(0.1, abs=1e-3)

@@ -9,7 +9,7 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.streaks import ShutterModel, circle_of_confusion_m, streak_gaussians
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import matrices_from_quaternions
-from oracles.streaks import axis_ratio, make_streaks
+from oracles.streaks import make_streaks
 
 F = 1000.0
 PUBLISHED = load_calibration("published")
@@ -42,14 +42,6 @@ def test_alpha_integrates_to_the_cross_section_near_and_far(share_of_dm, diamete
     assert integral == pytest.approx(np.pi / 4 * (diameter_mm * 1e-3 * F / distance) ** 2, rel=0.06)
 
 
-def test_halving_the_exposure_doubles_the_opacity_and_halves_the_streak():
-    long, short = streak(1.0, 1.0, exposure_s=0.004, max_copies=1), streak(1.0, 1.0, exposure_s=0.002, max_copies=1)
-    alpha = [1 - (1 - float(s.opacities[0])) ** np.sqrt(2 * np.pi) for s in (long, short)]
-    assert alpha[0] == pytest.approx(1e-3 / (4.0 * 0.004), rel=1e-5)
-    assert alpha[1] == pytest.approx(2 * alpha[0], rel=1e-5)
-    assert long.scales[0, 2] == pytest.approx(2 * short.scales[0, 2])
-
-
 def test_copies_lie_along_the_path_of_the_drop():
     made = streak(1.0, 1.0, exposure_s=0.02, max_copies=4)
     length = 4.0 * 0.02
@@ -69,13 +61,6 @@ def test_a_moving_camera_slants_lengthens_and_fades_the_streak():
     assert np.array_equal(world.means, still.means)
 
 
-def test_speed_along_the_line_of_sight_does_not_fade():
-    """A drop that comes straight at the camera stays on its pixel: alpha counts only the speed across."""
-    approaching = streak(1.0, 1.0, velocity=(10.0, 0, 0))
-    still = streak(1.0, 1.0)
-    assert approaching.opacities[0] == pytest.approx(still.opacities[0], rel=1e-5)
-
-
 def test_the_paper_s_form_takes_the_fall_speed_whatever_the_line_of_sight():
     """Eq. 5: D / (V T), for a drop that is seen at 30 degrees above the horizon too."""
     for frame, speed in (("world", 4.0), ("camera", 4.0 * np.cos(np.pi / 6))):
@@ -93,11 +78,6 @@ def test_opacity_falls_beyond_the_visible_distance():
     assert alpha[2] == pytest.approx(alpha[1] / 1.6, rel=1e-5)
 
 
-def test_small_drops_are_spheres_and_large_ones_flat():
-    assert axis_ratio(np.array([0.3, 0.9, 1.0])) == pytest.approx([1, 1, 1])
-    assert axis_ratio(np.array([2.0, 4.0])) == pytest.approx([0.93, 0.79])
-
-
 @pytest.mark.parametrize(
     "fields", [{}, {"streak_frame": "world"}, {"far_drops": "published"}, {"aperture_mm": 6.0}, {"streak_gain": 30.0}]
 )
@@ -107,7 +87,7 @@ def test_the_compiled_form_makes_the_same_streaks_and_leaves_out_what_is_not_see
     diameters = random.uniform(0.1, 4, 3000)
     velocities = np.stack([random.normal(size=3000), random.normal(size=3000), -PUBLISHED.velocity(diameters)], axis=1)
     given = (positions, diameters, velocities, shutter(velocity=(8.0, 1.0, 0.0)), RainSettings(**fields))
-    plain, compiled = make_streaks(*given), streak_gaussians(*given)
+    plain, compiled = make_streaks(*given), streak_gaussians(*given, np.ones(3))
     away, rows = cKDTree(plain.means).query(compiled.means)
     assert away.max() < 1e-5
     assert np.all(np.diff(rows) > 0) and 0 < len(rows) < 0.5 * len(plain.means)
@@ -135,7 +115,7 @@ def test_a_tilted_camera_away_from_the_origin_leaves_out_what_is_outside_its_own
         ShutterModel(camera, np.array([8.0, 1.0, 0.5]), 0.008, F),
         RainSettings(),
     )
-    plain, compiled = make_streaks(*given), streak_gaussians(*given)
+    plain, compiled = make_streaks(*given), streak_gaussians(*given, np.ones(3))
     m, reach = camera.world_to_camera, 4.8 * plain.scales[:, 2]
     u, v, depth = (plain.means.astype(np.float64) @ m[:3, :3].T + m[:3, 3]).T
     wide = np.maximum(depth + reach, 0)

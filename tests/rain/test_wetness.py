@@ -71,14 +71,6 @@ def test_rain_that_stops_slowly_is_remembered_from_its_turning_point():
     assert course.at(-5.0) == course.at(0.0) == pytest.approx(wetness(12))
 
 
-def test_a_course_remembers_one_moment():
-    """Drawing asks for it many times in a frame; a drive of hours must not grow by it."""
-    course = WetnessCurve(curve((0, 0), (10, 12)), 30.0)
-    for time_s in np.linspace(0, 20, 50).tolist():
-        course.at(time_s)
-    assert len(course._latest) == 1
-
-
 def test_after_a_shower_it_dries_by_its_time_constant():
     course = WetnessCurve(curve((0, 0), (10, 12), (10.001, 0)), 30.0)
     assert course.at(10.0) == pytest.approx(wetness(12))

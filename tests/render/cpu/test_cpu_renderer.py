@@ -125,12 +125,6 @@ def test_counts_and_times_what_it_drew():
     assert all(value > 0 for value in renderer.statistics.stages_ms.values())
 
 
-def test_nothing_at_all_is_an_empty_picture():
-    frame = drawn([], None)
-    assert not frame.rgba.any()
-    assert not frame.depth.any()
-
-
 def test_the_curve_of_light_is_the_standards():
     # From darkness through both branches' joints to far brighter than white; one row of a tile after the other.
     values = np.concatenate([np.linspace(0, 0.1, 2000), np.geomspace(0.1, 1e6, 2000)]).astype(np.float32)
