@@ -51,7 +51,7 @@ def draw_view(
     rain, wetness = None, 0.0
     if rainfall is not None:
         wetness = rainfall.wetness_at(shot.time_s)
-        if look == "splats":
+        if look == "splats" and rainfall.state_at(shot.time_s).intensity_mm_h > 0:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky)
     parts = subset_items(scene.parts(shot.time_s, selection=selection, wetness=wetness), thinning)
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)

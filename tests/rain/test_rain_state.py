@@ -81,13 +81,6 @@ def test_no_rain_is_no_rain_at_all():
     assert clear.visibility_m == float("inf")
 
 
-def test_gains_scale_what_they_name():
-    plain, hazier = state(intensity_mm_h=8.5), state(intensity_mm_h=8.5, haze_gain=3.0)
-    assert hazier.extinction_per_m == pytest.approx(3 * plain.extinction_per_m)
-    assert "haze x3 exaggerated" in RainSettings(haze_gain=3.0).exaggeration
-    assert RainSettings().exaggeration == ""
-
-
 def test_visibility_leaves_a_twentieth_of_a_beam():
     rainy = state(intensity_mm_h=8.5)
     assert np.exp(-rainy.extinction_per_m * rainy.visibility_m) == pytest.approx(0.05)

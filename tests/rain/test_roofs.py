@@ -4,8 +4,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.drop_field import place_drops
-from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.shelter_map import CELL_M, ShelterMap, build_shelter_map, shelter_map_of
 from gsrain_engine.rain.simulation import RainSimulation
