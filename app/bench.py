@@ -24,7 +24,7 @@ from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import recolor_scene
 from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_frame_of
+from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.opengl.context import NoOpenGLError
 from gsrain_engine.render.renderer import Color, Renderer, RenderStatistics, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
@@ -123,7 +123,7 @@ class _Run:
         sequence, shot = self.sequence, self.sequence.shot(number)
         parts = sequence.scene.parts(shot.time_s, wetness=sequence.rainfall.wetness_at(shot.time_s))
         start = time.perf_counter()
-        falling = rain_frame_of(sequence.scene, sequence.rainfall, self.sky, shot)
+        falling = sequence.rainfall.frame(shot.time_s, rain_camera(sequence.scene, sequence.rainfall, shot), self.sky)
         rained = time.perf_counter()
         self.renderer.draw(parts, shot.camera, falling)
         drawn = time.perf_counter()
@@ -132,7 +132,7 @@ class _Run:
         self.last = self.renderer.statistics
         if counts:
             self.frames_ms.append(1000 * (end - start))
-            rain = {"rain": 1000 * (rained - start)} if falling is not None else {}
+            rain = {"rain": 1000 * (rained - start)} if falling.rain.intensity_mm_h > 0 else {}
             for stage, took_ms in (rain | self.last.stages_ms | {"read": 1000 * (end - drawn)}).items():
                 self.stages_ms.setdefault(stage, []).append(took_ms)
 

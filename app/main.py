@@ -122,7 +122,17 @@ def run(arguments: list[str]) -> int:
         logging.getLogger(name).setLevel(logging.INFO)
     errors = Console(stderr=True, soft_wrap=True)
     try:
-        return _run(arguments)
+        if (suggestion := _misspelled(arguments)) is not None:
+            raise ValueError(suggestion)
+        if not _HARMLESS.intersection(arguments) and not _has_working_directory():
+            raise ValueError("the working directory was removed; cd to one that is there")
+        if arguments[:1] == ["evaluate"]:
+            add_installed_evaluations(evaluations, OUR_EVALUATIONS, arguments[1:])
+        # Run in a separate context, so that permissions of one command end with it.
+        code = copy_context().run(
+            app, list(renamed_options(arguments)), exit_on_error=False, print_error=False, result_action="return_value"
+        )
+        return code if isinstance(code, int) else 0
     except (CycloptsError, ValueError, OSError, MemoryError, ImportError) as error:
         if isinstance(error, BrokenPipeError) and _nobody_reads():
             return NOBODY_READS
@@ -138,20 +148,6 @@ def run(arguments: list[str]) -> int:
         return INTERRUPTED
     finally:
         release_outputs()
-
-
-def _run(arguments: list[str]) -> int:
-    if (suggestion := _misspelled(arguments)) is not None:
-        raise ValueError(suggestion)
-    if not _HARMLESS.intersection(arguments) and not _has_working_directory():
-        raise ValueError("the working directory was removed; cd to one that is there")
-    if arguments[:1] == ["evaluate"]:
-        add_installed_evaluations(evaluations, OUR_EVALUATIONS, arguments[1:])
-    # Run in a separate context, so that permissions of one command end with it.
-    code = copy_context().run(
-        app, list(renamed_options(arguments)), exit_on_error=False, print_error=False, result_action="return_value"
-    )
-    return code if isinstance(code, int) else 0
 
 
 def _has_working_directory() -> bool:

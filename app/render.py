@@ -1,7 +1,7 @@
 """`gsrain render SCENE -o OUT`: images and videos without a window."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +13,7 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
 from gsrain_engine.rain.keyframes import RainKeyframes
+from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
@@ -26,6 +27,7 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.open import load_sorted_scene
+from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
 from .console import print, progress_bar, run_with_progress
@@ -110,8 +112,10 @@ def render(
     outputs = export_outputs(export, list(sequences))
     _check_outputs(outputs, export, list(sequences), labels, json)
     lock_outputs(*outputs)
+    first_s = next(iter(sequences.values())).time_s(numbers[0])
     with open_renderer(backend) as renderer:
-        report = _record(renderer, export, sequences, numbers, mode)
+        frames = export_frames(renderer, export, sequences, numbers, look=mode)
+        report = _record(frames, renderer, simulation.state_at(first_s), len(numbers))
         labeled: list[Path] = []
         if labels is not None and (done := numbers[: report["frames"]]):
             from gsrain_engine.render.label_export import write_object_labels  # loads OpenCV, which images don't need
@@ -119,10 +123,9 @@ def render(
             labeled = run_with_progress(write_object_labels(renderer, labels, export, sequences, done))
     if timing is not None and timing.line is not None:
         print(f"{camera_path or opened.name}: {timing.line}")
-    first_s = next(iter(sequences.values())).time_s(numbers[0])
     sizes = ", ".join(dict.fromkeys(f"{each.width}x{each.height}" for each in sequences.values()))
-    frames = f"{report['frames']} of {len(numbers)} frames"
-    print(f"{_listed(outputs)}: {frames}, {sizes}, {_describe(simulation, first_s)}")
+    count = f"{report['frames']} of {len(numbers)} frames"
+    print(f"{_listed(outputs)}: {count}, {sizes}, {_describe(simulation, first_s)}")
     if labeled:
         print(f"{_listed(labeled)}: labels, the same with rain and without")
     speeds = {"speed_m_s": timing.speed_m_s, "speed_is_assumed": timing.is_assumed} if timing is not None else {}
@@ -158,22 +161,14 @@ def _export_settings(options: StructOptions, *, with_depth: bool) -> ExportSetti
     return settings
 
 
-def _record(
-    renderer: Renderer,
-    export: ExportSettings,
-    sequences: Mapping[str, FrameSequence],
-    numbers: Sequence[int],
-    mode: RenderMode,
-) -> dict[str, Any]:
-    """Record frames; Ctrl-C stops early and keeps the frames so far."""
+def _record(frames: Iterator[Progress], renderer: Renderer, state: RainProperties, count: int) -> dict[str, Any]:
+    """Record frames and return the numbers of the report; Ctrl-C stops early and keeps the frames so far."""
     started, done = time.perf_counter(), 0
-    first = next(iter(sequences.values()))
-    state = first.rainfall.state_at(first.time_s(numbers[0]))
-    with progress_bar("Rendering", len(numbers), draws=True) as advance:
+    with progress_bar("Rendering", count, draws=True) as advance:
         try:
-            for progress in export_frames(renderer, export, sequences, numbers, look=mode):
-                advance(round(progress.fraction * len(numbers)) - done)
-                done = round(progress.fraction * len(numbers))
+            for progress in frames:
+                advance(round(progress.fraction * count) - done)
+                done = round(progress.fraction * count)
         except KeyboardInterrupt:
             print(f"stopped after {done} frames")
     return {

@@ -14,7 +14,7 @@ from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_frame_of
+from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Scene
@@ -66,7 +66,8 @@ class StreetStills:
 
     def _still(self, rain: RainSettings) -> np.ndarray:
         shot = self._shot
-        falling = rain_frame_of(self._street, RainSimulation.start(rain), self._sky, shot)
+        rainfall = RainSimulation.start(rain)
+        falling = rainfall.frame(shot.time_s, rain_camera(self._street, rainfall, shot), self._sky)
         self._renderer.draw(self._street.parts(2.0), shot.camera, falling)
         return self._renderer.read().to_uint8()
 
@@ -81,7 +82,9 @@ def measure(street: Scene, rain: RainSettings, seed: int) -> dict[str, float]:
         sequence = FrameSequence(scene, falling, path, *SIZE, start_s=2.0)
         shot, sky = sequence.shot(0), sequence.sky(renderer)
         renderer.draw(
-            scene.parts(2.0) if scene.layers else [], shot.camera, rain_frame_of(street, falling, sky.color, shot)
+            scene.parts(2.0) if scene.layers else [],
+            shot.camera,
+            falling.frame(shot.time_s, rain_camera(street, falling, shot), sky.color),
         )
         return renderer.read().rgba
 

@@ -18,10 +18,10 @@ import platformdirs
 _HERE = Path(__file__).parent
 _SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rain"
 """Folders with kernels that call those of other files."""
-_FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
+FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
-_ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
+ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
 
 
 def use_kernel_cache() -> None:
@@ -86,13 +86,13 @@ def _mark() -> Path | None:
     if folder is None:
         return None
     versions = f"{metadata.version('gsrain')} {metadata.version('numba')} {sys.implementation.cache_tag}"
-    return Path(folder) / f"{_key(f'{versions} {binding.get_host_cpu_name()}', _FRAME_SOURCES)}.complete"
+    return Path(folder) / f"{_key(f'{versions} {binding.get_host_cpu_name()}', FRAME_SOURCES)}.complete"
 
 
 def _has_room(folder: Path) -> bool:
     """Return whether the folder holds kernels or has room for them: compilation fails on a full disk."""
     try:
-        has_room = _holds_any(folder) or shutil.disk_usage(folder).free > _ROOM_BYTES
+        has_room = _holds_any(folder) or shutil.disk_usage(folder).free > ROOM_BYTES
         return has_room and os.access(folder, os.W_OK)
     except OSError:
         return False

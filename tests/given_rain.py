@@ -1,13 +1,21 @@
-"""Rain of chosen Gaussians, for tests of renderers."""
+"""Rain frames of chosen Gaussians or drops, for tests of renderers and of the drop field."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from gsrain_engine.rain.simulation import RainFrame
+from gsrain_engine.rain.drop_field import DropCulling, DropPhases, Drops, place_drops
+from gsrain_engine.rain.frame import RainCamera, RainFrame
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.rain.streaks import streak_gaussians
+from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import linear_to_srgb
+
+HERE = RainCamera(Camera.from_fov(64, 48, 60.0, np.eye(4)), np.eye(4), np.zeros(3))
+"""A camera at the origin, which looks up along z."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,16 +25,37 @@ class GivenRain(RainFrame):
     given: Gaussians = Gaussians.empty()  # noqa: RUF009
 
     @property
-    def gaussians(self) -> Gaussians:
+    def haze(self) -> Gaussians:
         return self.given
-
-    haze_gaussians = gaussians
-
-    @property
-    def drops_drawn(self) -> int:
-        return len(self.given)
 
 
 def given_rain(gaussians: Gaussians, light=(0.5, 0.5, 0.5), mixing: Literal["linear", "display"] = "linear"):
-    light = np.array(light, np.float32)
-    return GivenRain(None, None, 0.0, linear_to_srgb(light.astype(np.float64)), light, mixing, gaussians)
+    rain = RainSettings(
+        intensity_mm_h=1.0, streaks=False, rain_light=mixing,
+        drop_color=tuple(linear_to_srgb(np.array(light, np.float32).astype(np.float64)).tolist()),
+    )  # fmt: skip
+    frame = RainSimulation.start(rain).frame(0.0, HERE)
+    return GivenRain(**{name: getattr(frame, name) for name in frame.__dataclass_fields__}, given=gaussians)
+
+
+def gaussians_of(rain: RainFrame) -> Gaussians:
+    """Streaks and haze of a frame, as the renderers without a GPU draw them."""
+    drops = rain.visible_drops()
+    streaks = streak_gaussians(
+        drops.positions_m, drops.diameters_mm, drops.velocities_m_s, rain.shutter, rain.rain, rain.color
+    )
+    return Gaussians.concatenate([streaks, rain.haze])
+
+
+def all_drops(rain: RainFrame) -> Drops:
+    """Every drop of the cell, by the readable reference."""
+    return place_drops(np.arange(rain.count), rain.rain.seed, rain.where)
+
+
+def found_drops(
+    count: int, seed: int, where: DropPhases, period_m: np.ndarray, culling: DropCulling, *, in_view: bool = True
+):
+    """Numbers of the drops of a chosen cell that the kernel finds."""
+    frame = RainSimulation.start(RainSettings(intensity_mm_h=1.0, seed=seed)).frame(0.0, HERE)
+    chosen = replace(frame, count=count, where=where, period_m=period_m, culling=culling)
+    return chosen.visible_drops(in_view=in_view).numbers

@@ -12,7 +12,7 @@ from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_frame_of
+from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.open import load_street
 
@@ -36,7 +36,7 @@ class Stills:
 
     def falling(self, preset, **fields):
         rain = RainSimulation.start(msgspec.structs.replace(load_preset(preset), **fields))
-        return rain_frame_of(self.street, rain, self.sky, self.shot)
+        return rain.frame(self.shot.time_s, rain_camera(self.street, rain, self.shot), self.sky)
 
     def picture(self, preset, **fields):
         self.renderer.draw(self.street.parts(2.0), self.shot.camera, self.falling(preset, **fields))
@@ -79,8 +79,3 @@ def test_advice_on_faint_rain_does_what_it_says(stills):
     for (advice, percent), (name, value) in zip(told, measured.items(), strict=True):
         assert value == pytest.approx(float(percent), rel=0.1, abs=0.01), (advice, name)
     assert measured["exposure 0.001"] > measured["as it is"] > measured["exposure 0.02"]
-
-
-def test_the_sky_tints_the_drops(stills):
-    red, green, blue = stills.sky
-    assert red < green < blue

@@ -10,10 +10,10 @@ from jaxtyping import Float64, Int64
 from scipy.interpolate import CubicHermiteSpline
 
 from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, DropPhases
+from ..rain.frame import RainCamera
 from ..rain.pcg_hash import pcg4d_scalar
 from ..rain.properties import CLASSES
-from ..rain.simulation import RainCamera, RainSimulation
-from ..rain.streaks import DropBatch
+from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from .measurement import DisdrometerMeasurement
 
@@ -39,7 +39,7 @@ class VirtualDisdrometer:
     area_m2: float = 0.5
 
     def __post_init__(self) -> None:
-        largest = float(np.min(self._field(0.0).period_m[:2])) ** 2
+        largest = float(np.min(self.rainfall.frame(0.0, _HERE).period_m[:2])) ** 2
         if not SMALLEST_AREA_M2 <= self.area_m2 <= largest * (1 + 1e-9):
             raise ValueError(
                 f"area {self.area_m2:g} m²: must be within {SMALLEST_AREA_M2:g}..{largest:.4g} m², "
@@ -63,7 +63,8 @@ class VirtualDisdrometer:
 
     def count(self, start_s: float, end_s: float) -> Int64[np.ndarray, " classes"]:
         """Number of drops of each class in [start, end)."""
-        field, middle, later = (self._field(time_s) for time_s in (start_s, 0.5 * (start_s + end_s), end_s))
+        times_s = start_s, 0.5 * (start_s + end_s), end_s
+        field, middle, later = (self.rainfall.frame(time_s, _HERE) for time_s in times_s)
         before, after = _places(field.where), _places(later.where)
         size = np.round(np.minimum(np.sqrt(self.area_m2) / field.period_m[:2], 1) * _WHOLE).astype(np.int64)
         path = _path(self.rainfall, start_s, end_s) * _WHOLE / field.period_m[:2]
@@ -83,9 +84,6 @@ class VirtualDisdrometer:
             fall_speed_m_s=self.rainfall.motion.fall_speed_m_s,
             counts=np.stack(counts),
         )
-
-    def _field(self, time_s: float) -> DropBatch:
-        return self.rainfall.streak_field(time_s, _HERE)
 
 
 def _places(where: DropPhases) -> Int64[np.ndarray, "classes 3"]:

@@ -18,7 +18,7 @@ from ..datasets.rainsense import RainSequence
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.cpu.renderer import CpuRenderer
-from ..render.draw import RenderView, rain_frame_of
+from ..render.draw import RenderView, rain_camera
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
@@ -343,7 +343,8 @@ def render_rain_frames(
     renderer = CpuRenderer()
     for time_s in times_s:
         shot = RenderView(camera, time_s=float(time_s))
-        renderer.draw([], camera, rain_frame_of(_NO_SCENE, rainfall, (1.0, 1.0, 1.0), shot))
+        view = rain_camera(_NO_SCENE, rainfall, shot)
+        renderer.draw([], camera, rainfall.frame(shot.time_s, view, (1.0, 1.0, 1.0)))
         share = renderer.read().rgba[..., 3]
         mixed = 255 * encode((1 - share) * behind + share * light)
         noisy = mixed + noise_levels * random.standard_normal(background.shape, np.float32)

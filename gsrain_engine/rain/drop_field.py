@@ -24,7 +24,7 @@ FIRST_OF_CLASS = pow(CLASS_STRIDE, -1, CLASSES)
 """Inverse of `CLASS_STRIDE`: class c has the drops (c * this mod CLASSES) + k CLASSES."""
 
 _CLASSES_BY_CHUNK = 64
-_LANES = 16
+LANES = 16
 
 
 class DropPhases(NamedTuple):
@@ -89,31 +89,14 @@ def _split(displacement, center, period, wraps, fractions):
         fractions[c] = np.uint32(np.uint64((periods - whole) * 2.0**32))
 
 
-def find_drops(
-    count: int,
-    seed: int,
-    where: DropPhases,
-    period_m: Float64[np.ndarray, "3"],
-    culling: DropCulling,
-    *,
-    in_view: bool = True,
-) -> Drops:
-    """Find the drops with numbers below `count` that may be visible to the camera, in rising order.
-
-    Without `in_view` all those in the streak region.
-    """
-    turns = -(-count // (CLASSES * _LANES)) * _LANES  # whole SIMD vectors: a remainder would run one by one
-    found = np.empty((CLASSES, turns), np.bool_)
-    geometry = np.concatenate([np.ravel(each) for each in (period_m, *culling[:5])])
-    margins, far = culling.class_margin_m, culling.class_far_m
-    _mark(np.uint32(seed), np.uint32(count), where.wraps, where.fractions, geometry, margins, far, not in_view, found)
-    class_index, turn = np.divmod(np.flatnonzero(found), turns)
-    return place_drops(np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES), seed, where)
-
-
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def _mark(seed, count, wraps, fractions, geometry, margins, far, everywhere, found):
+def mark_drops(seed, count, wraps, fractions, geometry, margins, far, everywhere, found):
+    """Mark the drops with numbers below `count` that may be visible to the camera, by class and turn.
+
+    `geometry` is the cell's period and the first five fields of `DropCulling`. Where `everywhere` is true all drops in
+    the streak region are marked.
+    """
     for chunk in numba.prange(CLASSES // _CLASSES_BY_CHUNK):
         for c in range(chunk * _CLASSES_BY_CHUNK, (chunk + 1) * _CLASSES_BY_CHUNK):
             first, row = np.uint32((c * FIRST_OF_CLASS) % CLASSES), found[c]

@@ -2,93 +2,23 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
 from ..scene.camera import Camera
-from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from .calibration import Calibration, load_calibration
 from .drop_field import DropCulling, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, Wind
-from .haze import Haze, make_haze
+from .frame import RainCamera, RainFrame
 from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
-from .shelter_map import ShelterMap
-from .streaks import STREAK_REACH, DropBatch, ShutterModel, camera_slopes, circle_of_confusion_m, visible_distance_m
+from .streaks import STREAK_REACH, ShutterModel, camera_slopes, circle_of_confusion_m, visible_distance_m
 from .wetness import WetnessCurve, wetness
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)  # display color of drops in scenes without sky
-
-
-@dataclass(frozen=True, eq=False)
-class RainCamera:
-    """Camera and surroundings for which rain is computed. World frame, meters."""
-
-    camera: Camera
-    anchor_to_world: Float64[np.ndarray, "4 4"]
-    """Frame of the rain regions: x forward, y left, z up, without tilt."""
-    velocity_m_s: Float64[np.ndarray, "3"]
-    focal_px: float | None = None
-    """Focal length of the output image; None uses the camera's own."""
-    roofs: ShelterMap | None = None
-    """Map of sheltered areas; None if rain reaches everything."""
-    exposure_share: float = 1.0
-    """Fraction of the shutter time, for one of several sub-frames that share it."""
-
-
-@dataclass(frozen=True, eq=False)
-class RainFrame:
-    """Drops and haze at one time for one camera, to be sorted and composited with the scene's Gaussians.
-
-    World frame, meters, z up. Renderers apply the dilation compensation and draw down to an alpha of 1/65536. GPU
-    renderers build the streaks from `streak_field`; others use `gaussians`.
-    """
-
-    streak_field: DropBatch | None
-    haze: Haze | None
-    haze_sigma_m: float
-    color: Float64[np.ndarray, "3"]
-    """Display color of a drop."""
-    light_linear: Float32[np.ndarray, "3"]
-    mixing: Literal["linear", "display"]
-    """Space in which drops are blended: linear light, or display color (the paper's form)."""
-
-    @cached_property
-    def gaussians(self) -> Gaussians:
-        """Streak and haze Gaussians that may be visible to the camera."""
-        return Gaussians.concatenate([self._streaks[1], self.haze_gaussians])
-
-    @cached_property
-    def haze_gaussians(self) -> Gaussians:
-        if self.haze is None:
-            return Gaussians.empty()
-        n = len(self.haze.means)
-        upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-        scales = np.full((n, 3), self.haze_sigma_m, np.float32)
-        return Gaussians(self.haze.means, scales, upright, self.haze.opacities, self._sh(n))
-
-    @property
-    def drops_drawn(self) -> int:
-        """Number of drops drawn as streaks; each has one to `RainSettings.max_copies` Gaussians."""
-        return self._streaks[0]
-
-    @property
-    def haze_drawn(self) -> int:
-        return len(self.haze.means) if self.haze is not None else 0
-
-    @cached_property
-    def _streaks(self) -> tuple[int, Gaussians]:
-        if self.streak_field is None:
-            return 0, Gaussians.empty()
-        count, streaks = self.streak_field.streaks()
-        return count, Gaussians(*streaks, self._sh(len(streaks.means)))
-
-    def _sh(self, count: int) -> Float32[np.ndarray, "n 1 3"]:
-        return np.broadcast_to(sh_from_color(self.color.astype(np.float32)[None]), (count, 1, 3)).copy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,31 +95,14 @@ class RainSimulation:
     def can_rain(self) -> bool:
         return self.weather.heaviest_mm_h(self.rain) > 0
 
-    def at(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame | None:
-        """Return the drops and haze at a time; None at 0 mm/h. `sky` is the display color of the scene's sky."""
-        now = self.frozen_at(time_s)
-        rain, haze = now.rain, None
-        if now.state.intensity_mm_h == 0:
-            return None
-        if rain.haze:
-            anchor, eye = view.anchor_to_world, view.camera.position
-            haze = make_haze(rain, now.state.haze_gaussians, time_s, anchor, eye, view.roofs)
-        color = np.array(rain.drop_color or sky)
-        return RainFrame(
-            streak_field=now.streak_field(time_s, view) if rain.streaks else None, haze=haze,
-            haze_sigma_m=rain.haze_sigma_m, color=color, light_linear=srgb_to_linear(color).astype(np.float32),
-            mixing=rain.rain_light,
-        )  # fmt: skip
-
     def exposure_s(self, camera: Camera) -> float:
         """Shutter time: the rain's own, or the camera's."""
         return self.rain.exposure_s if self.rain.exposure_s is not None else camera.exposure_s
 
-    def streak_field(self, time_s: float, view: RainCamera) -> DropBatch:
-        """Place the cell of drops around a camera at a time."""
-        if self._keyed_motion is not None:
-            return self.frozen_at(time_s).streak_field(time_s, view)
-        rain, motion, camera = self.rain, self.motion, view.camera
+    def frame(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame:
+        """Place drops and haze around a camera at a time. `sky` is the display color of the scene's sky."""
+        now = self.frozen_at(time_s)
+        rain, motion, camera = now.rain, now.motion, view.camera
         turn, size = view.anchor_to_world[:3, :3], np.array(rain.streak_region.size_m)
         center = turn @ np.array(rain.streak_region.center_m) + view.anchor_to_world[:3, 3]
         if rain.streak_reset == "paper":
@@ -201,40 +114,54 @@ class RainSimulation:
             period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
             where = drop_phases(motion, time_s, center, period)
         focal_px = view.focal_px or float(np.sqrt(camera.fx * camera.fy))
-        exposure_s = self.exposure_s(camera) * view.exposure_share
-        far = np.full(len(self.diameters_mm), 1e6)
-        if rain.far_drops == "haze":
-            far = rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, focal_px)
-        wind, fall = motion.wind.velocity(time_s), motion.fall_speed_m_s
-        eye = view.velocity_m_s if rain.streak_frame == "camera" else np.zeros(3)
-        speeds = np.sqrt(float(np.sum((wind - eye[:2]) ** 2)) + (fall + eye[2]) ** 2)
-        blur = np.zeros(len(far))
-        if rain.aperture_mm != 0:  # five standard deviations of the largest circle of confusion up to that depth
-            farthest = float(np.linalg.norm(camera.position - center) + np.linalg.norm(size) / 2)
-            blur = 5 / 4 * np.maximum(*(circle_of_confusion_m(d, rain) for d in (0 * far, np.minimum(far, farthest))))
-        culling = DropCulling(
-            region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
-            region_half=size / 2,
-            camera_position=axes.T @ (camera.position - center),
-            cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
-            slopes=camera_slopes(camera),
-            class_margin_m=STREAK_REACH * exposure_s * speeds + 0.02 + blur,
-            class_far_m=far,
-        )
-        roofs, reach = view.roofs, float(np.hypot(period[0], period[1])) / 2
-        return DropBatch(
+        shutter = ShutterModel(camera, view.velocity_m_s, now.exposure_s(camera) * view.exposure_share, focal_px)
+        wind, reach = motion.wind.velocity(time_s), float(np.hypot(period[0], period[1])) / 2
+        return RainFrame(
             rain=rain,
-            count=round(self.state.density_m3 * float(np.prod(period))),
+            time_s=time_s,
+            view=view,
+            color=np.array(rain.drop_color or sky),
+            haze_count=now.state.haze_gaussians,
+            count=round(now.state.density_m3 * float(np.prod(period))),
             where=where,
             period_m=period,
             axes=axes,
             center_m=center,
-            culling=culling,
-            diameters_mm=self.diameters_mm,
+            culling=now._culling(turn, axes, center, shutter, wind),
+            diameters_mm=now.diameters_mm,
             wind_m_s=wind,
-            fall_speed_m_s=fall,
-            shutter=ShutterModel(camera, view.velocity_m_s, exposure_s, focal_px),
-            roofs=None if roofs is None else roofs.around(float(center[0]), float(center[1]), reach),
+            fall_speed_m_s=motion.fall_speed_m_s,
+            shutter=shutter,
+            roofs=None if view.roofs is None else view.roofs.around(float(center[0]), float(center[1]), reach),
+        )
+
+    def _culling(
+        self,
+        turn: Float64[np.ndarray, "3 3"],
+        axes: Float64[np.ndarray, "3 3"],
+        center_m: Float64[np.ndarray, "3"],
+        shutter: ShutterModel,
+        wind_m_s: Float64[np.ndarray, "2"],
+    ) -> DropCulling:
+        """Visibility tests of drops in a cell with these axes and center; `turn` is the region's rotation."""
+        rain, camera, size = self.rain, shutter.camera, np.array(self.rain.streak_region.size_m)
+        far = np.full(len(self.diameters_mm), 1e6)
+        if rain.far_drops == "haze":
+            far = rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, shutter.focal_px)
+        eye = shutter.velocity_m_s if rain.streak_frame == "camera" else np.zeros(3)
+        speeds = np.sqrt(float(np.sum((wind_m_s - eye[:2]) ** 2)) + (self.motion.fall_speed_m_s + eye[2]) ** 2)
+        blur = np.zeros(len(far))
+        if rain.aperture_mm != 0:  # five standard deviations of the largest circle of confusion up to that depth
+            farthest = float(np.linalg.norm(camera.position - center_m) + np.linalg.norm(size) / 2)
+            blur = 5 / 4 * np.maximum(*(circle_of_confusion_m(d, rain) for d in (0 * far, np.minimum(far, farthest))))
+        return DropCulling(
+            region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
+            region_half=size / 2,
+            camera_position=axes.T @ (camera.position - center_m),
+            cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
+            slopes=camera_slopes(camera),
+            class_margin_m=STREAK_REACH * shutter.exposure_s * speeds + 0.02 + blur,
+            class_far_m=far,
         )
 
 

@@ -1,29 +1,19 @@
 """Rain streaks: near drops as Gaussians with the size, opacity and direction of a drop's motion blur."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 
 from ..scene.camera import Camera
-from .drop_field import DropCulling, DropPhases, Drops, find_drops
+from ..scene.gaussians import Gaussians, sh_from_color
 from .settings import RainSettings
-from .shelter_map import ShelterMap
 
 AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07  # tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)
 
 STREAK_REACH = 2.0  # maximum distance of the last visible fragment of a streak from its drop, in streak lengths
-
-
-class StreakGaussians(NamedTuple):
-    """Streak Gaussians in the world, without color."""
-
-    means: Float32[np.ndarray, "n 3"]
-    scales: Float32[np.ndarray, "n 3"]
-    quaternions: Float32[np.ndarray, "n 4"]
-    opacities: Float32[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,68 +46,6 @@ def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: RainSettings
     return 1e-3 * rain.aperture_mm * np.abs(1 - depth_m / rain.focus_distance_m)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DropBatch:
-    """Drops at one time around one camera: a periodic cell of drops and the shutter. World frame, meters.
-
-    Kernels and shaders compute the streaks from it.
-    """
-
-    rain: RainSettings
-    count: int
-    """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
-    where: DropPhases
-    period_m: Float64[np.ndarray, "3"]
-    """Edge lengths of the cell."""
-    axes: Float64[np.ndarray, "3 3"]
-    """Cell to world, a rotation."""
-    center_m: Float64[np.ndarray, "3"]
-    """Center of the cell, and of the streak region, in the world."""
-    culling: DropCulling
-    diameters_mm: Float64[np.ndarray, " classes"]
-    wind_m_s: Float64[np.ndarray, "2"]
-    """Along world x and y."""
-    fall_speed_m_s: Float64[np.ndarray, " classes"]
-    shutter: ShutterModel
-    roofs: ShelterMap | None = None
-    """Sheltered areas over the cell; None without any."""
-
-    def drops(self, *, in_view: bool = True) -> Drops:
-        """Drops in the open that may be visible to the camera; without `in_view` all in the streak region."""
-        found = find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling, in_view=in_view)
-        if self.roofs is None:
-            return found
-        is_open = ~self.roofs.shelter(self.positions(found))
-        return Drops(*(each[is_open] for each in found))
-
-    def positions(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
-        return drops.positions(self.period_m) @ self.axes.T + self.center_m
-
-    def streaks(self) -> tuple[int, StreakGaussians]:
-        """Number of drops that may be visible to the camera, and their Gaussians."""
-        drops = self.drops()
-        c, positions = drops.class_index, self.positions(drops)
-        return len(c), streak_gaussians(positions, self.diameters_mm[c], self.velocities(c), self.shutter, self.rain)
-
-    def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
-        """World velocities of drops of some classes in m/s."""
-        velocities = np.empty((len(class_index), 3))
-        velocities[:, :2] = self.wind_m_s
-        velocities[:, 2] = -self.fall_speed_m_s[class_index]
-        return velocities
-
-    @property
-    def max_drops(self) -> int:
-        """Upper bound on the number of visible drops, exceeded with a chance of one in millions; sizes GPU buffers."""
-        left, right, top, bottom = np.abs(self.culling.slopes)
-        wide, high, far, margin = left + right, top + bottom, self.culling.class_far_m, self.culling.class_margin_m
-        volume = wide * high * far**3 / 3 + margin * (wide + high) * far**2 + 4 * margin**2 * far
-        expected = self.count * float(np.mean(np.minimum(volume / np.prod(self.period_m), 1.0)))
-        return min(self.count, int(1.1 * expected + 10 * np.sqrt(expected)) + 64)
-
-
-# Streak physics
-
 _REACH = 4.8
 """Standard deviations at which even alpha 1 has fallen below a streak's cutoff of 1/65536 (exp(-4.8^2 / 2))."""
 
@@ -128,7 +56,8 @@ def streak_gaussians(
     velocities_m_s: Float64[np.ndarray, "m 3"],
     shutter: ShutterModel,
     rain: RainSettings,
-) -> StreakGaussians:
+    color: Float64[np.ndarray, "3"],
+) -> Gaussians:
     """Turn drops into one to n_max Gaussians each along their path through the image; skip those outside the image.
 
     Opacity: eq. 5 with the speed perpendicular to the line of sight (`world`: V itself, the paper's form), times the
@@ -152,7 +81,12 @@ def streak_gaussians(
     )  # fmt: skip
     rows = rows[np.flatnonzero(is_drawn)]
     means, scales, quaternions = (np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10)))
-    return StreakGaussians(means, scales, quaternions, rows[:, 10].copy())
+    return Gaussians(means, scales, quaternions, rows[:, 10].copy(), sh_of(color, len(rows)))
+
+
+def sh_of(color: Float64[np.ndarray, "3"], count: int) -> Float32[np.ndarray, "{count} 1 3"]:
+    """Spherical harmonics of equal Gaussians with a display color."""
+    return np.broadcast_to(sh_from_color(color.astype(np.float32)[None]), (count, 1, 3)).copy()
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from ..rain.simulation import RainFrame
+from ..rain.frame import RainFrame
+from ..rain.streaks import streak_gaussians
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
@@ -68,13 +69,20 @@ class CudaRenderer:
         if look != "splats":
             raise ValueError(f"the cuda back end shows splats only; look at {look} with --backend opengl or cpu")
         self.statistics = RenderStatistics(stages_ms={"project": 0.0, "draw": 0.0, "rain": 0.0})
-        falling = rain if rain is not None and len(rain.gaussians) else None
+        falling = Gaussians.empty()
+        if rain is not None:
+            drops, shutter = rain.visible_drops(), rain.shutter
+            streaks = streak_gaussians(
+                drops.positions_m, drops.diameters_mm, drops.velocities_m_s, shutter, rain.rain, rain.color
+            )
+            falling = Gaussians.concatenate([streaks, rain.haze])
+            self.statistics.drops_drawn, self.statistics.haze_drawn = len(drops.numbers), len(rain.haze)
         with self._timed("project"):
             scene = self._arrays.before_camera(parts, camera)
         slabs: DepthSlabs | None = None
-        if falling is not None:
+        if len(falling):
             with self._timed("rain"):
-                drops = DrawItem(falling.gaussians, np.eye(4))
+                drops = DrawItem(falling, np.eye(4))
                 slabs = split_into_depth_slabs(project([drops], camera, [np.ones(drops.drawn_count, np.bool_)]))
         with self._timed("draw"):
             image, alpha = self._composited(scene, camera, slabs)
@@ -83,12 +91,11 @@ class CudaRenderer:
                 mean = image[..., 3] / torch.clamp(weight, min=_MIN_WEIGHT)
                 depth = torch.where(weight > _MIN_WEIGHT, mean, 0.0)
         self.statistics.gaussians = sum(part.drawn_count for part in parts)
-        if falling is not None and slabs is not None:
+        if rain is not None and slabs is not None:
             with self._timed("rain"):
-                rgba = composite_rain_slabs(rgba, image[..., 4:], slabs, falling)
-            self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
+                rgba = composite_rain_slabs(rgba, image[..., 4:], slabs, rain)
             self.statistics.splats_drawn += len(slabs.shapes)
-            self.statistics.gaussians += len(falling.gaussians)
+            self.statistics.gaussians += len(falling)
         self._frame = rgba, depth
         self._arrays.release_unused()
 
@@ -299,7 +306,7 @@ def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain:
     rain_share, scene_share = _shares(by_edge, alpha, slabs)
     light = torch.as_tensor(rain.light_linear, device=rgba.device)
     visible = torch.where(alpha > 0, torch.clamp(scene_share / torch.clamp(alpha, min=1e-30), max=1), 1.0)[..., None]
-    if rain.mixing == "linear":
+    if rain.is_linear:
         color = _to_display(visible * _to_linear(rgba[..., :3]) + rain_share[..., None] * light)
     else:
         color = visible * rgba[..., :3] + rain_share[..., None] * _to_display(light)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
+from ..rain.frame import RainCamera
 from ..rain.shelter_map import shelter_map_of
-from ..rain.simulation import RainCamera, RainFrame, RainSimulation
+from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
@@ -47,15 +48,18 @@ def draw_view(
     Wet colors follow the rain's wetness; without `rainfall` the scene is clear and dry. `thinning` leaves out some of
     each part's Gaussians; `selection` tints selected ones.
     """
-    falling = rain_frame_of(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
-    wetness = rainfall.wetness_at(shot.time_s) if rainfall is not None else 0.0
+    rain, wetness = None, 0.0
+    if rainfall is not None:
+        wetness = rainfall.wetness_at(shot.time_s)
+        if look == "splats" and rainfall.state_at(shot.time_s).intensity_mm_h > 0:
+            rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky)
     parts = subset_items(scene.parts(shot.time_s, selection=selection, wetness=wetness), thinning)
-    renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)
+    renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)
 
 
-def rain_frame_of(scene: Scene, rainfall: RainSimulation, sky: Color, shot: RenderView) -> RainFrame | None:
-    """Drops and haze of a view; None at 0 mm/h."""
-    view = RainCamera(
+def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
+    """Camera and surroundings of the rain for a view."""
+    return RainCamera(
         shot.camera,
         rain_anchor(scene, rainfall, shot),
         shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3),
@@ -63,7 +67,6 @@ def rain_frame_of(scene: Scene, rainfall: RainSimulation, sky: Color, shot: Rend
         shelter_map_of(scene) if rainfall.rain.roofs else None,
         shot.exposure_share,
     )
-    return rainfall.at(shot.time_s, view, sky)
 
 
 def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Float64[np.ndarray, "4 4"]:

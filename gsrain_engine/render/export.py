@@ -2,8 +2,9 @@
 
 import shlex
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,12 +16,11 @@ from ..scene.camera_path import CameraPath
 from ..scene.files import hold_for_writing
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from .export_settings import DEFAULT_SIZE_PX, ExportSettings, export_files, export_outputs
-from .images import open_frame_writer
+from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
+from .images import FrameWriter, open_frame_writer
 from .object_labels import draw_labels, label_legend
 from .renderer import Frame, Renderer, RenderMode
 from .sequence import FrameSequence, RigCameraView, find_rig_cameras
-from .sky_color import SkyColor
 
 _PREVIEW_PX = 320
 _PREVIEW_EVERY_S = 0.5
@@ -47,50 +47,53 @@ def export_frames(
         for path in export_outputs(recording, list(sequences)):
             stack.enter_context(hold_for_writing(path))
         streams = [
-            _OutputStream(stack, recording, sequence, name if len(sequences) > 1 else None, is_clear)
+            _open_stream(stack, recording, sequence, name if len(sequences) > 1 else None, is_clear=is_clear)
             for name, sequence in sequences.items()
             for is_clear in ((True, False) if recording.twin else (False,))
         ]
         yield Progress(0.0, "Looking at the sky")
         sky = next(iter(sequences.values())).sky(renderer)
-        estimator = EtaEstimator(len(numbers))
+        estimator, frame = EtaEstimator(len(numbers)), None
         for number in numbers:
             try:
-                frames = [stream.write(renderer, number, sky, look) for stream in streams]
+                for sequence, writer, passes, is_clear in streams:
+                    labels = frame = None
+                    if "labels" in passes:
+                        shot = sequence.shot(number)
+                        labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
+                    if passes - {"labels"}:  # last, so that the renderer's image is the color pass
+                        rain_sky, with_depth = None if is_clear else sky, "depth" in passes
+                        frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
+                    writer.write(number, frame, labels)
             except OSError as error:
                 reason, done = error.strerror or str(error), estimator.done
                 raise OSError(
                     f"{recording.output} can't be written on after {done} frames: {reason}; "
                     "what was written before is whole"
                 ) from error
-            yield estimator.step(frames[-1])
+            yield estimator.step(frame)
 
 
-class _OutputStream:
-    """Output of one camera, with or without rain; `stack` closes it."""
+class _OutputStream(NamedTuple):
+    """Output of one camera, with or without rain."""
 
-    def __init__(
-        self, stack: ExitStack, recording: ExportSettings, sequence: FrameSequence, camera: str | None, is_clear: bool
-    ) -> None:
-        files = export_files(recording, camera, is_clear=is_clear)
-        size = sequence.width, sequence.height
-        try:
-            self._writer = stack.enter_context(open_frame_writer(recording, files, size, label_legend(sequence.scene)))
-        except OSError as error:
-            raise OSError(f"{files.path} can't be written: {error.strerror or error}") from error
-        self._sequence, self._passes, self._is_clear = sequence, files.passes, is_clear
+    sequence: FrameSequence
+    writer: FrameWriter
+    passes: Set[Pass]
+    is_clear: bool
 
-    def write(self, renderer: Renderer, number: int, sky: SkyColor, look: RenderMode) -> Frame | None:
-        """Render a frame and write its passes; the renderer's last image is the color pass."""
-        labels = frame = None
-        if "labels" in self._passes:
-            shot = self._sequence.shot(number)
-            labels = draw_labels(renderer, self._sequence.scene, shot.camera, shot.time_s)
-        if self._passes - {"labels"}:
-            rain_sky, with_depth = None if self._is_clear else sky, "depth" in self._passes
-            frame = self._sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
-        self._writer.write(number, frame, labels)
-        return frame
+
+def _open_stream(
+    stack: ExitStack, recording: ExportSettings, sequence: FrameSequence, camera: str | None, *, is_clear: bool
+) -> _OutputStream:
+    """Open an output, which `stack` closes."""
+    files = export_files(recording, camera, is_clear=is_clear)
+    size = sequence.width, sequence.height
+    try:
+        writer = stack.enter_context(open_frame_writer(recording, files, size, label_legend(sequence.scene)))
+    except OSError as error:
+        raise OSError(f"{files.path} can't be written: {error.strerror or error}") from error
+    return _OutputStream(sequence, writer, files.passes, is_clear)
 
 
 class EtaEstimator:

@@ -29,6 +29,9 @@ def _new_file(path: Path) -> Generator[Path]:
         yield partial
 
 
+_PNG: dict[str, Any] = {"format": "PNG"}
+
+
 def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> None:
     """Write an 8-bit image, or 16-bit gray, as PNG; creates missing folders."""
     with _new_file(Path(path)) as partial:
@@ -41,14 +44,12 @@ def write_image(path: Path, image: Image.Image) -> None:
         image.save(partial, format=Image.registered_extensions().get(path.suffix.lower(), "PNG"))
 
 
-def write_jpeg(path: Path, pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> None:
-    """Write an 8-bit image as JPEG of a quality 1..100, with full-resolution chroma and an sRGB profile.
+def _jpeg_options(quality: int) -> dict[str, Any]:
+    """Options of Pillow for a JPEG of a quality 1..100, with full-resolution chroma and an sRGB profile.
 
-    The same pixels give the same bytes. Creates missing folders.
+    The same pixels give the same bytes.
     """
-    options: dict[str, Any] = {"subsampling": 0, "optimize": True, "icc_profile": _srgb_profile()}
-    with _new_file(path) as partial:
-        Image.fromarray(pixels).save(partial, format="JPEG", quality=quality, **options)
+    return {"format": "JPEG", "quality": quality, "subsampling": 0, "optimize": True, "icc_profile": _srgb_profile()}
 
 
 @cache
@@ -138,7 +139,8 @@ class FrameWriter:
     ) -> None:
         """`quality` applies to JPEG."""
         self._files, self._legend, self._video = files, legend, video
-        self._quality = DEFAULT_JPEG_QUALITY if quality is None else quality
+        is_jpeg = files.format == "jpeg"
+        self._image_options = _jpeg_options(DEFAULT_JPEG_QUALITY if quality is None else quality) if is_jpeg else _PNG
         self._has_legend = False
 
     def write(self, number: int, frame: Frame | None, labels: UInt16[np.ndarray, "h w"] | None = None) -> None:
@@ -146,37 +148,35 @@ class FrameWriter:
 
         Raises `OSError` if it can't be written.
         """
-        files = self._files
-        if frame is not None and files.format == "exr":
-            write_exr(files.color(number), frame, files.passes)
+        if frame is not None and self._files.format == "exr":
+            write_exr(self._files.color(number), frame, self._files.passes)
         elif frame is not None:
+            if self._video is not None:
+                self._video.write(frame.to_uint8())
+            elif "color" in self._files.passes and self._files.format in ("png", "jpeg"):
+                with _new_file(self._files.color(number)) as partial:
+                    Image.fromarray(frame.to_uint8()).save(partial, **self._image_options)
+            elif "color" in self._files.passes:
+                _write_array(self._files.color(number), frame.rgba)
             self._write_passes(number, frame)
         if labels is not None:
-            write_labels(files.pass_file(number, "labels"), labels, len(self._legend) - 1)
+            write_labels(self._files.pass_file(number, "labels"), labels, len(self._legend) - 1)
             if not self._has_legend:
-                with _new_file(files.legend) as partial:
+                with _new_file(self._files.legend) as partial:
                     partial.write_text(json.dumps(self._legend, indent=1) + "\n", encoding="utf-8")
                 self._has_legend = True
 
     def _write_passes(self, number: int, frame: Frame) -> None:
-        files = self._files
-        if self._video is not None:
-            self._video.write(frame.to_uint8())
-        elif "color" in files.passes and files.format == "npy":
-            _write_array(files.color(number), frame.rgba)
-        elif "color" in files.passes and files.format == "jpeg":
-            write_jpeg(files.color(number), frame.to_uint8(), self._quality)
-        elif "color" in files.passes:
-            write_png(files.color(number), frame.to_uint8())
-        if "depth" in files.passes and frame.depth is not None:
-            path = files.pass_file(number, "depth")
-            if files.format == "npy":
+        """Write depth and alpha."""
+        if "depth" in self._files.passes and frame.depth is not None:
+            path = self._files.pass_file(number, "depth")
+            if self._files.format == "npy":
                 _write_array(path, frame.depth)
             else:
                 write_png(path, np.rint(np.clip(frame.depth * 100, 0, 65535)).astype(np.uint16))
-        if "alpha" in files.passes:
+        if "alpha" in self._files.passes:
             alpha = np.rint(np.clip(frame.rgba[..., 3], 0, 1) * 255).astype(np.uint8)
-            write_png(files.pass_file(number, "alpha"), alpha)
+            write_png(self._files.pass_file(number, "alpha"), alpha)
 
 
 # Display and linear-light colors

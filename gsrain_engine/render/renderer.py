@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ..rain.simulation import RainFrame
+from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
 

@@ -126,7 +126,7 @@ class FrameSequence:
         """
         rainfall = None if sky is None else self.rainfall
         color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(self.time_s(number)))
-        shots, side = self._shots(number), self.supersampling
+        shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         frame: Frame | None = None
         total: Float32[np.ndarray, "h w 4"] | None = None
@@ -151,7 +151,7 @@ class FrameSequence:
             frame = replace(frame, depth=renderer.read().depth)
         return frame
 
-    def _shots(self, number: int) -> list[RenderView]:
+    def shots(self, number: int) -> list[RenderView]:
         """Views of the sub-frames, evenly spaced over the exposure around the frame's time."""
         middle, k = self.shot(number), self.motion_blur
         if k == 1:

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.console import Console, Table, bold, print_lines, use_any_encoding
+from app.console import Console, Table, bold, print_lines, run_with_progress, use_any_encoding
 from app.console import print as print_line
 from app.main import run
 from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
 from gsrain_engine.safe_io.text_files import escape_invisible, figure_words
 from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import small_scene
 from sweep.small_sweep import write_road, write_scenario

@@ -66,7 +66,7 @@ class InterpretedContext(moderngl.Context):
     def __init__(self, seed=0, *, warps=False):
         self.chance, self.warps = random.Random(seed), warps
         self.bindings, self.buffers, self.faults, self.shaders_run = {}, [], {}, set()
-        self._commands, self._steps = itertools.count(1), 0
+        self.commands, self.steps = itertools.count(1), 0
 
     def __del__(self):
         pass
@@ -95,7 +95,7 @@ class InterpretedContext(moderngl.Context):
 
     def command(self):
         """A number of its own for what is handed to OpenGL; its threads follow it."""
-        return next(self._commands) << 32
+        return next(self.commands) << 32
 
     def report(self, fault):
         self.faults[fault] = self.faults.get(fault, 0) + 1
@@ -116,7 +116,7 @@ class InterpretedContext(moderngl.Context):
             for other_kind, others in enumerate(before):
                 for other in others:
                     if other[0] != who and (other_kind != kind or kind == STORE):
-                        self._race(memory, (other[1], _VERBS[other_kind]), (place, _VERBS[kind]))
+                        self.race(memory, (other[1], _VERBS[other_kind]), (place, _VERBS[kind]))
             others = before[kind]
             if not others or (len(others) == 1 and others[0][0] != who):
                 others.append(me)
@@ -134,7 +134,7 @@ class InterpretedContext(moderngl.Context):
             words[at:end] = codec.encode(request[5](value, request[6]))
         return value
 
-    def _race(self, memory, first, second):
+    def race(self, memory, first, second):
         (a, b) = sorted([first, second])
         self.report(f"{a[0]} {a[1]} and {b[0]} {b[1]} {memory.name} with nothing between them")
 
@@ -144,7 +144,7 @@ class InterpretedContext(moderngl.Context):
         for name, (binding, _) in program.blocks.items():
             names[name] = self.bindings[binding].memory if binding in self.bindings else Memory(name[2:], 0)
             names[name].name = name[2:]
-        self._check_bindings(program)
+        self.check_bindings(program)
         self.shaders_run.add(program.name)
         exec(program.code, names)
         command, numbers = self.command(), list(itertools.product(*(range(each) for each in groups)))
@@ -160,28 +160,28 @@ class InterpretedContext(moderngl.Context):
                 who = command + number * math.prod(size) + len(threads)
                 threads.append(_Thread(self, who, (local, group, at, groups, size)))
                 threads[-1].running = names["f_main"](threads[-1])
-            self._run_group(threads, shared.values())
+            self.run_group(threads, shared.values())
 
-    def _check_bindings(self, program):
+    def check_bindings(self, program):
         blocks = [(name[2:], access, self.bindings.get(binding)) for name, (binding, access) in program.blocks.items()]
         for (first, a, buffer), (second, b, other) in itertools.combinations(blocks, 2):
             if buffer is other is not None and not a == b == "readonly":
                 self.report(f"{first} and {second} of {program.name} are one buffer")
 
-    def _run_group(self, threads, shared):
-        ready = [thread for thread in threads if self._advance(thread, None)]
+    def run_group(self, threads, shared):
+        ready = [thread for thread in threads if self.advance(thread, None)]
         ended = len(threads) - len(ready)
         while ready:
-            waiting = self._to_barrier(ready)
+            waiting = self.to_barrier(ready)
             ended += len(ready) - len(waiting)
             if len({thread.request[3] for thread in waiting}) > 1 or (waiting and ended):
                 self.report(f"not all threads come to the barrier of {waiting[0].request[3]}")
             for memory in shared:
                 memory.touched.clear()
-            ready = [thread for thread in waiting if self._advance(thread, None)]
+            ready = [thread for thread in waiting if self.advance(thread, None)]
             ended += len(waiting) - len(ready)
 
-    def _to_barrier(self, threads):
+    def to_barrier(self, threads):
         """Let threads take turns until each has ended or waits; returns those that wait."""
         width, waiting, units = 32 if self.warps else 1, [], []
         if self.warps:
@@ -197,7 +197,7 @@ class InterpretedContext(moderngl.Context):
                 for thread in unit:
                     if thread.request[0] == BARRIER:
                         waiting.append(thread)
-                    elif self._advance(thread, self.access(thread.who, thread.request)):
+                    elif self.advance(thread, self.access(thread.who, thread.request)):
                         left.append(thread)
                 unit = left
                 if not unit:
@@ -208,10 +208,10 @@ class InterpretedContext(moderngl.Context):
                 units.pop()
         return waiting
 
-    def _advance(self, thread, value):
+    def advance(self, thread, value):
         """Run a thread as far as its next access; False where it ends instead."""
-        self._steps += 1
-        if self._steps > _MAX_STEPS:
+        self.steps += 1
+        if self.steps > _MAX_STEPS:
             raise RuntimeError("the shader does not come to an end")
         try:
             thread.request = thread.running.send(value)
@@ -225,7 +225,7 @@ _VERBS = {LOAD: "reads", STORE: "writes", ATOMIC: "changes"}
 
 class InterpretedBuffer(moderngl.Buffer):
     def __init__(self, context, size):
-        self._context, self.memory = context, Memory("a buffer", size // 4)
+        self.owner, self.memory = context, Memory("a buffer", size // 4)
         context.buffers.append(self)
 
     def __del__(self):
@@ -241,24 +241,24 @@ class InterpretedBuffer(moderngl.Buffer):
 
     def read(self, size=-1, offset=0):
         end = len(self.memory.words) if size < 0 else (offset + size) // 4
-        who = self._context.command()
+        who = self.owner.command()
         for at in range(offset // 4, end):
             if self.memory.words[at] is not None:
-                self._context.access(who, (LOAD, self.memory, at, "the processor", CODECS["uint"]))
+                self.owner.access(who, (LOAD, self.memory, at, "the processor", CODECS["uint"]))
         words = self.memory.words[offset // 4 : end]
         return np.array([UNDEFINED if word is None else word for word in words], np.uint32).tobytes()
 
     def bind_to_storage_buffer(self, binding=0, offset=0, size=-1):
-        self._context.bindings[binding] = self
+        self.owner.bindings[binding] = self
 
     def release(self):
-        if self in self._context.buffers:
-            self._context.buffers.remove(self)
+        if self in self.owner.buffers:
+            self.owner.buffers.remove(self)
 
 
 class InterpretedShader(moderngl.ComputeShader):
     def __init__(self, context, source):
-        self._context, self.program, self._uniforms = context, translate(source), {}
+        self.owner, self.program, self.uniforms = context, translate(source), {}
 
     def __del__(self):
         pass
@@ -266,12 +266,12 @@ class InterpretedShader(moderngl.ComputeShader):
     def __setitem__(self, name, value):
         kind = self.program.uniforms[name]
         values = np.ravel(value).tolist()
-        self._uniforms[f"u_{name}"] = constructed(kind, *values)
+        self.uniforms[f"u_{name}"] = constructed(kind, *values)
 
     def run(self, group_x=1, group_y=1, group_z=1):
-        self._context.run(self.program, self._uniforms, (group_x, group_y, group_z))
+        self.owner.run(self.program, self.uniforms, (group_x, group_y, group_z))
 
     def run_indirect(self, buffer, offset=0):
-        who = self._context.command()
+        who = self.owner.command()
         request = [(LOAD, buffer.memory, offset // 4 + k, "the dispatch", CODECS["uint"]) for k in range(3)]
-        self.run(*(self._context.access(who, each) for each in request))
+        self.run(*(self.owner.access(who, each) for each in request))

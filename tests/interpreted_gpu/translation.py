@@ -114,7 +114,7 @@ def _places(text):
     switches = {line.split()[1]: int(line.split()[2]) for line in defined if line.split()[-1].isdigit()}
     for file in shipped_folder("shaders").iterdir():
         if file.name.endswith(".comp"):
-            source = shaders._Source(file.name, switches)
+            source = shaders.ShaderSource(file.name, switches)
             if source.text == text:
                 return [f"{name}:{number}" for name, number in source.origins]
     return [f"line {number}" for number in range(1, len(lines) + 1)]
@@ -184,7 +184,7 @@ class _Translator:
 
     def program(self):
         while self.at < len(self.tokens):
-            self._declaration()
+            self.declaration()
         code = compile("\n".join(self.lines), "translated shader", "exec")
         return Program(self.name, code, self.constants, self.uniforms, self.blocks, self.shared, self.size)
 
@@ -214,22 +214,22 @@ class _Translator:
     def emit(self, line):
         self.lines.append("    " * self.depth + line)
 
-    def _refuse(self, what):
+    def refuse(self, what):
         raise UnsupportedError(f"{self.place}: {what}")
 
     # Declarations.
 
-    def _is_type(self, token):
+    def is_type(self, token):
         return token in self.codecs or token in MATRICES or token == "void"
 
-    def _declaration(self):
+    def declaration(self):
         if self.next == "layout":
-            self._layout()
+            self.layout()
         elif self.takes("struct"):
-            self._struct_declaration()
+            self.struct_declaration()
         elif self.takes("shared"):
             kind = self.take()
-            for name, codec in self._declared(kind):
+            for name, codec in self.declared(kind):
                 self.shared[f"m_{name}"] = codec.size
                 self.scopes[0][name] = _Symbol(f"m_{name}", codec, "memory")
         elif self.takes("uniform"):
@@ -242,13 +242,13 @@ class _Translator:
                     break
             self.take(";")
         elif self.takes("const"):
-            self._constants()
-        elif self._is_type(self.next):
-            self._function_declaration()
+            self.constants_of()
+        elif self.is_type(self.next):
+            self.function_declaration()
         elif not self.takes(";"):
-            self._refuse(self.next)
+            self.refuse(self.next)
 
-    def _layout(self):
+    def layout(self):
         self.take("layout")
         self.take("(")
         values = {}
@@ -264,29 +264,29 @@ class _Translator:
         self.take("buffer")
         name = self.take()
         self.take("{")
-        codec = struct_codec(name, self._members())
+        codec = struct_codec(name, self.members())
         self.take(";")
         if "std430" not in values:
-            self._refuse("a block that is not std430")
+            self.refuse("a block that is not std430")
         self.blocks[f"m_{name}"] = int(values["binding"]), access
         kind = "constant memory" if access == "readonly" else "memory"
         for member, offset, each in codec.members:
             self.scopes[0][member] = _Symbol(f"m_{name}", each, kind, offset)
 
-    def _members(self):
+    def members(self):
         members = []
         while not self.takes("}"):
             kind = self.take()
-            members += [(codec, name) for name, codec in self._declared(kind)]
+            members += [(codec, name) for name, codec in self.declared(kind)]
         return members
 
-    def _declared(self, kind):
+    def declared(self, kind):
         """Names and codecs of `kind a, b[3], c[];`, up to its semicolon."""
         found = []
         while True:
             name, codec = self.take(), self.codecs[kind]
             if self.takes("["):
-                count = None if self.next == "]" else eval(self._expression().code, self._constant_names())
+                count = None if self.next == "]" else eval(self.expression().code, self.constant_names())
                 self.take("]")
                 codec = array_codec(codec, count)
             found.append((name, codec))
@@ -295,28 +295,28 @@ class _Translator:
         self.take(";")
         return found
 
-    def _struct_declaration(self):
+    def struct_declaration(self):
         name = self.take()
         self.take("{")
-        self.codecs[name] = struct_codec(name, self._members())
+        self.codecs[name] = struct_codec(name, self.members())
         self.take(";")
 
-    def _constant_names(self):
+    def constant_names(self):
         return {**RUNTIME, **self.constants}
 
-    def _constants(self):
+    def constants_of(self):
         kind = self.take()
         while True:
             name = self.take()
             self.take("=")
-            value = self._converted(self._expression(), kind)
-            self.constants[f"c_{name}"] = eval(value, self._constant_names())
+            value = self.converted(self.expression(), kind)
+            self.constants[f"c_{name}"] = eval(value, self.constant_names())
             self.scopes[0][name] = _Symbol(f"c_{name}", kind, "local")
             if not self.takes(","):
                 break
         self.take(";")
 
-    def _function_declaration(self):
+    def function_declaration(self):
         kind, name = self.take(), self.take()
         self.take("(")
         parameters = []
@@ -333,77 +333,77 @@ class _Translator:
             self.emit("yield from ()")
         self.take("{")
         while not self.takes("}"):
-            self._statement()
-        self._return(None)
+            self.statement()
+        self.return_value(None)
         self.depth -= 1
         self.scopes.pop()
 
     # Statements.
 
-    def _block(self):
+    def block(self):
         self.depth += 1
         self.scopes.append({})
         self.emit("pass")
         if self.takes("{"):
             while not self.takes("}"):
-                self._statement()
+                self.statement()
         else:
-            self._statement()
+            self.statement()
         self.scopes.pop()
         self.depth -= 1
 
-    def _statement(self):
+    def statement(self):
         token = self.next
         if token == "{":
             self.emit("if True:")
-            self._block()
+            self.block()
         elif self.takes("if"):
             self.take("(")
-            condition = self._value()
+            condition = self.value()
             self.take(")")
             self.emit(f"if {condition.code}:")
-            self._block()
+            self.block()
             if self.takes("else"):
                 self.emit("else:")
-                self._block()
+                self.block()
         elif self.takes("for"):
-            self._for()
+            self.for_loop()
         elif self.takes("while"):
             self.take("(")
-            condition = self._value()
+            condition = self.value()
             self.take(")")
             self.emit(f"while {condition.code}:")
-            self._loop([])
+            self.loop([])
         elif self.takes("switch"):
-            self._switch()
+            self.switch()
         elif self.takes("return"):
-            self._return(None if self.next == ";" else self._value())
+            self.return_value(None if self.next == ";" else self.value())
             self.take(";")
         elif self.takes("break"):
             if self.switches:
-                self._refuse("a break inside a case")
+                self.refuse("a break inside a case")
             self.emit("break")
             self.take(";")
         elif self.takes("continue"):
             self.lines += [("    " * self.depth + line) for line in self.steps[-1]]
             self.emit("continue")
             self.take(";")
-        elif token == "const" or (self._is_type(token) and self.tokens[self.at + 1].text != "("):
+        elif token == "const" or (self.is_type(token) and self.tokens[self.at + 1].text != "("):
             self.takes("const")
-            self._local()
+            self.local()
         elif not self.takes(";"):
-            self._action()
+            self.action()
             self.take(";")
 
-    def _local(self):
+    def local(self):
         kind = self.take()
         while True:
             name = self.take()
             if self.next == "[":
-                self._refuse("a local array")
+                self.refuse("a local array")
             # An initializer may call a function that writes a variable declared just before it.
             if self.takes("="):
-                value = self._converted(self._expression(), kind)
+                value = self.converted(self.expression(), kind)
             else:
                 value = "{}" if kind not in SCALARS and kind not in VECTORS and kind not in MATRICES else "None"
             symbol = _Symbol(f"v{next(self.numbers)}_{name}", kind, "local")
@@ -413,37 +413,37 @@ class _Translator:
                 break
         self.take(";")
 
-    def _for(self):
+    def for_loop(self):
         self.take("(")
         self.scopes.append({})
-        if self._is_type(self.next):
-            self._local()
+        if self.is_type(self.next):
+            self.local()
         else:
             if self.next != ";":
-                self._action()
+                self.action()
             self.take(";")
-        condition = "True" if self.next == ";" else self._value().code
+        condition = "True" if self.next == ";" else self.value().code
         self.take(";")
         body, depth, self.lines, self.depth = self.lines, self.depth, [], 0
         while self.next != ")":
-            self._action()
+            self.action()
             self.takes(",")
         step, self.lines, self.depth = self.lines, body, depth
         self.take(")")
         self.emit(f"while {condition}:")
-        self._loop(step)
+        self.loop(step)
         self.scopes.pop()
 
-    def _loop(self, step):
+    def loop(self, step):
         self.steps.append(step)
         outer, self.switches = self.switches, 0
-        self._block()
+        self.block()
         self.switches = outer
         self.lines += ["    " * (self.depth + 1) + line for line in self.steps.pop()]
 
-    def _switch(self):
+    def switch(self):
         self.take("(")
-        value, chosen = self._value(), f"v{next(self.numbers)}_case"
+        value, chosen = self.value(), f"v{next(self.numbers)}_case"
         self.take(")")
         self.take("{")
         self.emit(f"{chosen} = {value.code}")
@@ -454,7 +454,7 @@ class _Translator:
                 ends = True
             else:
                 self.take("case")
-                self.emit(f"{word} {chosen} == {self._value().code}:")
+                self.emit(f"{word} {chosen} == {self.value().code}:")
                 ends = False
             self.take(":")
             word = "elif"
@@ -468,89 +468,89 @@ class _Translator:
                     ends = True
                     break
                 ends = self.next == "return"
-                self._statement()
+                self.statement()
             self.switches -= 1
             self.depth -= 1
             if not ends and self.next != "}":
-                self._refuse("a case that falls through")
+                self.refuse("a case that falls through")
 
-    def _return(self, value):
+    def return_value(self, value):
         outs = [f"p_{name}" for direction, _, name in self.function.parameters if direction != "in"]
-        given = "None" if value is None else self._converted(value, self.function.type)
+        given = "None" if value is None else self.converted(value, self.function.type)
         self.emit(f"return ({', '.join([given, *outs])},)" if outs else f"return {given}")
 
-    def _action(self):
+    def action(self):
         """An assignment, a step up or down, or a call."""
         step = self.take() if self.next in ("++", "--") else ""
-        target = self._postfix()
+        target = self.postfix()
         if not step and self.next in ("++", "--"):
             step = self.take()
         if step:
             one = _Operand("int", "1")
-            self._assign(target, self._binary(step[0], self._loaded(target), one))
+            self.assign(target, self.binary(step[0], self.loaded(target), one))
         elif self.next in _ASSIGNMENTS:
             sign = self.take()
-            value = self._value()
+            value = self.value()
             if sign != "=":
                 if target.memory:  # its place is worked out once
                     at = f"v{next(self.numbers)}_at"
                     self.emit(f"{at} = {target.offset}")
                     target.offset = at
-                value = self._binary(sign[:-1], self._loaded(target), value)
-            self._assign(target, value)
+                value = self.binary(sign[:-1], self.loaded(target), value)
+            self.assign(target, value)
         else:
-            self.emit(self._loaded(target).code)
+            self.emit(self.loaded(target).code)
 
-    def _assign(self, target, value):
+    def assign(self, target, value):
         kind = target.type.type if isinstance(target.type, Codec) else target.type
-        code = self._converted(value, kind)
+        code = self.converted(value, kind)
         if target.memory:
             self.function.pauses = True
             self.emit(
-                f"yield ({STORE}, {target.memory}, {target.offset}, {target.place!r}, {self._codec(kind)}, {code})"
+                f"yield ({STORE}, {target.memory}, {target.offset}, {target.place!r}, {self.codec(kind)}, {code})"
             )
         elif not target.name:
-            self._refuse("an assignment to no variable")
+            self.refuse("an assignment to no variable")
         elif target.path:
             self.emit(f"{target.name} = put({target.name}, {target.path!r}, {code})")
         else:
             self.emit(f"{target.name} = {code}")
 
-    def _codec(self, kind):
+    def codec(self, kind):
         name = f"codec_{kind}"
         self.constants[name] = self.codecs[kind]
         return name
 
     # Expressions.
 
-    def _value(self):
-        return self._loaded(self._expression())
+    def value(self):
+        return self.loaded(self.expression())
 
-    def _expression(self):
-        condition = self._level(0)
+    def expression(self):
+        condition = self.level(0)
         if not self.takes("?"):
             return condition
-        first = self._value()
+        first = self.value()
         self.take(":")
-        second = self._value()
-        kind = self._common(first.type, second.type)
-        codes = [self._converted(each, kind) for each in (first, second)]
-        return _Operand(kind, f"({codes[0]} if {self._loaded(condition).code} else {codes[1]})")
+        second = self.value()
+        kind = self.common(first.type, second.type)
+        codes = [self.converted(each, kind) for each in (first, second)]
+        return _Operand(kind, f"({codes[0]} if {self.loaded(condition).code} else {codes[1]})")
 
-    def _level(self, level):
+    def level(self, level):
         if level == len(_LEVELS):
-            return self._unary()
-        left = self._level(level + 1)
+            return self.unary()
+        left = self.level(level + 1)
         while self.next in _LEVELS[level]:
             sign = self.take()
-            left = self._loaded(left)
-            left = self._binary(sign, left, self._loaded(self._level(level + 1)))
+            left = self.loaded(left)
+            left = self.binary(sign, left, self.loaded(self.level(level + 1)))
         return left
 
-    def _unary(self):
+    def unary(self):
         if self.next not in ("-", "+", "!", "~"):
-            return self._postfix()
-        sign, value = self.take(), self._loaded(self._unary())
+            return self.postfix()
+        sign, value = self.take(), self.loaded(self.unary())
         if sign == "!":
             return _Operand("bool", f"(not {value.code})")
         if sign == "~":
@@ -558,12 +558,12 @@ class _Translator:
         wrapped = f"(-{value.code} & {ALL})" if value.type == "uint" else f"(-{value.code})"
         return value if sign == "+" else _Operand(value.type, wrapped)
 
-    def _binary(self, sign, left, right):
+    def binary(self, sign, left, right):
         a, b = left.code, right.code
         if sign in ("&&", "||"):
             return _Operand("bool", f"({a} {'and' if sign == '&&' else 'or'} {b})")
         if left.type in SCALARS and right.type in SCALARS:
-            return self._scalars(sign, left, right)
+            return self.scalars(sign, left, right)
         if sign == "*" and left.type in MATRICES and right.type not in SCALARS:
             rows = MATRICES[left.type][1]
             if right.type in MATRICES:
@@ -573,20 +573,20 @@ class _Translator:
         if sign == "*" and right.type in MATRICES and left.type in VECTORS:
             return _Operand(vector_type("f", MATRICES[right.type][0]), f"({a} * {b})")
         if sign not in ("+", "-", "*", "/", "&", "|", "^", "<<", ">>"):
-            self._refuse(f"{left.type} {sign} {right.type}")
+            self.refuse(f"{left.type} {sign} {right.type}")
         kind = right.type if left.type in SCALARS else left.type
         return _Operand(kind, f"({a} {sign} {b})")
 
-    def _scalars(self, sign, left, right):
+    def scalars(self, sign, left, right):
         a, b = left.code, right.code
         if sign in ("==", "!=", "<", ">", "<=", ">="):
-            kind = self._common(left.type, right.type)
-            return _Operand("bool", f"({self._converted(left, kind)} {sign} {self._converted(right, kind)})")
+            kind = self.common(left.type, right.type)
+            return _Operand("bool", f"({self.converted(left, kind)} {sign} {self.converted(right, kind)})")
         if sign in ("<<", ">>"):
             code = f"({a} {sign} ({b}))"
             return _Operand(left.type, f"({code} & {ALL})" if left.type == "uint" else f"signed({code})")
-        kind = self._common(left.type, right.type)
-        a, b = self._converted(left, kind), self._converted(right, kind)
+        kind = self.common(left.type, right.type)
+        a, b = self.converted(left, kind), self.converted(right, kind)
         if sign == "/":
             return _Operand(kind, f"{'quotient' if kind == 'float' else 'whole_quotient'}({a}, {b})")
         if sign == "%":
@@ -596,72 +596,72 @@ class _Translator:
             return _Operand(kind, code)
         return _Operand(kind, f"({code} & {ALL})" if kind == "uint" else f"signed({code})")
 
-    def _common(self, first, second):
+    def common(self, first, second):
         if first == second:
             return first
         if first in SCALARS and second in SCALARS and "bool" not in (first, second):
             return "float" if "float" in (first, second) else "uint"
-        return self._refuse(f"{first} and {second}")
+        return self.refuse(f"{first} and {second}")
 
-    def _converted(self, operand, kind):
-        value = self._loaded(operand)
+    def converted(self, operand, kind):
+        value = self.loaded(operand)
         if value.type == kind:
             return value.code
         if kind == "float" and value.type in ("int", "uint"):
             return f"float({value.code})"
         if kind == "uint" and value.type == "int":
             return value.code if value.code.isdigit() else f"({value.code} & {ALL})"
-        return self._refuse(f"{value.type} where {kind} belongs")
+        return self.refuse(f"{value.type} where {kind} belongs")
 
-    def _loaded(self, operand):
+    def loaded(self, operand):
         """The value of an expression: read, where it is in memory."""
         if not operand.memory:
             return operand
         kind = operand.type.type
         if isinstance(kind, tuple):
-            self._refuse("an array as a whole")
-        request = f"{operand.memory}, {operand.offset}, {operand.place!r}, {self._codec(kind)}"
+            self.refuse("an array as a whole")
+        request = f"{operand.memory}, {operand.offset}, {operand.place!r}, {self.codec(kind)}"
         if operand.code == "constant":
             return _Operand(kind, f"_t.load({request})")
         self.function.pauses = True
         return _Operand(kind, f"(yield ({LOAD}, {request}))")
 
-    def _postfix(self):
-        operand = self._primary()
+    def postfix(self):
+        operand = self.primary()
         while self.next in (".", "["):
             if self.takes("["):
-                index = self._value()
+                index = self.value()
                 self.take("]")
-                operand = self._element(operand, index)
+                operand = self.element(operand, index)
             else:
                 self.take(".")
-                operand = self._field(operand, self.take())
+                operand = self.field(operand, self.take())
         return operand
 
-    def _element(self, operand, index):
+    def element(self, operand, index):
         if operand.memory and isinstance(operand.type.type, tuple):
             _, stride, count = operand.type.type
             at = index.code if count is None else f"_t.index({index.code}, {count}, {operand.place!r})"
             operand.offset, operand.type = f"{operand.offset} + {at} * {stride}", operand.type.members[0]
             return operand
-        value = self._loaded(operand)
+        value = self.loaded(operand)
         if value.type in MATRICES:
             kind = vector_type("f", MATRICES[value.type][1])
         elif value.type in VECTORS:
             kind = SCALAR_OF[VECTORS[value.type][0]]
         else:
-            return self._refuse(f"an index of {value.type}")
+            return self.refuse(f"an index of {value.type}")
         path = (*value.path, int(index.code)) if value.name and index.code.isdigit() else ()
         return _Operand(kind, f"{value.code}.parts[{index.code}]", name=value.name if path else "", path=path)
 
-    def _field(self, operand, field):
+    def field(self, operand, field):
         if operand.memory and operand.type.type not in VECTORS:
             for name, offset, codec in operand.type.members:
                 if name == field:
                     operand.offset, operand.type = f"{operand.offset} + {offset}", codec
                     return operand
-            self._refuse(field)
-        value = self._loaded(operand)
+            self.refuse(field)
+        value = self.loaded(operand)
         if value.type in VECTORS:
             kind, places = VECTORS[value.type][0], tuple(LETTERS[letter] for letter in field)
             if len(places) == 1:
@@ -672,18 +672,18 @@ class _Translator:
         kind = {name: codec.type for name, _, codec in self.codecs[value.type].members}[field]
         return _Operand(kind, f"{value.code}[{field!r}]", name=value.name, path=(*value.path, field))
 
-    def _primary(self):
+    def primary(self):
         place, token = self.place, self.take()
         if token == "(":
-            value = self._value()
+            value = self.value()
             self.take(")")
             return _Operand(value.type, f"({value.code})")
         if token[0].isdigit() or token[0] == ".":
-            return self._literal(token)
+            return self.literal(token)
         if token in ("true", "false"):
             return _Operand("bool", token.capitalize())
         if self.next == "(":
-            return self._call(token, place)
+            return self.call(token, place)
         for scope in reversed(self.scopes):
             if token in scope:
                 symbol = scope[token]
@@ -691,20 +691,20 @@ class _Translator:
                     return _Operand(symbol.type, symbol.name, name=symbol.name)
                 constant = "constant" if symbol.kind == "constant memory" else ""
                 return _Operand(symbol.type, constant, symbol.name, str(symbol.offset), place)
-        return self._refuse(token)
+        return self.refuse(token)
 
-    def _literal(self, token):
+    def literal(self, token):
         if token.endswith("u"):
             return _Operand("uint", str(int(token[:-1], 0)))
         if token[:2] in ("0x", "0X") or token.isdigit():
             return _Operand("int", str(int(token, 0)))
         return _Operand("float", repr(float(token)))
 
-    def _call(self, name, place):
+    def call(self, name, place):
         self.take("(")
         arguments = []
         while not self.takes(")"):
-            arguments.append(self._expression())
+            arguments.append(self.expression())
             self.takes(",")
         if name == "barrier":
             self.function.pauses = True
@@ -712,12 +712,12 @@ class _Translator:
         if name in ("atomicAdd", "atomicOr", "atomicAnd", "atomicMax", "atomicMin", "atomicXor", "atomicExchange"):
             target, kind = arguments[0], arguments[0].type.type
             self.function.pauses = True
-            request = f"{target.memory}, {target.offset}, {place!r}, {self._codec(kind)}"
-            changed = f"atomic_{name[6:].lower()}, {self._converted(arguments[1], kind)}"
+            request = f"{target.memory}, {target.offset}, {place!r}, {self.codec(kind)}"
+            changed = f"atomic_{name[6:].lower()}, {self.converted(arguments[1], kind)}"
             return _Operand(kind, f"(yield ({ATOMIC}, {request}, {changed}))")
-        values = None if name in self.functions else [self._loaded(each) for each in arguments]
+        values = None if name in self.functions else [self.loaded(each) for each in arguments]
         if values is None:
-            return self._own_call(self.functions[name], arguments)
+            return self.own_call(self.functions[name], arguments)
         codes = ", ".join(each.code for each in values)
         if name in SCALARS or name in VECTORS or name in MATRICES:
             return _Operand(name, f"constructed({name!r}, {codes})")
@@ -728,21 +728,21 @@ class _Translator:
             vectors = [each for each in kinds if each in VECTORS]
             return _Operand(vector_type("b", VECTORS[vectors[0]][1]) if vectors else "bool", f"g_{name}({codes})")
         if name not in SAME:
-            self._refuse(f"{name}()")
+            self.refuse(f"{name}()")
         kind = next((each for each in kinds if each in VECTORS), None) or kinds[0]
         if kind in SCALARS and name in ("min", "max", "clamp"):
             for each in kinds[1:]:
-                kind = self._common(kind, each)
-            codes = ", ".join(self._converted(each, kind) for each in values)
+                kind = self.common(kind, each)
+            codes = ", ".join(self.converted(each, kind) for each in values)
         return _Operand(kind, f"g_{name}({codes})")
 
-    def _own_call(self, function, arguments):
+    def own_call(self, function, arguments):
         codes, outs = [], []
         for (direction, kind, _), each in zip(function.parameters, arguments, strict=True):
-            codes.append(each.code if direction == "out" else self._converted(each, kind))
+            codes.append(each.code if direction == "out" else self.converted(each, kind))
             if direction != "in":
                 if not each.name or each.path:
-                    self._refuse("only a local variable can take a result")
+                    self.refuse("only a local variable can take a result")
                 outs.append(each.name)
         call = f"f_{function.name}(_t{''.join(f', {each}' for each in codes)})"
         if function.pauses:

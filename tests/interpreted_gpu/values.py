@@ -20,7 +20,7 @@ class Vec:
     def __init__(self, kind, parts):
         self.kind, self.parts = kind, tuple(parts)
 
-    def _with(self, other, operation):
+    def combined(self, other, operation):
         kind = self.kind
         if isinstance(other, Vec):
             kind = "f" if other.kind == "f" else kind
@@ -29,39 +29,39 @@ class Vec:
         return Vec(kind, [_wrapped(kind, operation(a, other)) for a in self.parts])
 
     def __add__(self, other):
-        return self._with(other, lambda a, b: a + b)
+        return self.combined(other, lambda a, b: a + b)
 
     def __sub__(self, other):
-        return self._with(other, lambda a, b: a - b)
+        return self.combined(other, lambda a, b: a - b)
 
     def __rsub__(self, other):
-        return self._with(other, lambda a, b: b - a)
+        return self.combined(other, lambda a, b: b - a)
 
     def __mul__(self, other):
         if isinstance(other, Mat):
             return Vec("f", [dot(self, column) for column in other.parts])
-        return self._with(other, lambda a, b: a * b)
+        return self.combined(other, lambda a, b: a * b)
 
     def __truediv__(self, other):
-        return self._with(other, quotient if "f" in (self.kind, getattr(other, "kind", "f")) else whole_quotient)
+        return self.combined(other, quotient if "f" in (self.kind, getattr(other, "kind", "f")) else whole_quotient)
 
     def __rtruediv__(self, other):
-        return self._with(other, lambda a, b: quotient(b, a))
+        return self.combined(other, lambda a, b: quotient(b, a))
 
     def __rshift__(self, other):
-        return self._with(other, lambda a, b: a >> b)
+        return self.combined(other, lambda a, b: a >> b)
 
     def __lshift__(self, other):
-        return self._with(other, lambda a, b: a << b)
+        return self.combined(other, lambda a, b: a << b)
 
     def __and__(self, other):
-        return self._with(other, lambda a, b: a & b)
+        return self.combined(other, lambda a, b: a & b)
 
     def __or__(self, other):
-        return self._with(other, lambda a, b: a | b)
+        return self.combined(other, lambda a, b: a | b)
 
     def __xor__(self, other):
-        return self._with(other, lambda a, b: a ^ b)
+        return self.combined(other, lambda a, b: a ^ b)
 
     def __neg__(self):
         return Vec(self.kind, [_wrapped(self.kind, -each) for each in self.parts])

@@ -1,17 +1,27 @@
 """The streak physics in plain NumPy, float64: `streak_gaussians` must make the same."""
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.streaks import (
     AXIS_RATIO_OFFSET,
     AXIS_RATIO_SLOPE,
     ShutterModel,
-    StreakGaussians,
     circle_of_confusion_m,
     visible_distance_m,
 )
+
+
+class StreakGaussians(NamedTuple):
+    """Streak Gaussians in the world, without color."""
+
+    means: Float32[np.ndarray, "n 3"]
+    scales: Float32[np.ndarray, "n 3"]
+    quaternions: Float32[np.ndarray, "n 4"]
+    opacities: Float32[np.ndarray, " n"]
 
 
 def axis_ratio(diameter_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:

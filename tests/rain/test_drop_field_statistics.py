@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from gsrain_engine.rain.drop_field import (
-    FIRST_OF_CLASS,
-    DropCulling,
-    DropPhases,
-    find_drops,
-    place_drops,
-)
+from given_rain import all_drops, found_drops
+from gsrain_engine.rain.drop_field import FIRST_OF_CLASS, DropCulling, DropPhases, place_drops
+from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.properties import CLASSES, LARGEST_MM, SMALLEST_MM, fall_speed
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera, look_at
 from oracles.drop_phases import displacement, phases_of
 
@@ -41,8 +37,8 @@ def drive(time_s):
 
 def drops_around(rainfall, time_s, view=None):
     """Every drop of the lattice, and its place in the ego's axes from the middle of the region."""
-    field = rainfall.streak_field(time_s, view or drive(time_s))
-    drops = place_drops(np.arange(field.count), field.rain.seed, field.where)
+    field = rainfall.frame(time_s, view or drive(time_s))
+    drops = all_drops(field)
     at = drops.positions(field.period_m)
     at[:, :2] = at[:, :2] @ field.culling.region_rotation.T
     return drops, at, field
@@ -117,7 +113,7 @@ def likeness(numbers, *, drawn_anew=True, heights=True):
     """Correlation of x-z images 0.6 to 15 s apart; without heights, each row less its mean."""
     rainfall, view, pictures = RainSimulation.start(RainSettings(intensity_mm_h=8.5, seed=4)), drive(0.0), []
     for time_s in np.arange(0, 30, 0.2):
-        field = rainfall.streak_field(time_s, view)
+        field = rainfall.frame(time_s, view)
         where = field.where if drawn_anew else DropPhases(0 * field.where.wraps, field.where.fractions)
         at = place_drops(numbers, 4, where).positions(field.period_m)
         x, z = field.period_m[[0, 2]] / 2
@@ -309,11 +305,11 @@ def test_compiled_search_places_drops_to_the_last_bit_far_and_late():
             if smaller is not None:
                 half[smaller] = np.nextafter(half[smaller], 0)
             box = culling(half)
-            found = find_drops(CLASSES, 3, where, period, box).numbers
+            found = found_drops(CLASSES, 3, where, period, box)
             expected = np.flatnonzero(np.all(distance <= half, axis=1))
             np.testing.assert_array_equal(found, expected)
             assert (number in found) == (smaller is None)
-            assert len(find_drops(CLASSES, 3, where, period, box, in_view=False).numbers) == len(expected)
+            assert len(found_drops(CLASSES, 3, where, period, box, in_view=False)) == len(expected)
 
 
 def culling(half):

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import special, stats
 
-from gsrain_engine.rain.calibration import VelocityFit, atlas_velocity
-from gsrain_engine.rain.properties import CLASSES, DropSizes
+from gsrain_engine.rain.calibration import VelocityFit, atlas_velocity, load_calibration
+from gsrain_engine.rain.properties import DropSizes, calibration_curves, spectrum_at
 
 laws = st.builds(DropSizes, st.floats(1, 30), st.floats(0.02, 0.5))
 
@@ -39,17 +39,6 @@ def test_moments_are_those_of_the_truncated_gamma(sizes, power):
     assert sizes.expectation(lambda d: d**power) == pytest.approx(expected, rel=1e-7)
 
 
-@given(laws)
-@settings(max_examples=25, deadline=None)
-def test_classes_have_the_moments_of_the_law(sizes):
-    diameters = sizes.class_diameters_mm
-    assert len(diameters) == CLASSES
-    assert diameters[[0, -1]] == pytest.approx(sizes.quantile(np.array([0.5, CLASSES - 0.5]) / CLASSES))
-    assert np.all(np.diff(diameters) >= 0)
-    assert diameters.mean() == pytest.approx(sizes.expectation(lambda d: d), rel=1e-4)
-    assert np.mean(diameters**3) == pytest.approx(sizes.expectation(lambda d: d**3), rel=5e-3)
-
-
 def test_a_law_of_nothing_but_mist_lies_at_its_lower_end():
     """Of it e^-1000 is within 0.1..8 mm: a number that only exists as a logarithm."""
     assert DropSizes(2.0, 1e-4).expectation(lambda d: d) == pytest.approx(0.1, abs=1e-3)
@@ -65,3 +54,15 @@ def test_published_velocity_stays_at_its_vertex():
 def test_atlas_velocity_agrees_with_gunn_and_kinzer():
     # Gunn and Kinzer (1949): 1 mm 4.03 m/s, 2 mm 6.49 m/s, 4 mm 8.83 m/s.
     assert atlas_velocity(np.array([1.0, 2.0, 4.0])) == pytest.approx([4.03, 6.49, 8.83], rel=0.03)
+
+
+def test_curves_run_through_the_rows_and_spectra_add_up():
+    published = load_calibration("published")
+    curves = calibration_curves(published)
+    for row, implied in zip(published.rows, (0.80, 6.59, 11.03), strict=True):
+        at = np.log(row.intensity_mm_h), np.log(curves.intensities_mm_h)
+        np.testing.assert_allclose(np.exp(np.interp(*at, np.log(curves.density_m3))), row.density_m3, rtol=0.01)
+        np.testing.assert_allclose(np.interp(*at, curves.implied_share), implied / row.intensity_mm_h, rtol=0.02)
+        spectrum = spectrum_at(published, row.intensity_mm_h)
+        np.testing.assert_allclose(np.trapezoid(spectrum, curves.diameters_mm), row.density_m3, rtol=0.01)
+    np.testing.assert_allclose(curves.fall_speed_m_s, published.velocity(curves.diameters_mm))

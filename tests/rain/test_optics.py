@@ -7,8 +7,9 @@ import pytest
 
 from given_rain import given_rain
 from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.streaks import ShutterModel, streak_gaussians
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera, look_at
@@ -58,13 +59,11 @@ def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.
     at = np.array([[distance_m, phase[0] * distance_m / FOCAL, phase[1] * distance_m / FOCAL]])
     velocity = np.array([[0.0, 0, -fall_speed(diameter_mm)]])
     rain = RainSettings(**fields)
-    made = streak_gaussians(
-        at, np.array([diameter_mm]), velocity, ShutterModel(camera, np.zeros(3), exposure_s, FOCAL), rain
+    color = np.full(3, gray)
+    drops = streak_gaussians(
+        at, np.array([diameter_mm]), velocity, ShutterModel(camera, np.zeros(3), exposure_s, FOCAL), rain, color
     )
-    color = np.full((len(made.means), 3), gray, np.float32)
-    drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, sh_from_color(color))
-    light = srgb_to_linear(color[0]).astype(np.float32)
-    renderer.draw(list(parts), camera, given_rain(drops, light, rain.rain_light))
+    renderer.draw(list(parts), camera, given_rain(drops, srgb_to_linear(color).astype(np.float32), rain.rain_light))
     return renderer.read().rgba.astype(np.float64)
 
 
@@ -123,17 +122,14 @@ def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):
     anchor = np.eye(4)
     anchor[:3, 3] = 0.0, 0.0, 1.5
     view = RainCamera(camera, anchor, np.zeros(3), focal_px=FOCAL)
-    field = RainSimulation.start(RainSettings(intensity_mm_h=1.2, **lens)).streak_field(3.0, view)
+    field = RainSimulation.start(RainSettings(intensity_mm_h=1.2, **lens)).frame(3.0, view)
     wider = replace(field, culling=field.culling._replace(slopes=np.array([-9.0, 9, -9, 9])))
     alphas = []
     for each in (field, wider):
-        _, made = each.streaks()
-        color = sh_from_color(np.full((len(made.means), 3), 0.8, np.float32))
-        drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, color)
-        renderer.draw([], camera, given_rain(drops, np.full(3, 0.6, np.float32), "linear"))
+        renderer.draw([], camera, each)
         alphas.append(renderer.read().rgba[..., 3])
     assert alphas[0].max() > 0.002
-    assert len(wider.drops().numbers) > 1.3 * len(field.drops().numbers)
+    assert len(wider.visible_drops().numbers) > 1.3 * len(field.visible_drops().numbers)
     np.testing.assert_allclose(alphas[0], alphas[1], atol=1e-6)
 
 
@@ -185,7 +181,7 @@ class HazeFields:
         clear = srgb_to_linear(self.renderer.read().rgba[..., 0].astype(np.float64))
         total = np.zeros((len(walls), self.camera.height, self.camera.width))
         for field in range(fields):
-            haze = self.rainfall.at(4.0 * field, self.view)
+            haze = self.rainfall.frame(4.0 * field, self.view)
             for number, each in enumerate(walls):
                 self.renderer.draw([each], self.camera, haze)
                 total[number] += srgb_to_linear(self.renderer.read().rgba[..., 0].astype(np.float64)) / clear

@@ -4,12 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.drop_field import place_drops
-from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.shelter_map import CELL_M, ShelterMap, build_shelter_map, shelter_map_of
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, rain_frame_of
+from gsrain_engine.render.draw import RenderView, rain_camera
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
@@ -89,16 +88,6 @@ def test_a_canopy_of_three_by_three_cells_is_a_roof_wherever_it_stands():
         assert build_shelter_map(parts(ROAD, canopy)).shelter(middle).tolist() == [True, False, False]
 
 
-def test_strays_far_away_change_nothing():
-    strays = sheet((0, 0, 0), (0, 0, 0))
-    away = [np.array([[x, x, 3.0]], np.float32) for x in (1e12, -1e12, 4e4)]
-    far = [Gaussians(place, strays.scales, strays.quaternions, strays.opacities, strays.sh) for place in away]
-    roofs = build_shelter_map(parts(Gaussians.concatenate([ROAD, BRIDGE, *far])))
-    places = np.array([[13.0, 1.0, 2.0], [5.0, 1.0, 2.0], [13.0, 1.0, 6.0]])
-    assert roofs.shelter(places).tolist() == [True, False, False]
-    assert build_shelter_map(parts(Gaussians.concatenate(far))) is None
-
-
 def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
     coarse = sheet((10, -10, 5), (16, 10, 5), spacing=1.5)
     torn = BRIDGE.take(np.flatnonzero(~((abs(BRIDGE.means[:, 0] - 13) < 0.3) & (abs(BRIDGE.means[:, 1]) < 0.3))))
@@ -140,18 +129,12 @@ def test_a_piece_covers_its_whole_circle_wherever_that_lies():
             assert max(piece.heights_m.shape) <= 2 * reach / 0.5 + 2  # no more than that
 
 
-def test_a_piece_shelters_as_the_whole_does():
-    roofs = build_shelter_map(parts(ROAD, BRIDGE))
-    piece = roofs.around(11.0, 1.0, 4.0)
-    assert piece is not None and piece.heights_m.size < 0.2 * roofs.heights_m.size
-    places = np.random.default_rng(2).uniform((7.1, -2.9, 0), (14.9, 4.9, 8), (4000, 3))
-    np.testing.assert_array_equal(piece.shelter(places), roofs.shelter(places))
-    assert roofs.around(-5.0, 0.0, 4.0) is None
-    assert roofs.around(-500.0, 0.0, 4.0) is None
-
-
 def camera(eye=EYE):
     return Camera.from_fov(160, 120, 50.0, look_at(eye, eye + [1.0, 0, 0], UP))
+
+
+def frame(street, rainfall, shot):
+    return rainfall.frame(shot.time_s, rain_camera(street, rainfall, shot), SKY)
 
 
 def rain(**fields):
@@ -163,12 +146,12 @@ def test_no_drop_and_no_haze_is_under_the_bridge(reset):
     street = scene(ROAD, BRIDGE)
     fields = {"streak_reset": reset, "intensity_mm_h": 50.0, "haze_opacity": 0.01}
     shot = RenderView(camera(), 3.0, focal_px=1000.0)
-    open_air, kept_out = (rain_frame_of(street, rain(roofs=on, **fields), SKY, shot) for on in (False, True))
+    open_air, kept_out = (frame(street, rain(roofs=on, **fields), shot) for on in (False, True))
     roofs = shelter_map_of(street)
-    field, everywhere = kept_out.streak_field, open_air.streak_field.drops()
-    under = roofs.shelter(open_air.streak_field.positions(everywhere))
+    everywhere = open_air.visible_drops()
+    under = roofs.shelter(everywhere.positions_m)
     assert 0.1 < np.mean(under) < 1
-    np.testing.assert_array_equal(field.drops().numbers, everywhere.numbers[~under])
+    np.testing.assert_array_equal(kept_out.visible_drops().numbers, everywhere.numbers[~under])
     wet = roofs.shelter(open_air.haze.means.astype(float))
     assert np.sum(wet) > 20
     np.testing.assert_array_equal(kept_out.haze.means, open_air.haze.means[~wet])
@@ -182,30 +165,10 @@ def test_the_open_street_does_not_change_by_it():
     for street in (scene(ROAD, WALL), scene(ROAD, WALL, far_road, far_bridge)):
         for on in (False, True):
             renderer = CpuRenderer()
-            falling = rain_frame_of(street, rain(roofs=on), SKY, RenderView(camera(), 3.0))
-            renderer.draw(street.parts(), camera(), falling)
+            renderer.draw(street.parts(), camera(), frame(street, rain(roofs=on), RenderView(camera(), 3.0)))
             pictures.append(renderer.read().rgba.tobytes())
     assert shelter_map_of(scene(ROAD, WALL, far_road, far_bridge)) is not None
     assert pictures[0] == pictures[1] and pictures[2] == pictures[3]
-
-
-def test_rain_reaches_everywhere_unless_it_is_asked_for():
-    assert not RainSettings().roofs
-
-
-def test_a_drop_above_the_roof_is_drawn():
-    field = rain(seed=5).streak_field(1.0, RainCamera(camera(), _anchor(EYE), np.zeros(3)))
-    drops = place_drops(np.arange(4000), field.rain.seed, field.where)
-    heights = np.full((40, 40), 3.0, np.float32)
-    roofs = ShelterMap(heights, (EYE[0] - 10, EYE[1] - 10))
-    places = field.positions(drops)
-    np.testing.assert_array_equal(roofs.shelter(places), places[:, 2] < 3.0)
-
-
-def _anchor(position):
-    anchor = np.eye(4)
-    anchor[:3, 3] = position
-    return anchor
 
 
 def test_a_selection_is_no_reason_to_find_roofs_again():

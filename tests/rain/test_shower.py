@@ -4,16 +4,15 @@ import msgspec
 import numpy as np
 import pytest
 
+from given_rain import HERE, gaussians_of
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.drop_field import place_drops
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.properties import DropClassTable, rain_properties
 from gsrain_engine.rain.settings import RainSettings, RegionBox
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
-from gsrain_engine.scene.camera import Camera
+from gsrain_engine.rain.simulation import RainSimulation
 from oracles.drop_phases import displacement
 
-HERE = RainCamera(Camera.from_fov(64, 48, 60.0, np.eye(4)), np.eye(4), np.zeros(3))
 SMALL = RegionBox(minimum_m=(0.0, 0.0, 0.0), maximum_m=(3.0, 2.0, 2.0))
 
 
@@ -45,10 +44,7 @@ def test_a_frame_alone_is_the_frame_among_others():
     times = [2.0, 9.99, 18.5, 17.6]
 
     def frame(rainfall, time_s):
-        falling = rainfall.at(time_s, HERE)
-        if falling is None:
-            return b""
-        g = falling.gaussians
+        g = gaussians_of(rainfall.frame(time_s, HERE))
         return b"".join(each.tobytes() for each in (g.means, g.scales, g.quaternions, g.opacities, g.sh))
 
     rain = RainSettings(seed=5, gust_m_s=2.0, streak_region=SMALL)
@@ -96,7 +92,7 @@ def test_no_drop_jumps_at_a_key_or_between():
 
 def test_drops_come_and_go_by_number_and_those_that_stay_fall_on():
     rainfall = RainSimulation.start(RainSettings(seed=5, streak_region=SMALL), weather=TRIANGLE)
-    early, late = (rainfall.streak_field(at, HERE) for at in (10.0, 10.01))
+    early, late = (rainfall.frame(at, HERE) for at in (10.0, 10.01))
     assert late.count > early.count > 10_000
     numbers = np.arange(early.count)
     before = place_drops(numbers, 5, early.where)
@@ -112,12 +108,12 @@ def test_haze_and_numbers_follow_the_intensity():
     for at, rate in ((10.5, 6.0), (18.0, 12.0)):
         state = rain_properties(msgspec.structs.replace(rain, intensity_mm_h=rate), rainfall.calibration)
         assert rainfall.state_at(at) == state
-        field = rainfall.streak_field(at, HERE)
+        field = rainfall.frame(at, HERE)
         assert field.count == round(state.density_m3 * np.prod(field.period_m))
         constant = RainSimulation.start(msgspec.structs.replace(rain, intensity_mm_h=rate))
-        assert np.array_equal(rainfall.at(at, HERE).haze.means, constant.at(at, HERE).haze.means)
+        assert np.array_equal(field.haze.means, constant.frame(at, HERE).haze.means)
         assert field.diameters_mm == pytest.approx(constant.diameters_mm, rel=1e-3)
-    assert rainfall.at(40.0, HERE) is None
+    assert rainfall.frame(40.0, HERE).count == rainfall.frame(40.0, HERE).haze_count == 0
     assert rainfall.can_rain
     assert not RainSimulation.start(RainSettings(intensity_mm_h=3.0), weather=weather((0.0, 0.0))).can_rain
 
@@ -125,8 +121,8 @@ def test_haze_and_numbers_follow_the_intensity():
 def test_one_key_is_constant_rain():
     """To the byte: offsets, sizes, number."""
     rain = RainSettings(seed=9, wind_m_s=(2.0, 1.0), gust_m_s=1.0)
-    keyed = RainSimulation.start(rain, weather=weather((7.0, 8.5))).streak_field(4.0, HERE)
-    constant = RainSimulation.start(msgspec.structs.replace(rain, intensity_mm_h=8.5)).streak_field(4.0, HERE)
+    keyed = RainSimulation.start(rain, weather=weather((7.0, 8.5))).frame(4.0, HERE)
+    constant = RainSimulation.start(msgspec.structs.replace(rain, intensity_mm_h=8.5)).frame(4.0, HERE)
     assert keyed.count == constant.count
     assert np.array_equal(keyed.diameters_mm, constant.diameters_mm)
     assert np.array_equal(keyed.where.wraps, constant.where.wraps)
@@ -140,8 +136,8 @@ def test_a_keyed_exposure_lengthens_streaks():
         keys=(RainKeyframe(time_s=0.0, exposure_s=0.002), RainKeyframe(time_s=10.0, exposure_s=0.02))
     )
     rainfall = RainSimulation.start(rain, weather=exposures)
-    assert rainfall.streak_field(5.0, HERE).shutter.exposure_s == pytest.approx(0.011)
-    long, short = (rainfall.at(at, HERE).gaussians.scales.max() for at in (10.0, 0.0))
+    assert rainfall.frame(5.0, HERE).shutter.exposure_s == pytest.approx(0.011)
+    long, short = (gaussians_of(rainfall.frame(at, HERE)).scales.max() for at in (10.0, 0.0))
     assert long > 5 * short
 
 

@@ -1,15 +1,13 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.rain.streaks import ShutterModel, circle_of_confusion_m, streak_gaussians
+from gsrain_engine.rain.streaks import ShutterModel, streak_gaussians
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import matrices_from_quaternions
-from oracles.streaks import axis_ratio, make_streaks
+from oracles.streaks import make_streaks
 
 F = 1000.0
 PUBLISHED = load_calibration("published")
@@ -28,26 +26,6 @@ def streak(distance_m, diameter_mm, fall_m_s=4.0, exposure_s=0.004, velocity=(0.
         shutter(exposure_s, velocity),
         RainSettings(**rain),
     )
-
-
-@given(st.floats(0.25, 1.9), st.floats(0.3, 2.5), st.floats(0.003, 0.05))
-@settings(max_examples=80, deadline=None)
-def test_alpha_integrates_to_the_cross_section_near_and_far(share_of_dm, diameter_mm, exposure_s):
-    """Sum of alpha over the image is pi D^2 / 4 (f / d)^2: what the drop hides, smeared over its path."""
-    distance = share_of_dm * F * diameter_mm * 1e-3
-    fall = float(PUBLISHED.velocity(np.array([diameter_mm]))[0])
-    made = streak(distance, diameter_mm, fall, exposure_s=exposure_s)
-    across_px, along_px = made.scales[:, 0] * F / distance, made.scales[:, 2] * F / distance
-    integral = np.sum(2 * np.pi * across_px * along_px * made.opacities)
-    assert integral == pytest.approx(np.pi / 4 * (diameter_mm * 1e-3 * F / distance) ** 2, rel=0.06)
-
-
-def test_halving_the_exposure_doubles_the_opacity_and_halves_the_streak():
-    long, short = streak(1.0, 1.0, exposure_s=0.004, max_copies=1), streak(1.0, 1.0, exposure_s=0.002, max_copies=1)
-    alpha = [1 - (1 - float(s.opacities[0])) ** np.sqrt(2 * np.pi) for s in (long, short)]
-    assert alpha[0] == pytest.approx(1e-3 / (4.0 * 0.004), rel=1e-5)
-    assert alpha[1] == pytest.approx(2 * alpha[0], rel=1e-5)
-    assert long.scales[0, 2] == pytest.approx(2 * short.scales[0, 2])
 
 
 def test_copies_lie_along_the_path_of_the_drop():
@@ -69,13 +47,6 @@ def test_a_moving_camera_slants_lengthens_and_fades_the_streak():
     assert np.array_equal(world.means, still.means)
 
 
-def test_speed_along_the_line_of_sight_does_not_fade():
-    """A drop that comes straight at the camera stays on its pixel: alpha counts only the speed across."""
-    approaching = streak(1.0, 1.0, velocity=(10.0, 0, 0))
-    still = streak(1.0, 1.0)
-    assert approaching.opacities[0] == pytest.approx(still.opacities[0], rel=1e-5)
-
-
 def test_the_paper_s_form_takes_the_fall_speed_whatever_the_line_of_sight():
     """Eq. 5: D / (V T), for a drop that is seen at 30 degrees above the horizon too."""
     for frame, speed in (("world", 4.0), ("camera", 4.0 * np.cos(np.pi / 6))):
@@ -93,11 +64,6 @@ def test_opacity_falls_beyond_the_visible_distance():
     assert alpha[2] == pytest.approx(alpha[1] / 1.6, rel=1e-5)
 
 
-def test_small_drops_are_spheres_and_large_ones_flat():
-    assert axis_ratio(np.array([0.3, 0.9, 1.0])) == pytest.approx([1, 1, 1])
-    assert axis_ratio(np.array([2.0, 4.0])) == pytest.approx([0.93, 0.79])
-
-
 @pytest.mark.parametrize(
     "fields", [{}, {"streak_frame": "world"}, {"far_drops": "published"}, {"aperture_mm": 6.0}, {"streak_gain": 30.0}]
 )
@@ -107,7 +73,7 @@ def test_the_compiled_form_makes_the_same_streaks_and_leaves_out_what_is_not_see
     diameters = random.uniform(0.1, 4, 3000)
     velocities = np.stack([random.normal(size=3000), random.normal(size=3000), -PUBLISHED.velocity(diameters)], axis=1)
     given = (positions, diameters, velocities, shutter(velocity=(8.0, 1.0, 0.0)), RainSettings(**fields))
-    plain, compiled = make_streaks(*given), streak_gaussians(*given)
+    plain, compiled = make_streaks(*given), streak_gaussians(*given, np.ones(3))
     away, rows = cKDTree(plain.means).query(compiled.means)
     assert away.max() < 1e-5
     assert np.all(np.diff(rows) > 0) and 0 < len(rows) < 0.5 * len(plain.means)
@@ -135,7 +101,7 @@ def test_a_tilted_camera_away_from_the_origin_leaves_out_what_is_outside_its_own
         ShutterModel(camera, np.array([8.0, 1.0, 0.5]), 0.008, F),
         RainSettings(),
     )
-    plain, compiled = make_streaks(*given), streak_gaussians(*given)
+    plain, compiled = make_streaks(*given), streak_gaussians(*given, np.ones(3))
     m, reach = camera.world_to_camera, 4.8 * plain.scales[:, 2]
     u, v, depth = (plain.means.astype(np.float64) @ m[:3, :3].T + m[:3, 3]).T
     wide = np.maximum(depth + reach, 0)
@@ -146,24 +112,3 @@ def test_a_tilted_camera_away_from_the_origin_leaves_out_what_is_outside_its_own
     np.testing.assert_allclose(compiled.scales, plain.scales[seen], rtol=2e-5)
     np.testing.assert_allclose(compiled.quaternions, plain.quaternions[seen], atol=2e-6)
     np.testing.assert_allclose(compiled.opacities, plain.opacities[seen], rtol=2e-5)
-
-
-def test_a_pinhole_and_drops_in_focus_are_sharp():
-    """c = f A |1/d - 1/d_focus| px, here 6 mm at half the focus distance: 3 mm at the drop."""
-    sharp, focused = streak(2.0, 1.0), streak(2.0, 1.0, aperture_mm=6.0, focus_distance_m=2.0)
-    for name in ("means", "scales", "opacities"):
-        assert np.array_equal(getattr(sharp, name), getattr(focused, name))
-    circle = circle_of_confusion_m(np.array([1.0, 2.0, 4.0]), RainSettings(aperture_mm=6.0, focus_distance_m=2.0))
-    assert circle == pytest.approx([3e-3, 0, 6e-3])
-
-
-@pytest.mark.parametrize("velocity", [(0.0, 0, 0), (0.0, 9.0, 0), (7.0, 0.5, 2.0)])
-def test_defocus_keeps_the_integral(velocity):
-    """Of each copy, over the image, with foreshortening: blur widens and fades."""
-    sharp = streak(0.5, 2.0, velocity=velocity)
-    blurred = streak(0.5, 2.0, velocity=velocity, aperture_mm=5.0, focus_distance_m=4.0)
-    assert np.allclose(blurred.scales**2 - sharp.scales**2, (5e-3 * 0.875 / 4) ** 2, rtol=1e-3)
-    axes = [matrices_from_quaternions(s.quaternions.astype(float)) * s.scales[:, None] for s in (sharp, blurred)]
-    areas = [np.sqrt(np.linalg.det((a @ a.transpose(0, 2, 1))[:, 1:, 1:])) for a in axes]
-    assert areas[1] * blurred.opacities == pytest.approx(areas[0] * sharp.opacities, rel=1e-4)
-    assert blurred.opacities.max() < 0.7 * sharp.opacities.min()

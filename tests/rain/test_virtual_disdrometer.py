@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from given_rain import HERE
 from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.fit import calibrate_files
 from gsrain_engine.disdrometer.fit_models import FitOptions
@@ -17,10 +18,8 @@ from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.drop_field import place_drops
 from gsrain_engine.rain.settings import RainSettings, RegionBox
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
-from gsrain_engine.scene.camera import Camera
+from gsrain_engine.rain.simulation import RainSimulation
 
-HERE = RainCamera(Camera.from_fov(8, 8, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
 MINUTE = np.array([0.0, 60.0])
 
 
@@ -77,10 +76,10 @@ def test_counts_what_single_frames_of_the_field_show():
     rain = RainSettings(intensity_mm_h=0.6, streak_region=small, wind_m_s=(3.0, -2.0), gust_m_s=8.0, seed=5)
     rainfall = RainSimulation.start(rain)
     start, end, frames, area = 31.0, 31.3, 30, 1.5
-    numbers = np.arange(rainfall.streak_field(start, HERE).count)
+    numbers = np.arange(rainfall.frame(start, HERE).count)
 
     def placed(time_s, which):
-        field = rainfall.streak_field(time_s, HERE)
+        field = rainfall.frame(time_s, HERE)
         drops = place_drops(which, rain.seed, field.where)
         return drops, drops.positions(field.period_m)
 

@@ -1,7 +1,5 @@
 """Weather: keys, curves, plain values, and a disdrometer's series as one."""
 
-import time
-
 import msgspec
 import numpy as np
 import pytest
@@ -109,30 +107,6 @@ def test_keys_out_of_bounds_are_reported(key, message):
         msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, {"time_s": 5.0} | key]}, RainKeyframes)
 
 
-def test_a_passing_shower_rises_to_its_peak_and_ends():
-    weather = shower_keyframes(20.0)
-    assert [weather.rain_at(RainSettings(), at).intensity_mm_h for at in (0.0, 20.0, 50.0, 80.0)] == [
-        0.0,
-        0.0,
-        12.0,
-        0.0,
-    ]
-    rising = [weather.rain_at(RainSettings(), at).intensity_mm_h for at in np.linspace(20, 50, 200)]
-    assert np.all(np.diff(rising) >= 0)
-
-
-def test_a_long_series_is_fast():
-    """100,000 records: looking up a moment may not go through them all (which takes over 5 ms)."""
-    n = 100_000
-    weather = keyframes_from_series(30.0 * np.arange(n), np.random.default_rng(1).gamma(1, 5, n))
-    weather.rain_at(RainSettings(), 0.0)
-    started = time.perf_counter()
-    for k in range(1000):
-        weather.rain_at(RainSettings(), 2999.0 * k)
-    assert time.perf_counter() - started < 2.0
-    assert weather.heaviest_mm_h(RainSettings()) <= 100.0
-
-
 def test_a_series_is_cut_off_at_100_mm_h():
     weather = keyframes_from_series(np.array([0.0, 60.0]), np.array([250.0, 3.0]))
     assert [key.intensity_mm_h for key in weather.keys] == [100.0, 3.0]
@@ -156,14 +130,6 @@ def test_a_disdrometers_day_becomes_a_weather(test_data):
     assert f"{measured.records:,} records" in measured.summary
     with pytest.raises(ValueError, match="speed-up"):
         keyframes_from_spectra(reading, speed_up=0.0)
-
-
-def test_a_file_with_one_rate_is_one_key(test_data):
-    file = next((test_data / "weather" / "rainsense").glob("*/*/*/context/rainfall_intensity.txt"))
-    reading = read_disdrometer(file)
-    measured = keyframes_from_spectra(reading, start_s=3.0)
-    (key,) = measured.weather.keys
-    assert (key.time_s, key.intensity_mm_h) == (3.0, reading.spectra.reported_mm_h[0])
 
 
 def test_records_without_time_or_rate_are_left_out_and_none_at_all_is_told():

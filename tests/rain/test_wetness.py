@@ -1,12 +1,10 @@
-import math
-
 import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.keyframes import KeyframeCurve, RainKeyframe, RainKeyframes, shower_keyframes
+from gsrain_engine.rain.keyframes import KeyframeCurve, RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.wetness import WetnessCurve, water_depth_mm, wetness
@@ -71,30 +69,6 @@ def test_rain_that_stops_slowly_is_remembered_from_its_turning_point():
     assert course.at(-5.0) == course.at(0.0) == pytest.approx(wetness(12))
 
 
-def test_a_course_remembers_one_moment():
-    """Drawing asks for it many times in a frame; a drive of hours must not grow by it."""
-    course = WetnessCurve(curve((0, 0), (10, 12)), 30.0)
-    for time_s in np.linspace(0, 20, 50).tolist():
-        course.at(time_s)
-    assert len(course._latest) == 1
-
-
-def test_after_a_shower_it_dries_by_its_time_constant():
-    course = WetnessCurve(curve((0, 0), (10, 12), (10.001, 0)), 30.0)
-    assert course.at(10.0) == pytest.approx(wetness(12))
-    assert course.at(40.0) == pytest.approx(course.at(70.0) * math.e)
-    assert course.at(40.0) == pytest.approx(wetness(12) / math.e, rel=1e-3)
-
-
-def test_moments_in_any_order_are_the_same():
-    shower = shower_keyframes(duration_s=60).curves["intensity_mm_h"]
-    there, back = WetnessCurve(shower, 20.0), WetnessCurve(shower, 20.0)
-    times = np.linspace(-5, 90, 40).tolist()
-    forward = [there.at(t) for t in times]
-    assert forward == [back.at(t) for t in reversed(times)][::-1]
-    assert max(abs(np.diff(forward))) < 0.4
-
-
 def test_a_rainfall_knows_its_wetness():
     steady = RainSimulation.start(RainSettings(intensity_mm_h=8.5))
     assert steady.wetness_at(3.0) == wetness(8.5)
@@ -108,10 +82,6 @@ def test_a_rainfall_knows_its_wetness():
     assert shower.wetness_at(20.0) == 0
     assert slow.wetness_at(20.0) > 0.7
     assert slow.changed(RainSettings(), 20.0).wetness_at(20.0) == 0
-
-
-def test_the_clear_twin_is_dry():
-    assert RainSimulation.start(RainSettings(intensity_mm_h=8.5, wetness=0.7).without_rain).wetness_at(0.0) == 0
 
 
 @pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])

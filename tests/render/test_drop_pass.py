@@ -6,14 +6,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from given_rain import given_rain
+from given_rain import gaussians_of, given_rain
 from gsrain_engine.presets import shipped_folder
 from gsrain_engine.rain.drop_field import CLASS_STRIDE, place_drops
+from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.shelter_map import ShelterMap
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.opengl.rain import RainPass, class_rows
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
@@ -38,7 +39,7 @@ def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), we
     rain = msgspec.structs.replace(load_preset("8.5"), wind_m_s=(2.0, -1.0), seed=3, **changes)
     anchor = ANCHOR.copy()
     anchor[:3, 3] += travelled
-    return RainSimulation.start(rain, weather=weather).at(time_s, RainCamera(CAMERA, anchor, np.array(velocity)))
+    return RainSimulation.start(rain, weather=weather).frame(time_s, RainCamera(CAMERA, anchor, np.array(velocity)))
 
 
 @pytest.mark.parametrize(
@@ -54,7 +55,7 @@ def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), we
 )
 def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, changes):
     """From the first seconds to 10,000 s, and 10 km down the road."""
-    field = falling(time_s, travelled=travelled, **changes).streak_field
+    field = falling(time_s, travelled=travelled, **changes)
     body = (shipped_folder("shaders") / "common_drop_field.glsl").read_text()
     shader = context.compute_shader(f"""#version 430
         layout(local_size_x = 256) in;
@@ -80,10 +81,10 @@ def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, 
     [{}, {"intensity_mm_h": 0.05}, {"streak_reset": "paper"}, {"far_drops": "published"}, {"weather": SHOWER}],
 )
 def test_finds_the_drops_that_the_compiled_search_finds(context, changes):
-    field = falling(**changes).streak_field
+    field = falling(**changes)
     drops = RainPass(context)
     drops.find(field)
-    expected, found = set(field.drops().numbers.tolist()), drops.found().tolist()
+    expected, found = set(field.visible_drops().numbers.tolist()), drops.found().tolist()
     assert len(found) == len(set(found)) == drops.found_count() <= field.max_drops
     assert len(expected) > 0
     assert len(expected ^ set(found)) <= 0.002 * len(expected)  # float32 decides at the edges
@@ -101,13 +102,13 @@ def test_draws_what_the_compiled_kernels_make(context, changes):
     rain = falling(**changes)
     renderer.draw([], CAMERA, rain)
     made_there, statistics = renderer.read().rgba, renderer.statistics
-    given = given_rain(rain.gaussians, rain.light_linear, rain.mixing)
+    given = given_rain(gaussians_of(rain), rain.light_linear, rain.rain.rain_light)
     renderer.draw([], CAMERA, given)
     made_here = renderer.read().rgba
     assert np.linalg.norm(made_here) > 1
     assert np.linalg.norm(made_there - made_here) < 2e-3 * np.linalg.norm(made_here)
-    assert statistics.drops_drawn == pytest.approx(rain.drops_drawn, rel=2e-3)
-    assert statistics.haze_drawn == rain.haze_drawn > 0
+    assert statistics.drops_drawn == pytest.approx(len(rain.visible_drops().numbers), rel=2e-3)
+    assert statistics.haze_drawn == len(rain.haze) > 0
 
 
 def test_rain_comes_and_goes_in_one_renderer(context):
@@ -130,9 +131,9 @@ def test_roofs_keep_out_the_same_drops_on_the_gpu(context, changes):
     view = RainCamera(CAMERA, turned, np.zeros(3), focal_px=1500.0)
     drops, fields = RainPass(context), []
     for each in (view, replace(view, roofs=roofs), view):
-        fields.append(RainSimulation.start(rain).at(12.3, each).streak_field)
+        fields.append(RainSimulation.start(rain).frame(12.3, each))
         drops.find(fields[-1])
-        expected, found = set(fields[-1].drops().numbers.tolist()), drops.found().tolist()
+        expected, found = set(fields[-1].visible_drops().numbers.tolist()), drops.found().tolist()
         assert len(expected ^ set(found)) <= 0.002 * len(expected)
-    everywhere, kept = (len(field.drops().numbers) for field in fields[:2])
+    everywhere, kept = (len(field.visible_drops().numbers) for field in fields[:2])
     assert 0.2 * everywhere < kept < 0.9 * everywhere

@@ -116,15 +116,6 @@ def test_reports_each_kind_of_fault_whoever_comes_first(body, fault):
             assert any(fault in each for each in context.faults), list(context.faults)
 
 
-def test_workgroups_share_buffers_alone():
-    body = "void main() {\n    uint lane = gl_LocalInvocationID.x;\n    result[lane] = gl_WorkGroupID.x; }"
-    one, two = InterpretedContext(0), InterpretedContext(0)
-    run(one, body)
-    run(two, body, groups=2)
-    assert list(one.faults) == []
-    assert any("line 6 writes Out" in each for each in two.faults)
-
-
 def test_one_buffer_for_two_blocks_is_reported():
     context = InterpretedContext(0)
     both = context.buffer(np.zeros(64, np.uint32))

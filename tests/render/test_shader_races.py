@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from gsrain_engine.presets import shipped_folder
+from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.shelter_map import ShelterMap
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.opengl import shaders, sort
 from gsrain_engine.render.opengl.buffers import COUNT_OFFSET, GpuArrays, ProjectedSplatBuffer
 from gsrain_engine.render.opengl.projection import ProjectionPass
@@ -33,7 +34,7 @@ ANCHOR[:3, 3] = EYE
 @pytest.fixture
 def edit(monkeypatch):
     """Take text out of a shader, or put other text in its place, for this test."""
-    read = shaders._read
+    read = shaders.read_shader
 
     def change(name, old, new=""):
         text = "\n".join(read(name))
@@ -41,7 +42,7 @@ def edit(monkeypatch):
         texts[name] = text.replace(old, new).split("\n")
 
     texts = {}
-    monkeypatch.setattr(shaders, "_read", lambda name: texts.get(name) or read(name))
+    monkeypatch.setattr(shaders, "read_shader", lambda name: texts.get(name) or read(name))
     return change
 
 
@@ -105,7 +106,7 @@ BARRIERS = {
 @pytest.mark.parametrize(("name", "number"), [(name, number) for name in BARRIERS for number in BARRIERS[name]])
 def test_misses_each_barrier_of_the_sort(edit, one_digit, name, number):
     """Not one of them could go, and none that goes is overlooked."""
-    parts = "\n".join(shaders._read(name)).split("barrier();")
+    parts = "\n".join(shaders.read_shader(name)).split("barrier();")
     assert len(parts) == len(BARRIERS[name]) + 1
     edit(name, "barrier();".join(parts), "barrier();".join(parts[:number]) + "barrier();".join(parts[number:]))
     context = InterpretedContext(number)
@@ -126,10 +127,9 @@ def scene(count, harmonics):
 def drops_of(**changes):
     """A shower of few drops, many of which the camera may see."""
     rain = msgspec.structs.replace(load_preset("8.5"), seed=3, max_copies=2, haze=False, **changes)
-    falling = RainSimulation.start(rain).at(12.3, RainCamera(CAMERA, ANCHOR, np.zeros(3)))
-    field = falling.streak_field
+    field = RainSimulation.start(rain).frame(12.3, RainCamera(CAMERA, ANCHOR, np.zeros(3)))
     culling = field.culling._replace(class_far_m=np.full(CLASSES, 30.0), slopes=np.array([-2.0, 2.0, -2.0, 2.0]))
-    return replace(falling, streak_field=replace(field, count=400, culling=culling))
+    return replace(field, count=400, culling=culling)
 
 
 def filled(context, parts, harmonics="half", rain=None, look="splats"):
@@ -189,7 +189,7 @@ def test_a_frame_in_rain_runs_every_shader_without_a_race(context, one_digit):
 
 
 def test_drops_under_roofs_are_left_out_without_a_race():
-    field = drops_of().streak_field
+    field = drops_of()
     heights = np.where(np.add.outer(np.arange(30), np.arange(30)) % 7 < 4, 1.7, -np.inf).astype(np.float32)
     found = []
     for roofs in (None, ShelterMap(heights, (EYE[0] - 7.6, EYE[1] - 7.3))):
@@ -204,18 +204,18 @@ def test_drops_under_roofs_are_left_out_without_a_race():
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_misses_each_barrier_of_emit(edit, number):
     """Streaks of several copies call it turn by turn."""
-    parts = "\n".join(shaders._read("common_projection.glsl")).split("barrier();")
+    parts = "\n".join(shaders.read_shader("common_projection.glsl")).split("barrier();")
     assert len(parts) == 4
     edit(
         "common_projection.glsl",
         "barrier();".join(parts),
         "barrier();".join(parts[:number]) + "barrier();".join(parts[number:]),
     )
-    interpreted, field = InterpretedContext(number), drops_of().streak_field
+    interpreted, field = InterpretedContext(number), drops_of()
     drops, store = RainPass(interpreted), ProjectedSplatBuffer(interpreted)
     store.reserve(streak_slots(field))
     drops.find(field)
-    drops.project(store, field, np.ones(3), 0)
+    drops.project(store, field, 0)
     assert any("common_projection.glsl" in fault and "visible_mask" in fault for fault in interpreted.faults)
 
 

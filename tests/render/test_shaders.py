@@ -9,7 +9,7 @@ def test_error_names_our_file_and_line(context, monkeypatch):
         "broken.comp": ["#version 430", '#include "common_bad.glsl"', "layout(local_size_x = 1) in;", "void main() {}"],
         "common_bad.glsl": ["// fine", "float f() { return undeclared; }"],
     }
-    monkeypatch.setattr(shaders, "_read", files.__getitem__)
+    monkeypatch.setattr(shaders, "read_shader", files.__getitem__)
     with pytest.raises(ShaderError, match=r"common_bad.glsl:2"):
         load_compute_shader(context, "broken.comp")
 

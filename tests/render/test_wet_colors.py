@@ -82,7 +82,7 @@ def test_nobody_uploads_wet_colours_that_are_not_seen(context):
 
 def test_wet_colours_at_rest_outlive_what_else_comes(context, monkeypatch):
     """With no room for resting arrays, those of the present scene stay while it is dry."""
-    monkeypatch.setattr("gsrain_engine.render.opengl.buffers._RESTING_BYTES", 0)
+    monkeypatch.setattr("gsrain_engine.render.opengl.buffers.RESTING_BYTES", 0)
     renderer, part = SplatRenderer(context), wet_part()
     drawn(renderer, part._replace(wetness=0.5))
     drawn(renderer, part)

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ...compile_cache import mark_kernels
+from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
-from ...rain.simulation import RainCamera, RainSimulation
+from ...rain.simulation import RainSimulation
 from ...render.cpu.projection import FEW
 from ...render.cpu.renderer import CpuRenderer
 from ...render.opengl.shaders import load_program
@@ -208,7 +209,7 @@ def compile_kernels() -> None:
     view = RainCamera(camera, np.eye(4), np.zeros(3))
     for mixing in ("linear", "display"):
         rain = RainSettings(intensity_mm_h=1.0, rain_light=mixing)
-        renderer.draw(parts, camera, RainSimulation.start(rain).at(0.0, view))
+        renderer.draw(parts, camera, RainSimulation.start(rain).frame(0.0, view))
     sort_into_lod_order(one)
     for look in get_args(RenderMode):
         renderer.draw(parts, camera, look=look)

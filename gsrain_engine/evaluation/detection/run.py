@@ -17,7 +17,7 @@ from ...datasets.capture import Capture
 from ...datasets.undistort import undistort_frame
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...render.draw import RenderView, draw_view, rain_frame_of
+from ...render.draw import RenderView, draw_view, rain_camera
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...safe_io.limits import read_file
@@ -144,7 +144,8 @@ class ConditionRenderer:
     def _in_front(self, frame: EvaluatedFrame, rainfall: RainSimulation) -> UInt8[np.ndarray, "h w 3"]:
         """Composite rain over the photograph B, W its share of a pixel and S its light: enc((1-W) dec(B) + W S)."""
         assert frame.original is not None
-        falling = rain_frame_of(self.scene, rainfall, self.sky.color, frame.shot)
+        view = rain_camera(self.scene, rainfall, frame.shot)
+        falling = rainfall.frame(frame.shot.time_s, view, self.sky.color)
         self.renderer.draw([], frame.shot.camera, falling)
         share = self.renderer.read().rgba[..., 3:]
         is_linear = rainfall.rain.rain_light == "linear"

@@ -9,9 +9,9 @@ from jaxtyping import Float, Float64, Int64
 from scipy.spatial import KDTree
 from scipy.stats import poisson
 
+from ...rain.frame import RainFrame
 from ...rain.properties import CLASSES, RainProperties
 from ...rain.settings import RegionBox
-from ...rain.streaks import DropBatch
 from .sensor import Beams, LidarSensor
 
 _STEP_M = 0.01
@@ -140,11 +140,11 @@ def box_span(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"]) ->
 
 
 def drop_field_returns(
-    field: DropBatch, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropReturnModel
+    field: RainFrame, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropReturnModel
 ) -> RainReturns:
     """Find the field's detected drops nearer than `listened_m`, each in every beam whose width contains its center."""
-    drops = field.drops(in_view=False)
-    away = field.positions(drops) - beams.origin_m
+    drops = field.visible_drops(in_view=False)
+    away = drops.positions_m - beams.origin_m
     ranges = np.linalg.norm(away, axis=1)
     detected = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
     listening = np.flatnonzero(listened_m > 0)

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int8, Int64
 
 from ...datasets.capture import EGO_HEIGHT_M, Capture, LidarSweep
-from ...rain.simulation import RainCamera, RainSimulation
+from ...rain.frame import RainCamera
+from ...rain.simulation import RainSimulation
 from ...rain.wetness import water_depth_mm
 from ...render.cpu.projection import project
 from ...render.cpu.tiles import TILE, bin_into_tiles
@@ -161,7 +162,7 @@ def _answering_drops(
     listened = np.where(beams.untouched, 0, np.minimum(beams.ranges_m - sensor.pulse_m, signals.reach_m))
     listened = np.maximum(listened, 0)
     view = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), anchor_to_world, np.zeros(3))
-    field = rainfall.streak_field(beams.time_s, view)
+    field = rainfall.frame(beams.time_s, view)
     simulated = box_span(beams, rainfall.rain.streak_region, anchor_to_world)
     seed = np.random.default_rng([rainfall.rain.seed, _moment(beams.time_s), 2]).integers(2**63)
     found = RainReturns.joined(

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from ...malloc_tuning import tune_malloc
-from ...rain.simulation import RainFrame
+from ...rain.frame import RainFrame
+from ...rain.streaks import streak_gaussians
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
@@ -42,22 +43,28 @@ class CpuRenderer:
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
         with timed(stages, "project"):
-            falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
-            if falling is None:
-                splats = _color_by_mode(look, project(parts, camera, as_points=look == "points"), parts, camera)
-            else:
-                drops = DrawItem(falling.gaussians, np.eye(4))
-                flags = [*[None] * len(parts), np.ones(drops.drawn_count, np.bool_)]
-                splats = project([*parts, drops], camera, flags)
-                self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
+            falling: list[DrawItem] = []
+            if rain is not None and look == "splats":
+                drops, shutter = rain.visible_drops(), rain.shutter
+                streaks = streak_gaussians(
+                    drops.positions_m, drops.diameters_mm, drops.velocities_m_s, shutter, rain.rain, rain.color
+                )
+                falling = [DrawItem(each, np.eye(4)) for each in (streaks, rain.haze) if len(each)]
+                self.statistics.drops_drawn, self.statistics.haze_drawn = len(drops.numbers), len(rain.haze)
+            flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
+            splats = project([*parts, *falling], camera, flags, as_points=look == "points")
+            splats = _color_by_mode(look, splats, parts, camera)
         with timed(stages, "sort"):
             order = splats.nearest_first()
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
         with timed(stages, "draw"):
-            if falling is None:
+            if rain is None or not falling:
                 self._frame = _draw_mode(look, splats, tiles, with_depth=with_depth)
+            elif rain.is_linear:
+                rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
+                self._frame = Frame(rgba, _expected_depth(weighted, weight) if with_depth else None)
             else:
-                self._frame = _draw_in_rain(splats, order, tiles, falling, with_depth=with_depth)
+                self._frame = _draw_behind_veil(splats, order, tiles, rain, with_depth=with_depth)
         self.statistics.splats_drawn = len(order)
 
     def read(self) -> Frame:
@@ -89,21 +96,17 @@ def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth
     return Frame(rgba, depth)
 
 
-def _draw_in_rain(
+def _draw_behind_veil(
     splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: RainFrame, *, with_depth: bool
 ) -> Frame:
-    """Draw scene and rain; `tiles` hold the splats in that order."""
-    if rain.mixing == "linear":
-        rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
-    else:  # blended as a display color (the paper's form)
-        rgba, _ = composite(splats.shapes, splats.colors, tiles, veil=rain.color.astype(np.float32))
-        if not with_depth:
-            return Frame(rgba)
-        is_rain = splats.shapes[order, 6] < MIN_SCENE_CUT
-        alone = bin_into_tiles(splats.shapes, order[~is_rain], tiles.width, tiles.height)
-        clear, weighted = composite(splats.shapes, splats.colors, alone)
-        weight = clear[..., 3]
-    return Frame(rgba, _expected_depth(weighted, weight) if with_depth else None)
+    """Draw scene and rain, which is blended as a display color (the paper's form); `tiles` have that order."""
+    rgba, _ = composite(splats.shapes, splats.colors, tiles, veil=rain.color.astype(np.float32))
+    if not with_depth:
+        return Frame(rgba)
+    is_rain = splats.shapes[order, 6] < MIN_SCENE_CUT
+    alone = bin_into_tiles(splats.shapes, order[~is_rain], tiles.width, tiles.height)
+    clear, weighted = composite(splats.shapes, splats.colors, alone)
+    return Frame(rgba, _expected_depth(weighted, clear[..., 3]))
 
 
 def _expected_depth(

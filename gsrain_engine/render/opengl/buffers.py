@@ -14,7 +14,7 @@ from .shaders import Switches
 
 CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
 
-_RESTING_BYTES = 1 << 29
+RESTING_BYTES = 1 << 29
 """Memory for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
 
 Harmonics = Literal["single", "half", "byte"]
@@ -148,10 +148,10 @@ class GpuArrays:
     def release_unused(self) -> None:
         """Free arrays that were not used since the last call, one buffer per call, since freeing takes time.
 
-        Arrays uploaded before their first frame stay, as do recently drawn ones up to `_RESTING_BYTES`.
+        Arrays uploaded before their first frame stay, as do recently drawn ones up to `RESTING_BYTES`.
         """
         self._drop(self.masks, [key for key in self.masks if key not in self._used])
-        room = _RESTING_BYTES
+        room = RESTING_BYTES
         for key, array in reversed(list(self._arrays.items())):
             if key not in self._used and not array.is_awaited:
                 room -= sum(buffer.size for buffer in array.buffers)

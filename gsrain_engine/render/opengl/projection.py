@@ -6,7 +6,7 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from ...rain.simulation import RainFrame
+from ...rain.frame import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..cpu.projection import NEAR_M
@@ -56,9 +56,9 @@ class ProjectionPass:
         look: RenderMode,
     ) -> FrameSlots:
         rows = [(part if part.opacity > 0 else part._replace(limit=0), False) for part in parts]
-        field = rain.streak_field if rain is not None else None
+        field = rain if rain is not None and rain.rain.streaks else None
         if rain is not None:
-            rows.append((DrawItem(rain.haze_gaussians, np.eye(4)), True))
+            rows.append((DrawItem(rain.haze, np.eye(4)), True))
         fixed = sum(_slots(part.drawn_count) for part, _ in rows)
         slots = FrameSlots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
         store.reserve(slots.all)
@@ -79,8 +79,8 @@ class ProjectionPass:
                 shader["wetness"] = part.wetness if part.is_wet else 0.0
             self._dispatch(shader, part, camera, first)
             first += _slots(part.drawn_count)
-        if field is not None and rain is not None:
-            self.drops.project(store, field, rain.color, fixed)
+        if field is not None:
+            self.drops.project(store, field, fixed)
         self._context.memory_barrier()
         return slots
 

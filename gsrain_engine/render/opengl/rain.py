@@ -5,9 +5,9 @@ import numpy as np
 from jaxtyping import Float64, UInt32
 
 from ...rain.drop_field import FIRST_OF_CLASS
+from ...rain.frame import RainFrame
 from ...rain.properties import CLASSES
 from ...rain.shelter_map import ShelterMap
-from ...rain.streaks import DropBatch
 from ..cpu.projection import NEAR_M
 from .buffers import GROUPS_OFFSET, SLOTS_BY_BLOCK, WORK_BYTES, GrowableBuffer, ProjectedSplatBuffer
 from .shaders import ShaderVariants, set_uniforms
@@ -30,7 +30,7 @@ class RainPass:
         self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
         """Number of found drops and the indirect dispatch; see `WORK_BYTES`."""
 
-    def find(self, field: DropBatch) -> None:
+    def find(self, field: RainFrame) -> None:
         """Find the drops that may be visible to the camera."""
         self._masks_by_class = max(1, -(-field.count // (CLASSES * 32)))
         masks = self._masks_by_class * CLASSES
@@ -50,9 +50,7 @@ class RainPass:
         self._context.memory_barrier()
         self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, max_elements=field.max_drops)
 
-    def project(
-        self, store: ProjectedSplatBuffer, field: DropBatch, display_color: Float64[np.ndarray, "3"], first_slot: int
-    ) -> None:
+    def project(self, store: ProjectedSplatBuffer, field: RainFrame, first_slot: int) -> None:
         """Turn the found drops into streaks and write the visible ones."""
         shader, shutter, rain = self._streaks(store.switches), field.shutter, field.rain
         camera = shutter.camera
@@ -61,7 +59,7 @@ class RainPass:
             shader, exposure=shutter.exposure_s, still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
             phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
             aperture=1e-3 * rain.aperture_mm, focus=rain.focus_distance_m, max_copies=rain.max_copies,
-            max_drops=field.max_drops, display_color=tuple(display_color), near=NEAR_M, first_slot=first_slot,
+            max_drops=field.max_drops, display_color=tuple(field.color), near=NEAR_M, first_slot=first_slot,
             intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
         )  # fmt: skip
         store.bind()
@@ -82,14 +80,14 @@ class RainPass:
         class_index, group = np.divmod(at, self._masks_by_class)
         return ((group * 32 + bit) * CLASSES + class_index * FIRST_OF_CLASS % CLASSES).astype(np.uint32)
 
-    def _set_field(self, shader: moderngl.ComputeShader, field: DropBatch) -> None:
+    def _set_field(self, shader: moderngl.ComputeShader, field: RainFrame) -> None:
         set_uniforms(
             shader, masks_by_class=self._masks_by_class, first_of_class=FIRST_OF_CLASS, seed=field.rain.seed,
             period=tuple(field.period_m), camera_in_cell=tuple(field.culling.camera_position),
             cell_to_camera=_columns(field.culling.cell_to_camera),
         )  # fmt: skip
 
-    def _set_roofs(self, shader: moderngl.ComputeShader, field: DropBatch, roofs: ShelterMap) -> None:
+    def _set_roofs(self, shader: moderngl.ComputeShader, field: RainFrame, roofs: ShelterMap) -> None:
         heights = np.maximum(roofs.heights_m - np.float32(field.center_m[2]), _IN_THE_OPEN)
         self._roofs.reserve(heights.nbytes).write(heights)
         self._roofs.bind(_ROOFS)
@@ -105,11 +103,11 @@ class RainPass:
         self._counts.bind(counts_binding)
 
 
-def streak_slots(field: DropBatch) -> int:
+def streak_slots(field: RainFrame) -> int:
     return -(-field.max_drops // SLOTS_BY_BLOCK) * SLOTS_BY_BLOCK * field.rain.max_copies
 
 
-def class_rows(field: DropBatch) -> UInt32[np.ndarray, "classes 12"]:
+def class_rows(field: RainFrame) -> UInt32[np.ndarray, "classes 12"]:
     """Rows in the layout of common_drop_field.glsl."""
     velocities = field.velocities(np.arange(CLASSES))
     if field.rain.streak_frame == "camera":

@@ -9,7 +9,7 @@ import moderngl
 import numpy as np
 from jaxtyping import Float32
 
-from ...rain.simulation import RainFrame
+from ...rain.frame import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
@@ -128,9 +128,9 @@ class SplatRenderer:
             self._drawn = RenderStatistics(
                 gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
             )
-            falling = rain if look == "splats" else None
-            self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
-            self._makes_drops = falling is not None and falling.streak_field is not None
+            falling = rain if rain is not None and rain.rain.intensity_mm_h > 0 and look == "splats" else None
+            self._drawn.haze_drawn = len(falling.haze) if falling is not None else 0
+            self._makes_drops = falling is not None and falling.rain.streaks
             before = self.context.detect_framebuffer()
             self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
             with self._timers.stage("project"):
@@ -139,7 +139,7 @@ class SplatRenderer:
                 self._projection.compact_visible(self._store, self._sort, slots)
                 order = self._sort.sort(self._store.work)
             with self._timers.stage("draw"):
-                light = falling.light_linear if falling is not None and falling.mixing == "linear" else None
+                light = falling.light_linear if falling is not None and falling.is_linear else None
                 with_depth = with_depth or look == "depth"
                 self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
                 self._image = self._resolve(look, light)

@@ -27,7 +27,7 @@ Switches = Mapping[str, int]  # macros of a shader, by name
 
 def load_program(context: moderngl.Context, *names: str, switches: Switches | None = None) -> moderngl.Program:
     """Compile a vertex and a fragment shader (`name.vert`, `name.frag`) of the folder `shaders`."""
-    vertex, fragment = (_Source(name, switches or {}) for name in names)
+    vertex, fragment = (ShaderSource(name, switches or {}) for name in names)
     try:
         return context.program(vertex_shader=vertex.text, fragment_shader=fragment.text)
     except moderngl.Error as error:
@@ -39,7 +39,7 @@ def load_compute_shader(
     context: moderngl.Context, name: str, switches: Switches | None = None
 ) -> moderngl.ComputeShader:
     """Compile a compute shader (`name.comp`) of the folder `shaders`."""
-    source = _Source(name, switches or {})
+    source = ShaderSource(name, switches or {})
     try:
         return context.compute_shader(source.text)
     except moderngl.Error as error:
@@ -65,7 +65,7 @@ def set_uniforms(shader: moderngl.ComputeShader, **values: Any) -> None:
         shader[name] = value
 
 
-class _Source:
+class ShaderSource:
     """Text of a shader with expanded includes, and the origin of each line."""
 
     def __init__(self, name: str, switches: Switches) -> None:
@@ -77,7 +77,7 @@ class _Source:
         self.text = "\n".join(self._lines) + "\n"
 
     def _take_in(self, name: str) -> None:
-        for number, line in enumerate(_read(name), start=1):
+        for number, line in enumerate(read_shader(name), start=1):
             include = _INCLUDE.match(line)
             if include:
                 self._take_in(include[1])
@@ -98,7 +98,8 @@ class _Source:
         return f"{self.name} does not compile:\n" + _LINE_IN_ERROR.sub(place, message)
 
 
-def _read(name: str) -> list[str]:
+def read_shader(name: str) -> list[str]:
+    """Read the lines of a shader file of the package."""
     return (shipped_folder("shaders") / name).read_text(encoding="utf-8").splitlines()
 
 

@@ -17,8 +17,9 @@ from gsrain_engine.evaluation.lidar.rain_echoes import (
     sample_far_returns,
     wet_road_share,
 )
+from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.settings import STREAK_REGION, RainSettings, RegionBox
-from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera
 
 RAINFALL = RainSimulation.start(RainSettings(intensity_mm_h=12.0))
@@ -85,7 +86,7 @@ def test_the_field_has_as_many_drops_in_beams_as_the_integral():
     for seed in range(3):
         rainfall = RainSimulation.start(RainSettings(intensity_mm_h=80.0, seed=seed, streak_region=around))
         found = drop_field_returns(
-            rainfall.streak_field(3.0, HERE), beams, listened, signals := DropReturnModel(SENSOR, rainfall.state)
+            rainfall.frame(3.0, HERE), beams, listened, signals := DropReturnModel(SENSOR, rainfall.state)
         )
         assert np.all(found.ranges_m < 3.0)
         counts, near = counts + len(found.beams), near + int(np.sum(found.ranges_m < 2.0))
@@ -96,9 +97,9 @@ def test_the_field_has_as_many_drops_in_beams_as_the_integral():
 
 
 def test_a_drop_of_the_field_is_found_in_the_beam_that_is_aimed_at_it():
-    field = RAINFALL.streak_field(0.0, HERE)
-    drops = field.drops(in_view=False)
-    places = field.positions(drops)
+    field = RAINFALL.frame(0.0, HERE)
+    drops = field.visible_drops(in_view=False)
+    places = drops.positions_m
     assert len(places) > 10_000
     assert np.all(np.abs(places - np.clip(places, STREAK_REGION.minimum_m, STREAK_REGION.maximum_m)) < 1e-6)
     ranges = np.linalg.norm(places, axis=1)

@@ -40,9 +40,9 @@ def drawn(parts, rain=None, camera=None, with_depth=True) -> Frame:
 
 
 def slowly(parts, rain: GivenRain) -> np.ndarray:
-    everything = [*parts, DrawItem(rain.gaussians, np.eye(4))]
-    flags = [None] * len(parts) + [np.ones(len(rain.gaussians), bool)]
-    if rain.mixing == "linear":
+    everything = [*parts, DrawItem(rain.given, np.eye(4))]
+    flags = [None] * len(parts) + [np.ones(len(rain.given), bool)]
+    if rain.is_linear:
         return rasterize_in_linear_light_slowly(everything, small_camera(), flags, LIGHT)
     return rasterize_slowly(everything, small_camera(), flags)
 
@@ -78,7 +78,7 @@ def test_rain_that_is_not_seen_changes_no_bit(rain):
 
 
 def test_pixels_without_rain_keep_every_bit():
-    one = drops(opacity=1).gaussians.take(np.arange(3))
+    one = drops(opacity=1).given.take(np.arange(3))
     clear, rainy = drawn(scene(500)), drawn(scene(500), given_rain(one, LIGHT, "linear"))
     alone = drawn([], given_rain(one, LIGHT, "linear")).rgba[..., 3] > 0
     assert 0.01 < alone.mean() < 0.9
@@ -123,12 +123,6 @@ def test_counts_and_times_what_it_drew():
     assert 0 < renderer.statistics.splats_drawn <= 200
     assert list(renderer.statistics.stages_ms) == ["project", "sort", "draw"]
     assert all(value > 0 for value in renderer.statistics.stages_ms.values())
-
-
-def test_nothing_at_all_is_an_empty_picture():
-    frame = drawn([], None)
-    assert not frame.rgba.any()
-    assert not frame.depth.any()
 
 
 def test_the_curve_of_light_is_the_standards():

@@ -6,7 +6,7 @@ import pytest
 
 from given_rain import given_rain
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.images import layer_color, turbo_colors
+from gsrain_engine.render.images import turbo_colors
 from gsrain_engine.render.renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
@@ -115,25 +115,6 @@ def test_normals_are_the_shortest_axes_turned_to_the_camera():
     np.testing.assert_array_equal(drawn(leaning, "normals").rgba[..., 3], splats)
 
 
-def test_opacity_and_layers_are_composited_in_colors_of_their_own():
-    faint, solid = one(5.0, 0.9, (2, 2, 2)), one(3.0, 0.25, (1, 1, 1))
-    frame = drawn(Gaussians.concatenate([faint, solid]), "opacity")
-    colors = turbo_colors(np.array([0.25, 0.9], np.float32))
-    weights = rasterize_slowly([DrawItem(solid, HERE)], square_camera())[..., 3], 0.9
-    expected = weights[0][20, 20] * colors[0] + (1 - weights[0][20, 20]) * 0.9 * colors[1]
-    np.testing.assert_allclose(frame.rgba[20, 20, :3], expected, atol=1e-3)
-    parts = [DrawItem(solid, HERE), DrawItem(random_gaussians(4, depth_m=(-9, -8)), HERE), DrawItem(faint, HERE)]
-    expected = 0.25 * np.array(layer_color(0)) + 0.75 * 0.9 * np.array(layer_color(2))
-    np.testing.assert_allclose(seen(parts, "layers").rgba[20, 20, :3], expected, atol=2e-3)
-
-
-def test_layers_keep_their_color_where_parts_are_drawn_in_part():
-    near, far = one(3.0, 0.9, (1, 1, 1)), one(5.0, 0.9, (2, 2, 2))
-    part = DrawItem(Gaussians.concatenate([far, near]), HERE, 1)
-    expected = 0.9 * np.array(layer_color(1))
-    np.testing.assert_allclose(seen([DrawItem(near, HERE, 0), part], "layers").rgba[20, 20, :3], expected, atol=1e-3)
-
-
 @pytest.mark.parametrize("depth", [0.5, 3.0, 200.0, 900.0])
 def test_depth_is_the_heat_of_its_logarithm(depth):
     frame = drawn(one(depth, 1.0, (depth, depth, 0.1)), "depth")
@@ -155,12 +136,3 @@ def test_overdraw_counts_fragments_also_behind_what_is_opaque():
     alpha = rasterize_slowly([DrawItem(dot, HERE)], square_camera())[..., 3]
     alone = drawn(dot, "overdraw").rgba[..., 3]
     np.testing.assert_array_equal(alone, alpha > 0)
-
-
-def test_depth_beside_a_look_is_the_scenes():
-    parts = [DrawItem(random_gaussians(300, 1, 1), HERE)]
-    scene = seen(parts, "splats", small_camera(), with_depth=True).depth
-    assert (scene > 0).any()
-    for look in ("ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"):
-        np.testing.assert_array_equal(seen(parts, look, small_camera(), with_depth=True).depth, scene)
-        assert (seen(parts, look, small_camera()).depth is None) == (look != "depth")

@@ -1,18 +1,15 @@
 """Marks, opacity and colors of a part on the processor: as if the Gaussians themselves were so."""
 
 import re
-from typing import get_args
 
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drawing.textures import compile_kernels
 from gsrain_engine.presets import shipped_folder
 from gsrain_engine.render.cpu import projection
 from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.render.cpu.projection import FEW, project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.renderer import RenderMode
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import ColorGrading, DrawItem, grade_sh
@@ -57,19 +54,6 @@ def test_what_is_left_out_leaves_no_trace(count, read_only):
     assert not mask.flags[splats.indices].any()  # it takes no memory, either
 
 
-def test_marks_and_a_limit_work_together():
-    part, camera = part_of(500, left_out=some_of(500), limit=200, growth=1.5), small_camera()
-    assert rasterize([part], camera).rgba.tobytes() == rasterize([baked(part)], camera).rgba.tobytes()
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_opacity_is_that_of_the_gaussians(count):
-    camera = small_camera()
-    for opacity in (0.02, 0.5):  # at the lower one most fall below the cut
-        part = part_of(count, opacity=opacity)
-        assert rasterize([part], camera).rgba.tobytes() == rasterize([baked(part)], camera).rgba.tobytes()
-
-
 def test_colours_are_those_of_graded_harmonics():
     part, camera = part_of(300, colors=COLORS), small_camera()
     np.testing.assert_allclose(rasterize([part], camera).rgba, rasterize([baked(part)], camera).rgba, atol=2e-6)
@@ -84,13 +68,6 @@ def test_the_readable_reference_agrees():
     difference = np.abs(slow - fast).max(axis=-1)
     assert np.median(difference) < 2e-5
     assert (difference > 3e-4).mean() < 0.01
-
-
-@pytest.mark.parametrize("look", get_args(RenderMode))
-def test_a_layer_of_no_opacity_shows_nothing_whatever_the_look(look):
-    renderer = CpuRenderer()
-    renderer.draw([part_of(300, opacity=0.0)], small_camera(), look=look)
-    assert not renderer.read().rgba.any()
 
 
 @pytest.mark.parametrize("count", COUNTS)
@@ -115,15 +92,6 @@ def test_other_looks_are_tinted_too(look):
     assert np.abs(pictures[0] - pictures[1]).max() > 0.05
 
 
-def test_the_opacity_look_shows_the_layers_own_too():
-    renderer = CpuRenderer()
-    pictures = []
-    for each in (part_of(300, opacity=0.5), baked(part_of(300, opacity=0.5))):
-        renderer.draw([each], small_camera(), look="opacity")
-        pictures.append(renderer.read().rgba)
-    np.testing.assert_array_equal(*pictures)
-
-
 def test_what_is_left_out_has_no_weight_in_a_view():
     mask, camera = some_of(300), small_camera()
     seen = color_operator([part_of(300, left_out=mask, opacity=0.6)], camera)
@@ -140,17 +108,3 @@ def test_shader_and_kernels_have_the_same_tint():
     assert share is not None
     assert tuple(map(float, color[1].split(","))) == projection.TINT
     assert float(share[1]) == projection.TINT_SHARE
-
-
-def test_all_kernels_are_compiled_ahead():
-    compile_kernels()
-    kernels = [projection._flag_chunks, projection._flag_range, projection._project_chunks, projection._project_range]
-    before = [len(each.signatures) for each in kernels]
-    assert all(before)
-    for count in COUNTS:
-        marks = {"left_out": some_of(count), "selected": some_of(count, 0.5, 1)}
-        marks["left_out"].words.flags.writeable = False
-        part = part_of(count, **marks, opacity=0.5, colors=COLORS, limit=count - 5, growth=1.2)
-        for each in (part, part._replace(opacity=1), part._replace(opacity=np.float64(0.5)), part_of(count)):
-            rasterize([each], small_camera())
-    assert [len(each.signatures) for each in kernels] == before

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.render.cpu.projection import FEW, project
+from gsrain_engine.render.cpu.projection import FEW
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.scene import DrawItem
 from gsrain_engine.scene.transforms import blend_wet_sh
@@ -88,27 +88,3 @@ def test_what_has_no_finite_wet_colour_is_left_out(renderer):
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(drawn(renderer, part), expected, atol=1e-6)
     assert np.isfinite(drawn(renderer, part._replace(wetness=0.0))).all()
-
-
-@pytest.mark.parametrize("look", ["normals", "opacity", "layers"])
-def test_looks_without_colours_know_no_wetness(look):
-    renderer, part = CpuRenderer(), wet_part(wetness=0.6)
-    assert np.array_equal(drawn(renderer, part, look=look), drawn(renderer, part._replace(wetness=0.0), look=look))
-
-
-def test_arrays_that_lie_anyhow_in_memory_are_projected():
-    part = wet_part(wetness=0.5)
-    strided = np.repeat(part.wet_sh, 2, axis=0)[::2]
-    frozen = part.wet_sh.copy()
-    frozen.flags.writeable = False
-    expected = project([part], small_camera()).colors
-    for wet_sh in (strided, frozen):
-        np.testing.assert_array_equal(project([part._replace(wet_sh=wet_sh)], small_camera()).colors, expected)
-
-
-def test_one_part_is_wet_and_another_is_not(renderer):
-    wet, dry = wet_part(wetness=0.8), wet_part(degree=2)._replace(wet_sh=None)
-    renderer.draw([dry, wet], small_camera())
-    both = renderer.read().rgba
-    renderer.draw([dry, blended(wet)], small_camera())
-    np.testing.assert_allclose(both, renderer.read().rgba, atol=2e-6)

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from app.main import BAD_INPUT, run
 from gsrain_engine import backends
 from gsrain_engine.backends import NoCudaError, open_renderer
 from gsrain_engine.rain.settings import load_preset
@@ -16,7 +15,6 @@ from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.cuda import SLABS, split_into_depth_slabs
 from gsrain_engine.render.draw import RenderView, draw_view
-from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
@@ -71,11 +69,6 @@ def streetlike():
     return scene, RenderView(camera, 2.0, np.array([8.0, 0.0, 0.0]))
 
 
-def test_it_is_a_renderer(cuda):
-    assert isinstance(cuda, Renderer)
-    assert cuda.name == "cuda"
-
-
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_parts_in_any_place_are_one_picture(cuda, degree):
     parts = [
@@ -94,14 +87,6 @@ def test_parts_in_any_place_are_one_picture(cuda, degree):
     np.testing.assert_allclose(found.depth[both], expected.depth[both], rtol=1e-3)
     assert cuda.statistics.gaussians == 550
     assert 0 < cuda.statistics.splats_drawn <= 550
-
-
-def test_far_from_the_origin_nothing_is_lost(cuda):
-    far = np.array([4e5, 5e6, 100.0])
-    part = DrawItem(random_gaussians(200), similarity(1.0, 0.0, far))
-    camera = replace(small_camera(), world_to_camera=similarity(1.0, 0.0, -far))
-    expected = drawn(CpuRenderer(), [DrawItem(part.gaussians, np.eye(4))], small_camera())
-    assert psnr_db(drawn(cuda, [part], camera), expected) > 80
 
 
 @pytest.mark.parametrize("mixing", ["linear", "display"])
@@ -162,19 +147,6 @@ def test_nothing_is_nothing(cuda):
         assert not frame.depth.any()
 
 
-def test_gaussians_are_uploaded_once(cuda, monkeypatch):
-    first, second = (DrawItem(random_gaussians(20, seed), np.eye(4)) for seed in (1, 2))
-    sizes = []
-    uploaded = cuda._arrays._uploaded
-    monkeypatch.setattr(cuda._arrays, "_uploaded", lambda values: sizes.append(np.size(values)) or uploaded(values))
-    counts = []
-    for parts in ([first], [first], [first, second], [second], [first]):
-        sizes.clear()
-        cuda.draw(parts, small_camera())
-        counts.append(sum(size >= 20 for size in sizes) // 5)  # five arrays a set
-    assert counts == [1, 0, 1, 0, 1]  # what a frame does not show is freed after it
-
-
 def test_other_looks_are_refused(cuda):
     with pytest.raises(ValueError, match="shows splats only; look at normals with --backend opengl or cpu"):
         cuda.draw([], small_camera(), look="normals")
@@ -203,13 +175,6 @@ def test_what_is_missing_is_named(missing, monkeypatch):
         open_renderer("cuda"),
     ):
         pass
-
-
-def test_the_command_line_says_what_is_missing(monkeypatch, capsys):
-    monkeypatch.setattr(backends.importlib.util, "find_spec", lambda name: None)
-    command = ["bench", "render", "--scenes", "random-500", "--backends", "cuda"]
-    assert run(command) == BAD_INPUT
-    assert capsys.readouterr().err.startswith("gsrain: the cuda back end needs torch, which is not installed")
 
 
 @pytest.mark.skipif(importlib.util.find_spec("gsplat") is None, reason="gsplat is not installed: gsrain[cuda]")

@@ -70,11 +70,3 @@ def test_what_is_hidden_by_a_person_is_not_there():
     assert list(seen(without)) == ["far"]
     assert seen(without)["far"].visibility == pytest.approx(1.0, abs=0.02)
     assert list(seen(scene.with_member("actors/near", visible=False))) == ["far"]
-
-
-def test_nothing_changes_in_the_rain(both):
-    wet = boxy_scene()
-    wet = wet.with_member("actors/near", wet_sh=np.zeros_like(wet.actors[0].gaussians.sh))
-    again = seen(wet)
-    for name, each in both.items():
-        np.testing.assert_array_equal(again[name].mask, each.mask)

@@ -1,0 +1,146 @@
+"""Rain frame: drops and haze at one time for one camera."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from ..scene.camera import Camera
+from ..scene.gaussians import Gaussians
+from ..scene.geometry import srgb_to_linear
+from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, mark_drops, place_drops
+from .haze import make_haze
+from .properties import CLASSES
+from .settings import RainSettings
+from .shelter_map import ShelterMap
+from .streaks import ShutterModel, sh_of
+
+
+@dataclass(frozen=True, eq=False)
+class RainCamera:
+    """Camera and surroundings for which rain is computed. World frame, meters."""
+
+    camera: Camera
+    anchor_to_world: Float64[np.ndarray, "4 4"]
+    """Frame of the rain regions: x forward, y left, z up, without tilt."""
+    velocity_m_s: Float64[np.ndarray, "3"]
+    focal_px: float | None = None
+    """Focal length of the output image; None uses the camera's own."""
+    roofs: ShelterMap | None = None
+    """Map of sheltered areas; None if rain reaches everything."""
+    exposure_share: float = 1.0
+    """Fraction of the shutter time, for one of several sub-frames that share it."""
+
+
+class FallingDrops(NamedTuple):
+    """Drops at one time. World frame, meters."""
+
+    numbers: Int64[np.ndarray, " m"]
+    """Rising."""
+    class_index: Int64[np.ndarray, " m"]
+    positions_m: Float64[np.ndarray, "m 3"]
+    diameters_mm: Float64[np.ndarray, " m"]
+    velocities_m_s: Float64[np.ndarray, "m 3"]
+
+    def only(self, mask: Bool[np.ndarray, " m"]) -> "FallingDrops":
+        return FallingDrops(*(each[mask] for each in self))
+
+
+@dataclass(frozen=True, eq=False)
+class RainFrame:
+    """Drops and haze at one time for one camera, to be sorted and composited with the scene's Gaussians.
+
+    World frame, meters, z up. Drops fill a periodic cell around the camera; kernels and shaders find the visible ones
+    and turn them into streaks. Renderers apply the dilation compensation and draw down to an alpha of 1/65536.
+    """
+
+    rain: RainSettings
+    """Settings at this time."""
+    time_s: float
+    view: RainCamera
+    color: Float64[np.ndarray, "3"]
+    """Display color of a drop."""
+    haze_count: int
+    """M: number of haze Gaussians at full opacity within the haze region."""
+    count: int
+    """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
+    where: DropPhases
+    period_m: Float64[np.ndarray, "3"]
+    """Edge lengths of the cell."""
+    axes: Float64[np.ndarray, "3 3"]
+    """Cell to world, a rotation."""
+    center_m: Float64[np.ndarray, "3"]
+    """Center of the cell, and of the streak region, in the world."""
+    culling: DropCulling
+    diameters_mm: Float64[np.ndarray, " classes"]
+    wind_m_s: Float64[np.ndarray, "2"]
+    """Along world x and y."""
+    fall_speed_m_s: Float64[np.ndarray, " classes"]
+    shutter: ShutterModel
+    roofs: ShelterMap | None = None
+    """Sheltered areas over the cell; None without any."""
+
+    @property
+    def is_linear(self) -> bool:
+        """True if drops are blended in linear light, false if as display colors (the paper's form)."""
+        return self.rain.rain_light == "linear"
+
+    @property
+    def light_linear(self) -> Float32[np.ndarray, "3"]:
+        """Color of a drop in linear light."""
+        return srgb_to_linear(self.color).astype(np.float32)
+
+    def visible_drops(self, *, in_view: bool = True) -> FallingDrops:
+        """Find the drops in the open that may be visible to the camera; without `in_view` all in the streak region."""
+        count = self.count if self.rain.streaks or not in_view else 0
+        turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
+        found = np.empty((CLASSES, turns), np.bool_)
+        culling, where = self.culling, self.where
+        geometry = np.concatenate([np.ravel(each) for each in (self.period_m, *culling[:5])])
+        mark_drops(
+            np.uint32(self.rain.seed), np.uint32(count), where.wraps, where.fractions, geometry,
+            culling.class_margin_m, culling.class_far_m, not in_view, found,
+        )  # fmt: skip
+        class_index, turn = np.divmod(np.flatnonzero(found), turns)
+        numbers = np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
+        falling = self.falling(place_drops(numbers, self.rain.seed, where))
+        return falling if self.roofs is None else falling.only(~self.roofs.shelter(falling.positions_m))
+
+    def falling(self, drops: Drops) -> FallingDrops:
+        """Positions, sizes and velocities of drops in the world."""
+        c = drops.class_index
+        positions = drops.positions(self.period_m) @ self.axes.T + self.center_m
+        return FallingDrops(drops.numbers, c, positions, self.diameters_mm[c], self.velocities(c))
+
+    def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
+        """World velocities of drops of some classes in m/s."""
+        velocities = np.empty((len(class_index), 3))
+        velocities[:, :2] = self.wind_m_s
+        velocities[:, 2] = -self.fall_speed_m_s[class_index]
+        return velocities
+
+    @property
+    def max_drops(self) -> int:
+        """Upper bound on the number of visible drops, exceeded with a chance of one in millions; sizes GPU buffers."""
+        left, right, top, bottom = np.abs(self.culling.slopes)
+        wide, high, far, margin = left + right, top + bottom, self.culling.class_far_m, self.culling.class_margin_m
+        volume = wide * high * far**3 / 3 + margin * (wide + high) * far**2 + 4 * margin**2 * far
+        expected = self.count * float(np.mean(np.minimum(volume / np.prod(self.period_m), 1.0)))
+        return min(self.count, int(1.1 * expected + 10 * np.sqrt(expected)) + 64)
+
+    @cached_property
+    def haze(self) -> Gaussians:
+        """Haze Gaussians in the open."""
+        if not self.rain.haze:
+            return Gaussians.empty()
+        view = self.view
+        means, opacities = make_haze(
+            self.rain, self.haze_count, self.time_s, view.anchor_to_world, view.camera.position, view.roofs
+        )
+        n = len(means)
+        upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+        return Gaussians(
+            means, np.full((n, 3), self.rain.haze_sigma_m, np.float32), upright, opacities, sh_of(self.color, n)
+        )
