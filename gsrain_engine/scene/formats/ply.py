@@ -349,8 +349,8 @@ def _text_bytes(element: PlyElement) -> int:
 
 
 def _copy_rows(rows: Float32[np.ndarray, "r p"], columns: Int64[np.ndarray, " c"], arrays: _Arrays, start: int) -> None:
-    *others, sh = (array[start : start + len(rows)] for array in arrays)
-    _spread(rows, columns, *others, sh.reshape(len(rows), 3 * sh.shape[1]))
+    means, scales, quaternions, opacities, sh = (array[start : start + len(rows)] for array in arrays)
+    _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(rows), 3 * sh.shape[1]))
 
 
 @numba.njit(cache=True, nogil=True)
