@@ -52,9 +52,9 @@ _MAX_SWEEPS = 9
 _MARGIN_M = 0.15
 
 
-def static_sweeps(capture: Capture, moving: Sequence[TrackedBox] | None = None) -> tuple[LidarSweep, ...]:
+def static_sweeps(capture: Capture) -> tuple[LidarSweep, ...]:
     """Return the lidar sweeps without points on moving objects, whose positions differ between views."""
-    moving = moving_boxes(capture) if moving is None else moving
+    moving = moving_boxes(capture)
     return tuple(_without(sweep, moving) for sweep in capture.sweeps)
 
 

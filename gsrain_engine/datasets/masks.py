@@ -56,21 +56,23 @@ def points_in_box(
     return np.asarray((np.abs(local - [0, 0, box.size_lwh[2] / 2]) <= half).all(axis=1))
 
 
-def static_mask(
-    view: CaptureFrame, moving: Sequence[TrackedBox], margin_m: float = 0.3, dilation: float = 0.004
-) -> Bool[np.ndarray, "h w"]:
+_MARGIN_M = 0.3
+_DILATION = 0.004  # of the image width
+
+
+def static_mask(view: CaptureFrame, moving: Sequence[TrackedBox]) -> Bool[np.ndarray, "h w"]:
     """Pixels of the static scene: the view's own mask without the moving boxes at its time.
 
-    Each box is enlarged by `margin_m` on all sides (shadows, mirrors, lagging annotations), projected as the convex
-    hull of its corners, and dilated by `dilation` of the image width.
+    Each box is enlarged on all sides (shadows, mirrors, lagging annotations), projected as the convex hull of its
+    corners, and dilated.
     """
     camera = view.camera
     covered = np.zeros((camera.height, camera.width), np.uint8)
     for box in moving:
-        hull = box_outline(view, box, margin_m)
+        hull = box_outline(view, box, _MARGIN_M)
         if len(hull) >= 3:
             cv2.fillConvexPoly(covered, np.round(hull).astype(np.int32), 1)
-    radius = max(round(dilation * camera.width), 1)
+    radius = max(round(_DILATION * camera.width), 1)
     if covered.any():
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
         covered = cv2.dilate(covered, disc)

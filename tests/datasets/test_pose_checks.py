@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets import pose_fit
-from gsrain_engine.datasets.capture import Capture, CaptureFrame, LidarSweep
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, LidarSweep
 from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.pose_check import check_poses
@@ -23,26 +23,22 @@ MISTAKES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-def spoilt(capture: Capture, change: Callable[[np.ndarray], np.ndarray]) -> Capture:
-    views = (
-        replace(view, camera=replace(view.camera, world_to_camera=change(view.camera.world_to_camera)))
-        for view in capture
-    )
+def with_poses(capture: Capture, change: Callable[[CaptureFrame], np.ndarray]) -> Capture:
+    views = (replace(view, camera=replace(view.camera, world_to_camera=change(view))) for view in capture)
     return replace(capture, views=tuple(views))
+
+
+def spoilt(capture: Capture, change: Callable[[np.ndarray], np.ndarray]) -> Capture:
+    return with_poses(capture, lambda view: change(view.camera.world_to_camera))
 
 
 def only(capture: Capture, *sensors: str) -> Capture:
     return replace(capture, views=tuple(view.held() for view in capture if view.sensor in sensors))
 
 
-def swapped(capture: Capture, one: str, other: str) -> Capture:
+def swapped(capture: Capture, names: dict[str, str]) -> Capture:
     poses = {(view.sensor, round(view.time_s)): view.camera.world_to_camera for view in capture}
-    names = {one: other, other: one}
-    views = (
-        replace(view, camera=replace(view.camera, world_to_camera=poses[names[view.sensor], round(view.time_s)]))
-        for view in capture
-    )
-    return replace(capture, views=tuple(views))
+    return with_poses(capture, lambda view: poses[names[view.sensor], round(view.time_s)])
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +60,15 @@ def moment(test_data: Path) -> Capture:
     return only(whole, "CAM_FRONT_RIGHT", "CAM_FRONT_LEFT", "CAM_BACK_LEFT")
 
 
-def test_real_poses_of_colmap_pass(rear: Capture) -> None:
+def test_real_poses_of_colmap_pass_whatever_can_be_read(rear: Capture) -> None:
+    def broken() -> np.ndarray:
+        raise CaptureError("broken")
+
     (check,) = check_poses(rear)
-    assert (check.by, check.verdict) == ("matches", "fits")
-    assert check.figure > 0.8
+    assert (check.by, check.verdict) == ("matches", "fits") and check.figure > 0.8
     assert "median epipolar error 0." in check.told
+    (check,) = check_poses(replace(rear, views=(replace(rear[0], image_source=broken), *rear.views[1:])))
+    assert check.verdict == "fits"
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
@@ -89,10 +89,10 @@ def test_real_poses_of_a_rig_with_a_lidar_pass(rig: Capture) -> None:
 
 
 def test_swapped_cameras_are_found_by_both_checks(rig: Capture) -> None:
-    for check in check_poses(swapped(rig, "CAMERA_05", "CAMERA_09")):
-        other = {"CAMERA_05": "CAMERA_09", "CAMERA_09": "CAMERA_05"}[check.sensor]
+    other = {"CAMERA_05": "CAMERA_09", "CAMERA_09": "CAMERA_05"}
+    for check in check_poses(swapped(rig, other)):
         assert check.verdict == "wrong"
-        assert check.told.endswith(f": the poses are those of {other}.")
+        assert check.told.endswith(f": the poses are those of {other[check.sensor]}.")
 
 
 def test_one_moment_of_a_rig_is_checked_by_its_lidar(moment: Capture) -> None:
@@ -135,40 +135,14 @@ def made_up() -> tuple[FeatureMatches, tuple[np.ndarray, np.ndarray]]:
     return FeatureMatches(pixels[0], pixels[1], (cameras[0], cameras[1])), (poses[0], poses[1])
 
 
-def test_true_points_lie_on_their_epipolar_lines_and_in_front() -> None:
-    found, poses = made_up()
-    fit = pose_fit.epipolar_fit(found, poses)
-    assert fit.median_px < 1e-9
-    assert fit.explained == 1.0
-
-
-def test_a_known_error_is_measured() -> None:
-    found, poses = made_up()
-    moved = replace(found, second=found.second + [0.0, 1.5])
-    fit = pose_fit.epipolar_fit(moved, poses)
-    assert 0.5 < fit.median_px < 1.6
-
-
-def test_backward_motion_is_behind_the_cameras_though_its_lines_fit() -> None:
+def test_epipolar_lines_measure_errors_and_the_side_of_the_camera() -> None:
     found, (first, second) = made_up()
+    true = pose_fit.epipolar_fit(found, (first, second))
+    assert true.median_px < 1e-9 and true.explained == 1.0
+    moved = replace(found, second=found.second + [0.0, 1.5])
+    assert 0.5 < pose_fit.epipolar_fit(moved, (first, second)).median_px < 1.6
     relative = second @ np.linalg.inv(first)
-    relative[:3, 3] *= -1
-    fit = pose_fit.epipolar_fit(found, (first, relative @ first))
-    assert fit.median_px < 1e-9
-    assert fit.explained == 0.0
-
-
-def test_a_pure_turn_explains_nothing_by_lines() -> None:
-    found, (first, _) = made_up()
-    assert pose_fit.epipolar_fit(found, (first, first)).explained == 0.0
-
-
-def test_pictures_that_can_not_be_read_stop_nothing(rear: Capture) -> None:
-    def broken() -> np.ndarray:
-        from gsrain_engine.datasets.capture import CaptureError
-
-        raise CaptureError("broken")
-
-    views: tuple[CaptureFrame, ...] = (replace(rear[0], image_source=broken), *rear.views[1:])
-    (check,) = check_poses(replace(rear, views=views))
-    assert check.verdict == "fits"
+    relative[:3, 3] *= -1  # backward motion: behind the cameras, though the lines fit
+    backward = pose_fit.epipolar_fit(found, (first, relative @ first))
+    assert backward.median_px < 1e-9 and backward.explained == 0.0
+    assert pose_fit.epipolar_fit(found, (first, first)).explained == 0.0  # a pure turn has no lines

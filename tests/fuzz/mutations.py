@@ -1,6 +1,7 @@
 """Damage to files, decided by a seeded generator: the same seed always does the same."""
 
 import struct
+from collections.abc import Callable
 from random import Random
 
 _INTEGERS = (0, 1, -1, 2, 127, 128, 255, 256, 0x7FFF, 0x8000, 0xFFFF, 0x10000, 0xFFFFFF, 0x7FFFFFFF, 0x80000000,
@@ -33,22 +34,16 @@ def damaged_text(data: bytes, chance: Random) -> bytes:
     return "\n".join(lines).encode("utf-8", errors="surrogateescape")[:_LONGEST]
 
 
-def damaged_header(end: bytes) -> "HeaderDamage":
+def damaged_header(end: bytes) -> Callable[[bytes, Random], bytes]:
     """Damage of files whose text ends with a mark, such as PLY's: the text half of the time, else anything."""
-    return HeaderDamage(end)
 
-
-class HeaderDamage:
-    """Damage to a header of text before rows of bytes."""
-
-    def __init__(self, end: bytes) -> None:
-        self._end = end
-
-    def __call__(self, data: bytes, chance: Random) -> bytes:
-        header, mark, rows = data.partition(self._end)
+    def damage(data: bytes, chance: Random) -> bytes:
+        header, mark, rows = data.partition(end)
         if not mark or chance.random() < 0.5:
             return damaged_bytes(data, chance)
         return damaged_text(header, chance) + mark + rows
+
+    return damage
 
 
 def _place(edited: bytearray, chance: Random) -> int:

@@ -1,6 +1,6 @@
 """A disk that takes no more in the middle of a write: what was there stays, nothing half is left, one sentence says so.
 
-The system refuses whatever would make a file larger than a limit, as a full disk does; `full_disk.py` fills one.
+The system refuses whatever would make a file larger than a limit, as a full disk does; `broken_commands.py` fills one.
 """
 
 import errno

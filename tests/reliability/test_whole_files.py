@@ -12,7 +12,6 @@ from contextlib import contextmanager
 import pytest
 
 from app.main import BAD_INPUT, run
-from gsrain_engine.scene import files
 from gsrain_engine.scene.files import PathInUseError, hold_for_writing, lock_file, lock_path, whole_file, whole_folder
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene
@@ -21,32 +20,21 @@ from small_scene import small_scene
 posix = pytest.mark.skipif(os.name != "posix", reason="needs links, permissions and locks as POSIX has them")
 
 
-@pytest.fixture(autouse=True)
-def _nothing_is_tidied_yet(monkeypatch):
-    monkeypatch.setattr(files, "_tidied", set())
-
-
 def write(path, text="new"):
     with whole_file(path) as beside:
         beside.write_text(text)
 
 
 @posix
-def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
-    (tmp_path / "far").mkdir()
-    (tmp_path / "far" / "real.txt").write_text("old")
-    (tmp_path / "link.txt").symlink_to(tmp_path / "far" / "real.txt")
-    write(tmp_path / "link.txt")
-    assert (tmp_path / "link.txt").is_symlink()
-    assert (tmp_path / "far" / "real.txt").read_text() == "new"
-
-
-@posix
-def test_permissions_stay(tmp_path):
-    (tmp_path / "own.txt").write_text("old")
-    (tmp_path / "own.txt").chmod(0o600)
-    write(tmp_path / "own.txt")
-    assert stat.S_IMODE((tmp_path / "own.txt").stat().st_mode) == 0o600
+def test_a_link_stays_and_its_target_is_replaced_with_the_same_permissions(tmp_path):
+    real, link = tmp_path / "far" / "real.txt", tmp_path / "link.txt"
+    real.parent.mkdir()
+    real.write_text("old")
+    real.chmod(0o600)
+    link.symlink_to(real)
+    write(link)
+    assert link.is_symlink() and real.read_text() == "new"
+    assert stat.S_IMODE(real.stat().st_mode) == 0o600
 
 
 @posix
@@ -77,7 +65,7 @@ def test_what_killed_writers_have_left_goes_once_it_is_old(tmp_path):
 
 
 @posix
-def test_a_folder_that_somebody_writes_to_stays_whatever_the_clock_says(tmp_path):
+def test_folders_that_somebody_writes_to_stay_whatever_the_clock_says(tmp_path):
     held, forgotten = tmp_path / ".held.01dc11b5.part", tmp_path / ".forgotten.01dc11b5.part"
     for part in (held, forgotten):
         part.mkdir()
@@ -85,21 +73,19 @@ def test_a_folder_that_somebody_writes_to_stays_whatever_the_clock_says(tmp_path
     with lock_path(held):
         write(tmp_path / "c.txt")
     assert held.is_dir() and not forgotten.is_dir()
-
-
-@posix
-def test_a_folder_that_is_being_written_is_held(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_ABANDONED_S", -1.0)  # the clock leaps
-    with whole_folder(tmp_path / "scene") as beside:
+    (tmp_path / "place").mkdir()
+    (tmp_path / "other name").symlink_to(tmp_path / "place")  # tidied once by each of its names
+    with whole_folder(tmp_path / "place" / "scene") as beside:
         (beside / "a").write_text("a")
-        monkeypatch.setattr(files, "_tidied", set())
-        write(tmp_path / "c.txt")
+        for part in (beside / "a", beside):
+            os.utime(part, (0, 0))
+        write(tmp_path / "other name" / "c.txt")
         assert beside.is_dir()
-    assert (tmp_path / "scene" / "a").read_text() == "a"
+    assert (tmp_path / "place" / "scene" / "a").read_text() == "a"
 
 
 @pytest.mark.parametrize("whole", [whole_file, whole_folder])
-def test_a_disk_that_refuses_is_told_with_the_name_that_a_person_knows(tmp_path, whole):
+def test_a_disk_that_refuses_is_named_by_the_path_that_a_person_uses(tmp_path, whole):
     def full():
         with whole(tmp_path / "out") as beside:
             if whole is whole_file:
@@ -109,13 +95,10 @@ def test_a_disk_that_refuses_is_told_with_the_name_that_a_person_knows(tmp_path,
     with pytest.raises(OSError, match="No space left on device") as caught:
         full()
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(tmp_path / "out"))
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_error_about_another_file_stays_as_it_is(tmp_path):
-    with pytest.raises(FileNotFoundError) as caught, whole_file(tmp_path / "out"):
+    with pytest.raises(FileNotFoundError) as caught, whole(tmp_path / "out"):
         (tmp_path / "absent").read_text()
-    assert caught.value.filename == str(tmp_path / "absent")
+    assert caught.value.filename == str(tmp_path / "absent")  # an error about another file stays as it is
+    assert not list(tmp_path.iterdir())
 
 
 _HOLDER = """
@@ -226,6 +209,11 @@ def test_one_process_may_hold_a_place_twice(tmp_path):
         assert lock_file(tmp_path / "new" / "out").exists()
     with hold_for_writing(tmp_path / "other" / "out"):
         pass
+    places = [tmp_path / ("ä" * 120 + str(number)) for number in range(2)]  # as long as disks take
+    assert lock_file(places[0]) != lock_file(places[1])
+    for place in places:
+        with hold_for_writing(place):
+            assert lock_file(place).is_file()
     assert [each.name for each in tmp_path.iterdir()] == ["new"]  # folders made for a lock alone go with it
     assert [each.name for each in (tmp_path / "new").iterdir()] == ["out"]
 
@@ -241,14 +229,6 @@ def test_what_is_no_lock_s_file_is_left_alone(tmp_path, kind):
     with hold_for_writing(tmp_path / "out"):
         pass
     assert precious.read_text() == "precious" and (lock.exists() or lock.is_symlink())
-
-
-def test_names_as_long_as_disks_take_can_be_held(tmp_path):
-    places = [tmp_path / ("ä" * 120 + str(number)) for number in range(2)]
-    assert lock_file(places[0]) != lock_file(places[1])
-    for place in places:
-        with hold_for_writing(place):
-            assert lock_file(place).is_file()
 
 
 def test_a_lock_s_words_that_are_no_note(tmp_path):

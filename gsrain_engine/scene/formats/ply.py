@@ -175,7 +175,7 @@ def _spread_rows(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", array
             numbers = rows.view(np.float32).reshape(len(rows), len(places))
         else:
             numbers = np.stack([rows[name] for name in names], axis=1, dtype=np.float32, casting="unsafe")
-        spread_rows(numbers, columns, *(array[start : start + len(rows)] for array in arrays))
+        _copy_rows(numbers, columns, arrays, start)
 
 
 def _skip_rows_before(file: BufferedReader, elements: dict[str, PlyElement]) -> None:
@@ -205,7 +205,7 @@ def _spread_lines(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", arra
             numbers = np.loadtxt(lines, np.float64, comments=None, ndmin=2).astype(np.float32)
         except ValueError:
             raise SceneFormatError(path, f"vertices {start} to {start + len(lines) - 1}: a word is no number") from None
-        spread_rows(numbers, columns, *(array[start : start + len(lines)] for array in arrays))
+        _copy_rows(numbers, columns, arrays, start)
 
 
 def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:
@@ -348,33 +348,19 @@ def _text_bytes(element: PlyElement) -> int:
 # Rows to arrays
 
 
-def spread_rows(
-    rows: Float32[np.ndarray, "r p"],
-    columns: Int64[np.ndarray, " c"],
-    means: Float32[np.ndarray, "r 3"],
-    scales: Float32[np.ndarray, "r 3"],
-    quaternions: Float32[np.ndarray, "r 4"],
-    opacities: Float32[np.ndarray, " r"],
-    sh: Float32[np.ndarray, "r k 3"],
-) -> None:
-    """Copy numbers into arrays, one row at a time.
-
-    Args:
-        rows: Values of the file.
-        columns: Columns of `rows` for the elements of the arrays, in the arrays' memory order.
-        means: Output, like the arrays after it.
-        scales: As stored in the file.
-        quaternions: As stored in the file.
-        opacities: As stored in the file.
-        sh: Harmonics.
-    """
-    _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(sh), 3 * sh.shape[1]))
+def _copy_rows(rows: Float32[np.ndarray, "r p"], columns: Int64[np.ndarray, " c"], arrays: _Arrays, start: int) -> None:
+    means, scales, quaternions, opacities, sh = (array[start : start + len(rows)] for array in arrays)
+    _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(rows), 3 * sh.shape[1]))
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _spread(rows, columns, means, scales, quaternions, opacities, sh):
-    """Row-wise copy with contiguous access; column-wise copy would touch a cache line per number."""
+    """Copy the numbers of a file, one row at a time: by columns, each number would touch a cache line.
+
+    `columns` are those of `rows` for the elements of the arrays, in the arrays' memory order; the harmonics of a row
+    are (3 k).
+    """
     for n in range(len(rows)):
         for i in range(3):
             means[n, i] = rows[n, columns[i]]

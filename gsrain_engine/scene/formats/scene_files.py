@@ -14,6 +14,7 @@ from .sog import is_sog_folder, read_sog
 SOG_FILE = "meta.json"
 """Description file of a SOG scene unpacked into a folder."""
 
+_MAX_LISTED = 3
 INNER_SCENE = "scene"
 """Folder of the scene in the output of `gsrain street`."""
 
@@ -86,8 +87,8 @@ def _read(path: Path, known: FileCache | None) -> Scene:
     raise SceneFormatError(path, told + (f"; give one of the files in it: {', '.join(inside)}" if inside else ""))
 
 
-def scene_files_in(folder: Path, limit: int = 3) -> list[str]:
-    """Relative paths of up to `limit` scenes in a folder, including the last iteration of a 3DGS training.
+def scene_files_in(folder: Path) -> list[str]:
+    """Relative paths of up to three scenes in a folder, including the last iteration of a 3DGS training.
 
     Empty if the folder can't be read.
     """
@@ -99,7 +100,7 @@ def scene_files_in(folder: Path, limit: int = 3) -> list[str]:
     trained.sort(key=lambda file: (len(file.parent.name), file.parent.name))
     found = [name for name in names if name != SOG_FILE]
     found += [file.relative_to(folder).as_posix() for file in trained[-1:]]
-    return found if len(found) <= limit else [*found[:limit], f"and {len(found) - limit} more"]
+    return found if len(found) <= _MAX_LISTED else [*found[:_MAX_LISTED], f"and {len(found) - _MAX_LISTED} more"]
 
 
 def _sibling_file(path: Path) -> str:

@@ -10,7 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -291,22 +291,18 @@ def read_meta(path: Path, text: bytes) -> SogMeta:
 def _from_version_2(path: Path, meta: _SogVersion2) -> SogMeta:
     rest = None
     if meta.shN is not None:
+        centroids, labels = (_file(path, name) for name in meta.shN.files)
         rest = RestHarmonics(
-            centroids=_file(path, meta.shN.files[0]),
-            labels=_file(path, meta.shN.files[1]),
+            centroids=centroids,
+            labels=labels,
             bands=meta.shN.bands,
             palette_count=meta.shN.count,
             codebook=_codebook(path, "shN", meta.shN.codebook),
         )
     return SogMeta(
+        **_files(path, meta),
         count=meta.count,
-        means_files=(_file(path, meta.means.files[0]), _file(path, meta.means.files[1])),
-        mins=np.array(meta.means.mins),
-        maxs=np.array(meta.means.maxs),
-        quaternions_file=_file(path, meta.quats.files[0]),
-        scales_file=_file(path, meta.scales.files[0]),
         log_scales=np.tile(_codebook(path, "scales", meta.scales.codebook), (3, 1)),
-        base_file=_file(path, meta.sh0.files[0]),
         base=np.tile(_codebook(path, "sh0", meta.sh0.codebook), (3, 1)),
         opacities=np.arange(256, dtype=np.float32) / 255,
         rest=rest,
@@ -321,26 +317,30 @@ def _from_version_1(path: Path, meta: _SogVersion1) -> SogMeta:
     base = _ramps(meta.sh0.mins, meta.sh0.maxs)
     rest = None
     if meta.shN is not None:
-        rest = RestHarmonics(
-            centroids=_file(path, meta.shN.files[0]),
-            labels=_file(path, meta.shN.files[1]),
-            bands=None,
-            palette_count=None,
-            codebook=_ramps([meta.shN.mins], [meta.shN.maxs])[0],
-        )
+        centroids, labels = (_file(path, name) for name in meta.shN.files)
+        codebook = _ramps([meta.shN.mins], [meta.shN.maxs])[0]
+        rest = RestHarmonics(centroids=centroids, labels=labels, bands=None, palette_count=None, codebook=codebook)
     return SogMeta(
+        **_files(path, meta),
         count=meta.means.shape[0],
-        means_files=(_file(path, meta.means.files[0]), _file(path, meta.means.files[1])),
-        mins=np.array(meta.means.mins),
-        maxs=np.array(meta.means.maxs),
-        quaternions_file=_file(path, meta.quats.files[0]),
-        scales_file=_file(path, meta.scales.files[0]),
         log_scales=_ramps(meta.scales.mins[:3], meta.scales.maxs[:3]),
-        base_file=_file(path, meta.sh0.files[0]),
         base=base[:3],
         opacities=(1 / (1 + np.exp(-np.clip(base[3], -80, 80)))).astype(np.float32),
         rest=rest,
     )
+
+
+def _files(path: Path, meta: _SogVersion1 | _SogVersion2) -> dict[str, Any]:
+    """Fields that both versions have alike: the names of the images, and the range of the means."""
+    low, high = (_file(path, name) for name in meta.means.files)
+    return {
+        "means_files": (low, high),
+        "mins": np.array(meta.means.mins),
+        "maxs": np.array(meta.means.maxs),
+        "quaternions_file": _file(path, meta.quats.files[0]),
+        "scales_file": _file(path, meta.scales.files[0]),
+        "base_file": _file(path, meta.sh0.files[0]),
+    }
 
 
 def _codebook(path: Path, name: str, values: list[float | None]) -> Float32[np.ndarray, "256"]:
