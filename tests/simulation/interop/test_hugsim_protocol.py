@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import queue
 import stat
 import threading
 import time
@@ -161,12 +162,9 @@ def test_the_rig_with_the_largest_number_of_the_six_or_the_named_one_is_taken():
     for name, rigs, word in (("other", scene.rigs, "'other'"), (None, {}, "CAM_FRONT")):
         with pytest.raises(ValueError, match=word):
             protocol.with_hugsim_rig(scenario(rig=name), replace(scene, rigs=rigs))
-    for cameras, word in ((NUSCENES, "1600 x 900"), (SIX_BUT_FRONT, "CAM_FRONT")):
+    for cameras, word in ((NUSCENES, "1600 x 900"), (HUGSIM_RIG.cameras[1:], "CAM_FRONT")):
         with pytest.raises(ValueError, match=word):
             protocol.six_hugsim_cameras(cameras)
-
-
-SIX_BUT_FRONT = HUGSIM_RIG.cameras[1:]
 
 
 # Plans
@@ -239,14 +237,12 @@ def pipes(tmp_path):
 
 
 def test_a_long_message_arrives_whole_and_is_answered(pipes, other_end):
-    got, both = [], timeouts()
-    other_end("obs_pipe", "rb", lambda pipe, over: got.append(pipe.read()))
+    got, both = queue.Queue(), timeouts()
+    other_end("obs_pipe", "rb", lambda pipe, over: got.put(pipe.read()))
     pipes.send(memoryview(MESSAGE), both)
     other_end("plan_pipe", "wb", lambda pipe, over: [pipe.write(part) for part in (b"left", b" and right")])
     assert pipes.receive(both, 100) == b"left and right"
-    while not got:
-        time.sleep(0.01)
-    assert got == [MESSAGE]
+    assert got.get(timeout=20) == MESSAGE
 
 
 def test_an_answer_counts_though_its_client_ended(pipes, other_end):
@@ -289,7 +285,10 @@ def test_what_stands_in_the_place_of_a_pipe_is_not_used(tmp_path, pipes, name, t
     elif thing == "link":
         place.symlink_to("gone")
     with pytest.raises(ClientError, match=name):
-        _ = pipes.send(b"", timeouts()) if name == "obs_pipe" else pipes.receive(timeouts(), 100)
+        if name == "obs_pipe":
+            pipes.send(b"", timeouts())
+        else:
+            pipes.receive(timeouts(), 100)
     if thing != "nothing":
         with pytest.raises(ClientError, match=name):
             protocol.Pipes(tmp_path)
