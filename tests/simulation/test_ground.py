@@ -9,12 +9,12 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.open import load_street
-from gsrain_engine.scene.scene import Layer, PoseTrack, Scene
+from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.simulation.geometry import PlanarBox
 from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, RoadSurface, road_surface_of
 from gsrain_engine.simulation.obstacles import CELL_M, drivable_of, occupied_space_of
-from simulation.small_drive import in_other_units
+from simulation.small_drive import in_other_units, track
 from small_scene import patch, small_scene
 
 
@@ -23,10 +23,7 @@ def slope(per_m, rig_m=1.5, **more):
     road = patch((0, -8, 0), np.array([60.0, 0, 60.0 * per_m]), np.array([0, 16.0, 0]), 120, (0.3, 0.3, 0.3))
     road = replace(road, scales=np.tile(np.array([0.35, 0.12, 0.004], np.float32), (len(road), 1)))
     block = patch((20, 2, 20 * per_m), np.array([4.0, 0, 0]), np.array([0, 0, 1.4]), 20, (0.6, 0.1, 0.1))
-    x = np.arange(2.0, 58.0, 2.0)
-    n = len(x)
-    places = np.stack([x, np.zeros(n), per_m * x + rig_m], axis=1)
-    drive = PoseTrack(np.arange(float(n)), places, np.tile([1.0, 0, 0, 0], (n, 1)), np.ones(n, bool))
+    drive = track(np.arange(28.0), [(x, 0.0, per_m * x + rig_m) for x in np.arange(2.0, 58.0, 2.0)])
     return Scene("slope", (Layer("road", road), Layer("block", block)), ego=drive, **more)
 
 

@@ -8,13 +8,12 @@ import pytest
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.scene.open import load_street
-from gsrain_engine.scene.scene import PoseTrack
 from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.rollout import BACKGROUND
 from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
 from gsrain_engine.simulation.simulation import Simulation, drive, drive_scene, run_drive
 from gsrain_engine.simulation.vehicle import Control
-from simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box
+from simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box, track
 from small_scene import small_scene
 
 
@@ -60,8 +59,7 @@ def test_shipped_scenarios_drive_as_they_did(street, name, agent, end, steps, eg
 
 def far_drive(length_m, start_m=0.0):
     """A recorded drive straight on."""
-    places = np.array([[start_m, 0, 1.5], [length_m, 0, 1.5]])
-    return PoseTrack(np.array([0.0, 20.0]), places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    return track([0.0, 20.0], [(start_m, 0, 1.5), (length_m, 0, 1.5)])
 
 
 @pytest.mark.parametrize(("height_m", "end"), [(4.5, "time"), (1.0, "collision")])

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.ground import recorded_route, road_surface_of
 from gsrain_engine.simulation.rollout_io import write_rollout
@@ -17,9 +17,9 @@ from gsrain_engine.simulation.scenario import Traffic
 from gsrain_engine.simulation.simulation import RoadScene
 from gsrain_engine.simulation.traffic import base
 from gsrain_engine.simulation.traffic.models import BehaviorSettings
-from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box
+from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box, track
 from small_rollout import ego, rollout, step, user
-from small_scene import patch, small_scene
+from small_scene import small_scene
 
 STRAIGHT = Route(np.array([[0.0, 0.0], [200.0, 0.0]]))
 NOWHERE = base.RoadUser("ego", "car", (4.0, 2.0, 1.5), -1000.0, 0.0, 0.0, 0.0)
@@ -185,9 +185,8 @@ def test_points_are_met_at_their_times_and_it_stands_after_the_last():
 
 
 def test_the_track_of_an_actor_whatever_place_the_scenario_states():
-    track = PoseTrack(np.array([0.0, 4.0]), np.array([[5.0, 3, 0], [25.0, 3, 0]]), np.tile([1.0, 0, 0, 0], (2, 1)),
-                      np.array([True, False]))  # fmt: skip
-    actor = Actor("van", "car", (4, 2, 2), patch((0, 0, 0), np.eye(3)[0], np.eye(3)[1], 3, (1, 0, 0)), track)
+    path_of_van = replace(track([0.0, 4.0], [(5, 3, 0), (25, 3, 0)]), valid=np.array([True, False]))
+    actor = replace(box_actor("van"), track=path_of_van)
     scene = replace(small_scene(), actors=(actor,))
     path, slow = (moves(settings(kind="track", actor="van", pace=pace), car(0), 5.0, scene=scene) for pace in (1, 0.5))
     assert (path[0].id, path[0].x_m, path[0].y_m, path[-1]) == ("car", 5.0, 3.0, None)
