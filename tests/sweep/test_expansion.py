@@ -105,7 +105,7 @@ def test_a_seed_begins_alike_at_every_intensity_and_seed_0_as_it_was_written(tmp
 def test_impossible_sweeps_are_refused_before_anything_runs(short, changes, word, monkeypatch):
     monkeypatch.chdir(short.parent)
     with pytest.raises(ValueError, match=word):
-        jobs_of(sweep_of([short], **changes))
+        jobs_of(sweep_of(**{"scenarios": [short], **changes}))
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,7 @@ def test_no_plan_goes_backward(speed, gap, lead_speed, left, yaw, cruise):
 
 
 def test_a_lane_path_starts_at_the_vehicle_and_comes_back_gently():
+    np.testing.assert_allclose(observation(state(5.0)).route_ahead(3.0), [[x, 0] for x in range(4)], atol=1e-12)
     bend = Route(np.array([[0.0, 0.0], [10.0, 0.0], [17.0, 7.0]]))
     assert np.abs(LanePath.of(VehicleState(10.2, -1.0, 0.3, 0.0), bend).points(np.zeros(6))).max() < 1e-12
     path = LanePath.of(VehicleState(20.0, 1.0, 0.0, 10.0), ROUTE)

@@ -98,8 +98,7 @@ def test_planned_motion_at_the_limits(run, share):
     assert comfort.comfort_planned(run) == share
 
 
-def test_other_readings_and_limits_of_plans():
-    assert comfort.comfort_planned(speeds(10, 10, 10, 10, 10, 0), reading="all") == 0.0
+def test_other_limits_of_plans():
     assert comfort.comfort_planned(speeds(10, 10, 11.1, 11.1, 11.1, 11.1), comfort.NUPLAN) == 0.0  # 4.4 m/s3
     assert comfort.is_plan_comfortable(np.zeros((3, 3)), 0.5)
 

@@ -134,6 +134,8 @@ def test_the_table_is_the_papers():
     assert clear[2:6] == ("Clear", "No", "1.500", f"{rate:.1f} %") and light[2] == "1.2"
     assert heavy[2:] == ("12", "Yes", "0.000", *(4 * (summary.NOT_MEASURED,)))
     assert any("N = 6" in each for each in table.definitions)
+    assert table.markdown.startswith("| Scenario | Agent |") and "N = 6" in table.markdown
+    assert table.text.splitlines()[2].split()[:4] == ["made-up", "hand", "Clear", "No"] and "N = 6" in table.text
 
 
 def test_seeds_become_means_with_bands():
