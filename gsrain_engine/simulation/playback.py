@@ -46,7 +46,7 @@ class RolloutPlayback:
 
     def step(self, time_s: float) -> RolloutStep:
         """Return the last step that has begun at a time."""
-        return self.rollout.steps[max(bisect_right(self._times, time_s) - 1, 0)]
+        return self._around(time_s)[0]
 
     def state(self, time_s: float) -> VehicleState:
         before, after, part = self._around(time_s)

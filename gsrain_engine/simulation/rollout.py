@@ -96,7 +96,6 @@ class RunSetting:
     """The parts of a scenario that metrics and tables need."""
 
     scenario: str
-    description: str
     intensity_mm_h: float
     vehicle: Vehicle
 
@@ -108,7 +107,7 @@ def run_setting(rollout: Rollout) -> RunSetting:
     """
     plain, vehicle = rollout.scenario, driven_vehicle(rollout)
     intensity = float(plain.get("rain", {}).get("intensity_mm_h", 0.0))
-    return RunSetting(str(plain.get("name", "")), str(plain.get("description", "")), intensity, vehicle)
+    return RunSetting(str(plain.get("name", "")), intensity, vehicle)
 
 
 def planned_frames(rollout: Rollout) -> tuple[RolloutStep, ...]:

@@ -124,12 +124,11 @@ class Simulation:
 
     def observation(self) -> Observation:
         """Return the current observation, with the images that the agent needs."""
-        moment, state = self._moment, self._moment.state
-        height = self.ground.height_m(state.x_m, state.y_m)
+        moment = self._moment
         views = {} if self._pictures is None else self.render_cameras(self._pictures)
         return Observation(
-            moment.step, moment.time_s, state, moment.control.acceleration_m_s2, moment.control.steer_rate_rad_s,
-            height, "straight", views, self.route, self._traffic.users,
+            moment.step, moment.time_s, moment.state, moment.control.acceleration_m_s2,
+            moment.control.steer_rate_rad_s, self._height_m, "straight", views, self.route, self._traffic.users,
         )  # fmt: skip
 
     def render_cameras(self, pictures: RigRenderer) -> dict[str, CameraView]:
@@ -147,8 +146,7 @@ class Simulation:
     @property
     def rig_to_world(self) -> Float64[np.ndarray, "4 4"]:
         """Current pose of the ego vehicle's rig (x forward, y left, z up, above the rear axle). World frame, meters."""
-        state = self._moment.state
-        return state.rig_to_world(self.ground.height_m(state.x_m, state.y_m) + self.rig.height_m)
+        return self._moment.state.rig_to_world(self._height_m + self.rig.height_m)
 
     def rollout(self, agent: str) -> Rollout:
         """Return the roll-out so far; an unfinished drive has the end "stopped"."""
@@ -186,12 +184,11 @@ class Simulation:
 
     def _recorded(self, plan: Trajectory | None) -> RolloutStep:
         moment, state = self._moment, self._moment.state
-        height = self.ground.height_m(state.x_m, state.y_m)
         return RolloutStep(
             step=moment.step,
             time_s=moment.time_s,
             ego=EgoRecord(
-                x_m=state.x_m, y_m=state.y_m, z_m=height, yaw_rad=state.yaw_rad, speed_m_s=state.speed_m_s,
+                x_m=state.x_m, y_m=state.y_m, z_m=self._height_m, yaw_rad=state.yaw_rad, speed_m_s=state.speed_m_s,
                 steer_rad=state.steer_rad, acceleration_m_s2=moment.control.acceleration_m_s2,
                 steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=yaw_rate(self.scenario.vehicle, state),
             ),
@@ -206,6 +203,10 @@ class Simulation:
             collision=self._hit,
             notes={} if plan is None else _plain(plan.notes),
         )  # fmt: skip
+
+    @property
+    def _height_m(self) -> float:
+        return self.ground.height_m(self._moment.state.x_m, self._moment.state.y_m)
 
     @property
     def _hit(self) -> str | None:

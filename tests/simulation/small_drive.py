@@ -42,14 +42,17 @@ def lead(**fields):
     return {**base, **fields}
 
 
+def track(times, positions):
+    """A track through positions at times, without a turn."""
+    n = len(times)
+    return PoseTrack(np.array(times), np.array(positions, float), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones(n, bool))
+
+
 def box_actor(id="box", positions=((5.0, 3.0, 0.0), (13.0, 3.0, 0.0)), times=(0.0, 4.0)):
     """A red block of 4 x 2 x 1.5 m that moves along +x."""
     flank = patch((-2, -1, 0), np.array([4.0, 0, 0]), np.array([0, 0, 1.5]), 8, (0.8, 0.1, 0.1))
     rear = patch((-2, -1, 0), np.array([0, 2.0, 0]), np.array([0, 0, 1.5]), 8, (0.8, 0.1, 0.1))
-    sides = Gaussians.concatenate([flank, rear])
-    n = len(times)
-    track = PoseTrack(np.array(times), np.array(positions, float), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones(n, bool))
-    return Actor(id, "car", (4.0, 2.0, 1.5), sides, track)
+    return Actor(id, "car", (4.0, 2.0, 1.5), Gaussians.concatenate([flank, rear]), track(times, positions))
 
 
 def scene_with_box():
@@ -91,8 +94,6 @@ def driven(fields, scene, agent=None, **options):
 
 def longer_scene():
     """The small scene with a recorded drive of 30 m, and a front and a back camera of nuScenes'."""
-    times = np.arange(6.0)
-    places = np.stack([6 * times, np.zeros(6), np.full(6, 1.5)], axis=1)
-    ego = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (6, 1)), np.ones(6, bool))
+    ego = track(np.arange(6.0), [(6 * second, 0, 1.5) for second in range(6)])
     two = tuple(each for each in street_rigs()["nuscenes"] if each.name in ("CAM_FRONT", "CAM_BACK"))
     return replace(small_scene(), ego=ego, rigs={"nuscenes": two})

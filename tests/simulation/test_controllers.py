@@ -5,20 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.simulation.controller_base import (
-    Controller,
-    ControllerSettings,
-    PurePursuit,
-    make_reachable,
-    tracked_states,
-)
-from gsrain_engine.simulation.controllers import (
-    linearize_dynamics,
-    open_controller,
-    roll_out,
-    solve_lqr_policy,
-    step_state,
-)
+from gsrain_engine.simulation import controller_base, controllers
 from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, step_bicycle
 
@@ -33,11 +20,11 @@ WIGGLE = np.cumsum([[2.5, 0.1], [2.6, 0.4], [2.4, 0.3], [2.5, 0.0], [2.4, -0.1]]
 
 
 def headings(points, reference="tangent"):
-    return tracked_states(np.array(points, np.float64), reference)[1:, 2]
+    return controller_base.tracked_states(np.array(points, np.float64), reference)[1:, 2]
 
 
 def test_headings_are_half_way_between_the_steps_and_go_on_beyond_half_a_turn():
-    states = tracked_states(np.array([[2.0, 0], [4.0, 2.0], [4.0, 4.0]]), "tangent")
+    states = controller_base.tracked_states(np.array([[2.0, 0], [4.0, 2.0], [4.0, 4.0]]), "tangent")
     np.testing.assert_allclose(states[:, 2], np.radians([0, 22.5, 67.5, 112.5]))
     np.testing.assert_array_equal(states[:, :2], [[0, 0], [2, 0], [4, 2], [4, 4]])
     turn = np.linspace(0, 2 * np.pi, 13)[1:]
@@ -72,7 +59,7 @@ def test_headings_of_special_plans(points, reference, expected):
     ],
 )
 def test_a_stop_that_brakes_cannot_make_is_moved_along_the_plan(plan, speed, braking, moved, expected):
-    points, full = make_reachable(np.array(plan), speed, braking, 0.5)
+    points, full = controller_base.make_reachable(np.array(plan), speed, braking, 0.5)
     assert full == moved
     np.testing.assert_allclose(points, plan if expected is None else expected, atol=1e-12)
 
@@ -87,13 +74,13 @@ EULER, MIDPOINT = 0.0, 0.5
 
 def after(state, control, at):
     reached = np.empty(5)
-    step_state(state, np.array(control, np.float64), DT, at, WHEELBASE, LIMITS, reached)
+    controllers.step_state(state, np.array(control, np.float64), DT, at, WHEELBASE, LIMITS, reached)
     return reached
 
 
 def derivatives(state, control, at):
     slope, effect = np.empty((5, 5)), np.empty((5, 2))
-    linearize_dynamics(state, np.array(control, np.float64), DT, at, WHEELBASE, slope, effect)
+    controllers.linearize_dynamics(state, np.array(control, np.float64), DT, at, WHEELBASE, slope, effect)
     return slope, effect
 
 
@@ -116,9 +103,9 @@ def test_the_step_back_agrees_with_one_linear_system(at):
     start, controls = np.array([0.0, 0, 0.1, 6, 0.05]), random.normal(0, (0.5, 0.05), (5, 2))
     reference = np.concatenate([start[None], np.cumsum(random.normal((3, 0.2, 0.1, 0, 0), 0.2, (5, 5)), axis=0)])
     states = np.empty((6, 5))
-    roll_out(start, controls, DT, at, WHEELBASE, LIMITS, states)
+    controllers.roll_out(start, controls, DT, at, WHEELBASE, LIMITS, states)
     gains, offsets = np.empty((5, 2, 5)), np.empty((5, 2))
-    solve_lqr_policy(states, controls, reference, DT, at, WHEELBASE, WEIGHTS, gains, offsets)
+    controllers.solve_lqr_policy(states, controls, reference, DT, at, WHEELBASE, WEIGHTS, gains, offsets)
     np.testing.assert_allclose(offsets, _by_one_system(states, controls, reference, at), atol=1e-8)
 
 
@@ -148,8 +135,8 @@ def _by_one_system(states, controls, reference, at):
 # The tracker
 
 
-def tracker(**fields) -> Controller:
-    return open_controller(ControllerSettings(**fields))
+def tracker(**fields) -> controller_base.Controller:
+    return controllers.open_controller(controller_base.ControllerSettings(**fields))
 
 
 def test_the_published_heading_gives_the_published_controls():
@@ -285,9 +272,9 @@ def test_pure_pursuit_takes_the_acceleration_of_the_plan_and_stops_straight():
     for acceleration in (-4.0, 0.0, 1.5):
         along = 8.0 * times + 0.5 * acceleration * times**2
         plan = np.stack([along, np.zeros(6)], axis=1)[: 3 if acceleration < 0 else 6]
-        control = PurePursuit().control(CAR, VehicleState(0, 0, 0, 8.0), plan, 0.5)
+        control = controller_base.PurePursuit().control(CAR, VehicleState(0, 0, 0, 8.0), plan, 0.5)
         assert control == pytest.approx((acceleration, 0.0))
-    end = stopped(PurePursuit(), VehicleState(0.0, 0.0, 0.0, 8.0, 0.2), steps=60)[-1]
+    end = stopped(controller_base.PurePursuit(), VehicleState(0.0, 0.0, 0.0, 8.0, 0.2), steps=60)[-1]
     assert end.speed_m_s < 1e-4 and end.x_m < 5.0 and end.steer_rad == pytest.approx(0.0, abs=1e-6)
 
 
@@ -302,7 +289,7 @@ def test_pure_pursuit_takes_the_acceleration_of_the_plan_and_stops_straight():
 )
 def test_whatever_is_planned_controls_are_finite_and_the_trackers_within_limits(plan, speed, steer, fields):
     controller = tracker(**fields)
-    assert isinstance(controller, Controller)
+    assert isinstance(controller, controller_base.Controller)
     control = controller.control(CAR, VehicleState(0.0, 0.0, 0.0, speed, steer), np.array(plan, np.float64), 0.5)
     assert np.isfinite(control).all()
     if "kind" not in fields:

@@ -9,12 +9,12 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.open import load_street
-from gsrain_engine.scene.scene import Layer, PoseTrack, Scene
+from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.simulation.geometry import PlanarBox
 from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, RoadSurface, road_surface_of
 from gsrain_engine.simulation.obstacles import CELL_M, drivable_of, occupied_space_of
-from simulation.small_drive import in_other_units
+from simulation.small_drive import in_other_units, track
 from small_scene import patch, small_scene
 
 
@@ -23,10 +23,7 @@ def slope(per_m, rig_m=1.5, **more):
     road = patch((0, -8, 0), np.array([60.0, 0, 60.0 * per_m]), np.array([0, 16.0, 0]), 120, (0.3, 0.3, 0.3))
     road = replace(road, scales=np.tile(np.array([0.35, 0.12, 0.004], np.float32), (len(road), 1)))
     block = patch((20, 2, 20 * per_m), np.array([4.0, 0, 0]), np.array([0, 0, 1.4]), 20, (0.6, 0.1, 0.1))
-    x = np.arange(2.0, 58.0, 2.0)
-    n = len(x)
-    places = np.stack([x, np.zeros(n), per_m * x + rig_m], axis=1)
-    drive = PoseTrack(np.arange(float(n)), places, np.tile([1.0, 0, 0, 0], (n, 1)), np.ones(n, bool))
+    drive = track(np.arange(28.0), [(x, 0.0, per_m * x + rig_m) for x in np.arange(2.0, 58.0, 2.0)])
     return Scene("slope", (Layer("road", road), Layer("block", block)), ego=drive, **more)
 
 
@@ -51,11 +48,8 @@ def test_a_stated_height_counts_where_the_drive_begins_if_it_is_plausible():
     ground = road_surface_of(slope(0.05, ground_m=0.1))
     assert ground.rig_height_m == pytest.approx(1.5) and ground.height_m(2.0, 0.0) == pytest.approx(0.1, abs=0.03)
     assert road_surface_of(slope(0.0, ground_m=50.0)).height_m(10.0, 0.0) == pytest.approx(0.0, abs=0.03)
-
-
-def test_where_nothing_lies_it_is_below_the_drive():
-    ground = road_surface_of(replace(slope(0.05), layers=()))
-    assert ground.rig_height_m == SENSOR_HEIGHT_M and ground.height_m(30.0, 3.0) == pytest.approx(1.5, abs=0.05)
+    empty = road_surface_of(replace(slope(0.05), layers=()))  # where nothing lies it is below the drive
+    assert empty.rig_height_m == SENSOR_HEIGHT_M and empty.height_m(30.0, 3.0) == pytest.approx(1.5, abs=0.05)
 
 
 def test_heights_are_interpolated_bilinearly_and_one_place_is_as_many():
@@ -147,11 +141,21 @@ def test_what_is_hidden_or_deleted_is_gone():
 def test_without_a_road_layer_flat_ground_is_road_and_nothing_is_without_a_scene():
     scene = standing(across(15.0, 0.0, 2.0))
     scene = replace(scene, layers=tuple(replace(each, name=f"part {i}") for i, each in enumerate(scene.layers)))
-    for shown, low in ((scene, 0.9), (replace(scene, layers=()), None)):
-        drivable = drivable_of(shown, road_surface_of(shown), occupied(shown))
+    for scene_now, low in ((scene, 0.9), (replace(scene, layers=()), None)):
+        drivable = drivable_of(scene_now, road_surface_of(scene_now), occupied(scene_now))
         assert drivable.share_on_road(car_at(25.0, 12.0)).max() == 0.0
         share = drivable.share_on_road(car_at(25.0, 0.0))
         assert share.max() == 0.0 if low is None else share.min() > low
+
+
+@pytest.mark.parametrize("per_m", [0.06, -0.12])
+def test_on_a_slope_road_and_obstacles_are_where_they_are_on_level_ground(per_m):
+    scene = slope(per_m)
+    space = occupied(scene)
+    drivable = drivable_of(scene, road_surface_of(scene), space)
+    for x in (5.0, 50.0):
+        assert not space.touches(car_at(x, 0.0)) and drivable.share_on_road(car_at(x, 0.0)).min() > 0.9
+    assert space.touches(car_at(22.0, 1.5)) and drivable.share_on_road(car_at(30.0, 12.0)).max() == 0.0
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,7 @@ road_users:
 
 
 @pytest.fixture
-def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a scenario and all that it names; the working folder is the one above."""
     folder = tmp_path / "tests"
     for name in ("cars", "road", "street", "published"):
@@ -68,29 +68,29 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_names_count_from_the_scenarios_own_folder(beside: Path, monkeypatch: pytest.MonkeyPatch):
+def test_names_count_from_the_scenarios_own_folder(folder: Path, monkeypatch: pytest.MonkeyPatch):
     found = load_scenario("tests/mine.yaml")
     assert found.scene == "tests/road" and found.rain.calibration == "tests/rain.yaml"
     first, second, third = found.road_users
     assert first.model == "tests/cars/a.ply" and vehicle_model(first.model, small_scene()).size_lwh_m[0] > 1
     assert (second.model, second.behaviour.rollout, third.model) == ("van/red", "tests/drive.jsonl", "actor:7")
-    monkeypatch.chdir(beside / "cars")
+    monkeypatch.chdir(folder / "cars")
     assert load_scenario("../mine.yaml").scene == "../road"
-    assert load_scenario(beside / "mine.yaml").scene == str(beside / "road")
+    assert load_scenario(folder / "mine.yaml").scene == str(folder / "road")
 
 
-def test_names_that_are_built_in_nowhere_or_in_the_working_folder_stay(beside: Path):
+def test_names_that_are_built_in_nowhere_or_in_the_working_folder_stay(folder: Path):
     Path("far").mkdir()
     text = TEST.format(scene="street", calibration="published", model="saloon", rollout="nowhere.jsonl")
-    (beside / "mine.yaml").write_text(text)
+    (folder / "mine.yaml").write_text(text)
     found = load_scenario("tests/mine.yaml")
     assert (found.scene, found.rain.calibration, found.road_users[0].model) == ("street", "published", "saloon")
     assert found.road_users[1].behaviour.rollout == "nowhere.jsonl"
-    (beside / "mine.yaml").write_text(text.replace("scene: street", "scene: far"))
+    (folder / "mine.yaml").write_text(text.replace("scene: street", "scene: far"))
     assert load_scenario("tests/mine.yaml").scene == "far"
 
 
-def test_saved_elsewhere_it_names_the_same_files_and_is_the_same_value(beside: Path):
+def test_saved_elsewhere_it_names_the_same_files_and_is_the_same_value(folder: Path):
     found = load_scenario("tests/mine.yaml")
     Path("copies").mkdir()
     for value in (found, msgspec.structs.replace(found, scene="of-hugsim"), Scenario(name="mine")):

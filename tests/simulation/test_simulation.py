@@ -8,13 +8,12 @@ import pytest
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.scene.open import load_street
-from gsrain_engine.scene.scene import PoseTrack
 from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.rollout import BACKGROUND
 from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
 from gsrain_engine.simulation.simulation import Simulation, drive, drive_scene, run_drive
 from gsrain_engine.simulation.vehicle import Control
-from simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box
+from simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box, track
 from small_scene import small_scene
 
 
@@ -60,18 +59,7 @@ def test_shipped_scenarios_drive_as_they_did(street, name, agent, end, steps, eg
 
 def far_drive(length_m, start_m=0.0):
     """A recorded drive straight on."""
-    places = np.array([[start_m, 0, 1.5], [length_m, 0, 1.5]])
-    return PoseTrack(np.array([0.0, 20.0]), places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
-
-
-def test_it_stops_where_a_road_user_is_touched():
-    """Bumpers meet after 8 - 2.3 - 2 = 3.7 m: within the fourth step of 1 m."""
-    rollout = driven({"road_users": [lead(ahead_m=8.0)], "duration_s": 10}, scene_with_box())
-    last = rollout.steps[-1]
-    assert (rollout.end, last.step, last.collision, last.plan) == ("collision", 4, "lead", ())
-    assert last.ego.x_m == pytest.approx(4.0)
-    assert [step.collision for step in rollout.steps[:-1]] == [None] * 4
-    assert [step.time_s for step in rollout.steps] == [0.0, 0.25, 0.5, 0.75, 1.0]
+    return track([0.0, 20.0], [(start_m, 0, 1.5), (length_m, 0, 1.5)])
 
 
 @pytest.mark.parametrize(("height_m", "end"), [(4.5, "time"), (1.0, "collision")])
@@ -112,11 +100,15 @@ class _GivesUp(StraightOn):
         ({"duration_s": 1.0}, StraightOn, "time", 5, 0.4),
         ({"left_m": 2.5, "leave_m": 2.0}, StraightOn, "off route", 1, 0.0),
         ({}, _GivesUp, "agent", 3, 0.2),
+        # Bumpers meet after 8 - 2.3 - 2 = 3.7 m: within the fourth step of 1 m.
+        ({"road_users": [lead(ahead_m=8.0)]}, StraightOn, "collision", 5, 0.4),
     ],
 )
 def test_ends_of_a_drive(fields, agent, end, steps, completion):
-    rollout = driven(fields, small_scene(), agent())
+    rollout = driven(fields, scene_with_box(), agent())
     assert (rollout.end, len(rollout.steps)) == (end, steps)
+    assert [step.time_s for step in rollout.steps] == [0.25 * number for number in range(steps)]
+    assert rollout.steps[-1].plan == () and all(step.collision is None for step in rollout.steps[:-1])
     assert rollout.steps[-1].route_completion == pytest.approx(completion)
     assert rollout.steps[0].route_left_m == pytest.approx(fields.get("left_m", 0.0))
 
@@ -210,8 +202,8 @@ def test_cameras_see_the_same_every_time_and_whatever_the_scenes_units():
     fields = {"road_users": [lead(ahead_m=14.0, left_m=1.0)], "rain": {"intensity_mm_h": 8.5}}
     one, same, other = (views(each, fields) for each in
                         (scene_with_box(), scene_with_box(), in_other_units(scene_with_box())))  # fmt: skip
-    for a, again, b in zip(one, same, other, strict=True):
-        np.testing.assert_array_equal(a.image, again.image)
+    for a, repeated, b in zip(one, same, other, strict=True):
+        np.testing.assert_array_equal(a.image, repeated.image)
         assert a.image.shape == (64, 96, 3)
         assert np.mean(np.abs(a.image.astype(int) - b.image.astype(int))) < 0.5
         there = (a.depth_m > 0) & (b.depth_m > 0)

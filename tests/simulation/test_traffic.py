@@ -9,27 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.ground import recorded_route, road_surface_of
 from gsrain_engine.simulation.rollout_io import write_rollout
 from gsrain_engine.simulation.scenario import Traffic
 from gsrain_engine.simulation.simulation import RoadScene
-from gsrain_engine.simulation.traffic.base import (
-    Behavior,
-    LanePosition,
-    RoadUser,
-    TrafficState,
-    changed_speed,
-    find_vehicle_ahead,
-)
+from gsrain_engine.simulation.traffic import base
 from gsrain_engine.simulation.traffic.models import BehaviorSettings
-from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box
+from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box, track
 from small_rollout import ego, rollout, step, user
-from small_scene import patch, small_scene
+from small_scene import small_scene
 
 STRAIGHT = Route(np.array([[0.0, 0.0], [200.0, 0.0]]))
-NOWHERE = RoadUser("ego", "car", (4.0, 2.0, 1.5), -1000.0, 0.0, 0.0, 0.0)
+NOWHERE = base.RoadUser("ego", "car", (4.0, 2.0, 1.5), -1000.0, 0.0, 0.0, 0.0)
 
 
 def bend(radius, turn=np.pi / 2):
@@ -40,7 +33,7 @@ def bend(radius, turn=np.pi / 2):
 
 def car(x, y=0.0, speed=0.0, yaw=0.0, id="car"):
     """A road user 4 m long and 2 m wide."""
-    return RoadUser(id, "car", (4.0, 2.0, 1.5), float(x), float(y), float(yaw), float(speed))
+    return base.RoadUser(id, "car", (4.0, 2.0, 1.5), float(x), float(y), float(yaw), float(speed))
 
 
 def settings(**fields):
@@ -51,11 +44,11 @@ def settings(**fields):
 def moves(behaviour, me, duration_s, *, ego=NOWHERE, others=(), route=STRAIGHT, dt_s=0.25, scene=None):
     """Move one road user; returns it at each moment, the start first. The ego vehicle and others keep their speeds."""
     rule = behaviour.begin(scene or Scene("none"), 0.0)
-    assert isinstance(rule, Behavior)
+    assert isinstance(rule, base.Behavior)
     now = rule.start(me)
     path = [now]
     for number in range(round(duration_s / dt_s)):
-        around = TrafficState(number * dt_s, ego, tuple(others), route)
+        around = base.TrafficState(number * dt_s, ego, tuple(others), route)
         me = now or me
         now = rule.next(me, around, dt_s)
         ego, others = ego.ahead(ego.speed_m_s * dt_s), tuple(each.ahead(each.speed_m_s * dt_s) for each in others)
@@ -87,14 +80,14 @@ def test_the_idm_settles_at_the_equilibrium_gap():
 
 @pytest.mark.parametrize(("y", "matters"), [(0.0, True), (1.9, True), (2.1, False), (-3.4, False)])
 def test_only_who_overlaps_the_lane_matters(y, matters):
-    assert (find_vehicle_ahead(STRAIGHT, car(0), (car(20, y),)) is not None) == matters
+    assert (base.find_vehicle_ahead(STRAIGHT, car(0), (car(20, y),)) is not None) == matters
 
 
 def test_the_nearest_ahead_is_followed_by_its_extent_and_speed_along_the_lane():
-    ahead = find_vehicle_ahead(STRAIGHT, car(50, speed=9), (car(90), car(70, speed=3), car(40, speed=30)))
+    ahead = base.find_vehicle_ahead(STRAIGHT, car(50, speed=9), (car(90), car(70, speed=3), car(40, speed=30)))
     assert (ahead.gap_m, ahead.speed_m_s) == pytest.approx((16.0, 3.0))
-    assert find_vehicle_ahead(STRAIGHT, car(0), (car(20, 2.9, yaw=np.pi / 2),)).gap_m == pytest.approx(20 - 2 - 1)
-    oncoming = find_vehicle_ahead(STRAIGHT, car(100, 3.4, 10, np.pi), (car(40, 3.4, 2.0, 0.0),))
+    assert base.find_vehicle_ahead(STRAIGHT, car(0), (car(20, 2.9, yaw=np.pi / 2),)).gap_m == pytest.approx(20 - 2 - 1)
+    oncoming = base.find_vehicle_ahead(STRAIGHT, car(100, 3.4, 10, np.pi), (car(40, 3.4, 2.0, 0.0),))
     assert oncoming.speed_m_s == pytest.approx(-2.0)
 
 
@@ -111,7 +104,7 @@ def test_a_lane_is_kept_against_the_route_and_in_bends():
 
 @given(st.floats(0, 190), st.floats(-5, 5), st.floats(-1.5, 1.5), st.booleans(), st.floats(0.1, 5))
 def test_a_place_in_a_lane_and_back(x, y, turn, with_route, distance):
-    place = LanePosition.of(STRAIGHT, car(x, y, yaw=turn + (0 if with_route else np.pi)))
+    place = base.LanePosition.of(STRAIGHT, car(x, y, yaw=turn + (0 if with_route else np.pi)))
     assert (place.along_m, place.left_m, place.direction) == pytest.approx((x, y, 1 if with_route else -1))
     assert place.ahead(STRAIGHT, distance).along_m == pytest.approx(x + place.direction * distance)
 
@@ -152,7 +145,7 @@ def test_where_a_maneuver_has_led_after_six_seconds(fields, start, end):
 @given(st.floats(0, 30), st.floats(0, 30), st.floats(0, 10), st.floats(0.01, 4))
 def test_a_change_of_speed_is_a_ramp(speed, to, rate, dt):
     """Against the same in a thousand small steps."""
-    after, distance = changed_speed(speed, to, rate, dt)
+    after, distance = base.changed_speed(speed, to, rate, dt)
     ramp = speed + np.sign(to - speed) * np.minimum(rate * np.linspace(0, dt, 1001), abs(to - speed))
     assert after == pytest.approx(ramp[-1], abs=1e-9)
     assert distance == pytest.approx(np.trapezoid(ramp, dx=dt / 1000), abs=1e-3)
@@ -192,9 +185,8 @@ def test_points_are_met_at_their_times_and_it_stands_after_the_last():
 
 
 def test_the_track_of_an_actor_whatever_place_the_scenario_states():
-    track = PoseTrack(np.array([0.0, 4.0]), np.array([[5.0, 3, 0], [25.0, 3, 0]]), np.tile([1.0, 0, 0, 0], (2, 1)),
-                      np.array([True, False]))  # fmt: skip
-    actor = Actor("van", "car", (4, 2, 2), patch((0, 0, 0), np.eye(3)[0], np.eye(3)[1], 3, (1, 0, 0)), track)
+    path_of_van = replace(track([0.0, 4.0], [(5, 3, 0), (25, 3, 0)]), valid=np.array([True, False]))
+    actor = replace(box_actor("van"), track=path_of_van)
     scene = replace(small_scene(), actors=(actor,))
     path, slow = (moves(settings(kind="track", actor="van", pace=pace), car(0), 5.0, scene=scene) for pace in (1, 0.5))
     assert (path[0].id, path[0].x_m, path[0].y_m, path[-1]) == ("car", 5.0, 3.0, None)
@@ -231,7 +223,7 @@ def test_a_replay_is_where_the_drive_had_it(drive_file):
 
 # Everybody
 
-EGO = RoadUser("ego", "car", (4.6, 1.85, 1.5), 1.3, 0.0, 0.0, 4.0)
+EGO = base.RoadUser("ego", "car", (4.6, 1.85, 1.5), 1.3, 0.0, 0.0, 4.0)
 
 
 def traffic(scene, **fields):
@@ -294,13 +286,13 @@ def test_the_scene_shows_everybody_where_they_are(other_units):
     cars = traffic(scene, keep=["box"], road_users=[lead(ahead_m=12.0, left_m=2.0, turned_deg=30.0)])
     rig = np.eye(4)
     rig[:3, 3] = 2.0, 0.5, 1.5
-    shown = RoadScene(scene, cars.looks).at(rig, cars.users)
-    np.testing.assert_allclose(shown.ego_to_world(7.0), rig, atol=1e-9)
+    placed = RoadScene(scene, cars.looks).at(rig, cars.users)
+    np.testing.assert_allclose(placed.ego_to_world(7.0), rig, atol=1e-9)
     for each in cars.users:
-        part = shown.part(shown.member(f"actors/{each.id}"), 0.0)
+        part = placed.part(placed.member(f"actors/{each.id}"), 0.0)
         points = part.gaussians.means @ part.to_world[:3, :3].T + part.to_world[:3, 3]
         local = (points - (each.x_m, each.y_m, each.z_m)) @ each.pose[:3, :3]
         np.testing.assert_allclose([local.min(axis=0), local.max(axis=0)], [(-2, -1, 0), (2, 1, 1.5)], atol=1e-4)
-        size = np.array(shown.member(f"actors/{each.id}").size_lwh) * scene.metres_per_unit
+        size = np.array(placed.member(f"actors/{each.id}").size_lwh) * scene.metres_per_unit
         np.testing.assert_allclose(size, each.size_lwh)
-    assert shown.layers == scene.layers
+    assert placed.layers == scene.layers

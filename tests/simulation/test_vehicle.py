@@ -42,8 +42,8 @@ def test_a_straight_line_under_acceleration_is_exact_in_steps_of_any_length(dt):
     state = VehicleState(1.0, 2.0, np.pi / 6, 4.0)
     for _ in range(round(2 / dt)):
         state = step_bicycle(CAR, state, Control(1.5, 0.0), dt)
-    way = 4.0 * 2 + 0.5 * 1.5 * 2**2
-    assert (state.x_m, state.y_m) == pytest.approx((1 + way * np.cos(np.pi / 6), 2 + way / 2), abs=1e-12)
+    distance = 4.0 * 2 + 0.5 * 1.5 * 2**2
+    assert (state.x_m, state.y_m) == pytest.approx((1 + distance * np.cos(np.pi / 6), 2 + distance / 2), abs=1e-12)
     assert (state.speed_m_s, state.yaw_rad) == pytest.approx((7.0, np.pi / 6), abs=1e-12)
 
 

@@ -16,8 +16,8 @@ from small_scene import small_scene
 def write_road(folder):
     """A scene folder; the ego drives 10 m/s for 3 s."""
     times = np.arange(4.0)
-    way = np.stack([10 * times, np.zeros(4), np.full(4, 1.5)], axis=1)
-    ego = PoseTrack(times, way, np.tile([1.0, 0, 0, 0], (4, 1)), np.ones(4, bool))
+    places = np.stack([10 * times, np.zeros(4), np.full(4, 1.5)], axis=1)
+    ego = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (4, 1)), np.ones(4, bool))
     scene = replace(small_scene("road"), ego=ego)
     write_scene(scene, folder)
     return folder
@@ -45,5 +45,5 @@ def sweep_of(scenarios, **changes):
 
 
 def small_jobs(folder, **changes):
-    """Jobs on a road of their own; four unless told otherwise."""
+    """Jobs on a road of their own; four unless changed."""
     return jobs_of(sweep_of([write_scenario(folder / "short.yaml", write_road(folder / "road"))], **changes))

@@ -99,13 +99,13 @@ def test_a_seed_begins_alike_at_every_intensity_and_seed_0_as_it_was_written(tmp
         ({"agents": [{"name": "constant-velocity", "detector": "absent.onnx"}]}, "absent.onnx"),
         ({"agents": ["constant-velocity", {"name": "constant-velocity"}]}, "'constant-velocity'"),
         ({"scenes": ["absent"]}, "absent"),
-        ({"scenarios": 2}, "'short'"),
+        ({"scenarios": ["short.yaml", "short.yaml"]}, "'short'"),
     ],
 )
-def test_impossible_sweeps_are_refused_before_anything_runs(short, changes, word):
-    scenarios = [short] * changes.pop("scenarios", 1)
+def test_impossible_sweeps_are_refused_before_anything_runs(short, changes, word, monkeypatch):
+    monkeypatch.chdir(short.parent)
     with pytest.raises(ValueError, match=word):
-        jobs_of(sweep_of(scenarios, **changes))
+        jobs_of(sweep_of(**{"scenarios": [short], **changes}))
 
 
 @pytest.mark.parametrize(

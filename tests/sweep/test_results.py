@@ -22,14 +22,6 @@ from gsrain_engine.sweep import results
 from gsrain_engine.sweep.executors import SerialExecutor
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.report import scenario_figure, write_tables
-from gsrain_engine.sweep.results import (
-    SweepFolder,
-    columns_of,
-    row_of,
-    rows_in,
-    rows_parquet,
-    summarized,
-)
 from gsrain_engine.sweep.run import SweepRun, run_sweep, run_sweep_and_report
 from gsrain_engine.sweep.settings import RenderSweep
 from gsrain_engine.sweep.worker import JobResult, run_job, worker_cache
@@ -40,7 +32,7 @@ from .small_sweep import small_jobs, sweep_of, write_road, write_scenario
 
 @pytest.fixture
 def folder(tmp_path):
-    return SweepFolder(tmp_path / "out")
+    return results.SweepFolder(tmp_path / "out")
 
 
 @pytest.fixture
@@ -64,7 +56,7 @@ def run(jobs, folder):
 
 
 def test_columns_are_parameters_and_every_metric():
-    columns = columns_of("drive")
+    columns = results.columns_of("drive")
     assert {each.name for each in structs.fields(DriveMetrics)} < columns.keys()
     kinds = {"collision": bool, "min_ttc_s": float, "collided_with": str, "planned_point_collision_rate": float,
              "steps": int}  # fmt: skip
@@ -72,16 +64,16 @@ def test_columns_are_parameters_and_every_metric():
 
 
 def test_a_failed_row_has_its_parameters_and_its_error(jobs):
-    row = row_of(jobs[3], JobResult(id=jobs[3].id, error='it said "no", then\nnothing'))
-    data = rows_parquet([row], "drive")
-    assert rows_in(data) == [row] and rows_parquet([row], "drive") == data
+    row = results.row_of(jobs[3], JobResult(id=jobs[3].id, error='it said "no", then\nnothing'))
+    data = results.rows_parquet([row], "drive")
+    assert results.rows_in(data) == [row] and results.rows_parquet([row], "drive") == data
     assert (row["status"], row["seed"], row["intensity_mm_h"], row["min_ttc_s"]) == ("failed", 1, 8.5, None)
-    read = next(csv.DictReader(io.StringIO(table_csv(list(columns_of("drive")), [row]))))
+    read = next(csv.DictReader(io.StringIO(table_csv(list(results.columns_of("drive")), [row]))))
     assert read["error"] == row["error"] and read["min_ttc_s"] == "" and read["intensity_mm_h"] == "8.5"
 
 
 def drive_row(seed, intensity, *, collision=False, ttc=2.0, failed=False, agent="one"):
-    row = dict.fromkeys(columns_of("drive"))
+    row = dict.fromkeys(results.columns_of("drive"))
     row |= {"scene": "street", "scenario": "lead", "agent": agent, "seed": seed, "intensity_mm_h": intensity}
     if failed:
         return row | {"status": "failed", "error": "it broke"}
@@ -89,7 +81,7 @@ def drive_row(seed, intensity, *, collision=False, ttc=2.0, failed=False, agent=
 
 
 def test_collisions_have_wilsons_interval():
-    (cell,) = summarized([drive_row(seed, 8.5, collision=seed < 3) for seed in range(10)])
+    (cell,) = results.summarized([drive_row(seed, 8.5, collision=seed < 3) for seed in range(10)])
     assert (cell.runs, cell.failed, cell.collisions, cell.collision_rate.mean) == (10, 0, 3, 0.3)
     z, n, p = 1.959963984540054, 10, 0.3
     middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
@@ -99,7 +91,7 @@ def test_collisions_have_wilsons_interval():
 
 def test_failed_runs_are_counted_and_do_not_count():
     rows = [drive_row(0, 1.2, failed=True), drive_row(1, 1.2, ttc=3.0), drive_row(0, 12.0, failed=True)]
-    first, second = summarized(rows)
+    first, second = results.summarized(rows)
     assert (first.runs, first.failed, first.means["min_ttc_s"].mean) == (1, 1, 3.0)
     assert (second.runs, second.failed, second.collision_rate, second.means) == (0, 1, None, {})
 
@@ -108,7 +100,7 @@ def test_changes_are_those_of_the_same_seed():
     """Seeds differ by seconds, rain takes a tenth: only pairs can tell."""
     clear = [drive_row(seed, 0.0, ttc=1.0 + seed) for seed in range(8)]
     rainy = [drive_row(seed, 8.5, ttc=0.9 + seed) for seed in range(8)][::-1]
-    first, second = summarized([*rainy, *clear, drive_row(9, 8.5, ttc=0.0)])
+    first, second = results.summarized([*rainy, *clear, drive_row(9, 8.5, ttc=0.0)])
     change = second.changes["min_ttc_s"]
     assert first.changes == {} and change.count == 8
     assert change.mean == pytest.approx(-0.1) and change.high < -0.0999 < change.low + 0.001
@@ -118,9 +110,9 @@ def test_changes_are_those_of_the_same_seed():
 def test_neither_cells_nor_their_figure_depend_on_the_order_of_rows():
     rows = [drive_row(seed, r, agent=agent, ttc=1 + seed / 3, collision=seed > r / 8) for seed in range(3)
             for r in (20.0, 0.0) for agent in ("two", "one")]  # fmt: skip
-    cells = summarized(rows)
+    cells = results.summarized(rows)
     assert [(cell.agent, cell.intensity_mm_h) for cell in cells] == [("one", 0), ("one", 20), ("two", 0), ("two", 20)]
-    assert msgpack.encode(cells) == msgpack.encode(summarized(rows[::-1]))
+    assert msgpack.encode(cells) == msgpack.encode(results.summarized(rows[::-1]))
     figure, alone = scenario_figure(cells), scenario_figure(cells[:2])
     assert np.array_equal(figure, scenario_figure(cells))
     blue, orange = (((np.abs(figure.astype(int) - color).sum(axis=2) < 6).sum()) for color in (
@@ -216,7 +208,7 @@ def done(tmp_path_factory):
     base = tmp_path_factory.mktemp("tables")
     roads = [write_road(base / place / "road") for place in ("a", "b")]
     sweep = sweep_of([write_scenario(base / "short.yaml", roads[0])], scenes=[str(each) for each in roads])
-    jobs, folder = jobs_of(sweep), SweepFolder(base / "out")
+    jobs, folder = jobs_of(sweep), results.SweepFolder(base / "out")
     folder.describe(sweep, jobs)
     for job in jobs[:-1]:
         folder.keep(job, run_job(job, folder.clips))
@@ -227,7 +219,7 @@ def test_tables_figures_and_report_hold_the_rows_in_the_order_of_the_jobs(done):
     sweep, jobs, folder = done
     numbers = write_tables(folder, sweep, jobs)
     assert (numbers["jobs"], numbers["rows"], numbers["failed"]) == (8, 7, 0)
-    rows = rows_in((folder.path / "table.parquet").read_bytes())
+    rows = results.rows_in((folder.path / "table.parquet").read_bytes())
     assert [row["id"] for row in rows] == [job.id for job in jobs[:-1]] and rows == list(folder.read(jobs).values())
     assert [cell["runs"] for cell in numbers["cells"]] == [2, 2, 2, 1]
     page = (folder.path / "report.html").read_text()
@@ -272,7 +264,7 @@ def test_clips_differ_in_rain_and_share_their_labels(clips, folder):
 
 def test_elsewhere_a_clip_is_the_same_bytes_and_one_that_stands_is_not_drawn_anew(clips, tmp_path, monkeypatch):
     job = jobs_of(clips)[1]
-    first, second = SweepFolder(tmp_path / "first"), SweepFolder(tmp_path / "second")
+    first, second = results.SweepFolder(tmp_path / "first"), results.SweepFolder(tmp_path / "second")
     old, new = (first.clips / f".{job.id}.{digits}.part" for digits in ("01dc11b5", "0e3c11b5"))
     for part in (old, new):
         part.mkdir(parents=True)

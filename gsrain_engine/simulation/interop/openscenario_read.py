@@ -2,7 +2,6 @@
 
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -32,41 +31,9 @@ def read_openscenario(path: Path) -> Scenario:
     """
     data = read_whole(path)
     try:
-        return _scenario(parse_xml(data), path.stem)
+        return _Document(parse_xml(data)).scenario(path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-
-
-def _scenario(root: Element, name: str) -> Scenario:
-    objects = {each.get("name", ""): each for each in root.iterfind("Entities/ScenarioObject")}
-    begun = initial_states(root)
-    if not objects:
-        raise ValueError("there are no ScenarioObjects in it")
-    ego_name = next((name for name in objects if name.lower() in ("ego", "hero")), next(iter(objects)))
-    missing = next((name for name in objects if name not in begun), None)
-    if missing is not None:
-        raise ValueError(f"{missing} is not teleported anywhere at the start")
-    header = root.find("FileHeader")
-    own = {} if header is None else properties(header)
-    vehicle = ego_vehicle(objects[ego_name])
-    stop = root.find("Storyboard/StopTrigger")
-    end = None if stop is None else stop.find(".//SimulationTimeCondition")
-    others = {name: entity for name, entity in objects.items() if name != ego_name}
-    actors = [name for name, entity in others.items() if properties(*entity).get(f"{PROPERTY}kept") == "true"]
-    plain = {
-        "name": name,
-        "description": "" if header is None else header.get("description", ""),
-        "speed_m_s": begun[ego_name].speed_m_s,
-        "keep": actors,
-        "road_users": [
-            _user(root, name, entity, begun, ego_name, vehicle) for name, entity in others.items() if name not in actors
-        ],
-        "rain": _rain(root, own),
-        "vehicle": msgspec.to_builtins(vehicle),
-        **({} if end is None else {"duration_s": number(end, "value")}),
-        **{name: own[PROPERTY + name] for name in OWN_FIELDS if PROPERTY + name in own},
-    }
-    return convert_checked(plain, Scenario, strict=False)
 
 
 class InitialState(NamedTuple):
@@ -76,32 +43,123 @@ class InitialState(NamedTuple):
     speed_m_s: float
 
 
-def _user(
-    root: Element,
-    name: str,
-    entity: Element,
-    begun: dict[str, InitialState],
-    ego_name: str,
-    vehicle: Vehicle,
-) -> dict[str, Any]:
-    box = box_of(entity)
-    where = placed(name, begun[name], ego_name, begun[ego_name])
-    # OpenSCENARIO places both by reference points, scenarios by centers.
-    turned, ahead = np.radians(where["turned_deg"]), 0.0 if box is None else box[1]
-    where["ahead_m"] += ahead * float(np.cos(turned)) - vehicle.middle_m
-    where["left_m"] += ahead * float(np.sin(turned))
-    where |= {each: round(where[each], 6) for each in ("ahead_m", "left_m")}
-    speed, starts = begun[name].speed_m_s, [world_state(begun[each].position) for each in (name, ego_name)]
-    actor = EntityContext(name, where["left_m"], speed, starts[0], ego_name, starts[1])
-    behaviour = properties(*entity.findall("ObjectController[1]/Controller[1]"))
-    return {
-        "id": name,
-        **model_and_class_of(name, entity),
-        **({} if box is None else {"size_lwh_m": box[0]}),
-        **where,
-        "speed_m_s": speed,
-        "behaviour": behaviour if "kind" in behaviour else behavior_of(root, actor),
-    }
+class _Document:
+    """A parsed file: its entities, and where they begin."""
+
+    def __init__(self, root: Element) -> None:
+        self._root = root
+        self._entities = {each.get("name", ""): each for each in root.iterfind("Entities/ScenarioObject")}
+        self._begun = initial_states(root)
+        if not self._entities:
+            raise ValueError("there are no ScenarioObjects in it")
+        names = list(self._entities)
+        self._ego_name = next((name for name in names if name.lower() in ("ego", "hero")), names[0])
+        missing = next((name for name in names if name not in self._begun), None)
+        if missing is not None:
+            raise ValueError(f"{missing} is not teleported anywhere at the start")
+
+    def scenario(self, name: str) -> Scenario:
+        header = self._root.find("FileHeader")
+        own = {} if header is None else properties(header)
+        vehicle = ego_vehicle(self._entities[self._ego_name])
+        stop = self._root.find("Storyboard/StopTrigger")
+        end = None if stop is None else stop.find(".//SimulationTimeCondition")
+        others = {name: entity for name, entity in self._entities.items() if name != self._ego_name}
+        actors = [name for name, entity in others.items() if properties(*entity).get(f"{PROPERTY}kept") == "true"]
+        plain = {
+            "name": name,
+            "description": "" if header is None else header.get("description", ""),
+            "speed_m_s": self._begun[self._ego_name].speed_m_s,
+            "keep": actors,
+            "road_users": [self._user(name, vehicle) for name in others if name not in actors],
+            "rain": _rain(self._root, own),
+            "vehicle": msgspec.to_builtins(vehicle),
+            **({} if end is None else {"duration_s": number(end, "value")}),
+            **{name: own[PROPERTY + name] for name in OWN_FIELDS if PROPERTY + name in own},
+        }
+        return convert_checked(plain, Scenario, strict=False)
+
+    def _user(self, name: str, vehicle: Vehicle) -> dict[str, Any]:
+        entity, begins = self._entities[name], self._begun[name]
+        box = box_of(entity)
+        where = placed(name, begins, self._ego_name, self._begun[self._ego_name])
+        # OpenSCENARIO places both by reference points, scenarios by centers.
+        turned, ahead = np.radians(where["turned_deg"]), 0.0 if box is None else box[1]
+        where["ahead_m"] += ahead * float(np.cos(turned)) - vehicle.middle_m
+        where["left_m"] += ahead * float(np.sin(turned))
+        where |= {each: round(where[each], 6) for each in ("ahead_m", "left_m")}
+        behaviour = properties(*entity.findall("ObjectController[1]/Controller[1]"))
+        return {
+            "id": name,
+            **model_and_class_of(name, entity),
+            **({} if box is None else {"size_lwh_m": box[0]}),
+            **where,
+            "speed_m_s": begins.speed_m_s,
+            "behaviour": behaviour if "kind" in behaviour else self._behavior(name, where["left_m"]),
+        }
+
+    def _behavior(self, name: str, left_m: float) -> dict[str, Any]:
+        """Return the behavior of an entity that begins so far left of the ego vehicle, as plain values.
+
+        Raises ValueError for several events, or an action without a behavior.
+        """
+        events, speed_m_s = events_of(self._root, name), self._begun[name].speed_m_s
+        if not events:
+            return {"kind": "constant-velocity" if speed_m_s > 0 else "stationary"}
+        if len(events) > 1:
+            raise ValueError(f"{name} has {len(events)} events: one each can be taken")
+        ((event, triggers),) = events
+        change, speed, follow = (event.find(f"Action/{each}") for each in (_LANE_CHANGE, _SPEED, _FOLLOW))
+        actions = event.findall("Action")
+        if not actions or len(actions) != sum(each is not None for each in (change, speed, follow)):
+            kinds = {kind.tag for each in actions for kind in each.iterfind("PrivateAction/*")} or {"no private action"}
+            raise ValueError(
+                f"{name}: {', '.join(sorted(kinds))}: only LaneChangeAction, SpeedAction and FollowTrajectoryAction, "
+                "one of each, can be taken"
+            )
+        if follow is not None:
+            return self._track(name, follow)
+        trigger = _trigger(name, triggers)
+        new = {} if speed is None else _new_speed(name, speed, speed_m_s)
+        if change is not None:
+            return {"kind": "cut-in", **trigger, **self._lane_change(name, change, left_m), **new}
+        to, rate = new["to_speed_m_s"], new["acceleration_m_s2"]
+        if to < speed_m_s:
+            return {"kind": "brake", **trigger, "deceleration_m_s2": rate, "to_speed_m_s": to}
+        return {"kind": "cut-in", **trigger, "offset_m": 0.0, **new}
+
+    def _lane_change(self, name: str, change: Element, left_m: float) -> dict[str, Any]:
+        target, dynamics = change.find("LaneChangeTarget/RelativeTargetLane"), change.find("LaneChangeActionDynamics")
+        if target is None or dynamics is None or target.get("entityRef") not in (name, self._ego_name):
+            raise ValueError(
+                f"{name}: a lane change needs a RelativeTargetLane of itself or {self._ego_name}: there is no map"
+            )
+        to = LANE_M * number(target, "value") + number(change, "targetLaneOffset", 0.0)
+        offset: float | None = to
+        if target.get("entityRef") == self._ego_name:
+            offset = None if to == 0 else to - left_m
+        across, value = abs(left_m if offset is None else offset), number(dynamics, "value")
+        along = value / max(self._begun[name].speed_m_s, 0.1)
+        durations = {"time": value, "distance": along, "rate": across / max(value, 1e-6)}
+        return {"duration_s": _by_dimension(name, dynamics, durations), "offset_m": offset}
+
+    def _track(self, name: str, follow: Element) -> dict[str, Any]:
+        """Return the points of a trajectory from its start, ahead and left in the ego vehicle's initial axes."""
+        start, ego = (world_state(self._begun[each].position) for each in (name, self._ego_name))
+        points: list[dict[str, float]] = []
+        for vertex in follow.iter("Vertex"):
+            position = vertex.find("Position/*")
+            there = None if position is None else world_state(position)
+            if there is None or start is None or ego is None:
+                raise ValueError(f"{name}: a trajectory and its begins must be WorldPositions")
+            step = np.array([[there.x_m - start.x_m, there.y_m - start.y_m]])
+            ahead, left = VehicleState(0.0, 0.0, ego.yaw_rad).from_world(step)[0]
+            time_s = number(vertex, "time")
+            if time_s > 0:
+                points.append({"time_s": time_s, "ahead_m": float(ahead), "left_m": float(left)})
+        if not points:
+            raise ValueError(f"{name}: its trajectory is no polyline with times: nothing can be followed")
+        return {"kind": "track", "points": points}
 
 
 def _rain(root: Element, own: dict[str, str]) -> dict[str, Any]:
@@ -134,18 +192,6 @@ _FOLLOW = "PrivateAction/RoutingAction/FollowTrajectoryAction"
 _CONDITIONS = ("SimulationTimeCondition", "RelativeDistanceCondition", "TimeToCollisionCondition")
 
 
-@dataclass(frozen=True, slots=True)
-class EntityContext:
-    """The entity of an action."""
-
-    name: str
-    left_m: float  # initial lateral offset from the ego vehicle, left positive
-    speed_m_s: float
-    start: VehicleState | None
-    ego_name: str
-    ego_start: VehicleState | None
-
-
 def events_of(root: Element, name: str) -> list[tuple[Element, list[Element]]]:
     """Return the events of an entity, each with the triggers of its act and its own."""
     return [
@@ -157,66 +203,23 @@ def events_of(root: Element, name: str) -> list[tuple[Element, list[Element]]]:
     ]
 
 
-def behavior_of(root: Element, actor: EntityContext) -> dict[str, Any]:
-    """Return an entity's behavior as plain values; raises ValueError for several events or an action without one."""
-    where, events = actor.name, events_of(root, actor.name)
-    if not events:
-        return {"kind": "constant-velocity" if actor.speed_m_s > 0 else "stationary"}
-    if len(events) > 1:
-        raise ValueError(f"{where} has {len(events)} events: one each can be taken")
-    ((event, triggers),) = events
-    change, speed, follow = (event.find(f"Action/{each}") for each in (_LANE_CHANGE, _SPEED, _FOLLOW))
-    actions = event.findall("Action")
-    if not actions or len(actions) != sum(each is not None for each in (change, speed, follow)):
-        kinds = {kind.tag for each in actions for kind in each.iterfind("PrivateAction/*")} or {"no private action"}
-        raise ValueError(
-            f"{where}: {', '.join(sorted(kinds))}: only LaneChangeAction, SpeedAction and FollowTrajectoryAction, one "
-            "of each, can be taken"
-        )
-    if follow is not None:
-        return _track(follow, actor)
-    trigger = _trigger(where, triggers)
-    new = {} if speed is None else _new_speed(where, speed, actor)
-    if change is not None:
-        return {"kind": "cut-in", **trigger, **_lane_change(where, change, actor), **new}
-    to, rate = new["to_speed_m_s"], new["acceleration_m_s2"]
-    if to < actor.speed_m_s:
-        return {"kind": "brake", **trigger, "deceleration_m_s2": rate, "to_speed_m_s": to}
-    return {"kind": "cut-in", **trigger, "offset_m": 0.0, **new}
-
-
-def _lane_change(where: str, change: Element, actor: EntityContext) -> dict[str, Any]:
-    target, dynamics = change.find("LaneChangeTarget/RelativeTargetLane"), change.find("LaneChangeActionDynamics")
-    if target is None or dynamics is None or target.get("entityRef") not in (actor.name, actor.ego_name):
-        raise ValueError(
-            f"{where}: a lane change needs a RelativeTargetLane of itself or {actor.ego_name}: there is no map"
-        )
-    shift = number(change, "targetLaneOffset", 0.0)
-    to = LANE_M * number(target, "value") + shift
-    offset: float | None = to
-    if target.get("entityRef") == actor.ego_name:
-        offset = None if to == 0 else to - actor.left_m
-    across, value = abs(actor.left_m if offset is None else offset), number(dynamics, "value")
-    kind = dynamics.get("dynamicsDimension")
-    durations = {"time": value, "distance": value / max(actor.speed_m_s, 0.1), "rate": across / max(value, 1e-6)}
-    if kind not in durations:
-        raise ValueError(f"{where}: dynamicsDimension {kind!r}: only time, distance and rate are known")
-    return {"duration_s": durations[kind], "offset_m": offset}
-
-
-def _new_speed(where: str, speed: Element, actor: EntityContext) -> dict[str, float]:
+def _new_speed(where: str, speed: Element, from_m_s: float) -> dict[str, float]:
     target, dynamics = speed.find("SpeedActionTarget/AbsoluteTargetSpeed"), speed.find("SpeedActionDynamics")
     if target is None or dynamics is None:
         raise ValueError(f"{where}: a speed can only be changed to an AbsoluteTargetSpeed")
     to, value = number(target, "value"), number(dynamics, "value")
-    by, kind = abs(to - actor.speed_m_s), dynamics.get("dynamicsDimension")
     rate = _IMMEDIATE_M_S2
     if dynamics.get("dynamicsShape") != "step" and value > 0:
-        rates = {"rate": value, "time": by / value, "distance": abs(to**2 - actor.speed_m_s**2) / (2 * value)}
-        if kind not in rates:
-            raise ValueError(f"{where}: dynamicsDimension {kind!r}: only time, distance and rate are known")
-        rate = rates[kind]
+        rates = {"rate": value, "time": abs(to - from_m_s) / value, "distance": abs(to**2 - from_m_s**2) / (2 * value)}
+        rate = _by_dimension(where, dynamics, rates)
     return {"to_speed_m_s": to, "acceleration_m_s2": min(max(rate, 1e-3), _IMMEDIATE_M_S2)}
+
+
+def _by_dimension(where: str, dynamics: Element, values: dict[str, float]) -> float:
+    kind = dynamics.get("dynamicsDimension")
+    if kind is None or kind not in values:
+        raise ValueError(f"{where}: dynamicsDimension {kind!r}: only time, distance and rate are known")
+    return values[kind]
 
 
 def _trigger(where: str, triggers: list[Element]) -> dict[str, float]:
@@ -241,25 +244,6 @@ def _trigger(where: str, triggers: list[Element]) -> dict[str, float]:
     if len(others) > 1 or (others and after > 0):
         raise ValueError(f"{where}: waits for several conditions at once: one can be taken")
     return others[0] if others else {"after_s": after}
-
-
-def _track(follow: Element, actor: EntityContext) -> dict[str, Any]:
-    """Return the points of a trajectory from its entity's start, ahead and left in the ego vehicle's initial axes."""
-    points: list[dict[str, float]] = []
-    for vertex in follow.iter("Vertex"):
-        position = vertex.find("Position/*")
-        there = None if position is None else world_state(position)
-        if there is None or actor.start is None or actor.ego_start is None:
-            raise ValueError(f"{actor.name}: a trajectory and its begins must be WorldPositions")
-        step = np.array([[there.x_m - actor.start.x_m, there.y_m - actor.start.y_m]])
-        frame = VehicleState(0.0, 0.0, actor.ego_start.yaw_rad)
-        ahead, left = frame.from_world(step)[0]
-        time_s = number(vertex, "time")
-        if time_s > 0:
-            points.append({"time_s": time_s, "ahead_m": float(ahead), "left_m": float(left)})
-    if not points:
-        raise ValueError(f"{actor.name}: its trajectory is no polyline with times: nothing can be followed")
-    return {"kind": "track", "points": points}
 
 
 # Vehicles and pedestrians

@@ -1,8 +1,7 @@
 """Export of scenarios as OpenSCENARIO XML with an OpenDRIVE road."""
 
 import datetime
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -84,9 +83,9 @@ def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
         entity = user_entity(there.class_name, there.size_lwh, properties)
         follows = controller(user) if user is not None and kind == "idm" else None
         entities.add_scenario_object(there.id, entity, follows)
-        _begin(init, there.id, path.places[0], there.speed_m_s)
+        _begin(init, there.id, path[0][1], there.speed_m_s)
         if user is None or kind in ("track", "replay"):
-            does = trajectory(there.id, path.times_s, path.places) if len(path.times_s) > 1 else None
+            does = trajectory(there.id, path) if len(path) > 1 else None
         else:
             gap = gap_between(route, started[there.id], ego) if there.id in started else 0.0
             does = maneuver(user, gap)
@@ -116,13 +115,8 @@ def _xml(root: ElementTree.Element) -> str:
 Place = tuple[float, float, float, float]
 """World x, y, z and heading."""
 
-
-@dataclass(frozen=True, slots=True)
-class RecordedPath:
-    """Poses of a road user and their times in seconds since the scenario began; the first is where it appears."""
-
-    times_s: list[float] = field(default_factory=list[float])
-    places: list[Place] = field(default_factory=list[Place])
+TimedPlaces = list[tuple[float, Place]]
+"""Times in seconds since the scenario began, and places; the first is where a road user appears."""
 
 
 def _begin(init: xosc.Init, id: str, place: Place, speed_m_s: float) -> None:
@@ -189,10 +183,11 @@ def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
     return None
 
 
-def trajectory(id: str, times_s: Sequence[float], places: Sequence[Place]) -> xosc.Maneuver:
+def trajectory(id: str, places: TimedPlaces) -> xosc.Maneuver:
     """Return a trajectory that is followed by time from the start."""
     path = xosc.Trajectory(f"{id} way", False)
-    path.add_shape(xosc.Polyline(list(times_s), [position(place) for place in places]))
+    times, positions = zip(*((time_s, position(place)) for time_s, place in places), strict=True)
+    path.add_shape(xosc.Polyline(list(times), list(positions)))
     follow = xosc.FollowTrajectoryAction(path, words.FollowingMode.position, words.ReferenceContext.absolute, 1, 0)
     return _maneuver(id, [("follow", follow)], _after(id, 0.0))
 
@@ -262,15 +257,13 @@ def _after(id: str, time_s: float) -> xosc.ValueTrigger:
     return xosc.ValueTrigger(f"{id} time", 0, words.ConditionEdge.none, condition)
 
 
-def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, RecordedPath]:
+def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, TimedPlaces]:
     """Simulate all road users around a standing ego vehicle and record their poses."""
-    found: dict[str, RecordedPath] = {}
+    found: dict[str, TimedPlaces] = {}
     for step in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = step * scenario.step_s
         for user in traffic.users:
-            path = found.setdefault(user.id, RecordedPath())
-            path.times_s.append(time_s)
-            path.places.append((user.x_m, user.y_m, user.z_m, user.yaw_rad))
+            found.setdefault(user.id, []).append((time_s, (user.x_m, user.y_m, user.z_m, user.yaw_rad)))
         traffic.advance(time_s, ego, scenario.step_s)
     return found
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from ..rollout import Rollout, planned_frames
-from .collisions import PlanReading, planned_poses, with_start
+from .collisions import planned_poses, with_start
 
 
 class ComfortLimits(NamedTuple):
@@ -110,7 +110,7 @@ def is_plan_comfortable(poses: Float64[np.ndarray, "n 3"], spacing_s: float, lim
     return len(poses) < 4 or bool(planned_motion(poses, spacing_s).comfortable(limits).all())
 
 
-def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER, reading: PlanReading = "hugsim") -> float | None:
+def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER) -> float | None:
     """Return the share of frames whose plan is comfortable throughout, 0..1; None without a frame.
 
     The time between points is the plan's spacing (0.5 s). HUGSIM took 0.25 s until November 2025, which doubles
@@ -119,6 +119,6 @@ def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER, reading: Pl
     fine = [
         is_plan_comfortable(with_start(step, poses), rollout.spacing_s, limits)
         for step in planned_frames(rollout)
-        if len(poses := planned_poses(step, reading))
+        if len(poses := planned_poses(step, "hugsim"))
     ]
     return sum(fine) / len(fine) if fine else None

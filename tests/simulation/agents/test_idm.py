@@ -12,14 +12,8 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.open import load_sorted_scene
+from gsrain_engine.simulation.agents import idm
 from gsrain_engine.simulation.agents.base import Agent, CameraView, LanePath, Observation, Rig
-from gsrain_engine.simulation.agents.idm import (
-    CameraIDMAgent,
-    IDMPlanner,
-    OracleIDMAgent,
-    cruise_speed,
-    find_oracle_lead,
-)
 from gsrain_engine.simulation.agents.lead_tracking import LeadTracker, Sighting, road_user_class, sightings
 from gsrain_engine.simulation.agents.neuroncap import NeuroNCAPBaselineAgent
 from gsrain_engine.simulation.agents.registry import AgentOptions, open_agent
@@ -87,7 +81,7 @@ def car(id, gap_m, of, left_m=0.0, yaw_rad=0.0, speed_m_s=0.0):
 )
 def test_a_standing_car_is_hit_only_if_it_is_detected_late(first_m, strongest_m_s2, left_m):
     """Drive at 10 m/s; the car is known from `first_m` on, and the vehicle follows as hard as it can."""
-    speed, dt, gap, planner = 10.0, 0.25, 40.0, IDMPlanner(10.0)
+    speed, dt, gap, planner = 10.0, 0.25, 40.0, idm.IDMPlanner(10.0)
     while speed > 0 and gap > 0:
         lead = VehicleAhead(gap, 0.0) if gap <= first_m else None
         mean = planner.distances(speed, lead)[0] / 0.5
@@ -109,30 +103,31 @@ def test_a_standing_car_is_hit_only_if_it_is_detected_late(first_m, strongest_m_
     ],
 )
 def test_the_planner_brakes_as_its_equations_say(speed, lead, rate):
-    planner = IDMPlanner(10.0, hard_m_s2=7.0)
+    planner = idm.IDMPlanner(10.0, hard_m_s2=7.0)
     assert planner.acceleration(speed, VehicleAhead(*map(float, lead))) == pytest.approx(rate, abs=0.01)
 
 
 def test_a_free_road_is_taken_at_the_cruising_speed_and_who_stands_waits_for_room():
-    planner = IDMPlanner(10.0)
+    planner = idm.IDMPlanner(10.0)
     assert planner.distances(10.0, None) == pytest.approx(np.arange(1, 7) * 5.0)
     assert planner.distances(5.0, None)[-1] > 15.0 and planner.distances(14.0, None)[-1] < 42.0
     for gap, speed, goes in ((0.5, 0.0, False), (3.4, 0.0, False), (3.4, 3.0, True), (8.0, 0.0, True)):
         assert (planner.distances(0.0, VehicleAhead(gap, speed))[-1] > 1.0) == goes
-    assert (cruise_speed(0.0), cruise_speed(13.9)) == (10.0, 13.9)
+    assert (idm.cruise_speed(0.0), idm.cruise_speed(13.9)) == (10.0, 13.9)
 
 
 @given(
     st.floats(0, 40), st.floats(-5, 120), st.floats(-20, 40), st.floats(-3, 3), st.floats(-0.5, 0.5), st.floats(1, 30)
 )
 def test_no_plan_goes_backward(speed, gap, lead_speed, left, yaw, cruise):
-    distances = IDMPlanner(cruise).distances(speed, VehicleAhead(gap, lead_speed))
+    distances = idm.IDMPlanner(cruise).distances(speed, VehicleAhead(gap, lead_speed))
     assert np.isfinite(distances).all() and (np.diff(distances, prepend=0.0) >= 0).all()
     points = LanePath.of(VehicleState(50.0, left, yaw, speed), ROUTE).points(distances)
     assert points.shape == (6, 2) and (points[:, 0] >= -1e-9).all()
 
 
 def test_a_lane_path_starts_at_the_vehicle_and_comes_back_gently():
+    np.testing.assert_allclose(observation(state(5.0)).route_ahead(3.0), [[x, 0] for x in range(4)], atol=1e-12)
     bend = Route(np.array([[0.0, 0.0], [10.0, 0.0], [17.0, 7.0]]))
     assert np.abs(LanePath.of(VehicleState(10.2, -1.0, 0.3, 0.0), bend).points(np.zeros(6))).max() < 1e-12
     path = LanePath.of(VehicleState(20.0, 1.0, 0.0, 10.0), ROUTE)
@@ -168,7 +163,7 @@ TURNED = float(np.arctan2(1.2, 8.0))  # 1.2 m/s to the side: 1.8 m within the fo
     ],
 )  # fmt: skip
 def test_the_nearest_in_the_lane_or_on_the_way_into_it_leads(users, route, expected):
-    found = find_oracle_lead(users, LanePath.of(state(), route), VEHICLE)
+    found = idm.find_oracle_lead(users, LanePath.of(state(), route), VEHICLE)
     assert (found and found.id) == (expected and expected[0])
     assert found is None or (found.lead.gap_m, found.lead.speed_m_s) == pytest.approx(expected[1:], abs=0.3)
 
@@ -306,7 +301,7 @@ class GivenBoxes:
 
 def opened():
     detector = GivenBoxes()
-    agent = CameraIDMAgent(detector)
+    agent = idm.CameraIDMAgent(detector)
     agent.reset(0, RIG)
     return agent, detector
 
@@ -321,8 +316,8 @@ def shaky(step, now, gap):
 
 
 def parked(step, now, gap):
-    beside = [(gap, -2.6), (gap + 7, 2.7), (gap - 12, -2.5)]
-    return [car_box(now, each, left_m=left) for each, left in beside if each > 1]
+    cars = [(gap, -2.6), (gap + 7, 2.7), (gap - 12, -2.5)]
+    return [car_box(now, each, left_m=left) for each, left in cars if each > 1]
 
 
 @pytest.mark.parametrize(
@@ -366,7 +361,7 @@ def test_notes_hold_what_was_detected_and_nothing_that_it_cannot_know_and_a_rese
     assert agent.plan(observation(state())).notes["lead"] is None
     with pytest.raises(ValueError, match="2"):
         agent.plan(observation(state(), views=2))
-    assert all(isinstance(each, Agent) for each in (agent, OracleIDMAgent(), NeuroNCAPBaselineAgent()))
+    assert all(isinstance(each, Agent) for each in (agent, idm.OracleIDMAgent(), NeuroNCAPBaselineAgent()))
 
 
 def test_from_image_to_plan_with_a_tiny_network(tmp_path):

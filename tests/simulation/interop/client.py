@@ -53,7 +53,7 @@ def look_at(obs, info):
 
 
 def ahead_of(info):
-    """Distance to the nearest box in the way, between middles, in axes x forward, y left."""
+    """Distance to the nearest box ahead, between middles, in axes x forward, y left."""
     x, y, yaw = info["ego_pos"][2], -info["ego_pos"][0], -info["ego_rot"][1]
     nearest = np.inf
     for box in info["obj_boxes"]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import queue
 import stat
 import threading
 import time
@@ -18,20 +19,8 @@ from gsrain_engine.scene.street.build import street_rigs
 from gsrain_engine.simulation.agents.base import CameraView, Observation, Rig
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.geometry import Route
+from gsrain_engine.simulation.interop import hugsim_protocol as protocol
 from gsrain_engine.simulation.interop.hugsim_agent import to_vehicle_frame
-from gsrain_engine.simulation.interop.hugsim_protocol import (
-    CAMERA_NAMES,
-    HugsimWorld,
-    Pipes,
-    Timeouts,
-    camera_params,
-    hugsim_info,
-    hugsim_obs,
-    hugsim_rig,
-    six_hugsim_cameras,
-    with_hugsim_rig,
-    wrap_to_pi,
-)
 from gsrain_engine.simulation.traffic.base import RoadUser
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Vehicle, VehicleState
 from simulation.small_drive import longer_scene, scenario
@@ -39,9 +28,9 @@ from simulation.small_drive import longer_scene, scenario
 angles, meters = st.floats(-3, 3), st.floats(-50, 50)
 ROUTE = Route(np.array([[0.0, 0.0], [100.0, 0.0]]))
 NUSCENES = street_rigs()["nuscenes"]
-HUGSIM_RIG = Rig(HUGSIM_VEHICLE, hugsim_rig(NUSCENES), 1.5)
+HUGSIM_RIG = Rig(HUGSIM_VEHICLE, protocol.hugsim_rig(NUSCENES), 1.5)
 OWN_RIG = Rig(Vehicle(), NUSCENES, 1.5)
-SIX = six_hugsim_cameras(HUGSIM_RIG.cameras)
+SIX = protocol.six_hugsim_cameras(HUGSIM_RIG.cameras)
 
 
 def at(x=0.0, y=0.0, yaw=0.0, height=0.0, command="straight", users=()):
@@ -53,11 +42,11 @@ def at(x=0.0, y=0.0, yaw=0.0, height=0.0, command="straight", users=()):
 
 
 def test_boxes_have_hugsims_order_and_reference_points():
-    world = HugsimWorld.from_observation(HUGSIM_RIG, at())
+    world = protocol.HugsimWorld.from_observation(HUGSIM_RIG, at())
     np.testing.assert_allclose(world.ego_box(HUGSIM_RIG, at(6, 2, 0.25)), (6, 2, 0, 1.6, 3.0, 1.5, 0.25), atol=1e-12)
     lead = RoadUser("lead", "car", (4.6, 1.8, 1.4), 20.0, 1.0, 0.3, 0.0, 0.0)
     np.testing.assert_allclose(world.object_box(lead), (20, 1, -1.51, 1.8, 4.6, 1.4, 0.3), atol=1e-9)
-    own = HugsimWorld.from_observation(OWN_RIG, at())
+    own = protocol.HugsimWorld.from_observation(OWN_RIG, at())
     # The camera was at x 1.70, y 0.02; the body's middle is 1.3 m ahead of the axle.
     expected = (6 + 1.3 - 1.7, -0.02, 0, 1.85, 4.6, 1.5, 0)
     np.testing.assert_allclose(own.ego_box(OWN_RIG, at(6, 0)), expected, atol=1e-9)
@@ -67,7 +56,7 @@ def test_boxes_have_hugsims_order_and_reference_points():
 @given(x=meters, y=meters, yaw=angles, turn=st.floats(-1, 1), distance=st.floats(0.1, 5))
 def test_motion_is_that_of_hugsims_simulator(x, y, yaw, turn, distance):
     """It moves its ego by a += d sin(th), b += d cos(th), x and z of the world, th right positive."""
-    world, heading = HugsimWorld.from_observation(HUGSIM_RIG, at(x, y, yaw)), yaw + turn
+    world, heading = protocol.HugsimWorld.from_observation(HUGSIM_RIG, at(x, y, yaw)), yaw + turn
     ahead = at(x + distance * np.cos(heading), y + distance * np.sin(heading), heading)
     step = world.ego_place(HUGSIM_RIG, ahead) - world.ego_place(HUGSIM_RIG, at(x, y, heading))
     th = world.yaw(heading)
@@ -79,13 +68,13 @@ def test_a_box_lies_where_the_ego_box_sees_it(x, y, yaw, turn, far, aside):
     """Whatever the world's axes are: difference of two boxes, turned by the ego's yaw, is what our own frame says."""
     observation = at(x, y, yaw)
     place = observation.state.to_world(np.array([[far, aside]]))[0]
-    world = HugsimWorld.from_observation(HUGSIM_RIG, at(3.0, -2.0, 1.0))
+    world = protocol.HugsimWorld.from_observation(HUGSIM_RIG, at(3.0, -2.0, 1.0))
     ego = world.ego_box(HUGSIM_RIG, observation)
     box = world.object_box(RoadUser("a", "car", (4, 2, 1), float(place[0]), float(place[1]), yaw + turn))
     away, cosine, sine = np.array(box[:2]) - ego[:2], np.cos(ego[6]), np.sin(ego[6])
     local = cosine * away[0] + sine * away[1], cosine * away[1] - sine * away[0]
     np.testing.assert_allclose(local, (far, aside), atol=1e-9)
-    assert wrap_to_pi(box[6] - ego[6] - turn) == pytest.approx(0, abs=1e-9)
+    assert protocol.wrap_to_pi(box[6] - ego[6] - turn) == pytest.approx(0, abs=1e-9)
     assert -1.5 * np.pi - 1e-9 <= box[6] <= 0.5 * np.pi + 1e-9  # from the models' yaw
 
 
@@ -95,8 +84,11 @@ def test_a_box_lies_where_the_ego_box_sees_it(x, y, yaw, turn, far, aside):
 def test_info_has_hugsims_names_and_signs():
     user = RoadUser("a", "car", (4.0, 2.0, 1.5), 20.0, 0.0, 0.0)
     for number, command in enumerate(("right", "left", "straight")):
-        info = hugsim_info(at(4.0, 0.5, -0.2, command=command, users=[user]), HUGSIM_RIG,
-                           HugsimWorld(0.0, 0.0, 1.51, 0.0), camera_params(SIX, HUGSIM_RIG))  # fmt: skip
+        observation, world = (
+            at(4.0, 0.5, -0.2, command=command, users=[user]),
+            protocol.HugsimWorld(0.0, 0.0, 1.51, 0.0),
+        )
+        info = protocol.hugsim_info(observation, HUGSIM_RIG, world, protocol.camera_params(SIX, HUGSIM_RIG))
         assert info["command"] == number  # as stacks were trained
     assert set(info) == {
         "ego_pos", "ego_rot", "ego_velo", "ego_steer", "accelerate", "steer_rate", "timestamp", "command", "ego_box",
@@ -110,7 +102,7 @@ def test_info_has_hugsims_names_and_signs():
 
 
 def test_camera_parameters_are_nuscenes():
-    params = camera_params(SIX, HUGSIM_RIG)
+    params = protocol.camera_params(SIX, HUGSIM_RIG)
     for name, camera in SIX.items():
         inner = params[name]["intrinsic"]
         assert list(inner) == ["H", "W", "cx", "cy", "fovx", "fovy"] and (inner["H"], inner["W"]) == (450, 800)
@@ -132,8 +124,8 @@ def test_images_and_what_else_is_asked_for(channels, first, everything):
     view = CameraView(
         image, Camera(800, 450, 600.0, 600.0, 400.0, 225.0), np.full((450, 800), 3.5, np.float32), semantic
     )
-    sent = hugsim_obs({"CAM_FRONT": view}, SIX, channels, semantic=everything, depth=everything)
-    assert list(sent) == ["rgb", "semantic", "depth"] and tuple(sent["rgb"]) == CAMERA_NAMES
+    sent = protocol.hugsim_obs({"CAM_FRONT": view}, SIX, channels, semantic=everything, depth=everything)
+    assert list(sent) == ["rgb", "semantic", "depth"] and tuple(sent["rgb"]) == protocol.CAMERA_NAMES
     assert sent["rgb"]["CAM_FRONT"][0, 0].tolist() == first and sent["rgb"]["CAM_FRONT"].flags.c_contiguous
     assert not sent["rgb"]["CAM_BACK"].any() and sent["rgb"]["CAM_BACK"].shape == (450, 800, 3)
     if not everything:
@@ -150,10 +142,10 @@ def test_images_and_what_else_is_asked_for(channels, first, everything):
 
 def test_nuscenes_rig_is_halved_and_moved_back_and_missing_cameras_are_known():
     rig = HUGSIM_RIG.cameras
-    assert tuple(each.name for each in rig) == CAMERA_NAMES
+    assert tuple(each.name for each in rig) == protocol.CAMERA_NAMES
     assert {(each.width, each.height) for each in rig} == {(800, 450)}
     before = {each.name: each for each in NUSCENES}
-    six = six_hugsim_cameras(tuple(each for each in rig if each.name in ("CAM_FRONT", "CAM_BACK")))
+    six = protocol.six_hugsim_cameras(tuple(each for each in rig if each.name in ("CAM_FRONT", "CAM_BACK")))
     for each in rig:
         was = before[each.name]
         assert (each.fx, each.cx, each.cy) == (was.fx / 2, was.cx / 2, was.cy / 2)
@@ -164,18 +156,15 @@ def test_nuscenes_rig_is_halved_and_moved_back_and_missing_cameras_are_known():
 def test_the_rig_with_the_largest_number_of_the_six_or_the_named_one_is_taken():
     scene = replace(longer_scene(), rigs={name: street_rigs()[name] for name in ("waymo_front3", "nuscenes")})
     for name, count in ((None, 6), ("waymo_front3", 3)):
-        changed, shown = with_hugsim_rig(scenario(rig=name), scene)
+        changed, given = protocol.with_hugsim_rig(scenario(rig=name), scene)
         assert (changed.vehicle, changed.rig, changed.picture_width_px) == (HUGSIM_VEHICLE, "hugsim", 800)
-        assert len(shown.rigs["hugsim"]) == count and set(shown.rigs) == {*scene.rigs, "hugsim"}
+        assert len(given.rigs["hugsim"]) == count and set(given.rigs) == {*scene.rigs, "hugsim"}
     for name, rigs, word in (("other", scene.rigs, "'other'"), (None, {}, "CAM_FRONT")):
         with pytest.raises(ValueError, match=word):
-            with_hugsim_rig(scenario(rig=name), replace(scene, rigs=rigs))
-    for cameras, word in ((NUSCENES, "1600 x 900"), (SIX_BUT_FRONT, "CAM_FRONT")):
+            protocol.with_hugsim_rig(scenario(rig=name), replace(scene, rigs=rigs))
+    for cameras, word in ((NUSCENES, "1600 x 900"), (HUGSIM_RIG.cameras[1:], "CAM_FRONT")):
         with pytest.raises(ValueError, match=word):
-            six_hugsim_cameras(cameras)
-
-
-SIX_BUT_FRONT = HUGSIM_RIG.cameras[1:]
+            protocol.six_hugsim_cameras(cameras)
 
 
 # Plans
@@ -210,13 +199,13 @@ def test_the_front_always_stays_as_far_ahead(steps):
     np.testing.assert_allclose(np.linalg.norm(arms, axis=1), np.hypot(1.7, 0.3), rtol=1e-9)
 
 
-# Pipes
+# protocol.Pipes
 
 MESSAGE = bytes(range(256)) * 12_000  # 3 MB: more than a pipe holds
 
 
 def timeouts(seconds=20.0, ended=lambda: None):
-    return Timeouts(seconds, ended)
+    return protocol.Timeouts(seconds, ended)
 
 
 @pytest.fixture
@@ -242,42 +231,24 @@ def other_end(tmp_path):
 @pytest.fixture
 def pipes(tmp_path):
     os.mkfifo(tmp_path / "plan_pipe")  # the client came first
-    made = Pipes(tmp_path)
+    made = protocol.Pipes(tmp_path)
     assert all(stat.S_ISFIFO((tmp_path / name).stat().st_mode) for name in ("obs_pipe", "plan_pipe"))
     return made
 
 
 def test_a_long_message_arrives_whole_and_is_answered(pipes, other_end):
-    got, both = [], timeouts()
-    other_end("obs_pipe", "rb", lambda pipe, over: got.append(pipe.read()))
+    got, both = queue.Queue(), timeouts()
+    other_end("obs_pipe", "rb", lambda pipe, over: got.put(pipe.read()))
     pipes.send(memoryview(MESSAGE), both)
     other_end("plan_pipe", "wb", lambda pipe, over: [pipe.write(part) for part in (b"left", b" and right")])
     assert pipes.receive(both, 100) == b"left and right"
-    while not got:
-        time.sleep(0.01)
-    assert got == [MESSAGE]
-
-
-def test_a_message_that_the_pipe_holds_does_not_wait_until_it_is_read(pipes, other_end):
-    """A pipe made as wide as a mebibyte, 16 times what it is at first."""
-    other_end("obs_pipe", "rb", lambda pipe, over: over.wait(20))
-    pipes.send(MESSAGE[: 1 << 20], timeouts(5))
+    assert got.get(timeout=20) == MESSAGE
 
 
 def test_an_answer_counts_though_its_client_ended(pipes, other_end):
     wrote = threading.Event()
     other_end("plan_pipe", "wb", lambda pipe, over: pipe.write(b"farewell"), wrote.set)
     assert pipes.receive(timeouts(600, lambda: wrote.wait(20) and "ended with exit code 0"), 100) == b"farewell"
-
-
-def drip(move):
-    """Move a little every 20 ms, until the test is over."""
-
-    def work(pipe, over):
-        while not over.wait(0.02):
-            move(pipe)
-
-    return work
 
 
 @pytest.mark.parametrize(
@@ -289,12 +260,8 @@ def drip(move):
         ("send", ("obs_pipe", "rb", lambda pipe, over: pipe.read(10)), 20, None, "closed obs_pipe"),
         ("receive", ("plan_pipe", "wb", lambda pipe, over: None), 20, None, "closed it without an answer"),
         ("receive", ("plan_pipe", "wb", lambda pipe, over: pipe.write(bytes(20_000))), 20, None, "10000 bytes"),
-        ("receive", ("plan_pipe", "wb", drip(lambda pipe: pipe.write(b"a"))),
-         0.4, None, "answered within 0.4 s"),
-        ("send", ("obs_pipe", "rb", drip(lambda pipe: pipe.read(4096))),
-         0.4, None, "read the observation within 0.4 s"),
     ],
-    ids=("no reader", "no writer", "ended", "leaves", "says nothing", "too much", "drips", "reads slowly"),
+    ids=("no reader", "no writer", "ended", "leaves", "says nothing", "too much"),
 )  # fmt: skip
 def test_a_client_that_fails_is_not_waited_for(pipes, other_end, call, end, seconds, ended, word):
     if end is not None:
@@ -318,10 +285,13 @@ def test_what_stands_in_the_place_of_a_pipe_is_not_used(tmp_path, pipes, name, t
     elif thing == "link":
         place.symlink_to("gone")
     with pytest.raises(ClientError, match=name):
-        _ = pipes.send(b"", timeouts()) if name == "obs_pipe" else pipes.receive(timeouts(), 100)
+        if name == "obs_pipe":
+            pipes.send(b"", timeouts())
+        else:
+            pipes.receive(timeouts(), 100)
     if thing != "nothing":
         with pytest.raises(ClientError, match=name):
-            Pipes(tmp_path)
+            protocol.Pipes(tmp_path)
     assert thing != "file" or place.read_text() == "my notes"
 
 

@@ -82,8 +82,9 @@ def test_boxes_stand_where_they_were_and_who_goes_is_deleted(tmp_path):
     frame = topics["/tf"][0][2]
     assert (frame["parent_frame_id"], frame["child_frame_id"]) == ("world", "ego")
     assert frame["translation"] == {"x": 1.0, "y": 2.0, "z": 0.0}
-    line = topics["/plan"][0][2]["entities"][0]["lines"][0]["points"]
-    places = [(each["x"], each["y"]) for each in line]
+    line = topics["/plan"][0][2]["entities"][0]["lines"][0]
+    assert line["pose"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0} and line["pose"]["orientation"]["w"] == 1.0
+    places = [(each["x"], each["y"]) for each in line["points"]]
     np.testing.assert_allclose(places, [(1.0, 2.0), (0.0, 7.0)], atol=1e-12)  # 5 m ahead is +y, 1 m left is -x
     later = topics["/road_users"][1][2]
     assert [each["id"] for each in later["entities"]] == ["lead"]

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,12 +12,12 @@ import pytest
 import xmlschema
 
 from curved_scene import RADIUS_M, curved_scene
-from gsrain_engine.scene.scene import Actor, PoseTrack
 from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation
 from gsrain_engine.simulation.vehicle import Control
+from simulation.small_drive import scene_with_box
 from small_scene import small_scene
 
 SCHEMAS = Path(str(resources.files("scenariogeneration"))).parent / "schemas"
@@ -92,38 +91,33 @@ def test_what_is_written_is_read_back(written):
 
 
 def test_what_is_read_back_moves_as_what_was_written(written):
-    first, again = (_moved(each) for each in (scenario(), load_scenario(written)))
+    first, other = (_moved(each) for each in (scenario(), load_scenario(written)))
     assert len(first) == 10
-    for name, way in first.items():
+    for name, path in first.items():
         # A track is sampled step by step: its places agree, speeds between them hardly.
-        shown = slice(2) if name == "tracked" else slice(3)
-        np.testing.assert_allclose(again[name][:, shown], way[:, shown], atol=1e-5, err_msg=name)
+        columns = slice(2) if name == "tracked" else slice(3)
+        np.testing.assert_allclose(other[name][:, columns], path[:, columns], atol=1e-5, err_msg=name)
 
 
 def _moved(test):
-    simulation, ways = Simulation(msgspec.structs.replace(test, leave_m=1000.0), small_scene()), {}
+    simulation, paths = Simulation(msgspec.structs.replace(test, leave_m=1000.0), small_scene()), {}
     simulation.reset()
     for _ in range(18):
         for each in simulation.observation().road_users:
-            ways.setdefault(each.id, []).append((each.x_m, each.y_m, each.speed_m_s))
+            paths.setdefault(each.id, []).append((each.x_m, each.y_m, each.speed_m_s))
         if simulation.end is None:
             simulation.advance(Control(-1.0, 0.0))
-    return {name: np.array(way) for name, way in ways.items()}
+    return {name: np.array(path) for name, path in paths.items()}
 
 
 def test_actors_that_are_kept_follow_trajectories_and_are_kept_again(tmp_path):
-    way = PoseTrack(np.array([0.0, 4.0]), np.array([[5.0, 3, 0], [13, 3, 0]]), np.tile([1.0, 0, 0, 0], (2, 1)),
-                np.ones(2, bool))  # fmt: skip
-    scene = small_scene()
-    box = scene.layers[0].gaussians
-    scene = replace(scene, actors=(Actor("neighbour", "car", (4.0, 2.0, 1.5), box, way),))
-    path = tmp_path / "kept.xosc"
-    write_openscenario(path, scenario(keep="all", road_users=[], duration_s=2.0), scene)
+    path = tmp_path / "keep.xosc"
+    write_openscenario(path, scenario(keep="all", road_users=[], duration_s=2.0), scene_with_box())
     vertices = list(ElementTree.parse(path).getroot().iter("Vertex"))
     assert [float(each.get("time")) for each in vertices] == list(np.arange(0, 2.01, 0.25))
     places = [float(each.find(".//WorldPosition").get("x")) for each in vertices]
     assert places == pytest.approx([5 + 2 * (t + 0.25) for t in np.arange(0, 2.01, 0.25)])
-    assert load_scenario(path).keep == ("neighbour",)
+    assert load_scenario(path).keep == ("box",)
 
 
 def test_the_road_follows_the_route_without_gaps(tmp_path):

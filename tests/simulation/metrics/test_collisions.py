@@ -5,16 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.simulation.metrics.collisions import (
-    LoggedTraffic,
-    ego_box,
-    first_collision,
-    gaps_m,
-    planned_collisions,
-    planned_poses,
-    times_to_collision_s,
-    with_start,
-)
+from gsrain_engine.simulation.metrics import collisions
 from gsrain_engine.simulation.metrics.hd_score import hd_score
 from gsrain_engine.simulation.obstacles import CELL_M, Drivable, OccupiedSpace, cell_keys
 from small_rollout import CAR, approach, ego, rollout, step, straight, user
@@ -24,22 +15,24 @@ from small_rollout import CAR, approach, ego, rollout, step, straight, user
 
 def test_headings_look_to_the_next_point():
     moment = step(0, ego(100.0, 50.0, np.pi / 2), plan=[(5, 0), (10, 0), (10, 5)])
-    poses = planned_poses(moment)
+    poses = collisions.planned_poses(moment)
     assert poses[:, :2] == pytest.approx(np.array([[100, 55], [100, 60], [95, 60]]))  # ahead is +y, left is -x
     assert poses[:, 2] == pytest.approx([np.pi / 2, np.pi, np.pi])
-    hugsim = planned_poses(moment, "hugsim")
-    assert hugsim == pytest.approx(poses[:2]) and with_start(moment, hugsim)[0] == pytest.approx([100, 50, np.pi / 2])
-    box = ego_box(CAR, np.array([10.0, 5.0, np.pi / 2]))  # ahead of the rear axle
+    hugsim = collisions.planned_poses(moment, "hugsim")
+    assert hugsim == pytest.approx(poses[:2]) and collisions.with_start(moment, hugsim)[0] == pytest.approx(
+        [100, 50, np.pi / 2]
+    )
+    box = collisions.ego_box(CAR, np.array([10.0, 5.0, np.pi / 2]))  # ahead of the rear axle
     assert (box.x_m, box.y_m, box.length_m, box.width_m) == pytest.approx((10, 6, 4, 2))
 
 
 def test_plans_that_stand_or_repeat_a_point_keep_their_heading_but_not_in_hugsim():
     for reading in ("all", "hugsim"):
         jitter = step(0, ego(yaw=0.7), plan=[(0.3, 0.0), (0.2, 0.2), (0.3, -0.3), (0.4, 0.1)])
-        assert (planned_poses(jitter, reading)[:, 2] == 0.7).all()
+        assert (collisions.planned_poses(jitter, reading)[:, 2] == 0.7).all()
     stopping = step(0, ego(), plan=[(3, 3), (6, 6), (6, 6), (6, 6)])
-    assert planned_poses(stopping)[:, 2] == pytest.approx([np.pi / 4] * 4)
-    assert planned_poses(stopping, "hugsim")[:, 2] == pytest.approx([np.pi / 4, 0, 0])
+    assert collisions.planned_poses(stopping)[:, 2] == pytest.approx([np.pi / 4] * 4)
+    assert collisions.planned_poses(stopping, "hugsim")[:, 2] == pytest.approx([np.pi / 4, 0, 0])
 
 
 # Planned collisions
@@ -85,19 +78,19 @@ F, T = False, True
 def test_points_that_collide(steps, wall_m, hits, hugsim):
     run, occupied = rollout(steps), None if wall_m is None else wall(wall_m)
     for reading, expected in (("all", hits), ("hugsim", hugsim)):
-        found = planned_collisions(run, occupied, reading)
+        found = collisions.planned_collisions(run, occupied, reading)
         assert found.frames == (tuple(expected),) and found.points_per_frame == len(expected)
         assert (found.point_rate, found.frame_rate) == (sum(expected) / len(expected), float(any(expected)))
 
 
 def test_without_a_plan_there_is_no_rate():
-    nothing = planned_collisions(rollout([step(0, ego()), step(1, ego())]))
+    nothing = collisions.planned_collisions(rollout([step(0, ego()), step(1, ego())]))
     assert (nothing.point_rate, nothing.frame_rate, nothing.points_per_frame) == (None, None, 0)
 
 
 def test_between_two_moments_others_are_between_them():
     moments = [step(i, ego(), [user(3.0 * i, yaw=(3.1, -3.1, 3.1)[i])], step_s=0.2) for i in range(3)]
-    traffic = LoggedTraffic(rollout(moments, step_s=0.2))
+    traffic = collisions.LoggedTraffic(rollout(moments, step_s=0.2))
     assert [traffic.at(time_s)[0].x_m for time_s in (0.1, 0.2, 9.0)] == pytest.approx([1.5, 3.0, 6.0])
     assert [abs(traffic.at(time_s)[0].yaw_rad) for time_s in (0.1, 0.3)] == pytest.approx([np.pi] * 2)  # shorter turn
 
@@ -108,7 +101,7 @@ def test_between_two_moments_others_are_between_them():
 def measured(users, own=None, distance="bumper", collision=None):
     """Time to collision and gap."""
     run = rollout([step(0, own or ego(), users, collision=collision)])
-    return float(times_to_collision_s(run, distance)[0]), float(gaps_m(run)[0])
+    return float(collisions.times_to_collision_s(run, distance)[0]), float(collisions.gaps_m(run)[0])
 
 
 @pytest.mark.parametrize(
@@ -152,10 +145,13 @@ def test_middles_are_farther_apart_than_bumpers_and_the_lane_turns_with_the_vehi
 
 def test_the_first_collision_of_a_run():
     run = approach(speed=10.0, lead_x=40.0, moments=20)
-    assert times_to_collision_s(run)[[0, 1, -1]] == pytest.approx([3.5, 3.25, 0.0])
-    assert first_collision(run) == ("lead", 3.5, 10.0, 10.0) and first_collision(approach(moments=5)) is None
+    assert collisions.times_to_collision_s(run)[[0, 1, -1]] == pytest.approx([3.5, 3.25, 0.0])
+    assert (
+        collisions.first_collision(run) == ("lead", 3.5, 10.0, 10.0)
+        and collisions.first_collision(approach(moments=5)) is None
+    )
     ahead = rollout([step(0, ego(), [user(5.0, speed=7.0)], collision="lead")])
-    assert first_collision(ahead) == ("lead", 0.0, 10.0, pytest.approx(3.0))  # it drives on with 7 m/s
+    assert collisions.first_collision(ahead) == ("lead", 0.0, 10.0, pytest.approx(3.0))  # it drives on with 7 m/s
 
 
 # HUGSIM's HD-score
@@ -205,6 +201,6 @@ def test_scores_are_means_over_frames_and_nine_tenths_of_the_route_are_all_of_it
     score = hd_score(rollout([*moments, step(2, ego(3.0), [user(38.0)], completion=0.95)]))
     assert (score.frames, score.ttc, score.rc) == (2, 0.5, 1.0) and score.pdms == pytest.approx((2 / 7 + 1) / 2)
     run = approach(moments=20)
-    assert 1 - hd_score(run).nc == pytest.approx(planned_collisions(run, reading="hugsim").frame_rate)
+    assert 1 - hd_score(run).nc == pytest.approx(collisions.planned_collisions(run, reading="hugsim").frame_rate)
     assert hd_score(frame([], straight(10, points=2))) is None  # one is left of two
     assert hd_score(rollout([step(0, ego())])) is None

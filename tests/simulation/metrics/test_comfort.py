@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from gsrain_engine.simulation.metrics.comfort import (
-    NUPLAN,
-    PAPER,
-    comfort_executed,
-    comfort_planned,
-    executed_motion,
-    is_plan_comfortable,
-    planned_motion,
-)
+from gsrain_engine.simulation.metrics import comfort
 from small_rollout import ego, rollout, step, straight
 
 
@@ -52,10 +44,10 @@ def turned(speed, *rates):
     ],
 )
 def test_executed_motion_at_the_limits(run, paper, nuplan):
-    assert (comfort_executed(run), comfort_executed(run, NUPLAN)) == (paper, nuplan)
-    assert PAPER[:6] == (-4.05, 2.40, 8.37, 4.89, 0.95, 1.93)
-    assert (NUPLAN.jerk_m_s3, NUPLAN.whole_jerk_m_s3) == (4.13, 8.37)
-    assert executed_motion(accelerated(-4.0, -3.0)).jerk_m_s3 == pytest.approx([np.nan, 4.0], nan_ok=True)
+    assert (comfort.comfort_executed(run), comfort.comfort_executed(run, comfort.NUPLAN)) == (paper, nuplan)
+    assert comfort.PAPER[:6] == (-4.05, 2.40, 8.37, 4.89, 0.95, 1.93)
+    assert (comfort.NUPLAN.jerk_m_s3, comfort.NUPLAN.whole_jerk_m_s3) == (4.13, 8.37)
+    assert comfort.executed_motion(accelerated(-4.0, -3.0)).jerk_m_s3 == pytest.approx([np.nan, 4.0], nan_ok=True)
 
 
 def plan(*points, own=None):
@@ -103,18 +95,17 @@ JITTER = ((0.02, 0.02), (0.0, 0.03), (0.03, -0.02), (0.0, 0.0), (0.02, 0.01), (0
     ],
 )
 def test_planned_motion_at_the_limits(run, share):
-    assert comfort_planned(run) == share
+    assert comfort.comfort_planned(run) == share
 
 
-def test_other_readings_and_limits_of_plans():
-    assert comfort_planned(speeds(10, 10, 10, 10, 10, 0), reading="all") == 0.0
-    assert comfort_planned(speeds(10, 10, 11.1, 11.1, 11.1, 11.1), NUPLAN) == 0.0  # 4.4 m/s3
-    assert is_plan_comfortable(np.zeros((3, 3)), 0.5)
+def test_other_limits_of_plans():
+    assert comfort.comfort_planned(speeds(10, 10, 11.1, 11.1, 11.1, 11.1), comfort.NUPLAN) == 0.0  # 4.4 m/s3
+    assert comfort.is_plan_comfortable(np.zeros((3, 3)), 0.5)
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_headings_wrap_and_motion_to_the_side_is_never_felt(side):
     yaws = side * np.array([3.1, -3.1, -3.05, -3.0, -2.95, -2.9])
-    motion = planned_motion(np.column_stack([np.arange(6.0), np.zeros(6), yaws]), 0.5)
+    motion = comfort.planned_motion(np.column_stack([np.arange(6.0), np.zeros(6), yaws]), 0.5)
     assert motion.yaw_rate_rad_s[:2] == pytest.approx([side * (2 * np.pi - 6.2) / 0.5, side * 0.1])
     assert (motion.lateral_m_s2 == 0).all()

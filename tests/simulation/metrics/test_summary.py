@@ -13,25 +13,8 @@ from msgspec.structs import replace
 
 from gsrain_engine.evaluation.report import report_page
 from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
-from gsrain_engine.simulation.geometry import Route
-from gsrain_engine.simulation.metrics.figures import (
-    birds_eye_sheet,
-    curve_band,
-    curve_over_time,
-    kinematics_figure,
-    rain_colors,
-    write_figure,
-)
+from gsrain_engine.simulation.metrics import figures, summary
 from gsrain_engine.simulation.metrics.report import drive_report_page, rollout_hash
-from gsrain_engine.simulation.metrics.summary import (
-    NOT_MEASURED,
-    DriveMetrics,
-    ScoredRun,
-    compare_drives,
-    measure_drive,
-    results_table,
-    write_metrics_csv,
-)
 from gsrain_engine.simulation.obstacles import drivable_of
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.simulation import Simulation, run_drive
@@ -40,7 +23,7 @@ from small_scene import small_scene
 
 
 def test_a_run_into_a_standing_car():
-    metrics = measure_drive(approach(lead_x=40.0, moments=20, intensity_mm_h=8.5, seed=3))
+    metrics = summary.measure_drive(approach(lead_x=40.0, moments=20, intensity_mm_h=8.5, seed=3))
     expected = {
         "collision": True, "collided_with": "lead", "collision_time_s": 3.5, "min_ttc_s": 0.0, "min_ttc_time_s": 3.5,
         "min_gap_m": 0.0, "steps": 14, "frames": 14, "planned_points": 6, "intensity_mm_h": 8.5, "seed": 3,
@@ -48,7 +31,7 @@ def test_a_run_into_a_standing_car():
         "with_background": False, "dac": None, "agent": "hand",
     }  # fmt: skip
     assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
-    assert msgspec.json.decode(msgspec.json.encode(metrics), type=DriveMetrics) == metrics and metrics.collided
+    assert msgspec.json.decode(msgspec.json.encode(metrics), type=summary.DriveMetrics) == metrics and metrics.collided
 
 
 @pytest.mark.parametrize(
@@ -66,13 +49,13 @@ def test_a_run_into_a_standing_car():
     ],
 )  # fmt: skip
 def test_single_metrics(steps, expected):
-    metrics = measure_drive(rollout(steps, end="agent"))
+    metrics = summary.measure_drive(rollout(steps, end="agent"))
     assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
 
 
 def test_a_vehicle_that_can_not_be_read_is_named():
     with pytest.raises(ValueError, match=r"scenario\.vehicle: .*length_m"):
-        measure_drive(replace(approach(), scenario={"vehicle": {"length_m": "long"}}))
+        summary.measure_drive(replace(approach(), scenario={"vehicle": {"length_m": "long"}}))
 
 
 @settings(max_examples=15)
@@ -90,17 +73,17 @@ def test_metrics_depend_on_neither_the_worlds_origin_nor_the_clocks(turn, x, y, 
         replace(each, ego=moved(each.ego), road_users=tuple(map(moved, each.road_users)), time_s=each.time_s + later_s)
         for each in run.steps
     )
-    here, there = (msgspec.structs.asdict(measure_drive(each)) for each in (run, replace(run, steps=steps)))
+    here, there = (msgspec.structs.asdict(summary.measure_drive(each)) for each in (run, replace(run, steps=steps)))
     here["min_ttc_time_s"] += later_s
     here["collision_time_s"] += later_s
     assert there == pytest.approx(here, abs=1e-6)
 
 
 def test_metrics_as_csv(tmp_path):
-    metrics = [measure_drive(approach(moments=count)) for count in (5, 20)]
-    write_metrics_csv(tmp_path / "runs.csv", metrics)
+    metrics = [summary.measure_drive(approach(moments=count)) for count in (5, 20)]
+    summary.write_metrics_csv(tmp_path / "runs.csv", metrics)
     columns, *rows = (line.split(",") for line in (tmp_path / "runs.csv").read_text().splitlines())
-    assert columns == list(DriveMetrics.__struct_fields__)
+    assert columns == list(summary.DriveMetrics.__struct_fields__)
     first, second = (dict(zip(columns, row, strict=True)) for row in rows)
     assert (first["collision"], second["collision"], first["collided_with"]) == ("false", "true", "")
     assert float(first["min_ttc_s"]) == metrics[0].min_ttc_s
@@ -112,7 +95,7 @@ def test_a_drive_in_a_scene_is_measured_against_its_walls_and_its_road(tmp_path,
     simulation = Simulation(Scenario(name="to the wall", speed_m_s=speed), small_scene())
     run = run_drive(simulation, ConstantVelocityAgent())
     drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
-    scored, bare = ScoredRun.of(run, simulation.occupied, drivable), ScoredRun.of(run)
+    scored, bare = summary.ScoredRun.of(run, simulation.occupied, drivable), summary.ScoredRun.of(run)
     metrics = scored.metrics
     assert run.end == "completed" and not metrics.collision and metrics.route_completion == metrics.rc == 1.0
     assert metrics.with_background and (0 < metrics.planned_point_collision_rate < 0.2) == hits
@@ -121,7 +104,7 @@ def test_a_drive_in_a_scene_is_measured_against_its_walls_and_its_road(tmp_path,
     assert metrics.comfort_executed == 1.0 and metrics.mean_speed_m_s == pytest.approx(speed)
     scored.save(tmp_path / "run.jsonl")
     with pytest.raises(ValueError, match="none.jsonl"):
-        ScoredRun(metrics).save(tmp_path / "none.jsonl")
+        summary.ScoredRun(metrics).save(tmp_path / "none.jsonl")
 
 
 # Comparison and table
@@ -130,36 +113,38 @@ def test_a_drive_in_a_scene_is_measured_against_its_walls_and_its_road(tmp_path,
 @cache
 def runs():
     """Clear, light and heavy rain; the last one ends in a collision."""
-    return [ScoredRun.of(approach(intensity_mm_h=r, moments=m)) for r, m in ((0.0, 9), (1.2, 9), (12.0, 20))]
+    return [summary.ScoredRun.of(approach(intensity_mm_h=r, moments=m)) for r, m in ((0.0, 9), (1.2, 9), (12.0, 20))]
 
 
 def test_rows_go_by_intensity_and_seed_and_agents_stay_apart():
-    several = [ScoredRun.of(approach(intensity_mm_h=r, seed=s, moments=5)) for r in (8.5, 0.0) for s in (1, 0)]
-    other = ScoredRun(replace(several[0].metrics, agent="other"))
-    first, second = compare_drives([*several, other])
+    several = [summary.ScoredRun.of(approach(intensity_mm_h=r, seed=s, moments=5)) for r in (8.5, 0.0) for s in (1, 0)]
+    other = summary.ScoredRun(replace(several[0].metrics, agent="other"))
+    first, second = summary.compare_drives([*several, other])
     assert [each.intensity_mm_h for each in first.weathers] == [0.0, 8.5] and first.title == "made-up, hand"
     assert [run.metrics.seed for run in first.runs] == [0, 1, 0, 1]
     assert (second.agent, len(second.runs)) == ("other", 1)
 
 
 def test_the_table_is_the_papers():
-    table = results_table(compare_drives(runs()[::-1]))
+    table = summary.results_table(summary.compare_drives(runs()[::-1]))
     assert table.columns[2:6] == ("R (mm/h)", "Coll.", "Min. TTC (s)", "C")
     clear, light, heavy = table.rows
     rate = 100 * runs()[0].metrics.planned_point_collision_rate
     # At the end of 9 moments it is at 20 m: 15 m of gap at 10 m/s.
     assert clear[2:6] == ("Clear", "No", "1.500", f"{rate:.1f} %") and light[2] == "1.2"
-    assert heavy[2:] == ("12", "Yes", "0.000", *(4 * (NOT_MEASURED,)))
+    assert heavy[2:] == ("12", "Yes", "0.000", *(4 * (summary.NOT_MEASURED,)))
     assert any("N = 6" in each for each in table.definitions)
+    assert table.markdown.startswith("| Scenario | Agent |") and "N = 6" in table.markdown
+    assert table.text.splitlines()[2].split()[:4] == ["made-up", "hand", "Clear", "No"] and "N = 6" in table.text
 
 
 def test_seeds_become_means_with_bands():
-    several = [ScoredRun.of(approach(speed=v, seed=i, moments=9)) for i, v in enumerate((8.0, 9.0, 10.0))]
-    (only,) = compare_drives([*several, ScoredRun.of(approach(seed=3, moments=20))])
+    several = [summary.ScoredRun.of(approach(speed=v, seed=i, moments=9)) for i, v in enumerate((8.0, 9.0, 10.0))]
+    (only,) = summary.compare_drives([*several, summary.ScoredRun.of(approach(seed=3, moments=20))])
     (weather,) = only.weathers
     interval, free = weather.mean("min_ttc_s"), weather.mean("min_ttc_s", without_collision=True)
     assert weather.collisions == 1 and interval.low < interval.mean < interval.high and free.mean > interval.mean
-    row = results_table([only]).rows[0]
+    row = summary.results_table([only]).rows[0]
     assert row[3] == "1 of 4" and ".." in row[4]
 
 
@@ -168,59 +153,58 @@ def test_seeds_become_means_with_bands():
 
 def test_curves_of_a_run_and_bands_of_the_runs_that_go_on():
     run = approach(lead_x=40.0, moments=20)
-    assert curve_over_time(run, "speed_m_s") == pytest.approx(np.full(15, 10.0))
-    assert curve_over_time(run, "acceleration_m_s2") == pytest.approx([np.nan, *[0.0] * 14], nan_ok=True)
-    assert curve_over_time(run, "gap_m")[:2] == pytest.approx([35.0, 32.5])
-    assert curve_over_time(run, "ttc_s")[-1] == 0.0
-    several = [ScoredRun.of(approach(speed=v, seed=i, moments=m)) for i, (v, m) in enumerate(((8.0, 5), (10.0, 9)))]
-    comparison = compare_drives(several)[0]
-    times, mean, low, high = curve_band(comparison.weathers[0], "speed_m_s")
+    assert figures.curve_over_time(run, "speed_m_s") == pytest.approx(np.full(15, 10.0))
+    assert figures.curve_over_time(run, "acceleration_m_s2") == pytest.approx([np.nan, *[0.0] * 14], nan_ok=True)
+    assert figures.curve_over_time(run, "gap_m")[:2] == pytest.approx([35.0, 32.5])
+    assert figures.curve_over_time(run, "ttc_s")[-1] == 0.0
+    several = [
+        summary.ScoredRun.of(approach(speed=v, seed=i, moments=m)) for i, (v, m) in enumerate(((8.0, 5), (10.0, 9)))
+    ]
+    comparison = summary.compare_drives(several)[0]
+    times, mean, low, high = figures.curve_band(comparison.weathers[0], "speed_m_s")
     assert times[-1] == 2.0 and mean == pytest.approx([9.0] * 5 + [10.0] * 4)
     assert (low[0], high[0], low[-1], high[-1]) == (8.0, 10.0, 10.0, 10.0)
-    assert "(2 seeds)" in kinematics_figure(comparison).axes[0].lines[0].get_label()
+    assert "(2 seeds)" in figures.kinematics_figure(comparison).axes[0].lines[0].get_label()
 
 
 def test_runs_without_a_common_curve_are_refused():
-    bare = compare_drives([ScoredRun(each.metrics) for each in runs()])[0]
-    odd = compare_drives([ScoredRun.of(replace(approach(seed=s, moments=5), step_s=0.25 + s / 4)) for s in (0, 1)])[0]
+    bare = summary.compare_drives([summary.ScoredRun(each.metrics) for each in runs()])[0]
+    odd = summary.compare_drives(
+        [summary.ScoredRun.of(replace(approach(seed=s, moments=5), step_s=0.25 + s / 4)) for s in (0, 1)]
+    )[0]
     for comparison, word in ((bare, "0 mm/h"), (odd, r"0\.25 s and of 0\.5 s")):
         with pytest.raises(ValueError, match=word):
-            kinematics_figure(comparison)
+            figures.kinematics_figure(comparison)
     with pytest.raises(ValueError, match="no run"):
-        birds_eye_sheet([])
+        figures.birds_eye_sheet([])
 
 
 def test_all_intensities_are_in_every_panel_darker_in_heavier_rain_and_the_collision_is_marked():
-    figure = kinematics_figure(compare_drives(runs())[0])
+    figure = figures.kinematics_figure(summary.compare_drives(runs())[0])
     assert len(figure.axes) == 4
     for panel in figure.axes:
         assert sum(len(line.get_xdata()) > 2 for line in panel.lines) == 3
         (cross,) = [line for line in panel.lines if line.get_marker() == "X"]
         assert cross.get_xdata()[0] == 3.5
     assert [line.get_label() for line in figure.axes[0].lines[:2]] == ["clear", "1.2 mm/h"]
-    colors = rain_colors([12.0, 0.0, 1.2])
+    colors = figures.rain_colors([12.0, 0.0, 1.2])
     luma = {rain: np.dot(to_rgba(color)[:3], (0.3, 0.59, 0.11)) for rain, color in colors.items()}
     assert luma[1.2] > luma[12.0] and to_rgba(colors[0.0])[0] > to_rgba(colors[0.0])[2]
 
 
-def test_from_above_each_run_has_a_panel_on_one_scale():
-    figure = birds_eye_sheet([each.rollout for each in runs()], Route(np.array([[0.0, 0], [50, 0]])))
-    assert len(figure.axes) == 3 and len({each.get_xlim() for each in figure.axes}) == 1
-    titles = [each.get_title(loc="left") for each in figure.axes]
-    assert "hits lead at 3.5 s with 10.0 m/s" in titles[2] and "hits" not in titles[0]
-    (cross,) = [line for line in figure.axes[2].lines if line.get_marker() == "X"]
-    assert cross.get_xdata()[0] == pytest.approx(38.0)  # the front at 35 + 3 m touches the rear at 38 m
-
-
 def test_the_same_runs_give_the_same_bytes(tmp_path):
-    figures = {"png": lambda: birds_eye_sheet([runs()[2].rollout]), "svg": lambda: kinematics_figure(comparison)}
-    comparison = compare_drives(runs())[0]
-    for kind, make in figures.items():
+    makers = {
+        "png": lambda: figures.birds_eye_sheet([runs()[2].rollout]),
+        "svg": lambda: figures.kinematics_figure(comparison),
+    }
+    comparison, title = summary.compare_drives(runs())[0], makers["png"]().axes[0].get_title(loc="left")
+    assert "hits lead at 3.5 s with 10.0 m/s" in title
+    for kind, make in makers.items():
         for name in "ab":
-            write_figure(tmp_path / f"{name}.{kind}", make())
+            figures.write_figure(tmp_path / f"{name}.{kind}", make())
         assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
     with pytest.raises(ValueError, match=r"a\.gif"):
-        write_figure(tmp_path / "a.gif", figures["png"]())
+        figures.write_figure(tmp_path / "a.gif", makers["png"]())
 
 
 def test_the_page_has_results_figures_and_origins():
@@ -228,6 +212,6 @@ def test_the_page_has_results_figures_and_origins():
     assert page.count("<img") == 2
     for word in ("Driving in rain: made-up", "gsrain drive &lt;x&gt;", rollout_hash(runs()[0].rollout)[:16], "shapely"):
         assert word in page
-    only_numbers = report_page(drive_report_page([ScoredRun(each.metrics) for each in runs()]))
+    only_numbers = report_page(drive_report_page([summary.ScoredRun(each.metrics) for each in runs()]))
     assert "<img" not in only_numbers and "Every run" in only_numbers
     assert rollout_hash(approach(moments=5)) == rollout_hash(approach(moments=5)) != rollout_hash(approach(moments=6))
