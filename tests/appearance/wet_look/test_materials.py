@@ -1,7 +1,5 @@
 """Wet materials: what soaks gets dark and colorful, paint gets gloss, lamps shine, far things fade."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,9 +9,7 @@ from gsrain_engine.appearance.wet_look.illumination import overcast_sky
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.materials import (
     WATER_INDEX,
-    add_emissive_lights,
     apply_fog,
-    emissive_share,
     reflectance,
     unshadowed,
     wet_albedo,
@@ -75,30 +71,6 @@ def test_ground_darkens_most_walls_less_vehicles_not():
 
 
 # Lamps
-
-
-def lamp_view(color, where):
-    view = dry_view()
-    image = (0.4 * view.image).astype(np.float32)
-    image[where] = color
-    return replace(view, image=image)
-
-
-def test_a_red_lamp_keeps_shining_and_glows():
-    where = (slice(24, 26), slice(48, 50))
-    view = lamp_view((1.0, 0.15, 0.1), where)
-    surfaces = surfaces_of(view)
-    share = emissive_share(view, surfaces)
-    assert share[where].min() > 0.8
-    share_elsewhere = share.copy()
-    share_elsewhere[where] = 0
-    assert share_elsewhere.max() == 0
-    dim = 0.3 * srgb_to_linear(view.image).astype(np.float32)
-    lit, without = add_emissive_lights(dim, view, share, 1.0), add_emissive_lights(dim, view, share, 0.0)
-    assert (without[where][..., 0] > 1).all()
-    beside = lit[24, 51] - without[24, 51]
-    assert beside[0] > 0.02 > 5 * beside[2] >= 0
-    np.testing.assert_array_equal(without[50:], dim[50:])
 
 
 # Mist
