@@ -73,7 +73,9 @@ def refine(
         visible = view.observed.visible
         parts = [_TrainedMember(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
         pieces = zip(*(each.activated(view) for each in parts), strict=True)
-        rendered = render_gaussians(*(torch.cat(each) for each in pieces), view.observed.target.camera)
+        means, scales, quaternions, opacities, colors = (torch.cat(each) for each in pieces)
+        camera = view.observed.target.camera
+        rendered = render_gaussians(means, scales, quaternions, opacities, colors, camera)
         target = torch.from_numpy(solution.affines[index].undone(view.observed.target.image))
         target = target * rendered.alpha.detach()[..., None]
         mask = torch.from_numpy(view.observed.counted)
