@@ -1,5 +1,7 @@
 """Wet materials: what soaks gets dark and colorful, paint gets gloss, lamps shine, far things fade."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
