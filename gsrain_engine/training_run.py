@@ -155,3 +155,9 @@ class CheckpointFormat(Generic[_Header]):
         return [(name, value) for name, value in fields.items() if name not in _PROGRESS] + [
             (name, value) for name, value in settings.items() if name not in self.free
         ]
+
+
+def arrays_of(state: Mapping[str, Any], part: str) -> dict[str, Any]:
+    """Arrays of one part of a state, whose names start with the part and a colon; without that prefix."""
+    prefix = f"{part}:"
+    return {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}

@@ -1,6 +1,6 @@
 """Refinement of a recolored scene with torch: training of all parameters, and photometric steps on colors alone."""
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -64,19 +64,18 @@ def refine(
 ) -> Generator[Progress, None, dict[str, Gaussians]]:  # fmt: skip
     """Train all parameters of members (recolored Gaussians by key) on the views, one a step, in a scene of `size_m`."""
     trained = {key: SplatParameters.from_gaussians(each, each.sh_degree) for key, each in members.items()}
-    chosen = np.flatnonzero(solution.trust > 0.1)
-    order, turns = np.random.default_rng(seed), np.zeros(0, np.int64)
+    order = _trusted_views(solution, seed)
     rates = RATES | {"means": RATES["means"] * size_m}
     for step in range(steps):
         yield Progress(step / steps, f"Refining, step {step + 1} of {steps}")
-        if not len(turns):
-            turns = order.permutation(chosen)
-        index, turns = int(turns[0]), turns[1:]
+        index = next(order)
         view = views[index]
         visible = view.observed.visible
         parts = [_TrainedMember(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
         pieces = zip(*(each.activated(view) for each in parts), strict=True)
-        rendered = render_gaussians(*(torch.cat(each) for each in pieces), view.observed.target.camera)
+        means, scales, quaternions, opacities, colors = (torch.cat(each) for each in pieces)
+        camera = view.observed.target.camera
+        rendered = render_gaussians(means, scales, quaternions, opacities, colors, camera)
         target = torch.from_numpy(solution.affines[index].undone(view.observed.target.image))
         target = target * rendered.alpha.detach()[..., None]
         mask = torch.from_numpy(view.observed.counted)
@@ -86,6 +85,13 @@ def refine(
             moving.parameters.step(rates)
             moving.parameters.zero_grad()
     return {key: each.to_gaussians() for key, each in trained.items()}
+
+
+def _trusted_views(solution: Solution, seed: int) -> Iterator[int]:
+    """Indices of the views that agree with the others, forever, in a new order each time round."""
+    chosen, random = np.flatnonzero(solution.trust > 0.1), np.random.default_rng(seed)
+    while len(chosen):
+        yield from random.permutation(chosen).tolist()
 
 
 # Photometric refinement of colors
@@ -106,12 +112,9 @@ def photometric_refine(
     n, k = sh.shape[:2]
     moments = np.zeros((2, n, 3 * k), np.float32)
     gradient = np.zeros_like(sh)
-    chosen = np.flatnonzero(solution.trust > 0.1)
-    order, turns = np.random.default_rng(seed), np.zeros(0, np.int64)
+    order = _trusted_views(solution, seed)
     for step in range(1, steps + 1):
-        if not len(turns):
-            turns = order.permutation(chosen)
-        index, turns = int(turns[0]), turns[1:]
+        index = next(order)
         gradient[:] = 0
         loss = _descend(problem.views[index], solution, index, sh, gradient)
         gradient[:, (sh_degree + 1) ** 2 :] = 0

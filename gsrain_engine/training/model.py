@@ -16,6 +16,7 @@ from ..scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Actor, Layer, RigCamera, Scene, rotation_to_z_up
+from ..training_run import arrays_of
 from .parameters import SplatParameters, rotate_quaternions
 
 torch: Any = import_module("torch")
@@ -114,12 +115,6 @@ class _ActivatedPart(NamedTuple):
         matrix = torch.as_tensor(pose, dtype=self.means.dtype, device=self.means.device)
         quaternions = rotate_quaternions(quaternions_from_matrices(pose[:3, :3]), self.quaternions)
         return self._replace(means=self.means @ matrix[:3, :3].T + matrix[:3, 3], quaternions=quaternions)
-
-
-def arrays_of(state: Mapping[str, Shaped[np.ndarray, "..."]], part: str) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """Arrays of one part of a state, whose names start with the part and a colon."""
-    prefix = f"{part}:"
-    return {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}
 
 
 # Model to scene

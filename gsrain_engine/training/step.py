@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
 from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, ImageDistance, check_pair, window
+from ..training_run import arrays_of
 from .data import PyramidLevel, TrainingView
 from .evaluation import RenderScore, score
 from .free_space import FreeSpaceCarving, clear_free_space
-from .model import SplatModel, TrainingRender, arrays_of
+from .model import SplatModel, TrainingRender
 from .settings import TrainingSchedule, TrainingSettings, view_order
 from .strategy import Strategy
 

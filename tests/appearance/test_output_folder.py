@@ -11,7 +11,6 @@ from PIL import Image
 
 from gsrain_engine.appearance.base import ClearView, RainyView, TransferSettings
 from gsrain_engine.appearance.output_folder import (
-    ContactSheet,
     PrecomputedTransfer,
     TransferRecord,
     read_record,
@@ -177,14 +176,3 @@ def test_pictures_that_cannot_be_those_of_the_views_are_refused(tmp_path, name, 
         list(PrecomputedTransfer(tmp_path).transferred([clear("one")]))
     with pytest.raises(CaptureError, match="no such folder"):
         PrecomputedTransfer(tmp_path / "nowhere")
-
-
-def test_views_before_and_after_stand_side_by_side():
-    sheet = ContactSheet(9, at_most=3, width_px=60)
-    for i in range(9):
-        sheet.add(RainyView(clear(f"{i}"), np.full((20, 30, 3), i / 10, np.float32)))
-    pixels = np.asarray(sheet.picture())
-    assert pixels.shape == (3 * (40 + 24) + 8, 2 * 60 + 24, 3)
-    rows = [8 + 16 + 20 + k * 64 for k in range(3)]
-    assert [int(pixels[row, 30, 0]) for row in rows] == [128] * 3
-    assert [int(pixels[row, 110, 0]) for row in rows] == [0, 102, 204]

@@ -20,7 +20,6 @@ from gsrain_engine.appearance.scene_views import (
     scene_views,
 )
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame, Lens
-from gsrain_engine.datasets.capture_folder import camera_without_calibration
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.scene import Scene
@@ -259,19 +258,6 @@ def test_poses_that_are_all_the_same_are_none():
     measured = replace(drive_capture(2), views=at_rest)  # a tripod with a lidar
     assert all(view.has_pose for view in CaptureViews(measured, WIDTH))
     assert not any(view.has_pose for view in CaptureViews(replace(plain, has_poses=False), WIDTH))
-
-
-def test_the_edge_of_the_sky_follows_the_picture():
-    image = np.full((80, 120, 3), (90, 140, 240), np.uint8)
-    image[40:] = 90
-    image[20:40, 40:80] = (40, 35, 30)  # a tree
-    view = replace(drive_capture(1)[0], camera=camera_without_calibration(120, 80), image_source=image)
-    sky = CaptureViews(Capture("p", (view,), is_metric=False, has_poses=False), 120)[0].sky
-    assert sky[5:15].min() > 0.95
-    assert sky[22:34, 20:38].min() > 0.9
-    assert sky[22:36, 44:48].max() < 0.2
-    assert sky[22:36, 60:76].max() < 0.2
-    assert sky[42:].max() < 0.2
 
 
 def test_only_what_the_lens_saw_is_learned_from_and_no_picture_grows():

@@ -36,23 +36,6 @@ def test_an_affine_change_is_found_again_and_applied_to_harmonics():
     np.testing.assert_allclose(moved[:, 1:], np.broadcast_to(MATRIX.sum(axis=1) * 0.1, (2, 3, 3)), atol=0.01)
 
 
-def test_each_kind_of_surface_has_its_own_change_and_one_without_pixels_that_of_all():
-    clear, changed = pixels()
-    shares = np.zeros((len(clear), 3), np.float32)
-    shares[::2, 0], shares[1::2, 2] = 1, 1
-    target = np.where(shares[:, :1] > 0, np.float32(0.7), changed)
-    change = fit_color_prior([clear], [target], [shares])
-    grey = sh_from_color(np.full((1, 3), 0.4, np.float32))
-    sky, ground, other, half = (
-        0.5 + SH_C0 * change.of_sh(grey, np.float32([kinds]))[0, 0]
-        for kinds in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0.5, 0, 0.5))
-    )
-    np.testing.assert_allclose(sky, 0.7, atol=0.02)
-    np.testing.assert_allclose(other, MATRIX.sum(axis=1) * 0.4 + OFFSET, atol=0.01)
-    np.testing.assert_allclose(half, (sky + other) / 2, atol=1e-5)
-    assert (np.minimum(sky, other) < ground).all() and (ground < np.maximum(sky, other)).all()
-
-
 # Ground
 
 CAMERA = Camera.from_fov(60, 48, 60, look_at(np.array([0, 0, 1.5]), np.array([1.0, 0, 1.4]), np.array([0.0, 0, 1])))

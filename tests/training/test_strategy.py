@@ -149,6 +149,19 @@ def test_the_dead_move_to_the_living_by_opacity() -> None:
     assert at_second == pytest.approx(0.75, abs=0.03)
 
 
+def test_the_number_grows_to_the_cap_and_sources_and_copies_start_anew() -> None:
+    control, splats = monte_carlo(max_count=107), parameters((0.1,) * 100, (0.5,) * 100)
+    splats.tensors["means"].grad = torch.ones(100, 3)
+    splats.step({"means": 1e-9})
+    counts, without_moments = [], []
+    for step in (10, 20, 30):
+        control.adapt(step, splats, generator(step))
+        counts.append(len(splats))
+        without_moments.append(int((splats.state()["means.first"] == 0).all(axis=1).sum()))
+    assert counts == [105, 107, 107]
+    assert without_moments[0] > 5 and without_moments[1] == without_moments[2] > 7
+
+
 def test_noise_follows_the_covariance_and_spares_the_opaque() -> None:
     n, g = 4000, random_splats(1)
     flat = Gaussians(

@@ -14,7 +14,7 @@ from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.progress import Progress, run_to_end
 from gsrain_engine.training.data import ReconstructionTask
-from gsrain_engine.training.evaluation import score, validation_indices
+from gsrain_engine.training.evaluation import validation_indices
 from gsrain_engine.training.settings import (
     TrainingSchedule,
     TrainingSettings,
@@ -152,26 +152,7 @@ def test_held_out_views_lie_inside_every_stretch_or_are_named():
         validation_indices(names, 1)
 
 
-def test_an_exposure_counts_in_the_raw_score_and_not_in_the_exposed_one() -> None:
-    truth = np.random.default_rng(0).integers(0, 256, (40, 60, 3)).astype(np.uint8)
-    darker = truth.astype(np.float32) / 255 * np.float32(0.8)
-    found = score("v", darker, truth, None)
-    assert found.psnr_db < 21 and found.psnr_exposed_db > 35
-    mask = np.zeros((40, 60), bool)
-    mask[5:35, 5:55] = True
-    spoiled = np.where(mask[..., None], darker, 1).astype(np.float32)
-    assert score("v", spoiled, truth, mask).psnr_db == pytest.approx(score("v", darker, truth, mask).psnr_db)
-
-
 # Schedule
-
-
-def test_the_means_slow_down_exponentially_from_the_papers_first_rate_to_its_last():
-    schedule = TrainingSchedule(TrainingSettings(steps=101, haste=1.0), extent=3.0)
-    means = [schedule.rates(step)["means"] for step in (0, 50, 100)]
-    assert means == pytest.approx([1.6e-4 * 3, 1.6e-5 * 3, 1.6e-6 * 3])
-    assert schedule.rates(0)["opacity_logits"] == 5e-2
-    assert schedule.rates(0)["sh_dc"] == 20 * schedule.rates(0)["sh_rest"]
 
 
 def test_pictures_grow_harmonics_join_in_and_transients_go_late() -> None:

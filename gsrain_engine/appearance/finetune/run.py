@@ -24,6 +24,7 @@ from ...training_run import CheckpointError, CheckpointFormat, CheckpointHeader,
 from ..cyclegan_turbo.lora import LoraRanks
 from ..cyclegan_turbo.model import build_random_model, tiny
 from ..cyclegan_turbo.pretrained import open_model
+from ..cyclegan_turbo.translator import chosen_device
 from ..cyclegan_turbo.weights import save_weights
 from .dataset import DatasetImage, ImageSplit, UnpairedImages, open_images
 from .discriminator import ClipFeatures, Discriminator
@@ -215,14 +216,6 @@ def _repeatable() -> Generator[None]:
 # Setup: images, model and discriminators
 
 _DISTANCE_PX = 64
-
-
-def chosen_device(name: str) -> str:
-    """Resolve a device setting. Raises ValueError if CUDA is requested but not available."""
-    has_cuda = bool(torch.cuda.is_available())
-    if name == "cuda" and not has_cuda:
-        raise ValueError("device cuda: no CUDA device is there; take cpu or auto")
-    return "cuda" if name != "cpu" and has_cuda else "cpu"
 
 
 def start_finetuning(

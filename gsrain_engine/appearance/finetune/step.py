@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...training_run import arrays_of
 from ..cyclegan_turbo.model import Direction
 from .dataset import DatasetImage, UnpairedImages
 from .discriminator import Discriminator
@@ -166,18 +167,14 @@ class FinetuneTrainer:
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Restore the result of `state`; raises KeyError or RuntimeError for missing or unfitting tensors."""
-
-        def part(kind: str) -> dict[str, Any]:
-            return {name.removeprefix(f"{kind}:"): each for name, each in arrays.items() if name.startswith(f"{kind}:")}
-
-        weights = part(f"{_GENERATOR}:weights")
+        weights = arrays_of(arrays, f"{_GENERATOR}:weights")
         with torch.no_grad():
             for name, parameter in self._generator.parameters.items():
                 parameter.copy_(weights[name])
-        self._generator.restore(part(f"{_GENERATOR}:moments"))
-        self._judges.restore(part(f"{_DISCRIMINATORS}:moments"))
-        self.rainy_judge.load_state_dict(part(f"{_DISCRIMINATORS}:rainy"))
-        self.clear_judge.load_state_dict(part(f"{_DISCRIMINATORS}:clear"))
+        self._generator.restore(arrays_of(arrays, f"{_GENERATOR}:moments"))
+        self._judges.restore(arrays_of(arrays, f"{_DISCRIMINATORS}:moments"))
+        self.rainy_judge.load_state_dict(arrays_of(arrays, f"{_DISCRIMINATORS}:rainy"))
+        self.clear_judge.load_state_dict(arrays_of(arrays, f"{_DISCRIMINATORS}:clear"))
 
     def _learn(self, number: int, losses: Iterable[tuple[str, Tensor]]) -> dict[str, float]:
         """Take one step of the generator on losses, each of which is freed before the next one is computed."""

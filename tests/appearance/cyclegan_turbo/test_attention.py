@@ -243,23 +243,3 @@ def test_the_network_is_as_before_afterwards_and_attention_to_the_text_always(un
         with pytest.raises(ValueError, match="2 views"), talk.batch(pair(shifted())):
             run(unet, inputs.latents[:1], inputs.caption)
     assert unet.attn_processors == before
-
-
-def test_peft_layers_count_too(inputs):
-    peft = pytest.importorskip("peft")
-    unet = small_unet(
-        block_out_channels=(8,), down_block_types=("CrossAttnDownBlock2D",), up_block_types=("CrossAttnUpBlock2D",)
-    )
-    settings = CrossViewAttention(px_per_token=(8,))
-
-    def looked():
-        with cross_view_attention(unet, settings) as talk, talk.batch(pair(shifted(8))):
-            return run(unet, *inputs)
-
-    unet.add_adapter(peft.LoraConfig(r=2, target_modules=["to_k", "to_v"], init_lora_weights=False))
-    adapted = looked()
-    unet.disable_adapters()
-    assert not torch.equal(adapted, looked())
-    unet.enable_adapters()
-    unet.fuse_lora()
-    torch.testing.assert_close(looked(), adapted, atol=1e-5, rtol=1e-4)

@@ -33,7 +33,6 @@ from gsrain_engine.appearance.cyclegan_turbo.translator import (  # noqa: E402
     open_cyclegan_turbo,
 )
 from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights  # noqa: E402
-from gsrain_engine.appearance.registry import open_transfer  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
 
 from .published_checkpoints import published, trained_model  # noqa: E402
@@ -231,17 +230,6 @@ def view() -> ClearView:
 def image(settings: TransferSettings) -> np.ndarray:
     (made,) = open_cyclegan_turbo(settings).transferred([view()])
     return made.image
-
-
-def test_choices_arrive(weights):
-    settings = TransferSettings(weights=weights(), guide="luma", neighbours=3, side_px=256, tile_px=128, device="cpu")
-    opened = open_transfer("cyclegan-turbo", settings, surroundings=None)
-    run = opened.settings
-    assert (opened.name, run.normals, run.guide, run.side_px, run.tile_px) == (
-        "cyclegan-turbo", "depth", "luma", 256, 128,
-    )  # fmt: skip
-    assert run.mutual is not None and run.mutual.neighbours == 3
-    assert open_cyclegan_turbo(TransferSettings(weights=weights(), mutual_attention=False)).settings.mutual is None
 
 
 def test_normals_count_where_the_weights_know_them(weights, caplog):

@@ -215,19 +215,6 @@ def test_normals_guide_it_from_the_view_or_an_estimator(model, views):
     assert images(narrow, views, RunSettings(side_px=None)).keys() == {"left", "center", "right"}
 
 
-def test_tiles_look_at_other_views_as_whole_pictures_do(model):
-    """A tile as large as the picture is the picture; smaller ones still look around."""
-    pair = [wall("a", 0.0, 128, 128), wall("b", 0.3, 128, 128)]
-    mutual = replace_mutual(ALONE, order="outward")
-    whole = images(model, pair, mutual)
-    as_large = images(model, pair, RunSettings(side_px=None, tile_px=128, mutual=mutual.mutual))
-    small = RunSettings(side_px=None, tile_px=64, overlap_px=0, mutual=mutual.mutual)
-    tiled, apart = images(model, pair, small), images(model, pair, RunSettings(side_px=None, tile_px=64, mutual=None))
-    for name in whole:
-        assert np.array_equal(whole[name], as_large[name])
-    assert sum(not np.array_equal(tiled[name], apart[name]) for name in tiled) >= 1
-
-
 def test_views_without_poses_and_without_overlap_stay_alone_and_say_so(model, views):
     settings = RunSettings(side_px=None)
     alone = images(model, views, ALONE)

@@ -13,7 +13,7 @@ from gsrain_engine.appearance.finetune.dataset import (
     ImageSource,
     open_images,
 )
-from gsrain_engine.datasets.capture import CaptureError, CaptureFrame
+from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.scene.camera import Camera
 
 INTRINSICS = "K_cam:\n16 0 8\n0 16 6\n0 0 1\ndistortion:\n0 0 0 0 0\n"
@@ -111,25 +111,6 @@ def test_pictures_are_framed(tmp_path):
     assert stretched.dtype == np.float32
     np.testing.assert_allclose(stretched[..., 0].mean(), 0.5, atol=0.01)
     np.testing.assert_allclose(cropped[..., 0], 1.0, atol=0.01)
-
-
-@pytest.mark.parametrize(
-    ("changes", "name"),
-    [
-        ({"count": 1000}, "count 1000"),
-        ({"path": "plain", "weather": "rainy"}, "weather: any"),
-        ({"path": "night", "weather": "clear"}, "no clear picture by day"),
-    ],
-)
-def test_sources_without_enough_pictures_are_named(bdd100k, tmp_path, changes, name):
-    save(tmp_path / "plain" / "a.png")
-    save(tmp_path / "night" / "images" / f"{name_of(1)}.jpg")
-    rows = [{"name": f"{name_of(1)}.jpg", "attributes": {"weather": "clear", "timeofday": "night"}}]
-    (tmp_path / "night" / "det_val.json").write_text(json.dumps(rows))
-    path = tmp_path / changes["path"] if "path" in changes else bdd100k
-    source = ImageSource(**changes | {"path": str(path)})
-    with pytest.raises(CaptureError, match=rf"{path.name}.*{name}"):
-        open_images(ImageSettings(clear=(source,), rainy=(ImageSource(path=str(bdd100k)),), guide="none"))
 
 
 class Upward:

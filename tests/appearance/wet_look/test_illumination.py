@@ -13,7 +13,6 @@ from gsrain_engine.appearance.wet_look.illumination import (
     estimate_illumination,
     overcast_sky,
     overcast_surfaces,
-    remove_sky_color,
 )
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.settings import WetSettings
@@ -95,18 +94,3 @@ def test_sky_is_a_function_of_direction_alone():
     assert (around[:, 2] > around[:, 0]).all()
     grey = overcast_sky(np.array([[[0.6, 0, 0.8], [0, 0.6, 0.8]]]), WetSettings(clouds=0.0))[0]
     np.testing.assert_allclose(grey[0], grey[1], rtol=1e-6)
-
-
-def test_leaves_before_the_sky_get_no_halo():
-    view = dry_view()
-    share = np.where(view.sky > 0, 1.0, 0.0).astype(np.float32)
-    share[2:6, 40:60] = 0.6
-    leaf = np.array([0.1, 0.2, 0.05], np.float32)
-    image = view.image.copy()
-    image[2:6, 40:60] = 0.6 * image[2, 2] + 0.4 * leaf
-    mixed = replace(view, sky=share, image=image)
-    np.testing.assert_allclose(remove_sky_color(mixed)[3:5, 44:56], np.broadcast_to(leaf, (2, 12, 3)), atol=0.02)
-    cloudy = under_cloud(mixed)
-    leaves, sky = cloudy[3:5, 44:56] @ LUMINANCE, cloudy[3, 5] @ LUMINANCE
-    assert (leaves < sky).all()
-    assert (leaves > 0.2 * sky).all()

@@ -11,6 +11,7 @@ from gsrain_engine.appearance.wet_look.illumination import overcast_sky
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.materials import (
     WATER_INDEX,
+    add_clear_coat,
     add_emissive_lights,
     apply_fog,
     emissive_share,
@@ -72,6 +73,21 @@ def test_ground_darkens_most_walls_less_vehicles_not():
     brown = np.broadcast_to(np.array([0.3, 0.2, 0.1], np.float32), view.image.shape).copy()
     wet = wet_surfaces_color(brown, surfaces, PLAIN)
     assert wet[ROAD][0] / wet[ROAD][2] > 1.1 * 3  # stronger colors
+
+
+def test_paint_mirrors_more_at_grazing_angles():
+    view = dry_view(vehicles=np.ones((64, 96)))
+    rays = view_rays(view.camera)
+    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    roof = np.broadcast_to(np.array([0.0, 0.0, 1.0], np.float32), view.normals.shape)
+    surfaces = replace(surfaces_of(view), normals=roof, vehicles=view.vehicles)
+    black = np.zeros_like(view.image)
+    gloss = add_clear_coat(black, surfaces, directions, WetSettings())[..., 1]
+    assert (gloss[:, 48] >= 0).all()
+    assert gloss[36, 48] > 2 * gloss[60, 48] > 0.01
+    assert add_clear_coat(black, surfaces, directions, WetSettings(gloss=0.0)).max() == 0
+    dry = replace(surfaces, vehicles=0 * view.vehicles)
+    assert add_clear_coat(black, dry, directions, WetSettings()).max() == 0
 
 
 # Lamps

@@ -1,6 +1,5 @@
 """Water and its reflections: the mirror's picture of a made room, and a pole on a wet road before a wall."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +12,6 @@ from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, Scen
 from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane
 from gsrain_engine.appearance.wet_look.masks import VisibleGround
 from gsrain_engine.appearance.wet_look.reflections import (
-    fill_reflection_holes,
     mirror_camera,
     screen_space_reflection,
 )
@@ -71,41 +69,6 @@ def test_rays_find_what_the_view_shows_above_the_ground():
     both = inside & found.found
     assert np.quantile(np.abs(found.places - expected).max(axis=-1)[both], 0.99) < 1.5
     np.testing.assert_allclose(found.depth[both], WALL_M / rays[..., 0][both], rtol=0.02)
-
-
-def test_what_is_hidden_looks_like_what_is_next_to_it():
-    found, *_ = mirrored_room(scale=0.5)
-    hole = np.zeros_like(found.found)
-    row, column = (int(np.median(each)) for each in np.nonzero(found.found))
-    hole[row : row + 4, column : column + 10] = True
-    assert found.found[hole].all()
-    filled = found._replace(found=found.found & ~hole).with_hidden_filled()
-    assert filled.found[hole].all()
-    assert np.abs(filled.places - found.with_hidden_filled().places)[hole].max() < 12
-    np.testing.assert_array_equal(filled.left, found.left)
-
-
-def empty_view(camera):
-    size = (camera.height, camera.width)
-    nothing, color = np.zeros(size, np.float32), np.zeros((*size, 3), np.float32)
-    return ClearView("beyond", camera, 0.0, color, nothing, color, nothing, nothing)
-
-
-def test_gaps_at_the_horizon_are_closed_from_above_and_others_are_sky():
-    camera = mirror_camera(EYE, LEVEL, 0.5)
-    view = empty_view(camera)
-    rays = view_rays(camera)
-    rise = rays[..., 2] / np.linalg.norm(rays, axis=-1)
-    depth = np.where((rise > 0.02) & (rise < 0.3), 20, 0).astype(np.float32)
-    depth[:, :20] = 0
-    image = np.where(depth[..., None] > 0, 0.5, 0).repeat(3, axis=2).astype(np.float32)
-    closed = fill_reflection_holes(replace(view, image=image, depth=depth), LEVEL)
-    low = rise < 0.02
-    assert (closed.depth[low][:, None] == 20).mean() > 0.9 * (1 - 20 / camera.width)
-    assert (closed.image[low & (closed.depth > 0)] == 0.5).all()
-    assert (closed.sky[rise > 0.35] == 1).all()
-    assert (closed.sky[:, :20] == 1).all()
-    assert (closed.sky[closed.depth > 0] == 0).all()
 
 
 # Water

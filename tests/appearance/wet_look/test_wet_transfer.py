@@ -87,7 +87,7 @@ def wet_pictures(surroundings):
 def test_the_pictures_are_the_golden_ones(surroundings):
     """To write them anew: `python -m tests.appearance.wet_look.test_wet_transfer`."""
     difference = np.abs(wet_pictures(surroundings).astype(int) - np.asarray(Image.open(GOLDEN)))
-    assert difference.mean() < 0.1 and np.mean(difference > 3) < 0.002
+    assert np.mean(difference > 1) < 2e-4  # flips of rounding apart
 
 
 def test_more_wetness_is_more_of_everything(views, surroundings, soaked):
