@@ -22,6 +22,7 @@ from ...rain.simulation import RainCamera, RainSimulation
 from ...rain.wetness import water_depth_mm
 from ...render.cpu.projection import project
 from ...render.cpu.tiles import TILE, bin_into_tiles
+from ...render.draw import leveled_frame
 from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions
@@ -127,16 +128,6 @@ def scan_in_rain(
         fates=fates,
         signals=np.concatenate([signals[true], drop_signals])[order],
     )
-
-
-def leveled_frame(forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]) -> Pose:
-    """Frame of the rain's regions: x along a heading, z up, without tilt."""
-    length = float(np.hypot(forward[0], forward[1]))
-    x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
-    frame = np.eye(4)
-    frame[:2, :2] = [[x, -y], [y, x]]
-    frame[:3, 3] = origin_m
-    return frame
 
 
 def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: RainSimulation) -> Float64[np.ndarray, " n"]:
@@ -500,7 +491,7 @@ def capture_turns(
         if range_m is not None:
             own = msgspec.structs.replace(sensor, range_m=min(max(range_m, 1.0), 1000.0))
         pose = None if capture.ego is None else capture.ego.pose(sweep.time_s)
-        forward, origin = ((1.0, 0.0, 0.0), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
+        forward, origin = (np.array([1.0, 0.0, 0.0]), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
         frame = leveled_frame(forward, origin)
         yield LidarTurn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
 
