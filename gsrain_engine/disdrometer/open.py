@@ -23,7 +23,7 @@ from .parsivel import (
     read_parsivel_log,
     read_parsivel_telegrams,
 )
-from .spectra import DisdrometerFileError, DisdrometerReading, SingleDrops, UnknownKindError
+from .spectra import DisdrometerFileError, DisdrometerReading, UnknownKindError
 from .tables import (
     TableColumns,
     is_minute_table,
@@ -42,8 +42,6 @@ from .two_dvd import (
     read_two_dvd,
     read_two_dvd_minutes,
 )
-
-__all__ = ["DisdrometerFileError", "DisdrometerReading", "SingleDrops", "UnknownKindError", "read_disdrometer"]
 
 _TEXTS = (
     (is_parsivel_log, read_parsivel_log),
