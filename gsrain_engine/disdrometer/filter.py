@@ -64,20 +64,19 @@ def apply_quality_control(
     smallest_mm: float = 0.25,
     speed_tolerance: float = 0.6,
     fewest_drops: float = 10,
-    classes: Bool[np.ndarray, "diameters velocities"] | None = None,
 ) -> tuple[DropSpectra, QualityControlReport]:
     """Remove drops that can't be completely measured rain, then records with too few drops left.
 
     In this order: drops below `smallest_mm`; margin fallers, cut by the rim of the light sheet so that they appear too
     small for their speed; splashes from the housing, small and slow; all other drops whose speed differs from Atlas et
-    al. (1973) by more than the fraction `speed_tolerance` (0.6 as in Jaffrain and Berne 2011); drops outside `classes`,
-    if given; records of fewer than `fewest_drops`. A class is judged by its center. Without measured speeds the speed
-    masks are skipped and reported as such. Raises `ValueError` if `classes` and the spectra differ in shape.
+    al. (1973) by more than the fraction `speed_tolerance` (0.6 as in Jaffrain and Berne 2011); records of fewer than
+    `fewest_drops`. A class is judged by its center. Without measured speeds the speed masks are skipped and reported as
+    such.
     """
     counts = spectra.counts.sum(axis=0)
     trusted = np.ones(counts.shape, bool)
     reports: list[MaskReport] = []
-    for name, rule, mask in _masks(spectra, smallest_mm, speed_tolerance, classes):
+    for name, rule, mask in _masks(spectra, smallest_mm, speed_tolerance):
         if mask is None:
             reports.append(MaskReport(name=name, rule=rule, drops=0.0, records=0, not_applied=_NO_SPEED))
         else:
@@ -104,9 +103,7 @@ def apply_quality_control(
     return kept[enough], report
 
 
-def _masks(
-    spectra: DropSpectra, smallest_mm: float, tolerance: float, classes: Bool[np.ndarray, "diameters velocities"] | None
-) -> Iterator[_Mask]:
+def _masks(spectra: DropSpectra, smallest_mm: float, tolerance: float) -> Iterator[_Mask]:
     diameters = np.broadcast_to(spectra.diameters_mm[:, None], spectra.counts.shape[1:])
     yield "small drops", f"D < {smallest_mm:g} mm", diameters < smallest_mm
     speeds, off = spectra.velocities_m_s, None
@@ -120,7 +117,3 @@ def _masks(
     yield "margin fallers", margin, is_margin
     yield "splashes", splash, is_splash
     yield "fall speed", speed, None if off is None else np.abs(off) > tolerance
-    if classes is not None:
-        if off is not None and classes.shape != off.shape:
-            raise ValueError(f"classes has the shape {classes.shape}, the spectra's classes {off.shape}")
-        yield "classes", "outside the given classes", None if off is None else ~classes

@@ -497,9 +497,9 @@ def capture_turns(
 
 
 def scene_turns(
-    scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT, height_m: float = ROOF_M
+    scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT
 ) -> Iterator[LidarTurn]:
-    """Yield virtual turns of a level sensor `height_m` over the road; raises ValueError without an ego vehicle."""
+    """Yield virtual turns of a level sensor `ROOF_M` over the road; raises ValueError without an ego vehicle."""
     for number, time_s in enumerate(times_s):
         ego = scene.ego_to_world(time_s)
         if ego is None:
@@ -508,7 +508,7 @@ def scene_turns(
             )
         frame = leveled_frame(ego[:3, 0], ego[:3, 3])
         pose = frame.copy()
-        pose[2, 3] += height_m - EGO_HEIGHT_M
+        pose[2, 3] += ROOF_M - EGO_HEIGHT_M
         yield LidarTurn(f"scan{number:04d}", scan_scene(scene, time_s, pose, sensor, matt), frame, sensor)
 
 
