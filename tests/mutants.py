@@ -206,7 +206,7 @@ def passive_parts(tree: ast.Module) -> Iterator[ast.AST]:
             yield node
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             yield node
-        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith(("logger.", "warnings.")):
+        if isinstance(node, ast.Expr) and ast.unparse(node).startswith(("logger.", "warnings.")):
             yield node
 
 

@@ -1,6 +1,5 @@
 """`gsrain evaluate detection`: effect of rain on object detectors."""
 
-import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -40,7 +39,7 @@ from gsrain_engine.render.sequence import find_rig_cameras
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.render.video import VideoWriter
-from gsrain_engine.safe_io.limits import open_file
+from gsrain_engine.safe_io.limits import file_sha256
 from gsrain_engine.scene.open import file_hash, load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
 
@@ -281,7 +280,8 @@ def detection_numbers(
         "source": source.name,
         "command": command_line(),
         "detectors": {
-            each.name: {"file": file.name, "sha256": _sha256(file)} for each, file in zip(detectors, files, strict=True)
+            each.name: {"file": file.name, "sha256": file_sha256(file)}
+            for each, file in zip(detectors, files, strict=True)
         },
         "inputs": source.inputs,
         "frames": [each.name for each in source.frames],
@@ -343,11 +343,6 @@ def print_scores(scored: Sequence[summary.ScoreByIntensity], console: Console) -
 
 def _change(mean: float, low: float, high: float) -> str:
     return f"{mean:+.3f}" if low != low else f"{mean:+.3f} ({low:+.3f}..{high:+.3f})"
-
-
-def _sha256(file: Path) -> str:
-    with open_file(file) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 # Tables, figures, report and video

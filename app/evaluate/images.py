@@ -28,9 +28,10 @@ from gsrain_engine.evaluation.fid import (
 )
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
 from gsrain_engine.evaluation.image_metrics import CONFIDENCE, ImageDistance, MeanInterval, check_pair, mean_interval
-from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read_lpips_weights, write_arrays
+from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, read_lpips_weights, write_arrays
 from gsrain_engine.evaluation.report import ReportTable, RunReport, input_fingerprint
 from gsrain_engine.evaluation.report_charts import ImageComparison
+from gsrain_engine.safe_io.limits import file_sha256
 
 from .. import outputs
 from ..console import Console, Table, bold, print, progress_bar
@@ -354,7 +355,7 @@ def lpips_weights(
     weights = read_lpips_weights(*files)
     weights.write(output)
     title = {"alex": "AlexNet", "vgg": "VGG16"}[weights.network]
-    print(f"{output}: LPIPS of {title}, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {hash_of(output)[:16]}")
+    print(f"{output}: LPIPS of {title}, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {file_sha256(output)[:16]}")
 
 
 def inception_weights(
@@ -370,7 +371,7 @@ def inception_weights(
     except ModuleNotFoundError as error:
         raise ValueError(f"inception-weights needs {error.name}: pip install 'gsrain[evaluate]'") from None
     write_arrays(output, weights)
-    print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {hash_of(output)[:16]}")
+    print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {file_sha256(output)[:16]}")
 
 
 def open_lpips(weights: str) -> ImageDistance:

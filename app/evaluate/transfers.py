@@ -159,7 +159,7 @@ def print_transfers(result: translators.ComparisonResult, console: Console) -> N
     titles = f"method,N,{distance.metric},95 %,same,{kernel},95 %,error,ratio,per contrast,dry,s"
     table = table_of(titles, wraps=True)
     for row in result.rows:
-        values = {name: _cell(value) for name, value in row.values.items()}
+        values = {name: results.cell_text(value) for name, value in row.values.items()}
         frechet, kernel_value = (
             (bold(values[name]), f"{values[f'{name} low']} to {values[f'{name} high']}")
             for name in (distance.metric, kernel)
@@ -188,9 +188,3 @@ def _changed(method: results.ComparedMethod) -> str:
     defaults = {each.name: each.default for each in msgspec.structs.fields(method)}
     own = {key: value for key, value in values.items() if key not in ("name", "method") and value != defaults[key]}
     return ", ".join([method.method, *(f"{key} {value}" for key, value in own.items())])
-
-
-def _cell(value: str | float | None) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,17 +1,13 @@
-"""Quality control of drop spectra, class masks, and the bytes of disdrometer files."""
+"""Quality control of drop spectra: masks of drops that can't be rain, and a report of what they removed."""
 
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
 
 from ..rain.calibration import atlas_velocity
-from ..safe_io.limits import TooLargeError, read_file
-from .instruments import CLASSES
-from .spectra import DisdrometerFileError, DropSpectra
+from .spectra import DropSpectra
 
 LARGEST_MARGIN_FALLER_MM = 8.0
 """Larger drops break up in the air, so a larger and too fast one was not cut by the margin."""
@@ -68,20 +64,19 @@ def apply_quality_control(
     smallest_mm: float = 0.25,
     speed_tolerance: float = 0.6,
     fewest_drops: float = 10,
-    classes: Bool[np.ndarray, "diameters velocities"] | None = None,
 ) -> tuple[DropSpectra, QualityControlReport]:
     """Remove drops that can't be completely measured rain, then records with too few drops left.
 
     In this order: drops below `smallest_mm`; margin fallers, cut by the rim of the light sheet so that they appear too
     small for their speed; splashes from the housing, small and slow; all other drops whose speed differs from Atlas et
-    al. (1973) by more than the fraction `speed_tolerance` (0.6 as in Jaffrain and Berne 2011); drops outside `classes`,
-    if given; records of fewer than `fewest_drops`. A class is judged by its center. Without measured speeds the speed
-    masks are skipped and reported as such. Raises `ValueError` if `classes` and the spectra differ in shape.
+    al. (1973) by more than the fraction `speed_tolerance` (0.6 as in Jaffrain and Berne 2011); records of fewer than
+    `fewest_drops`. A class is judged by its center. Without measured speeds the speed masks are skipped and reported as
+    such.
     """
     counts = spectra.counts.sum(axis=0)
     trusted = np.ones(counts.shape, bool)
     reports: list[MaskReport] = []
-    for name, rule, mask in _masks(spectra, smallest_mm, speed_tolerance, classes):
+    for name, rule, mask in _masks(spectra, smallest_mm, speed_tolerance):
         if mask is None:
             reports.append(MaskReport(name=name, rule=rule, drops=0.0, records=0, not_applied=_NO_SPEED))
         else:
@@ -108,9 +103,7 @@ def apply_quality_control(
     return kept[enough], report
 
 
-def _masks(
-    spectra: DropSpectra, smallest_mm: float, tolerance: float, classes: Bool[np.ndarray, "diameters velocities"] | None
-) -> Iterator[_Mask]:
+def _masks(spectra: DropSpectra, smallest_mm: float, tolerance: float) -> Iterator[_Mask]:
     diameters = np.broadcast_to(spectra.diameters_mm[:, None], spectra.counts.shape[1:])
     yield "small drops", f"D < {smallest_mm:g} mm", diameters < smallest_mm
     speeds, off = spectra.velocities_m_s, None
@@ -124,110 +117,3 @@ def _masks(
     yield "margin fallers", margin, is_margin
     yield "splashes", splash, is_splash
     yield "fall speed", speed, None if off is None else np.abs(off) > tolerance
-    if classes is not None:
-        if off is not None and classes.shape != off.shape:
-            raise ValueError(f"classes has the shape {classes.shape}, the spectra's classes {off.shape}")
-        yield "classes", "outside the given classes", None if off is None else ~classes
-
-
-# Class masks: 32 x 32 zeros and ones for Parsivel spectra, like PyDSD's conditional matrix
-
-
-def is_class_mask(lines: list[str]) -> bool:
-    """Return whether there are 32 rows of 32 numbers that are 0 or 1."""
-    rows = _rows(lines)
-    return len(rows) == CLASSES and all(len(row) == CLASSES and set(row) <= {"0", "1"} for row in rows)
-
-
-def _rows(lines: list[str]) -> list[list[str]]:
-    return [
-        [value.strip() for value in line.strip().removesuffix(",").split(",")]
-        for line in lines[: CLASSES + 2]
-        if line.strip()
-    ]
-
-
-# File contents
-
-LARGEST_FILE = 256 * 2**20
-"""Bytes after inflation: about two months of one-minute Parsivel records as text."""
-
-MAX_LINES = 8_000_000
-"""Maximum number of text lines: a telegram has one line a field, with some hundred bytes in three or four."""
-
-_GZIP_MAGIC = b"\x1f\x8b"
-_GZIP_WINDOW = 31
-_BLOCK = 2**20
-_TEXT_CONTROLS = b"\t\n\v\f\r\x02\x03\x04\x1a"  # telegrams begin with STX and end with ETX
-
-
-@dataclass(frozen=True, slots=True)
-class FileContents:
-    """Bytes of a file after inflation."""
-
-    path: Path
-    data: bytes
-    cut_off: bool
-    """True for a gzip stream that ended too early; the rest of the file is missing."""
-
-    @property
-    def is_text(self) -> bool:
-        """True if the first 4 KiB are text in any encoding that extends ASCII."""
-        start = self.data[:4096]
-        return bool(start) and not any(byte < 32 and byte not in _TEXT_CONTROLS for byte in start)
-
-    @property
-    def lines(self) -> list[str]:
-        """Lines without their ends, decoded as Latin-1, in which every byte is valid."""
-        if self.data.count(b"\n") > MAX_LINES:
-            raise DisdrometerFileError(self.path, f"the file holds more than {MAX_LINES:,} lines: split it by days")
-        text = self.data.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
-        return [line.rstrip("\r") for line in text.split("\n")]
-
-
-def read_contents(path: Path) -> FileContents:
-    """Read a whole file, inflating gzip.
-
-    Raises `DisdrometerFileError` if the file is absent, empty or larger than `LARGEST_FILE`, or its gzip stream is
-    damaged. A truncated gzip stream gives the data before the cut.
-    """
-    try:
-        data = read_file(path, LARGEST_FILE)
-    except TooLargeError:
-        raise _too_large(path) from None
-    except OSError as error:
-        raise DisdrometerFileError(path, error.strerror or str(error)) from None
-    cut_off = False
-    if data.startswith(_GZIP_MAGIC):
-        data, cut_off = _inflate(path, data)
-    if not data:
-        raise DisdrometerFileError(path, "the file is empty")
-    if len(data) > LARGEST_FILE:
-        raise _too_large(path)
-    return FileContents(path, data, cut_off)
-
-
-def _too_large(path: Path) -> DisdrometerFileError:
-    return DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
-
-
-def _inflate(path: Path, data: bytes) -> tuple[bytes, bool]:
-    """Inflate gzip members up to one byte more than `LARGEST_FILE`; also return whether the last is truncated."""
-    parts: list[bytes] = []
-    size = 0
-    while data.startswith(_GZIP_MAGIC):
-        member = zlib.decompressobj(_GZIP_WINDOW)
-        while not member.eof and size <= LARGEST_FILE:
-            try:
-                part = member.decompress(data, min(_BLOCK, LARGEST_FILE + 1 - size))
-            except zlib.error as error:
-                raise DisdrometerFileError(path, f"the gzip stream is damaged ({error})") from None
-            data = member.unconsumed_tail
-            if not part and not data and not member.eof:
-                return b"".join(parts), True
-            parts.append(part)
-            size += len(part)
-        if size > LARGEST_FILE:
-            break
-        data = member.unused_data
-    return b"".join(parts), False

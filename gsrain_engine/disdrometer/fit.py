@@ -12,7 +12,7 @@ from jaxtyping import Float64
 
 from ..rain.calibration import Calibration, Interval, Provenance, SourceFile, VelocityFit, save_calibration
 from ..rain.settings import RainSettings
-from ..safe_io.limits import open_file
+from ..safe_io.limits import file_sha256
 from ..safe_io.text_files import printable_line
 from .file_summary import MeasuredFile, check_rates, open_disdrometer_file
 from .fit_models import (
@@ -195,7 +195,7 @@ def rain_as_measured(
     files = [Path(each) for each in paths]
     fitted = calibrate(files, name=files[0].stem if files else "")
     if save_to is None:
-        digest = hashlib.sha256("".join(map(_sha256, files)).encode()).hexdigest()[:16]
+        digest = hashlib.sha256("".join(map(file_sha256, files)).encode()).hexdigest()[:16]
         save_to = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "calibrations" / f"{digest}.yaml"
     save_to = Path(save_to)
     save_to.parent.mkdir(parents=True, exist_ok=True)
@@ -234,7 +234,7 @@ def _provenance(files: Sequence[MeasuredFile], fitted: FittedCalibration, option
     times = times[~np.isnat(times)]
     low, high = fitted.fitted_range_mm
     return Provenance(
-        files=tuple(SourceFile(name=each.path.name, sha256=_sha256(each.path)) for each in files),
+        files=tuple(SourceFile(name=each.path.name, sha256=file_sha256(each.path)) for each in files),
         instrument=files[0].trusted.instrument,
         first=str(times.min().astype("datetime64[s]")) if times.size else None,
         last=str(times.max().astype("datetime64[s]")) if times.size else None,
@@ -246,8 +246,3 @@ def _provenance(files: Sequence[MeasuredFile], fitted: FittedCalibration, option
             f"95 % intervals of {options.resamples} bootstraps over minutes"
         ),
     )
-
-
-def _sha256(path: Path) -> str:
-    with open_file(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,5 +1,6 @@
 """Reader of disdrometer files of any format, detected from the content rather than the name."""
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -9,10 +10,10 @@ import h5py
 import xarray as xr
 
 from ..plugins import DISDROMETERS, Extension, ExtensionError, load_extensions
-from ..safe_io.limits import kind_of_bytes
+from ..safe_io.limits import TooLargeError, kind_of_bytes, read_file
 from .disdrodb import is_disdrodb, read_disdrodb
-from .filter import FileContents, is_class_mask, read_contents
 from .hdf5_trial import LARGEST_DATASET, passes_trial
+from .instruments import CLASSES
 from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra, with_whole_records
 from .parsivel import (
     is_parsivel_asdo,
@@ -22,7 +23,7 @@ from .parsivel import (
     read_parsivel_log,
     read_parsivel_telegrams,
 )
-from .spectra import DisdrometerFileError, DisdrometerReading, SingleDrops, UnknownKindError
+from .spectra import DisdrometerFileError, DisdrometerReading, UnknownKindError
 from .tables import (
     TableColumns,
     is_minute_table,
@@ -41,8 +42,6 @@ from .two_dvd import (
     read_two_dvd,
     read_two_dvd_minutes,
 )
-
-__all__ = ["DisdrometerFileError", "DisdrometerReading", "SingleDrops", "UnknownKindError", "read_disdrometer"]
 
 _TEXTS = (
     (is_parsivel_log, read_parsivel_log),
@@ -75,13 +74,13 @@ def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Disdrom
     return _with_cut(_read_text(path, contents), contents)
 
 
-def _with_cut(reading: DisdrometerReading, contents: FileContents) -> DisdrometerReading:
+def _with_cut(reading: DisdrometerReading, contents: "FileContents") -> DisdrometerReading:
     if contents.cut_off:
         return replace(reading, skipped=(*reading.skipped, "end of file: the gzip stream is cut off"))
     return reading
 
 
-def _read_text(path: Path, contents: FileContents) -> DisdrometerReading:
+def _read_text(path: Path, contents: "FileContents") -> DisdrometerReading:
     lines = contents.lines
     for recognizes, read in _TEXTS:
         if recognizes(lines):
@@ -94,11 +93,107 @@ def _read_text(path: Path, contents: FileContents) -> DisdrometerReading:
     raise _unknown_kind(contents, "line 1")
 
 
-def _unknown_kind(contents: FileContents, where: str) -> UnknownKindError:
+def is_class_mask(lines: list[str]) -> bool:
+    """Return whether there are 32 rows of 32 zeros and ones: classes of a Parsivel, like PyDSD's conditional matrix."""
+    rows = [
+        [value.strip() for value in line.strip().removesuffix(",").split(",")]
+        for line in lines[: CLASSES + 2]
+        if line.strip()
+    ]
+    return len(rows) == CLASSES and all(len(row) == CLASSES and set(row) <= {"0", "1"} for row in rows)
+
+
+def _unknown_kind(contents: "FileContents", where: str) -> UnknownKindError:
     """Error with the file's actual kind if its first bytes identify one, otherwise with the readable kinds."""
     path = contents.path
     kind = kind_of_bytes(contents.data, path.suffix.lower())
     return UnknownKindError(path, f"{where}: not a disdrometer file of a kind that is known", kind)
+
+
+# File contents
+
+LARGEST_FILE = 256 * 2**20
+"""Bytes after inflation: about two months of one-minute Parsivel records as text."""
+
+MAX_LINES = 8_000_000
+"""Maximum number of text lines: a telegram has one line a field, with some hundred bytes in three or four."""
+
+_GZIP_MAGIC = b"\x1f\x8b"
+_GZIP_WINDOW = 31
+_BLOCK = 2**20
+_TEXT_CONTROLS = b"\t\n\v\f\r\x02\x03\x04\x1a"  # telegrams begin with STX and end with ETX
+
+
+@dataclass(frozen=True, slots=True)
+class FileContents:
+    """Bytes of a file after inflation."""
+
+    path: Path
+    data: bytes
+    cut_off: bool
+    """True for a gzip stream that ended too early; the rest of the file is missing."""
+
+    @property
+    def is_text(self) -> bool:
+        """True if the first 4 KiB are text in any encoding that extends ASCII."""
+        start = self.data[:4096]
+        return bool(start) and not any(byte < 32 and byte not in _TEXT_CONTROLS for byte in start)
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines without their ends, decoded as Latin-1, in which every byte is valid."""
+        if self.data.count(b"\n") > MAX_LINES:
+            raise DisdrometerFileError(self.path, f"the file holds more than {MAX_LINES:,} lines: split it by days")
+        text = self.data.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
+        return [line.rstrip("\r") for line in text.split("\n")]
+
+
+def read_contents(path: Path) -> FileContents:
+    """Read a whole file, inflating gzip.
+
+    Raises `DisdrometerFileError` if the file is absent, empty or larger than `LARGEST_FILE`, or its gzip stream is
+    damaged. A truncated gzip stream gives the data before the cut.
+    """
+    try:
+        data = read_file(path, LARGEST_FILE)
+    except TooLargeError:
+        raise _too_large(path) from None
+    except OSError as error:
+        raise DisdrometerFileError(path, error.strerror or str(error)) from None
+    cut_off = False
+    if data.startswith(_GZIP_MAGIC):
+        data, cut_off = _inflate(path, data)
+    if not data:
+        raise DisdrometerFileError(path, "the file is empty")
+    if len(data) > LARGEST_FILE:
+        raise _too_large(path)
+    return FileContents(path, data, cut_off)
+
+
+def _too_large(path: Path) -> DisdrometerFileError:
+    return DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
+
+
+def _inflate(path: Path, data: bytes) -> tuple[bytes, bool]:
+    """Inflate gzip members up to one byte more than `LARGEST_FILE`; also return whether the last is truncated."""
+    parts: list[bytes] = []
+    size = 0
+    while data.startswith(_GZIP_MAGIC):
+        member = zlib.decompressobj(_GZIP_WINDOW)
+        while not member.eof and size <= LARGEST_FILE:
+            try:
+                part = member.decompress(data, min(_BLOCK, LARGEST_FILE + 1 - size))
+            except zlib.error as error:
+                raise DisdrometerFileError(path, f"the gzip stream is damaged ({error})") from None
+            data = member.unconsumed_tail
+            if not part and not data and not member.eof:
+                return b"".join(parts), True
+            parts.append(part)
+            size += len(part)
+        if size > LARGEST_FILE:
+            break
+        data = member.unused_data
+    return b"".join(parts), False
 
 
 # NetCDF

@@ -115,8 +115,8 @@ def markdown_table(rows: Sequence[ComparedRow]) -> str:
         values = row.values
         frechet = _within(values, distance.metric)
         cells = [row.name, str(values["N"]), f"**{frechet}**" if row.distance.frechet == best else frechet]
-        cells += [_cell_text(values["same"]), _within(values, kernel)]
-        cells += [_cell_text(values[each]) for each in titles[5:]]
+        cells += [cell_text(values["same"]), _within(values, kernel)]
+        cells += [cell_text(values[each]) for each in titles[5:]]
         lines.append(_line(cells))
     note = (
         f'Compared with {distance.real_pictures} real pictures; features: {distance.extractor}. "same": the distance '
@@ -173,10 +173,10 @@ def _errors(agreement: WarpAgreement | None) -> tuple[float | None, float | None
 
 
 def _within(values: dict[str, Value], name: str) -> str:
-    return f"{_cell_text(values[name])} [{_cell_text(values[f'{name} low'])}, {_cell_text(values[f'{name} high'])}]"
+    return f"{cell_text(values[name])} [{cell_text(values[f'{name} low'])}, {cell_text(values[f'{name} high'])}]"
 
 
-def _cell_text(value: Value) -> str:
+def cell_text(value: Value) -> str:
     if value is None:
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

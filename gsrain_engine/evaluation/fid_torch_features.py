@@ -12,9 +12,9 @@ import numpy as np
 import platformdirs
 from jaxtyping import Float32, UInt8
 
-from ..safe_io.limits import open_file
+from ..safe_io.limits import file_sha256, open_file
 from .fid_features import Extractor, ExtractorChoice, resized
-from .lpips_weights import SUFFIXES, hash_of, read_arrays
+from .lpips_weights import SUFFIXES, read_arrays
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -35,7 +35,7 @@ def open_inception(choice: ExtractorChoice) -> Extractor:
     file = choice.weights or inception_weights_file()
     if not file.is_file():
         raise FileNotFoundError(f"{file}: no such file")
-    digest, is_script = hash_of(file), is_torchscript(file)
+    digest, is_script = file_sha256(file), is_torchscript(file)
     if is_script and not choice.allows_torchscript:
         raise ValueError(
             f"{file}: is TorchScript, which brings a program of its own; take .pth or .safetensors, or allow it by "

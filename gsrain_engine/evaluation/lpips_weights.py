@@ -1,6 +1,5 @@
 """LPIPS weights: search on this machine, readers of the published layouts, and array files."""
 
-import hashlib
 import os
 import re
 from collections.abc import Mapping
@@ -162,11 +161,6 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         else:
             with temporary.open("wb") as file:  # given a path, NumPy would append its own suffix
                 np.savez(file, **contiguous)
-
-
-def hash_of(path: Path) -> str:
-    with open_file(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _safetensors_module(path: Path) -> Any:

@@ -189,6 +189,7 @@ _LINES: tuple[str | tuple[int, tuple[float, ...]], ...] = (
     "-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)),
 )  # fmt: skip
 _MARKERS = ("o", "s", "^", "D", "v", "P")
+_LIGHTEST = 0.3  # place of the lightest shade in its color map: lighter ones are hardly visible on white
 Color = tuple[float, ...]
 
 
@@ -215,12 +216,12 @@ def series_styles(count: int) -> list[SeriesStyle]:
     return styles
 
 
-def shades(count: int, low: float = 0.3, high: float = 1.0, colormap: str = "Blues") -> list[Color]:
+def shades(count: int) -> list[Color]:
     """Return `count` colors from light to dark, for ordered curves."""
     from matplotlib import colormaps  # slow to import, and rarely needed
 
-    places = np.linspace(low, high, count) if count > 1 else np.array([(low + high) / 2])
-    return [tuple(colormaps[colormap](each)) for each in places]
+    places = np.linspace(_LIGHTEST, 1, count) if count > 1 else np.array([(_LIGHTEST + 1) / 2])
+    return [tuple(colormaps["Blues"](each)) for each in places]
 
 
 # Templates of pages and charts

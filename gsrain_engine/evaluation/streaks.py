@@ -354,6 +354,7 @@ def render_rain_frames(
 # Comparison with real rain
 
 _SKY_PERCENTILE = 90
+_MAX_SPACING_S = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -391,10 +392,10 @@ def above_horizon(sequence: RainSequence) -> Window:
     return 0, 0, camera.width, int(np.clip(camera.cy, 1, camera.height))
 
 
-def evenly_chosen(sequence: RainSequence, count: int, max_spacing_s: float = 0.2) -> list[int]:
-    """Choose frames around the middle of a sequence, at most `max_spacing_s` apart: light and wind change slowly."""
+def evenly_chosen(sequence: RainSequence, count: int) -> list[int]:
+    """Choose frames around the middle of a sequence, at most 0.2 s apart: light and wind change slowly."""
     spacing = (sequence.times_s[-1] - sequence.times_s[0]) / max(len(sequence) - 1, 1)
-    step = max(min(len(sequence) // count, int(max_spacing_s / spacing + 0.5)), 1) if spacing > 0 else 1
+    step = max(min(len(sequence) // count, int(_MAX_SPACING_S / spacing + 0.5)), 1) if spacing > 0 else 1
     number = min(count, len(sequence))
     first = (len(sequence) - (number - 1) * step - 1) // 2
     return [first + k * step for k in range(number)]

@@ -78,15 +78,16 @@ def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Flo
     ego = scene.ego_to_world(shot.time_s)
     position = shot.camera.position
     if ego is not None:
-        level = _leveled(ego[:3, 0], ego[:3, 3])
+        level = leveled_frame(ego[:3, 0], ego[:3, 3])
         local = level[:3, :3].T @ (position - level[:3, 3])
         region = rainfall.rain.streak_region
         if np.all(local >= region.minimum_m) and np.all(local <= region.maximum_m):
             return level
-    return _leveled(shot.camera.world_to_camera[2, :3], position)
+    return leveled_frame(shot.camera.world_to_camera[2, :3], position)
 
 
-def _leveled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+def leveled_frame(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+    """Frame of the rain's regions: x along a heading, z up, without tilt."""
     length = float(np.hypot(forward[0], forward[1]))
     x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
     frame = np.eye(4)

@@ -1,6 +1,7 @@
 """Limits on untrusted input (kind of file, bytes, time) for files, pipes, devices and sockets."""
 
 import errno
+import hashlib
 import ipaddress
 import os
 import pickle
@@ -179,6 +180,12 @@ def open_file(path: Path | str, max_bytes: int | None = None) -> BufferedReader:
         stream.close()
         _refuse_size(path, max_bytes)
     return stream
+
+
+def file_sha256(path: Path | str) -> str:
+    """SHA-256 of a file's bytes, 64 hex digits; raises as `open_file` does."""
+    with open_file(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def check_file(path: Path | str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import platformdirs
 from jaxtyping import Int64
 
-from ..safe_io.limits import open_file
+from ..safe_io.limits import file_sha256
 from . import lod_order
 from .camera import Camera
 from .files import SceneFormatError
@@ -150,8 +150,7 @@ def scene_hash(name: str | None) -> str:
 
 def file_hash(path: Path) -> str:
     """Hash (SHA-256, 16 hex digits) of a file's bytes; raises OSError if it can't be read."""
-    with open_file(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:_HASH_DIGITS]
+    return file_sha256(path)[:_HASH_DIGITS]
 
 
 # Random scenes for benchmarks

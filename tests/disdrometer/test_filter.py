@@ -26,8 +26,6 @@ def spectra(*drops: tuple[float, float, int]) -> DropSpectra:
     )
 
 
-MASK = np.ones((100, 150), bool)
-MASK[20] = False
 # Atlas et al.: 0.1 mm/s at 0.15 mm, 4.16 m/s at 1.05 mm, 9.15 m/s at 5.05 mm.
 DIRT = (0.15, 0.45, 1), (1.05, 6.95, 2), (1.05, 1.45, 4), (5.05, 1.05, 8)
 
@@ -41,7 +39,6 @@ DIRT = (0.15, 0.45, 1), (1.05, 6.95, 2), (1.05, 1.45, 4), (5.05, 1.05, 8)
          {"margin fallers": 2, "splashes": 8}),
         (((1.05, 6.75, 2),), {"speed_tolerance": 0.7}, {"margin fallers": 0}),
         (((1.05, 9.95, 100),), {"fewest_drops": 21}, {"margin fallers": 100, "few drops": 20}),
-        (((2.05, 6.95, 7),), {"classes": MASK}, {"classes": 7}),
     ],
 )  # fmt: skip
 def test_each_mask_takes_its_own(dirt, options, removed):
@@ -65,10 +62,8 @@ def test_without_speeds_the_masks_of_speed_are_left_out_and_named():
     assert "not applied" in report.lines[3]
 
 
-def test_noise_adds_up_and_classes_must_fit():
+def test_what_is_removed_from_noise_adds_up():
     noisy = replace(spectra(), counts=np.random.default_rng(3).poisson(0.01, (2, 100, 150)).astype(float))
     trusted, report = apply_quality_control(noisy)
     assert report.drops - sum(mask.drops for mask in report.masks) == report.drops_kept == trusted.counts.sum() > 0
     assert report.records - sum(mask.records for mask in report.masks) == report.records_kept == len(trusted)
-    with pytest.raises(ValueError, match="classes"):
-        apply_quality_control(spectra(), classes=MASK[:50])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import parsivel_text
-from gsrain_engine.disdrometer import filter, spectra
+from gsrain_engine.disdrometer import open, spectra
 from gsrain_engine.disdrometer.instruments import PARSIVEL, THIES
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError, DisdrometerReading, UnknownKindError
@@ -260,12 +260,12 @@ def test_sizes_are_bounded(tmp_path, monkeypatch):
     monkeypatch.setattr(spectra, "MAX_COUNTS", 2 * 1024)
     with pytest.raises(DisdrometerFileError, match="line 3: more than 2 spectra"):
         read(tmp_path, *(station_line(second) for second in range(3)))
-    monkeypatch.setattr(filter, "LARGEST_FILE", 2**20)
+    monkeypatch.setattr(open, "LARGEST_FILE", 2**20)
     for data in (gzip.compress(bytes(2**20 + 1)), bytes(2**20 + 1)):
         (tmp_path / "bomb.gz").write_bytes(data)
         with pytest.raises(DisdrometerFileError, match="more than 1 MiB"):
             read_disdrometer(tmp_path / "bomb.gz")
-    monkeypatch.setattr(filter, "MAX_LINES", 2)
+    monkeypatch.setattr(open, "MAX_LINES", 2)
     with pytest.raises(DisdrometerFileError, match="more than 2 lines"):
         read(tmp_path, "a", "b", "c", "d")
 

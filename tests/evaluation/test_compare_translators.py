@@ -1,5 +1,7 @@
 """Comparisons without a command: settings, what a stopped run leaves, stamps, the figure's empty places."""
 
+import csv
+import io
 import os
 
 import numpy as np
@@ -10,8 +12,10 @@ from gsrain_engine.evaluation.compare_results import (
     ComparedMethod,
     ComparisonPairs,
     TransferComparison,
+    comparison_csv,
     load_comparison,
     markdown_table,
+    plain_row,
 )
 from gsrain_engine.evaluation.compare_translators import (
     MethodFolder,
@@ -72,6 +76,13 @@ def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
     assert is_transferred_folder(tmp_path / "out" / "clear")
     result = finished(work())
     assert result.reused == ("clear",)
+    for row, cells in zip(result.rows, csv.DictReader(io.StringIO(comparison_csv(result.rows))), strict=True):
+        found = row.everywhere
+        assert float(cells["error before"]) == pytest.approx(255 * found.before.rmse)
+        assert float(cells["error after"]) == pytest.approx(255 * found.after.rmse)
+        assert float(cells["KD-pixels16 x1000"]) == pytest.approx(1000 * row.distance.kernel)
+        assert (cells["ratio"], cells["pairs"]) == (str(found.ratio), str(row.pairs))
+        assert plain_row(row)["rmse_before"] == found.before.rmse
     second = finished(work())
     assert second.reused == ("clear", "wet")
     assert markdown_table(second.rows) == markdown_table(result.rows)

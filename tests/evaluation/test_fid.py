@@ -105,6 +105,8 @@ def test_where_rounding_would_tell_the_slower_way_is_taken():
     assert frechet_distance(flat, real) == pytest.approx(np.var(real[:, 290:], axis=0, ddof=1).sum(), rel=0.2)
     total, uncertain = nuclear_norm(flat, flat)
     assert abs(total - np.linalg.svd(flat @ flat.T, compute_uv=False).sum()) <= uncertain
+    total, uncertain = nuclear_norm(real[:100, :40], real[100:200, :40])
+    assert 0 < uncertain < 1e-12 * total
 
 
 @pytest.mark.parametrize(("n", "features"), [(12, 30), (40, 7), (400, 300)])

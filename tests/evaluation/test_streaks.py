@@ -167,7 +167,7 @@ def test_statistics_count_what_the_band_holds():
     assert sum(statistics.length_histogram) == sum(statistics.angle_histogram) == 2
     assert statistics.length_histogram[2] == 1  # 20..30 px
     assert statistics.angle_deg[1] == pytest.approx(10, abs=2.5)
-    assert [high for _, high in BANDS[:-1]] == [low for low, _ in BANDS[1:]]  # each pixel is in one of them
+    assert [0, *(high for _, high in BANDS[:-1])] == [low for low, _ in BANDS]  # each pixel is in one of them
     halves = [streak_statistics(bright, darker, found, band).megapixels for band in ((32, 45), (45, 64))]
     assert sum(halves) == pytest.approx(statistics.megapixels) and min(halves) > 0
     brighter = streak_statistics(bright, darker, found, (64, 96))

@@ -146,7 +146,7 @@ def robustness_of(scored: Sequence[ScoreByIntensity]) -> dict[str, Robustness]:
     return found
 
 
-def distance_scores(rows: Sequence[ObjectRow], edges_m: Sequence[float] = DISTANCES_M) -> list[DistanceScore]:
+def distance_scores(rows: Sequence[ObjectRow]) -> list[DistanceScore]:
     """Recall by distance of each detector in each condition, over all seeds; bins without objects are omitted."""
     by_weather: dict[_Weather, list[ObjectRow]] = defaultdict(list)
     for row in rows:
@@ -156,7 +156,7 @@ def distance_scores(rows: Sequence[ObjectRow], edges_m: Sequence[float] = DISTAN
     detectors = list(dict.fromkeys(row.detector for row in rows))
     for weather, own in sorted(by_weather.items(), key=lambda each: (detectors.index(each[0][0]), each[0][2])):
         distances, confidences = _array(own, "distance_m"), _array(own, "confidence")
-        bins = recall_by_distance(distances, confidences, edges_m, FOUND_FROM)
+        bins = recall_by_distance(distances, confidences, DISTANCES_M, FOUND_FROM)
         found += [DistanceScore(*weather, each) for each in bins if each.objects]
     return found
 

@@ -23,6 +23,7 @@ from ...rain.simulation import RainSimulation
 from ...rain.wetness import water_depth_mm
 from ...render.cpu.projection import project
 from ...render.cpu.tiles import TILE, bin_into_tiles
+from ...render.draw import leveled_frame
 from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions
@@ -128,16 +129,6 @@ def scan_in_rain(
         fates=fates,
         signals=np.concatenate([signals[true], drop_signals])[order],
     )
-
-
-def leveled_frame(forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]) -> Pose:
-    """Frame of the rain's regions: x along a heading, z up, without tilt."""
-    length = float(np.hypot(forward[0], forward[1]))
-    x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
-    frame = np.eye(4)
-    frame[:2, :2] = [[x, -y], [y, x]]
-    frame[:3, 3] = origin_m
-    return frame
 
 
 def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: RainSimulation) -> Float64[np.ndarray, " n"]:
@@ -501,15 +492,15 @@ def capture_turns(
         if range_m is not None:
             own = msgspec.structs.replace(sensor, range_m=min(max(range_m, 1.0), 1000.0))
         pose = None if capture.ego is None else capture.ego.pose(sweep.time_s)
-        forward, origin = ((1.0, 0.0, 0.0), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
+        forward, origin = (np.array([1.0, 0.0, 0.0]), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
         frame = leveled_frame(forward, origin)
         yield LidarTurn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
 
 
 def scene_turns(
-    scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT, height_m: float = ROOF_M
+    scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT
 ) -> Iterator[LidarTurn]:
-    """Yield virtual turns of a level sensor `height_m` over the road; raises ValueError without an ego vehicle."""
+    """Yield virtual turns of a level sensor `ROOF_M` over the road; raises ValueError without an ego vehicle."""
     for number, time_s in enumerate(times_s):
         ego = scene.ego_to_world(time_s)
         if ego is None:
@@ -518,7 +509,7 @@ def scene_turns(
             )
         frame = leveled_frame(ego[:3, 0], ego[:3, 3])
         pose = frame.copy()
-        pose[2, 3] += height_m - EGO_HEIGHT_M
+        pose[2, 3] += ROOF_M - EGO_HEIGHT_M
         yield LidarTurn(f"scan{number:04d}", scan_scene(scene, time_s, pose, sensor, matt), frame, sensor)
 
 

@@ -209,6 +209,7 @@ def constant(*shapes, **options):
         (constant(rows()), "yolo_end_to_end", "names no classes"),
         (constant(rows(), metadata=NAMES, input_shape=(1, 64, 64, 3)), None, r"64, 64, 3.*\(1, 3, height, width\)"),
         (constant(rows(), metadata=NAMES, input_shape=(4, 3, 64, 64)), None, "takes images .*one picture"),
+        (constant(rows(), metadata=NAMES, input_shape=(1, 3, 9000, 64)), None, "8192"),
         (lambda path: path.write_bytes(b"not a network"), None, "not an ONNX file|takes nothing"),
         (lambda path: path.write_bytes(b""), None, "not an ONNX file|takes nothing"),
         (lambda path: path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\n"), None, "git lfs"),

@@ -27,7 +27,7 @@ def at(x: float, width: float = 40.0, name: str = "car", confidence: float = 1.0
 
 ROW = [at(x) for x in (0, 100, 200)]
 VEHICLES = [at(0, name="vehicle"), at(100, name="vehicle"), at(200)]
-FOUND = [at(0, name="truck"), at(100), at(200)]
+FOUND, BUS = [at(0, name="truck"), at(100), at(200)], at(300, name="bus")
 
 
 @pytest.mark.parametrize(
@@ -40,6 +40,12 @@ FOUND = [at(0, name="truck"), at(100), at(200)]
         ([[*ROW, at(300, name="bus")]], [[*ROW, at(300, name="dog"), at(400, name="dog")]], 0.5, 0.5),
         ([VEHICLES], [FOUND], 1, 1),  # a vehicle is any of its kinds, and each detection counts once
         ([VEHICLES], [[*FOUND, at(400, confidence=2.0)]], None, (1 + 0.5) / 2),  # wrong among the cars alone
+        (
+            [[*VEHICLES[:2], BUS]],
+            [[*VEHICLES[:2], BUS, at(400, name="vehicle", confidence=2.0)]],
+            None,
+            (1 + 2 / 3) / 2,
+        ),
     ],
 )
 def test_average_precision_of_known_cases(truths, found, map_, map50):

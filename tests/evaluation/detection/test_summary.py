@@ -141,8 +141,7 @@ def test_styles_of_curves_differ_and_shades_go_from_light_to_dark():
     assert len({style[:3] for style in series_styles(300)}) == 300
     lightness = [sum(color[:3]) for color in shades(5)]
     assert lightness == sorted(lightness, reverse=True)
-    assert shades(2, low=0.2, high=0.8) == shades(3, low=0.2, high=0.8)[::2]
-    assert shades(1, low=0.2, high=0.8) == shades(3, low=0.2, high=0.8)[1:2]
+    assert shades(2) == shades(3)[::2] and shades(1) == shades(3)[1:2]
     for entries, height_in, columns in ((0, 3, 1), (16, 3, 1), (17, 3, 2), (33, 3, 3), (4, 0.1, 4)):
         assert legend_columns(entries, height_in) == columns  # 5.4 lines an inch: 16 on three inches
         assert legend_width_in(entries, height_in) == pytest.approx(2.1 * columns)

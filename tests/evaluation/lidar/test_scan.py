@@ -19,7 +19,6 @@ from gsrain_engine.evaluation.lidar.scan import (
     estimate_sensor_range,
     evenly_spaced,
     full_intensity,
-    leveled_frame,
     scan_in_rain,
     scan_scene,
     scene_turns,
@@ -28,6 +27,7 @@ from gsrain_engine.evaluation.lidar.scan import (
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.draw import leveled_frame
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import Layer, PoseTrack
 from small_scene import small_scene
@@ -374,7 +374,7 @@ def test_a_weak_sensor_hears_less():
 
 
 def test_frames_are_level_and_some_are_chosen_evenly():
-    frame = leveled_frame((0.0, 2.0, 0.5), np.array([1.0, 2, 3]))
+    frame = leveled_frame(np.array([0.0, 2.0, 0.5]), np.array([1.0, 2, 3]))
     np.testing.assert_allclose(frame @ [1, 0, 0, 1], [1, 3, 3, 1])
     np.testing.assert_allclose(frame[:3, 2], [0, 0, 1])
     assert evenly_spaced(10, 3) == [0, 3, 6] and evenly_spaced(2, 5) == [0, 1]
