@@ -16,6 +16,7 @@ from gsrain_engine.disdrometer.fit_models import (
     fit_by_likelihood,
     fit_by_moments,
     fit_velocity,
+    percentile_interval,
     speed_weights,
     sum_minutes,
 )
@@ -147,6 +148,7 @@ def test_the_papers_line_of_axis_ratios_comes_back():
     assert np.all(fit.quartiles[0] < fit.medians) and np.all(fit.medians < fit.quartiles[1])
     assert fit_axis_ratio(drops(20_000, speed_factor=0.3)) is None  # splashes
     assert fit_axis_ratio(drops(20_000, largest=1.4)) is None  # all small
+    assert fit_axis_ratio(drops(20_000, largest=1.75)) is not None  # three classes of large ones
 
 
 def test_r2_of_medians_on_a_bow_is_the_square_of_their_correlation():
@@ -158,7 +160,12 @@ def test_r2_of_medians_on_a_bow_is_the_square_of_their_correlation():
     assert fit.r2 == pytest.approx(expected, abs=0.003) and 0.9 < expected < 0.99
 
 
-# Spectra and minutes
+# Intervals, spectra and minutes
+
+
+def test_intervals_hold_95_percent_to_four_digits():
+    assert percentile_interval(np.arange(1001) / 3) == (8.333, 325.0)
+
 
 THREE = [[[1, 2], [0, 4]], [[3, 0], [0, 0]], [[0, 0], [0, 8]]]
 
