@@ -44,6 +44,7 @@ def own_folders(tmp_path, monkeypatch):
 def scene_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scenes") / "road"
     write_scene(small_scene("road"), folder)
+    assert run(["render", str(folder), "-o", str(folder.parent / "first.npy"), *CLIP]) == 0  # fills Numba's cache
     return folder
 
 
