@@ -177,14 +177,15 @@ def option_words(settings: "msgspec.Struct", command: str) -> list[str]:
     """Return the options of a command that make these settings of the default ones; required settings are left out."""
     words: list[str] = []
     for each in fields_of(type(settings)):
-        value = getattr(settings, each.name)
+        value: Any = getattr(settings, each.name)
         if command not in each.commands or each.default is msgspec.NODEFAULT or value == each.default:
             continue
-        words.append(each.options[-1] if value is not False else f"--no-{each.options[-1][2:]}")
-        if each.is_size:
-            words.append("x".join(map(str, value)))
-        elif not isinstance(value, bool):
-            words.append(",".join(map(str, value if isinstance(value, tuple) else (value,))))
+        option = each.options[-1]
+        if isinstance(value, bool):
+            words.append(option if value else f"--no-{option[2:]}")
+        else:
+            values = value if isinstance(value, tuple) else (value,)
+            words += [option, ("x" if each.is_size else ",").join(map(str, values))]
     return words
 
 

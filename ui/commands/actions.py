@@ -4,14 +4,12 @@ from pathlib import Path
 
 from gsrain_engine.editor.camera_path import CameraPathEditor
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.drive import RolloutPlayer
 from gsrain_engine.editor.edits import gaussians, layers
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.formats.registry import scene_suffixes
 
-from ..panels import drive
 from ..widgets.fields import SCENE_FOLDERS, ask_what_to_open, ask_where_to_save, exported_kinds
 
 # Preconditions
@@ -46,10 +44,6 @@ def ask_where_to_save_scene(files: Files) -> None:
 
 def ask_where_to_export(files: Files) -> None:
     ask_where_to_save("Export a file", exported_kinds(), lambda chosen: files.export_to(chosen[0]))
-
-
-def ask_where_to_save_scenario(rollouts: RolloutPlayer) -> None:
-    drive.ask_where_to_save_scenario(rollouts.setup)
 
 
 def _opened(path: Path) -> str:
