@@ -350,7 +350,8 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Open a scenario...", "ui.panels.drive:ask_for_scenario", "Drive",
                 help="Open a scenario: GSRAIN's YAML, HUGSIM's YAML, or OpenSCENARIO.", shell="drive",
                 python="load_scenario"),
-        Command("Save the scenario...", lambda rollouts: function_at("ui.panels.drive:ask_where_to_save_scenario")(rollouts.setup), "Drive",
+        Command("Save the scenario...",
+                lambda rollouts: function_at("ui.panels.drive:ask_where_to_save_scenario")(rollouts.setup), "Drive",
                 help="Write the scenario with the changes of the Drive panel as YAML."),
     ),
     (
