@@ -168,7 +168,9 @@ class PreparedTraining:
     own_body: "EgoMaskReport"
 
 
-class _TrainingHeader(CheckpointHeader, frozen=True, kw_only=True):
+class TrainingHeader(CheckpointHeader, frozen=True, kw_only=True):
+    """Header of a reconstruction's checkpoint."""
+
     capture: str
     """Text that identifies the capture and its views."""
     settings: TrainingSettings
@@ -184,7 +186,7 @@ def _load(file: Path) -> tuple[bytes, dict[str, Shaped[np.ndarray, "..."]]]:
     return arrays.pop("head").tobytes(), arrays
 
 
-_CHECKPOINTS: CheckpointFormat[_TrainingHeader] = CheckpointFormat(
+CHECKPOINTS: CheckpointFormat[TrainingHeader] = CheckpointFormat(
     _save, _load, frozenset({"measured_every", "saved_every"})
 )
 """NumPy archives without pickles."""
@@ -208,7 +210,7 @@ class _Reconstruction:
     def resume(self) -> Generator[Progress]:
         file = self._task.checkpoint
         yield Progress(_STARTED, f"Reading {file.name}")
-        self._run.continue_from(_CHECKPOINTS.resume(file, self._header(0), self._restore))
+        self._run.continue_from(CHECKPOINTS.resume(file, self._header(0), self._restore))
 
     def learn(self) -> Generator[Progress]:
         settings = self._settings
@@ -240,7 +242,7 @@ class _Reconstruction:
     def _save(self, steps: int) -> Progress:
         before = np.array([[each.psnr_db, each.ssim, each.psnr_exposed_db] for each in self._before]).reshape(-1, 3)
         arrays = self._training.state() | self._curves.state() | {"before": before}
-        _CHECKPOINTS.write(self._task.checkpoint, self._header(steps), arrays)
+        CHECKPOINTS.write(self._task.checkpoint, self._header(steps), arrays)
         return self._run.progress(steps, f"Saved {self._task.checkpoint.name}")
 
     def _restore(self, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
@@ -249,9 +251,9 @@ class _Reconstruction:
         scores = arrays["before"].tolist()
         self._before = tuple(RenderScore(view.name, *row) for view, row in zip(self._held, scores, strict=True))
 
-    def _header(self, steps: int) -> _TrainingHeader:
+    def _header(self, steps: int) -> TrainingHeader:
         capture = self._task.fingerprint(self._capture)
-        return _TrainingHeader(step=steps, seconds=self._run.seconds, capture=capture, settings=self._settings)
+        return TrainingHeader(step=steps, seconds=self._run.seconds, capture=capture, settings=self._settings)
 
     def measure(self) -> Generator[Progress, None, TrainingReport]:
         """Evaluate all held-out views and some training views."""

@@ -11,8 +11,8 @@ from gsrain_engine.evaluation.detection.detector import open_detector
 from gsrain_engine.evaluation.lpips_weights import read_arrays, write_arrays
 from gsrain_engine.recolor.result import read_recolored, write_recolored
 from gsrain_engine.scene.files import SceneFormatError
-from gsrain_engine.training.model import TrainingCheckpoint, read_training_checkpoint, write_training_checkpoint
 from gsrain_engine.training.settings import TrainingSettings
+from gsrain_engine.training.train import CHECKPOINTS, TrainingHeader
 from tests.evaluation.detection.tiny_onnx import NAMES, write_red_finder
 
 from .containers import inside_zip
@@ -56,8 +56,9 @@ def _recolored(folder: Path) -> Path:
 
 
 def _training_state(folder: Path) -> Path:
-    state = TrainingCheckpoint(7, 1.5, {"means": np.ones((4, 3), np.float32), "moments": np.zeros((4, 3), np.float32)})
-    write_training_checkpoint(folder / "state.npz", state, TrainingSettings(), "views")
+    header = TrainingHeader(step=7, seconds=1.5, capture="views", settings=TrainingSettings())
+    arrays = {"means": np.ones((4, 3), np.float32), "moments": np.zeros((4, 3), np.float32)}
+    CHECKPOINTS.write(folder / "state.npz", header, arrays)
     return folder / "state.npz"
 
 
@@ -90,7 +91,7 @@ NETWORK_READERS = (
     _row(
         "training-state",
         _training_state,
-        lambda path: read_training_checkpoint(path, TrainingSettings(), "views"),
+        lambda path: CHECKPOINTS.resume(path, TrainingHeader(capture="views", settings=TrainingSettings()), dict),
         damage=_ZIP,
     ),
     _row("detector", _detector, _detect),

@@ -47,24 +47,22 @@ def _into_a_model() -> Callable[[Path], None]:
 
 
 def _state(folder: Path) -> Path:
-    torch, files = import_module("torch"), import_module("gsrain_engine.appearance.finetune.checkpoint")
-    files.write_finetune_checkpoint(
-        folder / "state.safetensors",
-        files.FinetuneCheckpoint(3, 1.5, {"a": torch.arange(4.0)}, False),
-        _settings(),
-        "two",
-    )
+    arrays = {"a": import_module("torch").arange(4.0)}
+    _finetuning().CHECKPOINTS.write(folder / "state.safetensors", _header(), arrays)
     return folder / "state.safetensors"
 
 
 def _read_state(path: Path) -> None:
-    import_module("gsrain_engine.appearance.finetune.checkpoint").read_finetune_checkpoint(
-        path, _settings(), "two", False
-    )
+    _finetuning().CHECKPOINTS.resume(path, _header(), dict)
 
 
-def _settings() -> Any:
-    return import_module("gsrain_engine.appearance.finetune.settings").load_finetuning("tiny")
+def _finetuning() -> Any:
+    return import_module("gsrain_engine.appearance.finetune.run")
+
+
+def _header() -> Any:
+    settings = import_module("gsrain_engine.appearance.finetune.settings").load_finetuning("tiny")
+    return _finetuning().FinetuneHeader(step=3, seconds=1.5, perceptual=False, pictures="two", settings=settings)
 
 
 _BYTES, _ZIP = (("*", damaged_bytes),), (("*", inside_zip(lambda _: damaged_bytes)),)

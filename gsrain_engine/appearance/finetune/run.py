@@ -74,7 +74,9 @@ def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Genera
         return loop.result()
 
 
-class _FinetuneHeader(CheckpointHeader, frozen=True, kw_only=True):
+class FinetuneHeader(CheckpointHeader, frozen=True, kw_only=True):
+    """Header of a fine-tuning's checkpoint."""
+
     perceptual: bool
     """True if LPIPS is one of the losses."""
     pictures: str
@@ -103,7 +105,7 @@ _FREE = frozenset(
     {"steps", "samples", "sampled_every", "saved_every", "warned_after", "gradient_checkpointing", "device", "base",
      "clip", "lpips", "start"}
 )  # fmt: skip
-_CHECKPOINTS: CheckpointFormat[_FinetuneHeader] = CheckpointFormat(_save, _load, _FREE)
+CHECKPOINTS: CheckpointFormat[FinetuneHeader] = CheckpointFormat(_save, _load, _FREE)
 """Files of safetensors."""
 
 
@@ -115,7 +117,7 @@ class _FinetuneLoop:
         self._settings = task.settings
         self.run = TrainingRun(task.settings.steps, (_STARTED, _TRAINED))
         if task.resume:
-            checkpoint = _CHECKPOINTS.resume(task.checkpoint, self._header(0), training.restore)
+            checkpoint = CHECKPOINTS.resume(task.checkpoint, self._header(0), training.restore)
             if checkpoint.step >= task.settings.steps:
                 raise CheckpointError(
                     f"{task.checkpoint}: {checkpoint.step:,} iterations are done; ask for more with steps"
@@ -165,12 +167,12 @@ class _FinetuneLoop:
 
     def _save(self, log: LossLog, steps: int) -> Progress:
         log.flush()  # first, so that a resumed training finds the losses before its checkpoint
-        _CHECKPOINTS.write(self._task.checkpoint, self._header(steps), self._training.state())
+        CHECKPOINTS.write(self._task.checkpoint, self._header(steps), self._training.state())
         save_weights(self._training.model, self._task.weights)
         return self.run.progress(steps, f"Saved {self._task.checkpoint.name}")
 
-    def _header(self, steps: int) -> _FinetuneHeader:
-        return _FinetuneHeader(
+    def _header(self, steps: int) -> FinetuneHeader:
+        return FinetuneHeader(
             step=steps, seconds=self.run.seconds, perceptual=self._perceptual,
             pictures=fingerprint(self._split.train), settings=self._settings,
         )  # fmt: skip
