@@ -215,7 +215,7 @@ def test_nor_in_a_terminal(place, capsys, monkeypatch):
 
 def test_titles_and_messages_of_progress(capsys, monkeypatch):
     def work():
-        yield Progress(0.5, f"1 of 2: {NAME}")
+        yield Progress(0.5, f"1 of 2: {NAME}", warning=f"beware of {NAME}")
         return 3
 
     monkeypatch.setenv("FORCE_COLOR", "1")
@@ -225,7 +225,7 @@ def test_titles_and_messages_of_progress(capsys, monkeypatch):
         advance()
     assert run_with_progress(work()) == 3
     printed = clean(_STYLES.sub("", capsys.readouterr().err).replace("\r", ""))
-    assert f"Timing {SHOWN}" in printed
+    assert f"Timing {SHOWN}" in printed and f"beware of {SHOWN}" in printed
 
 
 def test_cells_titles_and_bold_ones(capsys):
