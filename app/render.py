@@ -88,7 +88,7 @@ def render(
 ) -> int:
     """Render a scene in the rain: an image, a video, frames, or raw floats (premultiplied, before tone mapping)."""
     rain_options = rain or RainOptions()
-    export = _export_settings(recording, with_depth=depth or labels is not None)
+    export = export_settings(recording, with_depth=depth or labels is not None)
     check_within("--duration", duration, 0, 36_000, "s", is_open=True)
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
@@ -153,7 +153,7 @@ def rendered_weather(options: RainOptions, scene: Scene) -> RainKeyframes | None
     return weather
 
 
-def _export_settings(options: StructOptions, *, with_depth: bool) -> ExportSettings:
+def export_settings(options: StructOptions, *, with_depth: bool) -> ExportSettings:
     """Check all options of the export. Raises `ValueError` for values out of bounds or in conflict."""
     passes = options.changes().get("passes", ["color"])
     settings = options.settings(passes=list(dict.fromkeys([*passes, "depth"])) if with_depth else passes)

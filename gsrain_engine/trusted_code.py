@@ -149,13 +149,13 @@ def _check_size(path: Path, files: Mapping[str, CodeFile]) -> None:
 
 # Consent
 
-_trusted: set[str] = set()  # digests allowed in this process, temporarys the remembered ones
+TRUSTED: set[str] = set()  # digests allowed in this process, beyond the remembered ones
 _named_by_files: set[str] = set()
 """Absolute paths of code named by files in this process: their content must be trusted when it runs."""
 
 
 def trust(digests: Iterable[str]) -> None:
-    _trusted.update(digests)
+    TRUSTED.update(digests)
 
 
 def expect_trusted(digests: Mapping[str, str]) -> None:
@@ -172,7 +172,7 @@ def check_unchanged(code: Code) -> None:
 
 def is_trusted(code: Code) -> bool:
     """Return whether a person has allowed exactly this code, now or earlier."""
-    return code.digest in _trusted or code.digest in _remembered()
+    return code.digest in TRUSTED or code.digest in _remembered()
 
 
 def check_trusted(named_by: str | Path, codes: Iterable[Code]) -> None:

@@ -241,7 +241,7 @@ class MainWindow:
             check_context(self._context)
             if self._ended_by is not None:
                 raise InterruptedError(f"the window was ended from outside ({signal.Signals(self._ended_by).name})")
-            self._go_on(self._context)
+            self.advance(self._context)
         except Exception as failure:  # a lost context takes precedence over other errors
             watcher = context_monitor(self._context)
             self.fail(DeviceLostError() if watcher is not None and watcher.is_lost() else failure)
@@ -251,7 +251,7 @@ class MainWindow:
             self.workspace = None
             hello_imgui.get_runner_params().app_shall_exit = True
 
-    def _go_on(self, context: moderngl.Context) -> None:
+    def advance(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
             preferences = self.workspace.editor.preferences.value
             if preferences != self._style:

@@ -84,7 +84,7 @@ def lidar(
     check_within("--full-intensity", full_intensity, 0, 1e6, is_open=True)
     claim_outputs(output / "lidar.png", output / "report.html", json, folders=[output])
     limits = (detection or DetectionOptions()).changes()
-    chosen = _sensor(sensor, limits)
+    chosen = read_sensor(sensor, limits)
     count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, estimates_range="range_m" not in limits)
     by_intensity: dict[float, list[RainRunCounts]] = {}
     strongest: RainRun | None = None
@@ -144,7 +144,7 @@ def _turns(
     return min(count, len(capture.sweeps)), found
 
 
-def _sensor(name: str, limits: Mapping[str, float]) -> LidarSensor:
+def read_sensor(name: str, limits: Mapping[str, float]) -> LidarSensor:
     """Return a sensor by name or from a file, with other limits of detection."""
     sensor = SENSORS.get(name)
     if sensor is None:

@@ -101,7 +101,7 @@ class Mine(ConstantVelocityAgent):
 def with_code(sweep, tmp_path, monkeypatch):
     """A sweep that names a Python file near it, and an empty memory of answers."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(trusted_code, "_trusted", set())
+    monkeypatch.setattr(trusted_code, "TRUSTED", set())
     (tmp_path / "mine.py").write_text(_DRIVER)
     sweep.write_text(sweep.read_text().replace("[constant-velocity, oracle-idm]", "['mine.py:Mine']"))
     return sweep
@@ -134,7 +134,7 @@ def test_trust_is_for_one_run(with_code, tmp_path, monkeypatch):
     command = ["sweep", str(with_code), "--workers", "0"]
     assert run([*command, "--trust"]) == 0
     assert (tmp_path / "ran").exists() and len(table(tmp_path / "out")) == 4
-    monkeypatch.setattr(trusted_code, "_trusted", set())  # another process
+    monkeypatch.setattr(trusted_code, "TRUSTED", set())  # another process
     assert run(command) == 0  # nothing is left to do, so nothing has to be allowed
     assert run([*command, "-o", str(tmp_path / "other")]) == BAD_INPUT
 
@@ -144,9 +144,9 @@ def test_an_answer_holds_for_this_content(with_code, tmp_path, monkeypatch):
     assert run(["sweep", str(with_code), "--workers", "0", "--shard", "1/2"]) == 0
     monkeypatch.undo()
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(trusted_code, "_trusted", set())
+    monkeypatch.setattr(trusted_code, "TRUSTED", set())
     assert run(["sweep", str(with_code), "--workers", "0", "--shard", "2/2"]) == 0
     assert len(table(tmp_path / "out")) == 4
     (tmp_path / "mine.py").write_text(_DRIVER + "# changed\n")
-    monkeypatch.setattr(trusted_code, "_trusted", set())
+    monkeypatch.setattr(trusted_code, "TRUSTED", set())
     assert run(["sweep", str(with_code), "--workers", "0"]) == BAD_INPUT

@@ -211,11 +211,12 @@ class RandomSession(RuleBasedStateMachine):
             self.editor.document.edit("Edit", *edit)
             self.changed()
 
-    @rule(time_s=TIME, gesture=st.sampled_from([None, "drag"]), fields=RAIN)
-    def change_rain(self, time_s, gesture, fields):
+    @rule(time_s=TIME, gesture=st.sampled_from([None, "drag"]), changes=st.lists(RAIN, min_size=1, max_size=3))
+    def change_rain(self, time_s, gesture, changes):
         self.editor.playback.clock.seek(time_s)
-        self.editor.document.change_rain("Rain", gesture, **fields)
-        self.changed()
+        for fields in changes:
+            self.editor.document.change_rain("Rain", gesture, **fields)
+            self.changed()
 
     @rule(edit=KEYFRAMES, rate=st.floats(-1, 101))
     def edit_keyframes(self, edit, rate):
@@ -308,6 +309,9 @@ def test_a_drag_is_one_step_from_where_it_began(document):
     assert document.keyframes.times_s[1] == 13.0 and len(document.keyframes.keys) == 7
     assert len(heard) == 4 and heard[-1] == (document.history.previous, document.state)
     assert heard[0][1] is heard[1][0]
+    for at_s in (100.0, 200.0):
+        document.edit_keyframes("Key", RainKeyframes.with_key, at_s, intensity_mm_h=1.0, gesture="place")
+    assert document.keyframes.times_s[-1] == 200.0 and len(document.keyframes.keys) == 8  # one key, not two
 
 
 def test_what_a_change_refuses_is_reported_and_what_changes_nothing_is_no_step(document):

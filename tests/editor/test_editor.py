@@ -23,18 +23,6 @@ def editor():
     opened.close()
 
 
-def test_rain_changes_are_undone_and_the_rainfall_follows(editor):
-    editor.document.change_rain("Intensity", "drag", intensity_mm_h=4.0)
-    editor.document.change_rain("Intensity", "drag", intensity_mm_h=5.0)
-    editor.document.end_gesture()
-    assert editor.live_rain.simulation.state.intensity_mm_h == 5
-    editor.document.undo()
-    assert editor.document.rain.intensity_mm_h == 0
-    assert editor.live_rain.simulation.state.drops == 0
-    editor.document.redo()
-    assert editor.live_rain.simulation.state.intensity_mm_h == 5
-
-
 def test_moving_the_slider_moves_no_drop(editor):
     editor.document.change_rain("Intensity", intensity_mm_h=4.0)
     editor.tick(10.0)

@@ -134,15 +134,3 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
     editor.document.undo()
     assert editor.document.rain.calibration == "published"
     editor.close()
-
-
-def test_calibrations_that_are_not_there_are_reported(tmp_path):
-    editor = Editor()
-    editor.calibration.use(str(tmp_path / "none.yaml"))
-    assert "none.yaml" in editor.status.problem
-    assert editor.document.rain.calibration == "published"
-    editor.status.dismiss()
-    editor.calibration.compare("nothing")
-    assert "nothing" in editor.status.problem
-    assert editor.calibration.compared == "published"
-    editor.close()

@@ -160,25 +160,6 @@ def test_a_recording_that_is_impossible_names_the_reason(editor, tmp_path, setti
     assert named in editor.status.problem
 
 
-def test_settings_out_of_bounds_are_refused(editor):
-    editor.render_queue.change(motion_blur=1000)
-    assert "$.motion_blur" in editor.status.problem
-    assert editor.render_queue.settings.motion_blur == 1
-
-
-def test_extent_says_how_much_it_is(editor):
-    editor.render_queue.change(fps=10.0, size_px=(100, 100))
-    extent = editor.render_queue.extent()
-    assert (extent.frames, extent.cameras, extent.length_s, extent.rough_s) == (50, 1, 5.0, None)  # the ego's drive
-    assert editor.render_queue.end_s == 5.0
-    editor.viewport.statistics = {"frame ms": 20.0, "megapixels": 0.04}
-    assert editor.render_queue.extent().rough_s == pytest.approx(50 * 0.02 / 4)
-    editor.render_queue.change(supersampling=2, motion_blur=3, twin=True)
-    assert editor.render_queue.extent().rough_s == pytest.approx(50 * 0.02 / 4 * 4 * 3 * 2)
-    editor.render_queue.change(cameras=("two",))
-    assert "two" in editor.render_queue.extent()
-
-
 def test_copied_recordings_make_the_same_frames(editor, tmp_path):
     """Command and program of a recording, run on the file of the scene, write the frames that the job writes."""
     write_scene(editor.document.scene, tmp_path / "scene", in_drawing_order=True)

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from app.evaluate.lidar import _sensor as read_sensor
+from app.evaluate.lidar import read_sensor
 from gsrain_engine.appearance.finetune.settings import load_finetuning
 from gsrain_engine.appearance.output_folder import TRANSFER, TransferRecord, read_record, write_record
 from gsrain_engine.datasets.capture import CaptureError

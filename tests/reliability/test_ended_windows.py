@@ -29,7 +29,7 @@ def go_on(self, context):
             os.kill(os.getpid(), signal.SIGKILL) if editor.files.recovery.autosaved_path else None
         os.kill(os.getpid(), getattr(signal, sys.argv[2]))
 
-before, window.MainWindow._go_on = window.MainWindow._go_on, go_on
+before, window.MainWindow.advance = window.MainWindow.advance, go_on
 sys.exit(run([sys.argv[1], "--backend", "cpu"]))
 """
 

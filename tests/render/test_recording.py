@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from cyclopts import App
 
-from app.render import RecordingOptions, _export_settings
+from app.render import RecordingOptions, export_settings
 from gsrain_engine.render.export import export_command
 from gsrain_engine.render.export_settings import ExportSettings, export_files, export_outputs
 from gsrain_engine.safe_io.errors import convert_checked
@@ -111,7 +111,7 @@ def test_the_command_line_says_the_same(fields):
     recording, said = ExportSettings(**fields), []
 
     def render(scene: str, /, *, recording: RecordingOptions):
-        said.append((scene, _export_settings(recording, with_depth=False)))
+        said.append((scene, export_settings(recording, with_depth=False)))
 
     program, *words = shlex.split(export_command(recording, "my scene"))
     assert (program, words[0]) == ("gsrain", "render")

@@ -35,7 +35,7 @@ def another_process(monkeypatch):
     """Forgets what this process has been allowed, and leaves what is written down."""
 
     def begin():
-        for name in ("_trusted", "_named_by_files"):
+        for name in ("TRUSTED", "_named_by_files"):
             monkeypatch.setattr(trusted_code, name, set())
 
     return begin

@@ -26,13 +26,13 @@ def hill():
 def pixel_of(monkeypatch):
     """Screen position of a point of the plot, as last drawn."""
     last = {}
-    drawn = rain_keyframes._clock
+    drawn = rain_keyframes.now_line
 
     def spy(editor):
         drawn(editor)
         last["zero"], last["one"] = implot.plot_to_pixels(0.0, 0.0), implot.plot_to_pixels(1.0, 1.0)
 
-    monkeypatch.setattr(rain_keyframes, "_clock", spy)
+    monkeypatch.setattr(rain_keyframes, "now_line", spy)
 
     def pixel(seconds, rate):
         zero, one = last["zero"], last["one"]

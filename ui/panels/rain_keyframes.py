@@ -198,7 +198,7 @@ def _plot(document: Document, playback: Playback, keyframe_panel: KeyframePanelS
         is_over_key = _keys(
             document, keyframe_panel
         )  # before the clock: where they overlap, the drag moves the keyframe
-        _clock(playback)
+        now_line(playback)
         if implot.is_plot_hovered() and not is_over_key and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             at = implot.get_plot_mouse_pos()
             rate = float(np.clip(round(at.y, 1), 0, HEAVIEST_MM_H))
@@ -255,7 +255,7 @@ def _text(at: ImVec2, color: int, words: str) -> None:
     implot.pop_plot_clip_rect()
 
 
-def _clock(playback: Playback) -> None:
+def now_line(playback: Playback) -> None:
     now_s, clock = playback.clock.time_s, playback.clock
     changed, moved, *_ = implot.drag_line_x(1, now_s, _NOW, 1.5, implot.DragToolFlags_.no_fit, False, False, False)
     if changed:

@@ -45,7 +45,7 @@ class LiveView:
     """
 
     def __init__(self, context: moderngl.Context, backend: WindowBackend = "auto") -> None:
-        self._context = context
+        self.context = context
         self._opengl = SplatRenderer(context)
         on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
         self._cpu = CpuTexture(context) if on_cpu else None
@@ -77,7 +77,7 @@ class LiveView:
             if self._on_cpu or self._gpu_is_full:
                 raise
             self._gpu_is_full = True
-            self._cpu = self._cpu or CpuTexture(self._context)
+            self._cpu = self._cpu or CpuTexture(self.context)
             self._cpu.compile()
             self._upload.give_up()
             self._opengl.arrays.release_everything()
@@ -255,7 +255,7 @@ class LiveView:
             np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)[..., :3]
             for texture in self.last_textures
         ]
-        check_context(self._context)
+        check_context(self.context)
         pixels = pictures[-1].copy()
         if len(pictures) == 2:
             at = round(divider * pixels.shape[1])

@@ -164,13 +164,13 @@ def flood_select(
     cells = np.floor((points - points[at]) / side + 0.5)
     flags = np.zeros(len(points), np.bool_)
     near = np.flatnonzero(np.abs(cells).max(axis=1) < _EDGE)
-    flags[near] = _connected(cells[near].astype(np.int64), int(np.searchsorted(near, at)))
+    flags[near] = connected_cells(cells[near].astype(np.int64), int(np.searchsorted(near, at)))
     return _masks(own, rows[flags])
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _connected(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
+def connected_cells(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
     """Flag the points whose cells connect to the seed's through neighbors, by a hash table at most half full."""
     size = 16
     while size < 2 * len(cells):

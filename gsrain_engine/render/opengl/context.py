@@ -234,7 +234,7 @@ def monitor_context(context: moderngl.Context, address_of: Callable[[str], int |
     endings = ["", *(each for each in ("KHR", "ARB") if f"GL_{each}_robustness" in context.extensions)]
     for ending in endings if context.version_code >= 450 else endings[1:]:  # a nonzero address does not prove support
         if address := address_of(f"glGetGraphicsResetStatus{ending}"):
-            context.extra = ContextLossMonitor(_question(address))
+            context.extra = ContextLossMonitor(reset_status_function(address))
             return
 
 
@@ -250,6 +250,6 @@ def check_context(context: moderngl.Context) -> None:
         raise DeviceLostError
 
 
-def _question(address: int) -> Callable[[], int]:
+def reset_status_function(address: int) -> Callable[[], int]:
     """Wrap glGetGraphicsResetStatus at an address as a Python function."""
     return ctypes.CFUNCTYPE(ctypes.c_uint)(address)

@@ -6,23 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive import EGO_CAR, DriveSetup, RolloutInScene
+from gsrain_engine.editor.drive import EGO_CAR, RolloutInScene
 from gsrain_engine.editor.overlays_drive import planned_points_m, rollout_overlay
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.simulation.rollout_io import write_rollout
 
 from .driven import driven, settled, stopped_session
-
-
-def test_what_is_out_of_bounds_is_not_taken():
-    wanted = DriveSetup()
-    before = wanted.scenario
-    wanted.change(msgspec.structs.replace(before, speed_m_s=-1.0))
-    assert wanted.scenario is before
-    assert "speed_m_s" in wanted.error
-    wanted.load("no-such-scenario")
-    assert "no-such-scenario" in wanted.error
-    assert wanted.scenario is before
 
 
 def world_pose(scene, key, time_s):
@@ -178,13 +167,6 @@ def test_a_rollout_is_saved_as_it_is(editor, tmp_path, file):
     editor.rollouts.save_as(file / "copy.jsonl")  # a file is no folder
     settled(editor)
     assert "can't be written" in editor.status.problem
-
-
-def test_another_document_closes_them(editor):
-    editor.files.close_scene()
-    while editor.status.question is not None:
-        editor.status.answer(editor.status.question.answers[0])
-    assert (editor.rollouts.playing, editor.rollouts.opened) == (None, [])
 
 
 def test_a_rollout_that_does_not_belong_here_has_plots_but_no_picture(editor, tmp_path):

@@ -1,12 +1,10 @@
 """A drive from a editor, in the process that a window would start."""
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.edits.members import replace_scene, set_visible
+from gsrain_engine.editor.edits.members import set_visible
 
 from .driven import CRASH, driven, settled, stopped_session
 
@@ -62,11 +60,3 @@ def test_an_agent_that_can_t_be_opened_is_told_in_one_sentence(editor, tmp_path)
     assert job.state == "failed"
     assert "bad.onnx" in job.error
     assert editor.rollouts.opened == []
-
-
-def test_a_scene_without_a_drive_can_t_be_driven_through(editor):
-    editor.document.edit("no drive", replace_scene, replace(editor.document.scene, ego=None))
-    assert "no recorded drive" in editor.rollouts.why_not
-    editor.rollouts.start()
-    assert editor.jobs.all == []
-    assert "no recorded drive" in editor.status.problem

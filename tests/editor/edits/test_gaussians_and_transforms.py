@@ -11,13 +11,10 @@ from gsrain_engine.editor.edits.gaussians import (
     compact,
     crop,
     delete_selected,
-    deleted_count,
-    selected_count,
 )
 from gsrain_engine.editor.edits.transform import (
     Pose,
     layer_pose,
-    move_member,
     move_selected,
     set_layer_pose,
 )
@@ -25,16 +22,6 @@ from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.transforms import transform_gaussians
 
 from .edited_scene import assert_same, edited_scene, seen, turned, with_selection, without
-
-
-def test_deleting_only_marks():
-    scene = with_selection(edited_scene(), ground=5, car=3)
-    gone = delete_selected(scene)
-    assert gone.gaussian_count == scene.gaussian_count - 8
-    assert (selected_count(scene), selected_count(gone), deleted_count(gone)) == (8, 0, 8)
-    assert all(a.gaussians is b.gaussians for a, b in zip(gone.members, scene.members, strict=True))
-    assert gone.layers[1] is scene.layers[1]
-    assert delete_selected(gone) is gone
 
 
 def test_compacting_keeps_the_picture_and_remaps_marks_and_sets():
@@ -92,17 +79,6 @@ def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper
 
 
 DELTAS = [turned(0, by=(1.0, -2.0, 0.5)), turned(50, 2, 1.0, (0.3, 0.1, 0.0)), turned(-35, 0, 1.7, (1.0, 0.0, 2.0))]
-
-
-@pytest.mark.parametrize("delta", DELTAS)
-@pytest.mark.parametrize("name", ["ground", "car"])
-def test_a_member_is_moved_in_the_world(delta, name):
-    scene = without(edited_scene(), *({"ground", "house", "sky", "car"} - {name}))
-    key = scene.members[0].key
-    for time_s in (0.0, 2.5):
-        before, after = scene.parts(time_s)[0], move_member(scene, key, delta).parts(time_s)[0]
-        expected = transform_gaussians(transform_gaussians(before.gaussians, before.to_world), delta)
-        assert_same(transform_gaussians(after.gaussians, after.to_world), expected)
 
 
 @pytest.mark.parametrize("delta", DELTAS)

@@ -10,17 +10,6 @@ from gsrain_engine.editor.files import recent_files, update_recent_files
 from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file
 
 
-def test_preferences_come_back():
-    assert load_preferences() == (Preferences(), None)
-    editor = Editor()
-    editor.preferences.set(theme="light", font_scale=1.5)
-    assert editor.preferences.value.font_scale == 1.5
-    editor.close()  # writes what is still to be written
-    again = Editor()
-    assert (again.preferences.value.theme, again.preferences.value.font_scale) == ("light", 1.5)
-    again.close()
-
-
 def test_two_windows_keep_each_others_preferences():
     first, second = Editor(), Editor()
     first.preferences.set(theme="light")

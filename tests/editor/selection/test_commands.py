@@ -86,22 +86,6 @@ def choose(editor, mode, by, found):
     editor.selection.select(mode, by, lambda scene: found)
 
 
-def test_names_of_steps_tell_what_happened(editor):
-    choose(editor, "set", "lasso", first(200))
-    choose(editor, "add", "brush", {KEY: BitMask.of(np.arange(300) >= 150)})
-    choose(editor, "remove", "box", first(20))
-    choose(editor, "intersect", "sphere", first(100))
-    choose(editor, "set", "rectangle", {})
-    editor.selection.select_all()
-    editor.selection.invert()
-    assert editor.document.history.labels[1:] == [
-        "Select 200 by lasso", "Add 100 by brush", "Remove 20 by box", "Keep 80 by sphere", "Select none by rectangle",
-        "Select all 600", "Invert selection to 0",
-    ]  # fmt: skip
-    editor.document.go_to_step(4)
-    assert selected_count(editor.document.scene) == 80
-
-
 def test_sets_are_saved_recalled_renamed_and_deleted_and_all_is_undone(editor):
     assert editor.selection.is_empty
     choose(editor, "set", "lasso", first(30))

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from gsrain_engine.editor.selection.screen import (
     DepthMode,
-    outlines,
     polygon,
     rectangle,
     select_in_screen_shape,
@@ -24,14 +23,6 @@ places = st.tuples(st.integers(-1300, 3900), st.integers(-1300, 3300)).map(lambd
 
 def centers():
     return np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
-
-
-@given(places, places)
-def test_rectangle_takes_pixel_centers_between_its_corners(first, second):
-    x, y = centers()
-    inside = (x >= min(first[0], second[0])) & (x <= max(first[0], second[0]))
-    inside &= (y >= min(first[1], second[1])) & (y <= max(first[1], second[1]))
-    assert np.array_equal(rectangle(first, second, W, H), inside)
 
 
 @given(st.lists(places, min_size=3, max_size=12))
@@ -60,13 +51,6 @@ def test_stroke_is_what_is_near_the_line(points, radius):
     drawn = stroke(points, radius, W, H)
     assert drawn[distance < radius - 1].all()
     assert not drawn[distance > radius + 1].any()
-
-
-def test_outlines_go_around_what_is_covered():
-    pixels = rectangle((5, 6), (20, 15), W, H)
-    (line,) = outlines(pixels)
-    assert line.min(axis=0).tolist() == [5.5, 6.5]
-    assert line.max(axis=0).tolist() == [19.5, 14.5]
 
 
 @settings(max_examples=25)

@@ -12,7 +12,7 @@ from gsrain_engine.editor.selection.candidates import (
     selected,
     selected_count,
 )
-from gsrain_engine.editor.selection.volume import Sphere, _connected, flood_select, in_volume, near_selection
+from gsrain_engine.editor.selection.volume import Sphere, connected_cells, flood_select, in_volume, near_selection
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import patch
@@ -94,7 +94,7 @@ def test_cells_that_are_connected_as_a_graph_says(seed, count, extent):
     cells = np.random.default_rng(seed).integers(-extent, extent + 1, (count, 3))
     near = np.abs(cells[:, None] - cells[None]).max(axis=2) <= 1
     _, labels = connected_components(csr_matrix(near), directed=False)
-    assert np.array_equal(_connected(cells, count // 2), labels == labels[count // 2])
+    assert np.array_equal(connected_cells(cells, count // 2), labels == labels[count // 2])
 
 
 def three_patches():
