@@ -1,8 +1,12 @@
 """Recording in the real window: the panel, the dialog, the job, and what is asked before something is replaced."""
 
+import shlex
+
 import av
 import pytest
 
+from gsrain_engine.scene.formats.scene_files import write_scene
+from small_scene import small_scene
 from ui.commands.keys import chord
 from window_driver import Driver, imgui
 
@@ -53,3 +57,37 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
     driver.run(script)
     with av.open(str(target)) as container:
         assert sum(1 for _ in container.decode(video=0)) == 90
+
+
+def test_steps_and_recordings_are_copied(driver, tmp_path):
+    source = str(tmp_path / "scene")
+    write_scene(small_scene(), source, in_drawing_order=True)
+
+    def copied(button):
+        driver.click(button)
+        return imgui.get_clipboard_text()
+
+    def script():
+        driver.editor.files.open(source)
+        driver.until(lambda: driver.editor.files.source == source)
+        driver.click("//Rain/8.5")
+        words = shlex.split(copied("//History/Copy as command"))
+        assert words[:3] == ["gsrain", "edit", source]
+        assert "intensity_mm_h=8.5" in words[3]
+        assert words[4:] == ["-o", "edited"]
+        edited = copied("//History/Copy as Python")
+        assert edited.splitlines()[2] == f"scene = gr.load({source!r})"
+        render = copied("//Record/Copy as command").partition(" && ")[2]
+        assert shlex.split(render) == [
+            "gsrain",
+            "render",
+            "edited",
+            "-o",
+            "clip.mp4",
+            *["--size", "960x640", "--codec", "h264"],
+        ]
+        recorded = copied("//Record/Copy as Python").splitlines()
+        assert recorded[:-1] == edited.splitlines()[:-1]
+        assert recorded[-1] == "gr.export(scene, 'clip.mp4', size_px=(960, 640), codec='h264')"
+
+    driver.run(script)

@@ -352,13 +352,17 @@ def button(
 def copy_buttons(
     what: str, forms: Mapping[str, Callable[[], str]], status: StatusBus, why_not: str | None = None
 ) -> None:
-    """Draw buttons in a row that put text on the clipboard, such as "Copy as Python"; its errors are reported."""
-    width = share_of_width(len(forms))
+    """Draw buttons that put text on the clipboard, such as "Copy as Python", in a row if it is wide enough.
+
+    Errors of making the text are reported.
+    """
+    width, padding = share_of_width(len(forms)), 2 * imgui.get_style().frame_padding.x
+    is_row = all(imgui.calc_text_size(f"Copy as {form}").x + padding <= width for form in forms)
     for number, (form, text) in enumerate(forms.items()):
-        if number:
+        if number and is_row:
             imgui.same_line()
         help_text = f"Copy {what} in a form that does the same when it is run."
-        if button(f"Copy as {form}", help_text, width=width, why_not=why_not):
+        if button(f"Copy as {form}", help_text, width=width if is_row else -1, why_not=why_not):
             try:
                 imgui.set_clipboard_text(text())
             except ValueError as error:
