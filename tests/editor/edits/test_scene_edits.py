@@ -8,6 +8,8 @@ import pytest
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.actors import RIG, drive_along, drive_along_own_path, set_origin
 from gsrain_engine.editor.edits.level import (
+    find_ground,
+    level_from_ground,
     level_from_points,
     set_length,
 )
@@ -90,6 +92,14 @@ def test_three_points_level():
         assert level.ground_m == pytest.approx(0, abs=1e-9)
     with pytest.raises(ValueError, match="one line"):
         level_from_points(scene, np.outer([0.0, 1, 2], [1.0, 2, 3]))
+
+
+def test_the_ground_itself_levels():
+    scene, up = tilted()
+    level = level_from_ground(scene)
+    assert level.up == pytest.approx(up, abs=1e-4)
+    assert level.ground_m == pytest.approx(0, abs=1e-4)
+    assert find_ground(level).up == pytest.approx([0, 0, 1], abs=1e-4)
 
 
 def test_the_origin_moves_everything():
