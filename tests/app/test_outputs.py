@@ -13,6 +13,7 @@ from gsrain_engine.scene.files import file_word, name_problem, shortened
 OUTPUTS = {
     "render": ["street -o OUT.png", "street -o ok.png --json OUT"],
     "info": ["street --json OUT", "street --overlay OUT.png"],
+    "edit": ["none -o OUT"],
     "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
     "street": ["OUT", "ok --json OUT"],
     "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],

@@ -162,7 +162,7 @@ SETTINGS_READERS = (
     _settings("training-settings", "reconstruct", shipped_config_names("reconstruct")[0], load_settings),
     _settings("finetuning-settings", "finetune", shipped_config_names("finetune")[0], load_finetuning),
     _settings("comparison", "comparisons", shipped_config_names("comparisons")[0], load_comparison),
-    Reader("lidar-sensor", _sensor_file, lambda path: assert_finite(read_sensor(str(path), None, None)), ValueError,
+    Reader("lidar-sensor", _sensor_file, lambda path: assert_finite(read_sensor(str(path), {})), ValueError,
            (("*.yaml", damaged_yaml),)),
     Reader("coco", _coco, _read_coco, ValueError, (("*.json", damaged_json),)),
     Reader("transfer-record", _record, _read_record, CaptureError, ((TRANSFER, damaged_json),)),

@@ -29,14 +29,14 @@ class _Acting(Workspace):
         """Act once, as soon as there is a scene."""
         super().update()
         editor = self.editor
-        if self.acted or not editor.document.scene.members or editor.is_opening:
+        if self.acted or not editor.document.scene.members or editor.viewport.is_opening:
             return
         self.acted = True
         robustness = glfw.get_window_attrib(glfw_utils.glfw_window_hello_imgui(), glfw.CONTEXT_ROBUSTNESS)
-        asked, document = editor.status.question, editor.document
+        asked = editor.status.question
+        document, has_changes = editor.document, editor.files.has_changes
         print(
-            f"{_TIMES}: {document.scene.name} at {document.rain.intensity_mm_h} mm/h,",
-            f"changed: {editor.files.has_changes},",
+            f"{_TIMES}: {document.scene.name} at {document.rain.intensity_mm_h} mm/h, changed: {has_changes},",
             f"tells of resets: {robustness == glfw.LOSE_CONTEXT_ON_RESET}, says: {editor.status.problem},",
             f"asks: {asked and asked.title}",
             flush=True,

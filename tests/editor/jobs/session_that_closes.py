@@ -1,4 +1,4 @@
-"""A editor in a process of its own: reconstructs a capture, and closes while that is under way.
+"""An editor in a process of its own: reconstructs a capture, and closes while that is under way.
 
 Run as a program with a capture folder.
 """
@@ -8,6 +8,8 @@ from pathlib import Path
 
 import psutil
 
+from gsrain_engine.editor.background_edits import reconstruct
+from gsrain_engine.editor.document import Recipe
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.training import reconstruction_job
@@ -18,7 +20,8 @@ def main(capture: str) -> None:
     """Do as the module says; prints the worker's number while it trains."""
     editor = Editor()
     settings = TrainingSettings(steps=100_000, gaussians=1500, device="cpu")
-    job = editor.jobs.start(reconstruction_job(Path(capture), settings), scene_results(editor, "Reconstruct"))
+    take = scene_results(editor.viewport, "Reconstruct", Recipe(reconstruct, {}))
+    job = editor.jobs.start(reconstruction_job(Path(capture), settings), take)
     while job.state == "running" and "loss" not in job.progress.metrics:
         editor.jobs.wait(60)
         editor.tick(0.0)
