@@ -23,7 +23,14 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.http import ClientError
-from gsrain_engine.simulation.agents.registry import AgentOptions, agent_file, agent_names, default_agent, open_agent
+from gsrain_engine.simulation.agents.registry import (
+    SHIPPED_AGENTS,
+    AgentOptions,
+    agent_file,
+    agent_names,
+    default_agent,
+    open_agent,
+)
 from gsrain_engine.simulation.ground import recorded_route
 from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
 from gsrain_engine.simulation.obstacles import drivable_of
@@ -71,8 +78,8 @@ class DriverOptions(options_of(AgentOptions, "drive")):
     agent: Annotated[
         list[str] | None,
         flag(
-            "Agent that drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or "
-            "one of an installed package (entry points gsrain.agents); FILE.py or FILE.py:NAME is a class of your own. "
+            f"Agent that drives: {', '.join(SHIPPED_AGENTS)}, hugsim, or one of an installed package (entry points "
+            "gsrain.agents); FILE.py or FILE.py:NAME is a class of your own. "
             "May be given several times. Default: camera-idm if a detector is found, else oracle-idm."
         ),
     ] = None

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections import Counter
 from pathlib import Path
 
 import msgspec
@@ -140,7 +141,8 @@ def test_preferences_and_recent_scenes(saved):
 def test_the_layout_of_panels_names_panels_that_there_are():
     text = (SAVED / "config/gsrain/window.ini").read_text()
     titles = {line[len("[Window][") : -1] for line in text.splitlines() if line.startswith("[Window][")}
-    assert {panel.id or panel.title for panel in all_panels()} <= titles
+    docked = titles - {"View", "StatusBar", "Debug##Default"} - {each for each in titles if each.startswith("##")}
+    assert docked <= {panel.id or panel.title for panel in all_panels()}
     hashed = imgui.internal.im_hash_str
     assert all(hashed(panel.window_name) == hashed(panel.id or panel.title) for panel in all_panels())
 
@@ -162,14 +164,14 @@ def test_the_layout_of_panels_names_panels_that_there_are():
 def test_settings_keep_all_their_values(name, load, monkeypatch):
     monkeypatch.chdir(SAVED / "settings")
     written = yaml.safe_load(Path(f"{name}.yaml").read_text())
-    assert _leaves(msgspec.to_builtins(load(f"{name}.yaml"), enc_hook=str)) == _leaves(written)
+    assert _leaves(written) <= _leaves(msgspec.to_builtins(load(f"{name}.yaml"), enc_hook=str))
 
 
 @pytest.mark.parametrize("name", ["drives", "frames"])
 def test_sweeps_keep_all_their_values(name, monkeypatch):
     monkeypatch.chdir(SAVED / "sweep")
     written = yaml.safe_load(Path(f"{name}.yaml").read_text())
-    assert _leaves(msgspec.to_builtins(load_sweep(f"{name}.yaml"))) == _leaves(written)
+    assert _leaves(written) <= _leaves(msgspec.to_builtins(load_sweep(f"{name}.yaml")))
 
 
 def test_rows_and_roll_outs_of_a_sweep():
@@ -191,8 +193,8 @@ def test_jobs_of_a_finished_sweep_are_not_done_again(monkeypatch):
 
 
 def _leaves(values):
-    """Return what is neither a mapping nor a list, sorted: fields may be renamed, their values stay."""
+    """Count what is neither a mapping nor a list: fields may be renamed or come after, written values stay."""
     if isinstance(values, dict | list | tuple):
         inner = values.values() if isinstance(values, dict) else values
-        return sorted((leaf for each in inner for leaf in _leaves(each)), key=str)
-    return [json.dumps(float(values) if isinstance(values, int) and not isinstance(values, bool) else values)]
+        return sum(map(_leaves, inner), Counter())
+    return Counter([json.dumps(float(values) if isinstance(values, int) and not isinstance(values, bool) else values)])

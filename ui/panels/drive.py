@@ -13,6 +13,7 @@ from gsrain_engine.editor.jobs.drive import LoadedRollout
 from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.viewport.camera_follow import ChaseMode
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.simulation.agents.registry import SHIPPED_AGENTS, options_used_by
 from gsrain_engine.simulation.scenario import ScenarioUser
 
 from ..commands.table import help_of
@@ -42,15 +43,13 @@ _ICONS = icons_fontawesome_6
 _SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"
 _DETECTORS = f"Detectors{{.onnx}},{ALL_FILES}"
 _ROLLOUTS = "Roll-outs{.jsonl,.parquet}"
-_BLIND = ("constant-velocity", "oracle-idm")  # agents that use neither images nor a server
 
 _HELP = (
     "Drive through the present scene, with your edits, in the background.\n"
     "The roll-out opens when it is finished; the scene does not change."
 )
-_AGENT_HELP = (
-    "constant-velocity holds its speed; oracle-idm uses the true positions of all road users; camera-idm uses a "
-    "detector.\nInstalled packages add their own (entry points gsrain.agents)."
+_AGENT_HELP = "\n".join(f"{name} {agent.help}." for name, agent in SHIPPED_AGENTS.items()) + (
+    "\nInstalled packages add their own (entry points gsrain.agents)."
 )
 _CHASE_HELP: dict[ChaseMode, str] = {
     "behind": "8 m behind the ego vehicle and 3 m above it; a drag looks around, another click returns.",
@@ -151,11 +150,12 @@ def _scenario_choice(rollouts: RolloutPlayer) -> None:
 
 def _agent_fields(setup: DriveSetup) -> None:
     setup.settings = edit_choice(setup.settings, "agent", setup.agent_names, _AGENT_HELP)
-    if setup.settings.agent in _BLIND:
-        return
-    path_field(setup.settings, "detector", _DETECTORS, partial(_take_detector, setup))
-    _text(setup, "description", "found by its name")
-    if setup.settings.agent != "camera-idm":
+    used = options_used_by(setup.settings.agent)
+    if "detector" in used:
+        path_field(setup.settings, "detector", _DETECTORS, partial(_take_detector, setup))
+    if "description" in used:
+        _text(setup, "description", "found by its name")
+    if "url" in used:
         _text(setup, "url", "none")
 
 

@@ -194,8 +194,9 @@ def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
     number for each row of pixels and each of `sums`, for sums over a splat's pixels. `data` belongs to the kernel.
 
     The kernel's functions are called as enter(state, x0, y0, data) before a tile's splats, (x0, y0) being its first
-    pixel; as visit(shapes, channels, j, x, y, state, lanes, k, data) for each splat, which is row j of `shapes` and
-    `channels` and number k of `tiles.members`, (x, y) the center of the first pixel; and leave, like enter, last.
+    pixel; as visit(shapes, channels, j, x, y, state, lanes, k, data) for each splat, (x, y) being the center of the
+    first pixel; and leave, like enter, last. `shapes` and `channels` hold a batch of splats in `visit`, of which it is
+    row j; an array of all splats goes into `data`, and its row is `members[k]`.
     """
     width, height, starts, members = tiles
     real = shapes.dtype.type

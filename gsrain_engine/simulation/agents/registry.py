@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from msgspec import Meta, Struct
 
@@ -50,18 +50,33 @@ def _http(options: AgentOptions) -> Agent:
     return HttpAgent(options.url)
 
 
-_SHIPPED: dict[str, Callable[[AgentOptions], Agent]] = {
-    "constant-velocity": lambda options: ConstantVelocityAgent(),
-    "oracle-idm": lambda options: OracleIDMAgent(),
-    "camera-idm": _camera_idm,
-    "neuroncap-baseline": lambda options: NeuroNCAPBaselineAgent(),
-    "http": _http,
+class ShippedAgent(NamedTuple):
+    """An agent of this package."""
+
+    open: Callable[[AgentOptions], Agent]
+    help: str
+    """Verb phrase that follows its name in help texts."""
+    uses: tuple[str, ...] = ()
+    """Fields of `AgentOptions` that it uses."""
+
+
+SHIPPED_AGENTS = {
+    "constant-velocity": ShippedAgent(lambda _: ConstantVelocityAgent(), "holds its speed"),
+    "oracle-idm": ShippedAgent(lambda _: OracleIDMAgent(), "uses the true positions of all road users"),
+    "camera-idm": ShippedAgent(_camera_idm, "uses a detector", ("detector", "description")),
+    "neuroncap-baseline": ShippedAgent(lambda _: NeuroNCAPBaselineAgent(), "brakes for what is in a corridor ahead"),
+    "http": ShippedAgent(_http, "asks a server", ("url",)),
 }
 
 
 def agent_names() -> list[str]:
     """Return the names of all agents, shipped ones first."""
-    return [*_SHIPPED, *(each.name for each in find_extensions(AGENTS) if each.name not in _SHIPPED)]
+    return [*SHIPPED_AGENTS, *(each.name for each in find_extensions(AGENTS) if each.name not in SHIPPED_AGENTS)]
+
+
+def options_used_by(name: str) -> tuple[str, ...]:
+    """Return the fields of `AgentOptions` that an agent uses; all, for one of another package or of a file."""
+    return SHIPPED_AGENTS[name].uses if name in SHIPPED_AGENTS else AgentOptions.__struct_fields__
 
 
 def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: bool = False) -> Agent:
@@ -73,8 +88,8 @@ def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: 
     options = options or AgentOptions()
     if agent_file(name) is not None:
         return agent_in_file(name, options, trusted_only=trusted_only)
-    if name in _SHIPPED:
-        return _SHIPPED[name](options)
+    if name in SHIPPED_AGENTS:
+        return SHIPPED_AGENTS[name].open(options)
     if (extension := find_extension(AGENTS, name)) is not None:
         return _of_package(extension, options)
     raise ValueError(f"agent {name}: there is none of that name, only {', '.join(agent_names())}")
