@@ -50,6 +50,10 @@ def _http(options: AgentOptions) -> Agent:
     return HttpAgent(options.url)
 
 
+def _without_options(kind: Callable[[], Agent]) -> Callable[[AgentOptions], Agent]:
+    return lambda options: kind()
+
+
 class ShippedAgent(NamedTuple):
     """An agent of this package."""
 
@@ -61,10 +65,12 @@ class ShippedAgent(NamedTuple):
 
 
 SHIPPED_AGENTS = {
-    "constant-velocity": ShippedAgent(lambda _: ConstantVelocityAgent(), "holds its speed"),
-    "oracle-idm": ShippedAgent(lambda _: OracleIDMAgent(), "uses the true positions of all road users"),
+    "constant-velocity": ShippedAgent(_without_options(ConstantVelocityAgent), "holds its speed"),
+    "oracle-idm": ShippedAgent(_without_options(OracleIDMAgent), "uses the true positions of all road users"),
     "camera-idm": ShippedAgent(_camera_idm, "uses a detector", ("detector", "description")),
-    "neuroncap-baseline": ShippedAgent(lambda _: NeuroNCAPBaselineAgent(), "brakes for what is in a corridor ahead"),
+    "neuroncap-baseline": ShippedAgent(
+        _without_options(NeuroNCAPBaselineAgent), "brakes for what is in a corridor ahead"
+    ),
     "http": ShippedAgent(_http, "asks a server", ("url",)),
 }
 
