@@ -32,6 +32,8 @@ def test_plans_that_stand_or_repeat_a_point_keep_their_heading_but_not_in_hugsim
         assert (collisions.planned_poses(jitter, reading)[:, 2] == 0.7).all()
     stopping = step(0, ego(), plan=[(3, 3), (6, 6), (6, 6), (6, 6)])
     assert collisions.planned_poses(stopping)[:, 2] == pytest.approx([np.pi / 4] * 4)
+    creeping = step(0, ego(), plan=[(6.0, 6.0), (6.0, 6.011), (6.009, 6.011)])  # a centimeter makes a direction
+    assert collisions.planned_poses(creeping)[:, 2] == pytest.approx([np.pi / 2] * 3)
     assert collisions.planned_poses(stopping, "hugsim")[:, 2] == pytest.approx([np.pi / 4, 0, 0])
 
 
@@ -89,9 +91,10 @@ def test_without_a_plan_there_is_no_rate():
 
 
 def test_between_two_moments_others_are_between_them():
-    moments = [step(i, ego(), [user(3.0 * i, yaw=(3.1, -3.1, 3.1)[i])], step_s=0.2) for i in range(3)]
+    moments = [step(i, ego(), [user(4 + 3.0 * i, 9 - i, yaw=(3.1, -3.1, 3.1)[i])], step_s=0.2) for i in range(3)]
     traffic = collisions.LoggedTraffic(rollout(moments, step_s=0.2))
-    assert [traffic.at(time_s)[0].x_m for time_s in (0.1, 0.2, 9.0)] == pytest.approx([1.5, 3.0, 6.0])
+    places = [(box.x_m, box.y_m) for time_s in (-1.0, 0.1, 0.2, 0.35, 9.0) for box in traffic.at(time_s)]
+    assert np.array(places) == pytest.approx(np.array([(4, 9), (5.5, 8.5), (7, 8), (9.25, 7.25), (10, 7)]))
     assert [abs(traffic.at(time_s)[0].yaw_rad) for time_s in (0.1, 0.3)] == pytest.approx([np.pi] * 2)  # shorter turn
 
 
@@ -150,8 +153,9 @@ def test_the_first_collision_of_a_run():
         collisions.first_collision(run) == ("lead", 3.5, 10.0, 10.0)
         and collisions.first_collision(approach(moments=5)) is None
     )
-    ahead = rollout([step(0, ego(), [user(5.0, speed=7.0)], collision="lead")])
-    assert collisions.first_collision(ahead) == ("lead", 0.0, 10.0, pytest.approx(3.0))  # it drives on with 7 m/s
+    for own, other, closing in ((0.0, 0.0, 3.0), (0.4, 0.4 + np.pi / 3, 6.5), (0.4, 0.4 + np.pi, 17.0)):
+        ahead = rollout([step(0, ego(yaw=own), [user(5.0, speed=7.0, yaw=other)], collision="lead")])
+        assert collisions.first_collision(ahead) == ("lead", 0.0, 10.0, pytest.approx(closing))  # 10 - 7 cos
 
 
 # HUGSIM's HD-score
