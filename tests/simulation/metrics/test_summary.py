@@ -211,7 +211,13 @@ def test_the_same_runs_give_the_same_bytes(tmp_path):
 
 
 def test_the_page_has_results_figures_and_origins():
-    page = report_page(drive_report_page(runs(), settings={"command": "gsrain drive <x>"}))
+    report = drive_report_page(runs(), settings={"command": "gsrain drive <x>"})
+    assert report.headlines == {"runs": "3", "collisions": "1", "least time to collision": "0.00 s"}
+    assert report.settings["intensities (mm/h)"] == "0, 1.2, 12" and report.settings["scene hashes"] == ""
+    clear, _, heavy = (row[2:8] for row in report.tables[1].rows)
+    assert clear == (0.0, 0, "time", 2.0, "-", 1.5) and heavy == (12.0, 0, "collision", 3.5, "lead", 0.0)
+    assert not report.held_out
+    page = report_page(report)
     assert page.count("<img") == 2
     for word in ("Driving in rain: made-up", "gsrain drive &lt;x&gt;", rollout_hash(runs()[0].rollout)[:16], "shapely"):
         assert word in page
