@@ -104,6 +104,8 @@ def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
         roofs = build_shelter_map(parts(ROAD, bridge))
         places = np.random.default_rng(0).uniform((11, -8, 1), (15, 8, 4), (500, 3))
         assert np.mean(roofs.shelter(places)) > 0.97
+        columns = np.nonzero(np.isfinite(roofs.heights_m))[1]
+        assert roofs.corner_m[0] + CELL_M * (columns.mean() + 0.5) == pytest.approx(13, abs=0.2)
 
 
 def test_roofs_follow_the_scene_s_units_and_axes():
