@@ -39,7 +39,8 @@ def turned(speed, *rates):
         (turned(20.0, 0.0, -0.25), 0.0, 0.0),
         (turned(4.0, 0.0, -0.48), 1.0, 1.0),
         (turned(1.0, 0.0, 0.49), 0.0, 0.0),  # 1.96 rad/s2
-        (turned(1.0, 0.0, 0.48, 0.94, 0.96, 0.96), 2 / 4, 2 / 4),  # the rate is too high in the last two
+        (turned(1.0, 0.49, 0.0), 0.0, 0.0),
+        *((turned(1.0, 0.0, *np.multiply(side, (0.48, 0.94, 0.96, 0.96))), 2 / 4, 2 / 4) for side in (1, -1)),
         (driven(ego()), None, None),
     ],
 )
