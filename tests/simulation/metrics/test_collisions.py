@@ -98,6 +98,12 @@ def test_between_two_moments_others_are_between_them():
     assert [abs(traffic.at(time_s)[0].yaw_rad) for time_s in (0.1, 0.3)] == pytest.approx([np.pi] * 2)  # shorter turn
 
 
+def test_who_comes_and_goes_is_there_from_the_first_moment_to_the_last():
+    moments = [step(i, ego(), users) for i, users in enumerate(([], [user(9.0)], [user(9.0)], []))]
+    traffic = collisions.LoggedTraffic(rollout(moments))
+    assert [len(traffic.at(time_s)) for time_s in (0.0, 0.2, 0.25, 0.4, 0.5, 0.6, 0.75)] == [0, 0, 1, 1, 1, 0, 0]
+
+
 # Time to collision: the own box reaches from -1 to 3 m, another 2 m to either side of its middle
 
 
