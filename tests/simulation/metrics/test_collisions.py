@@ -130,7 +130,7 @@ def measured(users, own=None, distance="bumper", collision=None):
         ([user(-3.1, speed=20.0)], 10.0, np.inf),  # behind
         ([user(1.0, 2.5)], 10.0, np.inf),
         *(([user(21.0, left)], 1.6, 16.0) for left in (1.9, -1.9)),
-        *(([user(21.0, left)], 10.0, np.inf) for left in (2.1, -2.1)),
+        *(([user(21.0, left)], 10.0, np.inf) for left in (2.0, 2.1, -2.1)),
         # The nearest time counts, and the nearest gap.
         ([user(15.0, speed=9.0), user(26.0, id="other")], 21 / 10, 10.0),
         # 45 degrees, its corner at (20, 3) + R(45) (-2, -1) = (19.293, 0.879) in the lane.

@@ -223,6 +223,9 @@ def test_the_page_has_results_figures_and_origins():
         assert word in page
     only_numbers = report_page(drive_report_page([summary.ScoredRun(each.metrics) for each in runs()]))
     assert "<img" not in only_numbers and "Every run" in only_numbers
+    run = replace(runs()[0].rollout, software={"gsrain": "0.0.1"})
+    elsewhere = drive_report_page([runs()[0]._replace(rollout=run)])
+    assert elsewhere.settings["versions"].startswith("gsrain 0.0.1, ")
     half = drive_report_page([runs()[0], summary.ScoredRun(runs()[1].metrics)])
     assert [each.title for each in half.figures] == ["made-up, hand, from above"]
     assert rollout_hash(approach(moments=5)) == rollout_hash(approach(moments=5)) != rollout_hash(approach(moments=6))
