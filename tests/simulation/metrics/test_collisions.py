@@ -88,6 +88,7 @@ def test_points_that_collide(steps, wall_m, hits, hugsim):
 def test_without_a_plan_there_is_no_rate():
     nothing = collisions.planned_collisions(rollout([step(0, ego()), step(1, ego())]))
     assert (nothing.point_rate, nothing.frame_rate, nothing.points_per_frame) == (None, None, 0)
+    assert collisions.PlannedCollisions(((F,), (F, T))).points_per_frame == 2
 
 
 def test_between_two_moments_others_are_between_them():
