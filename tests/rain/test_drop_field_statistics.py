@@ -3,6 +3,8 @@
 Each statistical test says what it would find, and how often. Seeds are fixed.
 """
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -67,6 +69,14 @@ def test_drops_are_uniform_in_the_region(time_s):
 def evenness(within):
     """Chance that drops spread by chance alone are as uneven as these."""
     return stats.chisquare(np.histogramdd(within, bins=(6, 6, 6), range=[(-1, 1)] * 3)[0].ravel()).pvalue
+
+
+@pytest.mark.parametrize(("intensity", "exposure_s"), [(1.2, 0.004), (50.0, 0.004), (8.5, 0.02)])
+def test_the_bound_on_visible_drops_is_safe_and_close(intensity, exposure_s):
+    shower = RainSimulation.start(rain(intensity, exposure_s=exposure_s))
+    field = shower.frame(3.7, replace(drive(3.7), focal_px=1000.0))
+    visible = len(field.visible_drops().numbers)
+    assert 1000 < visible <= field.max_drops < 1.3 * visible + 200
 
 
 def gamma_law(shape, scale_mm):

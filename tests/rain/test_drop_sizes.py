@@ -4,7 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import special, stats
 
-from gsrain_engine.rain.calibration import VelocityFit, atlas_velocity, load_calibration
+from gsrain_engine.rain.calibration import (
+    VelocityFit,
+    atlas_velocity,
+    calibration_names,
+    load_calibration,
+    save_calibration,
+)
 from gsrain_engine.rain.properties import DropSizes, calibration_curves, spectrum_at
 
 laws = st.builds(DropSizes, st.floats(1, 30), st.floats(0.02, 0.5))
@@ -54,6 +60,15 @@ def test_published_velocity_stays_at_its_vertex():
 def test_atlas_velocity_agrees_with_gunn_and_kinzer():
     # Gunn and Kinzer (1949): 1 mm 4.03 m/s, 2 mm 6.49 m/s, 4 mm 8.83 m/s.
     assert atlas_velocity(np.array([1.0, 2.0, 4.0])) == pytest.approx([4.03, 6.49, 8.83], rel=0.03)
+    assert atlas_velocity(np.array([0.0, 0.1])).tolist() == [0, 0]  # mist that the formula would lift
+
+
+def test_a_calibration_comes_back_from_its_file_without_empty_fields(tmp_path):
+    for name in calibration_names():
+        save_calibration(load_calibration(name), tmp_path / "mine.yaml")
+        assert load_calibration(str(tmp_path / "mine.yaml")) == load_calibration(name)
+        text = (tmp_path / "mine.yaml").read_text()
+        assert "null" not in text and text.index("source:") < text.index("rows:")
 
 
 def test_curves_run_through_the_rows_and_spectra_add_up():

@@ -93,6 +93,8 @@ def test_visibility_leaves_a_twentieth_of_a_beam():
         ("intensity_mm_h: 101", "<= 100.0 - at `$.intensity_mm_h`"),
         ("exposure_s: 2", "exposure_s must be within 0.00001..1 s"),
         ("streak_region: {minimum_m: [0, 0, 0], maximum_m: [1, 0, 1]}", "on y"),
+        ("streak_region: {minimum_m: [-1000.1, 0, 0], maximum_m: [1, 1, 1]}", "on x"),
+        ("haze_region: {minimum_m: [0, 0, 0], maximum_m: [1, 1, 1000.1]}", "on z"),
     ],
 )
 def test_bad_presets_name_file_field_and_range(tmp_path, text, words):

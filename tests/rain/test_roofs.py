@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.rain.shelter_map import CELL_M, ShelterMap, build_shelter_map, shelter_map_of
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -88,6 +88,14 @@ def test_a_canopy_of_three_by_three_cells_is_a_roof_wherever_it_stands():
         assert build_shelter_map(parts(ROAD, canopy)).shelter(middle).tolist() == [True, False, False]
 
 
+@pytest.mark.parametrize(("opacity", "is_roof"), [(0.67, False), (0.71, True)])
+def test_a_roof_takes_half_of_the_light_from_above(opacity, is_roof):
+    """Four Gaussians a cell of 0.25 m2, 2 pi (0.1 m)^2 each: an optical depth of 1.005 opacities, ln 2 = 0.693."""
+    g = sheet((10.125, -4.875, 5), (15.875, 4.875, 5))
+    thin = Gaussians(g.means, np.full_like(g.scales, 0.1), g.quaternions, np.full_like(g.opacities, opacity), g.sh)
+    assert (build_shelter_map(parts(ROAD, thin)) is not None) == is_roof
+
+
 def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
     coarse = sheet((10, -10, 5), (16, 10, 5), spacing=1.5)
     torn = BRIDGE.take(np.flatnonzero(~((abs(BRIDGE.means[:, 0] - 13) < 0.3) & (abs(BRIDGE.means[:, 1]) < 0.3))))
@@ -96,6 +104,8 @@ def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
         roofs = build_shelter_map(parts(ROAD, bridge))
         places = np.random.default_rng(0).uniform((11, -8, 1), (15, 8, 4), (500, 3))
         assert np.mean(roofs.shelter(places)) > 0.97
+        columns = np.nonzero(np.isfinite(roofs.heights_m))[1]
+        assert roofs.corner_m[0] + CELL_M * (columns.mean() + 0.5) == pytest.approx(13, abs=0.2)
 
 
 def test_roofs_follow_the_scene_s_units_and_axes():
@@ -144,7 +154,8 @@ def rain(**fields):
 @pytest.mark.parametrize("reset", ["lattice", "paper"])
 def test_no_drop_and_no_haze_is_under_the_bridge(reset):
     street = scene(ROAD, BRIDGE)
-    fields = {"streak_reset": reset, "intensity_mm_h": 50.0, "haze_opacity": 0.01}
+    region = RegionBox(minimum_m=(-1.0, -1.0, -1.5), maximum_m=(5.0, 1.0, 4.5))
+    fields = {"streak_reset": reset, "streak_region": region, "intensity_mm_h": 50.0, "haze_opacity": 0.01}
     shot = RenderView(camera(), 3.0, focal_px=1000.0)
     open_air, kept_out = (frame(street, rain(roofs=on, **fields), shot) for on in (False, True))
     roofs = shelter_map_of(street)

@@ -118,10 +118,11 @@ def test_haze_and_numbers_follow_the_intensity():
     assert not RainSimulation.start(RainSettings(intensity_mm_h=3.0), weather=weather((0.0, 0.0))).can_rain
 
 
-def test_one_key_is_constant_rain():
+@pytest.mark.parametrize("keys", [[(7.0, 8.5)], [(1.0, 8.5), (3.0, 8.5)]])
+def test_keys_of_one_intensity_are_constant_rain(keys):
     """To the byte: offsets, sizes, number."""
     rain = RainSettings(seed=9, wind_m_s=(2.0, 1.0), gust_m_s=1.0)
-    keyed = RainSimulation.start(rain, weather=weather((7.0, 8.5))).frame(4.0, HERE)
+    keyed = RainSimulation.start(rain, weather=weather(*keys)).frame(4.0, HERE)
     constant = RainSimulation.start(msgspec.structs.replace(rain, intensity_mm_h=8.5)).frame(4.0, HERE)
     assert keyed.count == constant.count
     assert np.array_equal(keyed.diameters_mm, constant.diameters_mm)

@@ -65,14 +65,19 @@ def test_opacity_falls_beyond_the_visible_distance():
 
 
 @pytest.mark.parametrize(
-    "fields", [{}, {"streak_frame": "world"}, {"far_drops": "published"}, {"aperture_mm": 6.0}, {"streak_gain": 30.0}]
-)
+    "fields",
+    [
+        {}, {"streak_frame": "world"}, {"far_drops": "published"}, {"aperture_mm": 6.0}, {"streak_gain": 30.0},
+        {"exposure_s": 1e-4},  # shorter than the larger drops need for their own diameters
+    ],
+)  # fmt: skip
 def test_the_compiled_form_makes_the_same_streaks_and_leaves_out_what_is_not_seen(fields):
     random = np.random.default_rng(11)
     positions = random.uniform((-0.5, -2, -2), (4, 2, 2), (3000, 3))
     diameters = random.uniform(0.1, 4, 3000)
     velocities = np.stack([random.normal(size=3000), random.normal(size=3000), -PUBLISHED.velocity(diameters)], axis=1)
-    given = (positions, diameters, velocities, shutter(velocity=(8.0, 1.0, 0.0)), RainSettings(**fields))
+    rain = RainSettings(**fields)
+    given = (positions, diameters, velocities, shutter(rain.exposure_s or 0.004, (8.0, 1.0, 0.0)), rain)
     plain, compiled = make_streaks(*given), streak_gaussians(*given, np.ones(3))
     away, rows = cKDTree(plain.means).query(compiled.means)
     assert away.max() < 1e-5

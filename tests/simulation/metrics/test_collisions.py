@@ -28,10 +28,12 @@ def test_headings_look_to_the_next_point():
 
 def test_plans_that_stand_or_repeat_a_point_keep_their_heading_but_not_in_hugsim():
     for reading in ("all", "hugsim"):
-        jitter = step(0, ego(yaw=0.7), plan=[(0.3, 0.0), (0.2, 0.2), (0.3, -0.3), (0.4, 0.1)])
+        jitter = step(0, ego(30.0, 20.0, 0.7), plan=[(0.3, 0.0), (0.2, 0.2), (0.3, -0.3), (0.4, 0.1)])
         assert (collisions.planned_poses(jitter, reading)[:, 2] == 0.7).all()
     stopping = step(0, ego(), plan=[(3, 3), (6, 6), (6, 6), (6, 6)])
     assert collisions.planned_poses(stopping)[:, 2] == pytest.approx([np.pi / 4] * 4)
+    creeping = step(0, ego(), plan=[(6.0, 6.0), (6.0, 6.011), (6.009, 6.011)])  # a centimeter makes a direction
+    assert collisions.planned_poses(creeping)[:, 2] == pytest.approx([np.pi / 2] * 3)
     assert collisions.planned_poses(stopping, "hugsim")[:, 2] == pytest.approx([np.pi / 4, 0, 0])
 
 
@@ -86,13 +88,21 @@ def test_points_that_collide(steps, wall_m, hits, hugsim):
 def test_without_a_plan_there_is_no_rate():
     nothing = collisions.planned_collisions(rollout([step(0, ego()), step(1, ego())]))
     assert (nothing.point_rate, nothing.frame_rate, nothing.points_per_frame) == (None, None, 0)
+    assert collisions.PlannedCollisions(((F,), (F, T))).points_per_frame == 2
 
 
 def test_between_two_moments_others_are_between_them():
-    moments = [step(i, ego(), [user(3.0 * i, yaw=(3.1, -3.1, 3.1)[i])], step_s=0.2) for i in range(3)]
+    moments = [step(i, ego(), [user(4 + 3.0 * i, 9 - 2.0 * i, yaw=(3.1, -3.1, 3.1)[i])], step_s=0.2) for i in range(3)]
     traffic = collisions.LoggedTraffic(rollout(moments, step_s=0.2))
-    assert [traffic.at(time_s)[0].x_m for time_s in (0.1, 0.2, 9.0)] == pytest.approx([1.5, 3.0, 6.0])
+    places = [(box.x_m, box.y_m) for time_s in (-1.0, 0.1, 0.2, 0.35, 9.0) for box in traffic.at(time_s)]
+    assert np.array(places) == pytest.approx(np.array([(4, 9), (5.5, 8), (7, 7), (9.25, 5.5), (10, 5)]))
     assert [abs(traffic.at(time_s)[0].yaw_rad) for time_s in (0.1, 0.3)] == pytest.approx([np.pi] * 2)  # shorter turn
+
+
+def test_who_comes_and_goes_is_there_from_the_first_moment_to_the_last():
+    moments = [step(i, ego(), users) for i, users in enumerate(([], [user(9.0)], [user(9.0)], []))]
+    traffic = collisions.LoggedTraffic(rollout(moments))
+    assert [len(traffic.at(time_s)) for time_s in (0.0, 0.2, 0.25, 0.4, 0.5, 0.6, 0.75)] == [0, 0, 1, 1, 1, 0, 0]
 
 
 # Time to collision: the own box reaches from -1 to 3 m, another 2 m to either side of its middle
@@ -121,7 +131,7 @@ def measured(users, own=None, distance="bumper", collision=None):
         ([user(-3.1, speed=20.0)], 10.0, np.inf),  # behind
         ([user(1.0, 2.5)], 10.0, np.inf),
         *(([user(21.0, left)], 1.6, 16.0) for left in (1.9, -1.9)),
-        *(([user(21.0, left)], 10.0, np.inf) for left in (2.1, -2.1)),
+        *(([user(21.0, left)], 10.0, np.inf) for left in (2.0, 2.1, -2.1)),
         # The nearest time counts, and the nearest gap.
         ([user(15.0, speed=9.0), user(26.0, id="other")], 21 / 10, 10.0),
         # 45 degrees, its corner at (20, 3) + R(45) (-2, -1) = (19.293, 0.879) in the lane.
@@ -150,8 +160,9 @@ def test_the_first_collision_of_a_run():
         collisions.first_collision(run) == ("lead", 3.5, 10.0, 10.0)
         and collisions.first_collision(approach(moments=5)) is None
     )
-    ahead = rollout([step(0, ego(), [user(5.0, speed=7.0)], collision="lead")])
-    assert collisions.first_collision(ahead) == ("lead", 0.0, 10.0, pytest.approx(3.0))  # it drives on with 7 m/s
+    for own, other, closing in ((0.0, 0.0, 3.0), (0.4, 0.4 + np.pi / 3, 6.5), (0.4, 0.4 + np.pi, 17.0)):
+        ahead = rollout([step(0, ego(yaw=own), [user(5.0, speed=7.0, yaw=other)], collision="lead")])
+        assert collisions.first_collision(ahead) == ("lead", 0.0, 10.0, pytest.approx(closing))  # 10 - 7 cos
 
 
 # HUGSIM's HD-score

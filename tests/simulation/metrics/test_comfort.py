@@ -39,7 +39,8 @@ def turned(speed, *rates):
         (turned(20.0, 0.0, -0.25), 0.0, 0.0),
         (turned(4.0, 0.0, -0.48), 1.0, 1.0),
         (turned(1.0, 0.0, 0.49), 0.0, 0.0),  # 1.96 rad/s2
-        (turned(1.0, 0.0, 0.48, 0.94, 0.96, 0.96), 2 / 4, 2 / 4),  # the rate is too high in the last two
+        (turned(1.0, 0.49, 0.0), 0.0, 0.0),
+        *((turned(1.0, 0.0, *np.multiply(side, (0.48, 0.94, 0.96, 0.96))), 2 / 4, 2 / 4) for side in (1, -1)),
         (driven(ego()), None, None),
     ],
 )
@@ -108,4 +109,4 @@ def test_headings_wrap_and_motion_to_the_side_is_never_felt(side):
     yaws = side * np.array([3.1, -3.1, -3.05, -3.0, -2.95, -2.9])
     motion = comfort.planned_motion(np.column_stack([np.arange(6.0), np.zeros(6), yaws]), 0.5)
     assert motion.yaw_rate_rad_s[:2] == pytest.approx([side * (2 * np.pi - 6.2) / 0.5, side * 0.1])
-    assert (motion.lateral_m_s2 == 0).all()
+    assert (motion.lateral_m_s2 == 0).all() and motion.acceleration_m_s2 == pytest.approx(np.zeros(6))  # 1 m in 0.5 s

@@ -32,6 +32,9 @@ def test_a_run_into_a_standing_car():
     }  # fmt: skip
     assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
     assert msgspec.json.decode(msgspec.json.encode(metrics), type=summary.DriveMetrics) == metrics and metrics.collided
+    for name, beyond in (("dac", 1.01), ("nc", -0.01), ("min_ttc_s", 10.1), ("min_ttc_center_s", -0.1), ("other", 0)):
+        with pytest.raises(msgspec.ValidationError, match=name):
+            msgspec.convert(msgspec.to_builtins(metrics) | {name: beyond}, summary.DriveMetrics)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +48,7 @@ def test_a_run_into_a_standing_car():
         ([step(i, ego(2.5 * i), completion=c) for i, c in enumerate((0.0, 0.3, 0.25))], {"route_completion": 0.3}),
         # A car 12 m on from the start, middle to rear axle, leaves the lane at the third moment: 12 - 2.5 - 3 - 2 m.
         ([step(i, ego(2.5 * i), [user(12.0, y=0.0 if i < 2 else 30.0)]) for i in range(4)],
-         {"min_gap_m": 4.5, "min_ttc_s": 0.45, "min_ttc_time_s": 0.25}),
+         {"min_gap_m": 4.5, "min_ttc_s": 0.45, "min_ttc_time_s": 0.25, "min_ttc_center_s": 0.85}),
     ],
 )  # fmt: skip
 def test_single_metrics(steps, expected):
@@ -208,10 +211,21 @@ def test_the_same_runs_give_the_same_bytes(tmp_path):
 
 
 def test_the_page_has_results_figures_and_origins():
-    page = report_page(drive_report_page(runs(), settings={"command": "gsrain drive <x>"}))
+    report = drive_report_page(runs(), settings={"command": "gsrain drive <x>"})
+    assert report.headlines == {"runs": "3", "collisions": "1", "least time to collision": "0.00 s"}
+    assert report.settings["intensities (mm/h)"] == "0, 1.2, 12" and report.settings["scene hashes"] == ""
+    clear, _, heavy = (row[2:8] for row in report.tables[1].rows)
+    assert clear == (0.0, 0, "time", 2.0, "-", 1.5) and heavy == (12.0, 0, "collision", 3.5, "lead", 0.0)
+    assert not report.held_out
+    page = report_page(report)
     assert page.count("<img") == 2
     for word in ("Driving in rain: made-up", "gsrain drive &lt;x&gt;", rollout_hash(runs()[0].rollout)[:16], "shapely"):
         assert word in page
     only_numbers = report_page(drive_report_page([summary.ScoredRun(each.metrics) for each in runs()]))
     assert "<img" not in only_numbers and "Every run" in only_numbers
+    run = replace(runs()[0].rollout, software={"gsrain": "0.0.1"})
+    elsewhere = drive_report_page([runs()[0]._replace(rollout=run)])
+    assert elsewhere.settings["versions"].startswith("gsrain 0.0.1, ")
+    half = drive_report_page([runs()[0], summary.ScoredRun(runs()[1].metrics)])
+    assert [each.title for each in half.figures] == ["made-up, hand, from above"]
     assert rollout_hash(approach(moments=5)) == rollout_hash(approach(moments=5)) != rollout_hash(approach(moments=6))
