@@ -245,7 +245,8 @@ class DropClassTable:
         if lowest_mm_h == highest_mm_h:
             nodes = np.array([lowest_mm_h])
         else:
-            first, last = int(np.floor(_steps(lowest_mm_h))), int(np.ceil(_steps(highest_mm_h)))
+            first = int(np.floor(_steps(lowest_mm_h)))
+            last = max(first + 1, int(np.ceil(_steps(highest_mm_h))))
             grid = LOWEST_MM_H * _RATIO ** np.arange(first, last + 1)
             # The table has kinks at the calibration's rows.
             rows = np.array([row.intensity_mm_h for row in calibration.rows])

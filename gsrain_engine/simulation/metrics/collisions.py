@@ -123,8 +123,8 @@ class LoggedTraffic:
         return self._known[key]
 
     def _looked_up(self, time_s: float) -> tuple[PlanarBox, ...]:
-        later = int(np.searchsorted(self._times, time_s - _SAME_S))
-        if self._times[later] - time_s <= _SAME_S:
+        later = min(int(np.searchsorted(self._times, time_s - _SAME_S)), len(self._times) - 1)
+        if abs(self._times[later] - time_s) <= _SAME_S or later == 0:
             return road_user_boxes(self._records[later], self._users)
         share = float((time_s - self._times[later - 1]) / (self._times[later] - self._times[later - 1]))
         after = {each.id: each for each in self._records[later]}

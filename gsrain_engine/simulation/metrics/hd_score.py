@@ -22,8 +22,8 @@ class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     nc: float
     """No collision: 1 if neither the planned poses nor the current one collide."""
     dac: float | None
-    """Drivable area compliance: 0 if any pose has less than 0.3 of its footprint's quarters on the road, else 1 (four
-    quarters can't reach HUGSIM's 0.5, for less than half). None if the road is unknown; the score then uses 1."""
+    """Drivable area compliance: 0 if any pose has less than 0.3 of its footprint's quarters on the road, 0.5 below
+    0.5 (which four quarters can't reach), else 1. None if the road is unknown; the score then uses 1."""
     ttc: float
     """Time to collision: 1 if also the poses advanced at their speed by 0.5 s and 1 s do not collide."""
     c: float
@@ -73,7 +73,7 @@ class _HdScorer:
         if self._drivable is not None:
             boxes = [ego_box(self._vehicle, pose) for pose in poses]
             on_road = min(float(np.mean(self._drivable.share_on_road(box) > 0)) for box in boxes)
-            dac = 0.0 if on_road < 0.3 else 1.0
+            dac = 0.0 if on_road < 0.3 else 1.0 - 0.5 * (on_road < 0.5)
         ttc = 1.0 if all(not self._hits(step, self._moved_on(poses, each)) for each in _LOOK_AHEAD_S) else 0.0
         c = float(is_plan_comfortable(poses, self._spacing_s))
         pdms = nc * dac * (_TTC_WEIGHT * ttc + _COMFORT_WEIGHT * c) / (_TTC_WEIGHT + _COMFORT_WEIGHT)
