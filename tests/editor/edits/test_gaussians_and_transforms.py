@@ -118,3 +118,7 @@ def test_an_actor_is_placed_where_the_numbers_say_at_that_moment():
     assert layer_pose(placed, "actors/car", 2.0).position_m == pytest.approx((5.0, 6.0, 0.0))
     assert layer_pose(placed, "actors/car", 0.0).position_m == pytest.approx((4.0, 6.0, 0.0))
     assert placed.actors[0].gaussians is scene.actors[0].gaussians
+    assert layer_pose(scene, "actors/car") == layer_pose(scene, "actors/car", 0.0)
+    small = set_layer_pose(scene, "actors/car", replace(pose, scale=0.5), 2.0).actors[0]
+    assert small.size_lwh == pytest.approx((2.0, 1.0, 0.75))
+    assert small.gaussians.scales == pytest.approx(scene.actors[0].gaussians.scales / 2)
