@@ -16,6 +16,8 @@ from gsrain_engine.editor.edits.transform import (
     Pose,
     layer_pose,
     move_selected,
+    pivot,
+    preview_move,
     set_layer_pose,
 )
 from gsrain_engine.scene.flags import BitMask
@@ -93,6 +95,26 @@ def test_what_is_selected_is_moved_and_nothing_else(delta):
         for name in ("means", "scales", "quaternions", "opacities", "sh"):
             assert np.array_equal(getattr(after.gaussians, name)[rest], getattr(before.gaussians, name)[rest])
     assert there.layers[1] is scene.layers[1]
+
+
+def test_the_handle_is_in_the_middle_of_what_is_dragged():
+    scene = with_selection(edited_scene(), ground=1, car=1)
+    ground, car = (scene.part(member, 2.0) for member in (scene.layers[0], scene.actors[0]))
+    places = [(part.to_world @ [*part.gaussians.means[0], 1])[:3] for part in (ground, car)]
+    assert pivot(scene, None, 2.0) == pytest.approx(np.mean(places, axis=0))
+    assert pivot(scene.with_member("actors/car", locked=True), None, 2.0) == pytest.approx(places[0])
+    assert pivot(edited_scene(), None) is None
+    assert pivot(scene, "actors/car", 2.0) == pytest.approx(car.to_world[:3, 3])
+    middle = np.median(ground.gaussians.means, axis=0)
+    assert pivot(scene, "layers/ground") == pytest.approx((ground.to_world @ [*middle, 1])[:3])
+
+
+def test_a_drag_looks_like_the_move_and_shares_all_arrays():
+    scene = with_selection(edited_scene(), ground=6, car=5)
+    delta = turned(50, 2, 1.2, (0.3, 0.1, 0.0))
+    dragged = preview_move(scene, None, delta, 2.0)
+    assert_same(seen(dragged, 2.0), seen(move_selected(scene, delta, 2.0), 2.0), 1e-4)
+    assert [each.gaussians for each in dragged.layers[3:]] == [scene.layers[0].gaussians, scene.actors[0].gaussians]
 
 
 ANGLE, METRES = st.floats(-179, 179), st.floats(-50, 50)

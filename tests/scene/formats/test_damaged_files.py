@@ -256,6 +256,8 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.sog", lambda: changed("means.mins", [0, 0]), "$.means.mins"),
     ("a.sog", lambda: changed("means.maxs", [1e30, 1, 1]), "a mean"),
     ("a.sog", lambda: changed("quats.files", [".."]), "'..'"),
+    ("a.sog", lambda: changed("quats.files", ["q" * 255]), f"there is no {'q' * 255}"),
+    ("a.sog", lambda: changed("quats.files", ["q" * 256]), f"'{'q' * 40}' is not the name"),
     ("a.sog", lambda: changed("scales.codebook", [0.0] * 257), "$.scales.codebook"),
     ("a.sog", lambda: changed("scales.codebook", [1e4] * 256), "a scale"),
     ("a.sog", lambda: changed("sh0.codebook", [0.0, 1.0]), "a color"),
