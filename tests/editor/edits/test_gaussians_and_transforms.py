@@ -66,6 +66,13 @@ def test_cropping_deletes_what_lies_outside_of_the_box():
     assert crop(scene.with_member("layers/ground", locked=True), box).layers[0].marks.deleted is None
 
 
+def test_corners_of_a_box_are_counted_in_bits():
+    corners = CropBox((1.0, 2.0, 3.0), (2.0, 4.0, 6.0), 90.0).corners_m
+    for i, corner in enumerate(corners):
+        x, y, z = (1 if i & bit else -1 for bit in (4, 2, 1))
+        assert corner == pytest.approx([1 - 2 * y, 2 + x, 3 + 3 * z])
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("upper", [False, True])
 def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper):
@@ -80,7 +87,12 @@ def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper
     assert box.pulled(axis, upper, eye, through / np.linalg.norm(through)).size_m[axis] == pytest.approx(0.01)
 
 
-DELTAS = [turned(0, by=(1.0, -2.0, 0.5)), turned(50, 2, 1.0, (0.3, 0.1, 0.0)), turned(-35, 0, 1.7, (1.0, 0.0, 2.0))]
+DELTAS = [
+    turned(0, by=(1.0, -2.0, 0.5)),
+    turned(50, 2, 1.0, (0.3, 0.1, 0.0)),
+    turned(-35, 0, 2.0, (1.0, 0.0, 2.0)),
+    turned(0, 0, 0.6),
+]
 
 
 @pytest.mark.parametrize("delta", DELTAS)

@@ -71,6 +71,8 @@ def test_own_cameras_stay_and_standing_still_is_no_drive():
     scene, path = flown(STRAIGHT_M, np.array([0.0, 1.0, 0.0]))
     rigs = {"mine": drive_along(scene, path).rigs[RIG]}
     assert drive_along_own_path(replace(scene, path=path, rigs=rigs)).rigs == rigs
+    step = flown(np.array([[0.0, 0, 1.6], [0, 0.6, 1.6]]), np.array([0.0, 1.0, 0.0]))
+    assert recorded_route(drive_along(*step)).length_m == pytest.approx(0.6)
     still = flown(STRAIGHT_M[:1].repeat(2, axis=0), np.array([0.0, 1.0, 0.0]))
     with pytest.raises(ValueError, match="less than 0.5 m"):
         drive_along(*still)
@@ -83,7 +85,7 @@ def test_the_ego_starts_where_it_is_put():
     c, s = np.cos(0.3), np.sin(0.3)
     standing = [[c, -s, 0, 1], [s, c, 0, 2], [0, 0, 1, -0.5 + 1.5], [0, 0, 0, 1]]  # at sensor height
     assert set_ego_start(scene, point, 0.3).ego_to_world(0.0) == pytest.approx(np.array(standing))
-    driven = replace(scene, ego=edited_scene().actors[0].track)
+    driven = replace(scene, ego=edited_scene().actors[0].track.moved(turned(0, by=(3.0, 1.0, 2.0))))
     put = set_ego_start(driven, point, 0.3)
     shift = put.ego_to_world(0.0)[:3, 3] - driven.ego_to_world(0.0)[:3, 3]
     assert put.ego_to_world(0.0)[:3, 3] == pytest.approx([1, 2, 1])
@@ -96,7 +98,9 @@ def test_actors_turn_and_are_retimed():
     track = scene.actors[0].track
     to_left = turn_actor(scene, "actors/car", 30.0).actors[0].track
     assert to_left.pose(2.0) == pytest.approx(track.pose(2.0) @ turned(30))
-    slow = retime_actor(scene, "actors/car", 1.0, 8.0).actors[0]
+    quick = retime_actor(scene, "actors/car", 1.0, 0.5)
+    assert quick.actors[0].track.times == pytest.approx(np.linspace(1, 1.5, 5))
+    slow = retime_actor(quick, "actors/car", 1.0, 8.0).actors[0]
     assert slow.track.times.tolist() == [1, 3, 5, 7, 9]
     assert (start_of(slow), duration_of(slow)) == (1.0, 8.0)
     short = [

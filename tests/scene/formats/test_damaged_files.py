@@ -232,6 +232,7 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.spz", lambda: spz_header(5, 0), "version 5"),
     ("a.spz", lambda: spz_header(3, 0, degree=4), "SH degree 4"),
     ("a.spz", lambda: spz_header(3, 0, bits=24), "24 fractional bits"),
+    ("a.spz", lambda: gz(spz_header(3, 9, bits=23), bytes(10)), "9 Gaussians of SH degree 0 take 196 bytes"),
     ("a.spz", lambda: gz(spz_header(3, 10), bytes(10)), "10 Gaussians of SH degree 0 take 216 bytes"),
     ("a.spz", lambda: gz(spz_header(4, 0)), "version 4 inside gzip"),
     ("a.spz", lambda: spz_header(4, 10, streams=7) + bytes(200), "7 streams"),
