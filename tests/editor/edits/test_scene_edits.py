@@ -174,13 +174,13 @@ def test_up_and_unit_are_set_as_an_importer_needs_them():
 def test_the_mounting_height_of_a_camera_sets_the_metre():
     scene, path = flown(STRAIGHT_M, np.array([0.0, 1.0, 0.0]))
     path = replace(path, positions=path.positions + np.outer(path.times_s < 2, [0.0, -4.0, 0.0]))  # not the median
-    scene = replace(scene, ground_m=0.4, path=replace(path, is_timed=False), unit_is_assumed=True)
-    scaled = set_camera_height(scene, 2.4)  # it was 1.2 m
-    assert (scaled.metres_per_unit, scaled.ground_m) == (pytest.approx(2 * UNIT_M), pytest.approx(0.8))
+    scene = replace(scene, ground_m=1.0, path=replace(path, is_timed=False), unit_is_assumed=True)
+    scaled = set_camera_height(scene, 1.2)  # it was 0.6 m
+    assert (scaled.metres_per_unit, scaled.ground_m) == (pytest.approx(2 * UNIT_M), pytest.approx(2.0))
     assert not scaled.unit_is_assumed
     length_m = 2 * UNIT_M * np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
     assert scaled.path.duration_s == pytest.approx(length_m / WALKING_M_S)
-    assert set_camera_height(replace(scene, path=path), 2.4).path is path
+    assert set_camera_height(replace(scene, path=path), 1.2).path is path
     lacking = (
         ({"path": None}, "no camera path"),
         ({"ground_m": None}, "no known height"),
@@ -188,7 +188,7 @@ def test_the_mounting_height_of_a_camera_sets_the_metre():
     )
     for changes, reason in lacking:
         with pytest.raises(ValueError, match=reason):
-            set_camera_height(replace(scene, **changes), 2.4)
+            set_camera_height(replace(scene, **changes), 1.2)
 
 
 def flat_and_round(*planes, lumps=0):
