@@ -199,6 +199,12 @@ def test_bad_values_are_named(change: Callable[[Values], Any], field: str, folde
     assert field in refusal(folder)
 
 
+def test_keyframes_may_be_a_quarter_of_a_second_apart(folder: Path) -> None:
+    edit(folder, put(0.25, "path", "keyframes", 1, "time_s"))
+    path = read_scene(folder).path
+    assert path is not None and path.times_s[:2].tolist() == [0.0, 0.25]
+
+
 @pytest.mark.parametrize("text", ["", "{", "null", "[]", '{"version": 1e999}', '{"version": NaN}', "\xff", "[" * 10**6])
 def test_what_is_no_json_is_refused(text: str, folder: Path) -> None:
     (folder / "scene.json").write_bytes(text.encode("latin-1"))
