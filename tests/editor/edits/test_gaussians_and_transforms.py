@@ -16,6 +16,8 @@ from gsrain_engine.editor.edits.transform import (
     Pose,
     layer_pose,
     move_selected,
+    pivot,
+    preview_move,
     set_layer_pose,
 )
 from gsrain_engine.scene.flags import BitMask
@@ -64,6 +66,13 @@ def test_cropping_deletes_what_lies_outside_of_the_box():
     assert crop(scene.with_member("layers/ground", locked=True), box).layers[0].marks.deleted is None
 
 
+def test_corners_of_a_box_are_counted_in_bits():
+    corners = CropBox((1.0, 2.0, 3.0), (2.0, 4.0, 6.0), 90.0).corners_m
+    for i, corner in enumerate(corners):
+        x, y, z = (1 if i & bit else -1 for bit in (4, 2, 1))
+        assert corner == pytest.approx([1 - 2 * y, 2 + x, 3 + 3 * z])
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("upper", [False, True])
 def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper):
@@ -78,7 +87,12 @@ def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper
     assert box.pulled(axis, upper, eye, through / np.linalg.norm(through)).size_m[axis] == pytest.approx(0.01)
 
 
-DELTAS = [turned(0, by=(1.0, -2.0, 0.5)), turned(50, 2, 1.0, (0.3, 0.1, 0.0)), turned(-35, 0, 1.7, (1.0, 0.0, 2.0))]
+DELTAS = [
+    turned(0, by=(1.0, -2.0, 0.5)),
+    turned(50, 2, 1.0, (0.3, 0.1, 0.0)),
+    turned(-35, 0, 2.0, (1.0, 0.0, 2.0)),
+    turned(0, 0, 0.6),
+]
 
 
 @pytest.mark.parametrize("delta", DELTAS)
@@ -93,6 +107,26 @@ def test_what_is_selected_is_moved_and_nothing_else(delta):
         for name in ("means", "scales", "quaternions", "opacities", "sh"):
             assert np.array_equal(getattr(after.gaussians, name)[rest], getattr(before.gaussians, name)[rest])
     assert there.layers[1] is scene.layers[1]
+
+
+def test_the_handle_is_in_the_middle_of_what_is_dragged():
+    scene = with_selection(edited_scene(), ground=1, car=1)
+    ground, car = (scene.part(member, 2.0) for member in (scene.layers[0], scene.actors[0]))
+    places = [(part.to_world @ [*part.gaussians.means[0], 1])[:3] for part in (ground, car)]
+    assert pivot(scene, None, 2.0) == pytest.approx(np.mean(places, axis=0))
+    assert pivot(scene.with_member("actors/car", locked=True), None, 2.0) == pytest.approx(places[0])
+    assert pivot(edited_scene(), None) is None
+    assert pivot(scene, "actors/car", 2.0) == pytest.approx(car.to_world[:3, 3])
+    middle = np.median(ground.gaussians.means, axis=0)
+    assert pivot(scene, "layers/ground") == pytest.approx((ground.to_world @ [*middle, 1])[:3])
+
+
+def test_a_drag_looks_like_the_move_and_shares_all_arrays():
+    scene = with_selection(edited_scene(), ground=6, car=5)
+    delta = turned(50, 2, 1.2, (0.3, 0.1, 0.0))
+    dragged = preview_move(scene, None, delta, 2.0)
+    assert_same(seen(dragged, 2.0), seen(move_selected(scene, delta, 2.0), 2.0), 1e-4)
+    assert [each.gaussians for each in dragged.layers[3:]] == [scene.layers[0].gaussians, scene.actors[0].gaussians]
 
 
 ANGLE, METRES = st.floats(-179, 179), st.floats(-50, 50)
@@ -118,3 +152,7 @@ def test_an_actor_is_placed_where_the_numbers_say_at_that_moment():
     assert layer_pose(placed, "actors/car", 2.0).position_m == pytest.approx((5.0, 6.0, 0.0))
     assert layer_pose(placed, "actors/car", 0.0).position_m == pytest.approx((4.0, 6.0, 0.0))
     assert placed.actors[0].gaussians is scene.actors[0].gaussians
+    assert layer_pose(scene, "actors/car") == layer_pose(scene, "actors/car", 0.0)
+    small = set_layer_pose(scene, "actors/car", replace(pose, scale=0.5), 2.0).actors[0]
+    assert small.size_lwh == pytest.approx((2.0, 1.0, 0.75))
+    assert small.gaussians.scales == pytest.approx(scene.actors[0].gaussians.scales / 2)

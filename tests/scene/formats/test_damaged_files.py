@@ -111,6 +111,12 @@ def streams(packed_size: int, unpacked_size: int) -> bytes:
     return head + struct.pack("<QQ", packed_size, unpacked_size) * 5
 
 
+def zstd_frame(window_log: int) -> bytes:
+    """Nine zeros in 18 bytes, to be unpacked in a window of that size (RFC 8878, section 3.1.1)."""
+    block = (1 | 9 << 3).to_bytes(3, "little") + bytes(9)  # the last one, as it is
+    return b"\x28\xb5\x2f\xfd\0" + bytes([(window_log - 10) << 3]) + block
+
+
 def changed(path: str, value: Any) -> bytes:
     """A SOG of which one field of the description is another."""
     meta, files, _ = sog_scene()
@@ -172,6 +178,8 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.ply", lambda: text_ply(lambda lines: b"half " + lines), "vertex 0: 63 numbers"),
     ("a.ply", lambda: text_ply(lambda lines: b"half " + lines.split(b" ", 1)[1]), "vertices 0 to 299"),
     ("a.ply", lambda: write_text(ply()).replace(b"vertex 300", b"vertex 300000000"), "at least"),
+    ("a.ply", lambda: text_ply(lambda lines: b" " * 2**14 + lines), "vertex 0: 0 numbers"),
+    ("a.ply", lambda: ply(b"end_header", b"comment" + b" " * 2**20 + b"\nend_header"), "in its first 1048576 bytes"),
     # values of a PLY
     ("a.ply", lambda: ply_with(nan, "x"), "2 of 300 Gaussians have a mean that is not a finite number"),
     ("a.ply", lambda: ply_with(inf, "f_rest_44"), "2 of 300 Gaussians have a color"),
@@ -224,6 +232,7 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.spz", lambda: spz_header(5, 0), "version 5"),
     ("a.spz", lambda: spz_header(3, 0, degree=4), "SH degree 4"),
     ("a.spz", lambda: spz_header(3, 0, bits=24), "24 fractional bits"),
+    ("a.spz", lambda: gz(spz_header(3, 9, bits=23), bytes(10)), "9 Gaussians of SH degree 0 take 196 bytes"),
     ("a.spz", lambda: gz(spz_header(3, 10), bytes(10)), "10 Gaussians of SH degree 0 take 216 bytes"),
     ("a.spz", lambda: gz(spz_header(4, 0)), "version 4 inside gzip"),
     ("a.spz", lambda: spz_header(4, 10, streams=7) + bytes(200), "7 streams"),
@@ -231,6 +240,8 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.spz", lambda: streams(1, 2**60) + bytes(9), "stream of means must hold 9 bytes"),
     ("a.spz", lambda: streams(2**60, 9), "cut off"),
     ("a.spz", lambda: streams(4, 9) + bytes(20), "zstd stream of means"),
+    ("a.spz", lambda: streams(18, 9) + 5 * zstd_frame(28), "zstd stream of means is damaged"),
+    ("a.spz", lambda: streams(18, 9) + 5 * zstd_frame(27), "stream of opacities must hold 1 bytes"),  # means are read
     *(("a.spz", lambda bad=bad: spz_header(1, 1, bits=0) + struct.pack("<3e", 0, bad, 0) + bytes(10), "a mean")
       for bad in (nan, inf, -inf)),
     # SOG
@@ -241,10 +252,13 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.sog", lambda: changed("version", 3), "version 3"),
     ("a.sog", lambda: changed("count", "many"), "$.count"),
     ("a.sog", lambda: changed("count", -1), "$.count"),
+    ("a.sog", lambda: changed("count", 2**32), "$.count"),
     ("a.sog", lambda: changed("count", 41), "means_l.webp has 8 x 5 pixels"),
     ("a.sog", lambda: changed("means.mins", [0, 0]), "$.means.mins"),
     ("a.sog", lambda: changed("means.maxs", [1e30, 1, 1]), "a mean"),
     ("a.sog", lambda: changed("quats.files", [".."]), "'..'"),
+    ("a.sog", lambda: changed("quats.files", ["q" * 255]), f"there is no {'q' * 255}"),
+    ("a.sog", lambda: changed("quats.files", ["q" * 256]), f"'{'q' * 40}' is not the name"),
     ("a.sog", lambda: changed("scales.codebook", [0.0] * 257), "$.scales.codebook"),
     ("a.sog", lambda: changed("scales.codebook", [1e4] * 256), "a scale"),
     ("a.sog", lambda: changed("sh0.codebook", [0.0, 1.0]), "a color"),
@@ -253,6 +267,9 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.sog", lambda: changed("shN.bands", 3), "centroids.webp is 512 pixels wide, [960]"),
     ("a.sog", lambda: changed("shN.count", 1000), "centroids.webp has room for 320 entries"),
     ("a.sog", lambda: changed("shN.count", 20), "the last one is 19"),
+    ("a.sog", lambda: changed("shN.count", 2**16 + 1), "$.shN.count"),
+    ("a.sog", lambda: with_file("centroids.webp", webp(np.zeros((1025, 512, 4), np.uint8))), "room for 65600 entries"),
+    ("a.sog", lambda: with_meta(b" " * (2**20 + 1)), "meta.json has 1048577 bytes, at most 1048576"),
     ("a.sog", lambda: with_file("quats.webp", webp(EMPTY)), "quaternions have an alpha below 252"),
     ("a.sog", lambda: with_file("quats.webp", b"not an image"), "quats.webp is not a WebP"),
     ("a.sog", lambda: with_file("quats.webp", webp(EMPTY, lossless=False, quality=80)), "single lossless"),
@@ -281,6 +298,14 @@ def test_both_infinities_at_once_are_counted_without_a_warning(tmp_path: Path) -
 
 
 # Memory
+
+
+@pytest.mark.parametrize(("size", "most"), [(16, 2**26 // 56), (400_000, 200 * 400_000 // 56)])
+def test_a_small_file_may_take_64_mb_and_a_larger_one_200_times_its_size(size: int, most: int, tmp_path: Path) -> None:
+    for count, reason in ((most, "take"), (most + 1, "speaks of")):  # a Gaussian without harmonics takes 56 bytes
+        (tmp_path / "a.spz").write_bytes(spz_header(3, count).ljust(size, b"\0"))
+        assert reason in refusal(tmp_path / "a.spz")
+
 
 COEFFICIENTS = {"compressed-ply": 16, "ksplat-0": 9, "ksplat-1": 9, "ksplat-2": 9}
 """Of the most harmonics that a file may have, where its header does not say how many there are."""

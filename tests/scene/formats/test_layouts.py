@@ -104,6 +104,15 @@ def test_other_writers_properties_in_any_order_and_type_are_read(ply: bytes, tmp
         assert_equal(read_bytes(tmp_path, "a.ply", variant), sample_gaussians())
 
 
+def test_only_bytes_after_the_rows_of_a_ply_are_told(
+    ply: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    read_bytes(tmp_path, "a.ply", ply)
+    assert not caplog.messages
+    assert_equal(read_bytes(tmp_path, "a.ply", ply + b"abc"), sample_gaussians())
+    assert "3 bytes follow the rows" in caplog.messages[0]
+
+
 def test_quaternions_are_normalized_and_opacities_activated(test_data: Path) -> None:
     path = test_data / "scenes/pc_short.ply"
     names, values = columns_of(path.read_bytes())
@@ -220,7 +229,7 @@ def test_means_of_spz_have_the_finest_step_that_24_bits_have_room_for(units: flo
     g = sample_gaussians(1, 0)
     g.means[0] = units, -units, 0
     data = encode_spz(g)
-    assert gzip.decompress(data)[13] == bits
+    assert list(gzip.decompress(data)[13:16]) == [bits, 0, 0]  # neither flags nor streams
     np.testing.assert_allclose(read_bytes(tmp_path, "a.spz", data).means, g.means, atol=0.5 / 2**bits, rtol=0)
     for beyond in (8_388_607, np.nan, -np.inf):
         g.means[0, 0] = beyond

@@ -134,15 +134,28 @@ def file_of(number: int, name: str = "file") -> Callable[[Values], str]:
 _LONG = base64.b64encode(zlib.compress(bytes(1 << 24))).decode()
 _IS_NO_POSE = "camera_to_ego of camera 'LEFT'"
 
+RECORDS: list[tuple[tuple[Any, ...], str]] = [
+    (("layers", 1), "$.layers[1]"),
+    (("layers", 0, "marks"), "$.layers[0].marks"),
+    (("layers", 1, "grading"), "$.layers[1].grading"),
+    (("actors", 0), "$.actors[0]"),
+    (("actors", 0, "track"), "$.actors[0].track"),
+    (("rigs", "waymo", 1), "$.rigs[...][1]"),
+    (("path",), "$.path"),
+    (("path", "keyframes", 0), "$.path.keyframes[0]"),
+]
+"""Where a description has fields of its own."""
+
 BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put("red", "color"), "unknown field `color`"),
+    *((put("red", *place, "color"), f" - at `{path}`") for place, path in RECORDS),
     (lambda v: v.pop("version"), "`version`"),
     (put("3", "metres_per_unit"), "Expected `float`, got `str` - at `$.metres_per_unit`"),
     (put(0, "metres_per_unit"), "Expected `float` > 0.0 - at `$.metres_per_unit`"),
     (put([0, 0, 0], "up"), "`$.up`"),
     (put([1e200, 0, 0], "up"), "`$.up`"),
     (put("ocean", "layers", 1, "kind"), "'ocean', expected background, sky - at `$.layers[1].kind`"),
-    (put(1.5, "layers", 1, "opacity"), "`$.layers[1].opacity`"),
+    (put(1.1, "layers", 1, "opacity"), "`$.layers[1].opacity`"),
     (put(9, "layers", 1, "grading", "contrast"), "`$.layers[1].grading.contrast`"),
     (put(0.5, "layers", 1, "to_scene", 0, 1), "`$.layers[1].to_scene`"),  # sheared
     (put(-1.0, "layers", 1, "to_scene", 0, 0), "`$.layers[1].to_scene`"),  # mirrored
@@ -152,6 +165,8 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put([0, 0, 0, 0], "ego", "quaternions_wxyz", 0), "quaternion 0"),
     (put([1e200, 0, 0, 0], "actors", 0, "track", "quaternions_wxyz", 2), "quaternion 2"),
     (put(0, "rigs", "waymo", 0, "width"), "`$.rigs[...][0].width`"),
+    (put(16385, "rigs", "waymo", 0, "height"), "`$.rigs[...][0].height`"),
+    (put(180, "path", "keyframes", 0, "vertical_fov_deg"), "`$.path.keyframes[0].vertical_fov_deg`"),
     (camera(0, [1e200, -1e200, 1e200, 0]), _IS_NO_POSE),
     (camera(3, [0, 0, 0, 2]), _IS_NO_POSE),
     (camera(1, [0, 0, 1, 0]), _IS_NO_POSE),
@@ -182,6 +197,12 @@ def test_bad_values_are_named(change: Callable[[Values], Any], field: str, folde
     (folder.parent / "outside.ply").write_bytes(next(folder.rglob("*.ply")).read_bytes())
     edit(folder, change)
     assert field in refusal(folder)
+
+
+def test_keyframes_may_be_a_quarter_of_a_second_apart(folder: Path) -> None:
+    edit(folder, put(0.25, "path", "keyframes", 1, "time_s"))
+    path = read_scene(folder).path
+    assert path is not None and path.times_s[:2].tolist() == [0.0, 0.25]
 
 
 @pytest.mark.parametrize("text", ["", "{", "null", "[]", '{"version": 1e999}', '{"version": NaN}', "\xff", "[" * 10**6])
