@@ -106,7 +106,7 @@ def find_ground(scene: Scene, seed: int = 0) -> GroundPlaneFit:
         up = np.linalg.svd(near - point, full_matrices=False)[2][2]
         up = up if up[2] >= 0 else -up
     share = float((np.abs((voters - point) @ up) < tolerance).sum() / len(points))
-    if share < _FEWEST_SHARE:
+    if share < _FEWEST_SHARE or up[2] < _STEEPEST_COS:  # the refined plane of a wall has its slope
         raise ValueError("No ground was found: no plane holds enough of the scene. Level it by three points (window).")
     return GroundPlaneFit(up, point, share)
 

@@ -226,6 +226,9 @@ def test_ground_may_slope_by_almost_60_degrees():
     slope = turned(57, 0)
     found = find_ground(flat_and_round((0.0, 1000), lumps=9).with_member("layers/all", to_scene=slope))
     assert found.up == pytest.approx(slope[:3, 2], abs=1e-6)
+    rough_wall = flat_and_round((0.0, 500), (0.05, 500), lumps=9).with_member("layers/all", to_scene=turned(63, 0))
+    with pytest.raises(ValueError, match="no plane holds enough"):
+        find_ground(rough_wall)
 
 
 def test_the_origin_moves_everything():
