@@ -1,5 +1,4 @@
 import hashlib
-import os
 from pathlib import Path
 
 import numba
@@ -137,14 +136,6 @@ def test_reference_harmonics_are_orthonormal_and_signed_as_in_3dgs():
     assert (sh_basis_slowly(np.eye(3))[[1, 2, 0], [1, 2, 3]] * [-1, 1, -1] > 0).all()
 
 
-def golden_folder() -> Path:
-    data = os.environ.get("GSRAIN_TEST_DATA", Path(__file__).parents[2].parent / "shared" / "data")
-    folder = Path(data).parent / "golden"
-    if not folder.is_dir():
-        pytest.skip(f"no golden images at {folder}")
-    return folder
-
-
 def read_3dgs_ply(path: Path) -> Gaussians:
     raw = path.read_bytes()
     body = raw.index(b"end_header\n") + len(b"end_header\n")
@@ -179,14 +170,13 @@ def read_splat_rows(path: Path) -> Gaussians:
 
 
 @pytest.mark.parametrize(("case", "least_db"), [("street_sh3", 60), ("plant", 70)])
-def test_golden_images(case, least_db):
-    folder = golden_folder()
+def test_golden_images(case, least_db, golden, test_data):
     if case == "plant":
-        gaussians = read_splat_rows(folder.parent / "data" / "scenes" / "plant.splat")
+        gaussians = read_splat_rows(test_data / "scenes" / "plant.splat")
     else:
-        gaussians = read_3dgs_ply(folder / f"{case}.ply")
-    frame = rasterize([DrawItem(gaussians, HERE)], read_camera(folder / f"{case}.camera.json"))
-    reference = np.load(folder / f"{case}.reference.npz")["rgb"].astype(np.float64)
+        gaussians = read_3dgs_ply(golden / f"{case}.ply")
+    frame = rasterize([DrawItem(gaussians, HERE)], read_camera(golden / f"{case}.camera.json"))
+    reference = np.load(golden / f"{case}.reference.npz")["rgb"].astype(np.float64)
     psnr_db = -10 * np.log10(np.mean((frame.rgba[..., :3] - reference) ** 2))
     assert psnr_db > least_db
 

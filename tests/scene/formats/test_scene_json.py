@@ -144,7 +144,7 @@ RECORDS: list[tuple[tuple[Any, ...], str]] = [
     (("path",), "$.path"),
     (("path", "keyframes", 0), "$.path.keyframes[0]"),
 ]
-"""Where a description has fields of its own."""
+"""Paths of the fields of a description."""
 
 BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put("red", "color"), "unknown field `color`"),
