@@ -39,7 +39,7 @@ def waited(editor: Editor, begin: Callable[[], None]) -> dict[str, float]:
         time.sleep(_PAUSE_S)
 
 
-def kept(editor: Editor) -> dict[str, float]:
+def autosaved(editor: Editor) -> dict[str, float]:
     """Duration of a due autosave."""
     editor.tick(0.0)
     late = time.monotonic() + editor.preferences.value.autosave_s
@@ -70,7 +70,7 @@ def main() -> None:
             editor.document.edit(
                 name, replace_scene, editor.document.scene.with_member(editor.document.scene.members[0].key, **fields)
             )
-            results[f"autosave after a change of {name}"] = kept(editor)
+            results[f"autosave after a change of {name}"] = autosaved(editor)
             results[f"save after a change of {name}"] = waited(editor, editor.files.save)
         editor.close()
     print(json.dumps({"scene": arguments.scene, "results": results, "machine": describe_machine()}, indent=1))

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
-
 WORKER_NICENESS = 4
 """Priority of workers below the window, as `os.nice` counts: each step is a quarter less of a contested core.
 

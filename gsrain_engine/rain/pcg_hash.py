@@ -10,15 +10,15 @@ import numba
 import numpy as np
 from jaxtyping import UInt32
 
-MULTIPLIER, INCREMENT = np.uint32(1664525), np.uint32(1013904223)
+_MULTIPLIER, _INCREMENT, _SHIFT = np.uint32(1664525), np.uint32(1013904223), np.uint32(16)
 _Bits = UInt32[np.ndarray, "*n"]
 
 
 def pcg4d(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
     """Hash four 32-bit numbers to four: readable reference of `pcg4d_scalar`."""
     with np.errstate(over="ignore"):
-        x, y, z, w = _mix(*(v * MULTIPLIER + INCREMENT for v in (x, y, z, w)))
-        return _mix(*(v ^ (v >> np.uint32(16)) for v in (x, y, z, w)))
+        x, y, z, w = _mix(*(v * _MULTIPLIER + _INCREMENT for v in (x, y, z, w)))
+        return _mix(*(v ^ (v >> _SHIFT) for v in (x, y, z, w)))
 
 
 def _mix(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
@@ -33,7 +33,7 @@ def _mix(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _
 @no_type_check
 def pcg4d_scalar(x, y, z, w):
     """Hash four 32-bit numbers to four, inside compiled code."""
-    m, c, s = np.uint32(1664525), np.uint32(1013904223), np.uint32(16)
+    m, c, s = _MULTIPLIER, _INCREMENT, _SHIFT
     x, y, z, w = np.uint32(x * m + c), np.uint32(y * m + c), np.uint32(z * m + c), np.uint32(w * m + c)
     x = np.uint32(x + y * w)
     y = np.uint32(y + z * x)

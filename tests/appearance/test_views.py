@@ -137,7 +137,7 @@ def test_a_view_of_the_street_is_what_the_rasterizer_draws():
     np.testing.assert_allclose(view.image[opaque], np.clip(frame.rgba[opaque][:, :3], 0, 1), atol=2e-3)
 
 
-def test_road_sky_and_car_are_told_apart():
+def test_road_sky_and_car_are_separated():
     view = scene_view(small_street(), AHEAD)
     assert view.sky[2:10, 40:80].min() > 0.95
     assert view.depth[2:10, 40:80].max() == 0
@@ -167,7 +167,7 @@ def test_without_a_sky_layer_nothing_above_the_horizon_is_sky_and_nothing_below_
     assert below.sky.max() == below.depth.max() == empty.depth.max() == 0 and empty.sky[0].min() == 1
 
 
-def test_views_are_drawn_when_asked_for_and_kept_for_a_while():
+def test_views_are_drawn_on_demand_and_cached():
     scene = small_street()
     made: list[int] = []
 

@@ -162,7 +162,7 @@ def test_dimensions_are_found_in_any_order(change, read):
     np.testing.assert_array_equal(read(change(cloudnet())).spectra.counts, COUNTS)
 
 
-def test_a_stated_interval_is_an_hour_at_most(read):
+def test_an_interval_is_an_hour_at_most(read):
     dataset = cloudnet()
     dataset["interval"] = ("time", np.array([3600.0, 3601.0, np.nan]), {"units": "s"})
     np.testing.assert_array_equal(read(dataset).spectra.seconds, [3600, 60, 60])

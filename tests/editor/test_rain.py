@@ -115,7 +115,7 @@ def test_what_goes_wrong_is_one_sentence_and_the_last_result_stays(lab, tmp_path
     assert (lab.counted, lab.fitted) == (None, None)
 
 
-def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
+def test_a_fit_is_saved_and_used(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     times = 60.0 * np.arange(9)
     for number, intensity in enumerate((2.0, 8.5)):

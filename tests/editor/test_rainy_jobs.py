@@ -67,7 +67,7 @@ def test_a_preview_is_the_view_that_the_job_would_make(tmp_path):
     assert np.array_equal(dry.preview, clear.preview)
 
 
-def test_a_preview_is_shown_next_to_the_image_and_leaves_no_job(editor):
+def test_a_preview_appears_next_to_the_image_and_leaves_no_job(editor):
     editor.wet_look.viewport_px = (96, 64)
     editor.wet_look.preview()
     editor.jobs.newest("preview").wait(60)

@@ -5,9 +5,11 @@ import weakref
 
 import pytest
 
+from gsrain_engine.editor.drawing import live_view
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.scene.scene import Scene
 from live_frames import draw_frame
 from small_scene import small_scene
 
@@ -32,4 +34,14 @@ def test_a_closed_scene_is_free(context, backend):
     assert [each() is None for each in held] == [True] * 3
     assert not view.arrays.masks
     editor.files.give_up()
+    editor.close()
+
+
+def test_an_empty_scene_waits_for_no_kernels(context, monkeypatch):
+    monkeypatch.setattr(live_view, "has_kernels", lambda: False)
+    editor = Editor(Scene("no scene"))
+    view = LiveView(context, "cpu")
+    assert not view.is_settled
+    draw_frame(editor, view, SIZE)
+    assert view.is_settled
     editor.close()

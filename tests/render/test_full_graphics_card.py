@@ -1,6 +1,6 @@
 """A graphics card without room: it is said once, and the processor draws."""
 
-import time
+import threading
 
 import numpy as np
 import pytest
@@ -28,8 +28,10 @@ def picture(editor, view):
 def settled_picture(editor, view):
     """Image after the change to the CPU renderer."""
     picture(editor, view)
-    while not view.is_settled:
-        time.sleep(0.01)
+    for thread in threading.enumerate():
+        if thread.name == "compile kernels":
+            thread.join()
+    assert view.is_settled
     picture(editor, view)
     return picture(editor, view)
 

@@ -126,8 +126,8 @@ class LiveView:
 
     @property
     def is_settled(self) -> bool:
-        """True if the active back end is the final one."""
-        return self._cpu is None or self._cpu.is_ready
+        """True if no other back end takes over from the active one."""
+        return self._is_empty or self._cpu is None or self._cpu.is_ready or self._cpu.has_failed
 
     @property
     def last_textures(self) -> tuple[moderngl.Texture, ...]:

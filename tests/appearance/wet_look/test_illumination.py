@@ -19,7 +19,7 @@ from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.scene.geometry import srgb_to_linear
 
 
-def test_sun_and_shadow_are_told_apart():
+def test_sun_and_shadow_are_separated():
     light = estimate_illumination([dry_view(shadow=0.8)])
     assert light.sun == 1
     # A display factor of 0.2^(1/2.2) is a little more than a fifth in linear light.

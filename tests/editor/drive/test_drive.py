@@ -22,8 +22,8 @@ def world_pose(scene, key, time_s):
 @pytest.mark.parametrize(("start_s", "scale"), [(0.0, 1.0), (0.7, 0.25)])
 def test_everybody_is_where_the_rollout_says_between_its_steps_too(start_s, scale):
     scene, rollout = driven(start_s=start_s, scale=scale)
-    shown = RolloutInScene(rollout, scene)
-    played = shown.scene(scene, with_ego=True)
+    placed = RolloutInScene(rollout, scene)
+    played = placed.scene(scene, with_ego=True)
     first, second = rollout.steps[2], rollout.steps[3]
     for part in (0.0, 0.3):
         time_s = start_s + (1 - part) * first.time_s + part * second.time_s
@@ -31,30 +31,30 @@ def test_everybody_is_where_the_rollout_says_between_its_steps_too(start_s, scal
         rig = played.ego_to_world(time_s)
         assert rig[:3, 3] == pytest.approx((x, first.ego.y_m, 1.5), abs=0.01)
         body = world_pose(played, f"actors/{EGO_CAR}", time_s)
-        assert body[:3, 3] == pytest.approx((x + shown.scenario.vehicle.middle_m, first.ego.y_m, 0.0), abs=0.01)
+        assert body[:3, 3] == pytest.approx((x + placed.scenario.vehicle.middle_m, first.ego.y_m, 0.0), abs=0.01)
         lead = first.road_users[0]
         assert world_pose(played, "actors/lead", time_s)[:3, 3] == pytest.approx((lead.x_m, lead.y_m, lead.z_m))
 
 
 def test_the_same_scene_gives_the_same_value_and_no_gaussians_are_copied():
     scene, rollout = driven()
-    shown = RolloutInScene(rollout, scene)
-    with_ego, without = shown.scene(scene, with_ego=True), shown.scene(scene, with_ego=False)
-    assert shown.scene(scene, with_ego=True) is with_ego
-    assert shown.scene(scene, with_ego=False) is without
+    placed = RolloutInScene(rollout, scene)
+    with_ego, without = placed.scene(scene, with_ego=True), placed.scene(scene, with_ego=False)
+    assert placed.scene(scene, with_ego=True) is with_ego
+    assert placed.scene(scene, with_ego=False) is without
     assert [each.id for each in without.actors] == ["lead"]
     assert all(a is b for a, b in zip(with_ego.layers, scene.layers, strict=True))
     edited = scene.with_member("layers/wall", visible=False)
-    assert shown.fits(edited)
-    assert shown.scene(edited, with_ego=True).actors[0].gaussians is with_ego.actors[0].gaussians
-    assert not shown.fits(replace(scene, metres_per_unit=2.0))
+    assert placed.fits(edited)
+    assert placed.scene(edited, with_ego=True).actors[0].gaussians is with_ego.actors[0].gaussians
+    assert not placed.fits(replace(scene, metres_per_unit=2.0))
     stranger = replace(without.actors[0], id="stranger")
-    assert shown.fits(replace(scene, actors=(stranger,)))
-    assert not shown.fits(replace(scene, actors=without.actors))  # it has an actor of its own called lead
+    assert placed.fits(replace(scene, actors=(stranger,)))
+    assert not placed.fits(replace(scene, actors=without.actors))  # it has an actor of its own called lead
 
 
 @pytest.fixture
-def shown():
+def placed():
     scene, rollout = driven()
     return RolloutInScene(rollout, scene)
 
@@ -64,28 +64,28 @@ def from_above(height_m=20.0):
     return Camera.from_fov(600, 600, 60.0, pose)
 
 
-def test_planned_points_lie_on_the_road_half_a_second_apart(shown):
-    step = shown.played.rollout.steps[2]
-    places = planned_points_m(shown, step, step.time_s)
+def test_planned_points_lie_on_the_road_half_a_second_apart(placed):
+    step = placed.played.rollout.steps[2]
+    places = planned_points_m(placed, step, step.time_s)
     assert places[0, :2] == pytest.approx((step.ego.x_m, step.ego.y_m))
     assert np.diff(places[:, 0]) == pytest.approx(np.full(6, 1.0), abs=1e-2)  # 2 m/s
     assert places[:, 2] == pytest.approx(0.04, abs=0.01)
-    later = planned_points_m(shown, step, step.time_s + 0.2)
+    later = planned_points_m(placed, step, step.time_s + 0.2)
     assert later[0, 0] == pytest.approx(step.ego.x_m + 0.4, abs=1e-2)
     assert later[1:] == pytest.approx(places[1:])  # the plan stays while it is followed
 
 
-def test_who_is_hit_is_marked_when_it_is_hit(shown):
+def test_who_is_hit_is_marked_when_it_is_hit(placed):
     camera = from_above()
-    hit_s = shown.played.end_s
-    early = {box.name: box for box in rollout_overlay(shown, 1.0, camera, from_inside=False).boxes}
-    late = {box.name: box for box in rollout_overlay(shown, hit_s, camera, from_inside=False).boxes}
+    hit_s = placed.played.end_s
+    early = {box.name: box for box in rollout_overlay(placed, 1.0, camera, from_inside=False).boxes}
+    late = {box.name: box for box in rollout_overlay(placed, hit_s, camera, from_inside=False).boxes}
     assert [early[name].is_hit for name in ("lead", "ego")] == [False, False]
     assert [late[name].is_hit for name in ("lead", "ego")] == [True, True]
     assert late["lead"].lines_px.shape == (12, 2, 2)
     width = np.ptp(late["lead"].lines_px[..., 0])
-    near = camera.fx / (20.0 - shown.played.rollout.users["lead"].size_lwh_m[2])
-    assert width == pytest.approx(shown.played.rollout.users["lead"].size_lwh_m[0] * near, rel=0.05)
+    near = camera.fx / (20.0 - placed.played.rollout.users["lead"].size_lwh_m[2])
+    assert width == pytest.approx(placed.played.rollout.users["lead"].size_lwh_m[0] * near, rel=0.05)
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def editor(file):
     editor.close()
 
 
-def test_an_opened_rollout_is_shown_and_the_document_stays(editor, file):
+def test_an_opened_rollout_is_drawn_and_the_document_stays(editor, file):
     scene, drives = editor.document.scene, editor.rollouts
     assert (editor.status.problem, drives.why_hidden) == (None, None)
     assert drives.playing.path == file

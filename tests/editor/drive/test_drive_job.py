@@ -49,7 +49,7 @@ def test_what_a_person_has_edited_is_driven_through_and_opened(editor):
     assert editor.rollouts.step_now.step == 0
 
 
-def test_an_agent_that_can_t_be_opened_is_told_in_one_sentence(editor, tmp_path):
+def test_an_agent_that_can_t_be_opened_is_one_problem(editor, tmp_path):
     bad = tmp_path / "bad.onnx"
     bad.write_bytes(b"no network")
     editor.rollouts.setup.settings = msgspec.structs.replace(

@@ -9,7 +9,7 @@ from gsrain_engine.editor.autosave import autosave_folder
 from gsrain_engine.scene.formats.scene_files import read_scene
 
 
-def test_an_autosave_that_fails_is_told_once_and_tried_again(editor, home, monkeypatch):
+def test_a_failed_autosave_is_reported_once_and_tried_again(editor, home, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 

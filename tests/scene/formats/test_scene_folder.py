@@ -117,7 +117,7 @@ def any_scene(draw: Callable[[st.SearchStrategy[Any]], Any]) -> Scene:
         flags = np.array(draw(st.lists(st.booleans(), min_size=count, max_size=count)), np.bool_)
         return BitMask.of(flags) if flags.any() else None
 
-    def shown(count: int) -> dict[str, Any]:
+    def member_fields(count: int) -> dict[str, Any]:
         grading = ColorGrading(exposure_ev=draw(st.floats(-6, 6)), saturation=draw(st.floats(0, 3)))
         marks = SelectionFlags(mask(count), mask(count), mask(count))
         flags = {name: draw(st.booleans()) for name in ("visible", "locked")}
@@ -129,10 +129,12 @@ def any_scene(draw: Callable[[st.SearchStrategy[Any]], Any]) -> Scene:
         placed = np.eye(4)
         placed[:3, :3] = draw(st.floats(1e-3, 1e3)) * matrices_from_quaternions(turn())
         placed[:3, 3] = draw(_PLACES)
-        layers.append(Layer(f"{draw(st.text(max_size=5))}{number}", gaussians, "sky", placed, **shown(len(gaussians))))
+        layers.append(
+            Layer(f"{draw(st.text(max_size=5))}{number}", gaussians, "sky", placed, **member_fields(len(gaussians)))
+        )
     turns = np.stack([turn(), turn()])
     track = PoseTrack(np.arange(2.0), np.zeros((2, 3)), turns, np.array([True, False]))
-    actor = Actor("car", "car", (4.0, 2.0, 1.0), sample_gaussians(9), track, **shown(9))
+    actor = Actor("car", "car", (4.0, 2.0, 1.0), sample_gaussians(9), track, **member_fields(9))
     keys = draw(st.integers(1, 4))
     path = CameraPath(
         np.cumsum(draw(st.lists(st.floats(0.1, 10), min_size=keys, max_size=keys))),
