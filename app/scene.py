@@ -22,8 +22,12 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.formats.registry import format_of, unknown_format
-from gsrain_engine.scene.formats.scene_files import INNER_SCENE, names_scene_folder, write_scene
-from gsrain_engine.scene.formats.sog import is_sog_folder
+from gsrain_engine.scene.formats.scene_files import (
+    INNER_SCENE,
+    is_foreign_scene_folder,
+    names_scene_folder,
+    write_scene,
+)
 from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street, scene_folder_of
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
@@ -61,7 +65,7 @@ def names_scene(name: str) -> bool:
     """Return True if a name is that of a scene; ambiguous folders, such as scene.json with images, count as scenes."""
     path = Path(name)
     is_file = scene_folder_of(path) is not None or format_of(path) is not None
-    return is_built_in_street(name) or is_file or is_sog_folder(path)
+    return is_built_in_street(name) or is_file or is_foreign_scene_folder(path)
 
 
 # gsrain info
@@ -93,7 +97,7 @@ def info(
     elif check or overlay is not None:
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
     elif not is_scene and inner is None and path.is_dir():
-        found = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
+        found = "neither a scene (scene.json, meta.json of SOG, or scene.pth of HUGSIM) nor a capture that is known"
         raise ValueError(f"{scene}: {found}{capture_hint(path)}")
     elif columns is not None or (not is_scene and path.is_file()):
         numbers = disdrometer_info(path, columns)

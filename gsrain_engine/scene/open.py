@@ -17,9 +17,9 @@ from . import lod_order
 from .camera import Camera
 from .files import SceneFormatError
 from .flags import UNMARKED, SelectionFlags
-from .formats.scene_files import INNER_SCENE, read_scene, write_scene
+from .formats.hugsim import hugsim_files, is_hugsim_folder
+from .formats.scene_files import INNER_SCENE, is_foreign_scene_folder, read_scene, write_scene
 from .formats.scene_folder import SCENE_FILE, FileCache, is_in_drawing_order, scene_folder_files
-from .formats.sog import is_sog_folder
 from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .lod_order import sort_into_lod_order
 from .scene import Layer, Scene, take_gaussians
@@ -92,7 +92,7 @@ def is_built_in_street(name: Path | str | None) -> bool:
 
 
 def _is_scene(path: Path) -> bool:
-    return path.is_file() or scene_folder_of(path) is not None or is_sog_folder(path)
+    return path.is_file() or scene_folder_of(path) is not None or is_foreign_scene_folder(path)
 
 
 def _put_into_order(scene: Scene) -> Scene:
@@ -137,13 +137,13 @@ def scene_hash(name: str | None) -> str:
     if is_built_in_street(name):
         return street_fingerprint()
     path = Path(str(name))
-    folder = folder_to_read(path)
+    folder = folder_to_read(path) or (path if is_hugsim_folder(path) else None)
     if folder is None:
         if not path.is_file():
             raise SceneFormatError(path, "no such scene")
         return file_hash(path)
     found = hashlib.sha256()
-    for file in scene_folder_files(folder):
+    for file in hugsim_files(folder) if is_hugsim_folder(folder) else scene_folder_files(folder):
         found.update(f"{file.relative_to(folder).as_posix()}\0{file_hash(file)}\n".encode())
     return found.hexdigest()[:_HASH_DIGITS]
 

@@ -7,6 +7,7 @@ from ..files import SceneFormatError
 from ..gaussians import Gaussians
 from ..scene import Layer, Scene
 from ..transforms import FILE_UP, flatten_scene
+from .hugsim import is_hugsim_folder, read_hugsim
 from .registry import close_match, format_of, read_gaussians, write_gaussians
 from .scene_folder import SCENE_FILE, FileCache, read_scene_folder, write_scene_folder
 from .sog import is_sog_folder, read_sog
@@ -39,6 +40,11 @@ def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
         raise SceneFormatError(missing, f"there is no such file or folder{_sibling_file(missing)}") from None
     except OSError as error:
         raise SceneFormatError(error.filename or path, f"can't be read: {error.strerror or error}") from None
+
+
+def is_foreign_scene_folder(folder: Path) -> bool:
+    """Return whether a folder holds a scene of another program: of SOG or HUGSIM."""
+    return is_sog_folder(folder) or is_hugsim_folder(folder)
 
 
 def names_scene_folder(path: Path) -> bool:
@@ -78,6 +84,8 @@ def _read(path: Path, known: FileCache | None) -> Scene:
         return read_scene_folder(path, known)
     if is_sog_folder(path):
         return _single_layer(path.resolve().name, read_sog(path))
+    if is_hugsim_folder(path):
+        return read_hugsim(path)
     if (path / INNER_SCENE / SCENE_FILE).is_file():
         return read_scene_folder(path / INNER_SCENE, known)
     told = f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE}; this has neither"
