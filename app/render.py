@@ -40,8 +40,9 @@ from .options import (
     check_within,
     option,
     options_of,
+    parse_intensities,
 )
-from .outputs import check_writable, lock_outputs, write_numbers
+from .outputs import check_image, check_writable, lock_outputs, write_numbers
 from .scene import Orientation, TimedPath, timed_path
 
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
@@ -80,6 +81,9 @@ def render(
     frame: Annotated[int | None, option("Render only this frame of the path or drive, counted from 0.")] = None,
     depth: Annotated[bool, option("Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
     labels: Annotated[LabelFormat | None, option("Also write boxes, visibility, instance masks and depth.")] = None,
+    sheet: Annotated[
+        str | None, option("Image with these intensities (0,1.2,8.5,12) below each other, and what is seen of each.")
+    ] = None,
     mode: Annotated[RenderMode, option("splats for the image; others show the scene without rain.")] = "splats",
     wet: Wet = False,
     orientation: Orientation | None = None,
@@ -94,6 +98,7 @@ def render(
         raise ValueError(f"--frame {frame}: must be 0 or more")
     if frame is not None and camera is not None and export.is_still:
         raise ValueError(f"--frame {frame}: a still from --camera has no other frame; --time sets its moment")
+    intensities = None if sheet is None else _sheet_intensities(sheet, export, frame)
     check_writable(json)
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
     if labels is not None and not scene_objects(opened):
@@ -101,13 +106,18 @@ def render(
     settings = rain_options.for_scene(opened)
     if wet:
         opened = wet_look(opened)
-        settings = settings if settings.wetness is not None else structs.replace(settings, wetness=1.0)
+        if intensities is None and settings.wetness is None:  # on a sheet, each intensity has its own
+            settings = structs.replace(settings, wetness=1.0)
     simulation = RainSimulation.start(settings, weather=rendered_weather(rain_options, opened))
     is_own_path = camera is None and camera_path is None and opened.path is not None
     viewpoint = _viewpoint(opened, camera, camera_path, export, is_frame=frame is not None)
     timing = _timing(opened, viewpoint, camera_path, export, speed)
     viewpoint = viewpoint if timing is None else timing.path
     sequences = export_sequences(export, opened, simulation, viewpoint, in_scene_time=is_own_path)
+    if intensities is not None:
+        with open_renderer(backend) as renderer:
+            write_numbers(json, _write_sheet(renderer, sequences, settings, intensities, Path(export.output)))
+        return 0
     numbers = _frame_numbers(export, sequences, duration, frame)
     outputs = export_outputs(export, list(sequences))
     _check_outputs(outputs, export, list(sequences), labels, json)
@@ -183,6 +193,42 @@ def _record(frames: Iterator[Progress], renderer: Renderer, state: RainPropertie
         "implied_mm_h": state.implied_mm_h,
         "table_implied_mm_h": state.table_implied_mm_h,
     }
+
+
+def _sheet_intensities(sheet: str, export: ExportSettings, frame: int | None) -> list[float]:
+    """Parse `--sheet`, and check that the output is one image."""
+    intensities = parse_intensities(sheet, "--sheet")
+    check_image("--output", Path(export.output))
+    if not export.is_still or set(export.passes) != {"color"} or frame is not None:
+        raise ValueError("--sheet makes one image of one moment: -o NAME.png, and --time for the moment")
+    return intensities
+
+
+def _write_sheet(
+    renderer: Renderer,
+    sequences: Mapping[str, FrameSequence],
+    rain: RainSettings,
+    intensities: Sequence[float],
+    output: Path,
+) -> dict[str, Any]:
+    """Render and write a sheet of intensities; returns its numbers."""
+    from PIL import Image  # loads slowly, as does the OpenCV of the sheet, and few commands need them
+
+    from gsrain_engine.render.images import write_image
+    from gsrain_engine.render.intensity_sheet import SheetCell, intensity_sheet, sheet_cells
+
+    lock_outputs(output)
+    cells: list[SheetCell] = []
+    with progress_bar("Rendering", len(sequences) * len(intensities), draws=True) as advance:
+        for each in sheet_cells(renderer, sequences, rain, intensities):
+            if isinstance(each, SheetCell):
+                cells.append(each)
+                advance(1)
+    for cell in cells:
+        print(f"{f'{cell.view}, ' if cell.view else ''}{cell.intensity_mm_h:g} mm/h: {cell.caption}")
+    write_image(output, Image.fromarray(intensity_sheet(cells)))
+    print(f"{output}: {len(cells)} images, {', '.join(filter(None, [rain.exaggeration]))}".removesuffix(", "))
+    return {"cells": [cell.numbers for cell in cells], "backend": renderer.name}
 
 
 def _listed(paths: list[Path]) -> str:

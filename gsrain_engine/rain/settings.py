@@ -127,11 +127,11 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Haze Gaussians", extra={"ge": 0, "le": 200_000},
         description="M: none takes as many as the extinction needs, and splits them up to be smooth.")] = None
     haze_gain: Annotated[float, Meta(
-        ge=0, le=50, title="Haze gain", extra={"group": "Appearance", "slider_to": 10.0},
+        ge=0, le=50, title="Haze gain", extra={"group": "Appearance", "slider_to": 10.0, "commands": "render"},
         description="Multiplies the extinction; 1 is physical.")] = 1.0
     streak_gain: Annotated[float, Meta(
         ge=0, le=50, title="Streak gain",
-        extra={"group": "Appearance", "slider_to": 10.0, "commands": "evaluate streaks"},
+        extra={"group": "Appearance", "slider_to": 10.0, "commands": "render, evaluate streaks"},
         description="Multiplies the streaks' opacity (eq. 5); 1 is physical.")] = 1.0
     aperture_mm: Annotated[float, Meta(
         ge=0, le=50, title="Aperture",

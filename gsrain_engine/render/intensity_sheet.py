@@ -1,0 +1,183 @@
+"""Intensity sheet: the same views in several rains, with what of each can be seen, in numbers."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import msgspec
+import numpy as np
+from jaxtyping import Bool, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
+from ..scene.progress import Progress
+from .renderer import Renderer
+from .sequence import FrameSequence
+from .sky_color import SkyColor
+
+SEEN_LEVELS = 4
+"""A change of a pixel by more gray levels than this counts as seen."""
+
+_CLOSE_UP = 5  # the close-up is a fifth of the image wide and high
+_ENLARGED = 2
+_TEXT_SHARE, _TEXT_PX = 1 / 40, 13  # height of the text: of the image's width, and at least
+_PAPER, _INK, _FAINT, _MARK = (24, 25, 28), (232, 232, 236), (170, 172, 180), (228, 60, 48)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetCell:
+    """One view in one rain, and its difference from the same view without rain."""
+
+    view: str
+    intensity_mm_h: float
+    image: UInt8[np.ndarray, "h w 3"]
+    mean_change: float
+    """Mean absolute difference, in gray levels of 255."""
+    seen_share: float
+    """Fraction of the pixels whose color changes by more than `SEEN_LEVELS`."""
+    streaks_drawn: int
+    streaks_seen: int
+    """Connected regions that the streaks alone change by more than `SEEN_LEVELS`."""
+
+    @property
+    def numbers(self) -> dict[str, str | float | int]:
+        """Plain values of all but the image."""
+        return {
+            "view": self.view,
+            "intensity_mm_h": self.intensity_mm_h,
+            "mean_change_levels": self.mean_change,
+            "seen_share": self.seen_share,
+            "streaks_drawn": self.streaks_drawn,
+            "streaks_seen": self.streaks_seen,
+        }
+
+    @property
+    def caption(self) -> str:
+        """Line that states what can be seen."""
+        if self.intensity_mm_h == 0:
+            return "no rain"
+        streaks = f"{self.streaks_seen:,} of {self.streaks_drawn:,} streaks"
+        return f"change {self.mean_change:.2f} of 255, seen in {self.seen_share:.1%} of pixels, {streaks}"
+
+
+def sheet_cells(
+    renderer: Renderer,
+    sequences: Mapping[str, FrameSequence],
+    rain: RainSettings,
+    intensities_mm_h: Sequence[float],
+    number: int = 0,
+) -> Iterator[Progress | SheetCell]:
+    """Render a frame of each view (`sequences` by name) in each intensity; yields progress, and each cell once.
+
+    Apart from their intensity all have the same rain and seed. The view without rain is the scene as it is, dry.
+    """
+    sky = next(iter(sequences.values())).sky(renderer)
+    done, count = 0, len(sequences) * len(intensities_mm_h)
+    for view, sequence in sequences.items():
+        clear = sequence.frame(renderer, number, None).to_uint8()
+        for intensity in intensities_mm_h:
+            yield Progress(done / count, f"{view} {intensity:g} mm/h".lstrip())
+            own = msgspec.structs.replace(rain, intensity_mm_h=intensity)
+            yield _cell(renderer, sequence, view, own, number, sky if intensity else None, clear)
+            done += 1
+    yield Progress(1.0, "")
+
+
+def _cell(
+    renderer: Renderer,
+    sequence: FrameSequence,
+    view: str,
+    rain: RainSettings,
+    number: int,
+    sky: SkyColor | None,
+    clear: UInt8[np.ndarray, "h w 3"],
+) -> SheetCell:
+    def drawn(settings: RainSettings) -> UInt8[np.ndarray, "h w 3"]:
+        return replace(sequence, rainfall=RainSimulation.start(settings)).frame(renderer, number, sky).to_uint8()
+
+    image = drawn(rain)
+    streaks_drawn = renderer.statistics.drops_drawn if sky is not None else 0
+    streaks = _seen(image, drawn(msgspec.structs.replace(rain, streaks=False))) if sky is not None else None
+    return SheetCell(
+        view,
+        rain.intensity_mm_h,
+        image,
+        float(np.abs(image.astype(np.int16) - clear).mean()),
+        float(_seen(image, clear).mean()),
+        streaks_drawn,
+        0 if streaks is None else cv2.connectedComponents(streaks.astype(np.uint8), connectivity=8)[0] - 1,
+    )
+
+
+def _seen(image: UInt8[np.ndarray, "h w 3"], other: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    return np.abs(image.astype(np.int16) - other).max(axis=2) > SEEN_LEVELS
+
+
+# Drawing
+
+
+def intensity_sheet(cells: Sequence[SheetCell]) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw cells as a table: a row for each intensity, a column for each view, the numbers below each image.
+
+    The lower right corner of each image enlarges a marked region: where the view's heaviest rain changes it most.
+    """
+    views = list(dict.fromkeys(cell.view for cell in cells))
+    columns = [_column([cell for cell in cells if cell.view == view]) for view in views]
+    sheet = Image.new("RGB", (sum(each.width for each in columns), max(each.height for each in columns)), _PAPER)
+    left = 0
+    for column in columns:
+        sheet.paste(column, (left, 0))
+        left += column.width
+    return np.asarray(sheet)
+
+
+def _column(cells: Sequence[SheetCell]) -> Image.Image:
+    height, width = cells[0].image.shape[:2]
+    text = max(round(_TEXT_SHARE * width), _TEXT_PX)
+    gap, row = text // 2, height + 3 * text
+    font = ImageFont.load_default(text)
+    column = Image.new("RGB", (width + 2 * gap, len(cells) * row + gap), _PAPER)
+    draw = ImageDraw.Draw(column)
+    region = _most_changed(cells)
+    for place, cell in enumerate(cells):
+        top = gap + place * row
+        column.paste(Image.fromarray(_with_close_up(cell.image, region)), (gap, top))
+        title = f"{cell.intensity_mm_h:g} mm/h  "
+        if cell.view:
+            title = f"{cell.view}, {title}"
+        below = top + height + gap
+        draw.text((gap, below), title, _INK, font)
+        draw.text((gap + draw.textlength(title, font), below), cell.caption, _FAINT, font)
+    return column
+
+
+def _most_changed(cells: Sequence[SheetCell]) -> tuple[slice, slice]:
+    """Rows and columns of the region that differs most between the lightest and the heaviest rain.
+
+    Regions that the enlargement would cover are left out.
+    """
+    lightest, heaviest = (
+        pick(cells, key=lambda cell: cell.intensity_mm_h).image.astype(np.float32) for pick in (min, max)
+    )
+    height, width = lightest.shape[:2]
+    tall, wide = height // _CLOSE_UP, width // _CLOSE_UP
+    change = np.abs(heaviest - lightest).mean(axis=2)
+    sums = cv2.boxFilter(change, -1, (wide, tall), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+    sums = sums[: height - tall + 1, : width - wide + 1]
+    sums[height - (_ENLARGED + 1) * tall :, width - (_ENLARGED + 1) * wide :] = -1
+    top, left = np.unravel_index(int(sums.argmax()), sums.shape)
+    return slice(int(top), int(top) + tall), slice(int(left), int(left) + wide)
+
+
+def _with_close_up(image: UInt8[np.ndarray, "h w 3"], region: tuple[slice, slice]) -> UInt8[np.ndarray, "h w 3"]:
+    enlarged = image[region].repeat(_ENLARGED, axis=0).repeat(_ENLARGED, axis=1)
+    marked = image.copy()
+    height, width = enlarged.shape[:2]
+    marked[-height:, -width:] = enlarged
+    rows, columns = region
+    line = max(image.shape[1] // 480, 1)
+    right, bottom = image.shape[1] - 1, image.shape[0] - 1
+    cv2.rectangle(marked, (columns.start, rows.start), (columns.stop, rows.stop), _MARK, line)
+    cv2.rectangle(marked, (right - width, bottom - height), (right, bottom), _MARK, line)
+    return marked

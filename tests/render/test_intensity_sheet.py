@@ -1,0 +1,67 @@
+"""Sheets of rain intensities: numbers and images of the small scene."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.main import run
+from gsrain_engine.editor.viewport.camera import default_path
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.intensity_sheet import SheetCell, intensity_sheet, sheet_cells
+from gsrain_engine.render.sequence import FrameSequence
+from small_scene import small_scene
+
+SIZE = 160, 120
+
+
+def cells_of(intensities, **fields):
+    scene, rain = small_scene(), load_preset("8.5")
+    sequence = FrameSequence(scene, RainSimulation.start(rain), default_path(scene, *SIZE), *SIZE, start_s=1.0)
+    found = sheet_cells(CpuRenderer(), {"front": sequence, "rear": sequence}, rain, intensities, **fields)
+    return [each for each in found if isinstance(each, SheetCell)]
+
+
+def test_harder_rain_changes_more_and_no_rain_nothing():
+    clear, light, heavy, *others = cells_of([0.0, 2.0, 50.0])
+    assert [(each.view, each.intensity_mm_h) for each in (clear, light, heavy)] == [
+        ("front", 0.0), ("front", 2.0), ("front", 50.0)
+    ]  # fmt: skip
+    assert (clear.mean_change, clear.seen_share, clear.streaks_drawn, clear.streaks_seen) == (0, 0, 0, 0)
+    assert 0 < light.mean_change < heavy.mean_change
+    assert light.seen_share < heavy.seen_share <= 1
+    assert light.streaks_drawn < heavy.streaks_drawn and 0 < heavy.streaks_seen <= heavy.streaks_drawn
+    for own, other in zip((clear, light, heavy), others, strict=True):
+        np.testing.assert_array_equal(own.image, other.image)
+
+
+def test_the_close_up_is_where_rain_changes_most():
+    clear = np.full((100, 150, 3), 90, np.uint8)
+    rainy = clear.copy()
+    rainy[20:40, 60:90] = 140
+    cells = [SheetCell("", rate, image, 0.0, 0.0, 0, 0) for rate, image in ((0.0, clear), (8.5, rainy))]
+    sheet = intensity_sheet(cells)
+    gap = (sheet.shape[1] - 150) // 2
+    assert (sheet[gap + 62 : gap + 98, gap + 92 : gap + 148] == 90).all()  # the enlargement of the dry image
+    red = (sheet[..., 0].astype(int) - sheet[..., 1]) > 100
+    assert red[gap + 20, gap + 60 : gap + 90].all() and red[gap + 20 : gap + 40, gap + 60].all()
+
+
+def test_the_command_writes_the_sheet_and_its_numbers(tmp_path, capsys):
+    from gsrain_engine.scene.formats.scene_files import write_scene
+
+    write_scene(small_scene(), tmp_path / "scene")
+    sheet = tmp_path / "sheet.png"
+    arguments = ["render", str(tmp_path / "scene"), "--sheet", "0,12", "--size", "96x64", "--backend", "cpu"]
+    assert run([*arguments, "-o", str(sheet)]) == 0
+    with Image.open(sheet) as image:
+        assert image.width >= 96 and image.height >= 2 * 64
+    assert "12 mm/h: change" in capsys.readouterr().out
+    for wrong in (["-o", str(tmp_path / "clip.mp4")], ["-o", str(sheet), "--frame", "3"]):
+        assert run([*arguments, *wrong]) == 2
+
+
+@pytest.mark.parametrize("text", ["", "a", "0,200"])
+def test_wrong_intensities_are_refused(tmp_path, text):
+    assert run(["render", "--sheet", text, "-o", str(tmp_path / "sheet.png")]) == 2
