@@ -110,7 +110,7 @@ def render(
             settings = structs.replace(settings, wetness=1.0)
     simulation = RainSimulation.start(settings, weather=rendered_weather(rain_options, opened))
     is_own_path = camera is None and camera_path is None and opened.path is not None
-    viewpoint = _viewpoint(opened, camera, camera_path, export, is_frame=frame is not None)
+    viewpoint = viewpoint_of(opened, camera, camera_path, export, is_frame=frame is not None)
     timing = _timing(opened, viewpoint, camera_path, export, speed)
     viewpoint = viewpoint if timing is None else timing.path
     sequences = export_sequences(export, opened, simulation, viewpoint, in_scene_time=is_own_path)
@@ -258,7 +258,7 @@ def _check_outputs(
     check_writable(json, *(path for path in written if path not in folders), folders=dict.fromkeys(folders))
 
 
-def _viewpoint(
+def viewpoint_of(
     scene: Scene, camera: Path | None, camera_path: Path | None, export: ExportSettings, *, is_frame: bool
 ) -> Camera | CameraPath:
     """Return the camera or path of the options, in the world; else the scene's path, the ego's drive, or an orbit.

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Literal
 
@@ -97,6 +98,15 @@ class CaptureFrame:
     def sky(self) -> Bool[np.ndarray, "h w"] | None:
         """Pixels of the sky."""
         return self._read("sky", self.sky_source)
+
+    @property
+    def image_file(self) -> Path | None:
+        """File of the image as it is on disk; None if it is no file of its own, or is read turned."""
+        match self.image_source:
+            case partial(args=(Path() as file,)):
+                return file
+            case _:
+                return None
 
     def held(self) -> "CaptureFrame":
         """Return the view with its arrays in memory; raises `CaptureError` if reading fails."""

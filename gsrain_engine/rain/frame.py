@@ -15,7 +15,7 @@ from .haze import make_haze
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
-from .streaks import ShutterModel, sh_of
+from .streaks import ShutterModel, sh_of, streak_gaussians
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +131,19 @@ class RainFrame:
         return min(self.count, int(1.1 * expected + 10 * np.sqrt(expected)) + 64)
 
     @cached_property
+    def drops(self) -> FallingDrops:
+        """Drops that may be visible to the camera."""
+        return self.visible_drops()
+
+    @cached_property
+    def streaks(self) -> Gaussians:
+        """Streak Gaussians of the visible drops."""
+        drops = self.drops
+        return streak_gaussians(
+            drops.positions_m, drops.diameters_mm, drops.velocities_m_s, self.shutter, self.rain, self.color
+        )
+
+    @cached_property
     def haze(self) -> Gaussians:
         """Haze Gaussians in the open."""
         if not self.rain.haze:
@@ -144,3 +157,8 @@ class RainFrame:
         return Gaussians(
             means, np.full((n, 3), self.rain.haze_sigma_m, np.float32), upright, opacities, sh_of(self.color, n)
         )
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """All Gaussians of the rain, G_rain(t): streaks, then haze."""
+        return Gaussians.concatenate([self.streaks, self.haze])

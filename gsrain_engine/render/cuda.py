@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from ..rain.frame import RainFrame
-from ..rain.streaks import streak_gaussians
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
@@ -71,12 +70,8 @@ class CudaRenderer:
         self.statistics = RenderStatistics(stages_ms={"project": 0.0, "draw": 0.0, "rain": 0.0})
         falling = Gaussians.empty()
         if rain is not None:
-            drops, shutter = rain.visible_drops(), rain.shutter
-            streaks = streak_gaussians(
-                drops.positions_m, drops.diameters_mm, drops.velocities_m_s, shutter, rain.rain, rain.color
-            )
-            falling = Gaussians.concatenate([streaks, rain.haze])
-            self.statistics.drops_drawn, self.statistics.haze_drawn = len(drops.numbers), len(rain.haze)
+            falling = rain.gaussians
+            self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
         with self._timed("project"):
             scene = self._arrays.before_camera(parts, camera)
         slabs: DepthSlabs | None = None

@@ -31,6 +31,19 @@ class RenderView:
     """Fraction of the shutter time, for one of several sub-frames that share it."""
 
 
+_STEP_S = 0.005  # half the time step of the velocity estimate
+
+
+def ego_view(scene: Scene, camera: Camera, time_s: float) -> RenderView:
+    """View of a camera that is fixed to the scene's ego vehicle, if the vehicle is present; else it is at rest."""
+    now, before, after = (scene.ego_to_world(time_s + step) for step in (0.0, -_STEP_S, _STEP_S))
+    velocity_m_s = np.zeros(3)
+    if now is not None and before is not None and after is not None:
+        mounted = np.linalg.inv(now) @ np.append(camera.position, 1.0)
+        velocity_m_s = ((after - before) @ mounted)[:3] / (2 * _STEP_S)
+    return RenderView(camera, time_s, velocity_m_s)
+
+
 def draw_view(
     renderer: Renderer,
     scene: Scene,

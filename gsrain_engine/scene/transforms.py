@@ -40,11 +40,16 @@ def flatten_scene(scene: Scene, time_s: float = 0.0) -> Gaussians:
     A scene read from a single file is unchanged, and every scene looks the same from the same world camera before and
     after a round trip through a single file.
     """
-    world_to_file = np.eye(4)
-    world_to_file[:3, :3] = rotation_to_z_up(FILE_UP).T
     return Gaussians.concatenate(
-        [transform_gaussians(bake_item(part), world_to_file @ part.to_world) for part in scene.parts(time_s)]
+        [transform_gaussians(bake_item(part), world_to_file() @ part.to_world) for part in scene.parts(time_s)]
     )
+
+
+def world_to_file() -> Float64[np.ndarray, "4 4"]:
+    """Rotation from the world (meters, z up) to the frame of single-file scenes, in which `FILE_UP` is up."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_to_z_up(FILE_UP).T
+    return matrix
 
 
 def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:

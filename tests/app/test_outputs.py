@@ -16,6 +16,7 @@ OUTPUTS = {
     "edit": ["none -o OUT"],
     "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
     "street": ["OUT", "ok --json OUT"],
+    "export-rain": ["street -o OUT.ply", "none -o ok --json OUT"],
     "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],
     "disdrometer": ["-o OUT.nc", "--json OUT"],
     "reconstruct": ["none -o OUT", "none -o ok --report OUT.html", "none -o ok --json OUT"],

@@ -509,6 +509,10 @@ SHELL_COMMANDS = {
         "app.scene:street",
         "Write the built-in street as a scene, and as images with depth, normals and labels.",
     ),
+    "export-rain": (
+        "app.export_rain:export_rain",
+        "Write the rain for other programs: its Gaussians (.ply), or a rainy copy of a recording.",
+    ),
     "calibrate": ("app.rain:calibrate", "Fit drop numbers, sizes and speeds by intensity to disdrometer files."),
     "disdrometer": ("app.rain:disdrometer", "Measure the simulated rain with a virtual disdrometer."),
     "reconstruct": ("app.train:reconstruct", "Fit Gaussians to a capture: images with cameras, and lidar or points."),

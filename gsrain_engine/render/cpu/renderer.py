@@ -10,7 +10,6 @@ from jaxtyping import Float32, Int32
 
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
-from ...rain.streaks import streak_gaussians
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
@@ -45,12 +44,8 @@ class CpuRenderer:
         with timed(stages, "project"):
             falling: list[DrawItem] = []
             if rain is not None and look == "splats":
-                drops, shutter = rain.visible_drops(), rain.shutter
-                streaks = streak_gaussians(
-                    drops.positions_m, drops.diameters_mm, drops.velocities_m_s, shutter, rain.rain, rain.color
-                )
-                falling = [DrawItem(each, np.eye(4)) for each in (streaks, rain.haze) if len(each)]
-                self.statistics.drops_drawn, self.statistics.haze_drawn = len(drops.numbers), len(rain.haze)
+                falling = [DrawItem(each, np.eye(4)) for each in (rain.streaks, rain.haze) if len(each)]
+                self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
             splats = project([*parts, *falling], camera, flags, as_points=look == "points")
             splats = _color_by_mode(look, splats, parts, camera)

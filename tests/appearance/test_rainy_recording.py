@@ -1,0 +1,87 @@
+"""Rain for other programs: rainy copies of recordings, and the rain's Gaussians."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from app.main import run
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from small_capture import small_capture
+from small_scene import small_scene
+
+
+@pytest.fixture
+def recording(tmp_path):
+    folder = tmp_path / "drive"
+    for _ in write_views(folder, small_capture()):
+        pass
+    (folder / "lidar").mkdir()
+    (folder / "lidar" / "000000.bin").write_bytes(b"points")
+    return folder
+
+
+def test_a_rainy_copy_has_rain_in_its_images_and_all_else_as_it_was(recording, tmp_path):
+    target = tmp_path / "rainy"
+    before = {file: file.read_bytes() for file in recording.rglob("*") if file.is_file()}
+    assert run(["export-rain", str(recording), "-o", str(target), "--rain", "50"]) == 0
+    assert before == {file: file.read_bytes() for file in recording.rglob("*") if file.is_file()}
+    clear, rainy = open_capture(recording), open_capture(target)
+    images = {view.image_file for view in clear}
+    for file, content in before.items():
+        is_same = (target / file.relative_to(recording)).read_bytes() == content
+        assert is_same == (file not in images), file
+    for own, other in zip(rainy, clear, strict=True):
+        assert own.name == other.name and own.image.shape == other.image.shape
+        np.testing.assert_array_equal(own.camera.world_to_camera, other.camera.world_to_camera)
+        assert 1 < np.abs(own.image.astype(int) - other.image).mean() < 80
+
+
+def test_no_rain_is_the_same_images(recording, tmp_path):
+    assert run(["export-rain", str(recording), "-o", str(tmp_path / "dry"), "--rain", "0"]) == 0
+    for own, other in zip(open_capture(tmp_path / "dry"), open_capture(recording), strict=True):
+        np.testing.assert_array_equal(own.image, other.image)
+
+
+def test_a_damaged_image_is_named_and_stays_as_it_is(recording, tmp_path, capsys):
+    broken = open_capture(recording)[-1].image_file
+    broken.write_bytes(broken.read_bytes()[:-2000])
+    assert run(["export-rain", str(recording), "-o", str(tmp_path / "rainy"), "--rain", "5"]) == 0
+    assert broken.name in capsys.readouterr().out
+    assert (tmp_path / "rainy" / broken.name).read_bytes() == broken.read_bytes()
+
+
+def test_a_copy_goes_to_a_new_folder_elsewhere(recording, tmp_path):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "file").touch()
+    for target in (recording / "inside", tmp_path / "taken"):
+        assert run(["export-rain", str(recording), "-o", str(target), "--rain", "5"]) == 2
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["drive", "taken"]
+    assert not (recording / "inside").exists()
+
+
+def test_a_real_sample_of_nuscenes_stays_one(test_data, tmp_path):
+    shutil.copytree(test_data / "driving" / "nuscenes_sample", tmp_path / "sample")
+    assert run(["export-rain", str(tmp_path / "sample"), "-o", str(tmp_path / "rainy"), "--rain", "8.5"]) == 0
+    clear, rainy = open_capture(tmp_path / "sample"), open_capture(tmp_path / "rainy")
+    assert (rainy.sensors, len(rainy.boxes), len(rainy.sweeps)) == (
+        clear.sensors, len(clear.boxes), len(clear.sweeps)
+    )  # fmt: skip
+    assert all((own.image != other.image).any() for own, other in zip(rainy, clear, strict=True))
+
+
+def test_the_rain_s_gaussians_are_written_with_and_without_the_scene(tmp_path, capsys):
+    write_scene(small_scene(), tmp_path / "scene")
+    arguments = ["export-rain", str(tmp_path / "scene"), "--rain", "20", "--time", "1", "--size", "160x120"]
+    assert run([*arguments, "-o", str(tmp_path / "rain.ply")]) == 0
+    assert run([*arguments, "-o", str(tmp_path / "both.ply"), "--with-scene"]) == 0
+    assert "streak Gaussians and" in capsys.readouterr().out
+    (rain,), (both,) = (read_scene(tmp_path / name).layers for name in ("rain.ply", "both.ply"))
+    count = len(rain.gaussians)
+    assert count > 1000 and len(both.gaussians) == count + small_scene().gaussian_count
+    np.testing.assert_allclose(both.gaussians.means[-count:], rain.gaussians.means, atol=1e-6)
+    np.testing.assert_allclose(both.gaussians.opacities[-count:], rain.gaussians.opacities, atol=1e-6)
+    # In the frame of files -y is up: rain falls around the camera, within 25 m of the ground.
+    assert -25 < rain.gaussians.means[:, 1].min() < rain.gaussians.means[:, 1].max() < 5
