@@ -15,7 +15,7 @@ from gsrain_engine.sweep.expansion import Shard, jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import SweepRun, agent_codes, run_sweep
-from gsrain_engine.sweep.settings import DriveSweep, load_sweep, sweep_names
+from gsrain_engine.sweep.settings import DriveSweep, Variant, load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
 from .console import Console, counted, print, run_with_progress, table_of
@@ -151,10 +151,15 @@ def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
         scene = [PurePath(cell["scene"]).name] if several else []
         means = (_mean(cell["means"].get(name)) for name in _COLUMN_TITLES)
         drives = f"{cell['intensity_mm_h']:g}", f"{cell['runs']}{failed}", collisions
-        table.add_row(*scene, cell["scenario"], cell["agent"], *drives, *means)
+        table.add_row(*scene, cell["scenario"], _title(cell), *drives, *means)
     console = Console(width=_COLUMNS)
     console.print(table)
     console.print("In brackets: intervals of 95 %, over the seeds.", style="dim")
+
+
+def _title(cell: Mapping[str, Any]) -> str:
+    variant = msgspec.convert(cell["variant"], Variant)
+    return ", ".join(filter(None, [cell["agent"], variant.title]))
 
 
 def _mean(spread: Mapping[str, float] | None) -> str:

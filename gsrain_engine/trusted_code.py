@@ -73,13 +73,13 @@ MAIN = ""
 
 
 class UntrustedCodeError(ValueError):
-    """Python code named by a file and not yet allowed; the message lists the code and how to allow it."""
+    """Code or a command named by a file and not yet allowed; the message lists the code and how to allow it."""
 
     def __init__(self, named_by: str | Path, codes: Sequence[Code]) -> None:
         listed = ", ".join(f"{each.path} (SHA-256 {each.digest[:12]})" for each in codes)
         super().__init__(
-            f"{named_by}: names Python code, which would run with all your rights: {listed}; look at it, then give "
-            "--trust, or run this in a terminal to be asked"
+            f"{named_by}: names code or a command, which would run with all your rights: {listed}; look at it, then "
+            "give --trust, or run this in a terminal to be asked"
         )
         self.named_by, self.codes = str(named_by), tuple(codes)
 
@@ -104,6 +104,12 @@ def read_code(path: Path, packages: Sequence[str] = ()) -> Code:
                     _check_size(path, files)
     _check_size(path, files)
     return Code(path, files)
+
+
+def command_code(command: str) -> Code:
+    """Return a shell command that a file names, to be allowed like Python code."""
+    path = Path(command)
+    return Code(path, {MAIN: CodeFile(path, False, command.encode())})
 
 
 def _imported(source: bytes) -> set[str]:

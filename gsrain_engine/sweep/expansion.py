@@ -24,7 +24,7 @@ from ..scene.open import file_hash, scene_hash
 from ..simulation.agents.registry import agent_file, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario
-from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, apply_jitter, seeds_of
+from .settings import HUGSIM, AgentChoice, DriveSweep, RenderSweep, Sweep, Variant, apply_jitter, seeds_of
 
 # Jobs: everything that a result depends on, and nothing else
 
@@ -60,19 +60,24 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     scenario: Scenario
     """The scenario with this job's rain, scene and jittered start."""
     agent: AgentChoice
+    variant: Variant = Variant()
 
     @property
     def title(self) -> str:
         """Title for logs and progress messages."""
-        rain = self.scenario.rain.intensity_mm_h
-        return f"{self.scenario.name}, {rain:g} mm/h, seed {self.seed}, {self.agent.title}"
+        rain = f"{self.scenario.rain.intensity_mm_h:g} mm/h"
+        return ", ".join(
+            filter(None, [self.scenario.name, rain, self.variant.title, f"seed {self.seed}", self.agent.title])
+        )
 
     @property
     def parameters(self) -> dict[str, Any]:
         """Values for the parameter columns of the row."""
         scenario, agent = self.scenario, self.agent
         own = {"scenario": scenario.name, "intensity_mm_h": scenario.rain.intensity_mm_h}
-        return self.shared("drive") | own | {"agent": agent.title, "agent_name": agent.name}
+        return (
+            self.shared("drive") | own | structs.asdict(self.variant) | {"agent": agent.title, "agent_name": agent.name}
+        )
 
 
 class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
@@ -114,18 +119,26 @@ def _drives(sweep: DriveSweep) -> list[Job]:
         if names.count(name) > 1:
             raise ValueError(f"two scenarios are called {name!r}: tables could not tell them apart")
     return [
-        _drive(sweep, hashes, structs.replace(scenario, scene=scene), agent, intensity, seed)
+        _drive(sweep, hashes, structs.replace(scenario, scene=scene), agent, variant, intensity, seed)
         for scenario in scenarios
         for scene in sweep.scenes or (scenario.scene,)
         for agent in agents
+        for variant in sweep.variants
         for intensity in sweep.intensities_mm_h
         for seed in seeds_of(sweep)
     ]
 
 
 def _drive(
-    sweep: DriveSweep, hashes: "_Hashes", scenario: Scenario, agent: AgentChoice, intensity: float, seed: int
+    sweep: DriveSweep,
+    hashes: "_Hashes",
+    scenario: Scenario,
+    agent: AgentChoice,
+    variant: Variant,
+    intensity: float,
+    seed: int,
 ) -> DriveJob:
+    scenario = variant.of(scenario)
     rain = structs.replace(scenario.rain, intensity_mm_h=intensity, seed=seed)
     scenario = structs.replace(apply_jitter(scenario, sweep.jitter, seed), rain=rain)
     models = [user.model for user in scenario.road_users]
@@ -140,6 +153,7 @@ def _drive(
         backend=sweep.backend,
         scenario=scenario,
         agent=agent,
+        variant=variant,
     )
 
 
@@ -220,7 +234,7 @@ def _check(agents: list[AgentChoice]) -> None:
         own = agent_file(agent.name)
         if own is not None and not own.is_file():
             raise ValueError(f"agent {agent.name}: no such file")
-        if own is None and agent.name not in agent_names():
+        if own is None and agent.name not in (*agent_names(), HUGSIM):
             raise ValueError(f"agent {agent.name}: there is none of that name, only {', '.join(agent_names())}")
         if agent.detector is not None and not Path(agent.detector).is_file():
             raise ValueError(f"agent {agent.title}: there is no detector {agent.detector}")

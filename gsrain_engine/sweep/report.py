@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from msgspec import structs
 from PIL import Image
 
 from ..evaluation.report import ReportFigure, ReportTable, RunReport, write_report
@@ -56,16 +57,25 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict
 
 
 def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -> list[ReportFigure]:
-    """Write one PNG per scenario and scene; equal names get a number."""
-    caption = "Bands: 95 %, over the seeds; of collisions Wilson's interval, of means a bootstrap."
+    """Write one PNG per scenario and scene, and one of the boundary of failure; equal names get a number."""
+    bands = "Bands: 95 %, over the seeds; of collisions Wilson's interval, of means a bootstrap."
+    shares = "Share of the drives with a collision; the line is at one half, the boundary of failure."
     figures: list[ReportFigure] = []
     names: list[str] = []
+    drawn: list[tuple[Sequence[SummaryCell], str, UInt8[np.ndarray, "h w 3"], str]] = []
     for cells in scenarios:
+        axes = grid_axes(cells)
+        if len({cell.title for cell in cells}) <= _MAX_CURVES:
+            drawn.append((cells, "", scenario_figure(cells), bands))
+        if axes:
+            drawn.append((cells, "boundary", boundary_figure(cells, axes), shares))
+    for cells, kind, pixels, caption in drawn:
         scenario, scene = cells[0].scenario, cells[0].scene
-        name = shortened("".join(each if each.isalnum() else "-" for each in f"{scenario}-{PurePath(scene).stem}"))
+        words = "-".join(filter(None, [scenario, PurePath(scene).stem, kind]))
+        name = shortened("".join(each if each.isalnum() else "-" for each in words))
         names.append(name)
         file = folder / (f"{name}.png" if names.count(name) == 1 else f"{name}-{names.count(name)}.png")
-        figures.append(ReportFigure(f"{scenario}, {scene}", scenario_figure(cells), caption))
+        figures.append(ReportFigure(", ".join(filter(None, [scenario, scene, kind])), pixels, caption))
         folder.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as partial:
             Image.fromarray(figures[-1].pixels).save(partial, "png")
@@ -95,7 +105,7 @@ def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
     The same cells give byte-identical images. Bands are the cells' 95 % intervals; the first panel's are Wilson's.
     """
     rows, columns = 2, len(_PANELS) // 2
-    agents = list(dict.fromkeys(cell.agent for cell in cells))
+    agents = list(dict.fromkeys(cell.title for cell in cells))
     legend_in = _LEGEND_LINE_IN * -(-len(agents) // _LEGEND_COLUMNS)
     size = columns * _PANEL_IN[0], rows * _PANEL_IN[1] + 0.4 + legend_in
     figure = Figure(figsize=size, layout="constrained", dpi=_DPI)
@@ -105,7 +115,7 @@ def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
     aside = min(_ASIDE, _ALL_ASIDE / len(agents)) * max(cell.intensity_mm_h for cell in cells)
     for number, (panel, (title, measure)) in enumerate(zip(panels, _PANELS, strict=True)):
         for place, agent in enumerate(agents):
-            own = [cell for cell in cells if cell.agent == agent]
+            own = [cell for cell in cells if cell.title == agent]
             _curve(panel, own, measure, styles[place], figure_words(agent, 28), aside * (place - (len(agents) - 1) / 2))
         _dress(panel, title, cells, is_lowest=number >= columns)
     runs = sorted({cell.runs for cell in cells})
@@ -150,6 +160,72 @@ def _dress(panel: Axes, title: str, cells: Sequence[SummaryCell], *, is_lowest: 
     panel.spines[["top", "right"]].set_visible(False)
     if is_lowest:
         panel.set_xlabel("rainfall intensity (mm/h)")
+
+
+# Boundary of failure: collisions over a grid of start speeds, gaps and exposures
+
+_GRID_AXES = {"start_speed_m_s": "V0 (m/s)", "gap_m": "d (m)", "exposure_s": "exposure (s)"}
+_MAX_CURVES = 12  # a figure over intensity with more curves shows nothing
+_CELL_IN = (2.6, 2.3)
+
+
+def grid_axes(cells: Sequence[SummaryCell]) -> list[str]:
+    """Names of the parameters that take several values, at most two."""
+    return [name for name in _GRID_AXES if len(_values(cells, name)) > 1][:2]
+
+
+def boundary_figure(cells: Sequence[SummaryCell], axes: Sequence[str]) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw the share of drives with a collision over one or two parameters: a column for each intensity.
+
+    Rows are agents and the choices on other axes. Missing cells are gray.
+    """
+    rest = {cell.title: structs.replace(cell.variant, **dict.fromkeys(axes)) for cell in cells}
+    rows = list(dict.fromkeys((cell.agent, rest[cell.title]) for cell in cells))
+    intensities = sorted({cell.intensity_mm_h for cell in cells})
+    size = _CELL_IN[0] * len(intensities) + 1.2, _CELL_IN[1] * len(rows) + 0.6
+    figure = Figure(figsize=size, layout="constrained", dpi=_DPI)
+    panels = figure.subplots(len(rows), len(intensities), squeeze=False, sharex=True, sharey=True)
+    for line, (agent, variant) in enumerate(rows):
+        for column, intensity in enumerate(intensities):
+            panel: Axes = panels[line, column]
+            own = [
+                cell for cell in cells
+                if (cell.agent, rest[cell.title], cell.intensity_mm_h) == (agent, variant, intensity)
+            ]  # fmt: skip
+            _draw_boundary(panel, own, axes, [_values(cells, name) for name in axes])
+            if line == 0:
+                panel.set_title(f"{intensity:g} mm/h", fontsize=9.5)
+            if line == len(rows) - 1:
+                panel.set_xlabel(_GRID_AXES[axes[0]], fontsize=9)
+            if column == 0:
+                of = figure_words(", ".join(filter(None, [agent, variant.title])), 28)
+                panel.set_ylabel(f"{of}\n{_GRID_AXES[axes[1]] if len(axes) > 1 else 'collisions'}", fontsize=9)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _draw_boundary(
+    panel: Axes, cells: Sequence[SummaryCell], axes: Sequence[str], values: Sequence[Sequence[float]]
+) -> None:
+    rates = np.full([len(each) for each in values], np.nan)
+    for cell in cells:
+        if cell.collision_rate is not None:
+            place = tuple(each.index(getattr(cell.variant, name)) for name, each in zip(axes, values, strict=True))
+            rates[place] = cell.collision_rate.mean
+    if len(axes) == 1:
+        panel.plot(values[0], rates, marker="o", color="C3")
+        panel.axhline(0.5, color="0.4", lw=1)
+        panel.set_ylim(-0.03, 1.03)
+        return
+    panel.set_facecolor("0.85")
+    panel.pcolormesh(*values, rates.T, cmap="RdYlGn_r", vmin=0, vmax=1, shading="nearest")
+    if np.isfinite(rates).all() and rates.min() < 0.5 < rates.max():
+        panel.contour(*values, rates.T, levels=[0.5], colors="black", linewidths=1.5)
+
+
+def _values(cells: Sequence[SummaryCell], name: str) -> list[float]:
+    return sorted({value for cell in cells if (value := getattr(cell.variant, name)) is not None})
 
 
 # Report page
@@ -202,7 +278,7 @@ def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
     )  # fmt: skip
     rows = tuple(
         (
-            cell.agent,
+            cell.title,
             cell.intensity_mm_h,
             cell.runs,
             *([cell.failed] if failed else []),
@@ -225,7 +301,7 @@ def change_table(cells: Sequence[SummaryCell]) -> ReportTable:
     changed = [cell for cell in cells if cell.changes]
     rows = tuple(
         (
-            cell.agent,
+            cell.title,
             cell.intensity_mm_h,
             max(each.count for each in cell.changes.values()),
             *(each for name in _CHANGED for each in _pair(cell.changes.get(name))),

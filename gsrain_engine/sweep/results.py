@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import Struct, inspect
@@ -23,7 +23,7 @@ from ..scene.files import whole_file
 from ..simulation.metrics.summary import DriveMetrics
 from ..simulation.rollout_io import write_rollout
 from .expansion import Job
-from .settings import Sweep
+from .settings import Sweep, Variant
 from .worker import JobResult, Value
 
 Row = dict[str, Value]
@@ -35,7 +35,10 @@ _SHARED: dict[str, type] = {
     "seed": int, "backend": str, "program": str, "software": str,
 }  # fmt: skip
 
-_DRIVE: dict[str, type] = {**_SHARED, "scenario": str, "agent": str, "agent_name": str}
+_DRIVE: dict[str, type] = {
+    **_SHARED, "scenario": str, "agent": str, "agent_name": str, "wet": bool, "preset": str, "exposure_s": float,
+    "start_speed_m_s": float, "gap_m": float,
+}  # fmt: skip
 
 _RENDER: dict[str, type] = {
     **_SHARED, "labels": str, "clip": str, "clip_hash": str, "cameras": int, "frames": int, "sizes_px": str,
@@ -131,6 +134,7 @@ class SummaryCell(Struct, frozen=True, kw_only=True):
     scene: str
     scenario: str
     agent: str
+    variant: Variant = Variant()
     intensity_mm_h: float
     runs: int  # number of finished runs, without failed ones
     failed: int
@@ -142,10 +146,15 @@ class SummaryCell(Struct, frozen=True, kw_only=True):
     changes: dict[str, MeanInterval95]
     """Like `means`, for paired differences from the lowest intensity with the same seed: the effect of rain."""
 
+    @property
+    def title(self) -> str:
+        """Agent, and the choices on further axes, as curves and tables name them."""
+        return ", ".join(filter(None, [self.agent, self.variant.title]))
+
 
 def summarized(rows: Iterable[Row]) -> list[SummaryCell]:
     """Summarize the rows of drives, sorted by parameters."""
-    ordered = sorted(rows, key=lambda row: (*_group(row), _number(row["intensity_mm_h"]), _number(row["seed"])))
+    ordered = sorted(rows, key=_place)
     cells: list[SummaryCell] = []
     for group in dict.fromkeys(map(_group, ordered)):
         own = [row for row in ordered if _group(row) == group]
@@ -162,9 +171,7 @@ def by_scenario(cells: Iterable[SummaryCell]) -> list[list[SummaryCell]]:
     return [[cell for cell in cells if (cell.scene, cell.scenario) == place] for place in places]
 
 
-def _summary_cell(
-    group: tuple[str, str, str], intensity: float, rows: Sequence[Row], lowest: Sequence[Row]
-) -> SummaryCell:
+def _summary_cell(group: "_Group", intensity: float, rows: Sequence[Row], lowest: Sequence[Row]) -> SummaryCell:
     finished = [row for row in rows if row["status"] == FINISHED]
     collisions = sum(bool(row["collision"]) for row in finished)
     means = {name: _spread([_number(row[name]) for row in finished if row[name] is not None]) for name in MEASURED}
@@ -180,9 +187,10 @@ def _summary_cell(
         share = collisions / len(finished)
         rate = MeanInterval95(share, float(interval.low), float(interval.high), len(finished))
     return SummaryCell(
-        scene=group[0],
-        scenario=group[1],
-        agent=group[2],
+        scene=group.scene,
+        scenario=group.scenario,
+        agent=group.agent,
+        variant=group.variant,
         intensity_mm_h=intensity,
         runs=len(finished),
         failed=len(rows) - len(finished),
@@ -197,9 +205,29 @@ def _spread(values: list[float]) -> MeanInterval95 | None:
     return MeanInterval95(*mean_interval(values), len(values)) if values else None
 
 
-def _group(row: Row) -> tuple[str, str, str]:
-    """Return the combination that a curve shows: scene, scenario and agent."""
-    return str(row["scene"]), str(row["scenario"]), str(row["agent"])
+class _Group(NamedTuple):
+    """Combination that a curve shows."""
+
+    scene: str
+    scenario: str
+    agent: str
+    variant: Variant
+
+
+def _group(row: Row) -> _Group:
+    variant = Variant(**{name: row.get(name) for name in Variant.__struct_fields__ if row.get(name) is not None})
+    return _Group(str(row["scene"]), str(row["scenario"]), str(row["agent"]), variant)
+
+
+def _place(row: Row) -> tuple[object, ...]:
+    """Position of a row in tables: by group, in numerical order, then by intensity and seed."""
+    group = _group(row)
+    axes = [
+        (value is not None, value or 0)
+        for value in (group.variant.exposure_s, group.variant.start_speed_m_s, group.variant.gap_m)
+    ]
+    own = group.variant.wet, group.variant.preset or "", *axes
+    return *group[:3], *own, _number(row["intensity_mm_h"]), _number(row["seed"])
 
 
 def _number(value: object) -> float:

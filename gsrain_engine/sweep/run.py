@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 
 from ..scene.progress import Progress
 from ..simulation.agents.registry import agent_code, agent_file
-from ..trusted_code import Code, check_trusted
+from ..trusted_code import Code, check_trusted, command_code
 from .executors import Executor, LocalPool
 from .expansion import DriveJob, Job, jobs_of
 from .report import write_tables
@@ -59,10 +59,11 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
 
 
 def agent_codes(jobs: Sequence[Job]) -> list[Code]:
-    """Read the Python files that jobs use as agents, without duplicates; raises ValueError for a missing file."""
-    agents = {job.agent.name for job in jobs if isinstance(job, DriveJob)}
-    files = sorted({str(path) for name in agents if (path := agent_file(name)) is not None})
-    return [code for file in files if (code := agent_code(file)) is not None]
+    """Python files and commands that jobs use as agents, without duplicates; raises ValueError for a missing file."""
+    agents = [job.agent for job in jobs if isinstance(job, DriveJob)]
+    files = sorted({str(path) for agent in agents if (path := agent_file(agent.name)) is not None})
+    commands = sorted({agent.hugsim.command for agent in agents if agent.hugsim is not None})
+    return [code for file in files if (code := agent_code(file)) is not None] + list(map(command_code, commands))
 
 
 def _stopped(folder: SweepFolder, reason: str, done: int) -> str:

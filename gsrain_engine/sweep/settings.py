@@ -1,8 +1,9 @@
 """Sweep settings, their YAML files, and the jitter of initial conditions."""
 
 import zlib
+from itertools import product
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct, structs
@@ -11,7 +12,7 @@ from ..backends import Backend
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
-from ..rain.settings import RainSettings
+from ..rain.settings import RainSettings, load_preset, preset_names
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked
@@ -20,8 +21,11 @@ from ..simulation.agents.registry import agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
 
+HUGSIM = "hugsim"
+"""Name of an agent that is a HUGSIM client."""
+
 _FOLDER = "sweeps"
-_FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration")
+_FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration", "preset")
 """Fields that hold file names; `name` is an agent's."""
 
 Intensities = Annotated[
@@ -35,16 +39,35 @@ Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
 
 
+class HugsimClient(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A driving stack that runs elsewhere and speaks HUGSIM's protocol: UniAD, VAD or LTF, started for each drive."""
+
+    command: Annotated[str, Meta(
+        min_length=1, title="Command",
+        description="Starts the client; the folder of its pipes is appended, or replaces {folder}.")]  # fmt: skip
+    channel_order: Annotated[Literal["rgb", "bgr"], Meta(title="Channel order", description="Of the images.")] = "rgb"
+    wait_s: Annotated[float, Meta(
+        gt=0, le=86_400, title="Wait", extra={"unit": "s"},
+        description="For the first plan; at most 60 s of it for each later one.")] = 120.0  # fmt: skip
+
+
 class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An agent with its options."""
 
-    name: Annotated[str, Meta(min_length=1, title="Name", description="Of those of gsrain drive --agent.")]
+    name: Annotated[str, Meta(min_length=1, title="Name", description="Of those of gsrain drive --agent.")] = HUGSIM
+    hugsim: Annotated[
+        HugsimClient | None, Meta(title="HUGSIM client", description="Instead of a name: a client by its command.")
+    ] = None
     label: Annotated[str | None, Meta(title="Label", description="Name in tables; none: name and detector.")] = None
     detector: Annotated[str | None, Meta(title="Detector", description="Its ONNX file.")] = None
     description: Annotated[
         str | None, Meta(title="Description", description="A shipped detector description or a YAML file.")
     ] = None
     url: Annotated[str | None, Meta(title="URL", description="URL of a driving agent that runs elsewhere.")] = None
+
+    def __post_init__(self) -> None:
+        if (self.name == HUGSIM) != (self.hugsim is not None):
+            raise ValueError("an agent has either a name or `hugsim: {command: ...}`")
 
     @property
     def title(self) -> str:
@@ -70,6 +93,47 @@ class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ] = 0.0
 
 
+# Variants: further axes of a sweep
+
+Speeds = tuple[Annotated[float, Meta(ge=0, le=60)], ...]
+Gaps = tuple[Annotated[float, Meta(ge=0, le=500)], ...]
+Exposures = tuple[Annotated[float, Meta(ge=1e-5, le=1.0)], ...]
+
+
+class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """One choice on each further axis of a sweep of drives; None is what the scenario says."""
+
+    wet: bool = False
+    preset: str | None = None
+    exposure_s: float | None = None
+    start_speed_m_s: float | None = None
+    gap_m: float | None = None
+
+    @property
+    def title(self) -> str:
+        """Words that name the choices; empty for those of the scenario."""
+        words = ["wet"] if self.wet else []
+        words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
+        words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
+        words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
+        words += [] if self.gap_m is None else [f"{self.gap_m:g} m"]
+        return ", ".join(words)
+
+    def of(self, scenario: Scenario) -> Scenario:
+        """Return the scenario with these choices, before its start is varied by a seed."""
+        rain, users = scenario.rain, scenario.road_users
+        if self.preset is not None:
+            rain = load_preset(self.preset)
+        if self.exposure_s is not None:
+            rain = structs.replace(rain, exposure_s=self.exposure_s)
+        if self.gap_m is not None:
+            if not users:
+                raise ValueError(f"scenario {scenario.name!r}: gap_m varies its first road user, and it has none")
+            users = (structs.replace(users[0], ahead_m=self.gap_m), *users[1:])
+        speed = scenario.speed_m_s if self.start_speed_m_s is None else self.start_speed_m_s
+        return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed)
+
+
 class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
     """Closed-loop drives. A seed has the same effect at every intensity, so that results form pairs."""
 
@@ -90,8 +154,33 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     jitter: Annotated[Jitter, Meta(title="Jitter", description="Variation of the start by seeds other than 0.")] = (
         Jitter()
     )
+    wet: Annotated[
+        tuple[bool, ...], Meta(min_length=1, title="Wet", description="Whether the scene looks wet; both are compared.")
+    ] = (False,)
+    preset: Annotated[
+        tuple[str, ...], Meta(title="Presets", description="Rain presets to compare; none: the scenario's rain.")
+    ] = ()
+    exposure_s: Annotated[
+        Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
+    ] = ()
+    start_speed_m_s: Annotated[
+        Speeds, Meta(title="Start speeds", description="Of the ego (V0). None: the scenario's.", extra={"unit": "m/s"})
+    ] = ()
+    gap_m: Annotated[
+        Gaps,
+        Meta(title="Gaps", description="To the first road user (d). None: the scenario's.", extra={"unit": "m"}),
+    ] = ()
     backend: DrawnBy = "auto"
     output: OutputFolder = None
+
+    @property
+    def variants(self) -> list[Variant]:
+        """All combinations of the further axes."""
+        axes = self.wet, self.preset or (None,), self.exposure_s or (None,), self.start_speed_m_s or (None,)
+        return [
+            Variant(wet=wet, preset=preset, exposure_s=exposure, start_speed_m_s=speed, gap_m=gap)
+            for wet, preset, exposure, speed, gap in product(*axes, self.gap_m or (None,))
+        ]
 
 
 class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
@@ -132,7 +221,15 @@ def load_sweep(name: str | Path) -> Sweep:
     File names are resolved against the folder of the sweep file first, then the working folder; `output` only against
     the latter. Raises ValueError with the file, the field and what is allowed.
     """
-    known = {STREET, *scenario_names(), *agent_names(), *description_names(), *calibration_names()}
+    known = {
+        HUGSIM,
+        STREET,
+        *preset_names(),
+        *scenario_names(),
+        *agent_names(),
+        *description_names(),
+        *calibration_names(),
+    }
     values = load_config(_FOLDER, name, object, "sweep", _FILES, known)
     try:
         return convert_checked(values, Sweep)

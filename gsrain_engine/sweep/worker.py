@@ -4,6 +4,7 @@ import errno
 import hashlib
 import os
 import platform
+import tempfile
 import threading
 import time
 from collections import OrderedDict, deque
@@ -16,6 +17,7 @@ from msgspec import Struct, structs
 
 from ..backends import Backend, open_renderer
 from ..rain.simulation import RainSimulation
+from ..recolor.recolor import wet_scene
 from ..render.export import export_frames, export_sequences, frame_numbers
 from ..render.label_export import write_object_labels
 from ..render.renderer import Renderer
@@ -23,15 +25,20 @@ from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.files import whole_folder
 from ..scene.open import file_hash, load_sorted_scene, scene_hash
+from ..scene.progress import run_to_end
 from ..scene.rig import rig_camera_path
 from ..scene.scene import Scene
+from ..simulation.agents.base import Agent
 from ..simulation.agents.registry import AgentOptions, open_agent
+from ..simulation.interop.hugsim_agent import LATER_WAIT_S, HugsimAgent
+from ..simulation.interop.hugsim_protocol import with_hugsim_rig
 from ..simulation.metrics.summary import measure_drive
 from ..simulation.obstacles import drivable_of
 from ..simulation.rollout import Rollout
 from ..simulation.simulation import Simulation, run_drive
-from ..trusted_code import UntrustedCodeError, trust
+from ..trusted_code import UntrustedCodeError, check_trusted, command_code, trust
 from .expansion import DriveJob, Job, RenderJob, program_version, software
+from .settings import AgentChoice
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _ONE_AT_A_TIME = threading.Lock()
@@ -93,20 +100,24 @@ class WorkerCache:
     """Scenes and renderers, opened on first use."""
 
     def __init__(self) -> None:
-        self._scenes: OrderedDict[tuple[str, str], Scene] = OrderedDict()
+        self._scenes: OrderedDict[tuple[str, str, bool], Scene] = OrderedDict()
         self._renderers: dict[Backend, Renderer] = {}
         self._stack = ExitStack()
 
-    def scene(self, name: str, content: str) -> Scene:
-        """Return a scene after checking its hash. Raises MismatchError if the scene has changed."""
-        key = name, content
+    def scene(self, name: str, content: str, *, wet: bool = False) -> Scene:
+        """Return a scene after checking its hash, with wet colors if asked for, which takes a minute.
+
+        Raises MismatchError if the scene has changed.
+        """
+        key = name, content, wet
         if key not in self._scenes:
             found = scene_hash(name)
             if found != content:
                 raise MismatchError(f"scene {name} is not what it was when the sweep began ({found}, not {content})")
             while len(self._scenes) >= _SCENES:
                 self._scenes.popitem(last=False)
-            self._scenes[key] = load_sorted_scene(name)
+            opened = load_sorted_scene(name)
+            self._scenes[key] = run_to_end(wet_scene(opened)) if wet else opened
         self._scenes.move_to_end(key)
         return self._scenes[key]
 
@@ -142,23 +153,39 @@ def worker_cache() -> WorkerCache:
 
 def run_drive_job(job: DriveJob, cache: WorkerCache) -> JobResult:
     """Run a closed-loop drive and measure it. Raises errors of the scenario, the scene or the agent."""
-    scene = cache.scene(job.scene, job.scene_hash)
-    choice = job.agent
-    detector = None if choice.detector is None else Path(choice.detector)
-    options = AgentOptions(detector=detector, description=choice.description, url=choice.url)
-    agent = open_agent(choice.name, options, trusted_only=True)
-    try:
-        renderer = cache.renderer(job.backend) if agent.needs.cameras else None
-        simulation = Simulation(job.scenario, scene, agent.needs, renderer, job.seed)
+    with ExitStack() as stack:
+        agent, scenario = _opened_agent(job.agent, stack), job.scenario
+        sees = bool(agent.needs.cameras)
+        scene = cache.scene(job.scene, job.scene_hash, wet=job.variant.wet and sees)
+        if job.agent.hugsim is not None:
+            scenario, scene = with_hugsim_rig(scenario, scene)
+        renderer = cache.renderer(job.backend) if sees else None
+        simulation = Simulation(scenario, scene, agent.needs, renderer, job.seed)
         rollout = run_drive(simulation, agent)
         versions = {**rollout.software, **software()}
         rollout = structs.replace(rollout, scene_hash=job.scene_hash, software=versions)
         drivable = drivable_of(scene, simulation.ground, simulation.occupied)
         metrics = measure_drive(rollout, simulation.occupied, drivable)
-    finally:
-        agent.close()
     msgspec.json.encode(rollout)  # agent notes may not be serializable; fail in this job rather than later
     return JobResult(id=job.id, values=msgspec.to_builtins(metrics), rollout=rollout)
+
+
+def _opened_agent(choice: AgentChoice, stack: ExitStack) -> Agent:
+    """Open an agent, which `stack` closes. A HUGSIM client is started at its drive, and ends with it."""
+    if choice.hugsim is None:
+        detector = None if choice.detector is None else Path(choice.detector)
+        options = AgentOptions(detector=detector, description=choice.description, url=choice.url)
+        agent = open_agent(choice.name, options, trusted_only=True)
+    else:
+        client = choice.hugsim
+        check_trusted(choice.title, [command_code(client.command)])
+        pipes = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gsrain-hugsim-")))
+        agent = HugsimAgent(
+            pipes, client.command, client.channel_order, first_wait_s=client.wait_s,
+            later_wait_s=min(client.wait_s, LATER_WAIT_S),
+        )  # fmt: skip
+    stack.callback(agent.close)
+    return agent
 
 
 def run_render_job(job: RenderJob, cache: WorkerCache, clips: Path) -> JobResult:

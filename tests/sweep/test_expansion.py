@@ -121,7 +121,7 @@ def test_errors_of_a_file_name_the_field(tmp_path, text, place):
 def test_shipped_sweeps_are_complete(name):
     sweep = load_sweep(name)
     assert isinstance(sweep, RenderSweep if name == "dataset" else DriveSweep)
-    assert len(jobs_of(sweep)) == {"paper": 160, "tiny": 4, "dataset": 4}[name]
+    assert len(jobs_of(sweep)) == {"paper": 320, "paper_hugsim": 160, "tiny": 4, "dataset": 4}[name]
 
 
 def render_jobs(output="clip.mp4", **fields):
