@@ -17,7 +17,7 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.transforms import flatten_scene, transform_gaussians, with_wetness_baked, world_to_file
 
 from .console import counted, print, run_with_progress
-from .options import JsonFile, check_within, flag, option, parse_size
+from .options import JsonFile, check_within, flag, option, parse_size, setting
 from .outputs import check_writable, lock_outputs, write_numbers
 from .render import RainOptions, viewpoint_of
 from .scene import Orientation, names_scene
@@ -28,12 +28,13 @@ def export_rain(
     /,
     *,
     output: Annotated[
-        Path, option("File (.ply .splat .spz) for a scene, new folder for a recording.", "--output", "-o")
+        Path,
+        setting(ExportSettings, "output", "Here a file (.ply .splat .spz) for a scene, a new folder for a recording."),
     ],
     rain: RainOptions | None = None,
-    time: Annotated[float, option("Scene: moment in s.")] = 0.0,
+    time: Annotated[float, setting(ExportSettings, "first_s", "Scenes only.")] = 0.0,
     camera: Annotated[Path | None, option("Scene: camera file (JSON); default: the scene's own path or drive.")] = None,
-    size: Annotated[str, option("Scene: size of the image that the streaks are made for.")] = "960x640",
+    size: Annotated[str, setting(ExportSettings, "size_px", "The streaks are made for it.")] = "960x640",
     with_scene: Annotated[bool, flag("Scene: write the scene's Gaussians, too, in one file.")] = False,
     orientation: Orientation | None = None,
     json: JsonFile = None,
