@@ -1,6 +1,5 @@
 """Scene folders: all of a scene comes back, failures lose nothing, and links are followed but never overwritten."""
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats import scene_folder
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.formats.scene_folder import FileCache, read_harmonics, write_harmonics, write_scene_folder
+from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
 from gsrain_engine.scene.scene import Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
@@ -145,6 +144,7 @@ def any_scene(draw: Callable[[st.SearchStrategy[Any]], Any]) -> Scene:
         draw(st.sampled_from(["spline", "linear"])),
         draw(st.sampled_from(["none", "in and out", "at each key"])),
         draw(st.booleans()),
+        draw(st.booleans()),
     )
     chosen = {each.key: found for each in (*layers, actor) if (found := mask(len(each.gaussians))) is not None}
     return Scene(
@@ -184,19 +184,16 @@ def test_a_bare_scene_comes_back_from_a_new_or_an_empty_folder(tmp_path: Path) -
         assert_same(read_scene(tmp_path / name), Scene("bare"))
 
 
-def test_other_programs_find_the_clear_colors_and_the_wet_ones(folder: Path) -> None:
-    road = sample_scene().layers[0]
-    np.testing.assert_array_equal(read_scene(first_file(folder)).layers[0].gaussians.sh, road.gaussians.sh)
-    (wet,) = (folder / "layers").glob("000-road-*.wet.npy")
-    np.testing.assert_array_equal(np.load(wet), road.wet_sh)
+def test_other_programs_find_clear_and_wet_colors_in_any_order_in_memory(folder: Path) -> None:
+    scene = sample_scene()
+    clear = scene.layers[0].gaussians.sh
+    wet = np.arange(clear.size, dtype=np.float32).reshape(3, -1, 50).transpose(2, 1, 0)[..., ::-1]
+    write_scene(scene.with_member("layers/road & kerb", wet_sh=wet), folder)
+    np.testing.assert_array_equal(read_scene(first_file(folder)).layers[0].gaussians.sh, clear)
+    (file,) = (folder / "layers").glob("000-road-*.wet.npy")
+    np.testing.assert_array_equal(np.load(file), wet)
     found = read_scene(folder).layers[0].wet_sh
     assert found is not None and found.flags.writeable  # kernels are compiled for such arrays
-
-
-def test_harmonics_are_written_whatever_their_order_in_memory(tmp_path: Path) -> None:
-    sh = np.arange(48, dtype=np.float32).reshape(3, 4, 4)[:, :, 3:0:-1]
-    write_harmonics(sh, tmp_path / "x")
-    np.testing.assert_array_equal(read_harmonics(tmp_path / "x", (3, 4, 3)), sh)
 
 
 # Replacing a scene
@@ -230,19 +227,12 @@ def refuse_call(name: str, calls: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, attribute, refused)
 
 
+FULL_AT = [("write_ply", 1), ("write_ply", 2), ("fsync", 1), ("fsync", 3), ("write_bytes", 1), ("replace", 1),
+           ("replace", 4)]  # fmt: skip
+
+
 @pytest.mark.parametrize("is_there", [True, False])
-@pytest.mark.parametrize(
-    ("name", "calls"),
-    [
-        ("write_ply", 1),
-        ("write_ply", 2),
-        ("fsync", 1),
-        ("fsync", 3),
-        ("write_bytes", 1),
-        ("replace", 1),
-        ("replace", 4),
-    ],
-)
+@pytest.mark.parametrize(("name", "calls"), FULL_AT)
 def test_a_failure_loses_nothing_and_leaves_nothing(
     is_there: bool, name: str, calls: int, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -304,16 +294,10 @@ def test_only_what_has_changed_is_written(folder: Path) -> None:
     assert_same(read_scene(folder), darker)
     write_scene(darker.with_member("layers/c", wet_sh=None), folder, known)
     assert len(list(folder.rglob("*.wet.npy"))) == 1
-
-
-def test_gaussians_that_two_layers_share_are_written_twice(folder: Path) -> None:
-    known = FileCache()
-    scene = read_scene(folder, known)
-    doubled = replace(scene, layers=(*scene.layers, replace(scene.layers[0], name="copy")))
-    for _ in range(2):
+    doubled = replace(darker, layers=(*darker.layers, replace(darker.layers[0], name="copy")))
+    for _ in range(2):  # a file for each, though the Gaussians are the same
         write_scene(doubled, folder, known)
         assert_same(read_scene(folder), doubled)
-    assert len(list(folder.rglob("*.ply"))) == 4
 
 
 @pytest.mark.parametrize("has_links", [True, False])
@@ -333,7 +317,7 @@ def test_a_copy_is_linked_or_on_a_disk_without_links_copied(
         assert copy.read_bytes() == file.read_bytes() and copy.samefile(file) == has_links
 
 
-def test_the_remains_of_a_killed_autosave_are_not_written_through(folder: Path, tmp_path: Path) -> None:
+def test_remains_of_a_killed_autosave_are_not_written_through(folder: Path, tmp_path: Path) -> None:
     """Its unfinished file may be another name of one that is whole."""
     known = FileCache()
     scene = read_scene(folder, known)
@@ -391,28 +375,18 @@ def test_scenes_that_share_a_linked_folder_leave_each_others_files(folder: Path,
     assert [layer.name for layer in read_scene(folder).layers] == ["other"]
 
 
-def link_to_nothing(file: Path) -> None:
-    file.symlink_to("nowhere.ply")
+NO_FILES: list[Callable[[Path], None]] = [
+    lambda file: file.symlink_to("nowhere.ply"),
+    lambda file: file.symlink_to(file.name),
+    os.mkfifo,
+    Path.mkdir,
+]
 
 
-def link_to_itself(file: Path) -> None:
-    file.symlink_to(file.name)
-
-
-@pytest.mark.parametrize("make", [link_to_nothing, link_to_itself, os.mkfifo, Path.mkdir])
+@pytest.mark.parametrize("make", NO_FILES)
 def test_what_is_no_file_is_neither_read_nor_waited_for(make: Callable[[Path], None], folder: Path) -> None:
     file = first_file(folder)
     file.unlink()
     make(file)
     with pytest.raises(SceneFormatError, match=rf"scene\.json: there is no file 'layers/{file.name}'"):
-        read_scene(folder)
-
-
-@pytest.mark.parametrize(
-    "name", ["x" * 300 + ".ply", "layers/\u00e9\u2028.ply", ".", "layers", "layers/../scene.json/x.ply"]
-)
-def test_names_that_no_file_has_are_refused(name: str, folder: Path) -> None:
-    text = (folder / "scene.json").read_text()
-    (folder / "scene.json").write_text(text.replace(json.dumps(f"layers/{first_file(folder).name}"), json.dumps(name)))
-    with pytest.raises(SceneFormatError, match=r"scene\.json: "):
         read_scene(folder)

@@ -18,10 +18,10 @@ from gsrain_engine.scene.flags import UNMARKED, BitMask
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_json import mask_from_text, mask_to_text, record_of
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import UNCHANGED, Layer
+from gsrain_engine.scene.scene import UNCHANGED, Layer, Scene
 
 from .sample_files import sample_gaussians
-from .test_scene_folder import bytes_in, sample_scene, track
+from .test_scene_folder import assert_same, bytes_in, sample_scene, track
 from .test_scene_folder import folder as folder  # a fixture
 
 Values = dict[str, Any]
@@ -53,8 +53,7 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
     }
 
     def older(values: Values) -> None:
-        for number in range(3, version - 1, -1):
-            own, of_members = since[number]
+        for own, of_members in (since[number] for number in range(version, 4)):
             for name in own:
                 del values[name]
             for member in (*values["layers"], *values.get("actors", ())):
@@ -63,16 +62,19 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
         values["version"] = version
 
     edit(folder, older)
-    found, now = read_scene(folder), sample_scene()
-    road = found.layers[0]
-    assert found.weather is None and len(found.layers) == 2
-    assert (road.wet_sh is None) == (version < 3)
+    found, expected = read_scene(folder), replace(sample_scene(), weather=None)
+    if version < 3:
+        expected = expected.with_member(expected.layers[0].key, wet_sh=None)
+        expected = expected.with_member("actors/lead/1", wet_sh=None)
     if version < 2:
-        assert (road.locked, road.opacity, road.grading, road.marks) == (False, 1.0, UNCHANGED, UNMARKED)
-        assert np.array_equal(road.to_scene, np.eye(4))
-        assert (found.path, found.view, found.selections) == (None, None, {})
-    expected = (1.0, (0.0, 0.0, 1.0), 0) if version == 0 else (now.metres_per_unit, now.up, 1)
-    assert (found.metres_per_unit, found.up, len(found.actors)) == expected
+        bare = {"locked": False, "opacity": 1.0, "grading": UNCHANGED, "marks": UNMARKED}
+        for member in expected.members:
+            expected = expected.with_member(member.key, **bare)
+        expected = replace(expected, path=None, view=None, selections={})
+    if version == 0:
+        layers = tuple(Layer(each.name, each.gaussians) for each in expected.layers)
+        expected = Scene(expected.name, layers)
+    assert_same(found, expected)
 
 
 def test_a_newer_version_is_neither_read_nor_replaced_but_a_damaged_scene_may_be(folder: Path) -> None:
@@ -160,7 +162,6 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put(0.5, "layers", 1, "to_scene", 0, 1), "`$.layers[1].to_scene`"),  # sheared
     (put(-1.0, "layers", 1, "to_scene", 0, 0), "`$.layers[1].to_scene`"),  # mirrored
     (lambda v: v["actors"][0]["track"]["times"].pop(), "`$.actors[0].track`"),
-    (put([2, 1, 0], "ego", "times"), "times must rise - at `$.ego`"),
     (put([0, 1, 1], "ego", "times"), "times must rise - at `$.ego`"),
     (put([0, 0, 0, 0], "ego", "quaternions_wxyz", 0), "quaternion 0"),
     (put([1e200, 0, 0, 0], "actors", 0, "track", "quaternions_wxyz", 2), "quaternion 2"),
@@ -189,6 +190,8 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (lambda v: put(file_of(0)(v), "layers", 0, "wet_file")(v), "must belong to one layer or actor"),
     (put("../x.wet.npy", "layers", 0, "wet_file"), "'../x.wet.npy' must lie inside"),
     (put("layers/gone.wet.npy", "layers", 0, "wet_file"), "'layers/gone.wet.npy'"),
+    *((put(name, "layers", 0, "file"), "scene.json: ")
+      for name in ("x" * 300 + ".ply", "layers/\u00e9\u2028.ply", ".", "layers", "layers/../scene.json/x.ply")),
 ]  # fmt: skip
 
 
@@ -199,20 +202,13 @@ def test_bad_values_are_named(change: Callable[[Values], Any], field: str, folde
     assert field in refusal(folder)
 
 
-def test_keyframes_may_be_a_quarter_of_a_second_apart(folder: Path) -> None:
-    edit(folder, put(0.25, "path", "keyframes", 1, "time_s"))
-    path = read_scene(folder).path
-    assert path is not None and path.times_s[:2].tolist() == [0.0, 0.25]
-
-
 @pytest.mark.parametrize("text", ["", "{", "null", "[]", '{"version": 1e999}', '{"version": NaN}', "\xff", "[" * 10**6])
 def test_what_is_no_json_is_refused(text: str, folder: Path) -> None:
     (folder / "scene.json").write_bytes(text.encode("latin-1"))
     assert "scene.json: not the description of a scene" in refusal(folder)
 
 
-def test_deep_endless_and_missing_descriptions_are_refused(folder: Path, tmp_path: Path) -> None:
-    assert "scene.json" in refusal(tmp_path)
+def test_deep_and_endless_descriptions_are_refused(folder: Path) -> None:
     data = (folder / "scene.json").read_text()
     nested = '"rain": {"a": ' + "[" * 200_000 + "]" * 200_000 + '},\n "weather"'
     (folder / "scene.json").write_text(re.sub(r'"rain": \{.*\},\s+"weather"', nested, data, flags=re.DOTALL))
