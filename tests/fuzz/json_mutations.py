@@ -33,7 +33,7 @@ def damaged_json(data: bytes, chance: Random) -> bytes:
     values = [json.loads(data)]
     for _ in range(chance.choice((1, 1, 1, 2, 4))):
         holder, key = _somewhere(values, chance)
-        _DAMAGE[chance.randrange(len(_DAMAGE))](holder, key, chance)
+        _damage(holder, key, chance)
         if not values:
             return b""
     text = json.dumps(values[0])
@@ -51,53 +51,45 @@ def _somewhere(values: list[Any], chance: Random) -> tuple[Any, Any]:
     return holder, key
 
 
-def _replace(holder: Any, key: Any, chance: Random) -> None:
-    holder[key] = json.loads(json.dumps(chance.choice(_ODD)))
-
-
-def _change(holder: Any, key: Any, chance: Random) -> None:
-    """Another value of the same kind."""
-    match holder[key]:
-        case bool(flag):
-            holder[key] = not flag
-        case int(number) | float(number):
-            holder[key] = chance.choice(
-                (-number, number * 1e9, number + 1, number / 3, int(number) if number == number else 0)
-            )
-        case str(text):
-            holder[key] = chance.choice((text[:-1], text + "x", text.upper(), text + "/../" + text, f" {text}"))
-        case list(values) if values:
-            holder[key] = chance.choice((values[:-1], values + values[:1], values[::-1], [values], values[:1] * 50))
-        case dict(values) if values:
-            holder[key] = chance.choice((list(values), list(values.values()), {"": values}))
+def _damage(holder: Any, key: Any, chance: Random) -> None:
+    is_object = isinstance(holder, dict)
+    match chance.randrange(10):
+        case 0 | 1:
+            holder[key] = _another(holder[key], chance)
+        case 2 | 3:
+            del holder[key]
+        case 4 if is_object:
+            holder[chance.choice((key + "_", key.upper(), "", "unknown"))] = holder.pop(key)
+        case 4:
+            holder.insert(key, holder[key])
+        case 5 if is_object:
+            holder[chance.choice(("version", "name", "unknown"))] = _odd(chance)
+        case 6:
+            other = chance.choice(sorted(holder)) if is_object else chance.randrange(len(holder))
+            holder[key], holder[other] = holder[other], holder[key]
         case _:
-            _replace(holder, key, chance)
+            holder[key] = _odd(chance)
 
 
-def _remove(holder: Any, key: Any, chance: Random) -> None:
-    del holder[key]
+def _odd(chance: Random) -> Any:
+    return json.loads(json.dumps(chance.choice(_ODD)))
 
 
-def _rename(holder: Any, key: Any, chance: Random) -> None:
-    if isinstance(holder, dict):
-        holder[chance.choice((key + "_", key.upper(), "", "unknown"))] = holder.pop(key)
-    else:
-        holder.insert(key, holder[key])
-
-
-def _add(holder: Any, key: Any, chance: Random) -> None:
-    if isinstance(holder, dict):
-        holder[chance.choice(("version", "name", "unknown"))] = json.loads(json.dumps(chance.choice(_ODD)))
-    else:
-        _replace(holder, key, chance)
-
-
-def _swap(holder: Any, key: Any, chance: Random) -> None:
-    other = chance.choice(sorted(holder)) if isinstance(holder, dict) else chance.randrange(len(holder))
-    holder[key], holder[other] = holder[other], holder[key]
-
-
-_DAMAGE = (_replace, _replace, _replace, _change, _change, _remove, _remove, _rename, _add, _swap)
+def _another(value: Any, chance: Random) -> Any:
+    """Another value of the same kind."""
+    match value:
+        case bool(flag):
+            return not flag
+        case int(number) | float(number):
+            return chance.choice((-number, number * 1e9, number + 1, number / 3, int(number)))
+        case str(text):
+            return chance.choice((text[:-1], text + "x", text.upper(), text + "/../" + text, f" {text}"))
+        case list(values) if values:
+            return chance.choice((values[:-1], values + values[:1], values[::-1], [values], values[:1] * 50))
+        case dict(values) if values:
+            return chance.choice((list(values), list(values.values()), {"": values}))
+        case _:
+            return _odd(chance)
 
 
 def _doubled_key(text: str, chance: Random) -> str:

@@ -11,6 +11,7 @@ _WORDS = ("", "0", "-1", "1", "-0", "nan", "NaN", "inf", "-Infinity", "1e999", "
           "4294967296", "18446744073709551616", "9" * 30, "9" * 5000, "None", "true", "\u0663", "\u00b2", ".", "..",
           "../x", "/etc/passwd", "\x00", "\x1b[31m", "\ufeff", "\u2028", "a" * 3000, "[" * 3000, "%n%s", "\t",
           ",", ";", ":")  # fmt: skip
+_SIGNS = "\0\r\t\x1b\"'<>&[]{}(),:;-.eE+#\u00e9\u2028\U0001f327\udcff"
 _LONGEST = 1 << 20
 """Bytes; damage that copies parts of a file stops here."""
 
@@ -19,7 +20,8 @@ def damaged_bytes(data: bytes, chance: Random) -> bytes:
     """Damage a file one to four times as if nothing were known of it."""
     edited = bytearray(data)
     for _ in range(chance.choice((1, 1, 1, 2, 3, 4))):
-        _BYTE_DAMAGE[chance.randrange(len(_BYTE_DAMAGE))](edited, chance)
+        start, end, new = _byte_damage(edited, chance)
+        edited[start:end] = new
         del edited[_LONGEST:]
     return bytes(edited)
 
@@ -30,7 +32,8 @@ def damaged_text(data: bytes, chance: Random) -> bytes:
         return damaged_bytes(data, chance)
     lines = data.decode("utf-8", errors="surrogateescape").split("\n")
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
-        _LINE_DAMAGE[chance.randrange(len(_LINE_DAMAGE))](lines, chance)
+        start, end, new = _line_damage(lines, chance)
+        lines[start:end] = new
     return "\n".join(lines).encode("utf-8", errors="surrogateescape")[:_LONGEST]
 
 
@@ -46,108 +49,68 @@ def damaged_header(end: bytes) -> Callable[[bytes, Random], bytes]:
     return damage
 
 
-def _place(edited: bytearray, chance: Random) -> int:
-    """A place in a file; the first 64 bytes, where headers are, are as likely as all others."""
-    size = max(len(edited), 1)
-    return chance.randrange(min(size, 64)) if chance.random() < 0.5 else chance.randrange(size)
+def _byte_damage(edited: bytearray, chance: Random) -> tuple[int, int, bytes]:
+    """Start and end of a part of a file, and the bytes that replace it."""
+
+    def somewhere() -> int:
+        """A place in a file; the first 64 bytes, where headers are, are as likely as all others."""
+        size = max(len(edited), 1)
+        return chance.randrange(min(size, 64)) if chance.random() < 0.5 else chance.randrange(size)
+
+    place = somewhere()
+    match chance.randrange(13):
+        case 0:  # cut off
+            return chance.randrange(len(edited) + 1), len(edited), b""
+        case 1 | 2:  # a bit
+            return place, place + 1, bytes(byte ^ 1 << chance.randrange(8) for byte in edited[place : place + 1])
+        case 3 | 4:  # a byte
+            return place, place + 1, bytes([chance.choice((0, 1, 0x7F, 0x80, 0xFF, chance.randrange(256)))])
+        case 5 | 6:
+            size, value = chance.choice((2, 4, 4, 8)), chance.choice(_INTEGERS)
+            number = (value % (1 << (8 * size))).to_bytes(size, "big" if chance.random() < 0.33 else "little")
+            return place, place + size, number
+        case 7 | 8:
+            value = chance.choice(_FLOATS)
+            number = struct.pack("<d" if chance.random() < 0.5 or abs(value) > 3.4e38 else "<f", value)
+            return place, place + len(number), number
+        case 9:  # a part of the file at another place
+            start, size = somewhere(), chance.choice((1, 4, 16, 64, 300))
+            part = edited[start : start + size]
+            return place, place + (len(part) if chance.random() < 0.5 else 0), bytes(part)
+        case 10:
+            return place, place + chance.choice((1, 2, 4, 8, 32)), b""
+        case 11:
+            return place, place, chance.randbytes(chance.choice((1, 2, 4, 9, 60)))
+        case _:
+            end = min(place + chance.choice((4, 16, 100, 1000)), len(edited))
+            return place, end, bytes([chance.choice((0, 0xFF, 0x20))]) * (end - place)
 
 
-def _cut(edited: bytearray, chance: Random) -> None:
-    del edited[chance.randrange(len(edited) + 1) :]
-
-
-def _flip(edited: bytearray, chance: Random) -> None:
-    if edited:
-        edited[_place(edited, chance)] ^= 1 << chance.randrange(8)
-
-
-def _set_byte(edited: bytearray, chance: Random) -> None:
-    if edited:
-        edited[_place(edited, chance)] = chance.choice((0, 1, 0x7F, 0x80, 0xFF, chance.randrange(256)))
-
-
-def _set_integer(edited: bytearray, chance: Random) -> None:
-    size, order = chance.choice((2, 4, 4, 8)), chance.choice(("little", "little", "big"))
-    place = _place(edited, chance)
-    value = chance.choice(_INTEGERS) % (1 << (8 * size))
-    edited[place : place + size] = value.to_bytes(size, order)  # type: ignore[arg-type]
-
-
-def _set_float(edited: bytearray, chance: Random) -> None:
-    value, place = chance.choice(_FLOATS), _place(edited, chance)
-    if chance.random() < 0.5 or abs(value) > 3.4e38:
-        edited[place : place + 8] = struct.pack("<d", value)
-    else:
-        edited[place : place + 4] = struct.pack("<f", value)
-
-
-def _splice(edited: bytearray, chance: Random) -> None:
-    start, size = _place(edited, chance), chance.choice((1, 4, 16, 64, 300))
-    part, place = edited[start : start + size], _place(edited, chance)
-    edited[place : place + (len(part) if chance.random() < 0.5 else 0)] = part
-
-
-def _remove(edited: bytearray, chance: Random) -> None:
-    place = _place(edited, chance)
-    del edited[place : place + chance.choice((1, 2, 4, 8, 32))]
-
-
-def _insert(edited: bytearray, chance: Random) -> None:
-    place = _place(edited, chance)
-    edited[place:place] = chance.randbytes(chance.choice((1, 2, 4, 9, 60)))
-
-
-def _fill(edited: bytearray, chance: Random) -> None:
-    place, size = _place(edited, chance), chance.choice((4, 16, 100, 1000))
-    end = min(place + size, len(edited))
-    edited[place:end] = bytes([chance.choice((0, 0xFF, 0x20))]) * (end - place)
-
-
-_BYTE_DAMAGE = (_cut, _flip, _flip, _set_byte, _set_byte, _set_integer, _set_integer, _set_float, _set_float,
-                _splice, _remove, _insert, _fill)  # fmt: skip
-
-
-def _set_word(lines: list[str], chance: Random) -> None:
-    """Replace a word, or what stands between two signs in it."""
-    number = chance.randrange(len(lines))
+def _line_damage(lines: list[str], chance: Random) -> tuple[int, int, list[str]]:
+    """Start and end of a part of a text, and the lines that replace it."""
+    number, other = chance.randrange(len(lines)), chance.randrange(len(lines))
     line = lines[number]
-    edges = [0, *(place for place, sign in enumerate(line) if not (sign.isalnum() or sign in "+-._")), len(line)]
-    k = chance.randrange(len(edges) - 1)
-    lines[number] = line[: edges[k] + (1 if k else 0)] + chance.choice(_WORDS) + line[edges[k + 1] :]
-
-
-def _drop_line(lines: list[str], chance: Random) -> None:
-    if len(lines) > 1:
-        del lines[chance.randrange(len(lines))]
-
-
-def _repeat_line(lines: list[str], chance: Random) -> None:
-    number = chance.randrange(len(lines))
-    lines[number:number] = lines[number : number + 1] * chance.choice((1, 1, 2, 40))
-
-
-def _swap_lines(lines: list[str], chance: Random) -> None:
-    first, second = chance.randrange(len(lines)), chance.randrange(len(lines))
-    lines[first], lines[second] = lines[second], lines[first]
-
-
-def _drop_word(lines: list[str], chance: Random) -> None:
-    number = chance.randrange(len(lines))
-    words = lines[number].split(" ")
-    del words[chance.randrange(len(words))]
-    lines[number] = " ".join(words)
-
-
-def _set_sign(lines: list[str], chance: Random) -> None:
-    number = chance.randrange(len(lines))
-    place = chance.randrange(len(lines[number]) + 1)
-    sign = chance.choice("\0\r\t\x1b\"'<>&[]{}(),:;-.eE+#\u00e9\u2028\U0001f327\ud800".replace("\ud800", "\udcff"))
-    lines[number] = lines[number][:place] + sign + lines[number][place + chance.randrange(2) :]
-
-
-def _cut_lines(lines: list[str], chance: Random) -> None:
-    del lines[chance.randrange(len(lines)) + 1 :]
-
-
-_LINE_DAMAGE = (_set_word, _set_word, _set_word, _set_word, _drop_line, _repeat_line, _swap_lines, _drop_word,
-                _set_sign, _set_sign, _cut_lines)  # fmt: skip
+    match chance.randrange(10):
+        case 0:
+            return number, number + 1, [] if len(lines) > 1 else [line]
+        case 1:
+            return number, number, [line] * chance.choice((1, 1, 2, 40))
+        case 2:
+            return number, number + 1, [lines[other]]
+        case 3:
+            words = line.split(" ")
+            del words[chance.randrange(len(words))]
+            return number, number + 1, [" ".join(words)]
+        case 4 | 5:
+            place = chance.randrange(len(line) + 1)
+            return number, number + 1, [line[:place] + chance.choice(_SIGNS) + line[place + chance.randrange(2) :]]
+        case 6:
+            return number + 1, len(lines), []
+        case _:  # a word, or what stands between two signs in it
+            edges = [
+                0,
+                *(place for place, sign in enumerate(line) if not (sign.isalnum() or sign in "+-._")),
+                len(line),
+            ]
+            k = chance.randrange(len(edges) - 1)
+            return number, number + 1, [line[: edges[k] + (k > 0)] + chance.choice(_WORDS) + line[edges[k + 1] :]]

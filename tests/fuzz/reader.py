@@ -40,6 +40,21 @@ class Reader:
     longest_s: float = LONGEST_S
 
 
+def one_file(name: str, write: Callable[[Path], object]) -> Callable[[Path], Path]:
+    """Writer of an example that is one file of this name."""
+
+    def written(folder: Path) -> Path:
+        write(folder / name)
+        return folder / name
+
+    return written
+
+
+def one_text(name: str, text: str) -> Callable[[Path], Path]:
+    """Writer of an example that is one file of text."""
+    return one_file(name, lambda path: path.write_text(text))
+
+
 class Finding(NamedTuple):
     """A file that a reader did not come to terms with."""
 
@@ -90,9 +105,7 @@ class Example:
         try:
             with limited_time(self.reader.longest_s), warnings.catch_warnings():
                 warnings.simplefilter("error")
-                warnings.filterwarnings(
-                    "ignore", module=r"PIL\."
-                )  # of many pixels, and of odd headers: read all the same
+                warnings.filterwarnings("ignore", module=r"PIL\.")  # of many pixels, and of odd headers
                 self.reader.read(self.opened)
         except TooSlow:
             return f"took longer than {self.reader.longest_s:g} s"
