@@ -72,22 +72,18 @@ def whole_folder(path: Path, *, shared: bool = False) -> Generator[Path]:
     with `shared`, several processes may write it, and the first to finish wins.
     """
     with hold_for_writing(path, shared=shared):
-        yield from _renamed_in_the_end(path)
-
-
-def _renamed_in_the_end(path: Path) -> Generator[Path]:
-    remove_abandoned(path.parent)
-    beside = _temporary_path(path)
-    try:
-        with naming_path(path, beside):
-            beside.mkdir()
-            with lock_path(beside):
-                yield beside
-                sync(beside)
-                beside.rename(path)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-    sync(path.parent)
+        remove_abandoned(path.parent)
+        beside = _temporary_path(path)
+        try:
+            with naming_path(path, beside):
+                beside.mkdir()
+                with lock_path(beside):
+                    yield beside
+                    sync(beside)
+                    beside.rename(path)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+        sync(path.parent)
 
 
 @contextmanager
@@ -176,8 +172,7 @@ class FileLock:
     def take(path: Path) -> "FileLock | None":
         """Lock a file, which is created if missing; None while it is locked elsewhere, in this process too.
 
-        Raises:
-            OSError: When the file can't be created.
+        Raises `OSError` if the file can't be created.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
@@ -223,8 +218,7 @@ def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
     left by a killed process is taken over. A process may hold a path several times. Processes that write to one path
     together, as the shares of a sweep, hold it `shared`.
 
-    Raises:
-        PathInUseError: At once, if another process holds it.
+    Raises `PathInUseError` at once if another process holds it.
     """
     place = path.resolve()
     with _guard:
