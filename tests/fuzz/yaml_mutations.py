@@ -26,22 +26,16 @@ def damaged_yaml(data: bytes, chance: Random) -> bytes:
     """Damage values of a YAML file, or its text."""
     kind = chance.random()
     if kind < 0.5:
-        plain = json.dumps(yaml.safe_load(data)).encode()
-        return damaged_json(plain, chance)
+        return damaged_json(json.dumps(yaml.safe_load(data)).encode(), chance)
     if kind < 0.7:
         return damaged_text(data, chance)
     lines = data.decode().split("\n")
     for _ in range(chance.choice((1, 1, 2))):
-        number = chance.randrange(len(lines))
-        head, colon, _ = lines[number].partition(":")
-        word = chance.choice(_WORDS)
-        match chance.randrange(4):
-            case 0:
-                lines.insert(number, word)
-            case 1:
-                lines[number] = f"{head}{colon or ':'} &anchor {lines[number][len(head) + 1 :].strip() or '{}'}"
-            case _:
-                lines[number] = f"{head}{colon or ':'} {word}"
+        number, word = chance.randrange(len(lines)), chance.choice(_WORDS)
+        name, _, value = lines[number].partition(":")
+        lines[number] = chance.choice(
+            (f"{word}\n{lines[number]}", f"{name}: &anchor {value or '{}'}", f"{name}: {word}")
+        )
     if chance.random() < 0.05:
         lines.append(_BOMB)
     return "\n".join(lines).encode()

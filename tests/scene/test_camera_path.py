@@ -60,19 +60,18 @@ def test_a_spline_goes_through_its_keys_and_is_scipys_to_the_bit() -> None:
 
 def test_lines_are_straight_and_so_is_the_last_stretch_of_their_loop() -> None:
     path = path_of(interpolation="linear")
-    for k in range(5):
-        start, end = path.times_s[k : k + 2]
-        for share in (0.0, 0.25, 0.9):
-            t = start + share * (end - start)
-            camera = path.camera(t, 90, 60)
-            assert camera.position == pytest.approx((1 - share) * path.positions[k] + share * path.positions[k + 1])
-            fov = (1 - share) * path.vertical_fov_deg[k] + share * path.vertical_fov_deg[k + 1]
-            assert camera.vertical_fov_deg == pytest.approx(fov)
-            assert path.velocity(t) == pytest.approx((path.positions[k + 1] - path.positions[k]) / (end - start))
+    times = np.linspace(path.start_s, path.end_s, 23)
+    for column, expected in zip(path.places(times).T, path.positions.T, strict=True):
+        np.testing.assert_allclose(column, np.interp(times, path.times_s, expected), atol=1e-12)
+    fov = [path.camera(t, 90, 60).vertical_fov_deg for t in times.tolist()]
+    np.testing.assert_allclose(fov, np.interp(times, path.times_s, path.vertical_fov_deg))
+    middles = 0.5 * (path.times_s[1:] + path.times_s[:-1])
+    steps = np.diff(path.positions, axis=0) / np.diff(path.times_s)[:, None]
+    np.testing.assert_allclose(path.velocities(middles), steps)
     a, b = (Rotation.from_quat(q[[1, 2, 3, 0]]) for q in path.quaternions_wxyz[:2])
     half = a * Rotation.from_rotvec(0.5 * (a.inv() * b).as_rotvec())
-    assert np.allclose(path.turns(path.times_s[:2].mean(keepdims=True))[0], half.as_matrix(), atol=1e-9)
-    loop = replace(path_of(3, interpolation="linear"), loop=True)
+    np.testing.assert_allclose(path.turns(middles)[0], half.as_matrix(), atol=1e-9)
+    loop = replace(path, loop=True)
     camera = loop.camera(float(0.75 * loop.times_s[-1] + 0.25 * loop.end_s), 9, 6)
     assert camera.position == pytest.approx(0.75 * loop.positions[-1] + 0.25 * loop.positions[0])
 

@@ -149,12 +149,6 @@ def test_the_header_of_ksplat_has_the_range_of_8_bit_harmonics(tmp_path: Path) -
     np.testing.assert_allclose(wide, 2 * default, atol=1e-5)
 
 
-def test_the_smallest_ksplat_has_its_colors(test_data: Path) -> None:
-    g = read_gaussians(test_data / "scenes/minimal/minimal.ksplat")
-    # Red grows along x, green along z; the first three bytes are the display color.
-    np.testing.assert_allclose(g.sh[:, 0, 0] * SH_C0 + 0.5, np.array([0x55, 0xAA, 0x55, 0xAA]) / 255, atol=1e-6)
-
-
 # SPZ
 
 
@@ -251,11 +245,8 @@ def test_version_1_of_sog(tmp_path: Path) -> None:
     np.testing.assert_allclose(g.sh[:, 1:], new.sh[:, 1:] + 0.5, atol=1e-5)
 
 
-def test_loose_files_of_sog(tmp_path: Path) -> None:
-    write_sog_folder(tmp_path)
-    expected = read_bytes(tmp_path, "a.sog", zipped(*sog_scene(3)[:2]))
-    assert_equal(read_gaussians(tmp_path / "meta.json"), expected)
-    (tmp_path / "quats.webp").unlink()
+def test_loose_files_of_sog_must_be_there(tmp_path: Path) -> None:
+    (write_sog_folder(tmp_path) / "quats.webp").unlink()
     with pytest.raises(SceneFormatError, match=r"quats\.webp"):
         read_gaussians(tmp_path / "meta.json")
 

@@ -158,6 +158,9 @@ def test_real_files(file: str, count: int, sh_degree: int, test_data: Path) -> N
         np.testing.assert_allclose(gaussians.scales, 0.1, rtol=0.02)
         np.testing.assert_allclose(gaussians.opacities, 0.9, atol=0.003)
         np.testing.assert_allclose(np.abs(gaussians.quaternions).max(axis=1), 1, atol=1e-3)
+        if file.endswith("ksplat"):  # red grows along x; the first byte is the display color
+            red = gaussians.sh[:, 0, 0] * SH_C0 + 0.5
+            np.testing.assert_allclose(red, np.array([0x55, 0xAA, 0x55, 0xAA]) / 255, atol=1e-6)
     elif file.startswith("plant"):
         np.testing.assert_allclose(np.ptp(gaussians.means, axis=0), [0.5172, 1.0, 0.6098], atol=2e-4)  # plant.meta.json
     check_opened(test_data / "scenes" / file)

@@ -136,45 +136,30 @@ def file_of(number: int, name: str = "file") -> Callable[[Values], str]:
 _LONG = base64.b64encode(zlib.compress(bytes(1 << 24))).decode()
 _IS_NO_POSE = "camera_to_ego of camera 'LEFT'"
 
-RECORDS: list[tuple[tuple[Any, ...], str]] = [
-    (("layers", 1), "$.layers[1]"),
-    (("layers", 0, "marks"), "$.layers[0].marks"),
-    (("layers", 1, "grading"), "$.layers[1].grading"),
-    (("actors", 0), "$.actors[0]"),
-    (("actors", 0, "track"), "$.actors[0].track"),
-    (("rigs", "waymo", 1), "$.rigs[...][1]"),
-    (("path",), "$.path"),
-    (("path", "keyframes", 0), "$.path.keyframes[0]"),
-]
-"""Paths of the fields of a description."""
-
 BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put("red", "color"), "unknown field `color`"),
-    *((put("red", *place, "color"), f" - at `{path}`") for place, path in RECORDS),
+    (put("red", "layers", 0, "marks", "color"), "`$.layers[0].marks`"),
+    (put("red", "actors", 0, "track", "color"), "`$.actors[0].track`"),
+    (put("red", "path", "keyframes", 0, "color"), "`$.path.keyframes[0]`"),
     (lambda v: v.pop("version"), "`version`"),
     (put("3", "metres_per_unit"), "Expected `float`, got `str` - at `$.metres_per_unit`"),
-    (put(0, "metres_per_unit"), "Expected `float` > 0.0 - at `$.metres_per_unit`"),
     (put([0, 0, 0], "up"), "`$.up`"),
     (put([1e200, 0, 0], "up"), "`$.up`"),
     (put("ocean", "layers", 1, "kind"), "'ocean', expected background, sky - at `$.layers[1].kind`"),
     (put(1.1, "layers", 1, "opacity"), "`$.layers[1].opacity`"),
-    (put(9, "layers", 1, "grading", "contrast"), "`$.layers[1].grading.contrast`"),
     (put(0.5, "layers", 1, "to_scene", 0, 1), "`$.layers[1].to_scene`"),  # sheared
     (put(-1.0, "layers", 1, "to_scene", 0, 0), "`$.layers[1].to_scene`"),  # mirrored
     (lambda v: v["actors"][0]["track"]["times"].pop(), "`$.actors[0].track`"),
     (put([0, 1, 1], "ego", "times"), "times must rise - at `$.ego`"),
     (put([0, 0, 0, 0], "ego", "quaternions_wxyz", 0), "quaternion 0"),
     (put([1e200, 0, 0, 0], "actors", 0, "track", "quaternions_wxyz", 2), "quaternion 2"),
-    (put(0, "rigs", "waymo", 0, "width"), "`$.rigs[...][0].width`"),
     (put(16385, "rigs", "waymo", 0, "height"), "`$.rigs[...][0].height`"),
     (put(180, "path", "keyframes", 0, "vertical_fov_deg"), "`$.path.keyframes[0].vertical_fov_deg`"),
     (camera(0, [1e200, -1e200, 1e200, 0]), _IS_NO_POSE),
-    (camera(3, [0, 0, 0, 2]), _IS_NO_POSE),
     (camera(1, [0, 0, 1, 0]), _IS_NO_POSE),
     (put({"keyframes": []}, "path"), "`$.path.keyframes`"),
     (put(0.0, "path", "keyframes", 1, "time_s"), "times must rise - at `$.path`"),
     (mark("selected", "?"), "no mask can be read"),
-    (mark("hidden", "AAAA"), "no mask can be read"),
     (mark("deleted", mask_to_text(BitMask.all(50))[:-8]), "cut off - at `$.layers[0].marks.deleted`"),
     (mark("deleted", mask_to_text(BitMask.all(32))), "a mask of 50 Gaussians takes 8 bytes, this one has 4"),
     (mark("deleted", _LONG), "this one has more than 8 - at `$.layers[0].marks.deleted`"),
@@ -182,7 +167,6 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put({"x": {"layers/c": ""}}, "selections"), "'layers/c'"),
     (put("layers/none.ply", "layers", 0, "file"), "'layers/none.ply'"),
     (put("../outside.ply", "layers", 0, "file"), "'../outside.ply' must lie inside"),
-    (put("layers/../../outside.ply", "layers", 0, "file"), "must lie inside"),
     (put("/etc/passwd", "layers", 0, "file"), "'/etc/passwd' must lie inside"),
     (put("a\0b", "layers", 0, "file"), "'a\\x00b'"),
     (put("scene.json", "layers", 0, "file"), "no known scene format"),
