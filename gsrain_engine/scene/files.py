@@ -239,11 +239,7 @@ def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
 
 
 def lock_file(path: Path) -> Path:
-    name = path.name.encode(errors="surrogateescape")
-    if len(name) <= _LONGEST_NAME:
-        return path.with_name(f".{path.name}.lock")
-    short = name[:_LONGEST_NAME].decode(errors="ignore")
-    return path.with_name(f".{short}.{hashlib.sha256(name).hexdigest()[:8]}.lock")
+    return path.with_name(f".{shortened(path.name, _LONGEST_NAME)}.lock")
 
 
 _LONGEST_NOTE = 4096
