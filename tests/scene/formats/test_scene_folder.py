@@ -22,6 +22,7 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
 from gsrain_engine.scene.scene import Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
+from ..test_camera_path import path_of
 from .sample_files import assert_equal, sample_gaussians
 
 
@@ -103,17 +104,12 @@ def assert_same(found: Any, expected: Any, place: str = "scene") -> None:
 
 # Round trips
 
-_NUMBERS = st.floats(-1e6, 1e6, width=32)
-_PLACES = st.tuples(_NUMBERS, _NUMBERS, _NUMBERS)
-_TURNS = st.tuples(*[st.floats(0.1, 1)] * 4)
-
 
 def any_scene(draw: Callable[[st.SearchStrategy[Any]], Any]) -> Scene:
-    def turn() -> np.ndarray:
-        return normalized(np.array(draw(_TURNS)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
 
     def mask(count: int) -> BitMask | None:
-        flags = np.array(draw(st.lists(st.booleans(), min_size=count, max_size=count)), np.bool_)
+        flags = rng.random(count) < draw(st.sampled_from([0.0, 0.1, 1.0]))
         return BitMask.of(flags) if flags.any() else None
 
     def member_fields(count: int) -> dict[str, Any]:
@@ -126,25 +122,19 @@ def any_scene(draw: Callable[[st.SearchStrategy[Any]], Any]) -> Scene:
     for number in range(draw(st.integers(0, 3))):
         gaussians = sample_gaussians(draw(st.sampled_from([0, 1, 31, 32, 33, 70])), seed=number)
         placed = np.eye(4)
-        placed[:3, :3] = draw(st.floats(1e-3, 1e3)) * matrices_from_quaternions(turn())
-        placed[:3, 3] = draw(_PLACES)
-        layers.append(
-            Layer(f"{draw(st.text(max_size=5))}{number}", gaussians, "sky", placed, **member_fields(len(gaussians)))
-        )
-    turns = np.stack([turn(), turn()])
-    track = PoseTrack(np.arange(2.0), np.zeros((2, 3)), turns, np.array([True, False]))
-    actor = Actor("car", "car", (4.0, 2.0, 1.0), sample_gaussians(9), track, **member_fields(9))
-    keys = draw(st.integers(1, 4))
-    path = CameraPath(
-        np.cumsum(draw(st.lists(st.floats(0.1, 10), min_size=keys, max_size=keys))),
-        np.array([draw(_PLACES) for _ in range(keys)]),
-        np.stack([turn() for _ in range(keys)]),
-        np.array([draw(st.floats(1, 170)) for _ in range(keys)]),
-        draw(st.floats(1e-4, 1)),
-        draw(st.sampled_from(["spline", "linear"])),
-        draw(st.sampled_from(["none", "in and out", "at each key"])),
-        draw(st.booleans()),
-        draw(st.booleans()),
+        turn = matrices_from_quaternions(normalized(rng.normal(size=4)))
+        placed[:3] = np.column_stack([draw(st.floats(1e-3, 1e3)) * turn, rng.normal(0, 1e5, 3)])
+        rest = member_fields(len(gaussians))
+        layers.append(Layer(f"{draw(st.text(max_size=5))}{number}", gaussians, "sky", placed, **rest))
+    actor = Actor("car", "car", (4.0, 2.0, 1.0), sample_gaussians(9), track(2), **member_fields(9))
+    path = path_of(
+        draw(st.integers(1, 4)),
+        draw(st.integers(0, 99)),
+        exposure_s=draw(st.floats(1e-4, 1)),
+        interpolation=draw(st.sampled_from(["spline", "linear"])),
+        easing=draw(st.sampled_from(["none", "in and out", "at each key"])),
+        loop=draw(st.booleans()),
+        is_timed=draw(st.booleans()),
     )
     chosen = {each.key: found for each in (*layers, actor) if (found := mask(len(each.gaussians))) is not None}
     return Scene(
@@ -152,7 +142,7 @@ def any_scene(draw: Callable[[st.SearchStrategy[Any]], Any]) -> Scene:
         tuple(layers),
         (actor,),
         path=draw(st.none() | st.just(path)),
-        weather=draw(st.none() | st.dictionaries(st.text(), _NUMBERS)),
+        weather=draw(st.none() | st.dictionaries(st.text(), st.floats(-1e6, 1e6))),
         view=draw(st.none() | st.dictionaries(st.text(), st.text())),
         selections=draw(st.dictionaries(st.text(max_size=4), st.just(chosen), max_size=2)),
     )

@@ -93,20 +93,6 @@ def test_nothing_stands_in_the_lanes_or_where_a_truck_stands(parameters: StreetP
             assert not inside.any(), (name, truck.id)
 
 
-def test_the_sun_lights_one_side_and_a_truck_darkens_the_ground_below(surfaces: StreetSurfaces) -> None:
-    houses, road = surfaces.layers["houses"], surfaces.layers["road"]
-    color = surfaces.light.display_colors(houses, houses.centers).mean(axis=1)
-    high = (houses.centers[:, 2] > 5) & (np.abs(houses.centers[:, 0] - 75) < 75) & (houses.gloss == 0)
-    across = houses.normals[:, 1] * -np.sign(houses.centers[:, 1])
-    sunny = houses.centers[:, 1] < 0
-    assert color[high & (across > 0.9) & sunny].mean() > color[high & (across > 0.9) & ~sunny].mean() + 0.15
-    truck = next(each for each in surfaces.layout.trucks if each.y > 0)
-    at = np.abs(road.centers[:, :2] - [truck.x, truck.y])
-    strip = (road.labels == Label.ROAD) & (at[:, 1] < 0.7)
-    color = surfaces.light.display_colors(road, road.centers).mean(axis=1)
-    assert color[strip & (at[:, 0] < 2.5)].mean() < 0.6 * color[strip & (at[:, 0] > 6) & (at[:, 0] < 8)].mean()
-
-
 def test_harmonics_of_degree_1_are_the_mirrored_sky(surfaces: StreetSurfaces) -> None:
     glossy, light = surfaces.lead.take(surfaces.lead.gloss > 0.1), surfaces.lead_light
     directions = np.tile([0.8, 0.36, -0.48], (len(glossy), 1))
@@ -134,19 +120,12 @@ def test_vehicles_fill_their_boxes_and_stand_on_the_ground(street: Scene) -> Non
     assert (truck.centers[flank, 1] * truck.normals[flank, 1] > 0).mean() > 0.9
 
 
-def test_the_lead_car_keeps_ahead_of_the_ego(street: Scene) -> None:
-    (lead,) = street.actors
-    assert street.ego is not None
+def test_the_ego_follows_the_lead_car_with_cameras_that_look_where_their_names_say(street: Scene) -> None:
+    pose, (lead,) = street.ego_to_world(2.0), street.actors
+    assert pose is not None and street.ego is not None and street.ground_m == 0
     gaps = lead.track.positions[:, 0] - street.ego.positions[:, 0]
     assert gaps[0] == pytest.approx(18) and gaps.min() > 15
-    speeds = np.diff(lead.track.positions[:, 0]) / np.diff(lead.track.times)
-    assert speeds.mean() == pytest.approx(10, abs=0.3) and 0.3 < np.ptp(speeds) < 2
     np.testing.assert_array_equal(lead.track.positions[:, 1], street.ego.positions[:, 1])
-
-
-def test_rig_cameras_look_where_their_names_say(street: Scene) -> None:
-    pose = street.ego_to_world(2.0)
-    assert pose is not None and street.ground_m == 0
     np.testing.assert_allclose(pose[:3, 3], [20, -1.7, 1.5], atol=1e-9)  # in the right lane, at sensor height
     assert {name: len(rig) for name, rig in street.rigs.items()} == {"waymo_front3": 3, "nuscenes": 6}
     front = rig_camera(street, "waymo_front3", "FRONT", 1.0)
