@@ -139,7 +139,7 @@ def _is_special(path: Path) -> bool:
 
 
 def _remove_if_abandoned(part: Path) -> None:
-    with try_lock_path(part) as is_free:
+    with lock_path(part, waiting=False) as is_free:
         touched = [each.stat().st_mtime for each in (part, *part.rglob("*"))]
         if not is_free or time.time() - max(touched) < _ABANDONED_S:
             return
@@ -317,31 +317,19 @@ def _holder(handle: int) -> str:
 
 
 @contextmanager
-def lock_path(path: Path) -> Generator[None]:
-    """Lock an existing file or folder, waiting for other holders. No effect on file systems without locks."""
-    if fcntl is None and path.is_dir():
-        yield
-        return
-    handle = os.open(path, (os.O_RDONLY if path.is_dir() else os.O_RDWR) | _WITHOUT_WAITING)
-    try:
-        _lock(handle, waiting=True)
-        yield
-    finally:
-        os.close(handle)
+def lock_path(path: Path, *, waiting: bool = True) -> Generator[bool]:
+    """Lock an existing file or folder; yields True.
 
-
-@contextmanager
-def try_lock_path(path: Path) -> Generator[bool]:
-    """Lock an existing file or folder without waiting; yields False if it is locked elsewhere.
-
-    Yields True if the operating system or the file system has no locks.
+    Waits for other holders, or, without `waiting`, yields False if there is one. No effect on operating systems and
+    file systems without locks.
     """
-    if fcntl is None:
+    if fcntl is None and (path.is_dir() or not waiting):
         yield True
         return
-    handle = os.open(path, os.O_RDONLY | _WITHOUT_WAITING)
+    flags = os.O_RDWR if waiting and not path.is_dir() else os.O_RDONLY
+    handle = os.open(path, flags | _WITHOUT_WAITING)
     try:
-        yield _lock(handle, waiting=False)
+        yield _lock(handle, waiting=waiting)
     finally:
         os.close(handle)
 
