@@ -19,10 +19,8 @@ from tests.disdrometer.test_netcdf import cloudnet, disdrodb, two_dvd_drops, two
 from tests.disdrometer.test_open import ROWS, thies_line
 from tests.disdrometer.test_tables import RD80, rd80_row
 
-from .containers import Damage, inside_gzip
-from .mutations import damaged_bytes, damaged_text
+from .mutations import Damage, damaged_bytes, damaged_text, damaged_yaml, inside_gzip
 from .reader import Reader, one_file, one_text
-from .yaml_mutations import damaged_yaml
 
 
 def _read(path: Path) -> None:

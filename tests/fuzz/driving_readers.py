@@ -22,11 +22,9 @@ from small_scene import small_scene
 from tests.simulation.interop.test_hugsim_pickle import tensor_pickle
 from tests.simulation.interop.test_openscenario import foreign, scenario
 
-from .json_mutations import damaged_json
-from .mutations import damaged_bytes, damaged_text
+from .mutations import damaged_bytes, damaged_json, damaged_text, damaged_yaml
 from .reader import Reader, one_file, one_text
 from .settings_readers import assert_finite
-from .yaml_mutations import damaged_yaml
 
 _SHIPPED = Path(__file__).resolve().parents[2] / "sample_configs"
 

@@ -15,8 +15,7 @@ from gsrain_engine.training.settings import TrainingSettings
 from gsrain_engine.training.train import CHECKPOINTS, TrainingHeader
 from tests.evaluation.detection.tiny_onnx import NAMES, write_red_finder
 
-from .containers import inside_zip
-from .mutations import damaged_bytes
+from .mutations import damaged_bytes, inside_zip
 from .reader import Reader, one_file
 
 _ARRAYS = {"a.weight": np.ones((2, 3, 3, 3), np.float32), "a.bias": np.zeros(2, np.float32), "n": np.array(3)}

@@ -11,7 +11,7 @@ from random import Random
 from types import FrameType
 from typing import Any, NamedTuple
 
-from .containers import Damage
+from .mutations import Damage
 
 LONGEST_S = 5.0
 """Of processor time: no small file keeps a reader busy for longer."""

@@ -18,9 +18,7 @@ from gsrain_engine.scene.scene import PoseTrack
 from tests.scene.formats.sample_files import SMALL_FILES, assert_valid, write_small, write_sog_folder
 from tests.scene.formats.test_scene_folder import sample_scene
 
-from .containers import Damage, inside_gzip, inside_zip
-from .json_mutations import damaged_json
-from .mutations import damaged_bytes, damaged_header
+from .mutations import Damage, damaged_bytes, damaged_header, damaged_json, inside_gzip, inside_zip
 from .reader import Reader, one_file
 
 _PLY = damaged_header(b"end_header\n")

@@ -27,9 +27,8 @@ from gsrain_engine.rain.properties import rain_properties
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.training.settings import load_settings
 
-from .json_mutations import damaged_json
+from .mutations import damaged_json, damaged_yaml
 from .reader import Reader, one_text
-from .yaml_mutations import damaged_yaml
 
 _SHIPPED = Path(__file__).resolve().parents[2] / "sample_configs"
 

@@ -5,8 +5,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .containers import inside_zip
-from .mutations import damaged_bytes
+from .mutations import damaged_bytes, inside_zip
 from .reader import Reader, one_file
 
 

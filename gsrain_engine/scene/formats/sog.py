@@ -9,8 +9,9 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -235,7 +236,8 @@ class _SogVersion(msgspec.Struct, frozen=True):
     version: int = 1
 
 
-class SogMeta(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class SogMeta:
     """Content of `meta.json`: names of the images, and codebooks of 256 numbers for their bytes.
 
     Missing entries of a short codebook are NaN, so that bytes that refer to them are detected.
