@@ -25,6 +25,7 @@ from .sample_files import (
     ksplat,
     sample_gaussians,
     sog_scene,
+    sog_version_1,
     spz_header,
     webp,
     write_small,
@@ -128,6 +129,13 @@ def changed(path: str, value: Any) -> bytes:
     return zipped(meta, files)
 
 
+def version_1(name: str, **fields: Any) -> bytes:
+    """A SOG of version 1 of which some fields of one part of the description are others."""
+    meta, files, _ = sog_scene()
+    old = sog_version_1(meta)
+    return zipped({**old, name: {**old[name], **fields}}, files)
+
+
 def with_file(name: str, data: bytes | None) -> bytes:
     """A SOG with another file, or without it."""
     meta, files, _ = sog_scene()
@@ -221,7 +229,7 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.ksplat", lambda: patched(0, 5120 + 4, "<f", nan), "mean that is not a finite number, the first is number 0"),
     ("a.ksplat", lambda: patched(0, 5120 + 12, "<f", -1), "negative scale"),
     ("a.ksplat", lambda: patched(0, 5120 + 24, "<4f", 0, 0, 0, 0), "zero quaternion"),
-    ("a.ksplat", lambda: patched(0, 5120 + 24, "<f", 1e30), "quaternion longer than 1"),
+    ("a.ksplat", lambda: patched(0, 5120 + 24, "<f", -1e30), "quaternion longer than 1"),
     # SPZ
     ("a.spz", lambda: b"", "header of 16 bytes"),
     ("a.spz", lambda: b"PLY file, not SPZ", "NGSP"),
@@ -244,6 +252,8 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.sog", lambda: b"PK\x03\x04abc", "zip"),
     ("a.sog", with_password, "password"),
     ("a.sog", lambda: with_file("sh0.webp", None), "sh0.webp"),
+    ("a.sog", lambda: version_1("means", shape=[-1]), "means.shape"),
+    ("a.sog", lambda: version_1("sh0", mins=[0, 0, 0]), "must hold 4 numbers"),
     ("a.sog", lambda: changed("version", 3), "version 3"),
     ("a.sog", lambda: changed("count", "many"), "$.count"),
     ("a.sog", lambda: changed("count", -1), "$.count"),
@@ -251,6 +261,7 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.sog", lambda: changed("means.mins", [0, 0]), "$.means.mins"),
     ("a.sog", lambda: changed("means.maxs", [1e30, 1, 1]), "a mean"),
     ("a.sog", lambda: changed("quats.files", [".."]), "'..'"),
+    ("a.sog", lambda: changed("quats.files", ["quats.webp"] * 2), "$.quats.files"),
     ("a.sog", lambda: changed("quats.files", ["q" * 255]), f"there is no {'q' * 255}"),
     ("a.sog", lambda: changed("quats.files", ["q" * 256]), f"'{'q' * 40}' is not the name"),
     ("a.sog", lambda: changed("scales.codebook", [0.0] * 257), "$.scales.codebook"),

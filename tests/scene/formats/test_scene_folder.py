@@ -57,7 +57,7 @@ def sample_scene() -> Scene:
         ground_m=-1.25,
         rigs={"waymo": (camera, replace(camera, name="LEFT"))},
         ego=track(3),
-        path=CameraPath(turns * 5, np.stack([turns, turns**2, 1 - turns], axis=1), quaternions, 40 + 10 * turns),
+        path=CameraPath(turns * 2, np.stack([turns, turns**2, 1 - turns], axis=1), quaternions, 40 + 10 * turns),
         rain={"intensity_mm_h": 8.5, "wind": [1.0, 0.5], "haze": {"count": None}},
         weather={"keys": [{"time_s": 0.0, "intensity_mm_h": 2.0}]},
         view={"time_s": 1.0},
