@@ -11,72 +11,11 @@ from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, step_bicycle
 
 CAR = Vehicle()
 AHEAD = np.stack([2.5 * np.arange(1, 7), np.zeros(6)], axis=1)
-STAND = np.zeros((6, 2))
 AT_5 = VehicleState(0.0, 0.0, 0.0, 5.0)
 WIGGLE = np.cumsum([[2.5, 0.1], [2.6, 0.4], [2.4, 0.3], [2.5, 0.0], [2.4, -0.1]], axis=0)
 
 
-# Reference states
-
-
-@pytest.mark.parametrize(
-    ("points", "reference", "expected"),
-    [
-        (STAND, "tangent", [0] * 6),
-        ([[0.01, 0.04], [-0.02, 0.03]], "tangent", [0, 0]),
-        ([[2, 2], [2.01, 1.99], [1.9, 1.9]], "tangent", [np.pi / 4] * 3),  # a stop keeps the last
-        ([[3.0, 0.0]], "tangent", [0]),
-        ([[2, 0], [4, 2], [4, 4]], "tangent", np.radians([22.5, 67.5, 112.5])),  # halfway between the steps
-        ([[2.5, 0], [5, 0]], "hugsim", [-np.pi / 2] * 2),  # to its right, which is negative here
-        ([[2.5, 2.5]], "hugsim", [np.pi / 4]),
-        ([[0.0, 0.0]], "hugsim", [0]),
-    ],
-)
-def test_headings_of_special_plans(points, reference, expected):
-    states = controller_base.tracked_states(np.array(points, np.float64), reference)
-    rows = [(*point, turn, 0, 0) for point, turn in zip(points, expected, strict=True)]
-    np.testing.assert_allclose(states, [np.zeros(5), *rows])
-
-
-@pytest.mark.parametrize(
-    ("plan", "speed", "braking", "moved", "expected"),
-    [
-        (np.cumsum([[4.0, 0.1], [3.5, 0.2], [3.0, 0.3]], axis=0), 8.0, 3.0, False, None),
-        (STAND, 0.0, 3.0, False, None),
-        (STAND, 8.0, 4.0, True, [[x, 0] for x in (3.5, 6.0, 7.5, 8.0, 8.0, 8.0)]),
-        # Round a corner 1.75, 3 (at the plan's end), 3.75 and 4 m of path: the last two beyond the end, as it pointed.
-        ([[1.0, 0], [2.0, 0], [2.0, 1.0], [2.0, 1.0]], 4.0, 2.0, True, [[1.75, 0], [2, 1], [2, 1.75], [2, 2]]),
-    ],
-)
-def test_a_stop_that_brakes_cannot_make_is_moved_along_the_plan(plan, speed, braking, moved, expected):
-    points, full = controller_base.make_reachable(np.array(plan), speed, braking, 0.5)
-    assert full == moved
-    np.testing.assert_allclose(points, plan if expected is None else expected, atol=1e-12)
-
-
-# Kernels
-
 DT, WHEELBASE = 0.5, 2.7
-LIMITS = np.array([3.0, 3.0, 0.4, np.pi / 3])
-
-
-@pytest.mark.parametrize("at", [0.0, 0.5], ids=["Euler", "midpoint"])
-@given(st.floats(-3, 3), st.floats(2, 20), st.floats(-0.8, 0.8), st.floats(-2, 2), st.floats(-0.3, 0.3))
-def test_derivatives_are_those_of_finite_differences(at, heading, speed, steer, acceleration, rate):
-    start = np.array([3.0, -2.0, heading, speed, steer, acceleration, rate])
-    by_state, by_control = np.empty((5, 5)), np.empty((5, 2))
-
-    def after(values):
-        reached = np.empty(5)
-        controllers.step_state(values[:5].copy(), values[5:].copy(), DT, at, WHEELBASE, LIMITS, reached)
-        return reached
-
-    controllers.linearize_dynamics(start[:5], start[5:], DT, at, WHEELBASE, by_state, by_control)
-    numeric = [(after(start + step) - after(start - step)) / 2e-6 for step in 1e-6 * np.eye(7)]
-    np.testing.assert_allclose(np.hstack([by_state, by_control]), np.transpose(numeric), rtol=1e-6, atol=1e-6)
-
-
-# The tracker
 
 
 def tracker(**fields) -> controller_base.Controller:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy
 
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
@@ -13,8 +12,8 @@ from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.simulation.geometry import PlanarBox
-from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, RoadSurface, road_surface_of
-from gsrain_engine.simulation.obstacles import CELL_M, drivable_of, occupied_space_of
+from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, road_surface_of
+from gsrain_engine.simulation.obstacles import drivable_of, occupied_space_of
 from simulation.small_drive import in_other_units, track
 from small_scene import patch, small_scene
 
@@ -47,16 +46,6 @@ def test_a_stated_height_counts_where_the_drive_begins_if_it_is_plausible():
     assert empty.rig_height_m == SENSOR_HEIGHT_M and empty.height_m(30.0, 3.0) == pytest.approx(1.5, abs=0.05)
     for stated, height in ((-2.0, -2.0), (None, 0.0)):  # without a drive it is level
         assert road_surface_of(replace(small_scene(), ego=None, ground_m=stated)).height_m(100.0, -30.0) == height
-
-
-def test_heights_are_interpolated_bilinearly_between_cells():
-    grid = RoadSurface((-3.0, 2.0), 0.5, np.random.default_rng(1).normal(size=(7, 9)))
-    places = np.random.default_rng(2).uniform((-3, 2), (1, 5), size=(50, 2))
-    known = scipy.interpolate.RegularGridInterpolator(
-        (np.arange(9) * 0.5 - 3, np.arange(7) * 0.5 + 2), grid.heights_m.T
-    )
-    np.testing.assert_allclose(grid.heights_at(places), known(places))
-    assert grid.height_m(-100.0, 100.0) == grid.heights_m[-1, 0]
 
 
 # Obstacles
@@ -109,24 +98,6 @@ def test_walls_are_hit_and_curbs_branches_haze_and_hidden_things_are_not(thing, 
     space = occupied(standing(thing).with_member("layers/thing 0", **change))
     assert space.touches(car_at(13.0, 0.0)) == is_hit and not space.touches(car_at(11.8, 0.0))
     assert space.touches(car_at(38.5, 0.0)) and not space.touches(car_at(36.0, 0.0))  # the scene's own at 40 m
-
-
-def post(x, y, thick):
-    """A square post, 3 m high."""
-    sides = [((-1, -1), (1, 0)), ((-1, -1), (0, 1)), ((1, -1), (0, 1)), ((-1, 1), (1, 0))]
-    return Gaussians.concatenate([
-        flat((x + a * thick / 2, y + b * thick / 2, 0.0), (u * thick, v * thick, 0), (0, 0, 3), 12)
-        for (a, b), (u, v) in sides
-    ])  # fmt: skip
-
-
-@pytest.mark.parametrize(("thick", "shift"), [(0.06, 0.0), (0.06, 0.03), (0.12, 0.07), (0.4, 0.03)])
-def test_thin_posts_are_found_wherever_they_stand_among_the_cells(thick, shift):
-    space = occupied(standing(post(15.0 + shift, 1.5 + shift, thick)))
-    assert not space.touches(car_at(15.0, 0.0)) and space.touches(car_at(15.0, 0.8))
-    assert space.touches(car_at(15.0, 0.0, np.pi / 2))  # a turned box reaches where its corners are
-    near = space.places[np.hypot(*(space.places - (15.0 + shift, 1.5 + shift)).T) < 1.0]
-    assert len(near) and np.abs(near - (15.0 + shift, 1.5 + shift)).max() < thick / 2 + 2 * CELL_M
 
 
 def test_without_a_road_layer_flat_ground_is_road_and_nothing_is_without_a_scene():

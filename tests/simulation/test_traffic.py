@@ -216,14 +216,6 @@ def advanced(cars, steps):
         yield cars.users
 
 
-def test_they_start_where_the_ego_vehicle_is_at_the_start_with_their_models_or_their_own_size():
-    rows = [lead(ahead_m=6.0, left_m=-2.0, turned_deg=90.0), lead(id="own", ahead_m=9.0, size_lwh_m=[3, 1, 1])]
-    first, own = traffic(scene_with_box(), start_s=2.0, road_users=rows).users
-    assert (first.x_m, first.y_m, first.yaw_rad) == pytest.approx((4.0 + 1.3 + 6.0, -2.0, np.pi / 2))
-    assert (first.size_lwh, own.size_lwh) == ((4.0, 2.0, 1.5), (3.0, 1.0, 1.0))
-    assert first.z_m == pytest.approx(0.0, abs=0.01)
-
-
 @pytest.mark.parametrize("other_units", [False, True])
 def test_an_actor_that_stays_follows_its_track_and_others_are_gone(other_units):
     scene = in_other_units(scene_with_box()) if other_units else scene_with_box()
@@ -231,7 +223,13 @@ def test_an_actor_that_stays_follows_its_track_and_others_are_gone(other_units):
     for number, (there,) in enumerate([cars.users, *advanced(cars, 8)]):
         assert (there.x_m, there.y_m, there.z_m) == pytest.approx((6.0 + 0.5 * number, 3.0, 0.0), abs=1e-6)
         assert (there.speed_m_s, *there.size_lwh) == pytest.approx((2.0, 4.0, 2.0, 1.5))
-    assert traffic(scene).users == () and len(traffic(scene, keep="all").users) == 1
+    assert traffic(scene).users == ()
+    going = replace(scene.actors[0], track=replace(scene.actors[0].track, valid=np.array([True, False])))
+    cars = traffic(replace(scene, actors=(going,)), keep="all", start_s=1.0)
+    assert [len(users) for users in (cars.users, *advanced(cars, 14))] == [1] * 12 + [0] * 3
+    assert [each.id for each in cars.everybody] == ["box"]
+    cars.reset()
+    assert len(cars.users) == 1
     hidden = replace(scene, actors=(replace(scene.actors[0], visible=False),))
     assert traffic(hidden, keep="all").users == ()
     with pytest.raises(ValueError, match="'box'"):
@@ -246,16 +244,6 @@ def test_everybody_moves_by_where_the_others_were():
     ]
     one, other = (list(advanced(traffic(scene_with_box(), road_users=order), 10))[-1] for order in (rows, rows[::-1]))
     assert one == other[::-1] and one[1].speed_m_s < 6.0
-
-
-def test_an_actor_that_goes_stays_known():
-    actor = box_actor(times=(1.0, 2.0, 3.0), positions=((5, 3, 0), (7, 3, 0), (9, 3, 0)))
-    going = replace(actor, track=replace(actor.track, valid=np.array([True, False, False])))
-    cars = traffic(replace(small_scene(), actors=(going,)), keep="all", start_s=1.0)
-    assert [len(users) for users in (cars.users, *advanced(cars, 6))] == [1, 1, 1, 1, 0, 0, 0]
-    assert [each.id for each in cars.everybody] == ["box"]
-    cars.reset()
-    assert len(cars.users) == 1
 
 
 @pytest.mark.parametrize("other_units", [False, True])

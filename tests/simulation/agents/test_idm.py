@@ -97,32 +97,23 @@ def test_plans_go_forward_and_back_to_the_route(speed, gap, lead_speed, left, ya
 
 # Oracle
 
-BEND = Route(60 * np.stack([np.sin(a := np.linspace(0, np.pi / 2, 200)), 1 - np.cos(a)], axis=1))
-
-
-def on_bend(name, radius, turned=25 / 60):
-    return RoadUser(name, "car", (4.5, 1.8, 1.4), radius * np.sin(turned), 60 - radius * np.cos(turned), turned, 15.0)
-
-
 TURNED = float(np.arctan2(1.2, 8.0))  # 1.2 m/s to the side: 1.8 m within the foresight
 
 
 @pytest.mark.parametrize(
-    ("users", "route", "expected"),
+    ("users", "expected"),
     [
-        ([car("far", 40, speed_m_s=5.0), car("near", 12), car("beside", 5, 3.5)], ROUTE,
+        ([car("far", 40, speed_m_s=5.0), car("near", 12), car("beside", 5, 3.5)],
          ("near", 12.0, 0.0)),
-        ([car("behind", -12), car("left", 8, 3.0), car("right", 8, -2.3)], ROUTE, None),
-        ([car("half", 8, -1.9)], ROUTE, ("half", 8.0, 0.0)),
-        ([car("cut-in", 10, 3.3, -TURNED, 8.09)], ROUTE, ("cut-in", 9.9, 8.0)),
-        ([car("straight", 10, 3.3, 0.0, 8.09), car("leaving", 10, 3.3, TURNED, 8.09)], ROUTE, None),
-        ([car("oncoming", 30, 0.0, np.pi, 6.0)], ROUTE, ("oncoming", 30.0, -6.0)),
-        ([on_bend("next lane", 60 - 3.2)], BEND, None),
-        ([on_bend("own lane", 60.0)], BEND, ("own lane", 25 - 2.25 - 3.6, 15.0)),
+        ([car("behind", -12), car("left", 8, 3.0), car("right", 8, -2.3)], None),
+        ([car("half", 8, -1.9)], ("half", 8.0, 0.0)),
+        ([car("cut-in", 10, 3.3, -TURNED, 8.09)], ("cut-in", 9.9, 8.0)),
+        ([car("straight", 10, 3.3, 0.0, 8.09), car("leaving", 10, 3.3, TURNED, 8.09)], None),
+        ([car("oncoming", 30, 0.0, np.pi, 6.0)], ("oncoming", 30.0, -6.0)),
     ],
 )  # fmt: skip
-def test_the_nearest_in_the_lane_or_on_the_way_into_it_leads(users, route, expected):
-    found = idm.find_oracle_lead(users, LanePath.of(state(), route), VEHICLE)
+def test_the_nearest_in_the_lane_or_on_the_way_into_it_leads(users, expected):
+    found = idm.find_oracle_lead(users, LanePath.of(state(), ROUTE), VEHICLE)
     assert (found and found.id) == (expected and expected[0])
     assert found is None or (found.lead.gap_m, found.lead.speed_m_s) == pytest.approx(expected[1:], abs=0.3)
 
@@ -204,10 +195,7 @@ def test_a_track_is_kalmans_filter_for_constant_speed(noise, closing, error):
     ],
 )
 def test_who_is_believed_to_be_there(gaps, own_speed_m_s, believed):
-    states = tracked(gaps, own_speed_m_s)
-    assert [each is not None for each in states] == believed
-    if gaps[-1] == [] and believed[4] and own_speed_m_s == 0 and len(gaps) > 100:
-        assert (states[122].lead.gap_m, states[4].lead.speed_m_s) == (states[4].lead.gap_m, 0.0)
+    assert [each is not None for each in tracked(gaps, own_speed_m_s)] == believed
 
 
 def test_jumps_doubles_and_cut_ins():
@@ -226,60 +214,39 @@ def test_jumps_doubles_and_cut_ins():
 class GivenBoxes:
     """A detector that returns given boxes."""
 
-    name = "given"
-
-    def __init__(self):
-        self.boxes: list[Detection] = []
+    name, boxes = "given", ()
 
     def detect(self, image):
-        return self.boxes
+        return list(self.boxes)
 
 
-def opened():
-    detector = GivenBoxes()
-    agent = idm.CameraIDMAgent(detector)
-    agent.reset(0, RIG)
-    return agent, detector
+@pytest.fixture
+def detector():
+    return GivenBoxes()
 
 
-def shaky(step, now, gap):
-    """Every third image shows nothing, and the others shake."""
-    box = np.array(car_box(now, gap).box_xyxy) + np.random.default_rng(step).normal(0, 1.0, 4)
-    return [] if step % 3 == 2 else [Detection("car" if step % 2 else "truck", 0.5, tuple(box))]
+@pytest.fixture
+def agent(detector):
+    opened = idm.CameraIDMAgent(detector)
+    opened.reset(0, RIG)
+    return opened
 
 
-def parked(step, now, gap):
-    cars = [(gap, -2.6), (gap + 7, 2.7), (gap - 12, -2.5)]
-    return [car_box(now, each, left_m=left) for each, left in cars if each > 1]
-
-
-@pytest.mark.parametrize(
-    ("detected", "low_m", "high_m"),
-    [
-        (lambda step, now, gap: [car_box(now, gap)], 2.0, 2.8),
-        (shaky, 0.5, 4.0),
-        (lambda step, now, gap: [car_box(now, gap, 0.2)], None, None),  # hardly detected
-        (parked, None, None),
-    ],
-    ids=("clear", "shaky", "faint", "parked"),
-)
-def test_it_stops_behind_a_car_that_is_detected_and_for_nothing_else(detected, low_m, high_m):
-    agent, detector = opened()
+@pytest.mark.parametrize("is_clear", [True, False])
+def test_it_stops_behind_a_car_that_is_detected_and_for_nothing_else(agent, detector, is_clear):
     now, gap = state(), 40.0
     for step in range(60):
         gap = 43.6 - VEHICLE.front_m - now.x_m
-        detector.boxes = detected(step, now, gap) if gap > 0 else []
+        detector.boxes = [car_box(now, gap, left_m=-2.6), car_box(now, gap, 0.2)]  # a parked one and a faint one
+        if gap <= 0 or is_clear:
+            detector.boxes = [car_box(now, gap)] if gap > 0 else []
         plan = agent.plan(observation(now, step))
         rate = float((plan.points[0, 0] / 0.5 - now.speed_m_s) / 0.25)
         now = step_bicycle(VEHICLE, now, Control(rate, 0.0), 0.25)
-    if low_m is None:
-        assert gap < 0 and now.speed_m_s == 10.0
-    else:
-        assert now.speed_m_s < 0.1 and low_m < gap < high_m
+    assert (now.speed_m_s < 0.1 and 2.0 < gap < 2.8) if is_clear else (gap < 0 and now.speed_m_s == 10.0)
 
 
-def test_notes_hold_detections_and_no_ground_truth_and_a_reset_forgets():
-    agent, detector = opened()
+def test_notes_hold_detections_and_no_ground_truth_and_a_reset_forgets(agent, detector):
     detector.boxes = [car_box(state(), 20.0, 0.91234), Detection("bench", 0.8, (0.0, 0.0, 9.0, 9.0))]
     notes = agent.plan(observation(state(), users=(car("truth", 5.0),))).notes
     box = [round(side, 1) for side in detector.boxes[0].box_xyxy]

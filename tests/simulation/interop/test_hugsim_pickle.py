@@ -7,8 +7,6 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.interop.hugsim_pickle import old_pickle
@@ -138,19 +136,3 @@ def test_other_replies_are_refused(kind):
     for data in REFUSED[kind]:
         with pytest.raises(ClientError, match="the client sent"):
             read_reply(data)
-
-
-WHOLE = [tensor_pickle(), *(pickle.dumps(PLAN, protocol) for protocol in PROTOCOLS)]
-
-
-@given(place=st.integers(0, 400), byte=st.integers(0, 255), whole=st.sampled_from(WHOLE), noise=st.binary(max_size=60))
-def test_damage_and_noise_are_read_or_refused_and_nothing_else(place, byte, whole, noise):
-    data = bytearray(whole)
-    data[place % len(data)] = byte
-    for each in (bytes(data), noise):
-        try:
-            points = read_reply(each)
-        except ClientError as problem:
-            assert str(problem)
-        else:
-            assert points is None or (points.shape[1] == 2 and np.isfinite(points).all())

@@ -1,10 +1,6 @@
 """HUGSIM's protocol: its frames, messages and rig by hand and by its simulator's formulas, and the two named pipes."""
 
-import contextlib
 import os
-import queue
-import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -172,88 +168,31 @@ def test_the_front_always_stays_as_far_ahead(steps):
     np.testing.assert_allclose(np.linalg.norm(arms, axis=1), np.hypot(1.7, 0.3), rtol=1e-9)
 
 
-# protocol.Pipes
-
-MESSAGE = bytes(range(256)) * 12_000  # 3 MB: more than a pipe holds
+# Pipes
 
 
-def timeouts(seconds=20.0, ended=lambda: None):
-    return protocol.Timeouts(seconds, ended)
-
-
-@pytest.fixture
-def other_end(tmp_path):
-    """Runs the other end of a pipe in a thread: `work(open pipe)`, and then `after`."""
-    threads = []
-
-    def start(name, mode, work, after=lambda: None):
-        def run():
-            with contextlib.suppress(OSError), (tmp_path / name).open(mode, buffering=0) as pipe:
-                work(pipe)
-            after()
-
-        threads.append(threading.Thread(target=run, daemon=True))
-        threads[-1].start()
-
-    yield start
-    for thread in threads:
-        thread.join(5)
-
-
-@pytest.fixture
-def pipes(tmp_path):
+def test_pipes_are_waited_for_only_so_long_and_other_files_are_not_used(tmp_path):
     os.mkfifo(tmp_path / "plan_pipe")  # the client came first
-    return protocol.Pipes(tmp_path)
-
-
-def test_long_messages_arrive_whole_and_answers_count_though_their_client_ended(pipes, other_end):
-    got, wrote = queue.Queue(), threading.Event()
-    other_end("obs_pipe", "rb", lambda pipe: got.put(pipe.read()))
-    pipes.send(memoryview(MESSAGE), timeouts())
-    assert got.get(timeout=20) == MESSAGE
-    other_end("plan_pipe", "wb", lambda pipe: pipe.write(b"farewell"), wrote.set)
-    assert pipes.receive(timeouts(600, lambda: wrote.wait(20) and "ended with exit code 0"), 100) == b"farewell"
-
-
-@pytest.mark.parametrize(
-    ("call", "end", "seconds", "ended", "word"),
-    [
-        ("send", None, 0.05, None, "obs_pipe within 0.05 s"),
-        ("receive", None, 0.05, None, "answered within 0.05 s"),
-        ("send", None, 600, "ended with exit code 3", "ended with exit code 3 before it had opened obs_pipe"),
-        ("send", ("obs_pipe", "rb", lambda pipe: pipe.read(10)), 20, None, "closed obs_pipe"),
-        ("receive", ("plan_pipe", "wb", lambda pipe: None), 20, None, "closed it without an answer"),
-        ("receive", ("plan_pipe", "wb", lambda pipe: pipe.write(bytes(20_000))), 20, None, "10000 bytes"),
-    ],
-    ids=("no reader", "no writer", "ended", "leaves", "says nothing", "too much"),
-)  # fmt: skip
-def test_a_client_that_fails_is_not_waited_for(pipes, other_end, call, end, seconds, ended, word):
-    if end is not None:
-        other_end(*end)
-    started = time.monotonic()
-    with pytest.raises(ClientError, match=word):
-        if call == "send":
-            pipes.send(memoryview(MESSAGE * 4), timeouts(seconds, lambda: ended))
-        else:
-            pipes.receive(timeouts(seconds, lambda: ended), 10_000)
-    assert time.monotonic() - started < 5
-
-
-@pytest.mark.parametrize("name", ["obs_pipe", "plan_pipe"])
-@pytest.mark.parametrize("thing", ["nothing", "file", "link"])
-def test_what_stands_in_the_place_of_a_pipe_is_not_used(tmp_path, pipes, name, thing):
-    place = tmp_path / name
-    place.unlink()
-    if thing == "file":
-        place.write_text("my notes")
-    elif thing == "link":
-        place.symlink_to("gone")
-    with pytest.raises(ClientError, match=name):
-        if name == "obs_pipe":
-            pipes.send(b"", timeouts())
-        else:
-            pipes.receive(timeouts(), 100)
-    if thing != "nothing":
+    pipes = protocol.Pipes(tmp_path)
+    calls = {
+        "obs_pipe": lambda *timeouts: pipes.send(b"", protocol.Timeouts(*timeouts)),
+        "plan_pipe": lambda *timeouts: pipes.receive(protocol.Timeouts(*timeouts), 100),
+    }
+    for name, call in calls.items():
+        with pytest.raises(ClientError, match=r"within 0\.05 s"):
+            call(0.05, lambda: None)
+        with pytest.raises(ClientError, match="ended with exit code 3 before"):
+            call(600, lambda: "ended with exit code 3")
+        place = tmp_path / name
+        place.unlink()
         with pytest.raises(ClientError, match=name):
-            protocol.Pipes(tmp_path)
-    assert thing != "file" or place.read_text() == "my notes"
+            call(600, lambda: None)
+        for write in (lambda place: place.symlink_to("gone"), lambda place: place.write_text("my notes")):
+            place.unlink(missing_ok=True)
+            write(place)
+            with pytest.raises(ClientError, match=name):
+                call(600, lambda: None)
+            with pytest.raises(ClientError, match=name):
+                protocol.Pipes(tmp_path)
+        assert place.read_text() == "my notes"
+        place.unlink()

@@ -1,5 +1,6 @@
 """Metrics of a run in one value, runs side by side, the paper's table, figures and the report page."""
 
+import csv
 import math
 from functools import cache
 
@@ -21,7 +22,7 @@ from small_rollout import approach, ego, rollout, step, user
 from small_scene import small_scene
 
 
-def test_a_run_into_a_standing_car():
+def test_a_run_into_a_standing_car(tmp_path):
     metrics = summary.measure_drive(approach(lead_x=40.0, moments=20, intensity_mm_h=8.5, seed=3))
     expected = {
         "collision": True, "collided_with": "lead", "collision_time_s": 3.5, "min_ttc_s": 0.0, "min_ttc_time_s": 3.5,
@@ -30,6 +31,10 @@ def test_a_run_into_a_standing_car():
         "with_background": False, "dac": None, "agent": "hand",
     }  # fmt: skip
     assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
+    summary.write_metrics_csv(tmp_path / "runs.csv", [metrics])
+    (row,) = csv.DictReader((tmp_path / "runs.csv").read_text().splitlines())
+    assert list(row) == list(summary.DriveMetrics.__struct_fields__) and row["collision"] == "true"
+    assert {name: float(row[name]) for name in ("min_ttc_s", "distance_m")} == {"min_ttc_s": 0.0, "distance_m": 35.0}
     with pytest.raises(ValueError, match=r"scenario\.vehicle: .*length_m"):
         summary.measure_drive(replace(approach(), scenario={"vehicle": {"length_m": "long"}}))
 
@@ -72,16 +77,6 @@ def test_metrics_depend_on_neither_the_worlds_origin_nor_the_clocks(turn, x, y, 
     here["min_ttc_time_s"] += later_s
     here["collision_time_s"] += later_s
     assert there == pytest.approx(here, abs=1e-6)
-
-
-def test_metrics_as_csv(tmp_path):
-    metrics = [summary.measure_drive(approach(moments=count)) for count in (5, 20)]
-    summary.write_metrics_csv(tmp_path / "runs.csv", metrics)
-    columns, *rows = (line.split(",") for line in (tmp_path / "runs.csv").read_text().splitlines())
-    assert columns == list(summary.DriveMetrics.__struct_fields__)
-    first, second = (dict(zip(columns, row, strict=True)) for row in rows)
-    assert (first["collision"], second["collision"], first["collided_with"]) == ("false", "true", "")
-    assert float(first["min_ttc_s"]) == metrics[0].min_ttc_s
 
 
 @pytest.mark.parametrize(("speed", "hits"), [(10.0, True), (2.0, False)])
