@@ -120,17 +120,9 @@ def test_on_a_slope_road_and_obstacles_are_where_they_are_on_level_ground(per_m)
     assert space.touches(car_at(22.0, 1.5)) and drivable.share_on_road(car_at(30.0, 12.0)).max() == 0.0
 
 
-@pytest.fixture(scope="module")
-def street():
-    return load_street()
-
-
-@pytest.fixture(scope="module")
-def space(street):
-    return occupied(street)
-
-
-def test_the_streets_lanes_and_pavements_are_free_and_everything_that_stands_on_it_is_hit(street, space):
+def test_the_streets_lanes_are_free_and_drivable_and_everything_that_stands_on_it_is_hit():
+    street = load_street()
+    space = occupied(street)
     layout = plan_street(StreetParameters())
     for time_s in np.arange(0.0, 12.01, 0.05):
         pose = street.ego_to_world(float(time_s))
@@ -145,11 +137,7 @@ def test_the_streets_lanes_and_pavements_are_free_and_everything_that_stands_on_
         assert space.touches(PlanarBox(x, y, 0.0, 0.6, 0.6)), each
     fronts = layout.parameters.front_y_m
     assert all(space.touches(PlanarBox(x, s * fronts, 0.0, 4.0, 1.0)) for x in range(0, 120, 5) for s in (-1, 1))
-
-
-def test_the_streets_road_is_drivable_and_its_pavement_is_not(street, space):
-    drivable = drivable_of(street, road_surface_of(street), space)
-    curb = plan_street(StreetParameters()).parameters.curb_y_m
+    drivable, curb = drivable_of(street, road_surface_of(street), space), layout.parameters.curb_y_m
     np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -1.7)), np.ones((2, 2)))
     np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -curb - 1.5)), np.zeros((2, 2)))
     half, turned = (drivable.share_on_road(car_at(30.0, -curb, yaw)) for yaw in (0.0, np.pi / 2))

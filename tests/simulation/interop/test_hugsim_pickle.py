@@ -3,7 +3,6 @@
 import os
 import pickle
 import pickletools
-import struct
 
 import numpy as np
 import pytest
@@ -72,30 +71,6 @@ def test_tensors_are_read_without_torch(protocol):
         np.testing.assert_array_equal(read_reply(pickle.dumps(form, protocol)), PLAN)
 
 
-# A tensor of 2 x 2 float32 as PyTorch pickles it, by hand: what is read does not need it.
-STORAGE = (
-    b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.\x80\x02}q\x00."
-    b"\x80\x02(X\x07\x00\x00\x00storageq\x00ctorch\nFloatStorage\nq\x01X\x01\x00\x00\x000q\x02X\x03\x00\x00\x00cpuq\x03"
-    b"K\x04Ntq\x04Q.\x80\x02]q\x00X\x01\x00\x00\x000q\x01a." + struct.pack("<q4f", 4, 1.0, 2.0, 3.0, 4.0)
-)
-
-
-def tensor_pickle(storage=STORAGE, first=0, shape=(2, 2), steps=(2, 1)):
-    numbers = [b"K" + bytes([each]) for each in (first, *shape, *steps)]
-    return (
-        b"\x80\x03ctorch._utils\n_rebuild_tensor_v2\n(ctorch.storage\n_load_from_bytes\nB"
-        + struct.pack("<I", len(storage)) + storage + b"\x85R" + numbers[0]
-        + numbers[1] + numbers[2] + b"\x86" + numbers[3] + numbers[4] + b"\x86"
-        + b"\x89ccollections\nOrderedDict\n)RtR."
-    )  # fmt: skip
-
-
-def test_a_tensor_is_read_by_its_steps():
-    for fields, rows in (({}, [[1, 2], [3, 4]]), ({"steps": (1, 2)}, [[1, 3], [2, 4]]),
-                         ({"first": 2, "shape": (1, 2)}, [[3, 4]])):  # fmt: skip
-        np.testing.assert_array_equal(read_reply(tensor_pickle(**fields)), rows)
-
-
 class Runs:
     """Makes a folder when it is simply unpickled."""
 
@@ -120,8 +95,6 @@ REFUSED = {
                 b"})" + b"\x85" * 300_000 + b"Ns."],  # hashing that key would end the program
     "damage": [b"", b"\x00 nothing", pickle.dumps(PLAN)[:-20], b"\x80\x05\x96\xff\xff\xff\xff\xff\x00\x00\x00.",
                pickle.dumps(PLAN) + b"x", b"\x80\x04r\xff\xff\xff\xff."],
-    "tensors": [tensor_pickle(STORAGE[:-24]), tensor_pickle(b""), tensor_pickle(STORAGE[:-4]), tensor_pickle(first=1),
-                tensor_pickle(steps=(200, 1)), tensor_pickle(STORAGE.replace(b"torch\nFloatStorage", b"os\nsystem"))],
     "arrays": [b"cnumpy\nndarray\n((I100000000000\nI2\ntS'<f8'\ntR.", b"cnumpy\nndarray\n((I3\nI2\ntS'<f8'\ntR.",
                b"cnumpy\nndarray\n((" + b"I1\n" * 9 + b"tS'<f8'\ntR.", pickle.dumps(PLAN.astype("S8")),
                b"cnumpy\ndtype\n(" + b"(l" + b"p0\n(g0\ng0\ng0\ng0\nl" * 60 + b"tR."],
