@@ -5,6 +5,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from traceback import walk_tb
 from types import ModuleType
 from typing import Annotated, Any, NamedTuple
 
@@ -166,7 +167,7 @@ def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Age
     """
     path = agent_file(name)
     assert path is not None
-    chosen = name[len(str(path)) + 1 :] if not name.endswith(_SUFFIX) else ""
+    chosen = "" if name.endswith(_SUFFIX) else name[len(str(path)) + 1 :]
     module = _module(path, name, trusted_only)
     maker = getattr(module, chosen, None) if chosen else _only_class(module, name)
     if not callable(maker):
@@ -198,13 +199,11 @@ def _module(path: Path, name: str, trusted_only: bool) -> ModuleType:
 
 def _where(error: BaseException, path: Path) -> str:
     """Return the last line of the agent's own file in a traceback, as "line 12: "."""
-    line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
-    trace = error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path.absolute()):
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return "" if line is None else f"line {line}: "
+    own = str(path.absolute())
+    lines = [line for frame, line in walk_tb(error.__traceback__) if frame.f_code.co_filename == own]
+    if isinstance(error, SyntaxError) and error.lineno and not lines:
+        lines = [error.lineno]
+    return f"line {lines[-1]}: " if lines else ""
 
 
 def _only_class(module: ModuleType, name: str) -> Any:

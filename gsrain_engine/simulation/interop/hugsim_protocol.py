@@ -362,7 +362,7 @@ def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera
     own = {each.name: each for each in cameras if each.name in CAMERA_NAMES}
     front = CAMERA_NAMES[0]
     if front not in own:
-        raise ValueError(f"HUGSIM's clients need a camera {front}: drive with the rig {RIG!r} of `in_hugsim_setting`")
+        raise ValueError(f"HUGSIM's clients need a camera {front}: drive with the rig {RIG!r} of `with_hugsim_rig`")
     for each in own.values():
         if (each.width, each.height) != (WIDTH_PX, HEIGHT_PX):
             raise ValueError(

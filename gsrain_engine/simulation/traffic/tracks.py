@@ -15,9 +15,9 @@ from msgspec import Meta
 
 from ...scene.scene import Actor, Scene
 from ..geometry import wrap_angle
-from ..rollout import Rollout, driven_vehicle
+from ..rollout import Rollout
 from ..rollout_io import read_any_rollout
-from ..vehicle import VehicleState, vehicle_box
+from ..vehicle import vehicle_box
 from .base import EGO, Behavior, LanePosition, RoadUser, TrafficState
 
 _STEP_S = 0.05  # half the interval for speed estimates; tracks are linear between samples, mostly 100 ms apart
@@ -83,10 +83,10 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     """Return time, x, y, heading and speed of a road user's center at each step; NaN while absent."""
     rows: list[tuple[float, ...]] = []
     absent = (float("nan"),) * 4
-    vehicle = driven_vehicle(rollout)
+    vehicle = rollout.vehicle
     for step in rollout.steps:
         if user == EGO:
-            box = vehicle_box(vehicle, VehicleState(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad))
+            box = vehicle_box(vehicle, step.ego.state)
             rows.append((step.time_s, box.x_m, box.y_m, box.yaw_rad, step.ego.speed_m_s))
             continue
         here = next((each for each in step.road_users if each.id == user), None)
