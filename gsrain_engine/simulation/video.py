@@ -27,7 +27,7 @@ from .metrics.collisions import LONGEST_S, gaps_m, times_to_collision_s
 from .obstacles import occupied_space_of
 from .playback import RolloutPlayback
 from .rollout import RolloutStep
-from .sensors import needed_cameras, placed_camera
+from .sensors import needed_cameras
 from .vehicle import vehicle_box
 
 Color = tuple[int, int, int]
@@ -65,7 +65,7 @@ class RolloutVideo:
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
         start = played.scene(0.0)
-        self._sky = sky_color(renderer, start, placed_camera(self._mounted, played.rig_to_world(0.0)))
+        self._sky = sky_color(renderer, start, self._mounted.camera(played.rig_to_world(0.0)))
 
     def pictures(self, fps: float) -> Iterator[RgbImage]:
         """Yield all frames of the drive; the last one is held for a second."""
@@ -86,7 +86,7 @@ class RolloutVideo:
     def _camera_panel(self, time_s: float) -> RgbImage:
         """Draw the camera image with the plan and the agent's latest detections."""
         played, rig = self._played, self._played.rig_to_world(time_s)
-        camera, state = placed_camera(self._mounted, rig), played.state(time_s)
+        camera, state = self._mounted.camera(rig), played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
         color = self._sky.at(self._rainfall.wetness_at(scene_s))

@@ -76,7 +76,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         moments = _moments(read_any_rollout(path), self.user)
         if not len(moments):
             raise ValueError(f"{path}: nobody is called {self.user!r} in this roll-out")
-        return _TimedBehavior(partial(_replayed, moments))
+        return TimedBehavior(partial(_replayed, moments))
 
 
 def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
@@ -96,8 +96,8 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     return moments if np.isfinite(moments).all(axis=1).any() else moments[:0]
 
 
-class _TimedBehavior(Behavior):
-    """Depends on time alone."""
+class TimedBehavior(Behavior):
+    """Behavior that depends on time alone."""
 
     def __init__(self, at: Callable[[RoadUser, float], RoadUser | None]) -> None:
         """Use `at(me, time_s)`, the state at a time since the scenario began; all else is as in `me`."""
@@ -173,7 +173,7 @@ class ScriptedTrack(
             return _WaypointBehavior(self.points)
         for actor in scene.actors:
             if actor.id == self.actor:
-                return _TimedBehavior(partial(_on_track, RecordedTrack(scene, actor, start_s), self.pace))
+                return TimedBehavior(partial(_on_track, RecordedTrack(scene, actor, start_s), self.pace))
         known = ", ".join(each.id for each in scene.actors) or "none"
         raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
 
