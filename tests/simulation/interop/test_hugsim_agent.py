@@ -12,9 +12,7 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.simulation.agents.base import SensorRequirements
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.interop.hugsim_agent import HugsimAgent
-from gsrain_engine.simulation.interop.hugsim_protocol import (
-    with_hugsim_rig,
-)
+from gsrain_engine.simulation.interop.hugsim_protocol import with_hugsim_rig
 from gsrain_engine.simulation.simulation import Simulation, run_drive
 from simulation import small_drive
 

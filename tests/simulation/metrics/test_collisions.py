@@ -82,6 +82,10 @@ def test_points_that_collide(steps, wall_m, hits, hugsim):
         assert (found.point_rate, found.frame_rate) == rates
 
 
+def test_points_per_frame_are_those_of_the_longest_plan():
+    assert collisions.PlannedCollisions(((F,), (F, T))).points_per_frame == 2
+
+
 def test_between_two_moments_others_are_between_them_from_their_first_to_their_last():
     here = [user(4 + 3.0 * i, 9 - 2.0 * i, yaw=(3.1, -3.1, 3.1)[i]) for i in range(3)]
     moments = [step(i, ego(), users, step_s=0.2) for i, users in enumerate(([here[0]], [here[1]], [here[2]], []))]
