@@ -121,7 +121,7 @@ def test_a_node_that_is_loading_is_waited_for_and_drives(monkeypatch):
 
 @pytest.fixture
 def raw():
-    """Starts servers that take in requests, answer as they like, and hold connections until the test is over."""
+    """Starts servers that take in one request, answer as they like, and hold the connection until the test is over."""
     started, over = [], threading.Event()
 
     def start(answer):
@@ -129,20 +129,21 @@ def raw():
 
         def serve():
             with contextlib.suppress(OSError):
-                while True:
-                    connection, _ = server.accept()
-                    with connection:
-                        connection.recv(1 << 16)
-                        answer(connection, over)
+                connection, _ = server.accept()
+                with connection:
+                    connection.recv(1 << 16)
+                    answer(connection, over)
 
-        threading.Thread(target=serve, daemon=True).start()
-        started.append(server)
-        return f"http://127.0.0.1:{server.getsockname()[1]}"
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        started.append((server, thread))
+        return HttpCalls(f"http://127.0.0.1:{server.getsockname()[1]}")
 
     yield start
     over.set()
-    for server in started:
+    for server, thread in started:
         server.close()
+        thread.join(5)
 
 
 def sent(data):
@@ -183,7 +184,7 @@ def with_length(data):
     ],
 )  # fmt: skip
 def test_an_answer_that_is_no_whole_plan_is_an_error(raw, answer, word):
-    calls = HttpCalls(raw(sent(answer)))
+    calls = raw(sent(answer))
     with pytest.raises(ClientError, match=word):
         read_plan(calls.call("POST", "/infer", b"{}", 20), calls.url)
 
@@ -195,7 +196,7 @@ def test_a_drip_of_headers_is_not_read_for_ever(raw):
             connection.sendall(b"X-A: a\r\n")
 
     with pytest.raises(ClientError, match=r"/infer .*0\.3 s"):
-        HttpCalls(raw(answer)).call("POST", "/infer", b"{}", 0.3)
+        raw(answer).call("POST", "/infer", b"{}", 0.3)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +210,7 @@ def test_a_drip_of_headers_is_not_read_for_ever(raw):
     ],
 )
 def test_whole_answers_of_every_form_are_read(raw, answer):
-    assert HttpCalls(raw(sent(answer))).call("POST", "/infer", b"{}", 20) == b"{}"
+    assert raw(sent(answer)).call("POST", "/infer", b"{}", 20) == b"{}"
 
 
 def test_other_addresses_are_refused():

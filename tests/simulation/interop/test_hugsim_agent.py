@@ -111,9 +111,12 @@ def test_a_failing_client_is_an_error(mode, word, moment, tmp_path):
 def test_a_client_that_a_person_starts_and_that_hangs_at_the_end_is_logged(moment, tmp_path, caplog):
     agent = HugsimAgent(tmp_path, later_wait_s=0.2)
     client = subprocess.Popen([sys.executable, CLIENT, tmp_path, "deaf"])
-    agent.reset(0, moment[0])
-    assert agent.plan(moment[1]).points[0].tolist() == [4.0, 0.0]
-    agent.close()
-    client.kill()
-    client.wait()
+    try:
+        agent.reset(0, moment[0])
+        points = agent.plan(moment[1]).points
+        agent.close()
+    finally:
+        client.kill()
+        client.wait()
+    assert points[0].tolist() == [4.0, 0.0]
     assert len(caplog.messages) == 1 and "0.2 s" in caplog.text

@@ -21,6 +21,7 @@ from small_rollout import approach, ego, rollout, step, straight, user
         # Plans that stand have the vehicle's heading; a repeated point keeps the one before it, but not in HUGSIM.
         (ego(yaw=0.7), [(0.3, 0.0), (0.2, 0.2), (0.3, -0.3), (0.4, 0.1)], [0.7] * 4, [0.7] * 3),
         (ego(), [(3, 3), (6, 6), (6, 6), (6, 6)], [np.pi / 4] * 4, [np.pi / 4, 0, 0]),
+        (ego(), [(1.05, -0.2), (1.05, 0.0)], [np.pi / 2] * 2, [np.pi / 2]),  # a meter is enough
         (ego(), [(6.0, 6.0), (6.0, 6.011), (6.009, 6.011)], [np.pi / 2] * 3, [np.pi / 2, 0]),  # a centimeter is enough
     ],
 )
