@@ -61,8 +61,8 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
 def agent_codes(jobs: Sequence[Job]) -> list[Code]:
     """Read the Python files that jobs use as agents, without duplicates; raises ValueError for a missing file."""
     agents = {job.agent.name for job in jobs if isinstance(job, DriveJob)}
-    files = sorted({str(path) for name in agents if (path := agent_file(name)) is not None})
-    return [code for file in files if (code := agent_code(file)) is not None]
+    files = {path for name in agents if (path := agent_file(name)) is not None}
+    return [agent_code(path) for path in sorted(files, key=str)]
 
 
 def _stopped(folder: SweepFolder, reason: str, done: int) -> str:
