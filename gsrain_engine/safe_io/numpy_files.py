@@ -1,6 +1,5 @@
 """Untrusted NumPy files (.npz, .npy): sizes are checked before allocation, and pickles are refused."""
 
-import io
 import math
 import tokenize
 import warnings
@@ -17,10 +16,13 @@ _MAX_BYTES = 8 << 30
 _SUFFIX = ".npy"
 _KINDS = "fiubU"  # kinds of numbers, and text for names
 
-DAMAGES = (
-    ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,
-    TypeError, ValueError, zipfile.BadZipFile, zlib.error,
+_HEADER_DAMAGES = (
+    ArithmeticError, EOFError, LookupError, MemoryError, RecursionError, SyntaxError, TypeError, ValueError,
+    tokenize.TokenError,
 )  # fmt: skip
+"""Exceptions of NumPy for damaged headers, which it parses as Python."""
+
+DAMAGES = (*_HEADER_DAMAGES, NotImplementedError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error)
 """Exceptions of zipfile and NumPy for damaged archives."""
 
 
@@ -32,18 +34,13 @@ def read_archive(path: Path, most_bytes: int = _MAX_BYTES) -> dict[str, np.ndarr
     """
     with open_file(path) as stream:
         try:
-            return _arrays(stream, most_bytes)
+            with zipfile.ZipFile(stream) as archive:
+                members = archive.infolist()
+                if sum(each.file_size for each in members) > most_bytes:
+                    raise ValueError(f"it holds more than {most_bytes / 1e9:g} GB")
+                return {each.filename.removesuffix(_SUFFIX): read_member(archive, each, _KINDS) for each in members}
         except DAMAGES as error:
-            words = str(error).strip().splitlines()
-            raise ValueError(words[0] if words else f"it is damaged ({type(error).__name__})") from None
-
-
-def _arrays(stream: io.BufferedReader, most_bytes: int) -> dict[str, np.ndarray]:
-    with zipfile.ZipFile(stream) as archive:
-        members = archive.infolist()
-        if sum(each.file_size for each in members) > most_bytes:
-            raise ValueError(f"it holds more than {most_bytes / 1e9:g} GB")
-        return {each.filename.removesuffix(_SUFFIX): read_member(archive, each, _KINDS) for each in members}
+            raise ValueError(_reason(error, "it")) from None
 
 
 def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str = "fiub") -> np.ndarray:
@@ -66,12 +63,6 @@ def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str = 
 # Array headers (.npy)
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
-
-_DAMAGES = (
-    ArithmeticError, EOFError, LookupError, MemoryError, RecursionError, SyntaxError, TypeError, ValueError,
-    tokenize.TokenError,
-)  # fmt: skip
-"""Exceptions of NumPy for damaged headers, which it parses as Python."""
 
 
 @runtime_checkable
@@ -96,9 +87,8 @@ def read_array_header(stream: Readable, kinds: str = "fiub") -> tuple[tuple[int,
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # warnings about the header's format version
             shape, is_fortran, dtype = read(stream)
-    except _DAMAGES as error:
-        words = str(error).strip().splitlines()
-        raise ValueError(words[0] if words else f"its header is damaged ({type(error).__name__})") from None
+    except _HEADER_DAMAGES as error:
+        raise ValueError(_reason(error, "its header")) from None
     if dtype.kind not in kinds:
         raise ValueError(f"holds {dtype}, not real numbers")
     if any(side < 0 for side in shape):
@@ -108,3 +98,8 @@ def read_array_header(stream: Readable, kinds: str = "fiub") -> tuple[tuple[int,
 
 def array_bytes(shape: tuple[int, ...], dtype: "np.dtype[Any]") -> int:
     return math.prod(shape) * dtype.itemsize
+
+
+def _reason(error: BaseException, damaged: str) -> str:
+    words = str(error).strip().splitlines()
+    return words[0] if words else f"{damaged} is damaged ({type(error).__name__})"

@@ -77,15 +77,8 @@ class Camera:
         return replace(self, world_to_camera=matrix)
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "width": self.width,
-            "height": self.height,
-            "fx": self.fx,
-            "fy": self.fy,
-            "cx": self.cx,
-            "cy": self.cy,
-            "world_to_camera": self.world_to_camera.tolist(),
-        }
+        values = {name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+        return {**values, "world_to_camera": self.world_to_camera.tolist()}
 
     @classmethod
     def from_json(cls, values: dict[str, Any], source: Path | str = "camera") -> "Camera":

@@ -159,10 +159,16 @@ class CameraPath:
         """Camera at a time; it rests before the first keyframe and after the last, unless the path loops."""
         t = float(self._at(np.array([time_s])).times_s[0])
         camera_to_world = np.eye(4)
-        camera_to_world[:3, :3] = self._rotation(t)
-        camera_to_world[:3, 3] = self._position(t)
-        camera = Camera.from_fov(width, height, self._fov(t), np.linalg.inv(camera_to_world))
-        return Camera(*_intrinsics(camera), camera.world_to_camera, self.exposure_s)
+        if len(self.times_s) < 2:
+            camera_to_world[:3, :3] = matrices_from_quaternions(self.quaternions_wxyz[0])
+            camera_to_world[:3, 3] = self.positions[0]
+            fov = float(self.vertical_fov_deg[0])
+        else:
+            camera_to_world[:3, :3] = self._curves.rotations(t).as_matrix()
+            camera_to_world[:3, 3] = self._curves.positions(t)
+            fov = float(self._curves.fields_of_view(t))
+        camera = Camera.from_fov(width, height, fov, np.linalg.inv(camera_to_world))
+        return replace(camera, exposure_s=self.exposure_s)
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
         """Velocity of the camera in world units per second; zero outside the keyframes."""
@@ -205,17 +211,6 @@ class CameraPath:
             within = np.clip(times_s, knots[0], knots[-1])
         return apply_easing(self.easing, knots, within)
 
-    def _position(self, t: float) -> Float64[np.ndarray, "3"]:
-        return self.positions[0] if len(self.times_s) < 2 else self._curves.positions(t)
-
-    def _rotation(self, t: float) -> Float64[np.ndarray, "3 3"]:
-        if len(self.times_s) < 2:
-            return matrices_from_quaternions(self.quaternions_wxyz[0])
-        return self._curves.rotations(t).as_matrix()
-
-    def _fov(self, t: float) -> float:
-        return float(self.vertical_fov_deg[0] if len(self.times_s) < 2 else self._curves.fields_of_view(t))
-
     @cached_property
     def _knots_s(self) -> Float64[np.ndarray, " k"]:
         """Times of the keyframes; of a loop, also the time of its closure."""
@@ -257,10 +252,6 @@ def _around(
     positions = (turns @ (pose[:3, 3] - center)) + center
     fov = np.full(len(angles), camera.vertical_fov_deg)
     return CameraPath(times, positions, quaternions_from_matrices(rotations), fov, camera.exposure_s)
-
-
-def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:
-    return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 
 _KEYS_AROUND_A_LOOP = 24

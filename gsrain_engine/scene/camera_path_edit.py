@@ -46,8 +46,7 @@ def with_keyframe(path: CameraPath | None, time_s: float, camera: Camera) -> Edi
     key = keyframe_at(path, time_s)
     if key is not None:
         return EditedKeyframe(place_keyframe_at(path, key, pose[:3, 3], quaternion[0], float(fov[0])), key)
-    longer = _with_rows(replace(path, is_timed=True), time, pose[None, :3, 3], quaternion, fov)
-    return EditedKeyframe(longer, int(np.searchsorted(longer.times_s, time[0])))
+    return _with_row_at(path, float(time_s), pose[None, :3, 3], quaternion, fov)
 
 
 def without_keyframe(path: CameraPath, key: int) -> CameraPath | None:
@@ -69,9 +68,7 @@ def move_keyframe(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
 def copy_keyframe_to(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
     """Copy a keyframe to another time, or to the nearest free one if that is occupied."""
     free = _free_moment(path.times_s, time_s)
-    rows = (getattr(path, name)[key : key + 1] for name in _COLUMNS)
-    longer = _with_rows(replace(path, is_timed=True), np.array([free]), *rows)
-    return EditedKeyframe(longer, int(np.searchsorted(longer.times_s, free)))
+    return _with_row_at(path, free, *(getattr(path, name)[key : key + 1] for name in _COLUMNS))
 
 
 def place_keyframe_at(
@@ -82,15 +79,14 @@ def place_keyframe_at(
     vertical_fov_deg: float | None = None,
 ) -> CameraPath:
     """Change a keyframe's position, rotation or field of view (degrees); None keeps a value."""
+    if vertical_fov_deg is not None and not 0 < vertical_fov_deg < 180:
+        raise ValueError(f"a field of view of {vertical_fov_deg:g} degrees: must be above 0 and below 180")
+    quaternion = None if quaternion_wxyz is None else normalized(quaternion_wxyz)
     changes: dict[str, Any] = {}
-    if position is not None:
-        changes["positions"] = _with_row(path.positions, key, position)
-    if quaternion_wxyz is not None:
-        changes["quaternions_wxyz"] = _with_row(path.quaternions_wxyz, key, normalized(quaternion_wxyz))
-    if vertical_fov_deg is not None:
-        if not 0 < vertical_fov_deg < 180:
-            raise ValueError(f"a field of view of {vertical_fov_deg:g} degrees: must be above 0 and below 180")
-        changes["vertical_fov_deg"] = _with_row(path.vertical_fov_deg, key, np.array(vertical_fov_deg))
+    for name, value in zip(_COLUMNS, (position, quaternion, vertical_fov_deg), strict=True):
+        if value is not None:
+            changes[name] = getattr(path, name).copy()
+            changes[name][key] = value
     return replace(path, **changes)
 
 
@@ -130,21 +126,15 @@ def _of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"], times_s: Float64[n
     return replace(path, times_s=times_s, **{name: getattr(path, name)[keys] for name in _COLUMNS})
 
 
-def _with_rows(path: CameraPath, times: Float64[np.ndarray, " n"], *rows: Float64[np.ndarray, "n ..."]) -> CameraPath:
-    """Insert keyframes with these values of `_COLUMNS`."""
-    at = np.searchsorted(path.times_s, times)
-    columns = zip(_COLUMNS, rows, strict=True)
+def _with_row_at(path: CameraPath, time_s: float, *row: Float64[np.ndarray, "1 ..."]) -> EditedKeyframe:
+    """Insert a keyframe with these values of `_COLUMNS` at a free time."""
+    at = int(np.searchsorted(path.times_s, time_s))
+    columns = zip(_COLUMNS, row, strict=True)
     inserted = {name: np.insert(getattr(path, name), at, values, axis=0) for name, values in columns}
-    return replace(path, times_s=np.insert(path.times_s, at, times), **inserted)
+    return EditedKeyframe(replace(path, times_s=np.insert(path.times_s, at, time_s), is_timed=True, **inserted), at)
 
 
 _COLUMNS = ("positions", "quaternions_wxyz", "vertical_fov_deg")
-
-
-def _with_row(rows: np.ndarray, row: int, value: np.ndarray) -> np.ndarray:
-    changed = rows.copy()
-    changed[row] = value
-    return changed
 
 
 # View angles

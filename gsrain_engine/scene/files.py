@@ -72,22 +72,18 @@ def whole_folder(path: Path, *, shared: bool = False) -> Generator[Path]:
     with `shared`, several processes may write it, and the first to finish wins.
     """
     with hold_for_writing(path, shared=shared):
-        yield from _renamed_in_the_end(path)
-
-
-def _renamed_in_the_end(path: Path) -> Generator[Path]:
-    remove_abandoned(path.parent)
-    beside = _temporary_path(path)
-    try:
-        with naming_path(path, beside):
-            beside.mkdir()
-            with lock_path(beside):
-                yield beside
-                sync(beside)
-                beside.rename(path)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-    sync(path.parent)
+        remove_abandoned(path.parent)
+        beside = _temporary_path(path)
+        try:
+            with naming_path(path, beside):
+                beside.mkdir()
+                with lock_path(beside):
+                    yield beside
+                    sync(beside)
+                    beside.rename(path)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+        sync(path.parent)
 
 
 @contextmanager
@@ -143,7 +139,7 @@ def _is_special(path: Path) -> bool:
 
 
 def _remove_if_abandoned(part: Path) -> None:
-    with try_lock_path(part) as is_free:
+    with lock_path(part, waiting=False) as is_free:
         touched = [each.stat().st_mtime for each in (part, *part.rglob("*"))]
         if not is_free or time.time() - max(touched) < _ABANDONED_S:
             return
@@ -176,8 +172,7 @@ class FileLock:
     def take(path: Path) -> "FileLock | None":
         """Lock a file, which is created if missing; None while it is locked elsewhere, in this process too.
 
-        Raises:
-            OSError: When the file can't be created.
+        Raises `OSError` if the file can't be created.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
@@ -223,8 +218,7 @@ def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
     left by a killed process is taken over. A process may hold a path several times. Processes that write to one path
     together, as the shares of a sweep, hold it `shared`.
 
-    Raises:
-        PathInUseError: At once, if another process holds it.
+    Raises `PathInUseError` at once if another process holds it.
     """
     place = path.resolve()
     with _guard:
@@ -245,11 +239,7 @@ def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
 
 
 def lock_file(path: Path) -> Path:
-    name = path.name.encode(errors="surrogateescape")
-    if len(name) <= _LONGEST_NAME:
-        return path.with_name(f".{path.name}.lock")
-    short = name[:_LONGEST_NAME].decode(errors="ignore")
-    return path.with_name(f".{short}.{hashlib.sha256(name).hexdigest()[:8]}.lock")
+    return path.with_name(f".{shortened(path.name, _LONGEST_NAME)}.lock")
 
 
 _LONGEST_NOTE = 4096
@@ -327,31 +317,19 @@ def _holder(handle: int) -> str:
 
 
 @contextmanager
-def lock_path(path: Path) -> Generator[None]:
-    """Lock an existing file or folder, waiting for other holders. No effect on file systems without locks."""
-    if fcntl is None and path.is_dir():
-        yield
-        return
-    handle = os.open(path, (os.O_RDONLY if path.is_dir() else os.O_RDWR) | _WITHOUT_WAITING)
-    try:
-        _lock(handle, waiting=True)
-        yield
-    finally:
-        os.close(handle)
+def lock_path(path: Path, *, waiting: bool = True) -> Generator[bool]:
+    """Lock an existing file or folder; yields True.
 
-
-@contextmanager
-def try_lock_path(path: Path) -> Generator[bool]:
-    """Lock an existing file or folder without waiting; yields False if it is locked elsewhere.
-
-    Yields True if the operating system or the file system has no locks.
+    Waits for other holders, or, without `waiting`, yields False if there is one. No effect on operating systems and
+    file systems without locks.
     """
-    if fcntl is None:
+    if fcntl is None and (path.is_dir() or not waiting):
         yield True
         return
-    handle = os.open(path, os.O_RDONLY | _WITHOUT_WAITING)
+    flags = os.O_RDWR if waiting and not path.is_dir() else os.O_RDONLY
+    handle = os.open(path, flags | _WITHOUT_WAITING)
     try:
-        yield _lock(handle, waiting=False)
+        yield _lock(handle, waiting=waiting)
     finally:
         os.close(handle)
 

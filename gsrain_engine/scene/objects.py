@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from .gaussians import Gaussians
-from .geometry import quaternions_from_matrices
 from .scene import Actor, Layer, PoseTrack, Scene
 from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
 
@@ -59,7 +58,7 @@ def _parked(layer: Layer, boxes: Iterable[ParkedBox]) -> list[SceneObject]:
         rotation, origin = box.to_street[:3, :3], box.to_street[:3, 3]
         near = np.flatnonzero(np.abs(means[:, :2] - origin[:2]).max(axis=1) < max(box.size_lwh))
         rows = near[_inside((means[near] - origin) @ rotation, box.size_lwh)]
-        track = _standing(layer.to_scene @ box.to_street)
+        track = PoseTrack.standing(layer.to_scene @ box.to_street)
         scale = float(np.cbrt(np.linalg.det(layer.to_scene[:3, :3])))
         length, width, height = (scale * side for side in box.size_lwh)
         objects.append(
@@ -88,12 +87,6 @@ def _drawn_rows(member: Layer | Actor, rows: Int64[np.ndarray, " n"]) -> Int64[n
 def _present(layer: Layer) -> int:
     left_out = layer.marks.left_out
     return len(layer.gaussians) - (0 if left_out is None else left_out.size)
-
-
-def _standing(pose: Float64[np.ndarray, "4 4"]) -> PoseTrack:
-    turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
-    quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
-    return PoseTrack(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
 
 
 # Object classes

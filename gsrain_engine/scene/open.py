@@ -88,11 +88,10 @@ def is_built_in_street(name: Path | str | None) -> bool:
 
     A folder of that name that is no scene, such as the output of `gsrain street street`, does not override it.
     """
-    return name is None or (name == STREET and not _is_scene(Path(name)))
-
-
-def _is_scene(path: Path) -> bool:
-    return path.is_file() or scene_folder_of(path) is not None or is_foreign_scene_folder(path)
+    if name != STREET:
+        return name is None
+    path = Path(STREET)
+    return not (path.is_file() or scene_folder_of(path) is not None or is_foreign_scene_folder(path))
 
 
 def _put_into_order(scene: Scene) -> Scene:

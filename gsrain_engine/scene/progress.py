@@ -22,8 +22,6 @@ class Progress(NamedTuple):
     """Figures at this step by name with unit, such as `loss`; `step` is the abscissa of their curves."""
     warning: str | None = None
     """One sentence about the work so far, such as that a training goes wrong."""
-    metrics: Mapping[str, float] = {}
-    """Measurements of the current step by name, such as the loss of a training."""
 
 
 def run_to_end(

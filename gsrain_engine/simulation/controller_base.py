@@ -15,9 +15,6 @@ from .vehicle import Control, Vehicle, VehicleState
 class Controller(Protocol):
     """Turns plans into controls. Deterministic: the same states and plans give the same controls on any machine."""
 
-    def reset(self) -> None:
-        """Forget the previous drive."""
-
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Control:
@@ -75,9 +72,6 @@ _SPEED_POINTS = 2  # index of the plan point that sets the acceleration: one sec
 
 class PurePursuit:
     """Steers along the arc through the rear axle and a look-ahead point on the plan (Coulter 1992)."""
-
-    def reset(self) -> None:
-        """Do nothing: the controller has no state."""
 
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float

@@ -28,9 +28,6 @@ class ILQRTracker:
     def __init__(self, settings: ControllerSettings) -> None:
         self._settings = settings
 
-    def reset(self) -> None:
-        """Do nothing: each search starts from its plan."""
-
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Control:

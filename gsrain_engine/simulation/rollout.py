@@ -1,11 +1,11 @@
 """Roll-out of a closed-loop drive, step by step, as plain values."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
-from .vehicle import Vehicle
+from .geometry import PlanarBox
+from .vehicle import Vehicle, VehicleState
 
 BACKGROUND = "background"
 """Value of `RolloutStep.collision` for a hit that is not a road user."""
@@ -23,6 +23,10 @@ class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     acceleration_m_s2: float
     steer_rate_rad_s: float  # acceleration and steering rate are those over the previous step
     yaw_rate_rad_s: float  # computed from speed, steering and wheelbase
+
+    @property
+    def state(self) -> VehicleState:
+        return VehicleState(self.x_m, self.y_m, self.yaw_rad, self.speed_m_s, self.steer_rad)
 
 
 class UserRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -82,34 +86,30 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """The first is the start; the last has no plan."""
     software: dict[str, str] = {}
 
+    @property
+    def scenario_name(self) -> str:
+        return str(self.scenario.get("name", ""))
 
-def driven_vehicle(rollout: Rollout) -> Vehicle:
-    """Return the vehicle of a roll-out, or the default one; raises ValueError if it can't be read."""
-    try:
-        return msgspec.convert(rollout.scenario.get("vehicle", {}), Vehicle)
-    except msgspec.ValidationError as error:
-        raise ValueError(f"the roll-out's scenario.vehicle: {error}") from None
+    @property
+    def intensity_mm_h(self) -> float:
+        """Rain intensity of the scenario, 0 if it has none."""
+        return float(self.scenario.get("rain", {}).get("intensity_mm_h", 0.0))
 
+    @property
+    def vehicle(self) -> Vehicle:
+        """Vehicle of the scenario, or the default one; raises ValueError if it can't be read."""
+        try:
+            return msgspec.convert(self.scenario.get("vehicle", {}), Vehicle)
+        except msgspec.ValidationError as error:
+            raise ValueError(f"the roll-out's scenario.vehicle: {error}") from None
 
-@dataclass(frozen=True, slots=True)
-class RunSetting:
-    """The parts of a scenario that metrics and tables need."""
+    @property
+    def planned_frames(self) -> tuple[RolloutStep, ...]:
+        """Steps with a plan: the paper's F frames."""
+        return tuple(each for each in self.steps if each.plan)
 
-    scenario: str
-    intensity_mm_h: float
-    vehicle: Vehicle
-
-
-def run_setting(rollout: Rollout) -> RunSetting:
-    """Read the settings from a roll-out; missing ones default to no rain and the default vehicle.
-
-    Raises ValueError for a vehicle that can't be read.
-    """
-    plain, vehicle = rollout.scenario, driven_vehicle(rollout)
-    intensity = float(plain.get("rain", {}).get("intensity_mm_h", 0.0))
-    return RunSetting(str(plain.get("name", "")), intensity, vehicle)
-
-
-def planned_frames(rollout: Rollout) -> tuple[RolloutStep, ...]:
-    """Return the steps with a plan: the paper's F frames."""
-    return tuple(each for each in rollout.steps if each.plan)
+    def boxes(self, step: RolloutStep) -> tuple[PlanarBox, ...]:
+        """Return the ground boxes of the road users at a step, in their order."""
+        return tuple(
+            PlanarBox(each.x_m, each.y_m, each.yaw_rad, *self.users[each.id].size_lwh_m[:2]) for each in step.road_users
+        )

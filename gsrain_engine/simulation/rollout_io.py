@@ -16,10 +16,8 @@ ROLLOUT_SUFFIXES = (".jsonl", ".parquet")
 
 def read_any_rollout(path: Path) -> Rollout:
     """Read a roll-out from Parquet or JSON lines, by suffix. Raises ValueError, also for a missing library."""
-    if path.suffix.lower() != ".parquet":
-        return read_rollout(path)
     try:
-        return read_rollout_parquet(path)
+        return read_rollout_parquet(path) if path.suffix.lower() == ".parquet" else read_rollout(path)
     except ImportError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -44,7 +42,7 @@ def read_rollout(path: Path | str) -> Rollout:
     """Read a roll-out. Raises ValueError, naming file and line, if it is invalid, truncated or of a newer version."""
     path = Path(path)
     first, *rest = read_whole(path, _MAX_BYTES).splitlines() or [b""]
-    header = _header(path, first)
+    header = _header(path, first, "first line")
     count = header.pop(_MOMENTS, None)
     steps: list[RolloutStep] = []
     for number, line in enumerate(rest, start=2):
@@ -74,26 +72,17 @@ def check_users(path: Path, rollout: Rollout) -> None:
                 )
 
 
-def _header(path: Path, line: bytes) -> dict[str, Any]:
+def _header(path: Path, data: bytes, where: str) -> dict[str, Any]:
     try:
-        header = msgspec.json.decode(line, type=dict[str, Any])
+        header = msgspec.json.decode(data, type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        raise ValueError(f"{path}: not a roll-out: its first line is no JSON object") from None
+        raise ValueError(f"{path}: not a roll-out: its {where} is no JSON object") from None
     version = header.get("version")
     if not isinstance(version, int) or version < 1:
-        raise ValueError(f"{path}: not a roll-out: its first line has no `version`")
-    _check_version(path, version)
-    return header
-
-
-class _NewerVersionError(ValueError):
-    """Raised for files of newer versions of the program."""
-
-
-def _check_version(path: Path, version: Any) -> None:
+        raise ValueError(f"{path}: not a roll-out: its {where} has no `version`")
     if version > _VERSION:
-        known = f"this program reads up to {_VERSION}"
-        raise _NewerVersionError(f"{path}: a roll-out of version {printable_line(version)}; {known}")
+        raise ValueError(f"{path}: a roll-out of version {version}; this program reads up to {_VERSION}")
+    return header
 
 
 # Parquet: one row per step, for pandas, polars and DuckDB; lossless
@@ -132,20 +121,16 @@ def read_rollout_parquet(path: Path) -> Rollout:
 
     Raises ValueError, naming the file, for an invalid file or a newer version, and ImportError if pyarrow is missing.
     """
-    _pyarrow()
-    header, rows = _header_and_rows(path)
+    data, rows = _header_and_rows(path)
+    header = _header(path, data, "metadata")
     try:
-        plain = msgspec.json.decode(header)
-        _check_version(path, plain["version"])
         if not rows:
             raise ValueError("a roll-out of no moment")
         for row in rows:
             row["ego"] = {name: row.pop(f"ego_{name}") for name in _OF_EGO}
             row["plan"] = [(point["x_m"], point["y_m"]) for point in row["plan"]]
             row["notes"] = msgspec.json.decode(row["notes"])
-        rollout = convert_checked({**plain, "steps": rows}, Rollout)
-    except _NewerVersionError:
-        raise
+        rollout = convert_checked({**header, "steps": rows}, Rollout)
     except (ValueError, AttributeError, KeyError, RecursionError, TypeError) as error:
         raise ValueError(f"{path}: a roll-out that can't be read: {printable_line(error)}") from None
     check_users(path, rollout)

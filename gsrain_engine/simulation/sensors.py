@@ -12,7 +12,6 @@ from ..render.draw import RenderView, draw_view
 from ..render.object_labels import draw_labels
 from ..render.renderer import Renderer
 from ..render.sky_color import SkyColor, sky_color
-from ..scene.camera import Camera
 from ..scene.objects import coco_class
 from ..scene.scene import Actor, RigCamera, Scene
 from .agents.base import CameraView, SensorRequirements, front_camera
@@ -36,7 +35,7 @@ class RigRenderer:
         """Render the cameras at a scene time. `velocity_m_s` is the velocity of the rig origin in the world."""
         views: dict[str, CameraView] = {}
         for mounted in self._cameras:
-            camera = placed_camera(mounted, rig_to_world)
+            camera = mounted.camera(rig_to_world)
             if self._sky is None:  # computed once, so that all cameras and frames agree
                 self._sky = sky_color(self._renderer, scene, camera)
             arm = camera.position - rig_to_world[:3, 3]
@@ -87,15 +86,6 @@ def camera_of_width(camera: RigCamera, width_px: int) -> RigCamera:
     return replace(
         camera, width=width_px, height=height, fx=camera.fx * scale, fy=camera.fy * scale,
         cx=camera.cx * scale, cy=camera.cy * scale,
-    )  # fmt: skip
-
-
-def placed_camera(mounted: RigCamera, rig_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
-    """Return the world pose of a rig camera, meters."""
-    world_to_camera = np.linalg.inv(rig_to_world @ mounted.camera_to_ego)
-    return Camera(
-        mounted.width, mounted.height, mounted.fx, mounted.fy, mounted.cx, mounted.cy, world_to_camera,
-        mounted.exposure_s,
     )  # fmt: skip
 
 

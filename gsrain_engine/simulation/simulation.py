@@ -83,7 +83,6 @@ class Simulation:
         """Restart the drive, with other drops if a seed is given."""
         if seed is not None:
             self.scenario = _with_seed(self.scenario, seed)
-        self._controller.reset()
         self._traffic.reset()
         if self._renderer is not None and self._needed:
             self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._needed, self._needs)

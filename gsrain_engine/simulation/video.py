@@ -1,7 +1,7 @@
 """Video of a roll-out: front camera, plan on the road, status line and top view."""
 
 from collections.abc import Iterator
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ from .metrics.collisions import LONGEST_S, gaps_m, times_to_collision_s
 from .obstacles import occupied_space_of
 from .playback import RolloutPlayback
 from .rollout import RolloutStep
-from .sensors import needed_cameras, placed_camera
+from .sensors import needed_cameras
 from .vehicle import vehicle_box
 
 Color = tuple[int, int, int]
@@ -65,15 +65,10 @@ class RolloutVideo:
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
         start = played.scene(0.0)
-        self._sky = sky_color(renderer, start, placed_camera(self._mounted, played.rig_to_world(0.0)))
-
-    def pictures(self, fps: float) -> Iterator[RgbImage]:
-        """Yield all frames of the drive; the last one is held for a second."""
-        for time_s in self.times(fps):
-            yield self.picture(time_s)
+        self._sky = sky_color(renderer, start, self._mounted.camera(played.rig_to_world(0.0)))
 
     def times(self, fps: float) -> list[float]:
-        """Return the times of the frames."""
+        """Return the times of the frames; the last one is held for a second."""
         times = np.arange(0.0, self._played.end_s, 1 / fps).tolist()
         return [*times, *[self._played.end_s] * (1 + round(fps))]
 
@@ -86,7 +81,7 @@ class RolloutVideo:
     def _camera_panel(self, time_s: float) -> RgbImage:
         """Draw the camera image with the plan and the agent's latest detections."""
         played, rig = self._played, self._played.rig_to_world(time_s)
-        camera, state = placed_camera(self._mounted, rig), played.state(time_s)
+        camera, state = self._mounted.camera(rig), played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
         color = self._sky.at(self._rainfall.wetness_at(scene_s))
@@ -281,10 +276,11 @@ def render_rollout_video(path: Path, video: RolloutVideo, fps: float) -> Iterato
     If the caller stops early, the written part is playable. Raises ValueError for an unknown video suffix, and OSError
     if the file can't be written.
     """
-    pictures, count = video.pictures(fps), len(video.times(fps))
-    first = next(pictures)
+    times = video.times(fps)
+    first = video.picture(times[0])
     every = max(first.shape[1] // _PREVIEW_PX, 1)
     with VideoWriter(path, first.shape[1], first.shape[0], fps) as writer:
-        for number, picture in enumerate(chain([first], pictures), start=1):
+        for number, time_s in enumerate(times, start=1):
+            picture = first if number == 1 else video.picture(time_s)
             writer.write(picture)
-            yield Progress(number / count, f"Frame {number} of {count}", picture[::every, ::every].copy())
+            yield Progress(number / len(times), f"Frame {number} of {len(times)}", picture[::every, ::every].copy())

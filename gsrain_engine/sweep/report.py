@@ -231,7 +231,6 @@ def _values(cells: Sequence[SummaryCell], name: str) -> list[float]:
 # Report page
 
 _MAX_ERRORS = 20
-_BANDED = 1  # number of measured columns shown with intervals; summary.json has all
 _CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
 
 
@@ -270,11 +269,11 @@ def sweep_report_page(
 
 def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
     """Return the table of one scenario in one scene: a row per agent and intensity."""
-    banded, plain = list(MEASURED)[:_BANDED], list(MEASURED)[_BANDED:]
+    banded, *plain = MEASURED  # summary.json has the intervals of all
     failed = any(cell.failed for cell in cells)
     columns = (
         "agent", "R (mm/h)", "drives", *(["failed"] if failed else []), "collisions", "95 %",
-        *(each for name in banded for each in (MEASURED[name], "95 %")), *(MEASURED[name] for name in plain),
+        MEASURED[banded], "95 %", *(MEASURED[name] for name in plain),
     )  # fmt: skip
     rows = tuple(
         (
@@ -283,7 +282,7 @@ def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
             cell.runs,
             *([cell.failed] if failed else []),
             *_pair(cell.collision_rate),
-            *(each for name in banded for each in _pair(cell.means.get(name))),
+            *_pair(cell.means.get(banded)),
             *(_pair(cell.means.get(name))[0] for name in plain),
         )
         for cell in cells

@@ -261,7 +261,7 @@ class SweepFolder:
         with whole_file(self.path / "jobs.jsonl") as partial:
             partial.write_bytes(b"".join(line + b"\n" for _, line in lines))
 
-    def keep(self, job: Job, outcome: JobResult) -> Row:
+    def keep(self, job: Job, outcome: JobResult) -> None:
         """Write a job's row and roll-out and log it; raises OSError and then leaves no partial file."""
         row = row_of(job, outcome)
         if outcome.rollout is not None:
@@ -271,7 +271,6 @@ class SweepFolder:
         with whole_file(self.rows / f"{job.id}{_SUFFIX}") as partial:
             partial.write_bytes(rows_parquet([row], str(row["kind"])))
         self._note(job, outcome)
-        return row
 
     def read(self, jobs: Iterable[Job]) -> dict[str, Row]:
         """Return the existing rows by job id. A damaged row counts as missing."""

@@ -61,9 +61,9 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
 def agent_codes(jobs: Sequence[Job]) -> list[Code]:
     """Python files and commands that jobs use as agents, without duplicates; raises ValueError for a missing file."""
     agents = [job.agent for job in jobs if isinstance(job, DriveJob)]
-    files = sorted({str(path) for agent in agents if (path := agent_file(agent.name)) is not None})
-    commands = sorted({agent.hugsim.command for agent in agents if agent.hugsim is not None})
-    return [code for file in files if (code := agent_code(file)) is not None] + list(map(command_code, commands))
+    files = {path for agent in agents if (path := agent_file(agent.name)) is not None}
+    commands = {agent.hugsim.command for agent in agents if agent.hugsim is not None}
+    return [*map(agent_code, sorted(files, key=str)), *map(command_code, sorted(commands))]
 
 
 def _stopped(folder: SweepFolder, reason: str, done: int) -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import time
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))  # the writers of test files, as pytest finds them
@@ -13,26 +14,21 @@ def main() -> int:
     from .readers import READERS
 
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
-    parser.add_argument(
-        "readers", nargs="*", metavar="READER", help=f"of {', '.join(READERS)}; all where none is named"
-    )
+    parser.add_argument("readers", nargs="*", metavar="READER", help=f"of {', '.join(READERS)}; all by default")
     parser.add_argument("--minutes", type=float, default=10.0, help="for each reader")
     parser.add_argument("--first-seed", type=int, default=1_000_000, help="seeds rise from here")
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/fuzz"), help="folder for files that something was wrong with"
-    )
+    parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="folder for files that fail")
     arguments = parser.parse_args()
     unknown = [name for name in arguments.readers if name not in READERS]
     if unknown:
         parser.error(f"no reader {unknown[0]!r}; there are {', '.join(READERS)}")
-    found = 0
-    for trials in campaign(arguments.readers or list(READERS), arguments.minutes, arguments.first_seed, arguments.out):
-        found += len(trials.findings)
-        print(
-            f"{trials.reader}: {trials.executions:,} files in {trials.seconds:.0f} s, {len(trials.findings)} findings",
-            flush=True,
-        )
-    return 1 if found else 0
+    total = 0
+    for name in arguments.readers or READERS:
+        began = time.monotonic()
+        files, found = campaign(name, arguments.minutes, arguments.first_seed, arguments.out)
+        print(f"{name}: {files:,} files in {time.monotonic() - began:.0f} s, {found} findings", flush=True)
+        total += found
+    return 1 if total else 0
 
 
 if __name__ == "__main__":

@@ -30,9 +30,7 @@ from tests.datasets.sample_drives import (
 )
 from tfrecord_framing import framed
 
-from .containers import Damage, inside_records, inside_zip
-from .json_mutations import damaged_json
-from .mutations import damaged_bytes, damaged_header, damaged_text
+from .mutations import Damage, damaged_bytes, damaged_header, damaged_json, damaged_text, inside_records, inside_zip
 from .reader import Reader
 from .scene_readers import assert_camera, assert_track
 

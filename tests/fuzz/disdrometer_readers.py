@@ -3,6 +3,7 @@
 import gzip
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +19,8 @@ from tests.disdrometer.test_netcdf import cloudnet, disdrodb, two_dvd_drops, two
 from tests.disdrometer.test_open import ROWS, thies_line
 from tests.disdrometer.test_tables import RD80, rd80_row
 
-from .containers import Damage, inside_gzip
-from .mutations import damaged_bytes, damaged_text
-from .reader import Reader
-from .yaml_mutations import damaged_yaml
+from .mutations import Damage, damaged_bytes, damaged_text, damaged_yaml, inside_gzip
+from .reader import Reader, one_file, one_text
 
 
 def _read(path: Path) -> None:
@@ -37,9 +36,8 @@ def _read(path: Path) -> None:
 def _check(reading: DisdrometerReading) -> None:
     spectra = reading.spectra
     assert len(spectra) > 0 and np.isfinite(spectra.counts).all() and (spectra.counts >= 0).all(), "has odd counts"
-    assert (
-        np.isfinite(spectra.diameter_edges_mm).all() and (spectra.seconds > 0).all() | np.isnan(spectra.seconds).all()
-    )
+    assert np.isfinite(spectra.diameter_edges_mm).all(), "has odd bins"
+    assert (spectra.seconds > 0).all() | np.isnan(spectra.seconds).all(), "has odd durations"
     rates = spectra.reported_mm_h
     assert (np.isnan(rates) | ((rates >= 0) & (rates < np.inf))).all(), "has a rate that is none"
     assert (np.diff(spectra.times[~np.isnat(spectra.times)]) >= np.timedelta64(0)).all(), "goes back in time"
@@ -48,25 +46,13 @@ def _check(reading: DisdrometerReading) -> None:
 
 
 def _lines(*lines: str, packed: bool = False) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        data = "\n".join(lines).encode("latin-1")
-        (folder / "log.txt").write_bytes(gzip.compress(data, mtime=0) if packed else data)
-        return folder / "log.txt"
-
-    return write
+    data = "\n".join(lines).encode("latin-1")
+    return one_file("log.txt", lambda path: path.write_bytes(gzip.compress(data, mtime=0) if packed else data))
 
 
-def _described(folder: Path) -> Path:
+def _described() -> str:
     counts = ",".join(velocity_major(rain()))
-    (folder / "table.txt").write_text(
-        "\n".join(["when|rate|which", *(f"2024-02-19 00:0{i}:00|0.772|{counts}" for i in (1, 2))])
-    )
-    return folder / "table.txt"
-
-
-def _described_by(folder: Path) -> Path:
-    (folder / "counter.yaml").write_text(COUNTER)
-    return folder / "counter.yaml"
+    return "\n".join(["when|rate|which", *(f"2024-02-19 00:0{i}:00|0.772|{counts}" for i in (1, 2))])
 
 
 def _read_described(path: Path) -> None:
@@ -107,31 +93,15 @@ comments: ["#"]
 """
 
 
-def _disdrodb(folder: Path) -> Path:
-    disdrodb().to_netcdf(folder / "file.nc", engine="h5netcdf")
-    return folder / "file.nc"
-
-
-def _two_dvd_minutes(folder: Path) -> Path:
-    two_dvd_minutes().to_netcdf(folder / "file.nc", engine="scipy", unlimited_dims="time")
-    return folder / "file.nc"
-
-
 def _minutes(values: int) -> list[str]:
     return [f"2014  121    1   {minute}   0  16  26" + "   0" * (values - 3) for minute in (20, 21, 22)]
 
 
-def _netcdf(engine: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        cloudnet().to_netcdf(folder / "file.nc", engine=engine, unlimited_dims="time")
-        return folder / "file.nc"
-
-    return write
+def _netcdf(made: Callable[[], Any], engine: str, **options: Any) -> Callable[[Path], Path]:
+    return one_file("file.nc", lambda path: made().to_netcdf(path, engine=engine, **options))
 
 
-def _drops(folder: Path) -> Path:
-    two_dvd_drops().to_netcdf(folder / "file.nc", engine="scipy", unlimited_dims="time")
-    return folder / "file.nc"
+_IN_TIME = {"unlimited_dims": "time"}
 
 
 def _own(folder: Path) -> Path:
@@ -140,8 +110,14 @@ def _own(folder: Path) -> Path:
     return folder / "file.nc"
 
 
-def _row(name: str, write: Callable[[Path], Path], damage: Damage = damaged_text, pattern: str = "*.txt") -> Reader:
-    return Reader(f"disdrometer-{name}", write, _read, DisdrometerFileError, ((pattern, damage),))
+def _row(
+    name: str,
+    write: Callable[[Path], Path],
+    damage: Damage = damaged_text,
+    read: Callable[[Path], None] = _read,
+    error: type[Exception] = DisdrometerFileError,
+) -> Reader:
+    return Reader(f"disdrometer-{name}", write, read, error, (("*", damage),))
 
 
 _DIALECTS = {
@@ -159,20 +135,22 @@ DISDROMETER_READERS = (
     *(_row(name, _lines(*dialect(ROWS))) for name, dialect in _DIALECTS.items()),
     _row("gzip", _lines(*parsivel_text.station(ROWS), packed=True), inside_gzip(damaged_text)),
     _row("rd80", _lines(RD80, *(rd80_row(minute, 40, "1,5") for minute in (14, 15, 16)))),
-    Reader("disdrometer-described", _described, _read_described, DisdrometerFileError, (("*.txt", damaged_text),)),
-    Reader("disdrometer-columns", _described_by, _read_by_description, ValueError, (("*.yaml", damaged_yaml),)),
-    _row("netcdf-minutes", _two_dvd_minutes, damaged_bytes, "*.nc"),
+    _row("described", one_text("table.txt", _described()), read=_read_described),
+    _row("columns", one_text("counter.yaml", COUNTER), damaged_yaml, _read_by_description, ValueError),
+    _row("netcdf-minutes", _netcdf(two_dvd_minutes, "scipy", **_IN_TIME), damaged_bytes),
     _row("thies", _lines("a header", thies_line(0, rate="001.072"), thies_line(30))),
     _row("two-dvd-table", _lines(*_minutes(50))),
     _row("apu-table", _lines(*_minutes(32))),
     _row("rainsense", _lines("current intensity: 8.5", "")),
-    _row("netcdf-classic", _netcdf("scipy"), damaged_bytes, "*.nc"),
-    _row("netcdf-drops", _drops, damaged_bytes, "*.nc"),
+    _row("netcdf-classic", _netcdf(cloudnet, "scipy", **_IN_TIME), damaged_bytes),
+    _row("netcdf-drops", _netcdf(two_dvd_drops, "scipy", **_IN_TIME), damaged_bytes),
     *(
-        Reader(
-            f"disdrometer-{name}", write, _read, DisdrometerFileError, (("*.nc", damaged_bytes),), tries=4, longest_s=60
+        Reader(f"disdrometer-{name}", write, _read, DisdrometerFileError, (("*.nc", damaged_bytes),), 4, 60)
+        for name, write in (
+            ("netcdf-hdf5", _netcdf(cloudnet, "h5netcdf", **_IN_TIME)),
+            ("netcdf-own", _own),
+            ("netcdf-disdrodb", _netcdf(disdrodb, "h5netcdf")),
         )
-        for name, write in (("netcdf-hdf5", _netcdf("h5netcdf")), ("netcdf-own", _own), ("netcdf-disdrodb", _disdrodb))
     ),  # each file in a process of its own first
-)
+)  # fmt: skip
 """Logs and tables, and what looks at them."""

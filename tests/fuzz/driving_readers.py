@@ -22,11 +22,9 @@ from small_scene import small_scene
 from tests.simulation.interop.test_hugsim_pickle import tensor_pickle
 from tests.simulation.interop.test_openscenario import foreign, scenario
 
-from .json_mutations import damaged_json
-from .mutations import damaged_bytes, damaged_text
-from .reader import Reader
+from .mutations import damaged_bytes, damaged_json, damaged_text, damaged_yaml
+from .reader import Reader, one_file, one_text
 from .settings_readers import assert_finite
-from .yaml_mutations import damaged_yaml
 
 _SHIPPED = Path(__file__).resolve().parents[2] / "sample_configs"
 
@@ -63,14 +61,6 @@ def _read_scenario(path: Path) -> None:
     assert_finite(load_scenario(path))
 
 
-def _text(name: str, content: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / name).write_text(content)
-        return folder / name
-
-    return write
-
-
 def _exported(folder: Path) -> Path:
     write_openscenario(folder / "ours.xosc", scenario(), small_scene())
     (folder / "ours.xodr").unlink()
@@ -88,11 +78,6 @@ def _read_rollout(path: Path) -> None:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _json_lines(folder: Path) -> Path:
-    write_rollout(folder / "a.jsonl", approach(moments=5))
-    return folder / "a.jsonl"
-
-
 def _damaged_json_lines(data: bytes, chance: Any) -> bytes:
     lines = data.splitlines(keepends=True)
     if chance.random() < 0.2:
@@ -102,16 +87,9 @@ def _damaged_json_lines(data: bytes, chance: Any) -> bytes:
     return b"".join(lines)
 
 
-def _columns(folder: Path) -> Path:
-    write_rollout_parquet(folder / "a.parquet", approach(moments=5))
-    return folder / "a.parquet"
-
-
-def _rows(folder: Path) -> Path:
+def _row_parquet() -> bytes:
     samples = {str: "word", int: 3, float: 0.5, bool: True}
-    row = {name: samples[kind] for name, kind in columns_of("drive").items()}
-    (folder / "row.parquet").write_bytes(rows_parquet([row], "drive"))
-    return folder / "row.parquet"
+    return rows_parquet([{name: samples[kind] for name, kind in columns_of("drive").items()}], "drive")
 
 
 def _read_rows(path: Path) -> None:
@@ -155,22 +133,27 @@ def _read_http(path: Path) -> None:
 
 _YAML = (("*.yaml", damaged_yaml),)
 _XML = (("*.xosc", damaged_text),)
+_PARQUET = (("*.parquet", damaged_bytes),)
 
 DRIVING_READERS = (
-    Reader("scenario", _text("test.yaml", _SCENARIO), _read_scenario, ValueError, _YAML),
-    Reader("hugsim-scenario", _text("test.yaml", yaml.safe_dump(_HUGSIM)), _read_scenario, ValueError, _YAML),
+    Reader("scenario", one_text("test.yaml", _SCENARIO), _read_scenario, ValueError, _YAML),
+    Reader("hugsim-scenario", one_text("test.yaml", yaml.safe_dump(_HUGSIM)), _read_scenario, ValueError, _YAML),
     Reader("openscenario", _exported, _read_scenario, ValueError, _XML),
     Reader("openscenario-foreign", foreign, _read_scenario, ValueError, _XML),
     *(
-        Reader(f"{name}-sweep", _text("sweep.yaml", (_SHIPPED / f"sweeps/{name}.yaml").read_text()),
+        Reader(f"{name}-sweep", one_text("sweep.yaml", (_SHIPPED / f"sweeps/{name}.yaml").read_text()),
                lambda path: assert_finite(load_sweep(path)), ValueError, _YAML)
         for name in ("paper", "dataset")
     ),
-    Reader("rollout", _json_lines, _read_rollout, ValueError, (("*.jsonl", _damaged_json_lines),)),
-    Reader("rollout-parquet", _columns, _read_rollout, ValueError, (("*.parquet", damaged_bytes),)),
-    Reader("sweep-row", _rows, _read_rows, ValueError, (("*.parquet", damaged_bytes),)),
+    Reader("rollout", one_file("a.jsonl", lambda path: write_rollout(path, approach(moments=5))), _read_rollout,
+           ValueError, (("*.jsonl", _damaged_json_lines),)),
+    Reader("rollout-parquet", one_file("a.parquet", lambda path: write_rollout_parquet(path, approach(moments=5))),
+           _read_rollout, ValueError, _PARQUET),
+    Reader("sweep-row", one_file("row.parquet", lambda path: path.write_bytes(_row_parquet())), _read_rows, ValueError,
+           _PARQUET),
     *(Reader(f"hugsim-reply-{protocol}", _pickles(protocol), _read_replies, ClientError, (("*", damaged_bytes),))
       for protocol in (0, 2, 5)),
-    Reader("http-reply", _text("reply.json", json.dumps(_REPLY)), _read_http, ClientError, (("*.json", damaged_json),)),
+    Reader("http-reply", one_text("reply.json", json.dumps(_REPLY)), _read_http, ClientError,
+           (("*.json", damaged_json),)),
 )  # fmt: skip
 """Readers of scenarios, roll-outs and their configurations."""

@@ -15,9 +15,8 @@ from gsrain_engine.training.settings import TrainingSettings
 from gsrain_engine.training.train import CHECKPOINTS, TrainingHeader
 from tests.evaluation.detection.tiny_onnx import NAMES, write_red_finder
 
-from .containers import inside_zip
-from .mutations import damaged_bytes
-from .reader import Reader
+from .mutations import damaged_bytes, inside_zip
+from .reader import Reader, one_file
 
 _ARRAYS = {"a.weight": np.ones((2, 3, 3, 3), np.float32), "a.bias": np.zeros(2, np.float32), "n": np.array(3)}
 _ZIP = inside_zip(lambda _: damaged_bytes)
@@ -28,42 +27,16 @@ def _read_arrays(path: Path) -> None:
         assert isinstance(name, str) and isinstance(array, np.ndarray) and not array.dtype.hasobject
 
 
-def _arrays(name: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        write_arrays(folder / name, _ARRAYS)
-        return folder / name
-
-    return write
-
-
-def _pickled(folder: Path) -> Path:
-    (folder / "a.ckpt").write_bytes(
-        pickle.dumps({"net": {"kernel": np.ones((3, 3, 2, 4), np.float32), "bias": np.zeros(4)}})
-    )
-    return folder / "a.ckpt"
-
-
-def _torch_state(folder: Path) -> Path:
+def _torch_state(path: Path) -> None:
     import torch
 
-    torch.save({name: torch.from_numpy(array) for name, array in _ARRAYS.items()}, folder / "a.pth")
-    return folder / "a.pth"
+    torch.save({name: torch.from_numpy(array) for name, array in _ARRAYS.items()}, path)
 
 
-def _recolored(folder: Path) -> Path:
-    write_recolored(folder / "colors.npz", {"layers/road": np.ones((3, 4, 3), np.float32)})
-    return folder / "colors.npz"
-
-
-def _training_state(folder: Path) -> Path:
-    header = TrainingHeader(step=7, seconds=1.5, capture="views", settings=TrainingSettings())
+def _training_state(path: Path) -> None:
     arrays = {"means": np.ones((4, 3), np.float32), "moments": np.zeros((4, 3), np.float32)}
-    CHECKPOINTS.write(folder / "state.npz", header, arrays)
-    return folder / "state.npz"
-
-
-def _detector(folder: Path) -> Path:
-    return write_red_finder(folder / "detector.onnx", NAMES)
+    header = TrainingHeader(step=7, seconds=1.5, capture="views", settings=TrainingSettings())
+    CHECKPOINTS.write(path, header, arrays)
 
 
 def _detect(path: Path) -> None:
@@ -74,26 +47,28 @@ def _detect(path: Path) -> None:
 
 def _row(
     name: str,
-    write: Callable[[Path], Path],
+    file: str,
+    write: Callable[[Path], Any],
     read: Callable[[Path], Any],
     error: type[Exception] = ValueError,
     damage: Any = damaged_bytes,
 ) -> Reader:
-    return Reader(name, write, read, error, (("*", damage),))
+    return Reader(name, one_file(file, write), read, error, (("*", damage),))
 
+
+_PICKLED = pickle.dumps({"net": {"kernel": np.ones((3, 3, 2, 4), np.float32), "bias": np.zeros(4)}})
+_COLORS = {"layers/road": np.ones((3, 4, 3), np.float32)}
+_EMPTY_HEADER = TrainingHeader(capture="views", settings=TrainingSettings())
 
 NETWORK_READERS = (
-    _row("weights-npz", _arrays("a.npz"), _read_arrays, damage=_ZIP),
-    _row("weights-safetensors", _arrays("a.safetensors"), _read_arrays),
-    _row("weights-pickled", _pickled, _read_arrays),
-    _row("weights-torch", _torch_state, _read_arrays, damage=_ZIP),
-    _row("recolored", _recolored, read_recolored, SceneFormatError, _ZIP),
-    _row(
-        "training-state",
-        _training_state,
-        lambda path: CHECKPOINTS.resume(path, TrainingHeader(capture="views", settings=TrainingSettings()), dict),
-        damage=_ZIP,
-    ),
-    _row("detector", _detector, _detect),
-)
+    _row("weights-npz", "a.npz", lambda path: write_arrays(path, _ARRAYS), _read_arrays, damage=_ZIP),
+    _row("weights-safetensors", "a.safetensors", lambda path: write_arrays(path, _ARRAYS), _read_arrays),
+    _row("weights-pickled", "a.ckpt", lambda path: path.write_bytes(_PICKLED), _read_arrays),
+    _row("weights-torch", "a.pth", _torch_state, _read_arrays, damage=_ZIP),
+    _row("recolored", "colors.npz", lambda path: write_recolored(path, _COLORS), read_recolored, SceneFormatError,
+         _ZIP),
+    _row("training-state", "state.npz", _training_state, lambda path: CHECKPOINTS.resume(path, _EMPTY_HEADER, dict),
+         damage=_ZIP),
+    _row("detector", "detector.onnx", lambda path: write_red_finder(path, NAMES), _detect),
+)  # fmt: skip
 """Networks, and what looks at them."""

@@ -11,7 +11,7 @@ from random import Random
 from types import FrameType
 from typing import Any, NamedTuple
 
-from .containers import Damage
+from .mutations import Damage
 
 LONGEST_S = 5.0
 """Of processor time: no small file keeps a reader busy for longer."""
@@ -38,6 +38,21 @@ class Reader:
     tries: int = 40
     """Number of damaged files in a test run; fewer where each takes long."""
     longest_s: float = LONGEST_S
+
+
+def one_file(name: str, write: Callable[[Path], object]) -> Callable[[Path], Path]:
+    """Writer of an example that is one file of this name."""
+
+    def written(folder: Path) -> Path:
+        write(folder / name)
+        return folder / name
+
+    return written
+
+
+def one_text(name: str, text: str) -> Callable[[Path], Path]:
+    """Writer of an example that is one file of text."""
+    return one_file(name, lambda path: path.write_text(text))
 
 
 class Finding(NamedTuple):
@@ -90,9 +105,7 @@ class Example:
         try:
             with limited_time(self.reader.longest_s), warnings.catch_warnings():
                 warnings.simplefilter("error")
-                warnings.filterwarnings(
-                    "ignore", module=r"PIL\."
-                )  # of many pixels, and of odd headers: read all the same
+                warnings.filterwarnings("ignore", module=r"PIL\.")  # of many pixels, and of odd headers
                 self.reader.read(self.opened)
         except TooSlow:
             return f"took longer than {self.reader.longest_s:g} s"

@@ -18,10 +18,8 @@ from gsrain_engine.scene.scene import PoseTrack
 from tests.scene.formats.sample_files import SMALL_FILES, assert_valid, write_small, write_sog_folder
 from tests.scene.formats.test_scene_folder import sample_scene
 
-from .containers import Damage, inside_gzip, inside_zip
-from .json_mutations import damaged_json
-from .mutations import damaged_bytes, damaged_header
-from .reader import Reader
+from .mutations import Damage, damaged_bytes, damaged_header, damaged_json, inside_gzip, inside_zip
+from .reader import Reader, one_file
 
 _PLY = damaged_header(b"end_header\n")
 _DAMAGE: dict[str, Damage] = {
@@ -116,10 +114,7 @@ def _row(name: str, write: Callable[[Path], Path], read: Callable[[Path], None],
 
 
 def _json(name: str, file: str, values: Callable[[], Any], read: Callable[[Path], None]) -> Reader:
-    def write(folder: Path) -> Path:
-        (folder / file).write_text(json.dumps(values()))
-        return folder / file
-
+    write = one_file(file, lambda path: path.write_text(json.dumps(values())))
     return _row(name, write, read, ("*", damaged_json))
 
 

@@ -1,7 +1,6 @@
 """Rows of the table: YAML and JSON in which people say what they want, and notes that the program keeps."""
 
 import json
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
 
 from app.evaluate.lidar import read_sensor
 from gsrain_engine.appearance.finetune.settings import load_finetuning
@@ -27,9 +27,8 @@ from gsrain_engine.rain.properties import rain_properties
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.training.settings import load_settings
 
-from .json_mutations import damaged_json
-from .reader import Reader
-from .yaml_mutations import damaged_yaml
+from .mutations import damaged_json, damaged_yaml
+from .reader import Reader, one_text
 
 _SHIPPED = Path(__file__).resolve().parents[2] / "sample_configs"
 
@@ -57,12 +56,8 @@ def _settings(
         assert_finite(found)
         then(found)
 
-    def write(to: Path) -> Path:
-        assert shipped in shipped_config_names(folder)
-        (to / "settings.yaml").write_bytes((_SHIPPED / folder / f"{shipped}.yaml").read_bytes())
-        return to / "settings.yaml"
-
-    return Reader(name, write, read, ValueError, (("*.yaml", damaged_yaml),))
+    text = (_SHIPPED / folder / f"{shipped}.yaml").read_text()
+    return Reader(name, one_text("settings.yaml", text), read, ValueError, (("*.yaml", damaged_yaml),))
 
 
 def _calibrated(calibration: Any) -> None:
@@ -74,21 +69,15 @@ def _calibrated(calibration: Any) -> None:
             rain_properties(RainSettings(intensity_mm_h=intensity), calibration)
 
 
-def _sensor_file(folder: Path) -> Path:
-    (folder / "sensor.yaml").write_bytes(msgspec.yaml.encode(next(iter(SENSORS.values()))))
-    return folder / "sensor.yaml"
-
-
-def _coco(folder: Path) -> Path:
-    rows = [
+_COCO = {
+    "images": [{"id": k, "file_name": f"{k}.png", "width": 64, "height": 48} for k in (1, 2)],
+    "annotations": [
         {"id": k, "image_id": 1 + k % 2, "category_id": 3, "bbox": [1.0, 2.5, 30, 40], "iscrowd": k % 2,
          "visibility": 0.5, "distance_m": 12.0, "object": f"car-{k}"}
         for k in range(3)
-    ]  # fmt: skip
-    images = [{"id": k, "file_name": f"{k}.png", "width": 64, "height": 48} for k in (1, 2)]
-    text = json.dumps({"images": images, "annotations": rows, "categories": [{"id": 3, "name": "car"}]})
-    (folder / "labels.json").write_text(text)
-    return folder / "labels.json"
+    ],
+    "categories": [{"id": 3, "name": "car"}],
+}  # fmt: skip
 
 
 def _read_coco(path: Path) -> None:
@@ -110,16 +99,10 @@ def _read_record(folder: Path) -> None:
 @contextmanager
 def _at_home(folder: Path) -> Iterator[None]:
     """Let preferences and notes lie in a folder."""
-    before = {name: os.environ.get(name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME")}
-    os.environ.update(dict.fromkeys(before, str(folder)))
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME"):
+            patch.setenv(name, str(folder))
         yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _preferences(folder: Path) -> Path:
@@ -162,9 +145,9 @@ SETTINGS_READERS = (
     _settings("training-settings", "reconstruct", shipped_config_names("reconstruct")[0], load_settings),
     _settings("finetuning-settings", "finetune", shipped_config_names("finetune")[0], load_finetuning),
     _settings("comparison", "comparisons", shipped_config_names("comparisons")[0], load_comparison),
-    Reader("lidar-sensor", _sensor_file, lambda path: assert_finite(read_sensor(str(path), {})), ValueError,
-           (("*.yaml", damaged_yaml),)),
-    Reader("coco", _coco, _read_coco, ValueError, (("*.json", damaged_json),)),
+    Reader("lidar-sensor", one_text("sensor.yaml", msgspec.yaml.encode(next(iter(SENSORS.values()))).decode()),
+           lambda path: assert_finite(read_sensor(str(path), {})), ValueError, (("*.yaml", damaged_yaml),)),
+    Reader("coco", one_text("labels.json", json.dumps(_COCO)), _read_coco, ValueError, (("*.json", damaged_json),)),
     Reader("transfer-record", _record, _read_record, CaptureError, ((TRANSFER, damaged_json),)),
     Reader("preferences", _preferences, _read_preferences, ValueError, (("preferences.yaml", damaged_yaml),)),
     Reader("notes", _notes, _read_notes, ValueError, (("recent.json", damaged_json), ("autosave.json", damaged_json))),

@@ -39,14 +39,10 @@ def values_of(kind: inspect.Type, depth: int = 0) -> st.SearchStrategy[Any]:
         case inspect.Metadata(type=inner):
             found = values_of(inner, depth)
         case inspect.FloatType(ge=ge, gt=gt, le=le, lt=lt) | inspect.IntType(ge=ge, gt=gt, le=le, lt=lt):
-            edges = [each for each in (ge, gt, le, lt) if each is not None]
-            near = [
-                step
-                for each in edges
-                for step in (each, math.nextafter(each, math.inf), math.nextafter(each, -math.inf))
-            ]
-            usual = st.floats(-100, 100) if isinstance(kind, inspect.FloatType) else st.integers(-100, 1000)
-            found = usual | st.sampled_from(near) if near else usual
+            found = st.floats(-100, 100) if isinstance(kind, inspect.FloatType) else st.integers(-100, 1000)
+            for edge in (ge, gt, le, lt):
+                if edge is not None:
+                    found |= st.sampled_from([edge, math.nextafter(edge, math.inf), math.nextafter(edge, -math.inf)])
         case inspect.BoolType():
             found = st.booleans()
         case inspect.LiteralType(values=words):
@@ -60,10 +56,11 @@ def values_of(kind: inspect.Type, depth: int = 0) -> st.SearchStrategy[Any]:
         case inspect.TupleType(item_types=items):
             found = st.tuples(*(values_of(each, depth + 1) for each in items)).map(list)
         case inspect.StructType(fields=fields, tag_field=tag_field, tag=tag):
-            needed = {each.encode_name: values_of(each.type, depth + 1) for each in fields if each.required}
-            free = {each.encode_name: values_of(each.type, depth + 1) for each in fields if not each.required}
-            tagged = {} if tag_field is None else {tag_field: st.just(tag)}
-            found = st.fixed_dictionaries(needed | tagged, optional=free if depth < 3 else {})
+            needed = {} if tag_field is None else {tag_field: st.just(tag)}
+            free: dict[str, Any] = {}
+            for each in fields:
+                (needed if each.required else free)[each.encode_name] = values_of(each.type, depth + 1)
+            found = st.fixed_dictionaries(needed, optional=free if depth < 3 else {})
         case _:
             found = st.text(max_size=8)
     return st.integers(0, 60).flatmap(lambda roll: ODD if roll == 0 else found)

@@ -5,9 +5,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .containers import inside_zip
-from .mutations import damaged_bytes
-from .reader import Reader
+from .mutations import damaged_bytes, inside_zip
+from .reader import Reader, one_file
 
 
 def _weights() -> Any:
@@ -18,15 +17,12 @@ def _models() -> Any:
     return import_module("tests.appearance.cyclegan_turbo.published_checkpoints")
 
 
-def _published(folder: Path) -> Path:
-    models = _models()
-    import_module("torch").save(models.published(models.trained_model()), folder / "clear2rainy.pkl")
-    return folder / "clear2rainy.pkl"
+def _published(path: Path) -> None:
+    import_module("torch").save(_models().published(_models().trained_model()), path)
 
 
-def _own(folder: Path) -> Path:
-    _weights().save_weights(_models().trained_model(), folder / "own.safetensors")
-    return folder / "own.safetensors"
+def _own(path: Path) -> None:
+    _weights().save_weights(_models().trained_model(), path)
 
 
 def _into_a_model() -> Callable[[Path], None]:
@@ -36,20 +32,15 @@ def _into_a_model() -> Callable[[Path], None]:
         if not model:
             model.append(_models().untrained())
         file = _weights().open_weights(path)
-        assert (
-            file.takes_guides in (True, False)
-            and (file.random_base_seed or 0) >= 0
-            and isinstance(file.architecture, str)
-        )
+        assert file.takes_guides in (True, False) and isinstance(file.architecture, str)
+        assert (file.random_base_seed or 0) >= 0
         file.delta(model[0])
 
     return read
 
 
-def _state(folder: Path) -> Path:
-    arrays = {"a": import_module("torch").arange(4.0)}
-    _finetuning().CHECKPOINTS.write(folder / "state.safetensors", _header(), arrays)
-    return folder / "state.safetensors"
+def _state(path: Path) -> None:
+    _finetuning().CHECKPOINTS.write(path, _header(), {"a": import_module("torch").arange(4.0)})
 
 
 def _read_state(path: Path) -> None:
@@ -68,8 +59,15 @@ def _header() -> Any:
 _BYTES, _ZIP = (("*", damaged_bytes),), (("*", inside_zip(lambda _: damaged_bytes)),)
 
 TURBO_READERS = (
-    Reader("transfer-published", _published, _into_a_model(), ValueError, _ZIP, tries=8),
-    Reader("transfer-own", _own, _into_a_model(), ValueError, _BYTES, tries=20),
-    Reader("transfer-state", _state, _read_state, ValueError, _BYTES, tries=20),
+    Reader("transfer-published", one_file("clear2rainy.pkl", _published), _into_a_model(), ValueError, _ZIP, tries=8),
+    Reader(
+        "transfer-own",
+        one_file("own.safetensors", lambda path: _weights().save_weights(_models().trained_model(), path)),
+        _into_a_model(),
+        ValueError,
+        _BYTES,
+        tries=20,
+    ),
+    Reader("transfer-state", one_file("state.safetensors", _state), _read_state, ValueError, _BYTES, tries=20),
 )
 """Transfers, and what looks at them."""

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -84,55 +85,41 @@ def test_deadlines_run_on_the_monotonic_clock_and_budgets_allow_their_last_byte(
         budget.spend(1)
 
 
-def test_files_are_read_whole_up_to_their_budget(tmp_path):
+def test_files_are_read_whole_up_to_their_budget(tmp_path, monkeypatch):
     file = tmp_path / "a"
     for size in (0, 1, 1000):
         file.write_bytes(b"x" * size)
         assert read_file(file, 1000) == read_input(file, 1000) == b"x" * size
     file.write_bytes(b"x" * 1001)
-    with pytest.raises(TooLargeError, match="a: larger than 1000 bytes"):
-        read_file(file, 1000)
-    with pytest.raises(TooLargeError, match="a: larger than 1000 bytes"):
-        open_file(file, 1000)
+    for read in (read_file, open_file, read_input):
+        with pytest.raises(TooLargeError, match="a: larger than 1000 bytes"):
+            read(file, 1000)
     with pytest.raises(FileNotFoundError):
         read_input(tmp_path / "b", 1000)
-
-
-def test_files_without_a_size_and_holes_larger_than_the_memory_are_refused(tmp_path, monkeypatch):
-    if (file := Path("/proc/self/status")).exists():
-        assert file.stat().st_size == 0 and len(read_file(file, 1 << 20)) > 500
+    if (status := Path("/proc/self/status")).exists():  # a file without a size
+        assert status.stat().st_size == 0 and len(read_file(status, 1 << 20)) > 500
         with pytest.raises(TooLargeError, match="larger than 100 bytes"):
-            read_file(file, 100)
-    monkeypatch.setattr(limits.psutil, "virtual_memory", lambda: type("Memory", (), {"available": 10**9}))
-    with (tmp_path / "a").open("wb") as file:
-        file.truncate(2 * 10**9)
+            read_file(status, 100)
+    monkeypatch.setattr(limits.psutil, "virtual_memory", lambda: SimpleNamespace(available=10**9))
+    os.truncate(file, 2 * 10**9)  # a hole
     with pytest.raises(TooLargeError, match=r"a: has 2\.0 GB, and 1\.0 GB of memory are free"):
-        read_file(tmp_path / "a")
+        read_file(file)
 
 
-def test_only_files_are_opened(tmp_path, fifo):
+def test_only_files_are_opened(tmp_path, fifo, monkeypatch):
     server = socket.socket(socket.AF_UNIX)
     os.chdir(tmp_path)  # names of sockets are short
     server.bind("socket")
     (tmp_path / "link").symlink_to("/dev/zero")
-    kinds = {"pipe": "pipe", "socket": "socket", "link": "device", ".": "folder"}
-    for name, kind in kinds.items():
-        for read in (open_file, check_file, read_file):
+    monkeypatch.setattr(os, "open", lambda *_: pytest.fail("opened"))  # opening alone can have effects
+    for name, kind in {"pipe": "pipe", "socket": "socket", "link": "device", ".": "folder"}.items():
+        for read in (open_file, check_file, read_file, *([read_input] if kind != "pipe" else [])):
             with pytest.raises(InputError, match=rf": not a file but a {kind}$"):
-                read(tmp_path / name)
-    for name in ("socket", "link", "."):
-        with pytest.raises(InputError, match="not a file but a"):
-            read_input(tmp_path / name, 10)
+                read(tmp_path / name, *([10] if read is read_input else []))
     server.close()
     for read in (open_file, lambda name: read_input(name, 10)):
         with pytest.raises(InputError, match="not a name that a file can have"):
             read("a\0b")
-
-
-def test_devices_are_not_even_opened(monkeypatch):
-    monkeypatch.setattr(os, "open", lambda *_: pytest.fail("opened"))
-    with pytest.raises(InputError, match="not a file but a device"):
-        read_input("/dev/zero", 10)
 
 
 def test_a_pipe_that_takes_the_place_of_a_file_at_the_last_moment_is_not_waited_for(tmp_path, monkeypatch):
@@ -280,10 +267,8 @@ def test_the_first_address_that_answers_is_spoken_to(monkeypatch):
 
 def test_only_pipes_are_opened_as_pipes(tmp_path, fifo):
     (tmp_path / "a").write_bytes(b"x")
-    before = len(list(Path("/dev/fd").iterdir()))
     with pytest.raises(InputError, match="a: not a pipe"):
         open_pipe(tmp_path / "a", os.O_RDONLY)
-    assert len(list(Path("/dev/fd").iterdir())) == before
     handle = open_pipe(fifo, os.O_RDONLY)
     assert stat.S_ISFIFO(os.fstat(handle).st_mode)
     os.close(handle)
@@ -372,16 +357,3 @@ def test_nothing_else_opens_files():
                 found[path.relative_to(ROOT).as_posix()] = lines
     assert {name: lines for name, lines in found.items() if name not in ALLOWED} == {}
     assert [name for name in ALLOWED if name not in found] == []
-
-
-def test_what_opens_files_is_found():
-    wrong = (
-        "path.read_bytes()",
-        "path.open('rb')",
-        "path.open(encoding='utf-8')",
-        "np.fromfile(a)",
-        "Image.open(name)",
-    )
-    assert [list(opened_unbounded(line)) for line in wrong] == [[1]] * len(wrong)
-    right = ("path.open('wb')", "Image.open(stream)", "np.load(stream)", "open_file(path)", "session.open(path)")
-    assert [list(opened_unbounded(line)) for line in right] == [[]] * len(right)

@@ -18,7 +18,6 @@ from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.objects import COCO_CATEGORIES, scene_objects
 from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street
-from gsrain_engine.scene.progress import Progress, run_to_end
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.scene.transforms import FILE_UP, flatten_scene, transform_gaussians
@@ -39,15 +38,14 @@ def car(valid: tuple[bool, ...] = (True, True, True), **fields: Any) -> Actor:
     return Actor("x", "car", (4.0, 2.0, 1.5), sample_gaussians(6, 1, seed=4), track(valid), **fields)
 
 
-def test_tracks_interpolate_linearly_and_along_the_arc() -> None:
-    before, middle, after = (track().pose(time) for time in (-5.0, 0.5, 99.0))
-    assert before is not None and middle is not None and after is not None
-    assert middle[:3, 3] == pytest.approx([1, 0, 0])
-    assert np.allclose(middle[:3, :3], Rotation.from_euler("z", 45, degrees=True).as_matrix())
-    assert before[:3, 3] == pytest.approx([0, 0, 0]) and after[:3, 3] == pytest.approx([2, 4, 0])
-
-
-def test_parts_are_visible_members_while_their_tracks_are_valid() -> None:
+def test_tracks_interpolate_and_parts_are_there_while_their_tracks_are_valid() -> None:
+    for time, place, turn_deg in ((-5.0, [0, 0, 0], 0), (0.5, [1, 0, 0], 45), (99.0, [2, 4, 0], 90)):
+        pose = track().pose(time)
+        assert pose is not None
+        np.testing.assert_allclose(pose[:3, 3], place, atol=1e-12)
+        np.testing.assert_allclose(
+            pose[:3, :3], Rotation.from_euler("z", turn_deg, degrees=True).as_matrix(), atol=1e-9
+        )
     layers = (Layer("a", sample_gaussians(3)), Layer("b", sample_gaussians(3), visible=False))
     scene = Scene("s", layers, (car((True, False, True)),))
     assert [len(scene.parts(t)) for t in (0.5, 1.5, 3.5)] == [2, 1, 2]
@@ -57,7 +55,7 @@ def test_parts_are_visible_members_while_their_tracks_are_valid() -> None:
         scene.member("layers/c")
 
 
-def test_parts_and_the_ego_stand_in_meters_with_z_up() -> None:
+def test_parts_and_the_ego_are_in_meters_with_z_up() -> None:
     layer = Layer("a", sample_gaussians(3))
     scene = Scene("s", (layer,), (car(),), metres_per_unit=2.0, up=(0.0, -1.0, 0.0), ego=track())
     first, actor = scene.parts(1.0)
@@ -69,36 +67,23 @@ def test_parts_and_the_ego_stand_in_meters_with_z_up() -> None:
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)  # meters, and no scale
 
 
-# One set of Gaussians
-
-
-def test_visible_layers_and_actors_at_a_time_are_joined() -> None:
-    layers = (
-        Layer("a", sample_gaussians(5)),
-        Layer("b", sample_gaussians(7), visible=False),
-        Layer("sky", sample_gaussians(3, 2), kind="sky"),
-    )
-    scene = Scene("s", layers, (car(), car(visible=False)), up=FILE_UP)
-    joined = flatten_scene(scene)
-    assert len(joined) == 5 + 3 + 6
-    np.testing.assert_array_equal(joined.means[:5], layers[0].gaussians.means)
-    np.testing.assert_array_equal(joined.sh[:5], layers[0].gaussians.sh)
-    np.testing.assert_array_equal(joined.sh[5:8, :9], layers[2].gaussians.sh)
-    x, y, z = car().gaussians.means.T
-    np.testing.assert_allclose(joined.means[8:], np.stack([x, y, z], axis=1), atol=1e-5)
-    np.testing.assert_allclose(flatten_scene(scene, 1.0).means[8:], np.stack([2 - y, x, z], axis=1), atol=1e-5)
-    assert len(flatten_scene(Scene("s", layers[1:2]))) == 0
-
-
-@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.3, 0.2, -0.7)])
-def test_files_show_in_the_world_what_the_scene_shows(up: tuple[float, float, float]) -> None:
-    scene = Scene("s", (Layer("a", sample_gaussians(9)),), (car(),), metres_per_unit=2.5, up=up)
-    before = Gaussians.concatenate([transform_gaussians(part.gaussians, part.to_world) for part in scene.parts()])
-    (part,) = Scene("t", (Layer("t", flatten_scene(scene)),), up=FILE_UP).parts()
-    after = transform_gaussians(part.gaussians, part.to_world)
-    np.testing.assert_allclose(after.means, before.means, atol=1e-4)
-    np.testing.assert_allclose(covariances(after), covariances(before), atol=1e-5)
-    np.testing.assert_allclose(after.sh, before.sh, atol=1e-5)
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), FILE_UP, (0.3, 0.2, -0.7)])
+def test_flat_scenes_hold_what_is_visible_and_look_the_same_in_the_world(up: tuple[float, float, float]) -> None:
+    layers = Layer("a", sample_gaussians(9)), Layer("b", sample_gaussians(7), visible=False)
+    scene = Scene("s", layers, (car(), car(visible=False)), metres_per_unit=2.5, up=up)
+    for time in (0.0, 1.0):
+        parts = [transform_gaussians(part.gaussians, part.to_world) for part in scene.parts(time)]
+        before = Gaussians.concatenate(parts)
+        flat = flatten_scene(scene, time)
+        (part,) = Scene("t", (Layer("t", flat),), up=FILE_UP).parts()
+        after = transform_gaussians(part.gaussians, part.to_world)
+        np.testing.assert_allclose(after.means, before.means, atol=1e-4)
+        np.testing.assert_allclose(covariances(after), covariances(before), atol=1e-5)
+        np.testing.assert_allclose(after.sh, before.sh, atol=1e-5)
+        np.testing.assert_array_equal(after.opacities, before.opacities)
+    as_file = flatten_scene(Scene("s", layers, up=FILE_UP))
+    np.testing.assert_array_equal(as_file.means, layers[0].gaussians.means)  # not turned there and back
+    assert len(flatten_scene(Scene("s", layers[1:]))) == 0
 
 
 # Cameras
@@ -162,52 +147,32 @@ def test_camera_files_come_back_and_bad_ones_are_named(tmp_path: Path, change: d
 # Things with a class and a box
 
 
-@pytest.fixture(scope="module")
-def street() -> Scene:
-    return load_street()
-
-
-def test_the_street_has_its_lead_car_and_every_parked_vehicle(street: Scene) -> None:
+def test_objects_of_the_street_are_its_lead_car_and_every_parked_vehicle() -> None:
+    street, layout = load_street(), plan_street(StreetParameters())
     objects = scene_objects(street)
-    layout = plan_street(StreetParameters())
-    cars, trucks = layout.cars, layout.trucks
-    assert [each.id for each in objects] == [
-        "lead", *(f"parked-{k:02d}" for k in range(len(cars))), *(f"truck-{k:02d}" for k in range(len(trucks)))
-    ]  # fmt: skip
-    assert [each.class_name for each in objects] == ["car"] * (1 + len(cars)) + ["truck"] * len(trucks)
-    for kind, count in (("cars", len(cars)), ("trucks", len(trucks))):
-        own = [each.rows for each in objects if each.member == f"layers/parked {kind}"]
-        rows = np.concatenate(own)
-        assert len(own) == count >= 2 and len(np.unique(rows)) == len(rows)
-        assert len(rows) > 0.98 * len(street.member(f"layers/parked {kind}").gaussians)
-    for each, vehicle in zip(objects[1:], (*cars, *trucks), strict=True):
+    vehicles = [(f"parked-{k:02d}", "car", each) for k, each in enumerate(layout.cars)]
+    vehicles += [(f"truck-{k:02d}", "truck", each) for k, each in enumerate(layout.trucks)]
+    assert [(each.id, each.class_name) for each in objects[1:]] == [row[:2] for row in vehicles]
+    for each, (_, _, vehicle) in zip(objects[1:], vehicles, strict=True):
         middle = street.member(each.member).gaussians.means[each.rows][:, :2].mean(axis=0)
         np.testing.assert_allclose(middle, (vehicle.x, vehicle.y), atol=0.9)
         np.testing.assert_allclose(each.track.pose(3.0)[:2, 3], (vehicle.x, vehicle.y))
-
-
-def test_the_shadow_that_a_car_carries_along_is_not_the_car(street: Scene) -> None:
-    lead = street.actors[0]
-    rows = scene_objects(street)[0].rows
-    left_out = np.delete(np.arange(len(lead.gaussians)), rows)
-    assert len(left_out) > 100
-    np.testing.assert_allclose(lead.gaussians.means[left_out, 2], 0.06, atol=1e-3)
-    assert lead.gaussians.opacities[left_out].max() < 0.6
-    assert lead.gaussians.opacities[rows].min() > 0.5
-
-
-def test_vehicles_of_another_street_and_hidden_ones_are_no_objects(street: Scene) -> None:
+    for kind in ("cars", "trucks"):
+        rows = np.concatenate([each.rows for each in objects if each.member == f"layers/parked {kind}"])
+        assert len(np.unique(rows)) == len(rows) > 0.98 * len(street.member(f"layers/parked {kind}").gaussians)
+    lead = street.actors[0].gaussians
+    shadow = np.delete(np.arange(len(lead)), objects[0].rows)
+    assert objects[0].id == "lead" and len(shadow) > 100
+    np.testing.assert_allclose(lead.means[shadow, 2], 0.06, atol=1e-3)
+    assert lead.opacities[shadow].max() < 0.6 and lead.opacities[objects[0].rows].min() > 0.5
     cars, trucks = street.member("layers/parked cars"), street.member("layers/parked trucks")
     moved = replace(cars.gaussians, means=cars.gaussians.means + np.float32([3, 0, 0]))
-    elsewhere = street.with_member(cars.key, gaussians=moved)
+    elsewhere = street.with_member(cars.key, gaussians=moved)  # of another street
     assert {each.member for each in scene_objects(elsewhere)} == {"actors/lead", trucks.key}
     assert len(scene_objects(replace(street, name="mine"))) == 1
-    hidden = street.with_member(cars.key, visible=False)
-    assert {each.class_name for each in scene_objects(hidden)} == {"car", "truck"}
-    assert len(scene_objects(hidden.with_member(trucks.key, visible=False))) == 1
-    scene = boxy_scene()
-    assert [each.class_name for each in scene_objects(scene)] == ["Car", "Car"]
-    assert len(scene_objects(scene.with_member("actors/far", visible=False))) == 1
+    hidden = street.with_member(cars.key, visible=False).with_member(trucks.key, visible=False)
+    assert len(scene_objects(hidden)) == 1
+    assert len(scene_objects(boxy_scene().with_member("actors/far", visible=False))) == 1
 
 
 def test_category_ids_are_those_of_coco_2017() -> None:
@@ -232,22 +197,3 @@ def test_the_street_is_built_in_unless_a_scene_is_called_so(tmp_path: Path, monk
     (tmp_path / "street").rename(tmp_path / "other")
     write_scene(small_scene("own"), tmp_path / "street")
     assert not is_built_in_street("street") and load_scene("street").name == "own"
-
-
-# Progress
-
-
-def test_work_runs_to_its_end_or_to_its_error() -> None:
-    def work(stops_at: int | None = None) -> Any:
-        for i in range(3):
-            if i == stops_at:
-                raise ValueError("the disk is full")
-            yield Progress(i / 3, f"step {i}")
-        return "a scene"
-
-    steps: list[Progress] = []
-    assert run_to_end(work(), steps.append) == run_to_end(work()) == "a scene"
-    assert [step.message for step in steps] == ["step 0", "step 1", "step 2"]
-    with pytest.raises(ValueError, match="disk is full"):
-        run_to_end(work(stops_at=2), steps.append)
-    assert len(steps) == 5

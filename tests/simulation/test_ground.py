@@ -1,19 +1,17 @@
-"""Ground, obstacles and road of a scene: made-up ones, the built-in street, and a real place with labels."""
+"""Ground, obstacles and road of made-up scenes and of the built-in street."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
-from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.simulation.geometry import PlanarBox
-from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, RoadSurface, road_surface_of
-from gsrain_engine.simulation.obstacles import CELL_M, drivable_of, occupied_space_of
+from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, road_surface_of
+from gsrain_engine.simulation.obstacles import drivable_of, occupied_space_of
 from simulation.small_drive import in_other_units, track
 from small_scene import patch, small_scene
 
@@ -27,12 +25,6 @@ def slope(per_m, rig_m=1.5, **more):
     return Scene("slope", (Layer("road", road), Layer("block", block)), ego=drive, **more)
 
 
-def test_without_a_drive_the_ground_is_level():
-    scene = replace(small_scene(), ego=None, ground_m=-2.0)
-    assert road_surface_of(scene).height_m(100.0, -30.0) == -2.0
-    assert road_surface_of(replace(scene, ground_m=None)).height_m(0.0, 0.0) == 0.0
-
-
 @pytest.mark.parametrize("other_units", [False, True])
 @pytest.mark.parametrize(("per_m", "rig_m"), [(0.0, 0.0), (0.06, 0.35), (-0.12, 2.1), (0.05, 1.5)])
 def test_the_ground_follows_a_slope_and_the_height_of_the_rig_is_measured(per_m, rig_m, other_units):
@@ -42,24 +34,21 @@ def test_the_ground_follows_a_slope_and_the_height_of_the_rig_is_measured(per_m,
     assert ground.rig_height_m == pytest.approx(rig_m, abs=0.03)
     for x, y in ((5.0, 0.0), (30.0, -5.0), (22.0, 2.0), (50.0, 4.0)):
         assert ground.height_m(x, y) == pytest.approx(per_m * x, abs=0.03)
+    space = occupied(scene)
+    drivable = drivable_of(scene, road_surface_of(scene), space)
+    for x in (5.0, 50.0):
+        assert not space.touches(car_at(x, 0.0)) and drivable.share_on_road(car_at(x, 0.0)).min() > 0.9
+    assert space.touches(car_at(22.0, 1.5)) and drivable.share_on_road(car_at(30.0, 12.0)).max() == 0.0
 
 
 def test_a_stated_height_counts_where_the_drive_begins_if_it_is_plausible():
     ground = road_surface_of(slope(0.05, ground_m=0.1))
     assert ground.rig_height_m == pytest.approx(1.5) and ground.height_m(2.0, 0.0) == pytest.approx(0.1, abs=0.03)
     assert road_surface_of(slope(0.0, ground_m=50.0)).height_m(10.0, 0.0) == pytest.approx(0.0, abs=0.03)
-    empty = road_surface_of(replace(slope(0.05), layers=()))  # where nothing lies it is below the drive
+    empty = road_surface_of(replace(slope(0.05), layers=()))  # without Gaussians it is below the drive
     assert empty.rig_height_m == SENSOR_HEIGHT_M and empty.height_m(30.0, 3.0) == pytest.approx(1.5, abs=0.05)
-
-
-def test_heights_are_interpolated_bilinearly_and_one_place_is_as_many():
-    rng = np.random.default_rng(1)
-    grid = RoadSurface((-3.0, 2.0), 0.5, rng.normal(size=(7, 9)))
-    places = rng.uniform((-6, 0), (4, 8), size=(200, 2))
-    singly = [grid.height_m(float(x), float(y)) for x, y in places]
-    np.testing.assert_allclose(singly, grid.heights_at(places), rtol=0, atol=1e-12)
-    assert grid.height_m(-3.0, 2.0) == grid.heights_m[0, 0] and grid.height_m(-100.0, 100.0) == grid.heights_m[-1, 0]
-    assert grid.height_m(-2.75, 2.25) == pytest.approx(grid.heights_m[:2, :2].mean())
+    for stated, height in ((-2.0, -2.0), (None, 0.0)):  # without a drive it is level
+        assert road_surface_of(replace(small_scene(), ego=None, ground_m=stated)).height_m(100.0, -30.0) == height
 
 
 # Obstacles
@@ -91,51 +80,27 @@ def across(x, low, high, steps=20):
     return flat((x, -1.5, low), (0, 3, 0), (0, 0, high - low), steps)
 
 
-def post(x, y, thick):
-    """A square post, 3 m high."""
-    sides = [((-1, -1), (1, 0)), ((-1, -1), (0, 1)), ((1, -1), (0, 1)), ((-1, 1), (1, 0))]
-    return Gaussians.concatenate([
-        flat((x + a * thick / 2, y + b * thick / 2, 0.0), (u * thick, v * thick, 0), (0, 0, 3), 12)
-        for (a, b), (u, v) in sides
-    ])  # fmt: skip
+HAZE = patch((10, -3, 0.5), np.array([10.0, 0, 0]), np.array([0, 6.0, 0]), 40, (0.7, 0.7, 0.7))
+FEW = HAZE.take(np.random.default_rng(3).choice(len(HAZE), 30, replace=False))
 
 
-@pytest.mark.parametrize("steps", [2, 5, 40])
-def test_walls_are_hit_of_however_many_gaussians_they_are(steps):
-    space = occupied(standing(across(15.0, 0.0, 2.0, steps)))
-    assert space.touches(car_at(13.0, 0.0)) and not space.touches(car_at(11.8, 0.0))
+@pytest.mark.parametrize(
+    ("thing", "change", "is_hit"),
+    [
+        *((across(15.0, 0.0, 2.0, steps), {}, True) for steps in (2, 5, 40)),  # however many Gaussians it has
+        (across(15.0, 0.0, 2.0), {"marks": SelectionFlags(hidden=BitMask.all(400))}, False),
+        (across(15.0, 0.0, 2.0), {"marks": SelectionFlags(deleted=BitMask.all(400))}, False),
+        (across(15.0, 0.0, 2.0), {"visible": False}, False),
+        (across(15.0, 0.0, 0.15), {}, False),  # a curb
+        (across(15.0, 2.2, 4.0), {}, False),  # a branch
+        (replace(HAZE, opacities=np.full(len(HAZE), 0.3, np.float32)), {}, False),
+        (replace(FEW, scales=np.full((30, 3), 0.06, np.float32)), {}, False),  # single floaters
+    ],
+)
+def test_walls_are_hit_and_curbs_branches_haze_and_hidden_things_are_not(thing, change, is_hit):
+    space = occupied(standing(thing).with_member("layers/thing 0", **change))
+    assert space.touches(car_at(13.0, 0.0)) == is_hit and not space.touches(car_at(11.8, 0.0))
     assert space.touches(car_at(38.5, 0.0)) and not space.touches(car_at(36.0, 0.0))  # the scene's own at 40 m
-
-
-@pytest.mark.parametrize("thick", [0.06, 0.12, 0.4])
-@pytest.mark.parametrize("shift", [0.0, 0.03, 0.07])
-def test_thin_posts_are_found_wherever_they_stand_among_the_cells(thick, shift):
-    space = occupied(standing(post(15.0 + shift, 1.5 + shift, thick)))
-    assert not space.touches(car_at(15.0, 0.0)) and space.touches(car_at(15.0, 0.8))
-    assert space.touches(car_at(15.0, 0.0, np.pi / 2))  # a turned box reaches where its corners are
-    near = space.places[np.hypot(*(space.places - (15.0 + shift, 1.5 + shift)).T) < 1.0]
-    assert len(near) and np.abs(near - (15.0 + shift, 1.5 + shift)).max() < thick / 2 + 2 * CELL_M
-
-
-def test_curbs_branches_haze_and_single_floaters_are_not_in_the_way():
-    rng = np.random.default_rng(3)
-    haze = patch((10, -3, 0.5), np.array([10.0, 0, 0]), np.array([0, 6.0, 0]), 40, (0.7, 0.7, 0.7))
-    faint = replace(haze, opacities=np.full(len(haze), 0.3, np.float32))
-    few = haze.take(rng.choice(len(haze), 30, replace=False))
-    floaters = replace(few, scales=np.full((30, 3), 0.06, np.float32))
-    for thing in (across(15.0, 0.0, 0.15), across(15.0, 2.2, 4.0), faint, floaters):
-        assert not occupied(standing(thing)).touches(car_at(15.0, 0.0))
-
-
-def test_what_is_hidden_or_deleted_is_gone():
-    scene = standing(across(15.0, 0.0, 2.0))
-    assert occupied(scene).touches(car_at(15.0, 0.0))
-    for change in (
-        {"marks": SelectionFlags(hidden=BitMask.all(400))},
-        {"marks": SelectionFlags(deleted=BitMask.all(400))},
-        {"visible": False},
-    ):
-        assert not occupied(scene.with_member("layers/thing 0", **change)).touches(car_at(15.0, 0.0))
 
 
 def test_without_a_road_layer_flat_ground_is_road_and_nothing_is_without_a_scene():
@@ -148,75 +113,26 @@ def test_without_a_road_layer_flat_ground_is_road_and_nothing_is_without_a_scene
         assert share.max() == 0.0 if low is None else share.min() > low
 
 
-@pytest.mark.parametrize("per_m", [0.06, -0.12])
-def test_on_a_slope_road_and_obstacles_are_where_they_are_on_level_ground(per_m):
-    scene = slope(per_m)
-    space = occupied(scene)
-    drivable = drivable_of(scene, road_surface_of(scene), space)
-    for x in (5.0, 50.0):
-        assert not space.touches(car_at(x, 0.0)) and drivable.share_on_road(car_at(x, 0.0)).min() > 0.9
-    assert space.touches(car_at(22.0, 1.5)) and drivable.share_on_road(car_at(30.0, 12.0)).max() == 0.0
-
-
-@pytest.fixture(scope="module")
-def street():
-    return load_street()
-
-
-@pytest.fixture(scope="module")
-def space(street):
-    return occupied(street)
-
-
-def test_the_streets_lanes_and_pavements_are_free(street, space):
+def test_the_streets_lanes_are_free_and_drivable_and_everything_that_stands_on_it_is_hit():
+    street = load_street()
+    space = occupied(street)
     layout = plan_street(StreetParameters())
     for time_s in np.arange(0.0, 12.01, 0.05):
         pose = street.ego_to_world(float(time_s))
         assert not space.touches(car_at(pose[0, 3] + 1.3, pose[1, 3])), time_s
-    assert not any(space.touches(PlanarBox(x, 0.0, 0.0, 4.6, 5.0)) for x in np.arange(-20.0, 140.0, 4.0))
     pavement = layout.parameters.curb_y_m + 1.9
     free = [not space.touches(PlanarBox(float(x), pavement, 0.0, 1.0, 1.0)) for x in np.arange(0.0, 120.0)]
     assert np.mean(free) > 0.95
-
-
-def test_everything_that_stands_on_the_street_is_hit(space):
-    layout = plan_street(StreetParameters())
     for each in (*layout.cars, *layout.trucks):
-        assert space.touches(PlanarBox(each.x, each.y, 0.0, 2.0, 1.0)), each
         assert space.touches(PlanarBox(each.x, each.y - 1.2 * np.sign(each.y), 0.0, 4.0, 1.0)), each
     for each in (*layout.trees, *layout.lamps):
         x, y = (each.x, each.y) if hasattr(each, "x") else each[:2]
         assert space.touches(PlanarBox(x, y, 0.0, 0.6, 0.6)), each
     fronts = layout.parameters.front_y_m
     assert all(space.touches(PlanarBox(x, s * fronts, 0.0, 4.0, 1.0)) for x in range(0, 120, 5) for s in (-1, 1))
-
-
-def test_the_streets_road_is_drivable_and_its_pavement_is_not(street, space):
-    drivable = drivable_of(street, road_surface_of(street), space)
-    curb = plan_street(StreetParameters()).parameters.curb_y_m
+    drivable, curb = drivable_of(street, road_surface_of(street), space), layout.parameters.curb_y_m
     np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -1.7)), np.ones((2, 2)))
     np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -curb - 1.5)), np.zeros((2, 2)))
     half, turned = (drivable.share_on_road(car_at(30.0, -curb, yaw)) for yaw in (0.0, np.pi / 2))
     assert (half[:, 0] > 0.9).all() and (half[:, 1] < 0.25).all()
     assert (turned[0] > 0.9).all() and (turned[1] < 0.25).all()
-
-
-def test_labelled_vehicles_of_a_real_place_stand_on_its_ground_and_the_lane_is_free(test_data):
-    capture = open_capture(test_data / "driving" / "dgp" / "scene_02")
-    points = np.concatenate([sweep.points_m for sweep in capture.sweeps])
-    n, f = len(points), np.float32
-    size = np.clip(0.004 * np.linalg.norm(points, axis=1), 0.03, 0.3)  # as large as the gap to the neighbors
-    balls = Gaussians(points, np.repeat(size[:, None], 3, axis=1).astype(f), np.tile(np.array([1, 0, 0, 0], f), (n, 1)),
-                      np.full(n, 0.9, f), np.zeros((n, 1, 3), f))  # fmt: skip
-    scene = Scene("points", (Layer("points", balls),), ego=capture.ego)
-    ground, space = road_surface_of(scene), occupied(scene)
-    assert ground.rig_height_m == pytest.approx(1.5, abs=0.05)
-    labels = [(box.track.pose(1.08), box.size_lwh) for box in capture.boxes]
-    near = [(pose, size) for pose, size in labels if pose is not None and np.hypot(*pose[:2, 3]) < 30]
-    assert len(near) == 2
-    for pose, (length, width, _) in near:
-        x, y, z = pose[:3, 3]
-        assert z == pytest.approx(ground.height_m(x, y), abs=0.3)
-        assert space.touches(PlanarBox(x, y, float(np.arctan2(pose[1, 0], pose[0, 0])), length, width))
-    for along in np.arange(-14.0, 5.0, 0.5):
-        assert not space.touches(PlanarBox(0.016 * along, float(along) - 1.3, -np.pi / 2, 4.6, 1.85)), along

@@ -9,36 +9,14 @@ import pytest
 import yaml
 
 from curved_scene import RADIUS_M, curved_scene
-from gsrain_engine.scene.formats.registry import write_gaussians
 from gsrain_engine.simulation.ground import recorded_route
 from gsrain_engine.simulation.interop.hugsim_scenario import is_hugsim_scenario
 from gsrain_engine.simulation.scenario import Scenario, start_place, start_state
 from gsrain_engine.simulation.scenario_io import load_scenario, save_scenario
 from gsrain_engine.simulation.simulation import Simulation
-from gsrain_engine.simulation.traffic.appearance import built_in_vehicle, vehicle_model
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Control
 from simulation.small_drive import lead, scenario
 from small_scene import small_scene
-
-
-@pytest.mark.parametrize(
-    ("fields", "place"),
-    [
-        ({"size_lwh_m": [4.0, 2.0, float("nan")]}, r"size_lwh_m\[2\]`"),
-        ({"behaviour": {"kind": "track", "points": [{"time_s": 1.0, "ahead_m": float("nan")}]}}, "ahead_m`"),
-        ({"behaviour": {"kind": "fly"}}, r"kind`"),
-        ({"behaviour": {"kind": "cut-in"}}, "`after_s`"),
-        ({"behaviour": {"kind": "track"}}, "`points`"),
-        ({"behaviour": {"kind": "track", "actor": "a", "points": [{"time_s": 1.0, "ahead_m": 1.0}]}}, "`points`"),
-        ({"behaviour": {"kind": "track", "points": [{"time_s": 2.0, "ahead_m": 1.0}] * 2}}, "`points`"),
-        ({"id": "ego"}, "'ego'"),
-        ({"id": "background"}, "'background'"),
-    ],
-)
-def test_what_no_road_user_can_be_is_refused_by_its_field(fields, place):
-    with pytest.raises(msgspec.ValidationError, match=place):
-        scenario(road_users=[lead(**fields)])
-
 
 # Files
 
@@ -53,66 +31,58 @@ road_users:
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a scenario and all that it names; the working folder is the one above."""
-    folder = tmp_path / "tests"
-    for name in ("cars", "road", "street", "published"):
-        (folder / name).mkdir(parents=True)
-    write_gaussians(built_in_vehicle("saloon").gaussians, folder / "cars/a.ply")
-    for name in ("rain.yaml", "drive.jsonl"):
-        (folder / name).write_text("")
-    text = TEST.format(scene="road", calibration="rain.yaml", model="cars/a.ply", rollout="./drive.jsonl")
-    (folder / "mine.yaml").write_text(text)
+def names_in(test):
+    """The names of files in a scenario."""
+    first, second, third = test.road_users
+    return test.scene, test.rain.calibration, first.model, second.behaviour.rollout, second.model, third.model
+
+
+def test_files_are_named_from_the_scenarios_own_folder_and_shipped_things_by_name(tmp_path, monkeypatch):
+    for name in ("tests/cars", "tests/road", "tests/street", "tests/published", "far", "copies"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in ("cars/a.ply", "rain.yaml", "drive.jsonl"):
+        (tmp_path / "tests" / name).write_text("")
+    file = tmp_path / "tests/mine.yaml"
+    file.write_text(TEST.format(scene="road", calibration="rain.yaml", model="cars/a.ply", rollout="./drive.jsonl"))
+    shipped = "van/red", "actor:7"
+    monkeypatch.chdir(tmp_path / "tests/cars")
+    assert names_in(load_scenario("../mine.yaml"))[0] == "../road"
+    assert load_scenario(file).scene == str(tmp_path / "tests/road")
     monkeypatch.chdir(tmp_path)
-    return folder
-
-
-def test_names_count_from_the_scenarios_own_folder(folder: Path, monkeypatch: pytest.MonkeyPatch):
     found = load_scenario("tests/mine.yaml")
-    assert found.scene == "tests/road" and found.rain.calibration == "tests/rain.yaml"
-    first, second, third = found.road_users
-    assert first.model == "tests/cars/a.ply" and vehicle_model(first.model, small_scene()).size_lwh_m[0] > 1
-    assert (second.model, second.behaviour.rollout, third.model) == ("van/red", "tests/drive.jsonl", "actor:7")
-    monkeypatch.chdir(folder / "cars")
-    assert load_scenario("../mine.yaml").scene == "../road"
-    assert load_scenario(folder / "mine.yaml").scene == str(folder / "road")
-
-
-def test_names_that_are_built_in_nowhere_or_in_the_working_folder_stay(folder: Path):
-    Path("far").mkdir()
-    text = TEST.format(scene="street", calibration="published", model="saloon", rollout="nowhere.jsonl")
-    (folder / "mine.yaml").write_text(text)
-    found = load_scenario("tests/mine.yaml")
-    assert (found.scene, found.rain.calibration, found.road_users[0].model) == ("street", "published", "saloon")
-    assert found.road_users[1].behaviour.rollout == "nowhere.jsonl"
-    (folder / "mine.yaml").write_text(text.replace("scene: street", "scene: far"))
-    assert load_scenario("tests/mine.yaml").scene == "far"
-
-
-def test_saved_elsewhere_it_names_the_same_files_and_is_the_same_value(folder: Path):
-    found = load_scenario("tests/mine.yaml")
-    Path("copies").mkdir()
+    assert names_in(found) == ("tests/road", "tests/rain.yaml", "tests/cars/a.ply", "tests/drive.jsonl", *shipped)
     for value in (found, msgspec.structs.replace(found, scene="of-hugsim"), Scenario(name="mine")):
         save_scenario(value, Path("copies/copy.yaml"))
         assert load_scenario("copies/copy.yaml") == value
     save_scenario(found, Path("copies/copy.yaml"))
     assert "scene: ../tests/road" in Path("copies/copy.yaml").read_text()
+    # Built-in names, those of no file, and those of the working folder are not changed.
+    for scene in ("street", "far"):
+        file.write_text(TEST.format(scene=scene, calibration="published", model="saloon", rollout="nowhere.jsonl"))
+        assert names_in(load_scenario("tests/mine.yaml")) == (scene, "published", "saloon", "nowhere.jsonl", *shipped)
 
 
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("road_users: [{id: a, behaviour: {kind: brak}}]", r"brake.*`\$\.road_users\[0\]\.behaviour\.kind`"),
         ("controller: {kind: ilq}", r"pure-pursuit.*`\$\.controller\.kind`"),
         ("rain: {intensity: 3}", r"`intensity_mm_h`.*`\$\.rain`"),
-        ("road_users: [{id: a, behaviour: {kind: brake, sped: 3}}]", r"`sped`.*`\$\.road_users\[0\]\.behaviour`"),
         ("speed_m_s: .nan", r"`\$\.speed_m_s`"),
         ("speed_m_s: 3\nspeed_m_s: 4", "line 3"),
         ("road_users: [{id: a, behaviour: {kind: idm}}, {id: a, behaviour: {kind: idm}}]", "'a'"),
+        ("road_users: [{id: ego, behaviour: {kind: idm}}]", "'ego'"),
+        ("road_users: [{id: background, behaviour: {kind: idm}}]", "'background'"),
+        *((f"road_users: [{{id: a, behaviour: {{{fields}}}}}]", place) for fields, place in (
+            ("kind: brak", r"brake.*`\$\.road_users\[0\]\.behaviour\.kind`"),
+            ("kind: brake, sped: 3", r"`sped`.*`\$\.road_users\[0\]\.behaviour`"),
+            ("kind: cut-in", "`after_s`"),
+            ("kind: track", "`points`"),
+            ("kind: track, actor: a, points: [{time_s: 1, ahead_m: 1}]", "`points`"),
+            ("kind: track, points: [{time_s: 2, ahead_m: 1}, {time_s: 2, ahead_m: 1}]", "`points`"),
+        )),
     ],
-)
-def test_errors_name_the_file_the_field_and_what_would_be_right(text: str, place: str, tmp_path: Path):
+)  # fmt: skip
+def test_errors_name_the_file_the_field_and_valid_values(text: str, place: str, tmp_path: Path):
     path = tmp_path / "mine.yaml"
     path.write_text(f"name: mine\n{text}\n")
     with pytest.raises(ValueError, match=rf"mine\.yaml: .*{place}"):
@@ -127,11 +97,7 @@ CAR = [2.0, 13.0, -0.3, 0.1, 2.0, "2024_07_05_10_58_02", "ConstantPlanner", {}]
 @pytest.fixture
 def written(tmp_path):
     def write(*rows, **fields):
-        plain = {
-            "mode": "easy_00", "plan_list": list(rows), "load_HD_map": False, "start_euler": [0.0, 0.0, 0.0],
-            "start_ab": [0.0, 0.0], "start_velo": 1, "start_steer": 0, "scene_name": "scene-0383",
-            "iteration": 30000, **fields,
-        }  # fmt: skip
+        plain = {"mode": "easy_00", "plan_list": list(rows), "scene_name": "scene-0383", "start_velo": 1, **fields}
         path = tmp_path / "scene-0383-easy-00.yaml"
         path.write_text(yaml.safe_dump(plain))
         return path
@@ -154,17 +120,14 @@ def test_a_vehicle_goes_where_hugsims_planner_takes_it(written):
     assert (there.x_m, there.y_m) == pytest.approx((13 + 2 * 0.995004, -(2 - 2 * 0.0998334)), abs=1e-4)
 
 
-def test_a_turned_start_turns_everything(written):
-    test = load_scenario(written(CAR, start_ab=[1.0, 3.0], start_euler=[0.0, 90.0, 0.0]))
+def test_a_turned_start_turns_everything_and_planners_become_behaviors(written):
+    rows = CAR, [*CAR[:6], "IDM", {}], [*CAR[:6], "UnicyclePlanner", {"uc_id": "6e29", "speed": 0.6}]
+    test = load_scenario(written(*rows, start_ab=[1.0, 3.0], start_euler=[0.0, 90.0, 0.0]))
     assert (test.ahead_m, test.left_m, test.turned_deg) == (3.0, -1.0, -90.0)
-    (car,) = test.road_users
+    car, *others = test.road_users
     # Looking right: what is 1 m to the right is ahead, what is 10 m forward is to the left.
     assert (car.ahead_m, car.left_m, car.turned_deg) == pytest.approx((1.0, 10.0, 95.72958), abs=1e-4)
-
-
-def test_planners_become_behaviors(written):
-    rows = [*CAR[:6], "IDM", {}], [*CAR[:6], "UnicyclePlanner", {"uc_id": "6e29", "speed": 0.6}]
-    followed, recorded = (each.behaviour for each in load_scenario(written(*rows)).road_users)
+    followed, recorded = (each.behaviour for each in others)
     assert (followed.desired_speed_m_s, followed.least_gap_m, followed.headway_s) == (30, 5, 2)
     assert (recorded.actor, recorded.pace) == ("6e29", 0.6)
 
@@ -182,7 +145,7 @@ def test_planners_become_behaviors(written):
         ([], {"start_velo": "fast"}, ".*start_velo"),
     ],
 )
-def test_what_cannot_be_taken_from_hugsim_is_named(written, rows, fields, place):
+def test_unsupported_content_of_hugsims_files_is_named(written, rows, fields, place):
     with pytest.raises(ValueError, match=f"scene-0383-easy-00.yaml: {place}"):
         load_scenario(written(*rows, **fields))
 

@@ -11,7 +11,7 @@ from gsrain_engine.scene.open import load_street
 from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.rollout import BACKGROUND
 from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
-from gsrain_engine.simulation.simulation import Simulation, drive, drive_scene, run_drive
+from gsrain_engine.simulation.simulation import Simulation, drive_scene, run_drive
 from gsrain_engine.simulation.vehicle import Control
 from simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box, track
 from small_scene import small_scene
@@ -57,35 +57,19 @@ def test_shipped_scenarios_drive_as_they_did(street, name, agent, end, steps, eg
     assert metrics.hdscore == pytest.approx(score, abs=1e-8)
 
 
-def far_drive(length_m, start_m=0.0):
-    """A recorded drive straight on."""
-    return track([0.0, 20.0], [(start_m, 0, 1.5), (length_m, 0, 1.5)])
-
-
-@pytest.mark.parametrize(("height_m", "end"), [(4.5, "time"), (1.0, "collision")])
-def test_who_passes_overhead_is_not_touched(height_m, end):
-    bridge = box_actor(positions=((8.0, 0.0, height_m), (8.0, 0.0, height_m)))
-    scene = replace(small_scene(), actors=(bridge,))
-    assert driven({"keep": "all", "duration_s": 2}, scene).end == end
-
-
 @pytest.mark.parametrize("start_m", [0.0, 1.5, 3.0, 4.5, 6.0])
-@pytest.mark.parametrize("obstacle", ["wall", "lead"])
+@pytest.mark.parametrize("obstacle", ["wall", "lead", "follower"])
 def test_a_fast_vehicle_does_not_jump_over_anything(obstacle, start_m):
-    """40 m/s are 10 m a step, 24 m/s are 6 m, and the vehicle is 4.6 m long."""
-    fields, scene = {"duration_s": 30, "speed_m_s": 40.0}, small_scene()
-    if obstacle == "lead":
-        user = lead(ahead_m=15.0 + start_m, size_lwh_m=[0.5, 0.5, 1.8], turned_deg=90.0)
-        fields, scene = {"speed_m_s": 24.0, "road_users": [user]}, scene_with_box()
-    rollout = driven(fields, replace(scene, ego=far_drive(200.0, start_m if obstacle == "wall" else 0.0)))
-    assert (rollout.end, rollout.steps[-1].collision) == ("collision", BACKGROUND if obstacle == "wall" else "lead")
-    assert rollout.steps[-1].ego.x_m < 50
-
-
-def test_who_drives_behind_as_fast_is_not_hit():
-    follower = lead(ahead_m=-5.0, speed_m_s=24.0, behaviour={"kind": "constant-velocity"})
-    fields = {"speed_m_s": 24.0, "duration_s": 1.0, "road_users": [follower]}
-    assert driven(fields, replace(scene_with_box(), ego=far_drive(200.0))).end == "time"
+    """40 m/s are 10 m a step, 24 m/s are 6 m, and the vehicle is 4.6 m long; a follower as fast is not hit."""
+    user = lead(ahead_m=15.0 + start_m, size_lwh_m=[0.5, 0.5, 1.8], turned_deg=90.0)
+    if obstacle == "follower":
+        user = lead(ahead_m=-5.0 - start_m, speed_m_s=24.0, behaviour={"kind": "constant-velocity"})
+    fields = {"speed_m_s": 24.0, "road_users": [user], "duration_s": 1.25}
+    if obstacle == "wall":
+        fields = {"speed_m_s": 40.0, "duration_s": 30, "ahead_m": start_m}
+    rollout = driven(fields, replace(scene_with_box(), ego=track([0.0, 20.0], [(0, 0, 1.5), (200, 0, 1.5)])))
+    hit = {"wall": BACKGROUND, "lead": "lead", "follower": None}[obstacle]
+    assert (rollout.end, rollout.steps[-1].collision) == ("collision" if hit else "time", hit)
 
 
 class _GivesUp(StraightOn):
@@ -102,10 +86,12 @@ class _GivesUp(StraightOn):
         ({}, _GivesUp, "agent", 3, 0.2),
         # Bumpers meet after 8 - 2.3 - 2 = 3.7 m: within the fourth step of 1 m.
         ({"road_users": [lead(ahead_m=8.0)]}, StraightOn, "collision", 5, 0.4),
+        ({"keep": "all", "duration_s": 2}, StraightOn, "time", 9, 0.8),  # a bridge passes overhead
     ],
 )
 def test_ends_of_a_drive(fields, agent, end, steps, completion):
-    rollout = driven(fields, scene_with_box(), agent())
+    bridge = box_actor(positions=((8.0, 0.0, 4.5), (8.0, 0.0, 4.5)))
+    rollout = driven(fields, replace(scene_with_box(), actors=(bridge,)), agent())
     assert (rollout.end, len(rollout.steps)) == (end, steps)
     assert [step.time_s for step in rollout.steps] == [0.25 * number for number in range(steps)]
     assert rollout.steps[-1].plan == () and all(step.collision is None for step in rollout.steps[:-1])
@@ -113,31 +99,20 @@ def test_ends_of_a_drive(fields, agent, end, steps, completion):
     assert rollout.steps[0].route_left_m == pytest.approx(fields.get("left_m", 0.0))
 
 
-@pytest.mark.parametrize("points", [[[1.0, 0.0], [np.nan, 0.0]], [[1.0, 0.0], [1e9, 0.0]]])
-def test_a_plan_that_is_none_is_refused(points):
-    simulation = Simulation(scenario(), small_scene())
-    simulation.reset()
-    with pytest.raises(ValueError, match="plan"):
-        simulation.step(Trajectory(np.array(points)))
-
-
-def test_after_its_end_nothing_moves():
+def test_wrong_plans_seeds_and_steps_after_the_end_are_refused():
     simulation = Simulation(scenario(duration_s=0.25), small_scene())
     simulation.reset()
+    for points in ([[1.0, 0.0], [np.nan, 0.0]], [[1.0, 0.0], [1e9, 0.0]]):
+        with pytest.raises(ValueError, match="plan"):
+            simulation.step(Trajectory(np.array(points)))
     simulation.advance(Control(0.0, 0.0))
     for move in (lambda: simulation.advance(Control(0.0, 0.0)), lambda: simulation.step(None)):
         with pytest.raises(ValueError, match=r"\(time\)"):
             move()
     assert len(simulation.rollout("nobody").steps) == 2 and simulation.reset().step == 0
-
-
-def test_a_drive_that_was_stopped_is_on_record_as_it_stands():
-    simulation, agent = Simulation(scenario(), small_scene()), StraightOn()
-    for observation in drive(simulation, agent):
-        if observation.step == 3:
-            break
-    rollout = simulation.rollout(agent.name)
-    assert (rollout.end, rollout.steps[-1].step) == ("stopped", 3)
+    for seed in (-1, 2**32):
+        with pytest.raises(ValueError, match="seed"):
+            Simulation(scenario(), small_scene(), seed=seed)
 
 
 FIELDS = {
@@ -157,14 +132,10 @@ def test_drives_are_equal_byte_for_byte_again_at_one_go_and_from_a_file(tmp_path
     assert len({msgspec.json.encode(run) for run in runs}) == 1 and runs[0].seed == 5
     write_rollout(tmp_path / "run.jsonl", runs[0])
     assert read_rollout(tmp_path / "run.jsonl") == runs[0]
-
-
-def test_another_seed_may_be_given_within_bounds():
-    other = Simulation(scenario(**FIELDS), scene_with_box(), seed=0)
-    assert other.seed == other.rollout("nobody").scenario["rain"]["seed"] == 0
-    for seed in (-1, 2**32):
-        with pytest.raises(ValueError, match="seed"):
-            Simulation(scenario(), small_scene(), seed=seed)
+    assert simulation.reset(7).step == 0 and simulation.seed == 7
+    simulation.advance(Control(0.0, 0.0))
+    stopped = simulation.rollout("nobody")
+    assert (stopped.end, stopped.seed, stopped.scenario["rain"]["seed"], len(stopped.steps)) == ("stopped", 7, 7, 2)
 
 
 def test_a_scene_in_other_units_and_with_another_axis_up_drives_the_same():

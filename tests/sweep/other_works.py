@@ -2,22 +2,12 @@
 
 import os
 import signal
-from pathlib import Path
 
 from gsrain_engine.sweep.worker import JobResult
 
 
 def answer(job):
     return JobResult(id=job.id, values={"end": job.scene})
-
-
-def die_once(job, folder):
-    """Die over each job of seed 1 the first time."""
-    mark = Path(folder) / job.id
-    if job.seed == 1 and not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return answer(job)
 
 
 def die_of_one(job):

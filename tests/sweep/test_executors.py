@@ -4,32 +4,20 @@ import os
 import signal
 import subprocess
 import sys
-from collections import Counter
-from contextlib import closing
-from functools import partial
 from pathlib import Path
 
 import msgspec
 import pytest
-from msgspec import structs
 
 from gsrain_engine.sweep import executors
-from gsrain_engine.sweep.executors import DaskCluster, LocalPool, PoolWorker, SerialExecutor, next_job
+from gsrain_engine.sweep.executors import DaskCluster, LocalPool, SerialExecutor
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import run_sweep
 from gsrain_engine.sweep.settings import load_sweep
 
-from .other_works import answer, die_of_one, die_once
+from .other_works import die_of_one
 from .small_sweep import small_jobs, sweep_of, write_road, write_scenario
-
-
-def test_jobs_of_workers_that_died_are_done_again(tmp_path):
-    jobs = small_jobs(tmp_path, intensities_mm_h=[0])
-    outcomes = list(LocalPool(1).outcomes(partial(die_once, folder=str(tmp_path)), jobs))
-    assert Counter(each.id for each in outcomes) == Counter(job.id for job in jobs)
-    assert not any(each.error for each in outcomes)
-    assert all((tmp_path / job.id).exists() == (job.seed == 1) for job in jobs)
 
 
 def test_a_job_that_kills_every_worker_fails_and_the_others_are_done(tmp_path):
@@ -37,33 +25,8 @@ def test_a_job_that_kills_every_worker_fails_and_the_others_are_done(tmp_path):
     outcomes = {each.id: each for each in LocalPool(1, retries=1).outcomes(die_of_one, jobs)}
     assert len(outcomes) == 2 and outcomes[jobs[0].id].error is None
     assert "2 workers" in outcomes[jobs[1].id].error and "killed" in outcomes[jobs[1].id].error
-
-
-def test_closing_ends_its_workers(tmp_path, monkeypatch):
-    workers = []
-
-    def recorded(*arguments):
-        workers.append(PoolWorker(*arguments))
-        return workers[-1]
-
-    monkeypatch.setattr(executors, "PoolWorker", recorded)
-    with closing(LocalPool(1).outcomes(answer, small_jobs(tmp_path))) as outcomes:
-        next(outcomes)
-        assert [worker.process.exitcode for worker in workers] == [None]
-    assert workers[0].process.exitcode is not None
-
-
-def test_a_worker_stays_with_its_scene_and_starts_with_one_that_nobody_has(tmp_path):
-    job = small_jobs(tmp_path, seeds=1, intensities_mm_h=[0])[0]
-    waiting = [structs.replace(job, scene=scene) for scene in ("a", "a", "b", "b", "c")]
-    states = ((None, set()), (None, {"a"}), ("b", {"a"}), ("b", {"a"}), ("c", {"a"}))
-    assert [next_job(waiting, *each).scene for each in states] == ["a", "b", "b", "c", "a"] and waiting == []
-    assert LocalPool().workers >= 1
     with pytest.raises(ValueError, match="0"):
         LocalPool(0)
-
-
-# Survival
 
 
 @pytest.fixture(scope="module")

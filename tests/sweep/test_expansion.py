@@ -60,19 +60,15 @@ def test_an_id_follows_the_version_of_a_package_that_is_used(short, tmp_path):
     user = {"id": "lead", "model": str(tmp_path / "car.blob"), "ahead_m": 15.0, "behaviour": {"kind": "stationary"}}
     other = write_scenario(tmp_path / "other.yaml", tmp_path / "road", road_users=[user])
     entries = {"gsrain.agents": {"mine": "mine:A"}, "gsrain.decoders": {"mine": "mine:D"}}
-    formats = {"gsrain.scene_formats": {"blob": "blobs:F"}}
     detecting = {"name": "constant-velocity", "detector": str(other), "label": "detecting"}
     with (
         installed(tmp_path / "a", "drivers", {"mine.py": ""}, entries),
-        installed(tmp_path / "b", "blobs", {"blobs.py": ""}, formats),
+        installed(tmp_path / "b", "blobs", {"blobs.py": ""}, {"gsrain.scene_formats": {"blob": "blobs:F"}}),
     ):
         jobs = jobs_of(sweep_of([short, other], agents=["mine", "constant-velocity", detecting], seeds=1))
-    drivers, blobs = {"drivers": "0.1.0"}, {"blobs": "0.1.0"}
-    expected = {"mine": drivers, "constant-velocity": {}, "detecting": drivers}
-    assert {(job.scenario.name, job.agent.title): job.packages for job in jobs} == {
-        **{("short", name): packages for name, packages in expected.items()},
-        **{("other", name): packages | blobs for name, packages in expected.items()},
-    }
+    used = {"mine": {"drivers"}, "constant-velocity": set(), "detecting": {"drivers"}}
+    for job in jobs:
+        assert set(job.packages) == used[job.agent.title] | ({"blobs"} if job.scenario.name == "other" else set())
     assert msgspec.structs.replace(jobs[0], packages={"drivers": "0.2.0"}).id != jobs[0].id
 
 
@@ -106,15 +102,9 @@ def test_impossible_sweeps_are_refused_before_anything_runs(short, changes, word
     monkeypatch.chdir(short.parent)
     with pytest.raises(ValueError, match=word):
         jobs_of(sweep_of(**{"scenarios": [short], **changes}))
-
-
-@pytest.mark.parametrize(
-    ("text", "place"), [("intensities_mm_h: [120]", r"`\$.intensities_mm_h\[0\]`"), ("seed: 3", "`seed`")]
-)
-def test_errors_of_a_file_name_the_field(tmp_path, text, place):
-    (tmp_path / "sweep.yaml").write_text(f"kind: drive\nscenarios: [stationary-lead]\n{text}\n")
-    with pytest.raises(ValueError, match=rf"sweep\.yaml: .*{place}"):
-        load_sweep(tmp_path / "sweep.yaml")
+    (short.parent / "sweep.yaml").write_text("kind: drive\nscenarios: [stationary-lead]\nseed: 3\n")
+    with pytest.raises(ValueError, match=r"sweep\.yaml: .*`seed`"):
+        load_sweep("sweep.yaml")
 
 
 @pytest.mark.parametrize("name", sweep_names())
@@ -142,9 +132,6 @@ def test_shards_are_all_jobs_each_once_and_about_as_many(tmp_path):
     assert sorted(job.id for shard in shards for job in shard) == sorted(ids(jobs))
     assert [len(shard) for shard in shards] == [4, 3, 3]
     assert Shard.parse("2/3").of(jobs[::-1]) == shards[1][::-1] and str(Shard(2, 3)) == "2/3"
-
-
-@pytest.mark.parametrize("text", ["0/3", "4/3", "3", "1/0", "-1/3", "1/3/5", "$X/2"])
-def test_what_is_no_shard_is_refused(text):
-    with pytest.raises(ValueError, match=f"shard {text.replace('$', '.')}: "):
-        Shard.parse(text)
+    for text in ("0/3", "4/3", "3", "1/0", "-1/3", "1/3/5", "$X/2"):
+        with pytest.raises(ValueError, match="shard "):
+            Shard.parse(text)

@@ -11,7 +11,7 @@ from ...render.opengl.buffers import Harmonics
 from ...render.renderer import Color, RenderMode
 from ...render.sky_color import SkyColor
 from ...scene.scene import RigCamera, Scene
-from ...simulation.sensors import camera_of_width, placed_camera
+from ...simulation.sensors import camera_of_width
 from ..viewport.options import FULL_QUALITY, QualityLevel, Texture
 from ..viewport.picking import SkyColorPick
 from ..viewport_state import PendingScene
@@ -125,7 +125,7 @@ class MosaicInput:
         before, pose, after = (self.scene.ego_to_world(self.time_s + step) for step in (-_STEP_S, 0.0, _STEP_S))
         assert pose is not None
         velocity = None if before is None or after is None else (after[:3, 3] - before[:3, 3]) / (2 * _STEP_S)
-        return RenderView(placed_camera(camera_of_width(camera, self.width_px), pose), self.time_s, velocity, camera.fx)
+        return RenderView(camera_of_width(camera, self.width_px).camera(pose), self.time_s, velocity, camera.fx)
 
     def state_of(self, camera: RigCamera) -> Hashable:
         """Everything that the image of a camera depends on."""

@@ -23,7 +23,7 @@ from ...simulation.agents.registry import AgentOptions, open_agent
 from ...simulation.metrics.collisions import gaps_m, times_to_collision_s
 from ...simulation.metrics.summary import DriveMetrics, measure_drive
 from ...simulation.playback import RolloutPlayback
-from ...simulation.rollout import Rollout, run_setting
+from ...simulation.rollout import Rollout
 from ...simulation.rollout_io import read_any_rollout, read_rollout, write_rollout
 from ...simulation.scenario import Scenario
 from ...simulation.sensors import RigRenderer, camera_of_width, needed_cameras
@@ -109,7 +109,7 @@ def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
         curves = RolloutCurves.of(rollout)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return LoadedRollout(rollout, curves, metrics, path if is_own else None, run_setting(rollout).intensity_mm_h)
+    return LoadedRollout(rollout, curves, metrics, path if is_own else None, rollout.intensity_mm_h)
 
 
 # Drive settings

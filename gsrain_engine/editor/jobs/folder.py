@@ -11,7 +11,7 @@ from pathlib import Path
 
 import platformdirs
 
-from ...scene.files import lock_path, try_lock_path
+from ...scene.files import lock_path
 from ...scene.formats.scene_folder import FileCache, write_scene_folder
 from ...scene.scene import Scene
 
@@ -47,7 +47,7 @@ def remove_abandoned_job_folders() -> None:
         with suppress(OSError):
             if path.is_symlink() or path.stat().st_uid != os.getuid():
                 continue
-            with try_lock_path(path) as is_free:
+            with lock_path(path, waiting=False) as is_free:
                 if is_free:
                     shutil.rmtree(path, ignore_errors=True)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 import zstandard
-from jaxtyping import Float32, Integer
+from jaxtyping import Float32, Integer, UInt8
 
 from ..files import SceneFormatError
 from ..gaussians import Gaussians
@@ -171,8 +171,14 @@ class Format(NamedTuple):
     """True if colors may depend on the viewing direction."""
 
 
-# Packed quaternions
-# Unit quaternions without their largest component, as in several scene formats.
+# Packed numbers
+
+
+def rounded_bytes(values: Float32[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    """Round values to bytes; those outside 0 .. 255 are clamped."""
+    whole = np.rint(values)
+    return np.clip(whole, 0, 255, out=whole).astype(np.uint8)
+
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Stored components, in order, if the largest is component 0, 1, 2 or 3."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt8
+from jaxtyping import Float32, Shaped
 
 from ...safe_io.limits import read_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians, sh_from_color
-from ._common import check_room, checked_gaussians
+from ._common import check_room, checked_gaussians, rounded_bytes
 
 _HEADER_BYTES = 4096
 _HEADER = struct.Struct("<BBxxIIIIHxx3fff")
@@ -149,9 +149,6 @@ def _decode(
         scales = records["scale"].astype(np.float32)
         quaternions = records["quaternion"].astype(np.float32)
         sh = _decode_harmonics(header, section, records)
-    negative = np.count_nonzero((scales < 0).any(axis=1))
-    if negative:
-        raise SceneFormatError(path, f"{negative} of {len(scales)} Gaussians have a negative scale")
     # The format's quaternions are normalized; the square of a damaged one could overflow below.
     long = np.count_nonzero((np.abs(quaternions) > 2).any(axis=1))
     if long:
@@ -185,8 +182,7 @@ _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("q
 def read_splat(path: Path) -> Gaussians:
     """Read a .splat file; the format has no spherical harmonics above degree 0.
 
-    Raises:
-        SceneFormatError: When the file is empty, ends inside a row, or holds invalid values.
+    Raises `SceneFormatError` if the file is empty, ends inside a row, or holds invalid values.
     """
     size = path.stat().st_size
     if size == 0 or size % _ROW.itemsize:
@@ -212,11 +208,7 @@ def write_splat(gaussians: Gaussians, path: Path) -> None:
     rows = np.empty(len(gaussians), _ROW)
     rows["mean"] = gaussians.means
     rows["scale"] = gaussians.scales
-    rows["rgba"][:, :3] = _bytes((gaussians.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)) * 255)
-    rows["rgba"][:, 3] = _bytes(gaussians.opacities * 255)
-    rows["quaternion"] = _bytes(gaussians.quaternions * 128 + 128)
+    rows["rgba"][:, :3] = rounded_bytes((gaussians.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)) * 255)
+    rows["rgba"][:, 3] = rounded_bytes(gaussians.opacities * 255)
+    rows["quaternion"] = rounded_bytes(gaussians.quaternions * 128 + 128)
     path.write_bytes(rows.tobytes())
-
-
-def _bytes(values: Float32[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)

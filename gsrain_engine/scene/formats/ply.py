@@ -6,6 +6,7 @@
 import logging
 import os
 import re
+from collections.abc import Sequence
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, no_type_check
@@ -52,8 +53,7 @@ def read_ply(path: Path) -> Gaussians:
     Properties may have any order and type, in either byte order or as text; unknown properties and elements are
     skipped. Memory: the arrays and one block of 256 KB.
 
-    Raises:
-        SceneFormatError: When the file is damaged or is not a file of Gaussians.
+    Raises `SceneFormatError` if the file is damaged or is not a file of Gaussians.
     """
     with open_file(path) as file:
         elements = read_ply_header(path, file)
@@ -244,8 +244,7 @@ def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
 
     For a text (ascii) PLY, `file` is positioned at the first row afterwards.
 
-    Raises:
-        SceneFormatError: When the file is no PLY, has a damaged header, or is shorter than its header declares.
+    Raises `SceneFormatError` if the file is no PLY, has a damaged header, or is shorter than its header declares.
     """
     lines, size = _header_lines(path, file)
     kind = _format(path, lines)
@@ -377,6 +376,7 @@ def _spread(rows, columns, means, scales, quaternions, opacities, sh):
 
 _CHUNK = 256  # gaussians per chunk, with common bounds
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_LOG_SCALES = ("scale_x", "scale_y", "scale_z")
 _MEANS_BITS = (11, 10, 11)
 _COLOR_BITS = (8, 8, 8, 8)
 _ROTATION_BITS = (2, 10, 10, 10)
@@ -394,8 +394,7 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
     Layout as written by SuperSplat and splat-transform (PlayCanvas, MIT): element `chunk` with bounds of means, log
     scales and, in newer files, colors; `vertex` with four 32-bit words; optional `sh` with a byte per coefficient.
 
-    Raises:
-        SceneFormatError: When a property is missing, counts contradict one another or bounds are not finite.
+    Raises `SceneFormatError` if a property is missing, counts contradict one another or bounds are not finite.
     """
     check_room(path, elements["vertex"].rows, COEFFICIENTS_OF_DEGREE[-1] if "sh" in elements else 1)
     rows = _read(path, file, elements["vertex"], _PACKED)
@@ -405,14 +404,14 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
     if chunk.rows != -(-n // _CHUNK):
         raise SceneFormatError(path, f"{n} Gaussians need {-(-n // _CHUNK)} chunks, the header lists {chunk.rows}")
     with np.errstate(over="ignore", invalid="ignore"):  # overflow gives infinity, which the final check reports
-        bounds = _Bounds(path, file, chunk)
-        means = bounds.between(_fractions(packed["packed_position"], _MEANS_BITS), "x", "y", "z")
-        logs = bounds.between(_fractions(packed["packed_scale"], _MEANS_BITS), "scale_x", "scale_y", "scale_z")
+        has_colors = "min_r" in _names(chunk.dtype)
+        values = [*_MEANS, *_LOG_SCALES, *("rgb" if has_colors else "")]
+        bounds = _read(path, file, chunk, tuple(f"{end}_{value}" for value in values for end in ("min", "max")))
+        means = _between(bounds, _fractions(packed["packed_position"], _MEANS_BITS), _MEANS)
+        logs = _between(bounds, _fractions(packed["packed_scale"], _MEANS_BITS), _LOG_SCALES)
         colors = _fractions(packed["packed_color"], _COLOR_BITS)
         opacities = np.ascontiguousarray(colors[:, 3])
-        base = colors[:, :3]
-        if bounds.has_colors:
-            base = bounds.between(base, "r", "g", "b")
+        base = _between(bounds, colors[:, :3], "rgb") if has_colors else colors[:, :3]
         sh = _read_sh(path, file, elements.get("sh"), n)
         sh[:, 0] = (base - np.float32(0.5)) / np.float32(SH_C0)
         check_finite(path, {"logarithm of a scale": logs})
@@ -420,22 +419,15 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
     return checked_gaussians(path, means, logs, _quaternions(packed["packed_rotation"]), opacities, sh)
 
 
-class _Bounds:
-    """Rows of element `chunk`: the value ranges of up to 256 Gaussians each."""
-
-    def __init__(self, path: Path, file: BufferedReader, chunk: PlyElement) -> None:
-        self.has_colors = chunk.dtype is not None and "min_r" in _names(chunk.dtype)
-        values = ["x", "y", "z", "scale_x", "scale_y", "scale_z", *("rgb" if self.has_colors else "")]
-        self._rows = _read(path, file, chunk, tuple(f"{end}_{value}" for value in values for end in ("min", "max")))
-
-    def between(self, fractions: Float32[np.ndarray, "n 3"], *values: str) -> Float32[np.ndarray, "n 3"]:
-        """Interpolate between the bounds of each Gaussian's chunk."""
-        low, high = (
-            np.stack([self._rows[f"{end}_{value}"].astype(np.float32) for value in values], axis=-1)
-            for end in ("min", "max")
-        )
-        chunk = np.arange(len(fractions)) // _CHUNK
-        return low[chunk] * (1 - fractions) + high[chunk] * fractions
+def _between(
+    bounds: "np.ndarray[Any, np.dtype[Any]]", fractions: Float32[np.ndarray, "n 3"], values: Sequence[str]
+) -> Float32[np.ndarray, "n 3"]:
+    """Interpolate between the bounds of each Gaussian's chunk."""
+    low, high = (
+        np.stack([bounds[f"{end}_{value}"].astype(np.float32) for value in values], axis=-1) for end in ("min", "max")
+    )
+    chunk = np.arange(len(fractions)) // _CHUNK
+    return low[chunk] * (1 - fractions) + high[chunk] * fractions
 
 
 def _read(

@@ -61,9 +61,8 @@ def unknown_format(path: Path) -> str:
 def read_gaussians(path: Path) -> Gaussians:
     """Read a single file of any known format.
 
-    Raises:
-        SceneFormatError: When the name or the contents belong to no known format, or the file is damaged.
-        OSError: When the file is missing or can't be read.
+    Raises `SceneFormatError` if the name or the contents belong to no known format, or the file is damaged, and
+    `OSError` if the file is missing or can't be read.
     """
     row = format_of(path)
     if row is None:
@@ -82,10 +81,8 @@ def read_gaussians(path: Path) -> Gaussians:
 def write_gaussians(gaussians: Gaussians, path: Path) -> None:
     """Write a single file atomically, in the format of its suffix.
 
-    Raises:
-        SceneFormatError: When the suffix belongs to no writable format, or the format can't hold the values, as
-            none can if they are not finite.
-        OSError: When the file can't be written.
+    Raises `SceneFormatError` if the suffix belongs to no writable format, or the format can't hold the values, as none
+    can if they are not finite, and `OSError` if the file can't be written.
     """
     write = check_written_format(path)
     if path.is_dir():

@@ -28,9 +28,8 @@ def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
     A single file becomes one background layer named after it, with a unit of 1 m and -y upwards: the axes of COLMAP and
     3DGS captures, and an assumed unit, as the file holds none.
 
-    Raises:
-        SceneFormatError: When it does not exist or can't be read, is no scene, is damaged, or is from a newer program;
-            the message is one sentence.
+    Raises `SceneFormatError` if it does not exist or can't be read, is no scene, is damaged, or is from a newer
+    program; the message is one sentence.
     """
     path = Path(path)
     try:
@@ -62,9 +61,8 @@ def write_scene(
     again; `in_drawing_order` records there that the Gaussians are in LOD order and need no sorting when opened. Either
     is written atomically; the old one stays until then.
 
-    Raises:
-        SceneFormatError: When the format can't be written or another kind of file is in the way.
-        OSError: When the file system refuses.
+    Raises `SceneFormatError` if the format can't be written or another kind of file is in the way, and `OSError` if the
+    file system refuses.
     """
     path = Path(path)
     path.absolute().parent.mkdir(parents=True, exist_ok=True)

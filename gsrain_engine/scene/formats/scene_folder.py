@@ -4,6 +4,10 @@ import hashlib
 import os
 import re
 import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,13 +18,14 @@ from jaxtyping import Float32
 from ...safe_io.errors import readable_validation_error
 from ...safe_io.limits import open_file, read_file
 from ...safe_io.numpy_files import read_array_header
+from ...safe_io.text_files import check_finite as check_finite_values
 from ..files import SceneFormatError, hold_for_writing, lock_path, naming_path, sync, whole_file, whole_folder
 from ..gaussians import Gaussians
 from ..scene import Actor, Layer, Scene
 from ._common import check_finite
 from .ply import write_ply
 from .registry import check_writable, read_gaussians
-from .scene_json import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
+from .scene_json import SCENE_VERSION, SceneRecord, record_of, scene_of
 
 SCENE_FILE = "scene.json"
 _LARGEST_SCENE_FILE = 1 << 26
@@ -44,7 +49,7 @@ Contents = Gaussians | Float32[np.ndarray, "_ _ 3"]
 """Content of one file: Gaussians, or harmonics alone. Both are immutable."""
 
 
-class _CachedFolder(NamedTuple):
+class _CachedFile(NamedTuple):
     contents: Contents
     path: Path
     state: tuple[int, int, int]
@@ -58,33 +63,41 @@ class FileCache:
     """
 
     def __init__(self) -> None:
-        self._folders: dict[Path, list[_CachedFolder]] = {}
+        self._folders: dict[Path, list[_CachedFile]] = {}
 
     def remember(self, folder: Path, kept: list[tuple[Contents, Path]]) -> None:
         """Record which files of a folder hold which values, replacing earlier records of this folder."""
-        self._folders[folder.resolve()] = [_CachedFolder(contents, path, _state(path)) for contents, path in kept]
+        self._folders[folder.resolve()] = [_CachedFile(contents, path, _state(path)) for contents, path in kept]
 
     def forget(self, folder: Path) -> None:
         self._folders.pop(folder.resolve(), None)
 
     def file_in(self, folder: Path, contents: Contents, taken: set[Path]) -> Path | None:
         """File of this folder with exactly these values, except taken ones; None if there is none."""
-        files = self._files(self._folders.get(folder.resolve(), []), contents)
+        files = _with_contents(self._folders.get(folder.resolve(), []), contents)
         return next((path for path in files if path not in taken), None)
 
     def file_anywhere(self, contents: Contents) -> Path | None:
         """File of any folder with exactly these values; None if there is none."""
-        return next((path for kept in self._folders.values() for path in self._files(kept, contents)), None)
+        return next(_with_contents(chain.from_iterable(self._folders.values()), contents), None)
 
-    def _files(self, kept: list[_CachedFolder], contents: Contents) -> list[Path]:
-        return [each.path for each in kept if each.contents is contents and _is_as_it_was(each)]
+
+def _with_contents(files: Iterable[_CachedFile], contents: Contents) -> Iterator[Path]:
+    for each in files:
+        with suppress(OSError):
+            if each.contents is contents and _state(each.path) == each.state:
+                yield each.path
+
+
+def _state(path: Path) -> tuple[int, int, int]:
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
     """Read a scene folder of this version or an older one; records in `known` which Gaussians its files hold.
 
-    Raises:
-        SceneFormatError: When a file is missing, damaged, newer than this program or outside the folder.
+    Raises `SceneFormatError` if a file is missing, damaged, newer than this program or outside the folder.
     """
     record = _read_record(folder)
     try:
@@ -110,8 +123,7 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
 def scene_folder_files(folder: Path) -> list[Path]:
     """Files of a scene folder: `scene.json`, then those of its layers and actors.
 
-    Raises:
-        SceneFormatError: When one is missing, or `scene.json` is no scene description.
+    Raises `SceneFormatError` if one is missing, or `scene.json` is no scene description.
     """
     return [folder / SCENE_FILE, *_places(folder, _read_record(folder)).values()]
 
@@ -119,8 +131,7 @@ def scene_folder_files(folder: Path) -> list[Path]:
 def is_in_drawing_order(folder: Path) -> bool:
     """Return whether the Gaussians of a scene folder are in LOD order.
 
-    Raises:
-        SceneFormatError: When its `scene.json` is no scene description.
+    Raises `SceneFormatError` if its `scene.json` is no scene description.
     """
     return msgspec.json.decode(_checked_version(folder), type=_FolderOrder).in_drawing_order
 
@@ -174,13 +185,11 @@ def _check_writable(scene: Scene, folder: Path, known: FileCache) -> None:
         if member.wet_sh is not None and known.file_anywhere(member.wet_sh) is None:
             check_finite(folder, {f"wet color of {_kind(member)[:-1]} {member.name!r}": member.wet_sh})
     record = record_of(scene, [""] * len(gaussians))
-    path = folder / SCENE_FILE
-    for place in places_not_finite(msgspec.to_builtins(record)):
-        raise SceneFormatError(path, f"can't be written: expected a finite number - at `{place}`")
     try:
+        check_finite_values(msgspec.to_builtins(record))  # JSON has neither NaN nor infinity: msgspec would write null
         scene_of(msgspec.json.decode(msgspec.json.encode(record), type=SceneRecord), gaussians)
     except (ValueError, RecursionError) as error:  # includes msgspec's errors and text that is not Unicode
-        raise SceneFormatError(path, f"can't be written: {error}") from None
+        raise SceneFormatError(folder / SCENE_FILE, f"can't be written: {error}") from None
 
 
 def _is_new(folder: Path) -> bool:
@@ -206,12 +215,12 @@ def _leftovers(folder: Path) -> set[Path]:
     return {file for place in places if place.is_dir() for file in place.iterdir() if _OURS.fullmatch(file.name)}
 
 
+@dataclass(frozen=True)
 class _Writer:
-    def __init__(self, scene: Scene, known: FileCache, linking: bool, in_drawing_order: bool) -> None:
-        self.scene = scene
-        self.known = known
-        self._linking = linking
-        self._in_drawing_order = in_drawing_order
+    scene: Scene
+    known: FileCache
+    linking: bool
+    in_drawing_order: bool
 
     def write(self, folder: Path, kept: set[Path]) -> list[tuple[Contents, Path]]:
         """Write files and `scene.json`; on failure remove the written files, except those in `kept`.
@@ -237,7 +246,7 @@ class _Writer:
             ]
             for kind in {file.parent for file in written}:
                 sync(kind)
-            record = record_of(self.scene, names, wet_names, in_drawing_order=self._in_drawing_order)
+            record = record_of(self.scene, names, wet_names, in_drawing_order=self.in_drawing_order)
             with whole_file(folder / SCENE_FILE) as beside:
                 beside.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1))
         except BaseException:
@@ -254,7 +263,10 @@ class _Writer:
         try:
             digest = self._linked(contents, beside)
             if digest is None:
-                _write_contents(contents, beside)
+                if isinstance(contents, Gaussians):
+                    write_ply(contents, beside)
+                else:
+                    write_harmonics(contents, beside)
                 sync(beside)
                 with beside.open("rb") as file:
                     digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=6)).hexdigest()
@@ -269,7 +281,7 @@ class _Writer:
         If the file system can't link, the file is copied: written anew, numbers could differ in their last bits. None
         if there is no such file.
         """
-        source = self.known.file_anywhere(contents) if self._linking else None
+        source = self.known.file_anywhere(contents) if self.linking else None
         ours = None if source is None else _OURS.fullmatch(source.name)
         if source is None or ours is None:
             return None
@@ -280,13 +292,6 @@ class _Writer:
             shutil.copyfile(source, target)
             sync(target)
         return ours[1]
-
-
-def _write_contents(contents: Contents, path: Path) -> None:
-    if isinstance(contents, Gaussians):
-        write_ply(contents, path)
-    else:
-        write_harmonics(contents, path)
 
 
 def _kind(member: Layer | Actor) -> str:
@@ -355,18 +360,6 @@ def _is_own(folder: Path, file: Path) -> bool:
     return file.parent.resolve().is_relative_to(folder)
 
 
-def _is_as_it_was(kept: _CachedFolder) -> bool:
-    try:
-        return _state(kept.path) == kept.state
-    except OSError:
-        return False
-
-
-def _state(path: Path) -> tuple[int, int, int]:
-    status = path.stat()
-    return status.st_mtime_ns, status.st_size, status.st_ino
-
-
 # Wet color files
 # Spherical harmonics as a NumPy array file (.npy, version 1.0).
 
@@ -376,8 +369,7 @@ SUFFIX = ".wet.npy"
 def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n k 3"]:
     """Read harmonics of a given shape (n, k, 3), that of the clear colors.
 
-    Raises:
-        SceneFormatError: When the file is damaged, or has other content or another shape.
+    Raises `SceneFormatError` if the file is damaged, or has other content or another shape.
     """
     with open_file(path) as file:
         try:

@@ -2,9 +2,8 @@
 
 import base64
 import binascii
-import math
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -186,8 +185,7 @@ def record_of(
 def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetColors] | None = None) -> Scene:
     """Scene of a record and the contents of its files, in the order of `record.files`: Gaussians, and any wet colors.
 
-    Raises:
-        ValueError: When numbers contradict one another; the message names the field.
+    Raises `ValueError` if numbers contradict one another; the message names the field.
     """
     given, wet_given = iter(gaussians), iter(wet or [None] * len(gaussians))
     if not np.isfinite(record.up).all() or not 1e-9 < np.linalg.norm(record.up) < 1e9:
@@ -211,18 +209,6 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         view=record.view,
         selections=selections_of(record.selections, counts),
     )
-
-
-def places_not_finite(value: object, place: str = "$") -> Iterator[str]:
-    """Positions of NaN or infinity in plain values: JSON has neither, and msgspec would write null."""
-    if isinstance(value, float) and not math.isfinite(value):
-        yield place
-    elif isinstance(value, dict):
-        for name, each in value.items():
-            yield from places_not_finite(each, f"{place}.{name}")
-    elif isinstance(value, list | tuple):
-        for i, each in enumerate(value):
-            yield from places_not_finite(each, f"{place}[{i}]")
 
 
 def _layer_record(layer: Layer, file: str, wet_file: str | None) -> LayerRecord:
@@ -255,6 +241,8 @@ def _actor(record: ActorRecord, gaussians: Gaussians, wet_sh: WetColors, where: 
 
 _NODE = ("visible", "locked", "opacity", "grading")
 _CAMERA = ("name", "width", "height", "fx", "fy", "cx", "cy", "exposure_s")
+_FLAGS = ("selected", "hidden", "deleted")
+_PATH = ("exposure_s", "interpolation", "easing", "loop", "is_timed")
 _SCENE = ("name", "metres_per_unit", "unit_is_assumed", "up", "ground_m")
 
 
@@ -295,22 +283,21 @@ def _camera(record: CameraRecord, rig: str) -> RigCamera:
 
 def flags_record(marks: SelectionFlags) -> FlagsRecord:
     """Plain values of flags; omits masks without any Gaussian."""
-    masks = {"selected": marks.selected, "hidden": marks.hidden, "deleted": marks.deleted}
+    masks = _fields(marks, _FLAGS)
     return FlagsRecord(**{name: mask_to_text(mask) for name, mask in masks.items() if mask})
 
 
 def flags_of(record: FlagsRecord, count: int, where: str) -> SelectionFlags:
     """Flags of a member of `count` Gaussians.
 
-    Raises:
-        ValueError: When a text is no mask of `count` bits; `where` is its field in the file.
+    Raises `ValueError` if a text is no mask of `count` bits; `where` is its field in the file.
     """
     if record == FlagsRecord():
         return UNMARKED
     masks = {
         name: mask_from_text(text, count, f"{where}.{name}`")
-        for name in ("selected", "hidden", "deleted")
-        if (text := getattr(record, name)) is not None
+        for name, text in _fields(record, _FLAGS).items()
+        if text is not None
     }
     return SelectionFlags(**masks)
 
@@ -323,8 +310,7 @@ def mask_to_text(mask: BitMask) -> str:
 def mask_from_text(text: str, count: int, where: str) -> BitMask:
     """Decode a mask of `count` Gaussians.
 
-    Raises:
-        ValueError: When the text is damaged or a mask of another count; `where` is its field in the file.
+    Raises `ValueError` if the text is damaged or a mask of another count; `where` is its field in the file.
     """
     expected = 4 * -(-count // 32)
     stream = zlib.decompressobj()
@@ -357,8 +343,7 @@ def selections_record(
 def selections_of(record: Mapping[str, Mapping[str, str]], counts: Mapping[str, int]) -> dict[str, dict[str, BitMask]]:
     """Selection sets of members with these `counts` of Gaussians, by their keys.
 
-    Raises:
-        ValueError: When a set names a missing member, or a mask does not fit.
+    Raises `ValueError` if a set names a missing member, or a mask does not fit.
     """
     sets: dict[str, dict[str, BitMask]] = {}
     for name, masks in record.items():
@@ -377,19 +362,14 @@ def path_record(path: CameraPath) -> PathRecord:
             KeyframeRecord(time_s=t, position=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz), vertical_fov_deg=fov)
             for t, (x, y, z), (qw, qx, qy, qz), fov in zip(*(each.tolist() for each in columns), strict=True)
         ],
-        exposure_s=path.exposure_s,
-        interpolation=path.interpolation,
-        easing=path.easing,
-        loop=path.loop,
-        is_timed=path.is_timed,
+        **_fields(path, _PATH),
     )
 
 
 def path_of(record: PathRecord, where: str) -> CameraPath:
     """Path of plain values.
 
-    Raises:
-        ValueError: When its times do not increase or a rotation is invalid; `where` is its field in the file.
+    Raises `ValueError` if its times do not increase or a rotation is invalid; `where` is its field in the file.
     """
     keys = record.keyframes
     times = np.array([key.time_s for key in keys], np.float64)
@@ -400,11 +380,7 @@ def path_of(record: PathRecord, where: str) -> CameraPath:
         np.array([key.position for key in keys], np.float64).reshape(-1, 3),
         unit_quaternions([key.quaternion_wxyz for key in keys], where),
         np.array([key.vertical_fov_deg for key in keys], np.float64),
-        record.exposure_s,
-        record.interpolation,
-        record.easing,
-        record.loop,
-        record.is_timed,
+        **_fields(record, _PATH),
     )
 
 
@@ -420,8 +396,7 @@ def track_record(track: PoseTrack) -> TrackRecord:
 def track_of(record: TrackRecord, where: str) -> PoseTrack:
     """Track of plain values.
 
-    Raises:
-        ValueError: When they contradict one another; `where` is their field in the file.
+    Raises `ValueError` if they contradict one another; `where` is their field in the file.
     """
     n = len(record.times)
     if not n == len(record.positions) == len(record.quaternions_wxyz) == len(record.valid):
@@ -438,8 +413,7 @@ def track_of(record: TrackRecord, where: str) -> PoseTrack:
 def unit_quaternions(values: list[Quaternion], where: str) -> Float64[np.ndarray, "n 4"]:
     """Normalize quaternions of any length but zero; those that are unit already stay bit-identical.
 
-    Raises:
-        ValueError: When one is 0 or not finite.
+    Raises `ValueError` if one is 0 or not finite.
     """
     quaternions = np.array(values, np.float64).reshape(len(values), 4)
     lengths = np.linalg.norm(quaternions, axis=1)

@@ -9,12 +9,13 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, UInt8
 from msgspec import Meta
 from PIL import Image
 
@@ -51,7 +52,8 @@ def read_sog(path: Path) -> Gaussians:
     """
     if path.is_dir() or path.name.lower() == _META:
         folder = path if path.is_dir() else path.parent
-        return _decode(path, lambda name, most: _folder_member(path, folder / name, most), _folder_bytes(folder))
+        file_bytes = sum(file.stat().st_size for file in folder.glob("*.webp"))
+        return _decode(path, lambda name, most: _folder_member(path, folder / name, most), file_bytes)
     data = read_file(path)
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
@@ -60,10 +62,6 @@ def read_sog(path: Path) -> Gaussians:
         raise SceneFormatError(path, told) from None
     with archive:
         return _decode(path, lambda name, most: _zip_member(path, archive, name, most), len(data))
-
-
-def _folder_bytes(folder: Path) -> int:
-    return sum(file.stat().st_size for file in folder.glob("*.webp"))
 
 
 def _folder_member(path: Path, file: Path, most: int) -> bytes:
@@ -94,29 +92,25 @@ def _zip_member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> b
 def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
     meta = read_meta(path, read(_META, _META_BYTES))
     check_expansion(path, meta.count, 1, file_bytes)
-    low = _pixels(path, read, meta.means_files[0], meta.count)
-    high = _pixels(path, read, meta.means_files[1], meta.count)
-    base = _pixels(path, read, meta.base_file, meta.count)
+
+    def pixels(name: str) -> UInt8[np.ndarray, "count 4"]:
+        return _pixels(path, read, name, meta.count)
+
+    low, high, base = map(pixels, (*meta.files.means.files, *meta.files.sh0.files))
     with np.errstate(over="ignore", invalid="ignore"):  # the final check reports infinite values
-        means = _decode_means(meta, low, high)
-        scales = np.exp(_looked_up(meta.log_scales, _pixels(path, read, meta.scales_file, meta.count)))
+        means = _decode_means(meta.files.means, low, high)
+        scales = np.exp(_looked_up(meta.log_scales, pixels(meta.files.scales.files[0])))
     sh = np.empty((meta.count, 1, 3), np.float32)
-    if meta.rest is not None:
-        sh = _decode_rest(path, read, meta.rest, meta.count, file_bytes)
+    if meta.files.shN is not None:
+        sh = _decode_rest(path, read, meta, meta.files.shN.files, file_bytes)
     sh[:, 0] = _looked_up(meta.base, base)
-    return checked_gaussians(
-        path,
-        means,
-        scales,
-        _decode_quaternions(path, _pixels(path, read, meta.quaternions_file, meta.count)),
-        meta.opacities[base[:, 3]],
-        sh,
-    )
+    quaternions = _decode_quaternions(path, pixels(meta.files.quats.files[0]))
+    return checked_gaussians(path, means, scales, quaternions, meta.opacities[base[:, 3]], sh)
 
 
 def _pixels(path: Path, read: ReadMember, name: str, count: int) -> UInt8[np.ndarray, "count 4"]:
     most = count + _SPARE_PIXELS
-    data = read(name, 8 * most)
+    data = read(_file_name(path, name), 8 * most)
     width, height = lossless_webp_size(path, name, data)
     if not count <= width * height <= most:
         raise SceneFormatError(path, f"{name} has {width} x {height} pixels, not one for each of {count} Gaussians")
@@ -131,44 +125,12 @@ def _looked_up(codebooks: Float32[np.ndarray, "3 256"], pixels: UInt8[np.ndarray
 # Version 1 is converted to the form of version 2.
 
 
-class RestHarmonics(msgspec.Struct, frozen=True, kw_only=True):
-    """Files of the harmonics above degree 0: a palette, and a label per Gaussian."""
-
-    centroids: str
-    labels: str
-    bands: int | None
-    """SH degree; in version 1 the width of the palette's image determines it."""
-    palette_count: int | None
-    codebook: Float32[np.ndarray, "256"]
-
-
-class SogMeta(msgspec.Struct, frozen=True, kw_only=True):
-    """Content of `meta.json`: codebooks of 256 numbers for the bytes of the images.
-
-    Missing entries of a short codebook are NaN, so that bytes that refer to them are detected.
-    """
-
-    count: int
-    means_files: tuple[str, str]
-    """Low bytes, high bytes."""
-    mins: Float64[np.ndarray, "3"]
-    maxs: Float64[np.ndarray, "3"]
-    """Range of the means after sign(x) ln(1 + |x|)."""
-    quaternions_file: str
-    scales_file: str
-    log_scales: Float32[np.ndarray, "3 256"]
-    base_file: str
-    base: Float32[np.ndarray, "3 256"]
-    """Harmonic of degree 0."""
-    opacities: Float32[np.ndarray, "256"]
-    rest: RestHarmonics | None
-
-
 def _decode_means(
-    meta: SogMeta, low: UInt8[np.ndarray, "n 4"], high: UInt8[np.ndarray, "n 4"]
+    means: "_Means", low: UInt8[np.ndarray, "n 4"], high: UInt8[np.ndarray, "n 4"]
 ) -> Float32[np.ndarray, "n 3"]:
     steps = low[:, :3] + high[:, :3] * 256.0
-    logarithms = meta.mins + (meta.maxs - meta.mins) * (steps / 65535)
+    mins, maxs = np.array(means.mins), np.array(means.maxs)
+    logarithms = mins + (maxs - mins) * (steps / 65535)
     return (np.sign(logarithms) * np.expm1(np.abs(logarithms))).astype(np.float32)
 
 
@@ -182,29 +144,30 @@ def _decode_quaternions(path: Path, pixels: UInt8[np.ndarray, "n 4"]) -> Float32
 
 
 def _decode_rest(
-    path: Path, read: ReadMember, rest: RestHarmonics, count: int, file_bytes: int
+    path: Path, read: ReadMember, meta: "SogMeta", files: list[str], file_bytes: int
 ) -> Float32[np.ndarray, "n k 3"]:
     """Harmonics with room for degree 0: row `label` of the palette, whose images have 64 entries per row."""
-    data = read(rest.centroids, 2**24)
-    width, height = lossless_webp_size(path, rest.centroids, data)
+    centroids = _file_name(path, files[0])
+    data = read(centroids, 2**24)
+    width, height = lossless_webp_size(path, centroids, data)
     widths = {_PALETTE_COLUMNS * (k - 1): degree for degree, k in enumerate(COEFFICIENTS_OF_DEGREE) if degree}
     degree = widths.get(width)
-    if degree is None or (rest.bands is not None and degree != rest.bands):
-        right = [w for w, d in widths.items() if rest.bands in (None, d)]
-        raise SceneFormatError(path, f"{rest.centroids} is {width} pixels wide, {right} would be right")
+    if degree is None or (meta.bands is not None and degree != meta.bands):
+        right = [w for w, d in widths.items() if meta.bands in (None, d)]
+        raise SceneFormatError(path, f"{centroids} is {width} pixels wide, {right} would be right")
     entries = _PALETTE_COLUMNS * height
-    if not (rest.palette_count or 1) <= entries <= 2**16:
-        raise SceneFormatError(path, f"{rest.centroids} has room for {entries} entries, not {rest.palette_count}")
+    if not (meta.palette_count or 1) <= entries <= 2**16:
+        raise SceneFormatError(path, f"{centroids} has room for {entries} entries, not {meta.palette_count}")
     coefficients = COEFFICIENTS_OF_DEGREE[degree] - 1
-    check_expansion(path, count, coefficients + 1, file_bytes)
+    check_expansion(path, meta.count, coefficients + 1, file_bytes)
     palette = np.zeros((entries, coefficients + 1, 3), np.float32)
-    colors = read_lossless_webp(path, rest.centroids, data)[:, :3].reshape(entries, coefficients, 3)
-    palette[:, 1:] = rest.codebook[colors]
-    pixels = _pixels(path, read, rest.labels, count)
+    colors = read_lossless_webp(path, centroids, data)[:, :3].reshape(entries, coefficients, 3)
+    palette[:, 1:] = meta.rest[colors]
+    pixels = _pixels(path, read, files[1], meta.count)
     labels = pixels[:, 0] + pixels[:, 1].astype(np.int64) * 256
-    last = (rest.palette_count or entries) - 1
-    if count and labels.max() > last:
-        raise SceneFormatError(path, f"{rest.labels} asks for palette entry {labels.max()}, the last one is {last}")
+    last = (meta.palette_count or entries) - 1
+    if meta.count and labels.max() > last:
+        raise SceneFormatError(path, f"{files[1]} asks for palette entry {labels.max()}, the last one is {last}")
     return palette[labels]
 
 
@@ -213,6 +176,7 @@ _Codebook = Annotated[list[float | None], Meta(min_length=2, max_length=256)]
 _OneFile = Annotated[list[str], Meta(min_length=1, max_length=1)]
 _TwoFiles = Annotated[list[str], Meta(min_length=2, max_length=2)]
 _PALETTE = 65536  # labels have 16 bits
+_NO_HARMONICS = np.zeros(256, np.float32)
 
 
 # Unknown fields are ignored, unlike in GSRAIN's own files: writers add their own (`asset`, `antialias`).
@@ -272,6 +236,26 @@ class _SogVersion(msgspec.Struct, frozen=True):
     version: int = 1
 
 
+@dataclass(frozen=True, slots=True)
+class SogMeta:
+    """Content of `meta.json`: names of the images, and codebooks of 256 numbers for their bytes.
+
+    Missing entries of a short codebook are NaN, so that bytes that refer to them are detected.
+    """
+
+    files: _SogVersion1 | _SogVersion2
+    count: int
+    log_scales: Float32[np.ndarray, "3 256"]
+    base: Float32[np.ndarray, "3 256"]
+    """Harmonic of degree 0."""
+    opacities: Float32[np.ndarray, "256"]
+    rest: Float32[np.ndarray, "256"]
+    """Harmonics above degree 0; unused without any."""
+    bands: int | None = None
+    """SH degree; in version 1 the width of the palette's image determines it."""
+    palette_count: int | None = None
+
+
 def read_meta(path: Path, text: bytes) -> SogMeta:
     """Read the description of a SOG scene, version 2 or 1 (2024, without a `version`).
 
@@ -289,23 +273,16 @@ def read_meta(path: Path, text: bytes) -> SogMeta:
 
 
 def _from_version_2(path: Path, meta: _SogVersion2) -> SogMeta:
-    rest = None
-    if meta.shN is not None:
-        centroids, labels = (_file(path, name) for name in meta.shN.files)
-        rest = RestHarmonics(
-            centroids=centroids,
-            labels=labels,
-            bands=meta.shN.bands,
-            palette_count=meta.shN.count,
-            codebook=_codebook(path, "shN", meta.shN.codebook),
-        )
+    rest = meta.shN
     return SogMeta(
-        **_files(path, meta),
+        files=meta,
         count=meta.count,
         log_scales=np.tile(_codebook(path, "scales", meta.scales.codebook), (3, 1)),
         base=np.tile(_codebook(path, "sh0", meta.sh0.codebook), (3, 1)),
         opacities=np.arange(256, dtype=np.float32) / 255,
-        rest=rest,
+        rest=_NO_HARMONICS if rest is None else _codebook(path, "shN", rest.codebook),
+        bands=None if rest is None else rest.bands,
+        palette_count=None if rest is None else rest.count,
     )
 
 
@@ -315,32 +292,14 @@ def _from_version_1(path: Path, meta: _SogVersion1) -> SogMeta:
     if len(meta.sh0.mins) != 4 or len(meta.sh0.maxs) != 4:
         raise SceneFormatError(path, "meta.json: mins and maxs of sh0 must hold 4 numbers: red, green, blue, opacity")
     base = _ramps(meta.sh0.mins, meta.sh0.maxs)
-    rest = None
-    if meta.shN is not None:
-        centroids, labels = (_file(path, name) for name in meta.shN.files)
-        codebook = _ramps([meta.shN.mins], [meta.shN.maxs])[0]
-        rest = RestHarmonics(centroids=centroids, labels=labels, bands=None, palette_count=None, codebook=codebook)
     return SogMeta(
-        **_files(path, meta),
+        files=meta,
         count=meta.means.shape[0],
         log_scales=_ramps(meta.scales.mins[:3], meta.scales.maxs[:3]),
         base=base[:3],
         opacities=(1 / (1 + np.exp(-np.clip(base[3], -80, 80)))).astype(np.float32),
-        rest=rest,
+        rest=_NO_HARMONICS if meta.shN is None else _ramps([meta.shN.mins], [meta.shN.maxs])[0],
     )
-
-
-def _files(path: Path, meta: _SogVersion1 | _SogVersion2) -> dict[str, Any]:
-    """Fields that both versions have alike: the names of the images, and the range of the means."""
-    low, high = (_file(path, name) for name in meta.means.files)
-    return {
-        "means_files": (low, high),
-        "mins": np.array(meta.means.mins),
-        "maxs": np.array(meta.means.maxs),
-        "quaternions_file": _file(path, meta.quats.files[0]),
-        "scales_file": _file(path, meta.scales.files[0]),
-        "base_file": _file(path, meta.sh0.files[0]),
-    }
 
 
 def _codebook(path: Path, name: str, values: list[float | None]) -> Float32[np.ndarray, "256"]:
@@ -364,7 +323,7 @@ def _ramps(mins: list[float], maxs: list[float]) -> Float32[np.ndarray, "channel
         return (low + (high - low) * (np.arange(256) / 255)).astype(np.float32)
 
 
-def _file(path: Path, name: str) -> str:
+def _file_name(path: Path, name: str) -> str:
     """Accept only a bare file name: a scene must not refer to files outside its folder."""
     if not name or name in (".", "..") or "\0" in name or len(name) > 255:
         raise SceneFormatError(path, f"meta.json: {name[:40]!r} is not the name of a file")

@@ -6,12 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
 from ...safe_io.limits import read_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from ._common import check_expansion, checked_gaussians, gunzip, gunzip_start, unzstd, with_largest, without_largest
+from ._common import (
+    check_expansion,
+    checked_gaussians,
+    gunzip,
+    gunzip_start,
+    rounded_bytes,
+    unzstd,
+    with_largest,
+    without_largest,
+)
 
 _MAGIC = b"NGSP"
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -103,9 +112,9 @@ def encode_spz(gaussians: Gaussians) -> bytes:
     header = _HEADER.pack(_MAGIC, 3, len(gaussians), gaussians.sh_degree, fractional_bits, 0, 0)
     body = (
         _encode_means(gaussians.means, fractional_bits),
-        _bytes_of(gaussians.opacities * 255),
-        _bytes_of((gaussians.sh[:, 0] * _COLOR_SCALE + 0.5) * 255),
-        _bytes_of((np.log(np.maximum(gaussians.scales, 1e-10)) + 10) * 16),
+        rounded_bytes(gaussians.opacities * 255).tobytes(),
+        rounded_bytes((gaussians.sh[:, 0] * _COLOR_SCALE + 0.5) * 255).tobytes(),
+        rounded_bytes((np.log(np.maximum(gaussians.scales, 1e-10)) + 10) * 16).tobytes(),
         _encode_quaternions(gaussians.quaternions),
         _encode_rest(gaussians.sh),
     )
@@ -244,13 +253,4 @@ def _encode_rest(sh: Float32[np.ndarray, "n k 3"]) -> bytes:
     n, k, _ = sh.shape
     rest = sh.reshape(n, 3 * k)[:, 3:] * np.repeat(_SH_FLIP[1:k] / _REST_STEP, 3)
     rest += _REST_ZERO
-    return _bytes_of(rest)
-
-
-def _bytes_of(values: Float32[np.ndarray, "*n"]) -> bytes:
-    return _rounded(values).tobytes()
-
-
-def _rounded(values: Float32[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
-    whole = np.rint(values)
-    return np.clip(whole, 0, 255, out=whole).astype(np.uint8)
+    return rounded_bytes(rest).tobytes()

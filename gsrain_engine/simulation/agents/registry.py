@@ -5,6 +5,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from traceback import walk_tb
 from types import ModuleType
 from typing import Annotated, Any, NamedTuple
 
@@ -92,8 +93,8 @@ def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: 
     for an unknown name, missing requirements, or a failing plugin.
     """
     options = options or AgentOptions()
-    if agent_file(name) is not None:
-        return agent_in_file(name, options, trusted_only=trusted_only)
+    if (path := agent_file(name)) is not None:
+        return _agent_in_file(path, name, options, trusted_only)
     if name in SHIPPED_AGENTS:
         return SHIPPED_AGENTS[name].open(options)
     if (extension := find_extension(AGENTS, name)) is not None:
@@ -147,26 +148,20 @@ def agent_file(name: str) -> Path | None:
     return Path(place) if place.endswith(_SUFFIX) else None
 
 
-def agent_code(name: str) -> Code | None:
-    """Read the file of an agent name with its local imports; None for a registered name. Raises ValueError."""
-    path = agent_file(name)
-    if path is None:
-        return None
+def agent_code(path: Path) -> Code:
+    """Read the file of an agent with its local imports. Raises ValueError if it is missing."""
     if not path.is_file():
-        raise ValueError(f"agent {name}: no such file")
+        raise ValueError(f"agent {path}: no such file")
     return read_code(path)
 
 
-def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Agent:
+def _agent_in_file(path: Path, name: str, options: AgentOptions, trusted_only: bool) -> Agent:
     """Run a Python file and create its agent.
 
     `FILE.py` has one class with the methods of an agent; `FILE.py:NAME` names a class, or a function that returns an
-    agent. `options` (`AgentOptions`) are passed if the class or function takes an argument. With `trusted_only`, for
-    names read from files, only trusted code runs. Raises ValueError with one sentence.
+    agent. The options are passed if the class or function takes an argument.
     """
-    path = agent_file(name)
-    assert path is not None
-    chosen = name[len(str(path)) + 1 :] if not name.endswith(_SUFFIX) else ""
+    chosen = "" if name.endswith(_SUFFIX) else name[len(str(path)) + 1 :]
     module = _module(path, name, trusted_only)
     maker = getattr(module, chosen, None) if chosen else _only_class(module, name)
     if not callable(maker):
@@ -183,8 +178,7 @@ def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Age
 
 
 def _module(path: Path, name: str, trusted_only: bool) -> ModuleType:
-    code = agent_code(name)
-    assert code is not None
+    code = agent_code(path)
     folder = str(path.absolute().parent)
     if trusted_only:
         check_trusted(f"agent {name}", [code])
@@ -198,13 +192,11 @@ def _module(path: Path, name: str, trusted_only: bool) -> ModuleType:
 
 def _where(error: BaseException, path: Path) -> str:
     """Return the last line of the agent's own file in a traceback, as "line 12: "."""
-    line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
-    trace = error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path.absolute()):
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return "" if line is None else f"line {line}: "
+    own = str(path.absolute())
+    lines = [line for frame, line in walk_tb(error.__traceback__) if frame.f_code.co_filename == own]
+    if isinstance(error, SyntaxError) and error.lineno and not lines:
+        lines = [error.lineno]
+    return f"line {lines[-1]}: " if lines else ""
 
 
 def _only_class(module: ModuleType, name: str) -> Any:

@@ -18,7 +18,7 @@ from .hugsim_pickle import old_pickle
 
 _log = logging.getLogger(__name__)
 FIRST_WAIT_S, LATER_WAIT_S = 120.0, 60.0
-"""protocol.Timeouts for the first plan, which includes model loading, and for later ones."""
+"""Timeouts for the first plan, which includes model loading, and for later ones."""
 
 _LEAVE_WAIT_S = 100.0  # wait for the client, which writes a video, after "Done"; same as in HUGSIM
 _SHORT_S = 2.0  # timeout of "Done" for a client that has failed

@@ -106,25 +106,6 @@ def text(value: Any) -> str:
     return value
 
 
-NUMPY_NAMES: dict[tuple[str, str], Callable[..., Any]] = {
-    ("numpy", "ndarray"): lambda shape=(), dtype="f8", raw=b"": PickledArray(shape, dtype, raw),
-    ("numpy", "dtype"): PickledType,
-    **{
-        (f"numpy.{core}.{module}", name): make
-        for core in ("core", "_core")
-        for module, name, make in (
-            ("multiarray", "_reconstruct", lambda *_: PickledArray()),
-            ("multiarray", "scalar", lambda dtype, raw=b"": PickledArray((), dtype, raw)),
-            (
-                "numeric",
-                "_frombuffer",
-                lambda raw, kind, shape, order="C": PickledArray(shape, kind, raw, order == "F"),
-            ),
-        )
-    },
-}
-"""Names that NumPy's pickles call, by module and name, for NumPy 1 and 2 and all protocols."""
-
 # PyTorch tensors
 # Read without PyTorch, for VAD's client. A pickle holds the storage in the legacy `torch.save` format: five pickles,
 # the number of values (64 bits), then the values.
@@ -180,13 +161,6 @@ def _storage_values(raw: Any) -> np.ndarray:
     return np.frombuffer(values, dtype)
 
 
-TORCH_NAMES: dict[tuple[str, str], Callable[..., Any]] = {
-    ("torch._utils", "_rebuild_tensor_v2"): PickledTensor,
-    ("torch.storage", "_load_from_bytes"): lambda raw: raw,
-    ("collections", "OrderedDict"): lambda *_: None,  # backward hooks
-}
-"""Names that tensor pickles call, by module and name."""
-
 # Unpickler for untrusted data
 # A pickle is a program; names that it calls resolve only to a short list of stand-ins, never to NumPy, PyTorch or
 # Python functions.
@@ -224,9 +198,11 @@ def read_plain_pickle(data: bytes) -> Any:
 
 class _PlainUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str, /) -> Any:
-        if (module, name) not in _STAND_INS:
-            raise pickle.UnpicklingError(f"it names {f'{module}.{name}'[:80]}, which is not let in")
-        return _STAND_INS[module, name]
+        called = f"{module}.{name}"
+        known = called.replace("numpy._core.", "numpy.core.")
+        if known not in _STAND_INS:
+            raise pickle.UnpicklingError(f"it names {called[:80]}, which is not let in")
+        return _STAND_INS[known]
 
 
 def _check_steps(data: bytes) -> None:
@@ -263,13 +239,24 @@ def _same_bytes(data: Any = b"", *_: Any) -> bytes:
     return bytes(data)
 
 
-_NAMES: dict[tuple[str, str], Callable[..., Any]] = {
-    ("_codecs", "encode"): lambda word, *_: text(word).encode("latin1"),  # bytes of Python 2's protocols
-    ("builtins", "bytearray"): _same_bytes,
-    ("builtins", "bytes"): _same_bytes,
-    **NUMPY_NAMES,
-    **TORCH_NAMES,
+def _read_buffer(raw: Any, dtype: Any, shape: Any, order: Any = "C") -> PickledArray:
+    return PickledArray(shape, dtype, raw, order == "F")
+
+
+_NAMES: dict[str, Callable[..., Any]] = {
+    "_codecs.encode": lambda word, *_: text(word).encode("latin1"),  # bytes of Python 2's protocols
+    "builtins.bytearray": _same_bytes,
+    "builtins.bytes": _same_bytes,
+    "numpy.ndarray": lambda shape=(), dtype="f8", raw=b"": PickledArray(shape, dtype, raw),
+    "numpy.dtype": PickledType,
+    "numpy.core.multiarray._reconstruct": lambda *_: PickledArray(),
+    "numpy.core.multiarray.scalar": lambda dtype, raw=b"": PickledArray((), dtype, raw),
+    "numpy.core.numeric._frombuffer": _read_buffer,
+    "torch._utils._rebuild_tensor_v2": PickledTensor,
+    "torch.storage._load_from_bytes": lambda raw: raw,
+    "collections.OrderedDict": lambda *_: None,  # backward hooks of tensors
 }
+"""Names that pickles of NumPy 1 and PyTorch call, in all protocols; NumPy 2 has `_core` for `core`."""
 
 _STAND_INS = {name: _Named(make) for name, make in _NAMES.items()}
 

@@ -23,6 +23,7 @@ from ...scene.street.build import street_rigs
 from ..agents.base import COMMANDS, CameraView, Observation, Rig, front_camera, lidar_to_rig
 from ..agents.http import ClientError, plan_points
 from ..scenario import Scenario
+from ..sensors import camera_of_width, rig_cameras
 from ..traffic.base import RoadUser
 from ..vehicle import HUGSIM_VEHICLE
 from .hugsim_pickle import read_plain_pickle
@@ -325,10 +326,7 @@ def with_hugsim_rig(scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
     front camera is above the vehicle's reference point, so that plans need no conversion. Raises ValueError if the
     scene has no rig with a front camera.
     """
-    name = scenario.rig
-    if name is not None and name not in scene.rigs:
-        raise ValueError(f"scene {scene.name!r} has no rig {name!r}, only {', '.join(scene.rigs) or 'none'}")
-    rigs = list(scene.rigs.values()) if name is None else [scene.rigs[name]]
+    rigs = list(scene.rigs.values()) if scenario.rig is None else [rig_cameras(scene, scenario.rig)]
     rig = hugsim_rig(max(rigs, key=lambda each: len(_by_name(each)), default=()))
     scenario = msgspec.structs.replace(scenario, vehicle=HUGSIM_VEHICLE, rig=RIG, picture_width_px=WIDTH_PX)
     return scenario, replace(scene, rigs={**scene.rigs, RIG: rig})
@@ -346,11 +344,9 @@ def hugsim_rig(cameras: tuple[RigCamera, ...]) -> tuple[RigCamera, ...]:
     back = -front_camera(tuple(known.values())).camera_to_ego[:3, 3] * (1, 1, 0)
     resized: list[RigCamera] = []
     for name, camera in known.items():
-        scale = WIDTH_PX / camera.width
-        size = {"width": WIDTH_PX, "height": HEIGHT_PX, "fx": camera.fx * scale, "fy": camera.fy * scale}
+        wide, scale = camera_of_width(_moved(camera, back), WIDTH_PX), WIDTH_PX / camera.width
         cut = (camera.height * scale - HEIGHT_PX) / 2
-        centered = replace(_moved(camera, back), name=name, cx=camera.cx * scale, cy=camera.cy * scale - cut, **size)
-        resized.append(centered)
+        resized.append(replace(wide, name=name, height=HEIGHT_PX, cy=wide.cy - cut))
     return tuple(resized)
 
 
@@ -362,7 +358,7 @@ def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera
     own = {each.name: each for each in cameras if each.name in CAMERA_NAMES}
     front = CAMERA_NAMES[0]
     if front not in own:
-        raise ValueError(f"HUGSIM's clients need a camera {front}: drive with the rig {RIG!r} of `in_hugsim_setting`")
+        raise ValueError(f"HUGSIM's clients need a camera {front}: drive with the rig {RIG!r} of `with_hugsim_rig`")
     for each in own.values():
         if (each.width, each.height) != (WIDTH_PX, HEIGHT_PX):
             raise ValueError(

@@ -15,8 +15,8 @@ from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ..geometry import Route
 from ..metrics.collisions import gaps_m, times_to_collision_s
-from ..rollout import Rollout, RolloutStep, UserModel, UserRecord, run_setting
-from ..vehicle import Vehicle, VehicleState
+from ..rollout import Rollout, RolloutStep, UserModel, UserRecord
+from ..vehicle import Vehicle
 
 _CHUNK_BYTES = 1 << 20
 
@@ -59,7 +59,7 @@ Message = dict[str, Any]
 class _McapWriter:
     def __init__(self, writer: Any, rollout: Rollout, route: Route | None) -> None:
         self._writer, self._rollout, self._route = writer, rollout, route
-        self._setting, self._schemas = run_setting(rollout), _schemas()
+        self._vehicle, self._schemas = rollout.vehicle, _schemas()
         self._schema_ids: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._here: set[str] = set()
@@ -89,11 +89,11 @@ class _McapWriter:
         self._add(step, "/tf", "foxglove.FrameTransform", stamp | transform)
         pose = {"frame_id": WORLD, "pose": {"position": place, "orientation": turn}}
         self._add(step, "/ego/pose", "foxglove.PoseInFrame", stamp | pose)
-        self._add(step, "/ego/box", "foxglove.SceneUpdate", _ego_box(step, self._setting.vehicle))
+        self._add(step, "/ego/box", "foxglove.SceneUpdate", _ego_box(step, self._vehicle))
         motion = {
             "speed_m_s": ego.speed_m_s, "acceleration_m_s2": ego.acceleration_m_s2, "steer_rad": ego.steer_rad,
             "yaw_rate_rad_s": ego.yaw_rate_rad_s, "ttc_s": ttc_s, "route_left_m": step.route_left_m,
-            "route_completion": step.route_completion, "intensity_mm_h": self._setting.intensity_mm_h,
+            "route_completion": step.route_completion, "intensity_mm_h": self._rollout.intensity_mm_h,
             **({"gap_m": gap_m} if np.isfinite(gap_m) else {}),
         }  # fmt: skip
         self._add(step, "/ego/motion", "gsrain.Motion", stamp | motion)
@@ -121,8 +121,8 @@ class _McapWriter:
 
     def _log_lines(self, step: RolloutStep) -> Iterator[tuple[int, str]]:
         if step is self._rollout.steps[0]:
-            rain, agent = self._setting.intensity_mm_h, self._rollout.agent
-            yield _INFORMATION, f"{self._setting.scenario}: {agent} drives in {rain:g} mm/h"
+            run = self._rollout
+            yield _INFORMATION, f"{run.scenario_name}: {run.agent} drives in {run.intensity_mm_h:g} mm/h"
         if step.collision is not None:
             yield _ERROR, f"collision with {step.collision} at {step.ego.speed_m_s:.2f} m/s"
         if step is self._rollout.steps[-1]:
@@ -176,9 +176,8 @@ def _plan(step: RolloutStep) -> Message:
     """Return the planned points as dots on a line just above the ground; without a plan, deletes them."""
     if not step.plan:
         return {"deletions": [_deletion(step, "plan")], "entities": []}
-    state = VehicleState(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad)
     height = step.ego.z_m + _ABOVE_GROUND_M
-    points = [_vector(float(x), float(y), height) for x, y in state.to_world(np.array(step.plan, np.float64))]
+    points = [_vector(float(x), float(y), height) for x, y in step.ego.state.to_world(np.array(step.plan, np.float64))]
     dots = [_shape(point, 0.0, _vector(0.4, 0.4, 0.4), _PLAN_COLOR) for point in points]
     start = _vector(step.ego.x_m, step.ego.y_m, height)
     return _update(_entity(step, "plan", WORLD, spheres=dots, lines=[_line([start, *points], 0.12, _PLAN_COLOR)]))

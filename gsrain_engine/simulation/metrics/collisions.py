@@ -1,6 +1,7 @@
 """Collision metrics: executed collisions, planned collisions, and time to collision."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float64
 
 from ..geometry import PlanarBox, wrap_angle
 from ..obstacles import OccupiedSpace
-from ..rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord, planned_frames, run_setting
+from ..rollout import Rollout, RolloutStep
 from ..vehicle import Vehicle, VehicleState, vehicle_box
 
 
@@ -78,9 +79,9 @@ def planned_collisions(
     the run against their last places. `occupied` adds the background; without it only road users count.
     Sources: the paper's equation of C and its c_ij; futures after HUGSIM's `score_calculator`, see `future_times_s`.
     """
-    vehicle, traffic = run_setting(rollout).vehicle, LoggedTraffic(rollout)
+    vehicle, traffic = rollout.vehicle, LoggedTraffic(rollout)
     frames: list[tuple[bool, ...]] = []
-    for step in planned_frames(rollout):
+    for step in rollout.planned_frames:
         poses = planned_poses(step, reading)
         times = future_times_s(rollout, step, len(poses), reading)
         frames.append(tuple(pose_hits(vehicle, poses, times, traffic, occupied)))
@@ -107,9 +108,8 @@ class LoggedTraffic:
     """Boxes of the road users at any time of a roll-out."""
 
     def __init__(self, rollout: Rollout) -> None:
-        self._times = np.array([each.time_s for each in rollout.steps])
-        self._records, self._users = [each.road_users for each in rollout.steps], rollout.users
-        self._known: dict[float, tuple[PlanarBox, ...]] = {}
+        self._rollout, self._times = rollout, np.array([each.time_s for each in rollout.steps])
+        self._boxes = cache(self._looked_up)
 
     def at(self, time_s: float) -> tuple[PlanarBox, ...]:
         """Return the boxes at a time, interpolated between steps and constant after the last.
@@ -117,22 +117,21 @@ class LoggedTraffic:
         HUGSIM looks up futures in the same way (its steps of 0.25 s match the 0.5 s of a plan), with the last step for
         times beyond the end of the run.
         """
-        key = round(float(np.clip(time_s, self._times[0], self._times[-1])), 9)
-        if key not in self._known:
-            self._known[key] = self._looked_up(key)
-        return self._known[key]
+        return self._boxes(round(float(np.clip(time_s, self._times[0], self._times[-1])), 9))
 
     def _looked_up(self, time_s: float) -> tuple[PlanarBox, ...]:
+        steps = self._rollout.steps
         later = min(int(np.searchsorted(self._times, time_s - _SAME_S)), len(self._times) - 1)
         if abs(self._times[later] - time_s) <= _SAME_S or later == 0:
-            return road_user_boxes(self._records[later], self._users)
+            return self._rollout.boxes(steps[later])
         share = float((time_s - self._times[later - 1]) / (self._times[later] - self._times[later - 1]))
-        after = {each.id: each for each in self._records[later]}
+        after = dict(zip((each.id for each in steps[later].road_users), self._rollout.boxes(steps[later]), strict=True))
         boxes: list[PlanarBox] = []
-        for each, then in ((each, after[each.id]) for each in self._records[later - 1] if each.id in after):
-            x, y = (each.x_m + share * (then.x_m - each.x_m), each.y_m + share * (then.y_m - each.y_m))
-            yaw = each.yaw_rad + share * wrap_angle(then.yaw_rad - each.yaw_rad)
-            boxes.append(PlanarBox(x, y, yaw, *self._users[each.id].size_lwh_m[:2]))
+        for user, each in zip(steps[later - 1].road_users, self._rollout.boxes(steps[later - 1]), strict=True):
+            if (then := after.get(user.id)) is not None:
+                x, y = each.x_m + share * (then.x_m - each.x_m), each.y_m + share * (then.y_m - each.y_m)
+                yaw = each.yaw_rad + share * wrap_angle(then.yaw_rad - each.yaw_rad)
+                boxes.append(PlanarBox(x, y, yaw, each.length_m, each.width_m))
         return tuple(boxes)
 
 
@@ -156,11 +155,6 @@ STANDING_M = 1.0
 _APART_M = 0.01  # minimum distance between points that define a direction
 
 
-def ego_pose(ego: EgoRecord) -> Float64[np.ndarray, "3"]:
-    """Return x, y and heading of the rear axle."""
-    return np.array([ego.x_m, ego.y_m, ego.yaw_rad])
-
-
 def ego_box(vehicle: Vehicle, pose: Float64[np.ndarray, "3"]) -> PlanarBox:
     """Return the vehicle's bounding box for a rear-axle pose."""
     return vehicle_box(vehicle, VehicleState(*(float(each) for each in pose)))
@@ -173,27 +167,27 @@ def planned_poses(step: RolloutStep, reading: PlanReading = "all") -> Float64[np
     have world heading 0, as in HUGSIM; with `all`, they keep the previous heading. The rule for standing plans
     (`STANDING_M`) applies to both.
     """
-    start = ego_pose(step.ego)
-    points = VehicleState(*start).to_world(np.array(step.plan, np.float64).reshape(-1, 2))
+    start = step.ego
+    points = start.state.to_world(np.array(step.plan, np.float64).reshape(-1, 2))
     steps = np.diff(points, axis=0)
     if reading == "hugsim":
         poses = np.column_stack([points[:-1], np.arctan2(steps[:, 1], steps[:, 0])])
     else:
         last = steps[-1:] if len(steps) else np.zeros_like(points)
-        heading, headings = float(start[2]), list[float]()
+        heading, headings = start.yaw_rad, list[float]()
         for step_m in (*steps, *last):
             if np.linalg.norm(step_m) >= _APART_M:
                 heading = float(np.arctan2(step_m[1], step_m[0]))
             headings.append(heading)
         poses = np.column_stack([points, np.array(headings)])
-    if len(poses) and np.linalg.norm(poses[-1, :2] - start[:2]) < STANDING_M:
-        poses[:, 2] = start[2]
+    if len(poses) and np.linalg.norm(poses[-1, :2] - (start.x_m, start.y_m)) < STANDING_M:
+        poses[:, 2] = start.yaw_rad
     return poses
 
 
 def with_start(step: RolloutStep, poses: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n+1 3"]:
     """Return the vehicle's current pose followed by the planned poses."""
-    return np.concatenate([ego_pose(step.ego)[None], poses])
+    return np.concatenate([[(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad)], poses])
 
 
 # Time to collision and gaps: the paper's TTC at every step
@@ -224,11 +218,11 @@ def road_users_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> l
     The swept lane is straight, along the heading, and as wide as the vehicle. Road users next to it do not count; those
     that overlap the vehicle's box do, with a gap of 0.
     """
-    own = ego_box(vehicle, ego_pose(step.ego))
+    own = vehicle_box(vehicle, step.ego.state)
     lane = shapely.box(-vehicle.length_m / 2, -vehicle.width_m / 2, _LANE_M, vehicle.width_m / 2)
     cosine, sine = np.cos(own.yaw_rad), np.sin(own.yaw_rad)
     leads: list[RoadUserAhead] = []
-    for record, box in zip(step.road_users, road_user_boxes(step.road_users, rollout.users), strict=True):
+    for record, box in zip(step.road_users, rollout.boxes(step), strict=True):
         away = np.array([box.x_m - own.x_m, box.y_m - own.y_m])
         x, y = float(away @ (cosine, sine)), float(away @ (-sine, cosine))
         local = PlanarBox(x, y, box.yaw_rad - own.yaw_rad, box.length_m, box.width_m)
@@ -243,7 +237,7 @@ def road_users_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> l
 
 def gaps_m(rollout: Rollout) -> Float64[np.ndarray, " n"]:
     """Return the bumper gap to the nearest road user ahead at every step, meters; infinite without one."""
-    vehicle = run_setting(rollout).vehicle
+    vehicle = rollout.vehicle
     leads = [road_users_ahead(rollout, step, vehicle) for step in rollout.steps]
     return np.array([min((each.gap_m for each in ahead), default=np.inf) for ahead in leads])
 
@@ -255,7 +249,7 @@ def times_to_collision_s(rollout: Rollout, distance: Distance = "bumper") -> Flo
     speed along the ego heading. It is 10 if nobody ahead is slower, and 0 on overlap or any collision. The background
     counts only when it is hit.
     """
-    vehicle = run_setting(rollout).vehicle
+    vehicle = rollout.vehicle
     times: list[float] = []
     for step in rollout.steps:
         leads, soonest = road_users_ahead(rollout, step, vehicle), LONGEST_S
@@ -266,8 +260,3 @@ def times_to_collision_s(rollout: Rollout, distance: Distance = "bumper") -> Flo
         touches = step.collision is not None or any(lead.gap_m <= 0 for lead in leads)
         times.append(0.0 if touches else soonest)
     return np.array(times)
-
-
-def road_user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) -> tuple[PlanarBox, ...]:
-    """Return the ground boxes of road users, in order."""
-    return tuple(PlanarBox(each.x_m, each.y_m, each.yaw_rad, *users[each.id].size_lwh_m[:2]) for each in records)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from ..rollout import Rollout, planned_frames
+from ..rollout import Rollout
 from .collisions import planned_poses, with_start
 
 
@@ -118,7 +118,7 @@ def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER) -> float | 
     """
     fine = [
         is_plan_comfortable(with_start(step, poses), rollout.spacing_s, limits)
-        for step in planned_frames(rollout)
+        for step in rollout.planned_frames
         if len(poses := planned_poses(step, "hugsim"))
     ]
     return sum(fine) / len(fine) if fine else None

@@ -16,10 +16,9 @@ from ...evaluation.image_metrics import MeanInterval, mean_interval
 from ...safe_io.text_files import figure_words
 from ...scene.files import whole_file
 from ..geometry import PlanarBox, Route
-from ..rollout import Rollout, RolloutStep, run_setting
-from ..vehicle import VehicleState
+from ..rollout import Rollout, RolloutStep
+from ..vehicle import VehicleState, vehicle_box
 from . import collisions
-from .collisions import ego_box, ego_pose, road_user_boxes
 from .comfort import PAPER
 from .summary import DriveComparison, IntensityRuns
 
@@ -220,7 +219,7 @@ def birds_eye_sheet(rollouts: Sequence[Rollout], route: Route | None = None) -> 
 
 
 def _draw_birds_eye(axes: Axes, rollout: Rollout, route: Route | None) -> None:
-    start = VehicleState(*ego_pose(rollout.steps[0].ego))
+    start = rollout.steps[0].ego.state
     apart = max(round(_EVERY_S / rollout.step_s), 1)
     steps = list(rollout.steps[::apart])
     if steps[-1] is not rollout.steps[-1]:
@@ -230,12 +229,12 @@ def _draw_birds_eye(axes: Axes, rollout: Rollout, route: Route | None) -> None:
         axes.plot(x, y, color=_ROUTE, linewidth=1.6, linestyle=(0, (6, 4)), zorder=1, label="route")
     for place, step in enumerate(steps, start=1):
         weight = 0.25 + 0.75 * place / len(steps)
-        for box in road_user_boxes(step.road_users, rollout.users):
+        for box in rollout.boxes(step):
             _box(axes, start.from_world(box.corners), _OTHER, weight)
         _box(axes, start.from_world(_own_box(rollout, step).corners), _EGO, weight)
         planned = collisions.planned_poses(step)[:, :2]
         if len(planned):
-            points = start.from_world(np.concatenate([ego_pose(step.ego)[None, :2], planned]))
+            points = start.from_world(np.concatenate([[(step.ego.x_m, step.ego.y_m)], planned]))
             axes.plot(
                 *points.T, "-o", color=_PLAN, linewidth=0.8, alpha=0.7, markersize=2.6, markevery=(1, 1), zorder=5,
                 label="plans, every second",
@@ -252,7 +251,7 @@ def _draw_birds_eye(axes: Axes, rollout: Rollout, route: Route | None) -> None:
     boxes: dict[str, PlanarBox] = {}
     for step in rollout.steps:
         ids = (each.id for each in step.road_users)
-        boxes.update(zip(ids, road_user_boxes(step.road_users, rollout.users), strict=True))
+        boxes.update(zip(ids, rollout.boxes(step), strict=True))
     for name, box in boxes.items():
         corners = start.from_world(box.corners)
         place = float(corners[:, 0].mean()), float(corners[:, 1].max())
@@ -265,20 +264,19 @@ def _annotate(axes: Axes, text: str, place: tuple[float, float], up_pt: float, a
 
 
 def _title(rollout: Rollout) -> str:
-    setting = run_setting(rollout)
-    rain = "clear" if setting.intensity_mm_h == 0 else f"{setting.intensity_mm_h:g} mm/h"
-    names = f"{figure_words(setting.scenario)}, {figure_words(rollout.agent)}"
+    rain = "clear" if rollout.intensity_mm_h == 0 else f"{rollout.intensity_mm_h:g} mm/h"
+    names = f"{figure_words(rollout.scenario_name)}, {figure_words(rollout.agent)}"
     return f"{names}, {rain}, seed {rollout.seed}"
 
 
 def _own_box(rollout: Rollout, step: RolloutStep) -> PlanarBox:
-    return ego_box(run_setting(rollout).vehicle, ego_pose(step.ego))
+    return vehicle_box(rollout.vehicle, step.ego.state)
 
 
 def _view(rollout: Rollout) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
-    start = VehicleState(*ego_pose(rollout.steps[0].ego))
+    start = rollout.steps[0].ego.state
     boxes = [_own_box(rollout, step) for step in rollout.steps]
-    boxes += [box for step in rollout.steps for box in road_user_boxes(step.road_users, rollout.users)]
+    boxes += [box for step in rollout.steps for box in rollout.boxes(step)]
     corners = np.concatenate([start.from_world(box.corners) for box in boxes])
     low, high = corners.min(axis=0) - _MARGIN_M, corners.max(axis=0) + _MARGIN_M
     low[1], high[1] = min(low[1], -_MIN_SIDE_M), max(high[1], _MIN_SIDE_M)
@@ -302,7 +300,7 @@ def _mark_collision(axes: Axes, rollout: Rollout, start: VehicleState) -> str:
 def _touch(rollout: Rollout, step: RolloutStep) -> Float64[np.ndarray, "2"]:
     """Return the center of the overlap of two boxes; the vehicle's front for the background or without overlap."""
     own = _own_box(rollout, step)
-    for record, box in zip(step.road_users, road_user_boxes(step.road_users, rollout.users), strict=True):
+    for record, box in zip(step.road_users, rollout.boxes(step), strict=True):
         if record.id == step.collision and own.touches(box):
             middle: Any = own.polygon.intersection(box.polygon).centroid
             return np.array([middle.x, middle.y])

@@ -5,8 +5,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..obstacles import Drivable, OccupiedSpace
-from ..rollout import Rollout, RolloutStep, planned_frames, run_setting
-from ..vehicle import Vehicle
+from ..rollout import Rollout, RolloutStep
 from .collisions import LoggedTraffic, ego_box, future_times_s, planned_poses, pose_hits, with_start
 from .comfort import is_plan_comfortable
 
@@ -47,7 +46,7 @@ def hd_score(
     background does not count.
     """
     scorer = _HdScorer(rollout, occupied, drivable)
-    rows = [scorer.frame(step) for step in planned_frames(rollout)]
+    rows = [scorer.frame(step) for step in rollout.planned_frames]
     scored = np.array([row for row in rows if row is not None]).reshape(-1, 5)
     if not len(scored):
         return None
@@ -59,7 +58,7 @@ def hd_score(
 
 class _HdScorer:
     def __init__(self, rollout: Rollout, occupied: OccupiedSpace | None, drivable: Drivable | None) -> None:
-        self._vehicle: Vehicle = run_setting(rollout).vehicle
+        self._vehicle = rollout.vehicle
         self._rollout, self._spacing_s = rollout, rollout.spacing_s
         self._traffic, self._occupied, self._drivable = LoggedTraffic(rollout), occupied, drivable
 

@@ -16,7 +16,7 @@ from ...evaluation.image_metrics import MeanInterval, mean_interval
 from ...safe_io.text_files import escape_invisible
 from ...scene.files import whole_file
 from ..obstacles import Drivable, OccupiedSpace
-from ..rollout import Rollout, planned_frames, run_setting
+from ..rollout import Rollout
 from ..rollout_io import write_rollout
 from .collisions import first_collision, gaps_m, planned_collisions, times_to_collision_s
 from .comfort import NUPLAN, comfort_executed, comfort_planned
@@ -81,7 +81,7 @@ def measure_drive(
 
     Raises ValueError if the roll-out's vehicle can't be read.
     """
-    setting, hit = run_setting(rollout), first_collision(rollout)
+    hit = first_collision(rollout)
     times, gaps = times_to_collision_s(rollout), gaps_m(rollout)
     every, five = planned_collisions(rollout, occupied), planned_collisions(rollout, occupied, "hugsim")
     score = hd_score(rollout, occupied, drivable)
@@ -89,13 +89,13 @@ def measure_drive(
     distance = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     duration = rollout.steps[-1].time_s - rollout.steps[0].time_s
     return DriveMetrics(
-        scenario=setting.scenario,
+        scenario=rollout.scenario_name,
         scene=rollout.scene,
         agent=rollout.agent,
-        intensity_mm_h=setting.intensity_mm_h,
+        intensity_mm_h=rollout.intensity_mm_h,
         seed=rollout.seed,
         steps=len(rollout.steps) - 1,
-        frames=len(planned_frames(rollout)),
+        frames=len(rollout.planned_frames),
         planned_points=every.points_per_frame,
         duration_s=duration,
         end=rollout.end,

@@ -34,11 +34,7 @@ class RoadUser:
     @property
     def pose(self) -> Float64[np.ndarray, "4 4"]:
         """Pose from its own frame (x forward, y left, z up, origin at the bottom center) to the world."""
-        matrix = np.eye(4)
-        cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        matrix[:2, :2] = [[cosine, -sine], [sine, cosine]]
-        matrix[:3, 3] = self.x_m, self.y_m, self.z_m
-        return matrix
+        return VehicleState(self.x_m, self.y_m, self.yaw_rad).rig_to_world(self.z_m)
 
     def ahead(self, distance_m: float) -> "RoadUser":
         """Return the road user moved ahead along its heading."""

@@ -3,17 +3,15 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
+from ...scene.scene import Scene
 from .base import Behavior, LanePosition, RoadUser, TrafficState, changed_speed, find_vehicle_ahead, gap_between
-from .tracks import Replay, ScriptedTrack
-
-if TYPE_CHECKING:
-    from ...scene.scene import Scene
+from .tracks import Replay, ScriptedTrack, TimedBehavior
 
 
 class IntelligentDriver(
@@ -37,7 +35,7 @@ class IntelligentDriver(
     exponent: Annotated[float, Meta(ge=1, le=20, title="Exponent")] = 4.0
     most_braking_m_s2: Annotated[float, Meta(gt=0, le=20, title="Most braking", extra={"unit": "m/s2"})] = 8.0
 
-    def begin(self, scene: "Scene", start_s: float) -> Behavior:
+    def begin(self, scene: Scene, start_s: float) -> Behavior:
         return _LaneKeeper(partial(_idm_speed, self))
 
     def acceleration(self, speed_m_s: float, gap_m: float | None, closing_m_s: float = 0.0) -> float:
@@ -91,7 +89,7 @@ class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     deceleration_m_s2: Annotated[float, Meta(gt=0, le=20, title="Deceleration", extra={"unit": "m/s2"})] = 6.0
     to_speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed after", extra={"unit": "m/s"})] = 0.0
 
-    def begin(self, scene: "Scene", start_s: float) -> Behavior:
+    def begin(self, scene: Scene, start_s: float) -> Behavior:
         return _LaneKeeper(partial(_braking_speed, self, Trigger(self)))
 
 
@@ -100,7 +98,7 @@ class ConstantVelocity(
 ):
     """Drives straight on at its initial speed; 0 m/s stands still."""
 
-    def begin(self, scene: "Scene", start_s: float) -> Behavior:
+    def begin(self, scene: Scene, start_s: float) -> Behavior:
         return _ConstantVelocityBehavior()
 
 
@@ -109,8 +107,8 @@ class Stationary(
 ):
     """Stands at its initial place, ignoring its speed."""
 
-    def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        return _StationaryBehavior()
+    def begin(self, scene: Scene, start_s: float) -> Behavior:
+        return TimedBehavior(_standing)
 
 
 class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="cut-in"):
@@ -146,7 +144,7 @@ class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
         Meta(gt=0, le=20, title="Acceleration", description="To that speed, or braking to it.", extra={"unit": "m/s2"}),
     ] = 2.0
 
-    def begin(self, scene: "Scene", start_s: float) -> Behavior:
+    def begin(self, scene: Scene, start_s: float) -> Behavior:
         return _CutInBehavior(self)
 
 
@@ -189,12 +187,8 @@ class _ConstantVelocityBehavior(Behavior):
         return me.ahead(me.speed_m_s * dt_s)
 
 
-class _StationaryBehavior(Behavior):
-    def start(self, placed: RoadUser) -> RoadUser:
-        return replace(placed, speed_m_s=0.0)
-
-    def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser:
-        return me
+def _standing(me: RoadUser, time_s: float) -> RoadUser:
+    return replace(me, speed_m_s=0.0)
 
 
 def quintic(share: float) -> float:

@@ -15,9 +15,9 @@ from msgspec import Meta
 
 from ...scene.scene import Actor, Scene
 from ..geometry import wrap_angle
-from ..rollout import Rollout, driven_vehicle
+from ..rollout import Rollout
 from ..rollout_io import read_any_rollout
-from ..vehicle import VehicleState, vehicle_box
+from ..vehicle import vehicle_box
 from .base import EGO, Behavior, LanePosition, RoadUser, TrafficState
 
 _STEP_S = 0.05  # half the interval for speed estimates; tracks are linear between samples, mostly 100 ms apart
@@ -76,17 +76,17 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         moments = _moments(read_any_rollout(path), self.user)
         if not len(moments):
             raise ValueError(f"{path}: nobody is called {self.user!r} in this roll-out")
-        return _TimedBehavior(partial(_replayed, moments))
+        return TimedBehavior(partial(_replayed, moments))
 
 
 def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     """Return time, x, y, heading and speed of a road user's center at each step; NaN while absent."""
     rows: list[tuple[float, ...]] = []
     absent = (float("nan"),) * 4
-    vehicle = driven_vehicle(rollout)
+    vehicle = rollout.vehicle
     for step in rollout.steps:
         if user == EGO:
-            box = vehicle_box(vehicle, VehicleState(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad))
+            box = vehicle_box(vehicle, step.ego.state)
             rows.append((step.time_s, box.x_m, box.y_m, box.yaw_rad, step.ego.speed_m_s))
             continue
         here = next((each for each in step.road_users if each.id == user), None)
@@ -96,8 +96,8 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     return moments if np.isfinite(moments).all(axis=1).any() else moments[:0]
 
 
-class _TimedBehavior(Behavior):
-    """Depends on time alone."""
+class TimedBehavior(Behavior):
+    """Behavior that depends on time alone."""
 
     def __init__(self, at: Callable[[RoadUser, float], RoadUser | None]) -> None:
         """Use `at(me, time_s)`, the state at a time since the scenario began; all else is as in `me`."""
@@ -173,7 +173,7 @@ class ScriptedTrack(
             return _WaypointBehavior(self.points)
         for actor in scene.actors:
             if actor.id == self.actor:
-                return _TimedBehavior(partial(_on_track, RecordedTrack(scene, actor, start_s), self.pace))
+                return TimedBehavior(partial(_on_track, RecordedTrack(scene, actor, start_s), self.pace))
         known = ", ".join(each.id for each in scene.actors) or "none"
         raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
 

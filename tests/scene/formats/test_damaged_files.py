@@ -25,6 +25,7 @@ from .sample_files import (
     ksplat,
     sample_gaussians,
     sog_scene,
+    sog_version_1,
     spz_header,
     webp,
     write_small,
@@ -65,7 +66,7 @@ def ply(old: bytes = b"", new: bytes = b"") -> bytes:
     return data.replace(old, new, 1)
 
 
-def ply_with(bad: float, *columns: str) -> bytes:
+def ply_with(bad: float | list[list[float]], *columns: str) -> bytes:
     """A PLY whose Gaussians 7 and 211 have a number that no Gaussian has."""
     names, values = columns_of(ply())
     values = values.copy()
@@ -128,6 +129,13 @@ def changed(path: str, value: Any) -> bytes:
     return zipped(meta, files)
 
 
+def version_1(name: str, **fields: Any) -> bytes:
+    """A SOG of version 1 of which some fields of one part of the description are others."""
+    meta, files, _ = sog_scene()
+    old = sog_version_1(meta)
+    return zipped({**old, name: {**old[name], **fields}}, files)
+
+
 def with_file(name: str, data: bytes | None) -> bytes:
     """A SOG with another file, or without it."""
     meta, files, _ = sog_scene()
@@ -165,7 +173,6 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.ply", lambda: ply(b"element vertex", b"element vortex"), "'vertex', not vortex"),
     ("a.ply", lambda: ply(b"vertex 300", b"vertex 300000000000"), "300000000000 vertex"),
     ("a.ply", lambda: ply(b"vertex 300", b"vertex " + b"9" * 5000), "cut off or its counts are wrong"),
-    ("a.ply", lambda: ply(b"vertex 300", b"vertex 301"), "301 vertex"),
     ("a.ply", lambda: ply(b"vertex 300", b"vertex -1"), "'element vertex -1'"),
     ("a.ply", lambda: ply(b"property float x", b"property quad x"), "'property quad x'"),
     ("a.ply", lambda: ply(b"property float nx", b"property list uchar int nx"), "list property"),
@@ -182,6 +189,7 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.ply", lambda: ply(b"end_header", b"comment" + b" " * 2**20 + b"\nend_header"), "in its first 1048576 bytes"),
     # values of a PLY
     ("a.ply", lambda: ply_with(nan, "x"), "2 of 300 Gaussians have a mean that is not a finite number"),
+    ("a.ply", lambda: ply_with([[inf], [-inf]], "x"), "2 of 300 Gaussians have a mean"),
     ("a.ply", lambda: ply_with(inf, "f_rest_44"), "2 of 300 Gaussians have a color"),
     ("a.ply", lambda: ply_with(100, "scale_1"), "2 of 300 Gaussians have a scale"),
     ("a.ply", lambda: ply_with(-inf, "scale_2"), "2 of 300 Gaussians have a logarithm of a scale"),
@@ -197,16 +205,14 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.ply", lambda: packed(b"uchar f_rest_3", b"char f_rest_3", sh_rows=9), "f_rest_3 of a compressed PLY"),
     ("a.ply", lambda: packed(sh_rows=9, sh_columns=12), "'sh' has 9 rows of 12 f_rest_*"),
     ("a.ply", lambda: packed(sh_rows=8), "'sh' has 8 rows"),
-    ("a.ply", lambda: packed(b"vertex 9", b"vertex 99999999999"), "99999999999 vertex"),
     *(("a.ply", lambda bad=bad: packed_bounds(0, bad), "9 of 9 Gaussians have a mean") for bad in (nan, inf)),
     *(("a.ply", lambda bad=bad: packed_bounds(6, bad), "9 of 9 Gaussians have a logarithm")
       for bad in (nan, inf)),
     # .splat
-    *(("a.splat", lambda size=size: bytes(size), f"{size} bytes") for size in (0, 1, 31, 33, 127)),
+    *(("a.splat", lambda size=size: bytes(size), f"{size} bytes") for size in (0, 31, 33)),
     ("a.splat", lambda: splat_with(slice(28, 32), 128), "zero quaternion, the first is number 3"),
     ("a.splat", lambda: splat_with(slice(12, 16), -0.5), "1 of 5 Gaussians have a negative scale"),
     ("a.splat", lambda: splat_with(slice(4, 8), nan), "1 of 5 Gaussians have a mean"),
-    ("a.splat", lambda: splat_with(slice(20, 24), nan), "1 of 5 Gaussians have a scale"),
     # KSPLAT
     ("a.ksplat", lambda: bytes(5000), "version is 0.0"),
     ("a.ksplat", lambda: patched(0, 4, "<I", 2**32 - 1), "4294967295 sections"),
@@ -223,17 +229,14 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.ksplat", lambda: patched(0, 5120 + 4, "<f", nan), "mean that is not a finite number, the first is number 0"),
     ("a.ksplat", lambda: patched(0, 5120 + 12, "<f", -1), "negative scale"),
     ("a.ksplat", lambda: patched(0, 5120 + 24, "<4f", 0, 0, 0, 0), "zero quaternion"),
-    ("a.ksplat", lambda: patched(0, 5120 + 24, "<f", 1e30), "quaternion longer than 1"),
-    ("a.ksplat", lambda: patched(0, 5120 + 44, "<f", inf), "color that is not a finite number"),
+    ("a.ksplat", lambda: patched(0, 5120 + 24, "<f", -1e30), "quaternion longer than 1"),
     # SPZ
     ("a.spz", lambda: b"", "header of 16 bytes"),
     ("a.spz", lambda: b"PLY file, not SPZ", "NGSP"),
-    ("a.spz", lambda: gz(b"something else entirely"), "NGSP"),
     ("a.spz", lambda: spz_header(5, 0), "version 5"),
     ("a.spz", lambda: spz_header(3, 0, degree=4), "SH degree 4"),
     ("a.spz", lambda: spz_header(3, 0, bits=24), "24 fractional bits"),
     ("a.spz", lambda: gz(spz_header(3, 9, bits=23), bytes(10)), "9 Gaussians of SH degree 0 take 196 bytes"),
-    ("a.spz", lambda: gz(spz_header(3, 10), bytes(10)), "10 Gaussians of SH degree 0 take 216 bytes"),
     ("a.spz", lambda: gz(spz_header(4, 0)), "version 4 inside gzip"),
     ("a.spz", lambda: spz_header(4, 10, streams=7) + bytes(200), "7 streams"),
     ("a.spz", lambda: spz_header(4, 10, streams=5) + struct.pack("<I12x", 2**31) + bytes(200), "table of contents"),
@@ -249,14 +252,16 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.sog", lambda: b"PK\x03\x04abc", "zip"),
     ("a.sog", with_password, "password"),
     ("a.sog", lambda: with_file("sh0.webp", None), "sh0.webp"),
+    ("a.sog", lambda: version_1("means", shape=[-1]), "means.shape"),
+    ("a.sog", lambda: version_1("sh0", mins=[0, 0, 0]), "must hold 4 numbers"),
     ("a.sog", lambda: changed("version", 3), "version 3"),
     ("a.sog", lambda: changed("count", "many"), "$.count"),
     ("a.sog", lambda: changed("count", -1), "$.count"),
-    ("a.sog", lambda: changed("count", 2**32), "$.count"),
     ("a.sog", lambda: changed("count", 41), "means_l.webp has 8 x 5 pixels"),
     ("a.sog", lambda: changed("means.mins", [0, 0]), "$.means.mins"),
     ("a.sog", lambda: changed("means.maxs", [1e30, 1, 1]), "a mean"),
     ("a.sog", lambda: changed("quats.files", [".."]), "'..'"),
+    ("a.sog", lambda: changed("quats.files", ["quats.webp"] * 2), "$.quats.files"),
     ("a.sog", lambda: changed("quats.files", ["q" * 255]), f"there is no {'q' * 255}"),
     ("a.sog", lambda: changed("quats.files", ["q" * 256]), f"'{'q' * 40}' is not the name"),
     ("a.sog", lambda: changed("scales.codebook", [0.0] * 257), "$.scales.codebook"),
@@ -287,14 +292,6 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
 def test_what_is_wrong_is_named(file: str, content: Callable[[], bytes], field: str, tmp_path: Path) -> None:
     (tmp_path / file).write_bytes(content())
     assert field in refusal(tmp_path / file)
-
-
-def test_both_infinities_at_once_are_counted_without_a_warning(tmp_path: Path) -> None:
-    names, values = columns_of(ply())
-    values = values.copy()
-    values[[3, 4], names.index("x")] = inf, -inf
-    (tmp_path / "a.ply").write_bytes(ply_of(names, values))
-    assert "2 of 300 Gaussians have a mean" in refusal(tmp_path / "a.ply")
 
 
 # Memory

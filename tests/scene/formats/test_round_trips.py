@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from gsrain_engine.scene.formats.ply import write_ply
-from gsrain_engine.scene.formats.registry import FORMATS, read_gaussians
+from gsrain_engine.scene.formats.registry import read_gaussians
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import normalized
@@ -21,12 +21,10 @@ from gsrain_engine.scene.open import load_sorted_scene
 
 from .sample_files import (
     BLOCK,
-    SMALL_FILES,
     assert_valid,
     ksplat,
     sample_gaussians,
     spz_version_4,
-    write_small,
     written,
 )
 from .test_layouts import columns_of, write_text
@@ -127,29 +125,15 @@ def test_extreme_values_survive(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_gaussians(tmp_path / "a.spz").means, far.means, atol=2)
 
 
-def test_rows_of_the_table_describe_themselves() -> None:
-    assert len({row.suffix for row in FORMATS}) == len(FORMATS)
-    for row in FORMATS:
-        assert row.suffix == row.suffix.lower() and row.description and row.read.__doc__
-
-
-# Brought into drawing order: else no window could open it
+# Real files
 
 
 def check_opened(path: Path) -> None:
+    """Assert that a file is opened in drawing order, as the window does."""
     (layer,) = load_sorted_scene(str(path)).layers
     read = read_gaussians(path)
-    order = lod_order(read)
-    for found, array in zip(layer.gaussians.arrays, read.arrays, strict=True):
-        np.testing.assert_array_equal(found, array[order])
-
-
-@pytest.mark.parametrize("name", SMALL_FILES)
-def test_every_format_opens_to_be_drawn(name: str, tmp_path: Path) -> None:
-    check_opened(write_small(name, tmp_path))
-
-
-# Real files
+    for found, array in zip(layer.gaussians.arrays, read.take(lod_order(read)).arrays, strict=True):
+        np.testing.assert_array_equal(found, array)
 
 
 @pytest.mark.parametrize(
@@ -174,6 +158,9 @@ def test_real_files(file: str, count: int, sh_degree: int, test_data: Path) -> N
         np.testing.assert_allclose(gaussians.scales, 0.1, rtol=0.02)
         np.testing.assert_allclose(gaussians.opacities, 0.9, atol=0.003)
         np.testing.assert_allclose(np.abs(gaussians.quaternions).max(axis=1), 1, atol=1e-3)
+        if file.endswith("ksplat"):  # red grows along x; the first byte is the display color
+            red = gaussians.sh[:, 0, 0] * SH_C0 + 0.5
+            np.testing.assert_allclose(red, np.array([0x55, 0xAA, 0x55, 0xAA]) / 255, atol=1e-6)
     elif file.startswith("plant"):
         np.testing.assert_allclose(np.ptp(gaussians.means, axis=0), [0.5172, 1.0, 0.6098], atol=2e-4)  # plant.meta.json
     check_opened(test_data / "scenes" / file)
@@ -235,13 +222,3 @@ def test_one_scene_in_five_files_agrees(
     inside = np.abs(a.sh) < 0.95
     slopes = (a.sh * b.sh * inside).sum((0, 2)) / (a.sh**2 * inside).sum((0, 2))
     np.testing.assert_allclose(slopes, 1, atol=slope)
-
-
-def test_our_spz_is_closer_to_the_original_than_the_shipped_one(
-    original: Gaussians, test_data: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "ours.spz").write_bytes(encode_spz(original))
-    ours = read_gaussians(tmp_path / "ours.spz")
-    a, shipped = matched(original, read_gaussians(test_data / f"{PLAYBOT}.v3.spz"))
-    off = np.abs(ours.sh[:, 1:] - original.sh[:, 1:]).mean()
-    assert off < 0.01 and off < 0.3 * np.abs(a.sh[:, 1:] - shipped.sh[:, 1:]).mean()

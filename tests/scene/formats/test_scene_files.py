@@ -2,8 +2,10 @@
 
 import os
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -77,36 +79,33 @@ def test_a_name_that_is_no_unicode_can_be_saved(tmp_path: Path) -> None:
 # What is refused
 
 
-@pytest.mark.parametrize("name", ["a.obj", "a.compressed.ply", "a.ksplat", "a.sog"])
+@pytest.mark.parametrize("name", ["a.obj", "a.compressed.ply", "a.ksplat", "a.sog", "a.spalt"])
 def test_formats_that_are_not_written_are_named(name: str, tmp_path: Path) -> None:
-    with pytest.raises(SceneFormatError, match=r"must end in \.ply, \.splat or \.spz$"):
+    with pytest.raises(SceneFormatError, match=rf"{name}: .*must end in \.ply, \.splat or \.spz") as error:
         write_scene(single(sample_gaussians(3)), tmp_path / name)
+    assert ("did you mean .splat?" in str(error.value)) == (name == "a.spalt")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_slips_of_the_hand_are_pointed_out(tmp_path: Path) -> None:
-    for name in ("street.ply", "street.pyl", "a.obj"):
-        (tmp_path / name).write_bytes(b"v 0 0 0")
-    for name, suggestion in (("Stret.ply", r"street\.ply"), ("street.pyl", r"\.ply")):
-        with pytest.raises(SceneFormatError, match=rf"{name}: .*\(did you mean {suggestion}\?\)$"):
-            read_scene(tmp_path / name)
-    with pytest.raises(SceneFormatError, match=r"must end in \.compressed\.ply, \.ply, .*\.sog or meta\.json"):
-        read_scene(tmp_path / "a.obj")
-    with pytest.raises(SceneFormatError, match=r"a\.spalt: .*\(did you mean \.splat\?\)$"):
-        write_scene(single(sample_gaussians(3)), tmp_path / "a.spalt")
-
-
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
-    for name in ("none.ply", "none", "none.obj", "none/scene.json"):
-        with pytest.raises(SceneFormatError, match=f"{name}: there is no such file or folder$"):
-            read_scene(tmp_path / name)
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("Stret.ply", r"no such file or folder \(did you mean street\.ply\?\)$"),
+        ("street.pyl", r"must end in .*\(did you mean \.ply\?\)$"),
+        ("a.obj", r"must end in \.compressed\.ply, \.ply, .*\.sog or meta\.json"),
+        ("none", "no such file or folder$"),
+        ("none/scene.json", "no such file or folder$"),
+        ("pipe.ply", "not a file"),
+        ("photos", r"scene\.json .* \(its meta\.json is none of SOG.*\); give one of the files in it: a\.ply$"),
+    ],
+)
+def test_names_of_no_scene_are_refused(name: str, problem: str, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    for file in ("street.ply", "street.pyl", "a.obj", "photos/a.ply", "photos/meta.json"):
+        (tmp_path / file).write_bytes(b"v 0 0 0")
     os.mkfifo(tmp_path / "pipe.ply")
-    with pytest.raises(SceneFormatError, match="not a file"):
-        read_scene(tmp_path / "pipe.ply")
-    (tmp_path / "folder.ply").mkdir()
-    (tmp_path / "folder.ply" / "a").write_bytes(b"")
-    with pytest.raises(SceneFormatError, match=r"no scene\.json"):
-        write_scene(single(sample_gaussians(3)), tmp_path / "folder.ply")
+    with pytest.raises(SceneFormatError, match=rf"{name}: .*{problem}"):
+        read_scene(tmp_path / name)
 
 
 @pytest.mark.parametrize("file", ["a.ply", "a.splat", "a.spz", "a.ksplat", "a.sog", "saved"])
@@ -127,48 +126,33 @@ def test_what_the_system_refuses_to_open_is_named(file: str, tmp_path: Path, mon
     assert str(error.value).startswith(str(tmp_path / file))
 
 
-ENDLESS, FAR = np.float32(np.inf), np.float32(1e8)
-
-
 @pytest.mark.parametrize(
-    ("suffix", "scale", "reach", "field"),
+    ("suffix", "scale", "reach", "error", "problem"),
     [
-        *((suffix, ENDLESS, 1, "3 of 3 Gaussians have a scale") for suffix in WRITTEN),
-        (".spz", 1, FAR, "SPZ holds means"),
+        *((suffix, np.inf, 1, SceneFormatError, "3 of 3 Gaussians have a scale") for suffix in WRITTEN),
+        (".spz", 1, 1e8, SceneFormatError, "SPZ holds means"),
+        *((suffix, 1, 1, OSError, "No space left") for suffix in WRITTEN),
     ],
 )
-def test_values_that_a_format_can_not_hold_replace_nothing(
-    suffix: str, scale: np.float32, reach: np.float32, field: str, tmp_path: Path
+def test_a_failure_leaves_the_old_file(
+    suffix: str, scale: float, reach: float, error: type[Exception], problem: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / f"a{suffix}"
-    some = sample_gaussians(3)
+    path, some = tmp_path / f"a{suffix}", sample_gaussians(3)
     write_scene(single(some), path)
     before = path.read_bytes()
-    bad = Gaussians(some.means * reach, some.scales * scale, some.quaternions, some.opacities, some.sh)
-    with pytest.raises(SceneFormatError, match=rf"a\{suffix}: {field}"):
+    bad = replace(some, means=some.means * np.float32(reach), scales=some.scales * np.float32(scale))
+    full = OSError(28, "No space left on device") if error is OSError else None
+    with patch("os.fsync", side_effect=full), pytest.raises(error, match=problem) as raised:
         write_scene(single(bad), path)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
+    assert f"a{suffix}: " in str(raised.value) or f"a{suffix}'" in str(raised.value)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
-def test_a_splat_of_nothing_is_refused(tmp_path: Path) -> None:
+def test_a_splat_of_nothing_or_over_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneFormatError, match="at least one Gaussian"):
         write_scene(Scene("a"), tmp_path / "a.splat")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("suffix", WRITTEN)
-def test_a_failure_leaves_the_old_file(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / f"a{suffix}"
-    write_scene(single(sample_gaussians(3)), path)
-    before = path.read_bytes()
-
-    def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "fsync", full)
-        with pytest.raises(OSError, match="No space left"):
-            write_scene(single(sample_gaussians(4)), path)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
+    (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "folder.ply" / "a").write_bytes(b"")
+    with pytest.raises(SceneFormatError, match=r"no scene\.json"):
+        write_scene(single(sample_gaussians(3)), tmp_path / "folder.ply")

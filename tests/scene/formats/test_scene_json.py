@@ -18,10 +18,10 @@ from gsrain_engine.scene.flags import UNMARKED, BitMask
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_json import mask_from_text, mask_to_text, record_of
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import UNCHANGED, Layer
+from gsrain_engine.scene.scene import UNCHANGED, Layer, Scene
 
 from .sample_files import sample_gaussians
-from .test_scene_folder import bytes_in, sample_scene, track
+from .test_scene_folder import assert_same, bytes_in, sample_scene, track
 from .test_scene_folder import folder as folder  # a fixture
 
 Values = dict[str, Any]
@@ -53,8 +53,7 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
     }
 
     def older(values: Values) -> None:
-        for number in range(3, version - 1, -1):
-            own, of_members = since[number]
+        for own, of_members in (since[number] for number in range(version, 4)):
             for name in own:
                 del values[name]
             for member in (*values["layers"], *values.get("actors", ())):
@@ -63,16 +62,19 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
         values["version"] = version
 
     edit(folder, older)
-    found, now = read_scene(folder), sample_scene()
-    road = found.layers[0]
-    assert found.weather is None and len(found.layers) == 2
-    assert (road.wet_sh is None) == (version < 3)
+    found, expected = read_scene(folder), replace(sample_scene(), weather=None)
+    if version < 3:
+        expected = expected.with_member(expected.layers[0].key, wet_sh=None)
+        expected = expected.with_member("actors/lead/1", wet_sh=None)
     if version < 2:
-        assert (road.locked, road.opacity, road.grading, road.marks) == (False, 1.0, UNCHANGED, UNMARKED)
-        assert np.array_equal(road.to_scene, np.eye(4))
-        assert (found.path, found.view, found.selections) == (None, None, {})
-    expected = (1.0, (0.0, 0.0, 1.0), 0) if version == 0 else (now.metres_per_unit, now.up, 1)
-    assert (found.metres_per_unit, found.up, len(found.actors)) == expected
+        bare = {"locked": False, "opacity": 1.0, "grading": UNCHANGED, "marks": UNMARKED}
+        for member in expected.members:
+            expected = expected.with_member(member.key, **bare)
+        expected = replace(expected, path=None, view=None, selections={})
+    if version == 0:
+        layers = tuple(Layer(each.name, each.gaussians) for each in expected.layers)
+        expected = Scene(expected.name, layers)
+    assert_same(found, expected)
 
 
 def test_a_newer_version_is_neither_read_nor_replaced_but_a_damaged_scene_may_be(folder: Path) -> None:
@@ -134,46 +136,30 @@ def file_of(number: int, name: str = "file") -> Callable[[Values], str]:
 _LONG = base64.b64encode(zlib.compress(bytes(1 << 24))).decode()
 _IS_NO_POSE = "camera_to_ego of camera 'LEFT'"
 
-RECORDS: list[tuple[tuple[Any, ...], str]] = [
-    (("layers", 1), "$.layers[1]"),
-    (("layers", 0, "marks"), "$.layers[0].marks"),
-    (("layers", 1, "grading"), "$.layers[1].grading"),
-    (("actors", 0), "$.actors[0]"),
-    (("actors", 0, "track"), "$.actors[0].track"),
-    (("rigs", "waymo", 1), "$.rigs[...][1]"),
-    (("path",), "$.path"),
-    (("path", "keyframes", 0), "$.path.keyframes[0]"),
-]
-"""Paths of the fields of a description."""
-
 BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put("red", "color"), "unknown field `color`"),
-    *((put("red", *place, "color"), f" - at `{path}`") for place, path in RECORDS),
+    (put("red", "layers", 0, "marks", "color"), "`$.layers[0].marks`"),
+    (put("red", "actors", 0, "track", "color"), "`$.actors[0].track`"),
+    (put("red", "path", "keyframes", 0, "color"), "`$.path.keyframes[0]`"),
     (lambda v: v.pop("version"), "`version`"),
     (put("3", "metres_per_unit"), "Expected `float`, got `str` - at `$.metres_per_unit`"),
-    (put(0, "metres_per_unit"), "Expected `float` > 0.0 - at `$.metres_per_unit`"),
     (put([0, 0, 0], "up"), "`$.up`"),
     (put([1e200, 0, 0], "up"), "`$.up`"),
     (put("ocean", "layers", 1, "kind"), "'ocean', expected background, sky - at `$.layers[1].kind`"),
     (put(1.1, "layers", 1, "opacity"), "`$.layers[1].opacity`"),
-    (put(9, "layers", 1, "grading", "contrast"), "`$.layers[1].grading.contrast`"),
     (put(0.5, "layers", 1, "to_scene", 0, 1), "`$.layers[1].to_scene`"),  # sheared
     (put(-1.0, "layers", 1, "to_scene", 0, 0), "`$.layers[1].to_scene`"),  # mirrored
     (lambda v: v["actors"][0]["track"]["times"].pop(), "`$.actors[0].track`"),
-    (put([2, 1, 0], "ego", "times"), "times must rise - at `$.ego`"),
     (put([0, 1, 1], "ego", "times"), "times must rise - at `$.ego`"),
     (put([0, 0, 0, 0], "ego", "quaternions_wxyz", 0), "quaternion 0"),
     (put([1e200, 0, 0, 0], "actors", 0, "track", "quaternions_wxyz", 2), "quaternion 2"),
-    (put(0, "rigs", "waymo", 0, "width"), "`$.rigs[...][0].width`"),
     (put(16385, "rigs", "waymo", 0, "height"), "`$.rigs[...][0].height`"),
     (put(180, "path", "keyframes", 0, "vertical_fov_deg"), "`$.path.keyframes[0].vertical_fov_deg`"),
     (camera(0, [1e200, -1e200, 1e200, 0]), _IS_NO_POSE),
-    (camera(3, [0, 0, 0, 2]), _IS_NO_POSE),
     (camera(1, [0, 0, 1, 0]), _IS_NO_POSE),
     (put({"keyframes": []}, "path"), "`$.path.keyframes`"),
     (put(0.0, "path", "keyframes", 1, "time_s"), "times must rise - at `$.path`"),
     (mark("selected", "?"), "no mask can be read"),
-    (mark("hidden", "AAAA"), "no mask can be read"),
     (mark("deleted", mask_to_text(BitMask.all(50))[:-8]), "cut off - at `$.layers[0].marks.deleted`"),
     (mark("deleted", mask_to_text(BitMask.all(32))), "a mask of 50 Gaussians takes 8 bytes, this one has 4"),
     (mark("deleted", _LONG), "this one has more than 8 - at `$.layers[0].marks.deleted`"),
@@ -181,7 +167,6 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put({"x": {"layers/c": ""}}, "selections"), "'layers/c'"),
     (put("layers/none.ply", "layers", 0, "file"), "'layers/none.ply'"),
     (put("../outside.ply", "layers", 0, "file"), "'../outside.ply' must lie inside"),
-    (put("layers/../../outside.ply", "layers", 0, "file"), "must lie inside"),
     (put("/etc/passwd", "layers", 0, "file"), "'/etc/passwd' must lie inside"),
     (put("a\0b", "layers", 0, "file"), "'a\\x00b'"),
     (put("scene.json", "layers", 0, "file"), "no known scene format"),
@@ -189,6 +174,8 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (lambda v: put(file_of(0)(v), "layers", 0, "wet_file")(v), "must belong to one layer or actor"),
     (put("../x.wet.npy", "layers", 0, "wet_file"), "'../x.wet.npy' must lie inside"),
     (put("layers/gone.wet.npy", "layers", 0, "wet_file"), "'layers/gone.wet.npy'"),
+    *((put(name, "layers", 0, "file"), "scene.json: ")
+      for name in ("x" * 300 + ".ply", "layers/\u00e9\u2028.ply", ".", "layers", "layers/../scene.json/x.ply")),
 ]  # fmt: skip
 
 
@@ -199,20 +186,13 @@ def test_bad_values_are_named(change: Callable[[Values], Any], field: str, folde
     assert field in refusal(folder)
 
 
-def test_keyframes_may_be_a_quarter_of_a_second_apart(folder: Path) -> None:
-    edit(folder, put(0.25, "path", "keyframes", 1, "time_s"))
-    path = read_scene(folder).path
-    assert path is not None and path.times_s[:2].tolist() == [0.0, 0.25]
-
-
 @pytest.mark.parametrize("text", ["", "{", "null", "[]", '{"version": 1e999}', '{"version": NaN}', "\xff", "[" * 10**6])
 def test_what_is_no_json_is_refused(text: str, folder: Path) -> None:
     (folder / "scene.json").write_bytes(text.encode("latin-1"))
     assert "scene.json: not the description of a scene" in refusal(folder)
 
 
-def test_deep_endless_and_missing_descriptions_are_refused(folder: Path, tmp_path: Path) -> None:
-    assert "scene.json" in refusal(tmp_path)
+def test_deep_and_endless_descriptions_are_refused(folder: Path) -> None:
     data = (folder / "scene.json").read_text()
     nested = '"rain": {"a": ' + "[" * 200_000 + "]" * 200_000 + '},\n "weather"'
     (folder / "scene.json").write_text(re.sub(r'"rain": \{.*\},\s+"weather"', nested, data, flags=re.DOTALL))
@@ -264,7 +244,7 @@ UNREADABLE: list[tuple[dict[str, Any], str]] = [
     ({"ground_m": NAN}, "`$.ground_m`"),
     ({"rain": {"a": [0.5, {"b": -np.inf}]}}, "`$.rain.a[1].b`"),
     ({"ego": replace(track(3), times=np.array([0.0, 2, 1]))}, "times must rise - at `$.ego`"),
-    ({"ego": replace(track(3), positions=np.full((3, 3), NAN))}, "`$.ego.positions[0][0]`"),
+    ({"ego": replace(track(3), positions=np.full((3, 3), NAN))}, "`$.ego.positions["),
     ({"name": "\ud800"}, "'utf-8' codec"),
     (with_nan(False), "1 of 4 Gaussians have a mean of layer 'b'"),
     (with_nan(True), "1 of 4 Gaussians have a wet color of layer 'b'"),

@@ -1,14 +1,11 @@
 """Pickles for HUGSIM's clients that any NumPy reads, and their replies: read in every form, or refused and not run."""
 
-import io
 import os
 import pickle
-import struct
+import pickletools
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.interop.hugsim_pickle import old_pickle
@@ -24,25 +21,12 @@ VALUE = {
 }  # fmt: skip
 
 
-class Recording(pickle.Unpickler):
-    """Records the modules that a stream names."""
-
-    def __init__(self, stream):
-        super().__init__(io.BytesIO(stream))
-        self.modules = set()
-
-    def find_class(self, module, name):
-        self.modules.add(module)
-        return super().find_class(module, name)
-
-
 def test_values_come_back_writable_and_the_stream_names_numpy_and_nothing_inside_it():
     stream = bytes(old_pickle(VALUE))
-    assert b"numpy._core" in pickle.dumps(VALUE, 4)  # should NumPy's own ever be readable by old versions, ours can go
-    assert b"numpy._core" not in stream and b"numpy.core" not in stream and stream[:2] == b"\x80\x04"
-    recording = Recording(stream)
-    back = recording.load()
-    assert recording.modules == {"numpy", "builtins"} and stream == bytes(old_pickle(VALUE))
+    names = {argument for _, argument, _ in pickletools.genops(stream) if isinstance(argument, str)}
+    assert {"numpy", "builtins"} <= names and not any(name.startswith("numpy.") for name in names)
+    assert stream[:2] == b"\x80\x04" and stream == bytes(old_pickle(VALUE))
+    back = pickle.loads(stream)
     for name in ("image", "turned", "empty", "depth", "single"):
         np.testing.assert_array_equal(back[name], VALUE[name])
         assert back[name].dtype == VALUE[name].dtype and back[name].flags.writeable
@@ -87,30 +71,6 @@ def test_tensors_are_read_without_torch(protocol):
         np.testing.assert_array_equal(read_reply(pickle.dumps(form, protocol)), PLAN)
 
 
-# A tensor of 2 x 2 float32 as PyTorch pickles it, by hand: what is read does not need it.
-STORAGE = (
-    b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.\x80\x02}q\x00."
-    b"\x80\x02(X\x07\x00\x00\x00storageq\x00ctorch\nFloatStorage\nq\x01X\x01\x00\x00\x000q\x02X\x03\x00\x00\x00cpuq\x03"
-    b"K\x04Ntq\x04Q.\x80\x02]q\x00X\x01\x00\x00\x000q\x01a." + struct.pack("<q4f", 4, 1.0, 2.0, 3.0, 4.0)
-)
-
-
-def tensor_pickle(storage=STORAGE, first=0, shape=(2, 2), steps=(2, 1)):
-    numbers = [b"K" + bytes([each]) for each in (first, *shape, *steps)]
-    return (
-        b"\x80\x03ctorch._utils\n_rebuild_tensor_v2\n(ctorch.storage\n_load_from_bytes\nB"
-        + struct.pack("<I", len(storage)) + storage + b"\x85R" + numbers[0]
-        + numbers[1] + numbers[2] + b"\x86" + numbers[3] + numbers[4] + b"\x86"
-        + b"\x89ccollections\nOrderedDict\n)RtR."
-    )  # fmt: skip
-
-
-def test_a_tensor_is_read_by_its_steps():
-    for fields, rows in (({}, [[1, 2], [3, 4]]), ({"steps": (1, 2)}, [[1, 3], [2, 4]]),
-                         ({"first": 2, "shape": (1, 2)}, [[3, 4]])):  # fmt: skip
-        np.testing.assert_array_equal(read_reply(tensor_pickle(**fields)), rows)
-
-
 class Runs:
     """Makes a folder when it is simply unpickled."""
 
@@ -121,68 +81,31 @@ class Runs:
         return os.mkdir, (self.path,)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_code_does_not_run(tmp_path, protocol):
-    with pytest.raises(ClientError, match=r"(posix|nt)\.mkdir"):
-        read_reply(pickle.dumps([PLAN, Runs(tmp_path / "ran")], protocol))
+def test_code_does_not_run(tmp_path):
+    for protocol in PROTOCOLS:
+        with pytest.raises(ClientError, match=r"(posix|nt)\.mkdir"):
+            read_reply(pickle.dumps([PLAN, Runs(tmp_path / "ran")], protocol))
     assert not (tmp_path / "ran").exists()
 
 
-@pytest.mark.parametrize(
-    ("data", "word"),
-    [
-        *((data, "can't be read") for data in (
-            b"cbuiltins\neval\n(X\x03\x00\x00\x001+1tR.", b"cos\nsystem\n(X\x04\x00\x00\x00truetR.",
-            b"cnumpy\nload\n(X\x01\x00\x00\x00xtR.", b"cnumpy.core.multiarray\nfromfile\n)R.", b"(S'x'\nios\nsystem\n.",
-            b"cnumpy\nndarray\n}X\x01\x00\x00\x00aI1\nsb.", b"\x80\x02\x82\x01.", b"Pid\n.", b"", b"\x00 nothing",
-            pickle.dumps(PLAN)[:-20], b"\x80\x05\x96\xff\xff\xff\xff\xff\x00\x00\x00.", tensor_pickle(STORAGE[:-24]),
-            tensor_pickle(b""),
-        )),
-        (tensor_pickle(first=1), r"\(2, 2\) in a storage of 4"),
-        (tensor_pickle(steps=(200, 1)), r"\(2, 2\) in a storage of 4"),
-        (tensor_pickle(STORAGE[:-4]), "4 numbers in 12 bytes"),
-        (tensor_pickle(STORAGE.replace(b"torch\nFloatStorage", b"os\nsystem")), "os system"),
-        (pickle.dumps(PLAN) + b"x", "after its end"),
-        (b"\x80\x04r\xff\xff\xff\xff.", "too much"),
-        (b"cnumpy\nndarray\n((I100000000000\nI2\ntS'<f8'\ntR.", r"\(100000000000, 2\)"),
-        (b"cnumpy\nndarray\n((I3\nI2\ntS'<f8'\ntR.", r"\(3, 2\) in 0 bytes"),
-        (b"cnumpy\nndarray\n((" + b"I1\n" * 9 + b"tS'<f8'\ntR.", "9 axes"),
-        (pickle.dumps(PLAN.astype("S8")), "not of numbers"),
-        (pickle.dumps("Done"), "str"),
-        (pickle.dumps({"plan": 1}), "EMPTY_DICT"),
-        (pickle.dumps({1, 2}), "EMPTY_SET"),
-        (b"})" + b"\x85" * 300_000 + b"Ns.", "EMPTY_DICT"),  # hashing that key would end the program
-        (b"cnumpy\ndtype\n(" + b"(l" + b"p0\n(g0\ng0\ng0\ng0\nl" * 60 + b"tR.", "word"),
-        (pickle.dumps(np.float64(2)), "float"),
-        (pickle.dumps([0] * 10_001), "10001"),
-        (pickle.dumps(PLAN.T), r"\(2, 6\)"),
-        (pickle.dumps(PLAN[None]), r"\(1, 6, 2\)"),
-        (pickle.dumps(PLAN[:0]), r"\(0, 2\)"),
-        (pickle.dumps([]), r"\(0, 2\)"),
-        (pickle.dumps(np.zeros((1001, 2))), r"\(1001, 2\)"),
-        *((pickle.dumps(rows), "pairs") for rows in ([[1.0, 2.0], [3.0]], [[1.0, "2"]], [[10**400, 1]])),
-        (pickle.dumps(PLAN * np.nan), "finite"),
-        (pickle.dumps([[1.0, float("inf")]]), "client"),
-        (pickle.dumps(1e5 * PLAN), "10 km"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)  # fmt: skip
-def test_what_is_no_plan_is_refused(data, word):
-    with pytest.raises(ClientError, match=word):
-        read_reply(data)
+REFUSED = {
+    "names": [b"cbuiltins\neval\n(X\x03\x00\x00\x001+1tR.", b"cnumpy.core.multiarray\nfromfile\n)R.",
+              b"(S'x'\nios\nsystem\n.", b"cnumpy\nndarray\n}X\x01\x00\x00\x00aI1\nsb."],
+    "opcodes": [b"\x80\x02\x82\x01.", b"Pid\n.", pickle.dumps({"plan": 1}), pickle.dumps({1, 2}),
+                b"})" + b"\x85" * 300_000 + b"Ns."],  # hashing that key would end the program
+    "damage": [b"", b"\x00 nothing", pickle.dumps(PLAN)[:-20], b"\x80\x05\x96\xff\xff\xff\xff\xff\x00\x00\x00.",
+               pickle.dumps(PLAN) + b"x", b"\x80\x04r\xff\xff\xff\xff."],
+    "arrays": [b"cnumpy\nndarray\n((I100000000000\nI2\ntS'<f8'\ntR.", b"cnumpy\nndarray\n((I3\nI2\ntS'<f8'\ntR.",
+               b"cnumpy\nndarray\n((" + b"I1\n" * 9 + b"tS'<f8'\ntR.", pickle.dumps(PLAN.astype("S8")),
+               b"cnumpy\ndtype\n(" + b"(l" + b"p0\n(g0\ng0\ng0\ng0\nl" * 60 + b"tR."],
+    "shapes": [pickle.dumps(each) for each in ("Done", np.float64(2), [0] * 10_001, PLAN.T, PLAN[None], PLAN[:0], [],
+                                               np.zeros((1001, 2)), [[1.0, 2.0], [3.0]], [[1.0, "2"]])],
+    "numbers": [pickle.dumps(each) for each in (PLAN * np.nan, [[1.0, np.inf]], 1e5 * PLAN, [[10**400, 1]])],
+}  # fmt: skip
 
 
-WHOLE = [tensor_pickle(), *(pickle.dumps(PLAN, protocol) for protocol in PROTOCOLS)]
-
-
-@given(place=st.integers(0, 400), byte=st.integers(0, 255), whole=st.sampled_from(WHOLE), noise=st.binary(max_size=60))
-def test_damage_and_noise_are_read_or_refused_and_nothing_else(place, byte, whole, noise):
-    data = bytearray(whole)
-    data[place % len(data)] = byte
-    for each in (bytes(data), noise):
-        try:
-            points = read_reply(each)
-        except ClientError as problem:
-            assert str(problem)
-        else:
-            assert points is None or (points.shape[1] == 2 and np.isfinite(points).all())
+@pytest.mark.parametrize("kind", REFUSED)
+def test_other_replies_are_refused(kind):
+    for data in REFUSED[kind]:
+        with pytest.raises(ClientError, match="the client sent"):
+            read_reply(data)

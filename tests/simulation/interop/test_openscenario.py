@@ -1,7 +1,5 @@
 """OpenSCENARIO XML: valid against its schema, moves as written when read back, and files of others."""
 
-import subprocess
-import sys
 from importlib import resources
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,7 +14,7 @@ from gsrain_engine.simulation.interop.openscenario_write import write_openscenar
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation
-from gsrain_engine.simulation.vehicle import Control
+from gsrain_engine.simulation.vehicle import Control, VehicleState
 from simulation.small_drive import scene_with_box
 from small_scene import small_scene
 
@@ -78,21 +76,15 @@ def test_rain_is_precipitation_in_mm_h(written, tmp_path):
     assert wind == pytest.approx(np.arctan2(-1, 2) + 2 * np.pi)
 
 
-def test_what_is_written_is_read_back(written):
+def test_a_written_scenario_is_read_back_and_moves_alike(written):
     back, mine = load_scenario(written), scenario()
-    for name in ("name", "description", "speed_m_s", "duration_s", "start_s", "rain", "vehicle", "step_s", "scene"):
-        assert getattr(back, name) == getattr(mine, name), name
+    rest = {"road_users": (), "controller": mine.controller}
+    assert msgspec.structs.replace(back, **rest) == msgspec.structs.replace(mine, **rest)
     for one, other in zip(mine.road_users, back.road_users, strict=True):
         assert other.size_lwh_m is not None
         same = msgspec.structs.replace(other, size_lwh_m=None, placed="along-route", turned_deg=abs(other.turned_deg))
-        if one.id in ("by growing gap", "tracked"):
-            continue  # a shape other than ours; see below
-        assert same == one
-
-
-def test_what_is_read_back_moves_as_what_was_written(written):
-    first, other = (_moved(each) for each in (scenario(), load_scenario(written)))
-    assert len(first) == 10
+        assert same == one or one.id in ("by growing gap", "tracked")  # these have another form than ours
+    first, other = _moved(mine), _moved(back)
     for name, path in first.items():
         # A track is sampled step by step: its places agree, speeds between them hardly.
         columns = slice(2) if name == "tracked" else slice(3)
@@ -107,10 +99,11 @@ def _moved(test):
             paths.setdefault(each.id, []).append((each.x_m, each.y_m, each.speed_m_s))
         if simulation.end is None:
             simulation.advance(Control(-1.0, 0.0))
+    assert len(paths) == 10
     return {name: np.array(path) for name, path in paths.items()}
 
 
-def test_actors_that_are_kept_follow_trajectories_and_are_kept_again(tmp_path):
+def test_actors_of_the_scene_follow_trajectories_and_stay(tmp_path):
     path = tmp_path / "keep.xosc"
     write_openscenario(path, scenario(keep="all", road_users=[], duration_s=2.0), scene_with_box())
     vertices = list(ElementTree.parse(path).getroot().iter("Vertex"))
@@ -125,25 +118,23 @@ def test_the_road_follows_the_route_without_gaps(tmp_path):
     write_openscenario(path, scenario(road_users=[]), curved_scene())
     pieces = list(ElementTree.parse(path.with_suffix(".xodr")).getroot().iter("geometry"))
     assert 10 < len(pieces) < 40
-    u, offsets, end = np.linspace(0, 1, 20), [], None
+    powers, places = np.linspace(0, 1, 20)[:, None] ** np.arange(4), []
     for piece in pieces:
         x, y, heading = (float(piece.get(name)) for name in ("x", "y", "hdg"))
-        assert end is None or end == pytest.approx((x, y), abs=1e-6)
-        cubic = {key: float(value) for key, value in piece.find("paramPoly3").attrib.items() if key != "pRange"}
-        ahead, left = (sum(cubic[f"{c}{axis}"] * u**k for k, c in enumerate("abcd")) for axis in "UV")
-        east = x + ahead * np.cos(heading) - left * np.sin(heading)
-        north = y + ahead * np.sin(heading) + left * np.cos(heading)
-        end = east[-1], north[-1]
-        inside = (east > 1) & (north < RADIUS_M - 1)
-        offsets += np.abs(np.hypot(east[inside], north[inside] - RADIUS_M) - RADIUS_M).tolist()
-    assert 0 < max(offsets) < 0.15
+        cubic = piece.find("paramPoly3").attrib
+        local = np.stack([powers @ [float(cubic[f"{c}{axis}"]) for c in "abcd"] for axis in "UV"], axis=1)
+        places.append(VehicleState(x, y, heading).to_world(local))
+        assert len(places) == 1 or places[-1][0] == pytest.approx(places[-2][-1], abs=1e-6)
+    east, north = np.concatenate(places).T
+    inside = (east > 1) & (north < RADIUS_M - 1)
+    offsets = np.abs(np.hypot(east, north - RADIUS_M) - RADIUS_M)[inside]
+    assert 0 < offsets.max() < 0.15
 
 
 FOREIGN = """<?xml version="1.0"?>
 <OpenSCENARIO>
   <FileHeader revMajor="1" revMinor="1" date="2024-01-01T00:00:00" author="else" description="A cut-in."/>
-  <ParameterDeclarations>
-    <ParameterDeclaration name="Speed" parameterType="double" value="12.5"/>
+  <ParameterDeclarations><ParameterDeclaration name="Speed" parameterType="double" value="12.5"/>
   </ParameterDeclarations>
   <Entities>
     <ScenarioObject name="hero"><CatalogReference catalogName="Vehicles" entryName="car_white"/></ScenarioObject>
@@ -158,32 +149,23 @@ FOREIGN = """<?xml version="1.0"?>
       <Private entityRef="hero">
         <PrivateAction><TeleportAction><Position><LanePosition roadId="1" laneId="-1" s="50"/></Position>
         </TeleportAction></PrivateAction>
-        <PrivateAction><LongitudinalAction><SpeedAction>
-          <SpeedActionDynamics dynamicsShape="step" dynamicsDimension="time" value="0"/>
-          <SpeedActionTarget><AbsoluteTargetSpeed value="$Speed"/></SpeedActionTarget>
-        </SpeedAction></LongitudinalAction></PrivateAction>
+        <PrivateAction><LongitudinalAction><SpeedAction><SpeedActionTarget><AbsoluteTargetSpeed value="$Speed"/>
+        </SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>
       </Private>
       <Private entityRef="target">
         <PrivateAction><TeleportAction><Position>{position}</Position></TeleportAction></PrivateAction>
-        <PrivateAction><LongitudinalAction><SpeedAction>
-          <SpeedActionDynamics dynamicsShape="step" dynamicsDimension="time" value="0"/>
-          <SpeedActionTarget><AbsoluteTargetSpeed value="10"/></SpeedActionTarget>
-        </SpeedAction></LongitudinalAction></PrivateAction>
+        <PrivateAction><LongitudinalAction><SpeedAction><SpeedActionTarget><AbsoluteTargetSpeed value="10"/>
+        </SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>
       </Private>
     </Actions></Init>
     <Story name="s"><Act name="a">
-      <ManeuverGroup name="g" maximumExecutionCount="1"><Actors selectTriggeringEntities="false">
-        <EntityRef entityRef="target"/></Actors>
-        <Maneuver name="m"><Event name="e" priority="overwrite">
-          <Action name="x"><PrivateAction>{action}</PrivateAction></Action>
-          <StartTrigger><ConditionGroup>
-            <Condition name="when" delay="0.5" conditionEdge="rising">{condition}</Condition>
-          </ConditionGroup></StartTrigger>
+      <ManeuverGroup name="g"><Actors><EntityRef entityRef="target"/></Actors>
+        <Maneuver name="m"><Event name="e"><Action name="x"><PrivateAction>{action}</PrivateAction></Action>
+          <StartTrigger><ConditionGroup><Condition name="when" delay="0.5">{condition}</Condition></ConditionGroup>
+          </StartTrigger>
         </Event></Maneuver>
       </ManeuverGroup>
-      <StartTrigger/>
     </Act></Story>
-    <StopTrigger/>
   </Storyboard>
 </OpenSCENARIO>
 """
@@ -204,16 +186,6 @@ def foreign(folder, **parts):
     return path
 
 
-def test_a_file_of_somebody_else_is_read(tmp_path):
-    test = load_scenario(foreign(tmp_path))
-    (target,) = test.road_users
-    assert (test.name, test.speed_m_s, test.rain.intensity_mm_h) == ("theirs", 12.5, 4.0)
-    assert (target.placed, target.model, target.size_lwh_m) == ("along-route", "van", (5, 2, 1.6))
-    assert (target.ahead_m, target.left_m) == pytest.approx((30 + 1.5 - test.vehicle.middle_m, 3.7))
-    cut_in = target.behaviour
-    assert (cut_in.after_s, cut_in.duration_s, cut_in.offset_m) == (2.5, 2.5, None)
-
-
 SPEED = (
     '<LongitudinalAction><SpeedAction><SpeedActionDynamics dynamicsShape="linear" dynamicsDimension="{}" value="{}"/>'
     '<SpeedActionTarget><AbsoluteTargetSpeed value="{}"/></SpeedActionTarget></SpeedAction></LongitudinalAction>'
@@ -229,13 +201,17 @@ SPEED = (
         ("rate", 1, 15, {"offset_m": 0.0, "acceleration_m_s2": 1.0}),  # speeding up stays in the lane
     ],
 )
-def test_a_change_of_speed_is_given_by_its_rate_time_or_distance(tmp_path, dimension, value, to, expected):
-    (target,) = load_scenario(foreign(tmp_path, action=SPEED.format(dimension, value, to))).road_users
-    assert target.behaviour.to_speed_m_s == to
-    assert {name: getattr(target.behaviour, name) for name in expected} == pytest.approx(expected)
-
-
-MISC = {'<Vehicle name="v" vehicleCategory="van">': "<MiscObject>", "</Vehicle>": "</MiscObject>"}
+def test_a_file_of_somebody_else_is_read(tmp_path, dimension, value, to, expected):
+    test = load_scenario(foreign(tmp_path))
+    (target,) = test.road_users
+    assert (test.name, test.speed_m_s, test.rain.intensity_mm_h) == ("theirs", 12.5, 4.0)
+    assert (target.placed, target.model, target.size_lwh_m) == ("along-route", "van", (5, 2, 1.6))
+    assert (target.ahead_m, target.left_m) == pytest.approx((30 + 1.5 - test.vehicle.middle_m, 3.7))
+    cut_in = target.behaviour
+    assert (cut_in.after_s, cut_in.duration_s, cut_in.offset_m) == (2.5, 2.5, None)
+    (changing,) = load_scenario(foreign(tmp_path, action=SPEED.format(dimension, value, to))).road_users
+    assert changing.behaviour.to_speed_m_s == to
+    assert {name: getattr(changing.behaviour, name) for name in expected} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -244,22 +220,18 @@ MISC = {'<Vehicle name="v" vehicleCategory="van">': "<MiscObject>", "</Vehicle>"
         ({"position": '<LanePosition roadId="1" laneId="1" s="80"/>'}, "target .*LanePosition"),
         ({"position": '<WorldPosition x="1" y="2"/>'}, "hero a LanePosition"),
         ({"category": "bicycle"}, '"gsrain.model"'),
-        ({"swapped": MISC}, "target is a thing"),
         ({"swapped": {'<Private entityRef="target">': '<Private entityRef="nobody">'}}, "target"),
         ({"swapped": {'<AbsoluteTargetSpeed value="10"/>': "<RelativeTargetSpeed/>"}}, "AbsoluteTargetSpeed"),
         ({"rain": '<Precipitation precipitationType="snow" precipitationIntensity="1"/>'}, "snow"),
         ({"rain": '<Precipitation precipitationType="rain" intensity="0.4"/>'}, "precipitationIntensity"),
-        ({"rain": PARTS["rain"].replace('"4"', '"400"')}, "intensity_mm_h"),
         ({"rain": PARTS["rain"].replace('"4"', '"$Rain"')}, "Rain"),
         ({"rain": "</Weather></Environment></EnvironmentAction></GlobalAction><GlobalAction><EnvironmentAction>"
                   '<Environment name="later"><Weather>'}, "weather"),
         ({"action": "<LateralAction><LaneOffsetAction/></LateralAction>"}, "LateralAction: .*LaneChangeAction"),
         ({"action": PARTS["action"].replace('Ref="hero"', 'Ref="other"')}, "RelativeTargetLane .*hero"),
         ({"action": PARTS["action"].replace('"25"', '"far"')}, 'LaneChangeActionDynamics@value is "far"'),
-        ({"action": PARTS["action"].replace('"25"', '"nan"')}, 'LaneChangeActionDynamics@value is "nan"'),
         ({"action": PARTS["action"].replace('"distance"', '"jerk"')}, "'jerk'"),
         ({"action": SPEED.format("rate", 1, 4).replace("AbsoluteT", "RelativeT")}, "AbsoluteTargetSpeed"),
-        ({"action": SPEED.format("jerk", 1, 4)}, "'jerk'"),
         ({"action": "<RoutingAction><FollowTrajectoryAction/></RoutingAction>"}, "target: .*trajectory"),
         ({"condition": PARTS["condition"] + "</Condition></ConditionGroup><ConditionGroup><Condition>"}, "groups"),
         ({"condition": "<ByEntityCondition><EntityCondition><SpeedCondition/></EntityCondition></ByEntityCondition>"},
@@ -268,23 +240,12 @@ MISC = {'<Vehicle name="v" vehicleCategory="van">': "<MiscObject>", "</Vehicle>"
          "several conditions"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_taken_is_named(tmp_path, parts, word):
+def test_unsupported_content_is_named(tmp_path, parts, word):
     path = foreign(tmp_path, **parts)
     for old, new in parts.get("swapped", {}).items():
         path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ValueError, match=f"theirs.xosc: .*{word}"):
         load_scenario(path)
-
-
-def test_reading_needs_no_package_and_writing_names_it(tmp_path):
-    code = "import sys; sys.modules['scenariogeneration'] = None; import {}; {}"
-    read = f"print(gsrain_engine.simulation.scenario_io.load_scenario({str(foreign(tmp_path))!r}).rain.intensity_mm_h)"
-    for module, statement, output in (
-        ("gsrain_engine.simulation.scenario_io", read, "4.0"),
-        ("gsrain_engine.simulation.interop.openscenario_write", "", "gsrain[drive]"),
-    ):
-        run = subprocess.run([sys.executable, "-c", code.format(module, statement)], capture_output=True, check=False)
-        assert output in (run.stdout + run.stderr).decode()
 
 
 BOMB = (
@@ -295,7 +256,7 @@ EMPTY = "<OpenSCENARIO><Storyboard/></OpenSCENARIO>"
 
 
 @pytest.mark.parametrize("text", ["", "<OpenSCENARIO>", "<OpenSCENARIO/>", "<Catalog/>", "no XML", BOMB, EMPTY])
-def test_what_is_no_scenario_is_refused_and_entities_are_not_expanded(tmp_path, text):
+def test_other_files_are_refused_and_entities_are_not_expanded(tmp_path, text):
     path = tmp_path / "none.xosc"
     path.write_text(text)
     with pytest.raises(ValueError, match="none.xosc: " + ("a document type" if text == BOMB else "")):

@@ -1,5 +1,6 @@
 """Metrics of a run in one value, runs side by side, the paper's table, figures and the report page."""
 
+import csv
 import math
 from functools import cache
 
@@ -8,21 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.colors import to_rgba
 from msgspec.structs import replace
 
 from gsrain_engine.evaluation.report import report_page
-from gsrain_engine.simulation.agents.base import ConstantVelocityAgent
 from gsrain_engine.simulation.metrics import figures, summary
 from gsrain_engine.simulation.metrics.report import drive_report_page, rollout_hash
-from gsrain_engine.simulation.obstacles import drivable_of
-from gsrain_engine.simulation.scenario import Scenario
-from gsrain_engine.simulation.simulation import Simulation, run_drive
 from small_rollout import approach, ego, rollout, step, user
-from small_scene import small_scene
 
 
-def test_a_run_into_a_standing_car():
+def test_a_run_into_a_standing_car(tmp_path):
     metrics = summary.measure_drive(approach(lead_x=40.0, moments=20, intensity_mm_h=8.5, seed=3))
     expected = {
         "collision": True, "collided_with": "lead", "collision_time_s": 3.5, "min_ttc_s": 0.0, "min_ttc_time_s": 3.5,
@@ -31,10 +26,14 @@ def test_a_run_into_a_standing_car():
         "with_background": False, "dac": None, "agent": "hand",
     }  # fmt: skip
     assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
-    assert msgspec.json.decode(msgspec.json.encode(metrics), type=summary.DriveMetrics) == metrics and metrics.collided
-    for name, beyond in (("dac", 1.01), ("nc", -0.01), ("min_ttc_s", 10.1), ("min_ttc_center_s", -0.1), ("other", 0)):
-        with pytest.raises(msgspec.ValidationError, match=name):
-            msgspec.convert(msgspec.to_builtins(metrics) | {name: beyond}, summary.DriveMetrics)
+    summary.write_metrics_csv(tmp_path / "runs.csv", [metrics])
+    (row,) = csv.DictReader((tmp_path / "runs.csv").read_text().splitlines())
+    assert list(row) == list(summary.DriveMetrics.__struct_fields__) and row["collision"] == "true"
+    assert {name: float(row[name]) for name in ("min_ttc_s", "distance_m")} == {"min_ttc_s": 0.0, "distance_m": 35.0}
+    with pytest.raises(ValueError, match=r"none\.jsonl"):
+        summary.ScoredRun(metrics).save(tmp_path / "none.jsonl")
+    with pytest.raises(ValueError, match=r"scenario\.vehicle: .*length_m"):
+        summary.measure_drive(replace(approach(), scenario={"vehicle": {"length_m": "long"}}))
 
 
 @pytest.mark.parametrize(
@@ -54,11 +53,6 @@ def test_a_run_into_a_standing_car():
 def test_single_metrics(steps, expected):
     metrics = summary.measure_drive(rollout(steps, end="agent"))
     assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
-
-
-def test_a_vehicle_that_can_not_be_read_is_named():
-    with pytest.raises(ValueError, match=r"scenario\.vehicle: .*length_m"):
-        summary.measure_drive(replace(approach(), scenario={"vehicle": {"length_m": "long"}}))
 
 
 @settings(max_examples=15)
@@ -82,34 +76,6 @@ def test_metrics_depend_on_neither_the_worlds_origin_nor_the_clocks(turn, x, y, 
     assert there == pytest.approx(here, abs=1e-6)
 
 
-def test_metrics_as_csv(tmp_path):
-    metrics = [summary.measure_drive(approach(moments=count)) for count in (5, 20)]
-    summary.write_metrics_csv(tmp_path / "runs.csv", metrics)
-    columns, *rows = (line.split(",") for line in (tmp_path / "runs.csv").read_text().splitlines())
-    assert columns == list(summary.DriveMetrics.__struct_fields__)
-    first, second = (dict(zip(columns, row, strict=True)) for row in rows)
-    assert (first["collision"], second["collision"], first["collided_with"]) == ("false", "true", "")
-    assert float(first["min_ttc_s"]) == metrics[0].min_ttc_s
-
-
-@pytest.mark.parametrize(("speed", "hits"), [(10.0, True), (2.0, False)])
-def test_a_drive_in_a_scene_is_measured_against_its_walls_and_its_road(tmp_path, speed, hits):
-    """The road ends at a wall at 40 m: from 7 m on the last planned point, 30 m ahead, puts the bumper into it."""
-    simulation = Simulation(Scenario(name="to the wall", speed_m_s=speed), small_scene())
-    run = run_drive(simulation, ConstantVelocityAgent())
-    drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
-    scored, bare = summary.ScoredRun.of(run, simulation.occupied, drivable), summary.ScoredRun.of(run)
-    metrics = scored.metrics
-    assert run.end == "completed" and not metrics.collision and metrics.route_completion == metrics.rc == 1.0
-    assert metrics.with_background and (0 < metrics.planned_point_collision_rate < 0.2) == hits
-    assert not bare.metrics.with_background and bare.metrics.planned_point_collision_rate == 0.0
-    assert hits or (metrics.dac, metrics.nc, metrics.hdscore) == (1.0, 1.0, metrics.pdms)
-    assert metrics.comfort_executed == 1.0 and metrics.mean_speed_m_s == pytest.approx(speed)
-    scored.save(tmp_path / "run.jsonl")
-    with pytest.raises(ValueError, match="none.jsonl"):
-        summary.ScoredRun(metrics).save(tmp_path / "none.jsonl")
-
-
 # Comparison and table
 
 
@@ -123,8 +89,8 @@ def test_rows_go_by_intensity_and_seed_and_agents_stay_apart():
     several = [summary.ScoredRun.of(approach(intensity_mm_h=r, seed=s, moments=5)) for r in (8.5, 0.0) for s in (1, 0)]
     other = summary.ScoredRun(replace(several[0].metrics, agent="other"))
     first, second = summary.compare_drives([*several, other])
-    assert [each.intensity_mm_h for each in first.weathers] == [0.0, 8.5] and first.title == "made-up, hand"
-    assert [run.metrics.seed for run in first.runs] == [0, 1, 0, 1]
+    order = [(run.metrics.intensity_mm_h, run.metrics.seed) for run in first.runs]
+    assert (first.title, order) == ("made-up, hand", [(0.0, 0), (0.0, 1), (8.5, 0), (8.5, 1)])
     assert (second.agent, len(second.runs)) == ("other", 1)
 
 
@@ -136,12 +102,8 @@ def test_the_table_is_the_papers():
     # At the end of 9 moments it is at 20 m: 15 m of gap at 10 m/s.
     assert clear[2:6] == ("Clear", "No", "1.500", f"{rate:.1f} %") and light[2] == "1.2"
     assert heavy[2:] == ("12", "Yes", "0.000", *(4 * (summary.NOT_MEASURED,)))
-    assert any("N = 6" in each for each in table.definitions)
     assert table.markdown.startswith("| Scenario | Agent |") and "N = 6" in table.markdown
     assert table.text.splitlines()[2].split()[:4] == ["made-up", "hand", "Clear", "No"] and "N = 6" in table.text
-
-
-def test_seeds_become_means_with_bands():
     several = [summary.ScoredRun.of(approach(speed=v, seed=i, moments=9)) for i, v in enumerate((8.0, 9.0, 10.0))]
     (only,) = summary.compare_drives([*several, summary.ScoredRun.of(approach(seed=3, moments=20))])
     (weather,) = only.weathers
@@ -156,7 +118,6 @@ def test_seeds_become_means_with_bands():
 
 def test_curves_of_a_run_and_bands_of_the_runs_that_go_on():
     run = approach(lead_x=40.0, moments=20)
-    assert figures.curve_over_time(run, "speed_m_s") == pytest.approx(np.full(15, 10.0))
     assert figures.curve_over_time(run, "acceleration_m_s2") == pytest.approx([np.nan, *[0.0] * 14], nan_ok=True)
     assert figures.curve_over_time(run, "gap_m")[:2] == pytest.approx([35.0, 32.5])
     assert figures.curve_over_time(run, "ttc_s")[-1] == 0.0
@@ -168,64 +129,41 @@ def test_curves_of_a_run_and_bands_of_the_runs_that_go_on():
     assert times[-1] == 2.0 and mean == pytest.approx([9.0] * 5 + [10.0] * 4)
     assert (low[0], high[0], low[-1], high[-1]) == (8.0, 10.0, 10.0, 10.0)
     assert "(2 seeds)" in figures.kinematics_figure(comparison).axes[0].lines[0].get_label()
-
-
-def test_runs_without_a_common_curve_are_refused():
-    bare = summary.compare_drives([summary.ScoredRun(each.metrics) for each in runs()])[0]
-    odd = summary.compare_drives(
-        [summary.ScoredRun.of(replace(approach(seed=s, moments=5), step_s=0.25 + s / 4)) for s in (0, 1)]
-    )[0]
-    for comparison, word in ((bare, "0 mm/h"), (odd, r"0\.25 s and of 0\.5 s")):
+    odd = [summary.ScoredRun.of(replace(approach(seed=s, moments=5), step_s=0.25 + s / 4)) for s in (0, 1)]
+    for refused, word in (([summary.ScoredRun(runs()[0].metrics)], "0 mm/h"), (odd, r"0\.25 s and of 0\.5 s")):
         with pytest.raises(ValueError, match=word):
-            figures.kinematics_figure(comparison)
+            figures.kinematics_figure(summary.compare_drives(refused)[0])
     with pytest.raises(ValueError, match="no run"):
         figures.birds_eye_sheet([])
 
 
-def test_all_intensities_are_in_every_panel_darker_in_heavier_rain_and_the_collision_is_marked():
-    figure = figures.kinematics_figure(summary.compare_drives(runs())[0])
-    assert len(figure.axes) == 4
+def test_figures_show_every_intensity_and_collision_and_are_the_same_bytes(tmp_path):
+    comparison = summary.compare_drives(runs())[0]
+    figure, sheet = figures.kinematics_figure(comparison), figures.birds_eye_sheet([runs()[2].rollout])
     for panel in figure.axes:
         assert sum(len(line.get_xdata()) > 2 for line in panel.lines) == 3
         (cross,) = [line for line in panel.lines if line.get_marker() == "X"]
         assert cross.get_xdata()[0] == 3.5
     assert [line.get_label() for line in figure.axes[0].lines[:2]] == ["clear", "1.2 mm/h"]
-    colors = figures.rain_colors([12.0, 0.0, 1.2])
-    luma = {rain: np.dot(to_rgba(color)[:3], (0.3, 0.59, 0.11)) for rain, color in colors.items()}
-    assert luma[1.2] > luma[12.0] and to_rgba(colors[0.0])[0] > to_rgba(colors[0.0])[2]
-
-
-def test_the_same_runs_give_the_same_bytes(tmp_path):
-    makers = {
-        "png": lambda: figures.birds_eye_sheet([runs()[2].rollout]),
-        "svg": lambda: figures.kinematics_figure(comparison),
-    }
-    comparison, title = summary.compare_drives(runs())[0], makers["png"]().axes[0].get_title(loc="left")
-    assert "hits lead at 3.5 s with 10.0 m/s" in title
-    for kind, make in makers.items():
-        for name in "ab":
-            figures.write_figure(tmp_path / f"{name}.{kind}", make())
-        assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+    assert "hits lead at 3.5 s with 10.0 m/s" in sheet.axes[0].get_title(loc="left")
+    for name, each in (("a", figure), ("b", figures.kinematics_figure(comparison))):
+        figures.write_figure(tmp_path / f"{name}.svg", each)
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
     with pytest.raises(ValueError, match=r"a\.gif"):
-        figures.write_figure(tmp_path / "a.gif", makers["png"]())
+        figures.write_figure(tmp_path / "a.gif", sheet)
 
 
 def test_the_page_has_results_figures_and_origins():
-    report = drive_report_page(runs(), settings={"command": "gsrain drive <x>"})
+    rollout = replace(runs()[0].rollout, software={"gsrain": "0.0.1"})
+    report = drive_report_page([runs()[0]._replace(rollout=rollout), *runs()[1:]], settings={"command": "drive <x>"})
     assert report.headlines == {"runs": "3", "collisions": "1", "least time to collision": "0.00 s"}
-    assert report.settings["intensities (mm/h)"] == "0, 1.2, 12" and report.settings["scene hashes"] == ""
+    assert report.settings["intensities (mm/h)"] == "0, 1.2, 12"
+    assert report.settings["versions"].startswith("gsrain 0.0.1, ")
     clear, _, heavy = (row[2:8] for row in report.tables[1].rows)
     assert clear == (0.0, 0, "time", 2.0, "-", 1.5) and heavy == (12.0, 0, "collision", 3.5, "lead", 0.0)
-    assert not report.held_out
     page = report_page(report)
     assert page.count("<img") == 2
-    for word in ("Driving in rain: made-up", "gsrain drive &lt;x&gt;", rollout_hash(runs()[0].rollout)[:16], "shapely"):
+    for word in ("Driving in rain: made-up", "drive &lt;x&gt;", rollout_hash(rollout)[:16], "shapely"):
         assert word in page
-    only_numbers = report_page(drive_report_page([summary.ScoredRun(each.metrics) for each in runs()]))
-    assert "<img" not in only_numbers and "Every run" in only_numbers
-    run = replace(runs()[0].rollout, software={"gsrain": "0.0.1"})
-    elsewhere = drive_report_page([runs()[0]._replace(rollout=run)])
-    assert elsewhere.settings["versions"].startswith("gsrain 0.0.1, ")
     half = drive_report_page([runs()[0], summary.ScoredRun(runs()[1].metrics)])
     assert [each.title for each in half.figures] == ["made-up, hand, from above"]
-    assert rollout_hash(approach(moments=5)) == rollout_hash(approach(moments=5)) != rollout_hash(approach(moments=6))
