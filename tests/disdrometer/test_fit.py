@@ -12,7 +12,7 @@ from gsrain_engine.disdrometer.fit import fit_calibration
 from gsrain_engine.disdrometer.fit_models import AxisRatios, FitOptions
 from gsrain_engine.disdrometer.fit_plot import draw_calibration, write_plot
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.rain.calibration import Provenance, SourceFile, calibration_names, load_calibration, save_calibration
+from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import DropSizes, flux_mm_h
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
@@ -22,12 +22,9 @@ LIGHT, HEAVY = (271.0, 9.705, 0.074), (1190.0, 7.132, 0.114)
 OPTIONS = FitOptions(intensities_mm_h=(0.8, 6.6), half_width=0.5, resamples=200)
 
 
-def options(**changes):
-    return msgspec.structs.replace(OPTIONS, **changes)
-
-
-def fit(rain, chosen=OPTIONS, **more):
-    return fit_calibration(rain, name="test", source="drawn", options=chosen, **more)
+def fit(rain, measured=None, **changes):
+    options = msgspec.structs.replace(OPTIONS, **changes)
+    return fit_calibration(rain, name="test", source="drawn", options=options, measured=measured)
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +62,7 @@ def test_implied_rates_and_counts_add_up(fitted, rain):
         sizes = DropSizes(each.row.shape, each.row.scale_mm)
         implied = flux_mm_h(each.row.density_m3, sizes, fitted.calibration.velocity)
         assert each.implied_mm_h == pytest.approx(implied, rel=0.002)
-        assert each.implied_mm_h == pytest.approx(each.row.intensity_mm_h, rel=0.03)
-        assert each.moments_implied_mm_h == pytest.approx(each.row.intensity_mm_h, rel=0.03)
+        assert [each.implied_mm_h, each.moments_implied_mm_h] == pytest.approx([each.row.intensity_mm_h] * 2, rel=0.03)
         assert each.moments_shape == pytest.approx(each.row.shape, rel=0.1)
     assert fitted.records == fitted.records_used == sum(map(len, rain)) == sum(row.records for row in fitted.rows)
     assert [(row.minutes, row.middle_mm_h) for row in fitted.rows] == [(60, 0.8), (30, 6.6)]
@@ -81,25 +77,27 @@ def test_speeds_of_a_class_have_a_mean_and_a_deviation():
         measured_rain(*HEAVY, minutes=5, seed=5, scatter=0.15),
         measured_rain(*LIGHT, minutes=5, seed=6, start="2024-05-01T12:00", scatter=0.15),
     ]
-    speeds = fit(parts, options(resamples=0)).speeds
+    speeds = fit(parts, resamples=0).speeds
     counts = sum(each.counts.sum(axis=0) for each in parts).astype(int)
     for diameter in (3, 7, 11):
         drawn = np.repeat(parts[0].velocities_m_s, counts[diameter])
         assert speeds.drops[diameter] == len(drawn)
-        assert speeds.mean_m_s[diameter] == pytest.approx(drawn.mean())
-        assert speeds.deviation_m_s[diameter] == pytest.approx(drawn.std(), rel=1e-6)
+        found = (speeds.mean_m_s[diameter], speeds.deviation_m_s[diameter])
+        assert found == pytest.approx((drawn.mean(), drawn.std()), rel=1e-6)
     assert np.isnan(speeds.mean_m_s[counts.sum(axis=1) == 0]).all()
     np.testing.assert_array_equal(speeds.fitted, (speeds.drops >= 10) & (parts[0].diameters_mm < 8))
 
 
-def test_intervals_need_minutes_and_resamples(rain):
-    def confidence(light_records: int, resamples: int):
+def test_intervals_need_minutes_and_follow_the_seed(fitted, rain):
+    def confidence(light_records: int):
         light, heavy = (replace(each, counts=40 * each.counts) for each in (rain[0][:light_records], rain[1][:2]))
-        chosen = FitOptions(intensities_mm_h=(0.8 * 40, 6.6 * 40), half_width=0.6, resamples=resamples)
-        return fit([light, heavy], chosen).velocity_confidence
+        middles = (0.8 * 40, 6.6 * 40)
+        return fit([light, heavy], intensities_mm_h=middles, half_width=0.6, resamples=50).velocity_confidence
 
-    assert confidence(8, 50) is not None  # four light minutes and a heavy one
-    assert confidence(6, 50) is None and confidence(8, 0) is None
+    assert confidence(8) is not None and confidence(6) is None  # four light minutes and a heavy one, or three
+    assert fit(rain).calibration == fitted.calibration
+    row, other = fitted.calibration.rows[0], fit(rain, seed=1).calibration.rows[0]
+    assert other.confidence != row.confidence and other.density_m3 == row.density_m3
 
 
 def test_a_class_that_one_minute_alone_has_does_not_widen_the_intervals(rain):
@@ -108,52 +106,27 @@ def test_a_class_that_one_minute_alone_has_does_not_widen_the_intervals(rain):
     counts[:, 16:] = 0
     counts[0, 19, 23] = 12  # 4.75 mm at 9.2 m/s, in one of thirty minutes
     found = fit([rain[0], replace(rain[1], counts=counts)])
-    assert found.speeds.fitted[19] and found.speeds.drops[19] == 12
-    for (low, high), value in zip(found.velocity_confidence, found.calibration.velocity.coefficients, strict=True):
-        assert high - low < 0.2 and low - 0.02 < value < high + 0.02
-
-
-def test_intervals_narrow_with_more_minutes_and_follow_the_seed(fitted, rain):
-    row, few = (each.calibration.rows[0] for each in (fitted, fit([rain[0][:20], rain[1]])))
-    assert np.ptp(few.confidence.density_m3) > 1.5 * np.ptp(row.confidence.density_m3)
-    assert fit(rain).calibration == fitted.calibration
-    other = fit(rain, options(seed=1)).calibration.rows[0]
-    assert other.confidence != row.confidence and other.density_m3 == row.density_m3
-
-
-def test_intervals_hold_the_truth_about_as_often_as_they_say():
-    held, heavy = 0, measured_rain(*HEAVY, minutes=5, seed=0)
-    for seed in range(14):
-        light = measured_rain(*LIGHT, minutes=10, seed=100 + seed)
-        low, high = fit([light, heavy], options(resamples=100)).calibration.rows[0].confidence.density_m3
-        held += low < LIGHT[0] < high
-    assert held >= 10
+    assert found.speeds.fitted[19]
+    assert max(high - low for low, high in found.velocity_confidence) < 0.2
 
 
 def test_the_instruments_own_rate_is_checked_on_all_measured_drops(fitted, rain):
-    check = fitted.rate_check
-    assert check.ratio == pytest.approx(1, abs=0.03) and check.correlation > 0.99
-    doubled = [replace(each, reported_mm_h=2 * each.reported_mm_h) for each in rain]
-    assert fit(rain, measured=doubled).rate_check.ratio == pytest.approx(check.ratio / 2, rel=0.01)
+    assert fitted.rate_check.ratio == pytest.approx(1, abs=0.03) and fitted.rate_check.correlation > 0.99
     silent = [replace(each, reported_mm_h=np.full(len(each), np.nan)) for each in rain]
-    assert fit(silent).rate_check is None
+    assert fit(silent, resamples=0).rate_check is None
     splashes = rain[0].counts.copy()
     splashes[:, 12, 3] += 50
-    found = fit(rain, measured=[replace(rain[0], counts=splashes), rain[1]])
+    found = fit(rain, [replace(rain[0], counts=splashes), rain[1]])
     assert found.rate_check.ratio > 1.3 and found.rows[0].row == fitted.rows[0].row
 
 
-def test_without_speeds_the_fall_speed_is_assumed(rain):
-    found = fit(
-        [replace(each, velocity_edges_m_s=None, counts=each.counts.sum(axis=2, keepdims=True)) for each in rain]
-    )
+def test_without_speeds_the_fall_speed_is_assumed_and_small_drops_can_be_left_out(rain):
+    flat = [replace(each, velocity_edges_m_s=None, counts=each.counts.sum(axis=2, keepdims=True)) for each in rain]
+    found = fit(flat, resamples=0)
     assert found.speeds is None and found.velocity_confidence is None and found.calibration.velocity.r2 is None
     # Atlas's speeds are higher than those of these drops: the same counts are fewer drops in the air.
     assert 0.75 < found.calibration.rows[0].density_m3 / LIGHT[0] < 0.95
-
-
-def test_small_drops_can_be_left_out(rain):
-    found = fit(rain, options(smallest_mm=0.6, resamples=0))
+    found = fit(rain, smallest_mm=0.6, resamples=0)
     row = found.calibration.rows[0]
     assert found.fitted_range_mm == (0.625, 8.0) and row.confidence is None
     assert row.density_m3 == pytest.approx(LIGHT[0], rel=0.1)  # those below are known from the law
@@ -170,7 +143,7 @@ def test_small_drops_can_be_left_out(rain):
     ],
 )
 def test_bins_without_minutes_of_their_own_are_named(middles, half_width, overlap, passed_over, rain):
-    found = fit(rain, FitOptions(intensities_mm_h=middles, half_width=half_width, resamples=0))
+    found = fit(rain, intensities_mm_h=middles, half_width=half_width, resamples=0)
     assert len(found.rows) == len(middles) - len(passed_over) and found.passed_over == passed_over
     assert (sum(row.records for row in found.rows) > found.records_used) == overlap
     assert 0 < found.records_used <= found.records == 180 and (found.records_used < 180) == (half_width == 0.1)
@@ -180,7 +153,6 @@ def test_bins_without_minutes_of_their_own_are_named(middles, half_width, overla
     ("change", "names"),
     [
         (lambda light, heavy: [light, heavy[:2]], r"of 2 bins 1 have them \(6.6 mm/h: 1 minutes"),
-        (lambda light, heavy: [light], "of 2 bins 1 have them$"),
         (lambda light, heavy: [replace(light, counts=0 * light.counts)], "too few drops"),
         (lambda light, heavy: [light[:0]], "too few drops"),
         (lambda light, heavy: [light, replace(heavy, area_m2=2 * heavy.area_m2)], "area_m2"),
@@ -189,7 +161,7 @@ def test_bins_without_minutes_of_their_own_are_named(middles, half_width, overla
 def test_too_little_rain_and_other_classes_are_refused(change, names, rain):
     light, heavy = rain[0], replace(rain[1], counts=rain[1].counts * (np.arange(32) > 6)[:, None])
     with pytest.raises(ValueError, match=names):
-        fit(change(light, heavy), options(resamples=0, half_width=0.3))
+        fit(change(light, heavy), resamples=0, half_width=0.3)
 
 
 @pytest.mark.parametrize("calibration", ["published", "locarno_2018", "marshall_palmer"])
@@ -201,70 +173,40 @@ def test_the_virtual_disdrometer_closes_the_loop(calibration):
     counted = [
         VirtualDisdrometer(RainSimulation.start(each), area_m2=0.5).measure(np.arange(4) * 40.0) for each in rains
     ]
-    found = fit([each.spectra for each in counted], FitOptions(intensities_mm_h=intensities, resamples=0)).calibration
-    for row, each in zip(found.rows, counted, strict=True):
+    found = fit([each.spectra for each in counted], intensities_mm_h=intensities, half_width=0.2, resamples=0)
+    for row, each in zip(found.calibration.rows, counted, strict=True):
         for name, rel in (("density_m3", 0.03), ("shape", 0.05), ("scale_mm", 0.05), ("intensity_mm_h", 0.03)):
             assert getattr(row, name) == pytest.approx(getattr(each.state, name), rel=rel)
     d = np.linspace(0.5, 2, 7)
-    assert found.velocity(d) == pytest.approx(load_calibration(calibration).velocity(d), rel=0.03)
+    assert found.calibration.velocity(d) == pytest.approx(load_calibration(calibration).velocity(d), rel=0.03)
 
 
-# Calibration files
-
-
-def test_calibrations_come_back_from_their_files(fitted, tmp_path):
-    path = tmp_path / "fitted.yaml"
-    provenance = Provenance(
-        files=(SourceFile(name="a.dat", sha256="0" * 64),), instrument="OTT Parsivel", first="2018-10-26T18:43:01",
-        records=10, records_used=9, method="by hand",
-    )  # fmt: skip
-    for each in (msgspec.structs.replace(fitted.calibration, provenance=provenance), load_calibration("published")):
-        save_calibration(each, path)
-        assert load_calibration(str(path)) == each
-    assert list(tmp_path.iterdir()) == [path] and "null" not in path.read_text()
-    path.write_text(path.read_text().replace("shape: 9.705", "shape: 9.705, color: 3"))
-    with pytest.raises(ValueError, match="fitted.yaml: .*color.*rows"):
-        load_calibration(str(path))
-
-
-def test_shipped_calibrations_and_the_law_of_marshall_and_palmer():
-    assert {"locarno_2018", "marshall_palmer", "published"} <= set(calibration_names())
-    assert all(load_calibration(name).name == name for name in calibration_names())
+def test_the_law_of_marshall_and_palmer():
     d, calibration = np.array([0.3, 1.0, 2.5]), load_calibration("marshall_palmer")
     for row in calibration.rows:
         slope = 4.1 * row.intensity_mm_h**-0.21
         inside = math.exp(-0.1 / row.scale_mm) - math.exp(-8 / row.scale_mm)
         spectrum = row.density_m3 * np.exp(-d / row.scale_mm) / (row.scale_mm * inside)
         assert row.shape == 1 and spectrum == pytest.approx(8000 * np.exp(-slope * d), rel=1e-3)
-        implied = flux_mm_h(row.density_m3, DropSizes(row.shape, row.scale_mm), calibration.velocity)
-        assert 1.0 < implied / row.intensity_mm_h < 1.2
 
 
 # Figure
 
 
-def panels(figure):
-    return {axes.get_title(loc="left"): axes for axes in figure.axes if axes.get_title(loc="left")}
-
-
 def test_the_figure_shows_the_numbers_with_units(fitted):
-    found = panels(draw_calibration(fitted))
-    assert [title.split(")")[0] for title in found] == ["(a", "(b", "(c", "(d", "(e"]
-    for axes in found.values():
-        assert "mm" in axes.get_xlabel() and axes.get_ylabel() and axes.get_legend() is not None
-    points, law = next(iter(found.values())).lines[2:4]  # of the second row
-    row = fitted.rows[1]
-    assert points.get_ydata() == pytest.approx(row.spectrum_m3_mm[row.spectrum_m3_mm > 0])
-    assert np.trapezoid(law.get_ydata(), law.get_xdata()) == pytest.approx(row.row.density_m3, rel=0.01)
     ratios = AxisRatios(
         diameters_mm=np.array([1.1, 2.0, 3.0]), medians=np.array([0.99, 0.93, 0.86]),
         quartiles=np.array([[0.9, 0.85, 0.8], [1.0, 0.98, 0.9]]), drops=300, offset=1.07, slope_per_mm=-0.07, r2=0.9,
     )  # fmt: skip
-    bare = replace(
-        fitted, axis_ratios=ratios, speeds=None, velocity_confidence=None,
-        minute_reported_mm_h=fitted.minute_rate_mm_h * np.nan,
-    )  # fmt: skip
-    assert "(c) Axis ratio" in panels(draw_calibration(bare))
+    bare = replace(fitted, axis_ratios=ratios, speeds=None, velocity_confidence=None)
+    for each, letters in ((fitted, "abcde"), (bare, "abcdef")):
+        panels = [axes for axes in draw_calibration(each).axes if axes.get_title(loc="left")]
+        assert [axes.get_title(loc="left")[:3] for axes in panels] == [f"({letter})" for letter in letters]
+        assert all("mm" in axes.get_xlabel() and axes.get_ylabel() and axes.get_legend() for axes in panels)
+        points, law = panels[0].lines[2:4]  # of the second row
+        row = fitted.rows[1]
+        assert points.get_ydata() == pytest.approx(row.spectrum_m3_mm[row.spectrum_m3_mm > 0])
+        assert np.trapezoid(law.get_ydata(), law.get_xdata()) == pytest.approx(row.row.density_m3, rel=0.01)
 
 
 @pytest.mark.parametrize("kind", ["png", "svg"])
@@ -276,6 +218,6 @@ def test_the_same_fit_gives_the_same_bytes(kind, fitted, tmp_path):
     if kind == "png":
         with Image.open(first) as picture:
             assert picture.size == (1950, 1140)
-    with pytest.raises(ValueError, match="plot.bmp: .*.png, .pdf, .svg"):
+    with pytest.raises(ValueError, match=r"plot\.bmp"):
         write_plot(fitted, tmp_path / "plot.bmp")
     assert set(tmp_path.iterdir()) == {first, second}
