@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -19,14 +20,53 @@ Rows = dict[str, list[dict[str, Any]]]
 """Rows of tables, by their names."""
 
 
-def text_row(values: np.ndarray, digits: int = 12) -> str:
-    return " ".join(f"{value:.{digits}e}" for value in values.ravel())
+DRIVE = MiniDrive()
+INTRINSICS = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
+"""K as OpenCV counts pixels, from their centers."""
+
+
+def text_row(values: np.ndarray) -> str:
+    return " ".join(f"{value:.12e}" for value in values.ravel())
+
+
+# Damage
+
+Change = bytes | None | Callable[[bytes], bytes]
+"""New content of a file, None to remove it (or a folder), or a function of its content."""
+
+
+def damaged(write: Callable[[Path], object], changes: dict[str, Change], below: str = ".") -> Callable[[Path], Path]:
+    """Return a function that writes a drive, changes some of its files, and returns the path `below` to open."""
+
+    def write_damaged(folder: Path) -> Path:
+        write(folder)
+        for name, change in changes.items():
+            file = folder / name
+            if change is None:
+                shutil.rmtree(file) if file.is_dir() else file.unlink()
+            else:
+                file.write_bytes(change(file.read_bytes()) if callable(change) else change)
+        return folder / below
+
+    return write_damaged
+
+
+def edited(change: Callable[[Any], object], form: Any = json) -> Callable[[bytes], bytes]:
+    """Change the values in the content of a file, of JSON or (`form` pickle) a pickle."""
+
+    def edit(content: bytes) -> bytes:
+        values = form.loads(content)
+        change(values)
+        written = form.dumps(values)
+        return written if isinstance(written, bytes) else written.encode()
+
+    return edit
 
 
 # DGP
 
 
-def write_dgp(folder: Path, drive: MiniDrive, camera_lens: dict[str, float] | None = None) -> Path:
+def write_dgp(folder: Path, drive: MiniDrive = DRIVE, camera_lens: dict[str, float] | None = None) -> Path:
     scene = folder / "scene_07"
     for name in ("calibration", "ontology", "bounding_box_3d/LIDAR", "rgb/CAM", "point_cloud/LIDAR"):
         (scene / name).mkdir(parents=True)
@@ -80,10 +120,10 @@ def _pose(matrix: np.ndarray) -> dict[str, Any]:
 # nuScenes, its own tables and the info files of MMDetection3D
 
 
-def write_nuscenes(root: Path, drive: MiniDrive, scenes: tuple[str, ...] = ("scene-0061",)) -> Rows:
+def write_nuscenes(root: Path, drive: MiniDrive = DRIVE, scenes: tuple[str, ...] = ("scene-0061",)) -> None:
     """The tables of the devkit's schema; the drive happens in each scene, 100 s apart."""
     length, width, height = BOX_LWH
-    matrix = [[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]]
+    matrix = INTRINSICS.tolist()
     tables: Rows = {
         "sensor": [
             {"token": "s-cam", "channel": "CAM_FRONT", "modality": "camera"},
@@ -144,11 +184,6 @@ def write_nuscenes(root: Path, drive: MiniDrive, scenes: tuple[str, ...] = ("sce
     tables["sample_data"].append(
         {**between, "token": "radar", "calibrated_sensor_token": "c-radar", "is_key_frame": True}
     )
-    write_tables(root, tables)
-    return tables
-
-
-def write_tables(root: Path, tables: Rows) -> None:
     (root / "v1.0-mini").mkdir(exist_ok=True)
     for name, rows in tables.items():
         (root / "v1.0-mini" / f"{name}.json").write_text(json.dumps(rows))
@@ -158,9 +193,9 @@ def _placed(pose: np.ndarray) -> dict[str, Any]:
     return {"translation": pose[:3, 3].tolist(), "rotation": quaternion(pose)}
 
 
-def write_infos(folder: Path, drive: MiniDrive, layout: str, times: list[float] | None = None) -> Path:
+def write_infos(folder: Path, drive: MiniDrive = DRIVE, layout: str = "1.x", times: list[float] | None = None) -> Path:
     """An info file of version 1.x, or of one before with boxes as of then ("0.x") or of its last candidates ("rc")."""
-    matrix = [[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]]
+    matrix = INTRINSICS.tolist()
     rows: list[dict[str, Any]] = []
     for k in range(drive.samples):
         for name in ("samples/CAM_FRONT", "samples/LIDAR_TOP"):
@@ -234,9 +269,12 @@ def drive_on_the_road() -> MiniDrive:
     return MiniDrive(road_m=-IMU_HEIGHT_M, offset=(0.0, 0.0, 0.0))
 
 
-def write_kitti(day: Path, drive: MiniDrive, name: str = "2011_09_26_drive_0005_sync") -> Path:
+RAW = "2011_09_26_drive_0005_sync"
+
+
+def write_kitti(day: Path, drive: MiniDrive | None = None) -> Path:
     """A drive as the raw data has it; the lidar's frame here is turned a little, and rectification turns too."""
-    folder = day / name
+    drive, folder = drive or drive_on_the_road(), day / RAW
     for part in ("oxts/data", "image_02/data", "velodyne_points/data"):
         (folder / part).mkdir(parents=True)
     lidar_to_imu = turned(np.radians(2.0), (1.0, 0.1, 1.8 - IMU_HEIGHT_M))
@@ -247,8 +285,7 @@ def write_kitti(day: Path, drive: MiniDrive, name: str = "2011_09_26_drive_0005_
     cosine, sine = np.cos(0.01), np.sin(0.01)
     rectify[1:3, 1:3] = [[cosine, -sine], [sine, cosine]]
     to_camera = np.linalg.inv(rectify) @ np.linalg.inv(first_to_imu) @ lidar_to_imu
-    matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
-    projection = matrix @ baseline[:3]
+    projection = INTRINSICS @ baseline[:3]
     lines = [
         "calib_time: 09-Jan-2012 13:57:47",
         f"R_rect_00: {text_row(rectify[:3, :3])}",
@@ -294,6 +331,8 @@ def write_kitti(day: Path, drive: MiniDrive, name: str = "2011_09_26_drive_0005_
 
 
 TO_OPENCV = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""Axes x forward, y left, z up to OpenCV's."""
+
 STEREO_M = 0.54
 ODOMETRY_LIDAR = turned(np.radians(1.0), (-0.27, 0.0, 0.08))
 TURN = np.radians(4.0)
@@ -304,24 +343,23 @@ def odometry_pose(sample: int) -> np.ndarray:
     return turned(TURN * max(sample - 1, 0), (STEP_M * sample, 0.0, 0.0))
 
 
-def write_sequence(root: Path, number: str = "00", samples: int = 3) -> Path:
+def write_sequence(root: Path, number: str = "00") -> Path:
     """A sequence with the pictures of both color cameras; poses in the axes of the first camera, as KITTI has them."""
     folder = root / "sequences" / number
     (root / "poses").mkdir(parents=True, exist_ok=True)
-    matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
     lines: list[str] = []
     for camera, shift in ((2, 0.06), (3, 0.06 - STEREO_M)):
         (folder / f"image_{camera}").mkdir(parents=True)
         placed = np.column_stack([np.eye(3), [shift, 0, 0]])
-        lines.append(f"P{camera}: {text_row(matrix @ placed)}")
-        for k in range(samples):
-            (folder / f"image_{camera}/{k:06d}.jpg").write_bytes(MiniDrive().jpeg(k))
+        lines.append(f"P{camera}: {text_row(INTRINSICS @ placed)}")
+        for k in range(3):
+            (folder / f"image_{camera}/{k:06d}.jpg").write_bytes(DRIVE.jpeg(k))
     (folder / "calib.txt").write_text("\n".join([*lines, f"Tr: {text_row((TO_OPENCV @ ODOMETRY_LIDAR)[:3])}"]) + "\n")
-    (folder / "times.txt").write_text("".join(f"{k * 0.1037:e}\n" for k in range(samples)))
-    poses = [TO_OPENCV @ odometry_pose(k) @ np.linalg.inv(TO_OPENCV) for k in range(samples)]
+    (folder / "times.txt").write_text("".join(f"{k * 0.1037:e}\n" for k in range(3)))
+    poses = [TO_OPENCV @ odometry_pose(k) @ np.linalg.inv(TO_OPENCV) for k in range(3)]
     (root / "poses" / f"{number}.txt").write_text("".join(text_row(pose[:3]) + "\n" for pose in poses))
     (folder / "velodyne").mkdir()
-    for k in range(samples):
+    for k in range(3):
         x, y = np.meshgrid(np.linspace(-9, 9, 25), np.linspace(-6, 6, 17))
         road = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -CAMERA_HEIGHT_M)])
         back = np.linalg.inv(ODOMETRY_LIDAR)
@@ -332,13 +370,11 @@ def write_sequence(root: Path, number: str = "00", samples: int = 3) -> Path:
 
 # Waymo, records and tables
 
-OWN_AXES = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-"""Waymo's camera axes (x forward, y left, z up) to OpenCV's."""
 SEGMENTS = ("10023947602400723454_1120_000_1140_000", "20023947602400723454_20_000_40_000")
 
 
 def write_frames(
-    file: Path, drive: MiniDrive, *, shift_m: float = 0.0, change: Callable[[int, Any], None] | None = None
+    file: Path, drive: MiniDrive = DRIVE, *, shift_m: float = 0.0, change: Callable[[int, Any], None] | None = None
 ) -> None:
     """Frames with one camera, a lidar with one return, and the parked car. The vehicle moves while the lidar turns."""
     records: list[bytes] = []
@@ -349,7 +385,7 @@ def write_frames(
         frame.context.name = "segment-7"
         camera = frame.context.camera_calibrations.add(name=1, width=WIDTH, height=HEIGHT)
         camera.intrinsic.extend([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, 0, 0, 0, 0, 0])
-        camera.extrinsic.transform.extend((drive.camera_to_vehicle @ OWN_AXES).ravel())
+        camera.extrinsic.transform.extend((drive.camera_to_vehicle @ TO_OPENCV).ravel())
         image = frame.images.add(name=1, image=drive.jpeg(k), pose_timestamp=drive.time(k), shutter=0.003)
         image.pose.transform.extend(drive.vehicle_to_world(k).ravel())
         laser = frame.context.laser_calibrations.add(name=1)
@@ -386,7 +422,7 @@ def segment_tables(drive: MiniDrive, shift_m: float = 0.0) -> Rows:
         {
             "key.camera_name": 1,
             **{f"{camera}intrinsic.{name}": value for name, value in {**numbers, **zeros}.items()},
-            f"{camera}extrinsic.transform": (drive.camera_to_vehicle @ OWN_AXES).ravel().tolist(),
+            f"{camera}extrinsic.transform": (drive.camera_to_vehicle @ TO_OPENCV).ravel().tolist(),
             f"{camera}width": WIDTH,
             f"{camera}height": HEIGHT,
         }
