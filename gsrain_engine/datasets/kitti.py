@@ -19,6 +19,7 @@ from .driving_log import DrivingLog, LidarScan
 from .geometry import (
     OPENCV_FROM_VEHICLE_AXES,
     BoxSample,
+    Pose,
     heading_pose,
     invert_pose,
     opencv_camera_of_matrix,
@@ -32,7 +33,7 @@ from .io.images import image_size, images_in, read_color
 Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
 
-_Poses = Mapping[int, Float64[np.ndarray, "4 4"]]
+_Poses = Mapping[int, Pose]
 _Times = Mapping[int, float]
 """Poses and times by the number of an image."""
 
@@ -54,11 +55,11 @@ class KittiCamera:
             raise ValueError("its projection matrix is not one of a camera")
 
     @property
-    def from_first(self) -> Float64[np.ndarray, "4 4"]:
+    def from_first(self) -> Pose:
         """First camera to this one: a shift along the baseline."""
         return translation_pose(np.linalg.solve(self.projection[:, :3], self.projection[:, 3]))
 
-    def view(self, file: Path, name: str, time_s: float, world_to_first: Float64[np.ndarray, "4 4"]) -> CaptureFrame:
+    def view(self, file: Path, name: str, time_s: float, world_to_first: Pose) -> CaptureFrame:
         """View of one rectified image, so without lens distortion; raises `CaptureError` or ValueError."""
         camera = opencv_camera_of_matrix(self.projection, image_size(file), self.from_first @ world_to_first)
         return CaptureFrame(name, camera, partial(read_color, file), time_s, self.name)
@@ -128,7 +129,7 @@ def _scans(
     files: Sequence[Path],
     times: _Times,
     poses: _Poses,
-    to_vehicle: Float64[np.ndarray, "4 4"],
+    to_vehicle: Pose,
     number_of: Callable[[Path, _Times, _Poses], int],
 ) -> Iterator[LidarScan]:
     for file in files:
@@ -206,11 +207,11 @@ def _read_sequence(folder: Path, problems: list[str]) -> Capture:
     return log.capture()
 
 
-def _first_camera_poses(file: Path, problems: list[str]) -> dict[int, Float64[np.ndarray, "4 4"]]:
+def _first_camera_poses(file: Path, problems: list[str]) -> dict[int, Pose]:
     """First camera to world, by image number."""
     if not file.is_file():
         raise CaptureError(f"{file}: no poses of this sequence (KITTI keeps those of 11 to 21); COLMAP can find them")
-    poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
+    poses: dict[int, Pose] = {}
     for number, line in enumerate(_read_text(file).splitlines()):
         try:
             poses[number] = rigid_from_numbers([float(word) for word in line.split()])
@@ -314,9 +315,7 @@ def _seconds(line: str) -> float:
     return (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() + float(f"0.{fraction or 0}")
 
 
-def _add_boxes(
-    log: DrivingLog, file: Path, times: _Times, poses: _Poses, lidar_to_vehicle: Float64[np.ndarray, "4 4"]
-) -> None:
+def _add_boxes(log: DrivingLog, file: Path, times: _Times, poses: _Poses, lidar_to_vehicle: Pose) -> None:
     tracklets = _read_tracklets(file)
     log.box_times_s = [times[number] for number in poses if number in times]
     for name, (class_name, size, first, centers_to_lidar) in enumerate(tracklets):
@@ -327,11 +326,11 @@ def _add_boxes(
                     log.boxes.append(BoxSample(str(name), class_name, times[number], size, to_world))
 
 
-def _calibrated_pose(values: Calibration, file: Path) -> Float64[np.ndarray, "4 4"]:
+def _calibrated_pose(values: Calibration, file: Path) -> Pose:
     return _rigid(_numbers_of(values, "R", 9, file), _numbers_of(values, "T", 3, file), file)
 
 
-def _rigid(turn: Float64[np.ndarray, "9"], place: Float64[np.ndarray, "3"], file: Path) -> Float64[np.ndarray, "4 4"]:
+def _rigid(turn: Float64[np.ndarray, "9"], place: Float64[np.ndarray, "3"], file: Path) -> Pose:
     try:
         return rigid_from_numbers(np.column_stack([turn.reshape(3, 3), place]))
     except ValueError as error:
@@ -362,7 +361,7 @@ _LARGEST_OXTS = 1e6  # maximum of angles and of meters above sea level; larger v
 _EARTH_RADIUS_M = 6378137.0
 
 
-def oxts_poses(records: Sequence[OxtsRecord]) -> list[Float64[np.ndarray, "4 4"]]:
+def oxts_poses(records: Sequence[OxtsRecord]) -> list[Pose]:
     """Poses (inertial unit to world, the first at the origin) of records."""
     if not records:
         return []
@@ -397,7 +396,7 @@ def _turn(roll_pitch_yaw: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"
 
 # Tracklets (tracklet_labels.xml)
 
-_Tracklet = tuple[str, tuple[float, float, float], int, list[Float64[np.ndarray, "4 4"]]]
+_Tracklet = tuple[str, tuple[float, float, float], int, list[Pose]]
 """Class, length, width and height (m), first image, and box center to lidar for each image from the first."""
 
 
@@ -415,7 +414,7 @@ def _read_tracklets(file: Path) -> list[_Tracklet]:
 
 def _tracklet(item: ElementTree.Element) -> _Tracklet | None:
     height, width, length = (_number(item, name) for name in ("h", "w", "l"))
-    poses: list[Float64[np.ndarray, "4 4"]] = []
+    poses: list[Pose] = []
     for pose in item.iterfind("poses/item"):  # the position is that of the bottom; only the angle rz is used
         x, y, z, turn = (_number(pose, name) for name in ("tx", "ty", "tz", "rz"))
         poses.append(heading_pose((x, y, z + height / 2), turn))

@@ -18,7 +18,7 @@ from jaxtyping import Float64, UInt8
 from ..safe_io.limits import read_file
 from ..scene.camera import Camera, look_at
 from .capture import Capture, CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox, omissions
-from .geometry import BoxSample, opencv_camera, rigid_pose, tracked_boxes, transform_points
+from .geometry import BoxSample, Pose, opencv_camera, rigid_pose, tracked_boxes, transform_points
 from .io.images import image_size
 
 _INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
@@ -155,7 +155,7 @@ def _sweeps(
     return tuple(sweeps)
 
 
-def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 4"]:
+def _lidar_to_camera(file: Path, problems: list[str]) -> Pose:
     """Return the rotation nearest to the file's slightly skewed matrix (by singular values), and its translation."""
     matrix = np.array(_read_numbers(file, 16)).reshape(4, 4)
     if not np.abs(matrix).max() < _FARTHEST_M:
@@ -172,7 +172,7 @@ def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 
     return rigid_pose(left @ right, matrix[:3, 3])
 
 
-def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> LidarSweep:
+def _sweep(file: Path, time_s: float, to_world: Pose) -> LidarSweep:
     try:
         rows = [line.split(",") for line in read_file(file).decode("utf-8").splitlines()[1:] if line.strip()]
         table = np.array(rows, np.float64).reshape(-1, 4)

@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -18,6 +18,7 @@ from ..scene.street.build import Daylight, StreetSurfaces, displayed_colors, lea
 from ..scene.street.layout import Label, StreetParameters
 from ..scene.street.mesh import Quads
 from .capture import Capture, CaptureFrame
+from .geometry import Pose, scaled_camera
 
 NEAR_M, FAR_M = 0.2, 2500.0
 _WINDOW = "pyrender.viewer"
@@ -34,7 +35,7 @@ class MeshRasterizer:
         self,
         corners: Float32[np.ndarray, "n 4 3"],
         colors: Float[np.ndarray, "n 4 4"],
-        to_world: Float64[np.ndarray, "4 4"],
+        to_world: Pose,
         *,
         blended: bool = False,
     ) -> Any:
@@ -247,19 +248,16 @@ class StreetViews:
             sky_source=label == Label.SKY,
         )
 
-    def _image(self, camera: Camera, pose: Float64[np.ndarray, "4 4"] | None) -> UInt8[np.ndarray, "h w 3"]:
+    def _image(self, camera: Camera, pose: Pose | None) -> UInt8[np.ndarray, "h w 3"]:
         placed = [(self._street, np.eye(4))] + ([(self._lead, pose)] if pose is not None else [])
         shown = [node for staged, to_world in placed for node in staged.colored(self._rasterizer, camera, to_world)]
-        s = 2 if camera.width * camera.height <= _SUPERSAMPLED_PX else 1
-        larger = replace(
-            camera, width=s * camera.width, height=s * camera.height, fx=s * camera.fx, fy=s * camera.fy,
-            cx=s * camera.cx, cy=s * camera.cy,
-        )  # fmt: skip
+        scale = 2 if camera.width * camera.height <= _SUPERSAMPLED_PX else 1
+        larger = scaled_camera(camera, scale * camera.width, scale * camera.height)
         image, _ = self._rasterizer.draw(larger, shown, exact=False)
-        return image if s == 1 else cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        return image if scale == 1 else cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
     def _surfaces(
-        self, camera: Camera, pose: Float64[np.ndarray, "4 4"] | None
+        self, camera: Camera, pose: Pose | None
     ) -> tuple[Int64[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
         """Return the quad at each pixel's center (numbered through street and lead car), and its depth."""
         shown = [self._street.numbered(np.eye(4))]
@@ -296,7 +294,7 @@ class _Staged:
         each = np.repeat(coded[:, None].astype(np.float32), 4, axis=1)
         self._numbers = rasterizer.add(quads.corners[solid], each, np.eye(4))
 
-    def colored(self, rasterizer: MeshRasterizer, camera: Camera, to_world: Float64[np.ndarray, "4 4"]) -> list[Any]:
+    def colored(self, rasterizer: MeshRasterizer, camera: Camera, to_world: Pose) -> list[Any]:
         """Handles of the mesh in the colors visible from this camera."""
         if "glossy" in self._nodes:
             rasterizer.remove(self._nodes.pop("glossy"))
@@ -308,7 +306,7 @@ class _Staged:
             node.matrix = to_world
         return [self._nodes[kind] for kind in ("matte", "glossy", "shadow") if kind in self._nodes]
 
-    def numbered(self, to_world: Float64[np.ndarray, "4 4"]) -> Any:
+    def numbered(self, to_world: Pose) -> Any:
         """Handle of the mesh with each surface in the color of its number."""
         self._numbers.matrix = to_world
         return self._numbers
