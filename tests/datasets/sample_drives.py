@@ -4,6 +4,7 @@ import json
 import pickle
 import shutil
 import zlib
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -124,7 +125,8 @@ def write_nuscenes(root: Path, drive: MiniDrive = DRIVE, scenes: tuple[str, ...]
     """The tables of the devkit's schema; the drive happens in each scene, 100 s apart."""
     length, width, height = BOX_LWH
     matrix = INTRINSICS.tolist()
-    tables: Rows = {
+    tables: Rows = defaultdict(list)
+    tables |= {
         "sensor": [
             {"token": "s-cam", "channel": "CAM_FRONT", "modality": "camera"},
             {"token": "s-top", "channel": "LIDAR_TOP", "modality": "lidar"},
@@ -136,12 +138,6 @@ def write_nuscenes(root: Path, drive: MiniDrive = DRIVE, scenes: tuple[str, ...]
             {"token": "c-radar", "sensor_token": "s-radar", **_placed(np.eye(4)), "camera_intrinsic": []},
         ],
         "category": [{"token": "car", "name": "vehicle.car", "description": ""}],
-        "instance": [],
-        "scene": [],
-        "sample": [],
-        "sample_data": [],
-        "ego_pose": [],
-        "sample_annotation": [],
     }
     for channel in ("CAM_FRONT", "LIDAR_TOP", "RADAR_FRONT"):
         (root / "samples" / channel).mkdir(parents=True, exist_ok=True)
@@ -150,40 +146,26 @@ def write_nuscenes(root: Path, drive: MiniDrive = DRIVE, scenes: tuple[str, ...]
         tables["instance"].append({"token": f"i-{scene}", "category_token": "car", "nbr_annotations": drive.samples})
         for k in range(drive.samples):
             key, time = f"{scene}-{k}", int(drive.time(k) * 1e6) + number * 100_000_000
-            tables["sample"].append(
-                {"token": key, "timestamp": time, "scene_token": f"t-{scene}", "prev": "", "next": ""}
-            )
+            sample = {"token": key, "timestamp": time, "scene_token": f"t-{scene}", "prev": "", "next": ""}
+            tables["sample"].append(sample)
             tables["ego_pose"].append({"token": f"e-{key}", "timestamp": time, **_placed(drive.vehicle_to_world(k))})
-            box = _placed(drive.box_to_world())
-            row = {
-                "token": f"a-{key}",
-                "sample_token": key,
-                "instance_token": f"i-{scene}",
-                "size": [width, length, height],
-            }
-            tables["sample_annotation"].append({**row, **box, "num_lidar_pts": 60})
-            for channel, sensor, suffix in (("CAM_FRONT", "c-cam", "jpg"), ("LIDAR_TOP", "c-top", "pcd.bin")):
+            box = {"sample_token": key, "instance_token": f"i-{scene}", "size": [width, length, height]}
+            tables["sample_annotation"].append({"token": f"a-{key}", **box, **_placed(drive.box_to_world())})
+            points = drive.lidar_points(k)
+            rows = np.column_stack([points, np.full(len(points), 9.0), np.zeros(len(points))]).astype(np.float32)
+            shared = {"sample_token": key, "ego_pose_token": f"e-{key}", "timestamp": time, "is_key_frame": True}
+            for channel, sensor, suffix, content in (
+                ("CAM_FRONT", "c-cam", "jpg", drive.jpeg(k)),
+                ("LIDAR_TOP", "c-top", "pcd.bin", rows.tobytes()),
+            ):
                 file = f"samples/{channel}/{key}.{suffix}"
-                tables["sample_data"].append(
-                    {
-                        "token": f"d-{channel}-{key}",
-                        "sample_token": key,
-                        "ego_pose_token": f"e-{key}",
-                        "calibrated_sensor_token": sensor,
-                        "filename": file,
-                        "timestamp": time,
-                        "is_key_frame": True,
-                    }
-                )
-                points = drive.lidar_points(k)
-                rows = np.column_stack([points, np.full(len(points), 9.0), np.zeros(len(points))]).astype(np.float32)
-                (root / file).write_bytes(drive.jpeg(k) if suffix == "jpg" else rows.tobytes())
+                named = {"token": f"d-{channel}-{key}", "calibrated_sensor_token": sensor, "filename": file}
+                tables["sample_data"].append({**named, **shared})
+                (root / file).write_bytes(content)
     # A picture between two samples, and a radar, which is nothing for us.
     between = {**tables["sample_data"][0], "token": "between", "is_key_frame": False}
-    tables["sample_data"].append({**between, "timestamp": between["timestamp"] + 83_000})
-    tables["sample_data"].append(
-        {**between, "token": "radar", "calibrated_sensor_token": "c-radar", "is_key_frame": True}
-    )
+    radar = {"token": "radar", "calibrated_sensor_token": "c-radar", "is_key_frame": True}
+    tables["sample_data"] += [{**between, "timestamp": between["timestamp"] + 83_000}, {**between, **radar}]
     (root / "v1.0-mini").mkdir(exist_ok=True)
     for name, rows in tables.items():
         (root / "v1.0-mini" / f"{name}.json").write_text(json.dumps(rows))
@@ -210,43 +192,27 @@ def write_infos(folder: Path, drive: MiniDrive = DRIVE, layout: str = "1.x", tim
         length, width, height = BOX_LWH
         if layout == "1.x":
             lidar_to_camera = np.linalg.inv(drive.camera_to_vehicle) @ drive.lidar_to_vehicle
-            camera = {
-                "img_path": f"{k}.jpg",
-                "cam2img": matrix,
-                "lidar2cam": lidar_to_camera.tolist(),
-                "timestamp": time,
-            }
-            rows.append(
-                {
-                    "timestamp": time,
-                    "ego2global": vehicle.tolist(),
-                    "images": {"CAM_FRONT": camera},
-                    "lidar_points": {
-                        "lidar_path": f"{k}.pcd.bin",
-                        "num_pts_feats": 5,
-                        "lidar2ego": drive.lidar_to_vehicle.tolist(),
-                    },
-                    "instances": [{"bbox_3d": [*box[:3, 3], length, width, height, yaw], "bbox_label_3d": 0}],
-                }
-            )
+            camera = {"img_path": f"{k}.jpg", "cam2img": matrix, "lidar2cam": lidar_to_camera, "timestamp": time}
+            lidar = {"lidar_path": f"{k}.pcd.bin", "num_pts_feats": 5, "lidar2ego": drive.lidar_to_vehicle}
+            instance = {"bbox_3d": [*box[:3, 3], length, width, height, yaw], "bbox_label_3d": 0}
+            row = {"ego2global": vehicle, "images": {"CAM_FRONT": camera}, "lidar_points": lidar}
+            rows.append({"timestamp": time, **row, "instances": [instance]})
             continue
         sides, turn = ([width, length], -yaw - np.pi / 2) if layout == "0.x" else ([length, width], yaw)
-        placed = {"ego2global_translation": vehicle[:3, 3], "ego2global_rotation": quaternion(vehicle)}
-        seen = {
+        placed = _info_pose("ego2global", vehicle)
+        camera = {
             "data_path": f"./data/nuscenes/samples/CAM_FRONT/{k}.jpg",
             "timestamp": time * 1e6,
             "cam_intrinsic": np.array(matrix),
-            "sensor2ego_translation": drive.camera_to_vehicle[:3, 3],
-            "sensor2ego_rotation": quaternion(drive.camera_to_vehicle),
+            **_info_pose("sensor2ego", drive.camera_to_vehicle),
         }
         rows.append(
             {
                 "lidar_path": f"./data/nuscenes/samples/LIDAR_TOP/{k}.pcd.bin",
                 "timestamp": time * 1e6,
                 **placed,
-                "lidar2ego_translation": drive.lidar_to_vehicle[:3, 3],
-                "lidar2ego_rotation": quaternion(drive.lidar_to_vehicle),
-                "cams": {"CAM_FRONT": {**seen, **placed}},
+                **_info_pose("lidar2ego", drive.lidar_to_vehicle),
+                "cams": {"CAM_FRONT": {**camera, **placed}},
                 "gt_boxes": np.array([[*box[:3, 3], *sides, height, turn]]),
                 "gt_names": np.array(["Car"]),
             }
@@ -256,6 +222,10 @@ def write_infos(folder: Path, drive: MiniDrive = DRIVE, layout: str = "1.x", tim
     file = folder / "nuscenes_infos_train.pkl"
     file.write_bytes(pickle.dumps(values))
     return file
+
+
+def _info_pose(name: str, pose: np.ndarray) -> dict[str, Any]:
+    return {f"{name}_translation": pose[:3, 3], f"{name}_rotation": quaternion(pose)}
 
 
 # KITTI, raw and odometry
@@ -414,62 +384,62 @@ def matrix_message(values: np.ndarray) -> bytes:
 
 def segment_tables(drive: MiniDrive, shift_m: float = 0.0) -> Rows:
     """The components of one segment, with columns named as by the data set."""
-    tables: Rows = {name: [] for name in ("vehicle_pose", "camera_image", "lidar", "lidar_pose", "lidar_box")}
-    camera = "[CameraCalibrationComponent]."
-    numbers = dict(zip(("f_u", "f_v", "c_u", "c_v"), (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2), strict=True))
-    zeros = dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0)
-    tables["camera_calibration"] = [
-        {
-            "key.camera_name": 1,
-            **{f"{camera}intrinsic.{name}": value for name, value in {**numbers, **zeros}.items()},
-            f"{camera}extrinsic.transform": (drive.camera_to_vehicle @ TO_OPENCV).ravel().tolist(),
-            f"{camera}width": WIDTH,
-            f"{camera}height": HEIGHT,
-        }
-    ]
-    lidar = "[LiDARCalibrationComponent]."
-    tables["lidar_calibration"] = [
-        {
-            "key.laser_name": 1,
-            f"{lidar}extrinsic.transform": LIDAR_TO_VEHICLE.ravel().tolist(),
-            f"{lidar}beam_inclination.min": float(BEAMS[0]),
-            f"{lidar}beam_inclination.max": float(BEAMS[-1]),
-            f"{lidar}beam_inclination.values": BEAMS.tolist(),
-        }
-    ]
+    lens = {
+        "f_u": FOCAL,
+        "f_v": FOCAL,
+        "c_u": WIDTH / 2,
+        "c_v": HEIGHT / 2,
+        "k1": 0,
+        "k2": 0,
+        "p1": 0,
+        "p2": 0,
+        "k3": 0,
+    }
+    camera = {f"intrinsic.{name}": float(value) for name, value in lens.items()}
+    camera |= {"extrinsic.transform": (drive.camera_to_vehicle @ TO_OPENCV).ravel().tolist()}
+    laser = {
+        "extrinsic.transform": LIDAR_TO_VEHICLE.ravel().tolist(),
+        "beam_inclination.min": float(BEAMS[0]),
+        "beam_inclination.max": float(BEAMS[-1]),
+        "beam_inclination.values": BEAMS.tolist(),
+    }
+    tables: Rows = {
+        "camera_calibration": [
+            {"key.camera_name": 1, **_columns("CameraCalibration", camera | {"width": WIDTH, "height": HEIGHT})}
+        ],
+        "lidar_calibration": [{"key.laser_name": 1, **_columns("LiDARCalibration", laser)}],
+        **{name: [] for name in ("vehicle_pose", "camera_image", "lidar", "lidar_pose", "lidar_box")},
+    }
     for k in range(drive.samples):
-        pose = drive.vehicle_to_world(k).ravel().tolist()
-        key = {"key.frame_timestamp_micros": int(drive.time(k) * 1e6)}
-        tables["vehicle_pose"].append({**key, "[VehiclePoseComponent].world_from_vehicle.transform": pose})
-        image = "[CameraImageComponent]."
-        tables["camera_image"].append(
-            {
-                **key,
-                "key.camera_name": 1,
-                f"{image}image": drive.jpeg(k),
-                f"{image}pose.transform": pose,
-                f"{image}pose_timestamp": drive.time(k),
-                f"{image}rolling_shutter_params.shutter": 0.003,
-            }
-        )
-        for component, column, values in (
-            ("lidar", "[LiDARComponent].range_image_return1", range_image(drive, k, shift_m)),
-            ("lidar_pose", "[LiDARPoseComponent].range_image_return1", pixel_poses(drive, k, shift_m)),
+        pose, placed = drive.vehicle_to_world(k).ravel().tolist(), drive.box_to_vehicle(k)
+        image = {
+            "image": drive.jpeg(k),
+            "pose.transform": pose,
+            "pose_timestamp": drive.time(k),
+            "rolling_shutter_params.shutter": 0.003,
+        }
+        box = {f"box.center.{axis}": float(value) for axis, value in zip("xyz", placed[:3, 3], strict=True)}
+        box |= {f"box.size.{axis}": side for axis, side in zip("xyz", BOX_LWH, strict=True)}
+        box |= {"box.heading": float(np.arctan2(placed[1, 0], placed[0, 0])), "type": 1}
+        for table, key, component, values in (
+            ("vehicle_pose", {}, "VehiclePose", {"world_from_vehicle.transform": pose}),
+            ("camera_image", {"key.camera_name": 1}, "CameraImage", image),
+            ("lidar", {"key.laser_name": 1}, "LiDAR", _matrix(range_image(drive, k, shift_m))),
+            ("lidar_pose", {"key.laser_name": 1}, "LiDARPose", _matrix(pixel_poses(drive, k, shift_m))),
+            ("lidar_box", {"key.laser_object_id": "car"}, "LiDARBox", box),
         ):
-            row = {f"{column}.values": values.ravel().tolist(), f"{column}.shape": list(values.shape)}
-            tables[component].append({**key, "key.laser_name": 1, **row})
-        box, placed = "[LiDARBoxComponent].", drive.box_to_vehicle(k)
-        tables["lidar_box"].append(
-            {
-                **key,
-                "key.laser_object_id": "car",
-                **{f"{box}box.center.{axis}": float(v) for axis, v in zip("xyz", placed[:3, 3], strict=True)},
-                **{f"{box}box.size.{axis}": v for axis, v in zip("xyz", BOX_LWH, strict=True)},
-                f"{box}box.heading": float(np.arctan2(placed[1, 0], placed[0, 0])),
-                f"{box}type": 1,
-            }
-        )
+            time = int(drive.time(k) * 1e6)
+            tables[table].append({"key.frame_timestamp_micros": time, **key, **_columns(component, values)})
     return tables
+
+
+def _columns(component: str, values: dict[str, Any]) -> dict[str, Any]:
+    return {f"[{component}Component].{name}": value for name, value in values.items()}
+
+
+def _matrix(values: np.ndarray) -> dict[str, Any]:
+    name = "range_image_return1"
+    return {f"{name}.values": values.ravel().tolist(), f"{name}.shape": list(values.shape)}
 
 
 def write_segment(root: Path, tables: Rows, segment: str = SEGMENTS[0]) -> None:
