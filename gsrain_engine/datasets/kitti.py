@@ -302,9 +302,9 @@ def _seconds(line: str) -> float:
 
 
 def _add_boxes(log: DrivingLog, file: Path, times: _Times, poses: _Poses, lidar_to_vehicle: Pose) -> None:
-    tracklets = _read_tracklets(file)
+    items = _read_tracklets(file)
     log.box_times_s = [times[number] for number in poses if number in times]
-    for name, (class_name, size, first, centers_to_lidar) in enumerate(tracklets):
+    for name, (class_name, size, first, centers_to_lidar) in enumerate(items):
         with log.omitting(f"tracklet {name}"):
             for number, to_lidar in enumerate(centers_to_lidar, first):
                 if number in poses and number in times:

@@ -105,9 +105,10 @@ class _RecordSegment:
                     if each.name not in self.lasers:
                         named = _LASERS.get(each.name, str(each.name))
                         with self.log.omitting(f"the calibration of lidar {named} in frame {number}"):
-                            low, high = each.beam_inclination_min, each.beam_inclination_max
-                            laser = WaymoLaser.calibrated(each.extrinsic.transform, each.beam_inclinations, low, high)
-                            self.lasers[each.name] = laser
+                            ends = (each.beam_inclination_min, each.beam_inclination_max)
+                            beams = np.array(each.beam_inclinations, np.float64)
+                            to_vehicle = rigid_from_numbers(each.extrinsic.transform)
+                            self.lasers[each.name] = WaymoLaser(to_vehicle, beams, ends)
 
     def _add_views(self, record: TFRecord, frame: Any, number: int) -> None:
         calibrations = {each.name: each for each in frame.context.camera_calibrations}
@@ -308,8 +309,9 @@ class _TableSegment:
         lasers: dict[int, WaymoLaser] = {}
         for row in self._table("lidar_calibration").rows([_LASER, *names], [values]):
             with self.log.omitting(f"lidar {_LASERS.get(row[_LASER])}", WRONG_VALUES):
-                beams = row[values] if row[values] is not None else ()
-                lasers[int(row[_LASER])] = WaymoLaser.calibrated(row[names[0]], beams, row[names[1]], row[names[2]])
+                beams = np.array(() if row[values] is None else row[values], np.float64)
+                to_vehicle, low, high = (row[name] for name in names)
+                lasers[int(row[_LASER])] = WaymoLaser(rigid_from_numbers(to_vehicle), beams, (float(low), float(high)))
         return lasers
 
     def _scans(self, lasers: dict[int, "WaymoLaser"]) -> Iterator[LidarScan]:
@@ -432,16 +434,10 @@ class WaymoLaser:
     """Pose and beams of a lidar: row 0 of a range image is the highest beam."""
 
     to_vehicle: Pose
-    inclinations_rad: Float64[np.ndarray, " k"]
-    """Inclination of each row from the lowest up, or the lowest and highest edge (2) of evenly spaced rows."""
-    is_even: bool
-
-    @classmethod
-    def calibrated(cls, to_vehicle: Any, beams: Any, low: float, high: float) -> "WaymoLaser":
-        """Laser from the numbers of a calibration, whose rows are evenly spaced if it lists no beams."""
-        inclinations, ends = np.asarray(beams, np.float64), np.array([low, high], np.float64)
-        is_even = not len(inclinations)
-        return cls(rigid_from_numbers(to_vehicle), ends if is_even else inclinations, is_even)
+    beams_rad: Float64[np.ndarray, " k"]
+    """Inclination of each row from the lowest up; none if rows are evenly spaced."""
+    ends_rad: tuple[float, float] = (0.0, 0.0)
+    """Lowest and highest edge of evenly spaced rows."""
 
     def points(
         self,
@@ -459,16 +455,13 @@ class WaymoLaser:
             raise ValueError(f"poses of the shape {pixel_poses.shape} belong to a range image of {height}x{width}")
         turned = np.arctan2(self.to_vehicle[1, 0], self.to_vehicle[0, 0])
         yaw = np.pi - 2 * np.pi * (np.arange(width) + 0.5) / width - turned
-        if self.is_even:
-            low, high = self.inclinations_rad
-            pitch = (low + (high - low) * (np.arange(height) + 0.5) / height)[::-1]
-        elif len(self.inclinations_rad) == height:
-            pitch = self.inclinations_rad[::-1]
-        else:
-            raise ValueError(f"a lidar of {len(self.inclinations_rad)} beams has a range image of {height} rows")
+        low, high = self.ends_rad
+        beams = self.beams_rad if len(self.beams_rad) else low + (high - low) * (np.arange(height) + 0.5) / height
+        if len(beams) != height:
+            raise ValueError(f"a lidar of {len(beams)} beams has a range image of {height} rows")
         poses = np.zeros((0, 0, 6), np.float32) if pixel_poses is None else np.ascontiguousarray(pixel_poses)
         back = invert_pose(vehicle_to_world)
-        points = _points(np.ascontiguousarray(ranges), pitch, yaw, self.to_vehicle, poses, back)
+        points = _points(np.ascontiguousarray(ranges), beams[::-1], yaw, self.to_vehicle, poses, back)
         seen = ranges[..., 0] > 0
         light = ranges[..., 1][seen] if ranges.shape[2] > 1 else np.zeros(len(points), np.float32)
         return points, np.ascontiguousarray(light, np.float32)

@@ -282,7 +282,7 @@ def test_a_pixel_of_waymos_lidar_is_moved_by_its_own_pose() -> None:
     random = np.random.default_rng(4)
     ranges, poses = random.uniform(1, 50, (3, 4, 2)), random.uniform(-1, 1, (3, 4, 6))
     vehicle_to_world, to_vehicle = turned(0.7, (3.0, -2.0, 1.0)), turned(-0.4, (1.4, 0.2, 2.0))
-    laser = WaymoLaser(to_vehicle, np.array([-0.3, 0.1]), is_even=True)
+    laser = WaymoLaser(to_vehicle, np.zeros(0), (-0.3, 0.1))
     points, _ = laser.points(ranges.astype(np.float32), poses.astype(np.float32), vehicle_to_world)
     still, _ = laser.points(ranges.astype(np.float32), None, vehicle_to_world)
     for k, (roll, pitch, yaw, *place) in enumerate(poses.reshape(-1, 6)):
