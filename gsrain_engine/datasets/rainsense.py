@@ -188,6 +188,8 @@ def _boxes(
     for file in files:
         try:
             samples += _labeled(file, sequence, times[_number(file)])
+        except CaptureError as error:
+            broken.append(str(error))
         except ValueError as error:
             broken.append(f"{file}: {error}")
     problems += omissions(broken, f"{len(broken)} of {len(files)} label files")

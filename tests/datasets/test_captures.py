@@ -436,6 +436,7 @@ def test_a_real_sequence_of_rainsense_has_lidar_and_boxes(test_data: Path) -> No
     capture = open_capture(folder)
     (view,) = capture
     assert view.attributes == {"rain_mm_h": "0"} and view.lens is not None
+    assert view.image.shape == (view.camera.height, view.camera.width, 3)
     assert len(capture.sweeps[0].points_m) == 17700
     assert "holds no exact rotation (it stretches by 2.5%)" in capture.problems[0]
     # What the lidar measures close by is the road below the camera, which stands 1.5 m above it (as assumed).

@@ -178,13 +178,13 @@ def dirty_spectra(*drops: tuple[float, float, int]) -> DropSpectra:
 
 
 # Atlas et al.: 0.1 mm/s at 0.15 mm, 4.16 m/s at 1.05 mm, 9.15 m/s at 5.05 mm.
-DIRT = (0.15, 0.45, 1), (1.05, 6.95, 2), (1.05, 1.45, 4), (5.05, 1.05, 8)
+DIRT = (0.15, 0.45, 1), (1.05, 6.95, 2), (1.05, 1.45, 4), (5.05, 1.05, 8), (2.15, 1.05, 16)
 
 
 @pytest.mark.parametrize(
     ("dirt", "options", "removed"),
     [
-        (DIRT, {}, {"small drops": 1, "margin fallers": 2, "splashes": 4, "fall speed": 8, "few drops": 0}),
+        (DIRT, {}, {"small drops": 1, "margin fallers": 2, "splashes": 4, "fall speed": 24, "few drops": 0}),
         # 6.55 m/s is 57 % above 4.16 m/s, 6.75 m/s is 62 %; 1.75 m/s 58 % below, 1.55 m/s 63 %.
         (((1.05, 6.55, 1), (1.05, 6.75, 2), (1.05, 1.75, 4), (1.05, 1.55, 8)), {},
          {"margin fallers": 2, "splashes": 8}),

@@ -201,6 +201,7 @@ ASDO = "Date;Time;{};Spectrum\n15.11.2019;00:51:00;1;<SPECTRUM>ZERO</SPECTRUM>"
         (b"current intensity:", DisdrometerFileError, "line 1"),
         (b"current intensity:-3", DisdrometerFileError, "line 1"),
         (f"{station_line(20, rate='x')}\n{station_line(21, rate='y')}".encode(), DisdrometerFileError, "line 1.*and 1"),
+        (station_line(20, rate="x").encode(), DisdrometerFileError, "line 1: .*not a number$"),
         (MASK.encode(), DisdrometerFileError, "mask"),
         (ASDO.format("MOR Visibility (m)").encode(), DisdrometerFileError, "intensity"),
         (f"{ASDO}\n{ASDO}".format("Intensity", "Energy;Intensity").encode(), DisdrometerFileError, "line 3"),
