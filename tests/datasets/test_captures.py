@@ -321,12 +321,12 @@ def test_blenders_angle_and_names_without_suffix(tmp_path: Path) -> None:
     write_nerfstudio(tmp_path, {})
     with pytest.raises(CaptureError, match="'fl_x'"):
         open_capture(tmp_path)
-    write_nerfstudio(tmp_path, {"camera_angle_x": 2 * np.arctan(32 / 80)})
+    write_nerfstudio(tmp_path, {"camera_angle_x": 2 * np.arctan(32 / 80), "camera_angle_y": 2 * np.arctan(24 / 70)})
     text = (tmp_path / "transforms.json").read_text().replace(".png", "")
     (tmp_path / "transforms.json").unlink()
     (tmp_path / "transforms_train.json").write_text(text)
     camera = open_capture(tmp_path)[0].camera
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((80, 80, 32, 24))
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((80, 70, 32, 24))
 
 
 def test_depth_and_masks_of_nerfstudio(tmp_path: Path) -> None:

@@ -382,7 +382,7 @@ WITH_HOLES: list[tuple[Callable[[Path], Path], int, int, tuple[str, ...]]] = [
         INFOS: edited(lambda values: values["data_list"][2].pop("ego2global"), pickle),
     }), 1, 1, ("'ego2global'", "CAM_FRONT of sample 1 left out: 1.jpg", "0.pcd.bin left")),
     (damaged(write_kitti, {
-        f"{RAW}/oxts/data/0000000001.txt": b"not numbers",
+        f"{RAW}/oxts/data/0000000001.txt": b"90 8 100 0 0 0",  # the pole, which is not on the map
         f"{RAW}/velodyne_points/data/0000000002.bin": b"12345",
         f"{RAW}/image_02/data/0000000002.jpg": cut(20),
     }), 1, 1, ("0000000001.txt", "0000000002.bin", "the picture is cut off")),
@@ -421,6 +421,7 @@ def test_what_is_missing_is_named_and_the_rest_is_used(
         assert capture.boxes[0].class_name == "class 4"
 
 
+NO_PROJECTION = b"P_rect_02:" + b" 0" * 12
 REFUSED: list[tuple[Callable[[Path], Path], str]] = [
     (partial(write_dgp, camera_lens={"xi": 0.7}), "no picture that can be used.*xi in the calibration"),
     (damaged(write_nuscenes, {"v1.0-mini/sample.json": b"[]"}), "of none of its 1 scenes"),
@@ -428,6 +429,8 @@ REFUSED: list[tuple[Callable[[Path], Path], str]] = [
      r"ego_pose.json: .*rotation"),
     (damaged(write_kitti, {"calib_velo_to_cam.txt": lambda text: text.replace(b"T:", b"U:")}, RAW),
      "calib_velo_to_cam.txt: expected 3 finite numbers at T"),
+    (damaged(write_kitti, {"calib_cam_to_cam.txt": lambda text: text.partition(b"P_rect")[0] + NO_PROJECTION}, RAW),
+     "its projection matrix"),
     (damaged(write_kitti, {"calib_velo_to_cam.txt": None}, RAW), "calib_velo_to_cam.txt: no such file"),
     (unrectified, "not rectified"),
     (damaged(write_sequence, {"poses/00.txt": None}, "sequences/00"), r"00\.txt: no poses of this sequence.*COLMAP"),

@@ -147,8 +147,8 @@ def test_points_far_from_the_data_sets_origin_keep_their_millimeters() -> None:
 
 def test_a_drive_too_long_for_the_memory_is_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driving_log, "MAX_POINTS", 1000)
-    capture = log_of([scan_of(np.full((600, 3), 50.0)) for _ in range(5)]).capture()
-    assert [len(sweep.points_m) for sweep in capture.sweeps] == [200] * 5
+    capture = log_of([scan_of(np.full((500, 3), 50.0)) for _ in range(5)]).capture()
+    assert [len(sweep.points_m) for sweep in capture.sweeps] == [167] * 5
     assert capture.sweeps[0].intensities is not None
     assert capture.sweeps[0].intensities[:3].tolist() == [0.0, 3.0, 6.0]
     assert "1 of 3 points is kept" in capture.problems[0]
@@ -164,6 +164,9 @@ def test_problems_are_reported_in_part_and_with_the_error() -> None:
     log.scans = scans()
     problems = log.capture().problems  # found while scans are read
     assert len(problems) == 25 and problems[-1] == "and 476 more problems like these"
+    few = log_of([])
+    few.problems = log.problems[:25]
+    assert few.capture().problems == tuple(log.problems[:25])
     log.views = []
     with pytest.raises(CaptureError, match=r"drive: no picture that can be used \(499\.jpg left out.* 499 more"):
         log.capture()
