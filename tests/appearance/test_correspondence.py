@@ -50,13 +50,8 @@ def test_true_views_of_the_street_agree_where_they_match(of, to, least):
     assert np.sqrt(np.mean(away**2)) > 2 * np.sqrt(np.mean(wrong**2))
 
 
-def test_there_and_back_leads_home_and_a_view_matches_itself_to_the_last_bit():
-    views = street_views()
-    there, back = correspondence(views["second"], views["first"]), correspondence(views["first"], views["second"])
-    known = there.valid & (warped(back.valid[..., None].astype(np.float32), there)[..., 0] > 0.999)
-    away = np.abs(warped(back.places, there) - centers(360, 240)).max(axis=2)[known]
-    assert known.mean() > 0.4 and np.mean(away > 0.1) < 0.005 and away.max() < 1.5
-    view = views["first"]
+def test_a_view_matches_itself_to_the_last_bit():
+    view = street_views()["first"]
     own = correspondence(view, view, skips_edges=False)
     assert own.valid.all()
     np.testing.assert_array_equal(warped(view.image, own), view.image)

@@ -151,23 +151,6 @@ def test_areas_are_torchs_areas(size: tuple[int, int]) -> None:
     assert torch.allclose(area_resized(pictures, 32), expected, atol=1e-6)
 
 
-def test_features_are_those_after_their_blocks_and_pass_gradients_though_frozen() -> None:
-    torch.manual_seed(0)
-    features, pictures = ClipFeatures.tiny().train(), torch.rand(2, 3, 32, 32).requires_grad_(True)
-    first, second, whole = features(pictures)
-    assert first.shape == second.shape == (2, 16, 4, 4) and whole.shape == (2, 16)
-    model = features.vision.vision_model
-    flow = model.pre_layrnorm(model.embeddings((pictures * 0.5 + 0.5 - features.mean) / features.deviation))
-    assert features.taps == (1, 2)
-    for block, found in zip(model.encoder.layers, (first, second), strict=False):
-        flow = block(flow, attention_mask=None)
-        flow = flow[0] if isinstance(flow, tuple) else flow
-        assert torch.allclose(found[1, :, 2, 3], flow[1, 1 + 2 * 4 + 3], atol=1e-5)
-    whole.sum().backward()
-    assert pictures.grad.abs().sum() > 0
-    assert not features.vision.training and all(each.grad is None for each in features.parameters())
-
-
 def test_clip_is_read_from_a_folder_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = {"hidden_size": 16, "intermediate_size": 32, "num_attention_heads": 2}
     vision = sizes | {"num_hidden_layers": 6, "image_size": 32, "patch_size": 8, "projection_dim": 24}

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appearance.wet_look.dry_view import camera, dry_view
+from appearance.wet_look.dry_view import dry_view
 from gsrain_engine.appearance.wet_look.illumination import (
-    DRY_GROUND_EV,
     LUMINANCE,
-    composite_over_cloud,
     estimate_illumination,
     overcast_sky,
     overcast_surfaces,
@@ -51,13 +49,9 @@ def test_cast_shadow_nearly_vanishes():
     assert before > 2 and 0 <= flat < 0.25 * before and unchanged == pytest.approx(before, rel=0.1)
 
 
-@pytest.mark.parametrize("factor", [0.6, 1.6])
-def test_the_camera_opens_up_or_down(factor):
+def test_exposure_is_given_in_stops():
     view = dry_view()
-    view = replace(view, image=np.clip(factor * view.image, 0, 1).astype(np.float32))
-    before, after = level(srgb_to_linear(view.image)), level(overcast(view))
-    assert abs(after - DRY_GROUND_EV) < max(0.6, 0.5 * abs(before - DRY_GROUND_EV))
-    assert level(overcast(view, exposure_ev=-1.0)) == pytest.approx(after - 1, abs=0.1)
+    assert level(overcast(view, exposure_ev=-1.0)) == pytest.approx(level(overcast(view)) - 1, abs=0.1)
 
 
 def test_nothing_is_brighter_than_the_cloud():
@@ -76,14 +70,3 @@ def test_the_sky_is_darker_and_bluer_above_and_evenly_gray_without_clouds():
     assert all(each[2] > each[0] for each in (horizon, above, aside))
     _, above, aside = overcast_sky(directions, WetSettings(clouds=0.0))[0]
     np.testing.assert_allclose(above, aside, rtol=1e-6)
-
-
-def test_views_of_the_same_cloud_agree():
-    direction = np.array([0.9, 0.1, 0.4]) / np.linalg.norm([0.9, 0.1, 0.4])
-    lit = []
-    for eye in (camera(), camera(eye=(50.0, 3.0, 4.0), ahead=(1.0, 0.2, 0.3))):
-        view = dry_view(seen_from=eye)
-        sky = composite_over_cloud(replace(view, sky=view.sky * 0 + 1), view.image, WetSettings(clouds=1.0))
-        x, y, z = eye.world_to_camera[:3, :3] @ direction
-        lit.append(sky[round(eye.fy * y / z + eye.cy - 0.5), round(eye.fx * x / z + eye.cx - 0.5)])
-    np.testing.assert_allclose(lit[0], lit[1], rtol=0.03)

@@ -1,20 +1,15 @@
 """Wet materials: what soaks gets dark and colorful, paint gets gloss, lamps shine, far things fade."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from appearance.wet_look.dry_view import dry_view
-from gsrain_engine.appearance.normals import view_directions, view_rays
+from gsrain_engine.appearance.normals import view_rays
 from gsrain_engine.appearance.wet_look.illumination import overcast_sky
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.materials import (
     WATER_INDEX,
-    add_clear_coat,
-    add_emissive_lights,
     apply_fog,
-    emissive_share,
     reflectance,
     unshadowed,
     wet_albedo,
@@ -76,35 +71,6 @@ def test_ground_darkens_most_walls_less_vehicles_not():
     brown = np.broadcast_to(np.array([0.3, 0.2, 0.1], np.float32), view.image.shape).copy()
     wet = wet_surfaces_color(brown, surfaces, PLAIN)
     assert wet[ROAD][0] / wet[ROAD][2] > 1.1 * 3  # stronger colors
-
-
-def test_paint_mirrors_more_at_grazing_angles():
-    view = dry_view(vehicles=np.ones((64, 96)))
-    roof = np.broadcast_to(np.array([0.0, 0.0, 1.0], np.float32), view.normals.shape)
-    surfaces, black = replace(surfaces_of(view), normals=roof, vehicles=view.vehicles), np.zeros_like(view.image)
-
-    def gloss(of, settings):
-        return add_clear_coat(black, of, view_directions(view.camera), settings)[..., 1]
-
-    shiny = gloss(surfaces, WetSettings())
-    assert shiny[:, 48].min() >= 0 and shiny[36, 48] > 2 * shiny[60, 48] > 0.01
-    assert gloss(surfaces, WetSettings(gloss=0.0)).max() == 0
-    assert gloss(replace(surfaces, vehicles=0 * view.vehicles), WetSettings()).max() == 0
-
-
-def test_a_red_lamp_keeps_shining_and_glows():
-    view, where = dry_view(), (slice(24, 26), slice(48, 50))
-    image = (0.4 * view.image).astype(np.float32)
-    image[where] = (1.0, 0.15, 0.1)
-    view = replace(view, image=image)
-    share = emissive_share(view, surfaces_of(view))
-    assert share[where].min() > 0.8 and np.count_nonzero(share) == 4
-    dim = 0.3 * linear(view)
-    lit, without = (add_emissive_lights(dim, view, share, glow) for glow in (1.0, 0.0))
-    assert (without[where][..., 0] > 1).all()
-    glow = lit[24, 51] - without[24, 51]
-    assert glow[0] > 0.02 > 5 * glow[2] >= 0
-    np.testing.assert_array_equal(without[50:], dim[50:])
 
 
 def test_mist_fades_to_the_horizon_by_distance():

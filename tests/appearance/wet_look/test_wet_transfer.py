@@ -98,17 +98,6 @@ def test_more_wetness_is_more_of_everything(views, surroundings, soaked):
         assert (more - less)[made[-1].film == 0].min() > -0.005
 
 
-def test_light_given_is_light_used(views, surroundings, soaked):
-    light = WetTransfer(WetSettings(), surroundings).light_of(views)
-    brighter = replace(light, level_ev=0.0, sunlit_ev=0.0, shadow_ev=0.0)
-    same, darker = (
-        next(WetTransfer(WetSettings(), surroundings, each).transferred(views[:1])).image for each in (light, brighter)
-    )
-    assert same.tobytes() == soaked[0].image.tobytes()
-    ground = views[0].depth > 0
-    assert darker[ground].mean() < soaked[0].image[ground].mean() - 0.02
-
-
 def test_views_agree_as_well_as_the_clear_ones(soaked):
     here, there = soaked
     found = correspondence(here.clear, there.clear)
