@@ -6,7 +6,6 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -16,7 +15,7 @@ pytest.importorskip("peft")
 
 from safetensors.torch import load_file, save_file  # noqa: E402
 
-from gsrain_engine.appearance.base import ClearView, TransferSettings  # noqa: E402
+from gsrain_engine.appearance.base import TransferSettings  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo import weight_paths  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import ARCHITECTURES, CAPTIONS, sd_turbo, tiny  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import (  # noqa: E402
@@ -30,7 +29,6 @@ from gsrain_engine.appearance.cyclegan_turbo.translator import (  # noqa: E402
     open_cyclegan_turbo,
 )
 from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights  # noqa: E402
-from gsrain_engine.scene.camera import Camera  # noqa: E402
 
 from .published_checkpoints import noise, out, published, trained_model  # noqa: E402
 
@@ -176,51 +174,27 @@ def test_a_published_checkpoint_upon_a_base(base: Path, tmp_path: Path, monkeypa
 # Transfers
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    """Gives the file of a small model's weights, with a fourth channel of this kind."""
-    folder = tmp_path_factory.mktemp("weights")
-
-    def written(guide: str) -> Path:
-        file = folder / f"{guide or 'plain'}.safetensors"
-        if not file.exists():
-            model = deepcopy(trained_model(normals=bool(guide)))
-            model.guide = guide
-            save_weights(model, file)
-        return file
-
-    return written
-
-
-def image(**settings: Any) -> np.ndarray:
-    plane, normals = np.zeros((40, 48), np.float32), np.zeros((40, 48, 3), np.float32)
-    normals[20:, :, 2] = 1
-    pixels = np.random.default_rng(1).random((40, 48, 3), dtype=np.float32)
-    view = ClearView("one", Camera.from_fov(48, 40, 60, np.eye(4)), 0, pixels, plane + 5, normals, plane, plane)
-    (made,) = open_cyclegan_turbo(TransferSettings(**settings)).transferred([view])
-    return made.image
-
-
-def test_normals_count_where_the_weights_were_trained_with_them(weights, caplog):
+def test_normals_count_where_the_weights_were_trained_with_them(tmp_path, caplog):
     caplog.set_level("INFO")
-    up, luma, none = (
-        image(weights=weights("normals"), **each) for each in ({}, {"guide": "luma"}, {"normals": "none"})
-    )
-    assert np.abs(up - luma).max() > 1e-3 and np.abs(up - none).max() > 1e-3
-    assert "upon random weights" in caplog.text
-    plain = weights("")
-    assert np.array_equal(image(weights=plain), image(weights=plain, normals="none"))
-    assert "trained without normals" in caplog.text
+    for guide, used in (("normals", "depth"), ("", "none")):
+        model = deepcopy(trained_model(normals=bool(guide)))
+        model.guide = guide
+        save_weights(model, tmp_path / "own.safetensors")
+        settings = TransferSettings(weights=tmp_path / "own.safetensors", guide="luma")
+        opened = open_cyclegan_turbo(settings)
+        assert (opened.settings.normals, opened.settings.guide, opened.model.guide) == (used, "luma", guide)
+    assert "upon random weights" in caplog.text and "trained without normals" in caplog.text
 
 
-def test_weights_normals_and_devices_that_do_not_fit_are_refused(weights, tmp_path, monkeypatch):
-    for error, name, settings in (
-        (ValueError, "mask", {"weights": weights("mask")}),
-        (ValueError, "dsine", {"weights": weights("normals"), "normals": "dsine"}),
-        (FileNotFoundError, r"none\.pkl", {"weights": tmp_path / "none.pkl"}),
-    ):
-        with pytest.raises(error, match=name):
-            open_cyclegan_turbo(TransferSettings(**settings))
+def test_weights_normals_and_devices_that_do_not_fit_are_refused(tmp_path, monkeypatch):
+    model = deepcopy(trained_model(normals=True))
+    for guide, normals in (("mask", "depth"), ("normals", "dsine")):
+        model.guide = guide
+        save_weights(model, tmp_path / f"{guide}.safetensors")
+        with pytest.raises(ValueError, match="mask|dsine"):
+            open_cyclegan_turbo(TransferSettings(weights=tmp_path / f"{guide}.safetensors", normals=normals))
+    with pytest.raises(FileNotFoundError, match=r"none\.pkl"):
+        open_cyclegan_turbo(TransferSettings(weights=tmp_path / "none.pkl"))
     for is_there, devices in ((False, ["cpu", "cpu"]), (True, ["cuda", "cpu"])):
         monkeypatch.setattr(torch.cuda, "is_available", lambda is_there=is_there: is_there)
         assert [chosen_device(name) for name in ("auto", "cpu")] == devices
