@@ -57,7 +57,10 @@ def axes_of(g: Gaussians) -> np.ndarray:
 def test_small_are_cloned_large_split_and_faint_pruned() -> None:
     control, splats = adaptive(), parameters()
     before = splats.to_gaussians()
-    assert control.adapt(3, splats, generator()) is None and len(splats) == 4  # between two changes
+    for step in (3, 110):  # between two changes, and after the last one
+        control.observe(step, picture([1, 1, 1, 1]))
+        assert control.adapt(step, splats, generator()) is None and len(splats) == 4
+    control = adaptive()
     control.observe(9, picture([5e-6, 1e-6, 5e-6, 0]))
     assert control.adapt(10, splats, generator()) == "1 cloned, 1 split, 1 pruned"
     after = splats.to_gaussians()
@@ -96,12 +99,17 @@ def test_large_ones_go_after_a_reset_and_opacities_are_lowered() -> None:
     np.testing.assert_allclose(splats.to_gaussians().opacities, 0.01, rtol=1e-5)
 
 
-def test_the_highest_gradients_win_the_room_that_is_left() -> None:
-    control, splats = adaptive(max_count=6), parameters((0.01,) * 4, (0.5,) * 4)
-    means = splats.to_means()
-    control.observe(9, picture([4e-6, 9e-6, 5e-6, 8e-6]))
-    control.adapt(10, splats, generator())
-    assert np.array_equal(splats.to_means()[4:], means[[1, 3]])
+def test_wide_ones_and_then_the_highest_gradients_win_the_room_that_is_left() -> None:
+    for max_count, first_radius_px, change, grown in (
+        (6, 3.0, "2 cloned, 0 split, 0 pruned", [0, 1, 2, 3, 1, 3]),
+        (5, 20.0, "0 cloned, 1 split, 0 pruned", [1, 2, 3]),
+        (4, 3.0, "0 cloned, 0 split, 0 pruned", [0, 1, 2, 3]),
+    ):
+        control, splats = adaptive(max_count=max_count), parameters((0.01,) * 4, (0.5,) * 4)
+        means = splats.to_means()[grown]
+        control.observe(9, picture([4e-6, 9e-6, 5e-6, 8e-6], [first_radius_px, 3.0, 3.0, 3.0]))
+        assert control.adapt(10, splats, generator()) == change and len(splats) == max_count
+        assert np.array_equal(splats.to_means()[: len(grown)], means)
 
 
 @pytest.mark.parametrize("make", [adaptive, lambda: monte_carlo(means_rate=lambda step: 1e-4)])
@@ -171,8 +179,9 @@ def test_the_pull_is_the_mean_of_opacities_and_scales() -> None:
 
 
 def test_schedules_scale_with_the_run() -> None:
-    paper, short = (DefaultStrategySettings.for_run(steps, 1.0, 10) for steps in (30_000, 1000))
+    paper, half, short = (DefaultStrategySettings.for_run(steps, 1.0, 10) for steps in (30_000, 15_000, 1000))
     assert paper == DefaultStrategySettings(extent=1.0, max_count=10)
-    assert short.last_step == 500 and short.reset_every > short.last_step
+    assert (half.first_step, half.last_step, half.every, half.reset_every) == (250, 7500, 50, 1500)
+    assert (short.first_step, short.last_step, short.every, short.reset_every) == (30, 500, 25, 1000)
     sampled = MCMCSettings.for_run(3000, 10, lambda step: 0.0)
     assert (sampled.first_step, sampled.last_step, sampled.every) == (50, 2500, 25)
