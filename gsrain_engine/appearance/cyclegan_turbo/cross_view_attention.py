@@ -13,7 +13,6 @@ from ..base import ClearView
 from ..correspondence import Correspondence, rank_neighbors
 
 torch: Any = import_module("torch")
-diffusers_attention: Any = import_module("diffusers.models.attention_processor")
 Tensor = Any
 Grid = tuple[Float32[ndarray, "_ _ 2"], Bool[ndarray, "_ _"]]
 
@@ -266,60 +265,31 @@ def _outward_order(ranked: Sequence[Sequence[int]]) -> list[int]:
 class MutualSelfAttention:
     """Mutual self-attention, eq. (16)-(19): queries attend to a view's own and to warped neighbors' keys and values.
 
-    The rest equals diffusers' `AttnProcessor2_0`. Tokens without a correspondence are left out, which is equivalent to
-    masking with minus infinity; warped zeros would have weight e^0. Without neighbors it is plain attention.
+    Tokens without a correspondence are left out, which is equivalent to masking with minus infinity; warped zeros would
+    have weight e^0. Without neighbors it is diffusers' `AttnProcessor2_0`, for layers like those of Stable Diffusion:
+    without masks, norms and residuals of their own.
     """
 
     def __init__(self, layer: str, neighbor_features: Callable[[str, Tensor], Tensor | None]) -> None:
         """Take the layer's name, and `CrossViewExchange.neighbor_features` as the source of other views' features."""
         self._layer, self._neighbor_features = layer, neighbor_features
-        self._plain = diffusers_attention.AttnProcessor2_0()
 
     def __call__(
-        self,
-        attn: Any,
-        hidden_states: Tensor,
-        encoder_hidden_states: Tensor | None = None,
-        attention_mask: Tensor | None = None,
-        temb: Tensor | None = None,
+        self, attn: Any, hidden_states: Tensor, encoder_hidden_states: Tensor = None, attention_mask: Tensor = None
     ) -> Tensor:
-        """Attend over (b, tokens, channels) or (b, channels, h, w) features; returns the same shape."""
-        if encoder_hidden_states is not None or attention_mask is not None:
-            return self._plain(attn, hidden_states, encoder_hidden_states, attention_mask, temb)
-        residual = hidden_states
-        if attn.spatial_norm is not None:
-            hidden_states = attn.spatial_norm(hidden_states, temb)
-        shape = hidden_states.shape
-        if len(shape) == 4:
-            hidden_states = hidden_states.flatten(2).transpose(1, 2)
-        if attn.group_norm is not None:
-            hidden_states = attn.group_norm(hidden_states.transpose(1, 2)).transpose(1, 2)
-        found = self._attended(attn, hidden_states).to(hidden_states.dtype)
-        found = attn.to_out[1](attn.to_out[0](found))
-        if len(shape) == 4:
-            found = found.transpose(1, 2).reshape(shape)
-        if attn.residual_connection:
-            found = found + residual
-        return found / attn.rescale_output_factor
-
-    def _attended(self, attn: Any, features: Tensor) -> Tensor:
-        query = _heads(attn, attn.to_q(features), attn.norm_q)
-        key, value = _keys(attn, features)
-        if (others := self._neighbor_features(self._layer, features)) is not None:
-            other_key, other_value = _keys(attn, others[None])
-            key, value = torch.cat([other_key, key], dim=2), torch.cat([other_value, value], dim=2)
-        return chunked_attention(query, key, value, attn.scale).transpose(1, 2).flatten(2)
+        """Attend over features (1, tokens, channels); returns the same shape."""
+        query, key, value = (_heads(attn, of(hidden_states)) for of in (attn.to_q, attn.to_k, attn.to_v))
+        others = self._neighbor_features(self._layer, hidden_states)
+        if others is not None:  # projections are linear, so they commute with warping
+            key = torch.cat([_heads(attn, attn.to_k(others[None])), key], dim=2)
+            value = torch.cat([_heads(attn, attn.to_v(others[None])), value], dim=2)
+        found = chunked_attention(query, key, value, attn.scale).transpose(1, 2).flatten(2)
+        return attn.to_out[1](attn.to_out[0](found))
 
 
-def _keys(attn: Any, features: Tensor) -> tuple[Tensor, Tensor]:
-    """Keys and values. Projections are linear, so they commute with warping."""
-    return _heads(attn, attn.to_k(features), attn.norm_k), _heads(attn, attn.to_v(features), None)
-
-
-def _heads(attn: Any, projected: Tensor, norm: Any) -> Tensor:
+def _heads(attn: Any, projected: Tensor) -> Tensor:
     """Reshape (b, tokens, heads x d) to (b, heads, tokens, d)."""
-    split = projected.unflatten(-1, (attn.heads, -1)).transpose(1, 2)
-    return split if norm is None else norm(split)
+    return projected.unflatten(-1, (attn.heads, -1)).transpose(1, 2)
 
 
 def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, max_scores: int = MAX_SCORES) -> Tensor:

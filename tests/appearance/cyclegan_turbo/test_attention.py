@@ -59,18 +59,10 @@ def layer(**options):
     return attention.Attention(query_dim=12, heads=3, dim_head=4, **options).eval()
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"bias": True, "out_bias": False},
-        {"residual_connection": True, "rescale_output_factor": 2.0, "norm_num_groups": 3},
-        {"qk_norm": "layer_norm"},
-    ],
-)
-@pytest.mark.parametrize("shape", [(1, 20, 12), (1, 12, 5, 4)])
+@pytest.mark.parametrize("options", [{}, {"bias": True, "out_bias": False}])
 @torch.inference_mode()
-def test_without_neighbors_it_is_the_attention_of_diffusers(options, shape):
-    attn, features = layer(**options), torch.randn(shape)
+def test_without_neighbors_it_is_the_attention_of_diffusers(options):
+    attn, features = layer(**options), torch.randn(1, 20, 12)
     ours = MutualSelfAttention("x", lambda name, own: None)(attn, features)
     assert torch.equal(ours, attention.AttnProcessor2_0()(attn, features))
 
