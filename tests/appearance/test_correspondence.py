@@ -136,8 +136,10 @@ def test_views_of_unknown_pose_and_pictures_of_other_places_have_no_neighbors():
     views = list(street_views().values())
     some = rank_neighbors([views[0], replace(views[1], has_pose=False), *views[2:]], 2)
     assert some[1] == () and 2 in some[0] and not any(1 in others for others in some)
-    at_rest = [views[0], replace(views[0], name="later", time_s=1.0, image=0.8 * views[0].image)]
-    assert rank_neighbors(at_rest, 1) == [(1,), (0,)]
+    at_rest = [
+        replace(views[0], name=f"{t}", time_s=t, image=np.float32(1 - t / 5) * views[0].image) for t in (0, 1, 3)
+    ]
+    assert rank_neighbors(at_rest, 1) == [(1,), (0,), (1,)]
     noise = np.random.default_rng(3).random(views[0].image.shape).astype(np.float32)
     stand_in = [views[0], replace(views[0], name="elsewhere", image=noise)]  # the same pose, another street
     assert rank_neighbors(stand_in, 1) == [(), ()]
