@@ -72,6 +72,16 @@ def test_a_wall_hides_what_is_behind_it():
     assert unknown.outcome[15, 25] == MatchOutcome.UNKNOWN and not unknown.valid.any()
 
 
+@pytest.mark.parametrize(
+    ("depth", "apart", "outcome"),
+    [(30, 0.5, MatchOutcome.MATCHED), (30, 0.7, MatchOutcome.HIDDEN), (1, 0.04, MatchOutcome.MATCHED),
+     (1, 0.06, MatchOutcome.HIDDEN)],
+)  # fmt: skip
+def test_depths_of_one_point_differ_by_two_percent_or_five_centimeters(depth, apart, outcome):
+    here, there = (made_view(_plane_camera(), np.full((30, 40), each)) for each in (depth, depth + apart))
+    assert (correspondence(here, there).outcome == outcome).all()
+
+
 def test_the_sky_turns_and_does_not_shift():
     nothing, sky = np.zeros((30, 40)), np.ones((30, 40))
     here = made_view(_plane_camera(), nothing, sky=sky)
@@ -102,7 +112,11 @@ def test_lidar_alone_matches_where_it_measured_and_hides_the_rest():
     found = correspondence(of, made_view(other, np.where(np.roll(measured, 7), 10.0, 0)))
     inside = measured & (found.outcome != MatchOutcome.OUTSIDE)
     assert found.valid[inside].mean() > 0.95 and not found.valid[~measured].any()
-    assert not correspondence(of, made_view(other, np.where(np.roll(measured, 7), 5.0, 0))).valid.any()
+    # A nearer surface on the right hides what lies there, and nothing farther away than a few beams.
+    near = correspondence(
+        of, made_view(other, np.where(np.roll(measured, 7), np.where(np.arange(80) < 60, 10.0, 5.0), 0))
+    )
+    assert near.valid[:, :54][inside[:, :54]].mean() > 0.95 and not near.valid[:, 67:].any()
 
 
 def test_maps_of_features_are_warped_by_the_means_of_their_cells():
