@@ -16,17 +16,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from gsrain_engine.appearance.base import ClearView, RainyView
+from gsrain_engine.appearance.base import ClearView, RainyView, TransferSettings
 from gsrain_engine.appearance.capture_views import CaptureViews
 from gsrain_engine.appearance.correspondence import rank_neighbors
-from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import CrossViewAttention, chunked_attention
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import MAX_SCORES, PX_PER_TOKEN, chunked_attention
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, TurboArchitecture, build_random_model, tiny
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
-from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer, RunSettings
+from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
 from gsrain_engine.datasets.street import capture_street
 from gsrain_engine.evaluation.consistency import agreements, pool_errors
 from gsrain_engine.scene.camera import Camera, look_at
@@ -116,21 +117,15 @@ def strengthened(model: CycleGanTurbo, factor: float) -> CycleGanTurbo:
     return stronger
 
 
-def rows(model: CycleGanTurbo, views: Sequence[ClearView], settings: RunSettings) -> Iterator[dict[str, Any]]:
-    """Measure each way to attend on the same pairs of neighbors."""
-    tokens = CrossViewAttention().px_per_token if settings.side_px else (2, 4, 8, 16, 32)
-    ways: dict[str, CrossViewAttention | None] = {
-        "none": None,
-        "outward": CrossViewAttention(px_per_token=tokens),
-        "together": CrossViewAttention(order="together", px_per_token=tokens),
-    }
+def rows(model: CycleGanTurbo, views: Sequence[ClearView], settings: TransferSettings) -> Iterator[dict[str, Any]]:
+    """Measure without and with mutual attention on the same pairs of neighbors."""
+    tokens = PX_PER_TOKEN if settings.side_px else (2, 4, 8, 16, 32)
     pairs = [(i, j) for i, others in enumerate(rank_neighbors(views, 2)) for j in others]
-    for name, mutual in ways.items():
-        run = RunSettings(side_px=settings.side_px, normals=settings.normals, mutual=mutual)
+    for name, is_mutual in (("none", False), ("mutual", True)):
+        run = msgspec.structs.replace(settings, mutual_attention=is_mutual)
+        transfer = CycleGanTurboTransfer(model, run, px_per_token=tokens)
         started = time.perf_counter()
-        made: dict[str, RainyView] = {
-            each.clear.name: each for each in CycleGanTurboTransfer(model, run).transferred(views)
-        }
+        made: dict[str, RainyView] = {each.clear.name: each for each in transfer.transferred(views)}
         seconds = time.perf_counter() - started
         found = pool_errors(each.everywhere for each in agreements([made[view.name] for view in views], pairs))
         assert found is not None and found.before is not None
@@ -166,7 +161,7 @@ def main() -> None:
     parser.add_argument("--strengths", type=float, nargs="+", default=(1.0, 40.0, 400.0), help="of its self-attention")
     parser.add_argument("--layer", choices=("flash", "math"), help="measure one layer with this kernel, nothing else")
     parser.add_argument("--views", type=int, default=3, help="whose keys the layer looks at")
-    parser.add_argument("--max-scores", type=int, default=CrossViewAttention().max_scores)
+    parser.add_argument("--max-scores", type=int, default=MAX_SCORES)
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
@@ -175,11 +170,11 @@ def main() -> None:
         return
     views, to_train_on = street(arguments.width)
     if arguments.weights:
-        found = {"rows": list(rows(open_model(arguments.weights), views, RunSettings()))}
+        found = {"rows": list(rows(open_model(arguments.weights), views, TransferSettings()))}
     else:
         model, error = trained(to_train_on, arguments.iterations)
         found = {"trained_to": round(error, 4)} | {
-            f"strength_{strength:g}": list(rows(strengthened(model, strength), views, RunSettings(side_px=None)))
+            f"strength_{strength:g}": list(rows(strengthened(model, strength), views, TransferSettings(side_px=None)))
             for strength in arguments.strengths
         }
     print(json.dumps(found, indent=1))

@@ -1,7 +1,8 @@
 """COLMAP reconstructions, binary and text, and captures made of them."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
@@ -24,7 +25,7 @@ from .capture import (
     sensor_names,
     view_names,
 )
-from .geometry import camera_of_image, checked_camera, estimate_up_direction, rigid_from_quaternion
+from .geometry import Pose, camera_of_image, checked_camera, estimate_up_direction, rigid_from_quaternion
 from .io.arrays import read_bytes
 from .io.images import image_size, read_color, read_mask
 
@@ -198,7 +199,7 @@ class ColmapCamera:
             "and COLMAP's image_undistorter makes straight pictures of any"
         )
 
-    def pinhole(self, world_to_camera: Float64[np.ndarray, "4 4"]) -> Camera:
+    def pinhole(self, world_to_camera: Pose) -> Camera:
         """Camera at a pose, without distortion."""
         p = self.parameters
         fx, fy, cx, cy = (p[0], p[0], p[1], p[2]) if self.model in _ONE_FOCAL else p[:4]
@@ -329,16 +330,11 @@ _MAX_TEXT_BYTES = 1 << 34
 
 def _text_cameras(file: Path) -> dict[int, ColmapCamera]:
     cameras: dict[int, ColmapCamera] = {}
-    for number, line in _lines(file):
-        if not line or line.startswith("#"):
-            continue
-        try:
+    for number, line in _records(_lines(file)):
+        with _expecting(file, number, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"):
             id_, model, width, height, *parameters = line.split()
-            camera = ColmapCamera(int(id_), model, int(width), int(height), tuple(float(each) for each in parameters))
-        except ValueError:
-            expected = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
-            raise CaptureError(f"{file}, line {number}: expected {expected}") from None
-        cameras[camera.id] = camera
+            numbers = tuple(float(each) for each in parameters)
+            cameras[int(id_)] = ColmapCamera(int(id_), model, int(width), int(height), numbers)
     return cameras
 
 
@@ -346,35 +342,39 @@ def _text_images(file: Path) -> tuple[ColmapImage, ...]:
     """Read two lines an image; the second, with the image's observations, may be empty and is skipped."""
     images: list[ColmapImage] = []
     lines = _lines(file)
-    for number, line in lines:
-        if not line or line.startswith("#"):
-            continue
-        try:
+    for number, line in _records(lines):
+        with _expecting(file, number, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"):
             _, qw, qx, qy, qz, tx, ty, tz, camera_id, name = line.split(maxsplit=9)
             turn, shift = (float(qw), float(qx), float(qy), float(qz)), (float(tx), float(ty), float(tz))
             images.append(ColmapImage(name, int(camera_id), turn, shift))
-        except ValueError:
-            expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
-            raise CaptureError(f"{file}, line {number}: expected {expected}") from None
         next(lines, None)
     return tuple(images)
 
 
 def _text_points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"]]:
     rows: list[list[float]] = []
-    for number, line in _lines(file) if file.is_file() else ():
-        if not line or line.startswith("#"):
-            continue
-        try:
+    for number, line in _records(_lines(file)) if file.is_file() else ():
+        with _expecting(file, number, "POINT3D_ID X Y Z R G B ERROR TRACK[] with colors within 0..255"):
             row = [float(each) for each in line.split(maxsplit=7)[1:7]]
-        except ValueError:
-            row = []
-        if len(row) != 6 or not all(0 <= color <= 255 for color in row[3:]):
-            expected = "POINT3D_ID X Y Z R G B ERROR TRACK[] with colors within 0..255"
-            raise CaptureError(f"{file}, line {number}: expected {expected}")
-        rows.append(row)
+            if len(row) != 6 or not all(0 <= color <= 255 for color in row[3:]):
+                raise ValueError
+            rows.append(row)
     table = np.array(rows, np.float64).reshape(-1, 6)
     return table[:, :3], table[:, 3:].astype(np.uint8)
+
+
+@contextmanager
+def _expecting(file: Path, number: int, fields: str) -> Generator[None]:
+    """Turn the ValueError of a line into a `CaptureError` that names the expected fields."""
+    try:
+        yield
+    except ValueError:
+        raise CaptureError(f"{file}, line {number}: expected {fields}") from None
+
+
+def _records(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """Lines other than empty ones and comments."""
+    return ((number, line) for number, line in lines if line and not line.startswith("#"))
 
 
 def _lines(file: Path) -> Iterator[tuple[int, str]]:

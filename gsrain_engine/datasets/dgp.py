@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from ..scene.camera import Camera
 from .capture import Capture, CaptureError, CaptureFrame, Lens, check_inside
 from .driving_log import DrivingLog, LidarScan
-from .geometry import BoxSample, invert_pose, named_pose, opencv_camera
+from .geometry import BoxSample, Pose, invert_pose, named_pose, opencv_camera
 from .io.arrays import WRONG_VALUES, read_json_object, read_npz, what_is_wrong
 from .io.images import image_size, read_color
 
@@ -95,7 +94,7 @@ class _DgpScene:
     def capture(self) -> Capture:
         classes = self._classes()
         lidars: list[_DgpLidar] = []
-        camera_stamps: dict[str, list[tuple[float, Float64[np.ndarray, "4 4"]]]] = {}
+        camera_stamps: dict[str, list[tuple[float, Pose]]] = {}
         for number, sample in enumerate(self.samples):
             rig = _read_calibration(self.folder / "calibration" / f"{sample.get('calibration_key')}.json")
             for key in sample.get("datum_keys", ()):
@@ -178,10 +177,10 @@ class _DgpScene:
 class DgpSensor:
     """A row of a calibration: pose of a sensor and intrinsics of a camera."""
 
-    to_vehicle: Float64[np.ndarray, "4 4"]
+    to_vehicle: Pose
     intrinsics: dict[str, Any]
 
-    def camera(self, width: int, height: int, world_to_camera: Float64[np.ndarray, "4 4"]) -> Camera:
+    def camera(self, width: int, height: int, world_to_camera: Pose) -> Camera:
         """Camera of an image; ValueError for invalid or skewed calibrations."""
         fx, fy, cx, cy, skew = (float(self.intrinsics.get(name, 0.0)) for name in ("fx", "fy", "cx", "cy", "skew"))
         if abs(skew) > 0.5:
@@ -221,7 +220,7 @@ class _DgpLidar:
     name: str
     cloud: dict[str, Any]
     time_s: float
-    to_world: Float64[np.ndarray, "4 4"]
+    to_world: Pose
     sensor: DgpSensor
 
     def scan(self, folder: Path) -> LidarScan:
@@ -241,7 +240,7 @@ def _dict_values(values: Any) -> list[Any]:
     return list(values.values()) if isinstance(values, dict) else []
 
 
-def _pose(datum: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
+def _pose(datum: dict[str, Any]) -> Pose:
     """Sensor to world."""
     return named_pose(next(iter(datum["datum"].values()))["pose"])
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, Float64
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import PoseTrack
 from .capture import EGO_HEIGHT_M, Capture, CaptureError, CaptureFrame, LidarSweep
-from .geometry import BoxSample, road_height, tracked_boxes, transform_points, translation_pose
+from .geometry import BoxSample, Pose, road_height, tracked_boxes, transform_points, translation_pose
 from .io.arrays import what_is_wrong
 
 MAX_POINTS = 24_000_000
@@ -29,7 +29,7 @@ class LidarScan:
     """One sweep of a lidar, in the frame of the vehicle (x forward, y left, z up, meters)."""
 
     time_s: float
-    vehicle_to_world: Float64[np.ndarray, "4 4"]
+    vehicle_to_world: Pose
     points_m: Float[np.ndarray, "p 3"]
     origin_m: Float64[np.ndarray, "3"]
     intensities: Float32[np.ndarray, " p"] | None = None
@@ -44,8 +44,8 @@ class LidarScan:
     def placed(
         cls,
         time_s: float,
-        vehicle_to_world: Float64[np.ndarray, "4 4"],
-        lidar_to_vehicle: Float64[np.ndarray, "4 4"],
+        vehicle_to_world: Pose,
+        lidar_to_vehicle: Pose,
         points_m: Float[np.ndarray, "p 3"],
         intensities: Float32[np.ndarray, " p"] | None,
     ) -> "LidarScan":
@@ -63,9 +63,7 @@ class DrivingLog:
     """Height of the road in the vehicle's frame according to the dataset."""
     views: list[CaptureFrame] = field(default_factory=list[CaptureFrame])
     """Views with times of the dataset's clock and cameras in its world."""
-    stamps: list[tuple[float, Float64[np.ndarray, "4 4"]]] = field(
-        default_factory=list[tuple[float, Float64[np.ndarray, "4 4"]]]
-    )
+    stamps: list[tuple[float, Pose]] = field(default_factory=list[tuple[float, Pose]])
     """Poses of the vehicle: time, vehicle to world."""
     scans: Iterable[LidarScan] = ()
     scan_count: int = 0
@@ -128,9 +126,7 @@ class DrivingLog:
         return stride
 
 
-def _sweeps(
-    scans: Iterable[LidarScan], stride: int, shift: Float64[np.ndarray, "4 4"], start_s: float
-) -> Iterator[LidarSweep]:
+def _sweeps(scans: Iterable[LidarScan], stride: int, shift: Pose, start_s: float) -> Iterator[LidarSweep]:
     for scan in scans:
         to_world = shift @ scan.vehicle_to_world
         points = transform_points(to_world, scan.points_m[::stride].astype(np.float64)).astype(np.float32)
@@ -139,7 +135,7 @@ def _sweeps(
         yield LidarSweep(_since(start_s, scan.time_s), points, origin, intensities)
 
 
-def _moved(track: PoseTrack, shift: Float64[np.ndarray, "4 4"], start_s: float) -> PoseTrack:
+def _moved(track: PoseTrack, shift: Pose, start_s: float) -> PoseTrack:
     moved = track.moved(shift)
     return replace(moved, times=np.round(moved.times - start_s, 6))
 

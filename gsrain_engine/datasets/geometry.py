@@ -15,7 +15,10 @@ from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrice
 from ..scene.scene import PoseTrack
 from .capture import CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox
 
-OPENCV_FROM_VEHICLE_AXES: Float64[np.ndarray, "4 4"] = np.array(
+Pose = Float64[np.ndarray, "4 4"]
+"""Rigid transform of points as columns."""
+
+OPENCV_FROM_VEHICLE_AXES: Pose = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
 """Rotates x forward, y left, z up into x right, y down, z forward."""
@@ -23,25 +26,25 @@ OPENCV_FROM_VEHICLE_AXES: Float64[np.ndarray, "4 4"] = np.array(
 _NOT_RIGID, _FARTHEST_M = 1e-2, 1e9
 
 
-def rigid_pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+def rigid_pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> Pose:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     return matrix
 
 
-def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.ndarray, "4 4"]:
+def heading_pose(center_m: Sequence[float], heading_rad: float) -> Pose:
     """Pose of an upright object, rotated about z from the x axis."""
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     return rigid_pose(turn, np.asarray(center_m, np.float64))
 
 
-def translation_pose(translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+def translation_pose(translation: Float[np.ndarray, "3"]) -> Pose:
     """Pose without rotation."""
     return rigid_pose(np.eye(3), translation)
 
 
-def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.ndarray, "4 4"]:
+def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Pose:
     """Pose of a quaternion (4 numbers, any length) and a translation (3); ValueError if invalid."""
     turn, place = np.asarray(quaternion_wxyz, np.float64), np.asarray(translation, np.float64)
     if turn.shape != (4,) or place.shape != (3,):
@@ -53,7 +56,7 @@ def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.
     return rigid_pose(matrices_from_quaternions(turn / length), place)
 
 
-def rigid_from_numbers(values: Any) -> Float64[np.ndarray, "4 4"]:
+def rigid_from_numbers(values: Any) -> Pose:
     """Pose of 12 or 16 numbers by rows (nested or flat); ValueError if it is not rigid.
 
     Removes rounding errors of up to 1 % from the rotation.
@@ -88,7 +91,7 @@ def transform_points(pose: Float[np.ndarray, "4 4"], points_m: Float[np.ndarray,
     return points_m @ pose[:3, :3].T + pose[:3, 3]
 
 
-def named_pose(values: Mapping[str, Any]) -> Float64[np.ndarray, "4 4"]:
+def named_pose(values: Mapping[str, Any]) -> Pose:
     """Pose of {translation: {x y z}, rotation: {qw qx qy qz}}, as in DGP."""
     turn, place = values["rotation"], values["translation"]
     return rigid_from_quaternion([turn[f"q{axis}"] for axis in "wxyz"], [place[axis] for axis in "xyz"])
@@ -164,10 +167,7 @@ def _rising(values: Float64[np.ndarray, " n"]) -> int:
 
 
 def opencv_camera(
-    focal_px: tuple[float, float],
-    center_px: tuple[float, float],
-    size: tuple[int, int],
-    world_to_camera: Float64[np.ndarray, "4 4"],
+    focal_px: tuple[float, float], center_px: tuple[float, float], size: tuple[int, int], world_to_camera: Pose
 ) -> Camera:
     """Build a camera (`size` is width, height); ValueError for an invalid calibration."""
     if not np.isfinite([*focal_px, *center_px]).all() or min(focal_px) <= 0:
@@ -175,9 +175,7 @@ def opencv_camera(
     return Camera(*size, *focal_px, center_px[0] + 0.5, center_px[1] + 0.5, world_to_camera)
 
 
-def opencv_camera_of_matrix(
-    matrix: Float64[np.ndarray, "..."], size: tuple[int, int], world_to_camera: Float64[np.ndarray, "4 4"]
-) -> Camera:
+def opencv_camera_of_matrix(matrix: Float64[np.ndarray, "..."], size: tuple[int, int], world_to_camera: Pose) -> Camera:
     """Build a camera from a 3x3, 3x4 or 4x4 camera matrix."""
     if matrix.shape not in ((3, 3), (3, 4), (4, 4)):
         raise ValueError("its calibration has no 3x3 matrix of a camera")
@@ -360,7 +358,6 @@ def _hidden(nearest: Float32[np.ndarray, "h w"], view: CaptureFrame) -> Bool[np.
 
 # Boxes over time
 
-_Pose = Float64[np.ndarray, "4 4"]
 _LONGEST_M = 1000.0
 
 
@@ -373,7 +370,7 @@ class BoxSample:
     time_s: float
     size_lwh: tuple[float, float, float]
     """Length, width and height in meters."""
-    center_to_world: Float64[np.ndarray, "4 4"]
+    center_to_world: Pose
     """Box (x forward, y left, z up, origin at its center) to world."""
 
     def __post_init__(self) -> None:
@@ -397,7 +394,7 @@ def tracked_boxes(samples: Iterable[BoxSample], times_s: Sequence[float]) -> tup
 
 
 def _tracked(found: dict[int, BoxSample], stamps: Float64[np.ndarray, " t"]) -> TrackedBox:
-    rows: list[tuple[float, _Pose, bool]] = []
+    rows: list[tuple[float, Pose, bool]] = []
     indices = sorted(found)
     for run in (part.tolist() for part in np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)):
         poses = [_bottom_to_world(found[index]) for index in run]
@@ -420,7 +417,7 @@ def _tracked(found: dict[int, BoxSample], stamps: Float64[np.ndarray, " t"]) -> 
     return TrackedBox(first.id, first.class_name, (length, width, height), track)
 
 
-def _bottom_to_world(box: BoxSample) -> _Pose:
+def _bottom_to_world(box: BoxSample) -> Pose:
     """Pose with the same axes, origin at the bottom center."""
     matrix = box.center_to_world.copy()
     matrix[:3, 3] -= matrix[:3, 2] * (box.size_lwh[2] / 2)
@@ -433,7 +430,7 @@ def _half_gap(stamps: Float64[np.ndarray, " t"], index: int, side: int) -> float
     return float(abs(stamps[other] - stamps[index]) / 2) if 0 <= other < len(stamps) else 0.0
 
 
-def _moved_on(pose: _Pose, neighbors: Sequence[_Pose], times: Sequence[float], by_s: float) -> _Pose:
+def _moved_on(pose: Pose, neighbors: Sequence[Pose], times: Sequence[float], by_s: float) -> Pose:
     """Extrapolate a pose in time by the velocity between it and its neighbor."""
     matrix = pose.copy()
     if neighbors:

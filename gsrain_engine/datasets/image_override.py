@@ -24,19 +24,16 @@ class ImageOverride:
 
     folder: Path
     files: Mapping[str, Path]
-    straight_sizes: Mapping[str, tuple[int, int]]
-    """Width and height of images known to be without lens distortion, as from a transfer."""
+    straight_widths: Mapping[str, int]
+    """Width of images known to be without lens distortion, as from a transfer."""
 
     def file_of(self, name: str, sensor: str = "") -> Path | None:
         """Find the image of a view: NAME, SENSOR/NAME, the last part of NAME, or NAME with _ for each /."""
-        found = self._key(name, sensor)
-        return None if found is None else self.files[found]
+        return self.files.get(self._key(name, sensor) or "")
 
     def straight_width(self, name: str, sensor: str = "") -> int | None:
         """Width of the view's image if known to be without lens distortion."""
-        found = self._key(name, sensor)
-        size = None if found is None else self.straight_sizes.get(found)
-        return None if size is None else size[0]
+        return self.straight_widths.get(self._key(name, sensor) or "")
 
     def left_over(self, views: Iterable[tuple[str, str]]) -> list[str]:
         """Images that match none of the views (name, sensor)."""
@@ -70,8 +67,7 @@ def find_images(folder: Path) -> ImageOverride:
         views = read_capture_folder(folder).views
         where = folder if (folder / f"{views[0].name}.png").is_file() else folder / "images"
         files = {view.name: where / f"{view.name}.png" for view in views}
-        sizes = {view.name: (view.camera.width, view.camera.height) for view in views if view.lens is None}
-        return ImageOverride(folder, files, sizes)
+        return ImageOverride(folder, files, {view.name: view.camera.width for view in views if view.lens is None})
     found = sorted(file for file in folder.rglob("*") if file.suffix.lower() in SUFFIXES)
     return ImageOverride(folder, {file.relative_to(folder).with_suffix("").as_posix(): file for file in found}, {})
 

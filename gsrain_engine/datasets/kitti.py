@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from ..safe_io.limits import read_file
 from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names
 from .driving_log import DrivingLog, LidarScan
 from .geometry import (
     OPENCV_FROM_VEHICLE_AXES,
     BoxSample,
+    Pose,
     heading_pose,
     invert_pose,
     opencv_camera_of_matrix,
@@ -26,13 +26,13 @@ from .geometry import (
     rigid_pose,
     translation_pose,
 )
-from .io.arrays import read_float32_rows
+from .io.arrays import read_float32_rows, read_text
 from .io.images import image_size, images_in, read_color
 
 Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
 
-_Poses = Mapping[int, Float64[np.ndarray, "4 4"]]
+_Poses = Mapping[int, Pose]
 _Times = Mapping[int, float]
 """Poses and times by the number of an image."""
 
@@ -54,11 +54,11 @@ class KittiCamera:
             raise ValueError("its projection matrix is not one of a camera")
 
     @property
-    def from_first(self) -> Float64[np.ndarray, "4 4"]:
+    def from_first(self) -> Pose:
         """First camera to this one: a shift along the baseline."""
         return translation_pose(np.linalg.solve(self.projection[:, :3], self.projection[:, 3]))
 
-    def view(self, file: Path, name: str, time_s: float, world_to_first: Float64[np.ndarray, "4 4"]) -> CaptureFrame:
+    def view(self, file: Path, name: str, time_s: float, world_to_first: Pose) -> CaptureFrame:
         """View of one rectified image, so without lens distortion; raises `CaptureError` or ValueError."""
         camera = opencv_camera_of_matrix(self.projection, image_size(file), self.from_first @ world_to_first)
         return CaptureFrame(name, camera, partial(read_color, file), time_s, self.name)
@@ -67,7 +67,7 @@ class KittiCamera:
 def _read_calibration(file: Path) -> Calibration:
     """Read lines of `name: numbers`, skipping others. Raises `CaptureError`."""
     values: Calibration = {}
-    for line in _read_text(file).splitlines():
+    for line in read_text(file, _MAX_TEXT_BYTES).splitlines():
         name, _, rest = line.partition(":")
         try:
             values[name.strip()] = np.array([float(word) for word in rest.split()], np.float64)
@@ -85,15 +85,12 @@ def _numbers_of(values: Calibration, name: str, count: int, file: Path) -> Float
     return found
 
 
-def _read_text(file: Path) -> str:
-    try:
-        return read_file(file, _MAX_TEXT_BYTES).decode("utf-8")
-    except FileNotFoundError:
-        raise CaptureError(f"{file}: no such file") from None
-    except OSError as error:
-        raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
-    except UnicodeDecodeError as error:
-        raise CaptureError(f"{file}: can't be read ({error})") from None
+def _number_of(file: Path, *known: Mapping[int, object]) -> int:
+    """Number of an image or lidar file; ValueError if it is not known in all mappings."""
+    number = int(file.stem) if file.stem.isdecimal() else -1
+    if number < 0 or not all(number in each for each in known):
+        raise ValueError("its number, or the vehicle's place or time for it, is not known")
+    return number
 
 
 def _add_views(
@@ -103,12 +100,10 @@ def _add_views(
     below: str,
     camera_of: Callable[[str], tuple[KittiCamera, _Times]],
     world_to_first: _Poses,
-    number_of: Callable[[Path, _Times, _Poses], int],
 ) -> None:
     """Add the images of the color cameras, the first two `sensors`, or of the gray ones if there are none.
 
-    `camera_of` returns the calibration and times of a sensor, `number_of` the number of an image whose time and pose
-    are known; both raise ValueError.
+    `camera_of` returns the calibration and times of a sensor, or raises ValueError.
     """
     there = [sensor for sensor in sensors if (folder / sensor).is_dir()]
     for sensor in [each for each in there if each in sensors[:2]] or there:
@@ -116,7 +111,7 @@ def _add_views(
             camera, times = camera_of(sensor)
             for file in images_in(folder / sensor / below):
                 with log.omitting(f"{sensor}/{file.name}"):
-                    number = number_of(file, times, world_to_first)
+                    number = _number_of(file, times, world_to_first)
                     name = f"{number:04d}_{sensor}"
                     log.views.append(camera.view(file, name, times[number], world_to_first[number]))
     log.views.sort(key=lambda view: view.name)
@@ -128,12 +123,11 @@ def _scans(
     files: Sequence[Path],
     times: _Times,
     poses: _Poses,
-    to_vehicle: Float64[np.ndarray, "4 4"],
-    number_of: Callable[[Path, _Times, _Poses], int],
+    to_vehicle: Pose,
 ) -> Iterator[LidarScan]:
     for file in files:
         with log.omitting(f"{sensor}/{file.name}"):
-            number = number_of(file, times, poses)
+            number = _number_of(file, times, poses)
             points, light = read_float32_rows(file, 4)  # m, x forward, y left, z up; reflectance 0..1
             yield LidarScan.placed(times[number], poses[number], to_vehicle, points, light)
 
@@ -180,7 +174,7 @@ def _read_sequence(folder: Path, problems: list[str]) -> Capture:
     log = DrivingLog(folder.name, road_m=-CAMERA_HEIGHT_M, problems=problems)
     file = folder / "times.txt"
     try:
-        times = dict(enumerate(float(line) for line in _read_text(file).split()))
+        times = dict(enumerate(float(line) for line in read_text(file, _MAX_TEXT_BYTES).split()))
     except ValueError as error:
         raise CaptureError(f"{file}: {error}") from None
     poses = _first_camera_poses(_pose_file(folder), problems)
@@ -194,36 +188,29 @@ def _read_sequence(folder: Path, problems: list[str]) -> Capture:
 
     to_first = {number: invert_pose(pose) for number, pose in to_world.items()}
     sensors = [f"image_{k}" for k in (2, 3, 0, 1)]
-    _add_views(log, folder, sensors, "", camera_of, to_first, _sequence_number)
+    _add_views(log, folder, sensors, "", camera_of, to_first)
     files = sorted((folder / "velodyne").glob("*.bin"))
     if files:
         with log.omitting("lidar"):
             to_vehicle = _TO_VEHICLE @ rigid_from_numbers(_numbers_of(calibration, "Tr", 12, file))
             places = dict(log.stamps)
             vehicles = {number: places[time] for number, time in times.items() if time in places}
-            log.scans = _scans(log, "velodyne", files, times, vehicles, to_vehicle, _sequence_number)
+            log.scans = _scans(log, "velodyne", files, times, vehicles, to_vehicle)
             log.scan_count = len(files)
     return log.capture()
 
 
-def _first_camera_poses(file: Path, problems: list[str]) -> dict[int, Float64[np.ndarray, "4 4"]]:
+def _first_camera_poses(file: Path, problems: list[str]) -> dict[int, Pose]:
     """First camera to world, by image number."""
     if not file.is_file():
         raise CaptureError(f"{file}: no poses of this sequence (KITTI keeps those of 11 to 21); COLMAP can find them")
-    poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
-    for number, line in enumerate(_read_text(file).splitlines()):
+    poses: dict[int, Pose] = {}
+    for number, line in enumerate(read_text(file, _MAX_TEXT_BYTES).splitlines()):
         try:
             poses[number] = rigid_from_numbers([float(word) for word in line.split()])
         except ValueError as error:
             problems.append(f"{file}: line {number + 1}: {error}")
     return poses
-
-
-def _sequence_number(file: Path, times: _Times, poses: _Poses) -> int:
-    number = int(file.stem) if file.stem.isdecimal() else -1
-    if number not in poses or number not in times:
-        raise ValueError("its pose or its time is not known")
-    return number
 
 
 # KITTI raw
@@ -273,7 +260,7 @@ def _read_drive(folder: Path, problems: list[str]) -> Capture:
     records: dict[int, OxtsRecord] = {}
     for file in sorted((folder / "oxts" / "data").glob("*.txt")):
         with log.omitting("a place of the vehicle"):
-            records[_frame_number(file)] = _read_oxts(file)
+            records[_number_of(file)] = _read_oxts(file)
     poses = dict(zip(records, oxts_poses(list(records.values())), strict=True))
     times = _read_times(folder / "oxts", problems)
     log.stamps = [(times[k], pose) for k, pose in poses.items() if k in times]
@@ -283,7 +270,7 @@ def _read_drive(folder: Path, problems: list[str]) -> Capture:
         return KittiCamera(sensor, projection), _read_times(folder / sensor, problems)
 
     to_first = {number: lidar_to_first @ imu_to_lidar @ invert_pose(pose) for number, pose in poses.items()}
-    _add_views(log, folder, _CAMERAS, "data", camera_of, to_first, _drive_number)
+    _add_views(log, folder, _CAMERAS, "data", camera_of, to_first)
     lidar_folder = folder / "velodyne_points"
     lidar_times = _read_times(lidar_folder, problems) if lidar_folder.is_dir() else {}
     to_vehicle = invert_pose(imu_to_lidar)
@@ -291,14 +278,14 @@ def _read_drive(folder: Path, problems: list[str]) -> Capture:
         with log.omitting("boxes"):
             _add_boxes(log, folder / "tracklet_labels.xml", lidar_times or times, poses, to_vehicle)
     files = sorted((lidar_folder / "data").glob("*.bin"))
-    log.scans = _scans(log, "velodyne_points", files, lidar_times, poses, to_vehicle, _drive_number)
+    log.scans = _scans(log, "velodyne_points", files, lidar_times, poses, to_vehicle)
     log.scan_count = len(files)
     return log.capture()
 
 
 def _read_times(sensor: Path, problems: list[str]) -> dict[int, float]:
     times: dict[int, float] = {}
-    for number, line in enumerate(_read_text(sensor / "timestamps.txt").splitlines()):
+    for number, line in enumerate(read_text(sensor / "timestamps.txt", _MAX_TEXT_BYTES).splitlines()):
         try:
             times[number] = _seconds(line)
         except ValueError:
@@ -314,12 +301,10 @@ def _seconds(line: str) -> float:
     return (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() + float(f"0.{fraction or 0}")
 
 
-def _add_boxes(
-    log: DrivingLog, file: Path, times: _Times, poses: _Poses, lidar_to_vehicle: Float64[np.ndarray, "4 4"]
-) -> None:
-    tracklets = _read_tracklets(file)
+def _add_boxes(log: DrivingLog, file: Path, times: _Times, poses: _Poses, lidar_to_vehicle: Pose) -> None:
+    items = _read_tracklets(file)
     log.box_times_s = [times[number] for number in poses if number in times]
-    for name, (class_name, size, first, centers_to_lidar) in enumerate(tracklets):
+    for name, (class_name, size, first, centers_to_lidar) in enumerate(items):
         with log.omitting(f"tracklet {name}"):
             for number, to_lidar in enumerate(centers_to_lidar, first):
                 if number in poses and number in times:
@@ -327,28 +312,15 @@ def _add_boxes(
                     log.boxes.append(BoxSample(str(name), class_name, times[number], size, to_world))
 
 
-def _calibrated_pose(values: Calibration, file: Path) -> Float64[np.ndarray, "4 4"]:
+def _calibrated_pose(values: Calibration, file: Path) -> Pose:
     return _rigid(_numbers_of(values, "R", 9, file), _numbers_of(values, "T", 3, file), file)
 
 
-def _rigid(turn: Float64[np.ndarray, "9"], place: Float64[np.ndarray, "3"], file: Path) -> Float64[np.ndarray, "4 4"]:
+def _rigid(turn: Float64[np.ndarray, "9"], place: Float64[np.ndarray, "3"], file: Path) -> Pose:
     try:
         return rigid_from_numbers(np.column_stack([turn.reshape(3, 3), place]))
     except ValueError as error:
         raise CaptureError(f"{file}: {error}") from None
-
-
-def _frame_number(file: Path) -> int:
-    if not file.stem.isdecimal():
-        raise ValueError(f"{file.name}: not the number of a picture")
-    return int(file.stem)
-
-
-def _drive_number(file: Path, times: _Times, poses: _Poses) -> int:
-    number = _frame_number(file)
-    if number not in poses or number not in times:
-        raise ValueError("the place or the time of the vehicle is not known")
-    return number
 
 
 # OXTS poses
@@ -362,7 +334,7 @@ _LARGEST_OXTS = 1e6  # maximum of angles and of meters above sea level; larger v
 _EARTH_RADIUS_M = 6378137.0
 
 
-def oxts_poses(records: Sequence[OxtsRecord]) -> list[Float64[np.ndarray, "4 4"]]:
+def oxts_poses(records: Sequence[OxtsRecord]) -> list[Pose]:
     """Poses (inertial unit to world, the first at the origin) of records."""
     if not records:
         return []
@@ -372,7 +344,7 @@ def oxts_poses(records: Sequence[OxtsRecord]) -> list[Float64[np.ndarray, "4 4"]
 
 
 def _read_oxts(file: Path) -> OxtsRecord:
-    words = _read_text(file).split()
+    words = read_text(file, _MAX_TEXT_BYTES).split()
     try:
         values = np.array([float(word) for word in words[:6]], np.float64)
     except ValueError as error:
@@ -397,13 +369,13 @@ def _turn(roll_pitch_yaw: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"
 
 # Tracklets (tracklet_labels.xml)
 
-_Tracklet = tuple[str, tuple[float, float, float], int, list[Float64[np.ndarray, "4 4"]]]
+_Tracklet = tuple[str, tuple[float, float, float], int, list[Pose]]
 """Class, length, width and height (m), first image, and box center to lidar for each image from the first."""
 
 
 def _read_tracklets(file: Path) -> list[_Tracklet]:
     """Read all; `CaptureError` if the file is damaged, or defines XML entities, which can expand without bound."""
-    text = _read_text(file)
+    text = read_text(file, _MAX_TEXT_BYTES)
     if "<!ENTITY" in text:
         raise CaptureError(f"{file}: refused, for it defines entities, which no file of KITTI does")
     try:
@@ -415,7 +387,7 @@ def _read_tracklets(file: Path) -> list[_Tracklet]:
 
 def _tracklet(item: ElementTree.Element) -> _Tracklet | None:
     height, width, length = (_number(item, name) for name in ("h", "w", "l"))
-    poses: list[Float64[np.ndarray, "4 4"]] = []
+    poses: list[Pose] = []
     for pose in item.iterfind("poses/item"):  # the position is that of the bottom; only the angle rz is used
         x, y, z, turn = (_number(pose, name) for name in ("tx", "ty", "tz", "rz"))
         poses.append(heading_pose((x, y, z + height / 2), turn))

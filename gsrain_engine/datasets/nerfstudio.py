@@ -10,7 +10,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from ..scene.camera import Camera
 from .capture import Capture, CaptureError, CaptureFrame, Lens, check_inside, omissions, sensor_names, view_names
-from .geometry import camera_of_image, checked_camera, estimate_up_direction, invert_pose, rigid_from_numbers
+from .geometry import Pose, camera_of_image, checked_camera, estimate_up_direction, invert_pose, rigid_from_numbers
 from .io.arrays import read_floats, read_json_object, what_is_wrong
 from .io.images import SUFFIXES, image_size, read_color, read_mask, read_stored
 from .io.records import read_point_ply
@@ -107,7 +107,7 @@ def _image(file: Path, name: str) -> Path:
     return next((guess for guess in guesses if guess.is_file()), named)
 
 
-def _camera(frame: dict[str, Any], size: tuple[int, int], pose: Float64[np.ndarray, "4 4"]) -> Camera:
+def _camera(frame: dict[str, Any], size: tuple[int, int], pose: Pose) -> Camera:
     width, height = int(frame.get("w", size[0])), int(frame.get("h", size[1]))
     if "fl_x" in frame or "fl_y" in frame:
         fx = float(frame.get("fl_x", frame.get("fl_y", 0)))

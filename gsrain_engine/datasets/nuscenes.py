@@ -20,6 +20,7 @@ from .capture import Capture, CaptureError, CaptureFrame, check_inside
 from .driving_log import DrivingLog, LidarScan
 from .geometry import (
     BoxSample,
+    Pose,
     heading_pose,
     invert_pose,
     opencv_camera_of_matrix,
@@ -117,7 +118,7 @@ class _Posed(_TableRow, frozen=True, gc=False):
     translation: tuple[float, float, float]
     rotation: tuple[float, float, float, float]
 
-    def pose(self) -> Float64[np.ndarray, "4 4"]:
+    def pose(self) -> Pose:
         return rigid_from_quaternion(self.rotation, self.translation)
 
 
@@ -222,7 +223,7 @@ class _SceneReader:
             raise ValueError("its sensor is not in the tables")
         return sensor
 
-    def _vehicle(self, each: _SampleData) -> Float64[np.ndarray, "4 4"]:
+    def _vehicle(self, each: _SampleData) -> Pose:
         placed = self.ego_poses.get(each.ego_pose_token)
         if placed is None:
             raise ValueError("its ego pose is not in the tables")
@@ -300,7 +301,7 @@ class _InfoCamera:
     file: str
     time_s: float
     matrix: Float64[np.ndarray, "..."]
-    camera_to_world: Float64[np.ndarray, "4 4"]
+    camera_to_world: Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,8 +309,8 @@ class _Info:
     """A sample: pose of the vehicle at the lidar's time, its images, and boxes in the lidar's frame."""
 
     time_s: float
-    vehicle_to_world: Float64[np.ndarray, "4 4"]
-    lidar_to_vehicle: Float64[np.ndarray, "4 4"]
+    vehicle_to_world: Pose
+    lidar_to_vehicle: Pose
     lidar_file: str
     lidar_columns: int
     cameras: tuple[_InfoCamera, ...]
@@ -435,7 +436,7 @@ def _info_before_1_0(row: Any) -> _Info:
     return _Info(time_s, to_world, to_vehicle, file, 5, cameras, classes, boxes, has_old_boxes=True)
 
 
-def _named_pose(row: Any, name: str) -> Float64[np.ndarray, "4 4"]:
+def _named_pose(row: Any, name: str) -> Pose:
     return rigid_from_quaternion(row[f"{name}_rotation"], row[f"{name}_translation"])
 
 
@@ -464,9 +465,7 @@ def _points_inside(boxes: Float64[np.ndarray, "b 7"], points_m: Float64[np.ndarr
     return count
 
 
-def _boxes_in_lidar(
-    boxes: Float64[np.ndarray, "b 7"], old: bool
-) -> Iterator[tuple[tuple[float, float, float], Float64[np.ndarray, "4 4"]]]:
+def _boxes_in_lidar(boxes: Float64[np.ndarray, "b 7"], old: bool) -> Iterator[tuple[tuple[float, float, float], Pose]]:
     """Sides (length, width, height, m) and pose (box, x forward, to lidar) of rows of a file."""
     for row in boxes:
         x, y, z, first, second, height, turn = (float(value) for value in row)

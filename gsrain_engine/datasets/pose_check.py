@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from . import pose_fit
 from .capture import Capture, CaptureError, CaptureFrame
-from .geometry import invert_pose, nearest_sweep
+from .geometry import Pose, invert_pose, nearest_sweep
 from .pose_fit import EdgeImage, EpipolarFit, FeatureMatches, ImageFeatures
 
 # Results
@@ -37,45 +37,57 @@ class PoseCheck:
     """The finding as one sentence with its figures."""
 
 
-# Check by lidar: depth edges must coincide with image edges
-
-
 def check_by_lidar(capture: Capture, sensor: str) -> PoseCheck | None:
-    """Check one camera; None if no sweep is near its times."""
+    """Check that depth edges coincide with image edges; None if no sweep is near the camera's times."""
     seen = _sweep_pairs(capture, [view for view in capture if view.sensor == sensor])
     if not seen:
         return None
-    figure = _stands_out(seen, [each.view.camera.world_to_camera for each in seen])
-    others = {other.told: _stands_out(seen, other.poses) for other in hypotheses(capture, [each.view for each in seen])}
-    verdict, why = pose_check_result(figure, STANDS_OUT, others, STANDS_OUT + 2 / np.sqrt(len(seen)))
-    told = (
-        f"{sensor or 'the camera'}: edges in the lidar's depth meet edges of the pictures {figure:.1f} standard "
-        f"deviations better than under turned poses (expected over {STANDS_OUT:g}; views: {len(seen)}){why}"
+    views = [each.view for each in seen]
+    figure = _stands_out(seen, _poses(views))
+    others = {told: _stands_out(seen, poses) for told, poses in hypotheses(capture, views).items()}
+    finding = (
+        f"edges in the lidar's depth meet edges of the pictures {figure:.1f} standard deviations better than under "
+        f"turned poses (expected over {STANDS_OUT:g}; views: {len(seen)})"
     )
-    return PoseCheck(sensor, "lidar", verdict, figure, STANDS_OUT, told)
-
-
-# Check by matches
+    return _concluded(sensor, "lidar", figure, STANDS_OUT, others, STANDS_OUT + 2 / np.sqrt(len(seen)), finding)
 
 
 def check_by_matches(capture: Capture, sensor: str) -> PoseCheck | None:
-    """Check one camera; None with too few matches, or if the camera did not move."""
+    """Check one camera by matches between its views; None with too few, or if the camera did not move."""
     pairs = _matched_pairs([view for view in capture if view.sensor == sensor])
     if not pairs:
         return None
-    views = [view for pair in pairs for view in pair.views]
-    fits = _fits(pairs, [view.camera.world_to_camera for view in views])
+    views = [view for first, second, _ in pairs for view in (first, second)]
+    fits = _fits(pairs, _poses(views))
     explained = _explained(pairs, fits)
-    others = {other.told: _explained(pairs, _fits(pairs, other.poses)) for other in hypotheses(capture, views)}
-    verdict, why = pose_check_result(explained, EXPLAINED, others, EXPLAINED)
+    others = {told: _explained(pairs, _fits(pairs, poses)) for told, poses in hypotheses(capture, views).items()}
     smaller = min(pose_fit.MATCH_WIDTH_PX, views[0].camera.width) / views[0].camera.width
     error_px = float(np.median([each.median_px for each in fits])) / smaller
-    points = sum(len(pair.found.first) for pair in pairs)
-    told = (
-        f"{sensor or 'the camera'}: the poses explain {explained:.0%} of {points} points matched between neighboring "
-        f"views (expected over {EXPLAINED:.0%}), median epipolar error {error_px:.1f} px{why}"
+    finding = (
+        f"the poses explain {explained:.0%} of {sum(_sizes(pairs))} points matched between neighboring views "
+        f"(expected over {EXPLAINED:.0%}), median epipolar error {error_px:.1f} px"
     )
-    return PoseCheck(sensor, "matches", verdict, explained, EXPLAINED, told)
+    return _concluded(sensor, "matches", explained, EXPLAINED, others, EXPLAINED, finding)
+
+
+def _concluded(
+    sensor: str,
+    by: Literal["matches", "lidar"],
+    figure: float,
+    expected: float,
+    others: Mapping[str, float],
+    convincing: float,
+    finding: str,
+) -> PoseCheck:
+    """Result of a check; `others` are the figures under each mistake, and one that reaches `convincing` is accepted."""
+    best = max(others, key=lambda told: others[told])
+    verdict: Verdict = "doubtful"
+    why = ": the poses or the calibration are wrong, and no usual mistake explains it."
+    if figure >= expected:
+        verdict, why = "fits", "."
+    elif others[best] >= max(convincing, figure):
+        verdict, why = "wrong", f": {best}."
+    return PoseCheck(sensor, by, verdict, figure, expected, f"{sensor or 'the camera'}: {finding}{why}")
 
 
 def check_poses(capture: Capture, on_progress: Callable[[float], None] | None = None) -> tuple[PoseCheck, ...]:
@@ -108,7 +120,11 @@ class _SweepPair:
     depth_edges: Float64[np.ndarray, "e 3"]
 
 
-def _stands_out(seen: Sequence[_SweepPair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> float:
+def _poses(views: Sequence[CaptureFrame]) -> list[Pose]:
+    return [view.camera.world_to_camera for view in views]
+
+
+def _stands_out(seen: Sequence[_SweepPair], poses: Sequence[Pose]) -> float:
     """Mean fit of world-to-camera poses; views with too few points count as 0."""
     fits = [
         pose_fit.lidar_edge_fit(each.edges, each.depth_edges, replace(each.edges.view.camera, world_to_camera=pose))
@@ -138,19 +154,20 @@ _PAIRS = 3
 _STRIDES = (1, 2, 4, 8)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ImagePair:
-    views: tuple[CaptureFrame, CaptureFrame]
-    found: FeatureMatches
+_ImagePair = tuple[CaptureFrame, CaptureFrame, FeatureMatches]
 
 
-def _fits(pairs: Sequence[_ImagePair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> list[EpipolarFit]:
+def _fits(pairs: Sequence[_ImagePair], poses: Sequence[Pose]) -> list[EpipolarFit]:
     """Fit of poses to the pairs; two poses a pair, in their order."""
-    return [pose_fit.epipolar_fit(pair.found, (poses[2 * k], poses[2 * k + 1])) for k, pair in enumerate(pairs)]
+    return [pose_fit.epipolar_fit(found, (poses[2 * k], poses[2 * k + 1])) for k, (_, _, found) in enumerate(pairs)]
 
 
 def _explained(pairs: Sequence[_ImagePair], fits: Sequence[EpipolarFit]) -> float:
-    return float(np.average([each.explained for each in fits], weights=[len(pair.found.first) for pair in pairs]))
+    return float(np.average([each.explained for each in fits], weights=_sizes(pairs)))
+
+
+def _sizes(pairs: Sequence[_ImagePair]) -> list[int]:
+    return [len(found.first) for _, _, found in pairs]
 
 
 def _matched_pairs(views: Sequence[CaptureFrame]) -> list[_ImagePair]:
@@ -170,7 +187,7 @@ def _matched_with_a_later_one(
         first, second = seen(views[start]), seen(views[later])
         found = None if first is None or second is None else pose_fit.match_features(first, second)
         if found is not None:
-            return _ImagePair((views[start], views[later]), found)
+            return views[start], views[later], found
     return None
 
 
@@ -186,32 +203,22 @@ def _features(view: CaptureFrame) -> ImageFeatures | None:
 _FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """One explanation of poses that don't fit."""
+def hypotheses(capture: Capture, views: Sequence[CaptureFrame]) -> dict[str, list[Pose]]:
+    """Common mistakes for views of one camera: world to camera of the views under each, by the end of a sentence.
 
-    told: str
-    """Description of the mistake, as the end of a sentence."""
-    poses: tuple[Float64[np.ndarray, "4 4"], ...]
-    """World to camera of the given views under this hypothesis."""
-
-
-def hypotheses(capture: Capture, views: Sequence[CaptureFrame]) -> list[Hypothesis]:
-    """Common mistakes for views of one camera: inverted poses, other axes, poses of another camera of the rig."""
-    given = [view.camera.world_to_camera for view in views]
-    usual = [
-        Hypothesis("the matrices are camera to world, not world to camera", tuple(invert_pose(pose) for pose in given)),
-        Hypothesis("the camera axes are OpenGL's (y up, z backward)", tuple(_FLIPPED @ pose for pose in given)),
-        Hypothesis(
-            "the matrices are camera to world, with OpenGL's axes",
-            tuple(invert_pose(pose @ _FLIPPED) for pose in given),
-        ),
-    ]
+    Inverted poses, other axes, and poses of another camera of the rig.
+    """
+    given = _poses(views)
+    mistakes = {
+        "the matrices are camera to world, not world to camera": [invert_pose(pose) for pose in given],
+        "the camera axes are OpenGL's (y up, z backward)": [_FLIPPED @ pose for pose in given],
+        "the matrices are camera to world, with OpenGL's axes": [invert_pose(pose @ _FLIPPED) for pose in given],
+    }
     others = [sensor for sensor in capture.sensors if sensor != views[0].sensor]
-    return usual + [Hypothesis(f"the poses are those of {o}", _poses_of(capture, o, views)) for o in others]
+    return mistakes | {f"the poses are those of {other}": _poses_of(capture, other, views) for other in others}
 
 
-def _poses_of(capture: Capture, sensor: str, views: Sequence[CaptureFrame]) -> tuple[Float64[np.ndarray, "4 4"], ...]:
+def _poses_of(capture: Capture, sensor: str, views: Sequence[CaptureFrame]) -> list[Pose]:
     """Poses of another camera at the times of some views; without distinct times, at the same index."""
     own, other = ([v for v in capture if v.sensor == each] for each in (views[0].sensor, sensor))
     places = {view.name: k for k, view in enumerate(own)}
@@ -219,25 +226,10 @@ def _poses_of(capture: Capture, sensor: str, views: Sequence[CaptureFrame]) -> t
         min(enumerate(other), key=lambda each: (abs(each[1].time_s - view.time_s), abs(each[0] - places[view.name])))[1]
         for view in views
     ]
-    return tuple(view.camera.world_to_camera for view in nearest)
+    return _poses(nearest)
 
 
 _Each = TypeVar("_Each")
-
-
-def pose_check_result(
-    figure: float, expected: float, others: Mapping[str, float], convincing: float
-) -> tuple[Verdict, str]:
-    """Verdict on the poses, and the end of the sentence: the common mistake that explains a misfit.
-
-    `others` are the figures under each mistake; one that reaches `convincing` is accepted.
-    """
-    if figure >= expected:
-        return "fits", "."
-    best = max(others, key=lambda told: others[told])
-    if others[best] >= max(convincing, figure):
-        return "wrong", f": {best}."
-    return "doubtful", ": the poses or the calibration are wrong, and no usual mistake explains it."
 
 
 def evenly_spread(row: Sequence[_Each], at_most: int) -> list[_Each]:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from ..scene.camera import Camera
 from .capture import CaptureFrame, LidarSweep
-from .geometry import intrinsics, pixels_inside, project_points
+from .geometry import Pose, intrinsics, pixels_inside, project_points
 from .undistort import undistort_frame
 
 MATCH_WIDTH_PX = 800
@@ -88,9 +88,7 @@ def match_features(first: ImageFeatures, second: ImageFeatures) -> FeatureMatche
     return FeatureMatches(a[kept], b[kept], (first.view.camera, second.view.camera))
 
 
-def epipolar_fit(
-    found: FeatureMatches, poses: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]]
-) -> EpipolarFit:
+def epipolar_fit(found: FeatureMatches, poses: tuple[Pose, Pose]) -> EpipolarFit:
     """Fit of world-to-camera poses to the matches (symmetric epipolar distance; Hartley and Zisserman, 11.4)."""
     relative = poses[1] @ np.linalg.inv(poses[0])
     turn, shift = relative[:3, :3], relative[:3, 3]

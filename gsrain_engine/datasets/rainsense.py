@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from ..safe_io.limits import read_file
 from ..scene.camera import Camera, look_at
 from .capture import Capture, CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox, omissions
-from .geometry import BoxSample, opencv_camera, rigid_pose, tracked_boxes, transform_points
+from .geometry import BoxSample, Pose, opencv_camera, rigid_pose, tracked_boxes, transform_points
+from .io.arrays import read_bytes, read_text
 from .io.images import image_size
 
 _INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
@@ -45,14 +45,9 @@ def read_rainsense(path: Path) -> Capture:
 
     Raises `CaptureError` that names the faulty file.
     """
-    try:
-        if (path / _INTENSITY).is_file():
-            return _sequence(path, read_rain_sequence(path.resolve()))
-        return _data_set(path, find_rain_sequences(path))
-    except CaptureError:
-        raise
-    except (ValueError, OSError) as error:
-        raise CaptureError(str(error)) from None
+    if (path / _INTENSITY).is_file():
+        return _sequence(path, read_rain_sequence(path.resolve()))
+    return _data_set(path, find_rain_sequences(path))
 
 
 # Sequences
@@ -79,7 +74,7 @@ class RainSequence:
         return len(self.images)
 
     def picture(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Read one image as display color (RGB). Raises ValueError if it is broken or of another size."""
+        """Read one image as display color (RGB). Raises `CaptureError` if it is broken or of another size."""
         return np.ascontiguousarray(self._read(number, cv2.IMREAD_COLOR)[..., ::-1])
 
     def gray_image(self, number: int) -> UInt8[np.ndarray, "h w"]:
@@ -140,7 +135,7 @@ def _sweeps(
     try:
         to_camera = _lidar_to_camera(folder / "context" / "calib_lid_to_cam.txt", problems)
         to_world = sequence.camera.camera_to_world @ to_camera
-    except (ValueError, OSError) as error:
+    except CaptureError as error:
         problems.append(f"The lidar is left out: {error}.")
         return ()
     for file in files:
@@ -155,7 +150,7 @@ def _sweeps(
     return tuple(sweeps)
 
 
-def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 4"]:
+def _lidar_to_camera(file: Path, problems: list[str]) -> Pose:
     """Return the rotation nearest to the file's slightly skewed matrix (by singular values), and its translation."""
     matrix = np.array(_read_numbers(file, 16)).reshape(4, 4)
     if not np.abs(matrix).max() < _FARTHEST_M:
@@ -172,11 +167,11 @@ def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 
     return rigid_pose(left @ right, matrix[:3, 3])
 
 
-def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> LidarSweep:
+def _sweep(file: Path, time_s: float, to_world: Pose) -> LidarSweep:
     try:
-        rows = [line.split(",") for line in read_file(file).decode("utf-8").splitlines()[1:] if line.strip()]
+        rows = [line.split(",") for line in read_text(file).splitlines()[1:] if line.strip()]
         table = np.array(rows, np.float64).reshape(-1, 4)
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise CaptureError(f"{file}: no table of X, Y, Z, Reflectivity ({error})") from None
     table = table[(np.abs(table) < _FARTHEST_M).all(axis=1)]
     points = transform_points(to_world, table[:, :3]).astype(np.float32)
@@ -193,7 +188,9 @@ def _boxes(
     for file in files:
         try:
             samples += _labeled(file, sequence, times[_number(file)])
-        except (OSError, ValueError) as error:
+        except CaptureError as error:
+            broken.append(str(error))
+        except ValueError as error:
             broken.append(f"{file}: {error}")
     problems += omissions(broken, f"{len(broken)} of {len(files)} label files")
     return tracked_boxes(samples, [times[_number(file)] for file in files])
@@ -201,7 +198,7 @@ def _boxes(
 
 def _labeled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSample]:
     samples: list[BoxSample] = []
-    for row, line in enumerate(read_file(file).decode("utf-8").splitlines()):
+    for row, line in enumerate(read_text(file).splitlines()):
         words = line.split()
         if len(words) < _LABEL_WORDS:
             if words:
@@ -226,22 +223,24 @@ def _number(file: Path) -> int:
 
 
 def find_rain_sequences(folder: Path) -> list[RainSequence]:
-    """Read all sequences at or below a folder, by increasing intensity. Raises ValueError if there is none."""
+    """Read all sequences at or below a folder, by increasing intensity. Raises `CaptureError` if there is none."""
     found = sorted(file.parent.parent for file in folder.rglob(_INTENSITY.name) if file.parent.name == "context")
     if not found:
-        raise ValueError(f"{folder}: no RainSense sequence in it (a folder with {_INTENSITY} and image/image_000.jpg)")
+        raise CaptureError(
+            f"{folder}: no RainSense sequence in it (a folder with {_INTENSITY} and image/image_000.jpg)"
+        )
     sequences = [read_rain_sequence(each, each.relative_to(folder).as_posix()) for each in found]
     return sorted(sequences, key=lambda each: each.intensity_mm_h)
 
 
 def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
-    """Read a sequence's text files and list its images. Raises ValueError that names the faulty file."""
+    """Read a sequence's text files and list its images. Raises `CaptureError` that names the faulty file."""
     images = tuple(sorted(file for file in (folder / "image").glob("*.jpg") if _IMAGE_NUMBER.fullmatch(file.name)))
     if not images:
-        raise ValueError(f"{folder / 'image'}: no image_NNN.jpg in it")
+        raise CaptureError(f"{folder / 'image'}: no image_NNN.jpg in it")
     intensity = _read_numbers(folder / _INTENSITY, 1)[0]
     if not 0 <= intensity <= 500:
-        raise ValueError(f"{folder / _INTENSITY}: {intensity} mm/h, expected 0 to 500")
+        raise CaptureError(f"{folder / _INTENSITY}: {intensity} mm/h, expected 0 to 500")
     k = _read_numbers(folder / _INTRINSICS, 14)
     first = _decoded(images[0], cv2.IMREAD_GRAYSCALE)
     eye = np.array([0.0, 0.0, CAMERA_HEIGHT_M])
@@ -249,16 +248,16 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
     try:
         camera = opencv_camera((k[0], k[4]), (k[2], k[5]), (first.shape[1], first.shape[0]), pose)
     except ValueError as error:
-        raise ValueError(f"{folder / _INTRINSICS}: {error}") from None
+        raise CaptureError(f"{folder / _INTRINSICS}: {error}") from None
     times = _times(folder / "timestamps.txt", images)
     return RainSequence(name or folder.name, intensity, camera, np.array(k[9:14]), images, times)
 
 
 def _read_numbers(file: Path, count: int) -> list[float]:
     """Read the numbers of a file of `name: values` lines and matrix rows."""
-    words = [word for line in _text(file).splitlines() for word in _NUMBER.findall(line.rpartition(":")[2])]
+    words = [word for line in read_text(file).splitlines() for word in _NUMBER.findall(line.rpartition(":")[2])]
     if len(words) != count:
-        raise ValueError(f"{file}: {len(words)} numbers, expected {count}")
+        raise CaptureError(f"{file}: {len(words)} numbers, expected {count}")
     return [float(word) for word in words]
 
 
@@ -266,7 +265,7 @@ def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
     """Decode an image by OpenCV, as RainSense's own tools do; `CaptureError` if it is broken or truncated."""
     image_size(file)  # rejects decompression bombs and other file types first
     try:
-        picture = cv2.imdecode(np.frombuffer(read_file(file), np.uint8), mode)
+        picture = cv2.imdecode(np.frombuffer(read_bytes(file), np.uint8), mode)
     except cv2.error:
         picture = None
     if picture is None:
@@ -276,21 +275,14 @@ def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
 
 def _times(file: Path, images: Sequence[Path]) -> tuple[float, ...]:
     """Seconds of images by their numbers: row N belongs to image_N."""
-    rows = _text(file).split()[1:]
+    rows = read_text(file).split()[1:]
     numbers = [int(match[1]) for image in images if (match := _IMAGE_NUMBER.fullmatch(image.name))]
     if max(numbers) >= len(rows):
-        raise ValueError(f"{file}: {len(rows)} time stamps, expected at least {max(numbers) + 1}")
+        raise CaptureError(f"{file}: {len(rows)} time stamps, expected at least {max(numbers) + 1}")
     try:
         first, *stamps = (float(rows[number].partition(",")[0]) for number in (0, *numbers))
     except ValueError as error:
-        raise ValueError(f"{file}: {error}") from None
+        raise CaptureError(f"{file}: {error}") from None
     if not all(abs(stamp) < _LATEST_S for stamp in (first, *stamps)):
-        raise ValueError(f"{file}: holds a time that is none")
+        raise CaptureError(f"{file}: holds a time that is none")
     return tuple(stamp - first for stamp in stamps)
-
-
-def _text(file: Path) -> str:
-    try:
-        return read_file(file).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: no text ({error})") from None

@@ -4,7 +4,6 @@ import os
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -18,6 +17,7 @@ from ..scene.street.build import Daylight, StreetSurfaces, displayed_colors, lea
 from ..scene.street.layout import Label, StreetParameters
 from ..scene.street.mesh import Quads
 from .capture import Capture, CaptureFrame
+from .geometry import Pose, scaled_camera
 
 NEAR_M, FAR_M = 0.2, 2500.0
 _WINDOW = "pyrender.viewer"
@@ -34,7 +34,7 @@ class MeshRasterizer:
         self,
         corners: Float32[np.ndarray, "n 4 3"],
         colors: Float[np.ndarray, "n 4 4"],
-        to_world: Float64[np.ndarray, "4 4"],
+        to_world: Pose,
         *,
         blended: bool = False,
     ) -> Any:
@@ -149,42 +149,6 @@ _SUPERSAMPLED_PX = 1_500_000
 """Maximum number of pixels for drawing at twice the size (with four samples a pixel) and averaging."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StreetMesh:
-    """Quads with the matte display color of each corner."""
-
-    quads: Quads
-    matte: Float32[np.ndarray, "n 4 3"]
-    light: Daylight
-
-    @property
-    def solid(self) -> Bool[np.ndarray, " n"]:
-        """Mask of quads that are surfaces; the others are shadows."""
-        return self.quads.opacity >= _OPAQUE
-
-    def colors_from(
-        self, eye: Float64[np.ndarray, "3"], chosen: Bool[np.ndarray, " n"]
-    ) -> Float32[np.ndarray, "m 4 4"]:
-        """Display color and alpha of the corners of chosen quads, seen from `eye` in the quads' own frame."""
-        quads, matte = self.quads.take(chosen), self.matte[chosen]
-        colors = np.ones((len(quads), 4, 4), np.float32)
-        for corner in range(4):
-            towards = quads.corners[:, corner] - eye
-            towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-6)
-            colors[:, corner, :3] = displayed_colors(quads, self.light, matte[:, corner], towards)
-        colors[..., 3] = np.where(quads.opacity < _OPAQUE, quads.opacity, 1)[:, None]
-        return colors
-
-
-def street_meshes(surfaces: StreetSurfaces) -> tuple[StreetMesh, StreetMesh]:
-    """Return the mesh of the street in the world, and that of the lead car in the object frame."""
-    street = Quads.joined(quads for name, quads in surfaces.layers.items() if name != "sky")
-    sky = surfaces.layers["sky"]
-    lit = [_lit(street, surfaces.light), _lit(sky, surfaces.light)]
-    mesh = StreetMesh(Quads.joined([street, sky]), np.concatenate(lit), surfaces.light)
-    return mesh, StreetMesh(surfaces.lead, _lit(surfaces.lead, surfaces.lead_light), surfaces.lead_light)
-
-
 def capture_street(
     cameras: Sequence[Camera],
     times_s: Sequence[float],
@@ -214,14 +178,18 @@ class StreetViews:
     """Renderer of one street's views, which keeps its mesh on the GPU."""
 
     def __init__(self, surfaces: StreetSurfaces, *, with_lead: bool = True) -> None:
-        street, lead = street_meshes(surfaces)
+        lead = surfaces.lead
+        street = Quads.joined(quads for name, quads in surfaces.layers.items() if name != "sky")
+        sky = surfaces.layers["sky"]
+        matte = np.concatenate([_lit(street, surfaces.light), _lit(sky, surfaces.light)])
+        street = Quads.joined([street, sky])
         self._track = lead_track(surfaces.layout.parameters) if with_lead else None
         self._rasterizer = MeshRasterizer()
-        self._street = _Staged(self._rasterizer, street, 0)
-        self._lead = _Staged(self._rasterizer, lead, len(street.quads))
+        self._street = _Staged(self._rasterizer, street, matte, surfaces.light, 0)
+        self._lead = _Staged(self._rasterizer, lead, _lit(lead, surfaces.lead_light), surfaces.lead_light, len(street))
         nothing = np.zeros((1, 3), np.float32)
-        self._normals = np.concatenate([street.quads.normals, lead.quads.normals, nothing])
-        self._labels = np.concatenate([street.quads.labels, lead.quads.labels, np.zeros(1, np.uint8)])
+        self._normals = np.concatenate([street.normals, lead.normals, nothing])
+        self._labels = np.concatenate([street.labels, lead.labels, np.zeros(1, np.uint8)])
 
     def view(self, camera: Camera, time_s: float, name: str) -> CaptureFrame:
         """Render the street at a time, with all per-pixel data."""
@@ -247,19 +215,16 @@ class StreetViews:
             sky_source=label == Label.SKY,
         )
 
-    def _image(self, camera: Camera, pose: Float64[np.ndarray, "4 4"] | None) -> UInt8[np.ndarray, "h w 3"]:
+    def _image(self, camera: Camera, pose: Pose | None) -> UInt8[np.ndarray, "h w 3"]:
         placed = [(self._street, np.eye(4))] + ([(self._lead, pose)] if pose is not None else [])
         shown = [node for staged, to_world in placed for node in staged.colored(self._rasterizer, camera, to_world)]
-        s = 2 if camera.width * camera.height <= _SUPERSAMPLED_PX else 1
-        larger = replace(
-            camera, width=s * camera.width, height=s * camera.height, fx=s * camera.fx, fy=s * camera.fy,
-            cx=s * camera.cx, cy=s * camera.cy,
-        )  # fmt: skip
+        scale = 2 if camera.width * camera.height <= _SUPERSAMPLED_PX else 1
+        larger = scaled_camera(camera, scale * camera.width, scale * camera.height)
         image, _ = self._rasterizer.draw(larger, shown, exact=False)
-        return image if s == 1 else cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        return image if scale == 1 else cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
     def _surfaces(
-        self, camera: Camera, pose: Float64[np.ndarray, "4 4"] | None
+        self, camera: Camera, pose: Pose | None
     ) -> tuple[Int64[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
         """Return the quad at each pixel's center (numbered through street and lead car), and its depth."""
         shown = [self._street.numbered(np.eye(4))]
@@ -278,37 +243,51 @@ class StreetViews:
 class _Staged:
     """A mesh on the GPU: matte quads and quad numbers are kept, glossy quads are recolored for each view."""
 
-    def __init__(self, rasterizer: MeshRasterizer, mesh: StreetMesh, first: int) -> None:
-        self.mesh, self.first = mesh, first
-        quads, solid = mesh.quads, mesh.solid
-        self._matte = solid & (quads.gloss == 0)
+    def __init__(
+        self, rasterizer: MeshRasterizer, quads: Quads, matte: Float32[np.ndarray, "n 4 3"], light: Daylight, first: int
+    ) -> None:
+        self.quads, self.matte, self.light, self.first = quads, matte, light, first
+        solid = quads.opacity >= _OPAQUE
+        is_matte = solid & (quads.gloss == 0)
         self._glossy = solid & (quads.gloss > 0)
         self._nodes: dict[str, Any] = {}
-        nowhere = np.zeros(3)
-        if self._matte.any():
-            colors = mesh.colors_from(nowhere, self._matte)
-            self._nodes["matte"] = rasterizer.add(quads.corners[self._matte], colors, np.eye(4))
+        if is_matte.any():
+            colors = self._colors_from(np.zeros(3), is_matte)
+            self._nodes["matte"] = rasterizer.add(quads.corners[is_matte], colors, np.eye(4))
         if not solid.all():
-            colors = mesh.colors_from(nowhere, ~solid)
+            colors = self._colors_from(np.zeros(3), ~solid)
             self._nodes["shadow"] = rasterizer.add(quads.corners[~solid], colors, np.eye(4), blended=True)
         ids = first + np.flatnonzero(solid)
         coded = np.stack([ids & 255, ids >> 8 & 255, ids >> 16, np.full_like(ids, 255)], axis=1) / 255.0
         each = np.repeat(coded[:, None].astype(np.float32), 4, axis=1)
         self._numbers = rasterizer.add(quads.corners[solid], each, np.eye(4))
 
-    def colored(self, rasterizer: MeshRasterizer, camera: Camera, to_world: Float64[np.ndarray, "4 4"]) -> list[Any]:
+    def colored(self, rasterizer: MeshRasterizer, camera: Camera, to_world: Pose) -> list[Any]:
         """Handles of the mesh in the colors visible from this camera."""
         if "glossy" in self._nodes:
             rasterizer.remove(self._nodes.pop("glossy"))
         if self._glossy.any():
             eye = np.linalg.inv(to_world)[:3] @ np.append(camera.position, 1.0)
-            colors = self.mesh.colors_from(eye, self._glossy)
-            self._nodes["glossy"] = rasterizer.add(self.mesh.quads.corners[self._glossy], colors, to_world)
+            colors = self._colors_from(eye, self._glossy)
+            self._nodes["glossy"] = rasterizer.add(self.quads.corners[self._glossy], colors, to_world)
         for node in self._nodes.values():
             node.matrix = to_world
         return [self._nodes[kind] for kind in ("matte", "glossy", "shadow") if kind in self._nodes]
 
-    def numbered(self, to_world: Float64[np.ndarray, "4 4"]) -> Any:
+    def _colors_from(
+        self, eye: Float64[np.ndarray, "3"], chosen: Bool[np.ndarray, " n"]
+    ) -> Float32[np.ndarray, "m 4 4"]:
+        """Display color and alpha of the corners of chosen quads, seen from `eye` in the quads' own frame."""
+        quads, matte = self.quads.take(chosen), self.matte[chosen]
+        colors = np.ones((len(quads), 4, 4), np.float32)
+        for corner in range(4):
+            towards = quads.corners[:, corner] - eye
+            towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-6)
+            colors[:, corner, :3] = displayed_colors(quads, self.light, matte[:, corner], towards)
+        colors[..., 3] = np.where(quads.opacity < _OPAQUE, quads.opacity, 1)[:, None]
+        return colors
+
+    def numbered(self, to_world: Pose) -> Any:
         """Handle of the mesh with each surface in the color of its number."""
         self._numbers.matrix = to_world
         return self._numbers

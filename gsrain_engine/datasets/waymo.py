@@ -2,7 +2,8 @@
 
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
@@ -17,7 +18,7 @@ from numba import njit
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
 from .capture import Capture, CaptureError, CaptureFrame, Lens, abbreviated_names
 from .driving_log import DrivingLog, LidarScan
-from .geometry import OPENCV_FROM_VEHICLE_AXES, BoxSample, heading_pose, invert_pose, rigid_from_numbers
+from .geometry import OPENCV_FROM_VEHICLE_AXES, BoxSample, Pose, heading_pose, invert_pose, rigid_from_numbers
 from .io.arrays import WRONG_VALUES, what_is_wrong
 from .io.images import opened_image
 from .io.records import ParquetFile, TFRecord, records_in
@@ -67,7 +68,7 @@ def _record_files(folder: Path) -> list[Path]:
 class _RecordSegment:
     def __init__(self, log: DrivingLog) -> None:
         self.log, self.name, self.frames_with_lidar = log, "", 0
-        self.frames: list[tuple[TFRecord, float, Float64[np.ndarray, "4 4"]]] = []
+        self.frames: list[tuple[TFRecord, float, Pose]] = []
         self.lasers: dict[int, WaymoLaser] = {}
 
     def capture(self, file: Path) -> Capture:
@@ -104,9 +105,10 @@ class _RecordSegment:
                     if each.name not in self.lasers:
                         named = _LASERS.get(each.name, str(each.name))
                         with self.log.omitting(f"the calibration of lidar {named} in frame {number}"):
-                            low, high = each.beam_inclination_min, each.beam_inclination_max
-                            laser = WaymoLaser.calibrated(each.extrinsic.transform, each.beam_inclinations, low, high)
-                            self.lasers[each.name] = laser
+                            ends = (each.beam_inclination_min, each.beam_inclination_max)
+                            beams = np.array(each.beam_inclinations, np.float64)
+                            to_vehicle = rigid_from_numbers(each.extrinsic.transform)
+                            self.lasers[each.name] = WaymoLaser(to_vehicle, beams, ends)
 
     def _add_views(self, record: TFRecord, frame: Any, number: int) -> None:
         calibrations = {each.name: each for each in frame.context.camera_calibrations}
@@ -124,7 +126,7 @@ class _RecordSegment:
                 self.log.views.append(camera.view(f"{number:04d}_{sensor}", pose, time, image.shutter, jpeg))
                 self.log.stamps.append((time, pose))
 
-    def _add_boxes(self, frame: Any, time_s: float, pose: Float64[np.ndarray, "4 4"], number: int) -> None:
+    def _add_boxes(self, frame: Any, time_s: float, pose: Pose, number: int) -> None:
         for label in frame.laser_labels:
             with self.log.omitting(f"a box of frame {number}"):
                 box, name = label.box, _CLASSES.get(label.type, "unknown")
@@ -215,6 +217,7 @@ class _TableSegment:
     def __init__(self, root: Path, segment: str, problems: list[str]) -> None:
         self.root, self.segment = root, segment
         self.log = DrivingLog(segment, road_m=0.0, problems=problems)
+        self._omitted: dict[str, list[str]] = defaultdict(list)
         self.poses = vehicle_poses(self._table("vehicle_pose"), self.log)
 
     def capture(self) -> Capture:
@@ -234,9 +237,18 @@ class _TableSegment:
     def _table(self, component: str) -> ParquetFile:
         return ParquetFile(self.root / component / f"{self.segment}.parquet")
 
-    def _report(self, omitted: Mapping[str, list[str]]) -> None:
-        """Report each reason once, with the affected items."""
-        self.log.problems.extend(f"{abbreviated_names(names)} left out: {why}" for why, names in omitted.items())
+    @contextmanager
+    def _omitting(self, name: str) -> Generator[None]:
+        """Omit an item if the block fails; `_report` follows when all items are read."""
+        try:
+            yield
+        except WRONG_VALUES as error:
+            self._omitted[what_is_wrong(error)].append(name)
+
+    def _report(self) -> None:
+        """Report each reason of an omission once, with the affected items."""
+        self.log.problems.extend(f"{abbreviated_names(names)} left out: {why}" for why, names in self._omitted.items())
+        self._omitted.clear()
 
     def _add_views(self) -> None:
         cameras = self._cameras()
@@ -245,11 +257,10 @@ class _TableSegment:
         image, pose_column, time_column = (f"{column}{name}" for name in ("image", "pose.transform", "pose_timestamp"))
         shutter = f"{column}rolling_shutter_params.shutter"
         numbers = {time: number for number, time in enumerate(sorted({time for time, _ in cells}))}
-        omitted: dict[str, list[str]] = defaultdict(list)
         for row in table.rows([_TIME, _CAMERA, image, pose_column, time_column], [shutter]):
             key = (row[_TIME], row[_CAMERA])
             name = f"{numbers[key[0]]:04d}_{_CAMERAS.get(key[1], f'CAMERA_{key[1]}')}"
-            try:
+            with self._omitting(name):
                 if key[1] not in cameras:
                     raise ValueError("its calibration is missing")
                 camera = cameras[key[1]]
@@ -258,45 +269,37 @@ class _TableSegment:
                 jpeg = partial(table.cell, image, *cells[key])
                 self.log.views.append(camera.view(name, pose, time, float(row[shutter] or 0.0), jpeg))
                 self.log.stamps.append((time, pose))
-            except WRONG_VALUES as error:
-                omitted[what_is_wrong(error)].append(name)
         self.log.views.sort(key=lambda view: view.name)
-        self._report(omitted)
+        self._report()
 
     def _cameras(self) -> dict[int, "WaymoCamera"]:
         column = "[CameraCalibrationComponent]."
         lens = [f"{column}intrinsic.{name}" for name in ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")]
         rest = [f"{column}{name}" for name in ("extrinsic.transform", "width", "height")]
         cameras: dict[int, WaymoCamera] = {}
-        omitted: dict[str, list[str]] = defaultdict(list)
         for row in self._table("camera_calibration").rows([_CAMERA, *lens, *rest]):
             number = int(row[_CAMERA])
             name = _CAMERAS.get(number, f"CAMERA_{number}")
-            try:
+            with self._omitting(name):
                 numbers = tuple(float(row[each]) for each in lens)
                 to_vehicle = rigid_from_numbers(row[rest[0]])
                 cameras[number] = WaymoCamera(name, numbers, to_vehicle, int(row[rest[1]]), int(row[rest[2]]))
-            except WRONG_VALUES as error:
-                omitted[what_is_wrong(error)].append(name)
-        self._report(omitted)
+        self._report()
         return cameras
 
     def _add_boxes(self) -> None:
         column, key = "[LiDARBoxComponent].", "key.laser_object_id"
         center, size = ([f"{column}box.{part}.{axis}" for axis in "xyz"] for part in ("center", "size"))
         heading, kind = f"{column}box.heading", f"{column}type"
-        omitted: dict[str, list[str]] = defaultdict(list)
         for row in self._table("lidar_box").rows([_TIME, key, *center, *size, heading, kind]):
-            try:
+            with self._omitting(f"box {row[key]}"):
                 if row[_TIME] not in self.poses:
                     raise ValueError("the vehicle's pose of its frame is missing")
                 pose = heading_pose([float(row[axis]) for axis in center], float(row[heading]))
                 to_world, (length, width, height) = self.poses[row[_TIME]] @ pose, (float(row[axis]) for axis in size)
                 name, time = _CLASSES.get(row[kind], "unknown"), row[_TIME] * _US
                 self.log.boxes.append(BoxSample(str(row[key]), name, time, (length, width, height), to_world))
-            except WRONG_VALUES as error:
-                omitted[what_is_wrong(error)].append(f"box {row[key]}")
-        self._report(omitted)
+        self._report()
 
     def _lasers(self) -> dict[int, "WaymoLaser"]:
         """Calibrations by lidar number. Raises `CaptureError`."""
@@ -306,15 +309,15 @@ class _TableSegment:
         lasers: dict[int, WaymoLaser] = {}
         for row in self._table("lidar_calibration").rows([_LASER, *names], [values]):
             with self.log.omitting(f"lidar {_LASERS.get(row[_LASER])}", WRONG_VALUES):
-                beams = row[values] if row[values] is not None else ()
-                lasers[int(row[_LASER])] = WaymoLaser.calibrated(row[names[0]], beams, row[names[1]], row[names[2]])
+                beams = np.array(() if row[values] is None else row[values], np.float64)
+                to_vehicle, low, high = (row[name] for name in names)
+                lasers[int(row[_LASER])] = WaymoLaser(rigid_from_numbers(to_vehicle), beams, (float(low), float(high)))
         return lasers
 
     def _scans(self, lasers: dict[int, "WaymoLaser"]) -> Iterator[LidarScan]:
         """One scan of all lidars for each frame, in file order."""
         pixel_poses = _PixelPoses(self._table("lidar_pose"))
         first, second = ("[LiDARComponent].range_image_return1", "[LiDARComponent].range_image_return2")
-        omitted: dict[str, list[str]] = defaultdict(list)
         rows = self._table("lidar").rows(
             [_TIME, _LASER, f"{first}.values", f"{first}.shape"], [f"{second}.values", f"{second}.shape"]
         )
@@ -322,7 +325,7 @@ class _TableSegment:
             for time, of_frame in groupby(rows, lambda row: row[_TIME]):
                 clouds: list[_Cloud] = []
                 for row in of_frame:
-                    try:
+                    with self._omitting(f"lidar {_LASERS.get(row[_LASER])} at {time}"):
                         if time not in self.poses or row[_LASER] not in lasers:
                             raise ValueError("the vehicle's pose of its frame or its calibration is missing")
                         poses = pixel_poses.of(time, row[_LASER])
@@ -330,17 +333,15 @@ class _TableSegment:
                             image = _row_image(row, name)
                             if image is not None:
                                 clouds.append(lasers[row[_LASER]].points(image, poses, self.poses[time]))
-                    except WRONG_VALUES as error:
-                        omitted[what_is_wrong(error)].append(f"lidar {_LASERS.get(row[_LASER])} at {time}")
                 if clouds:
                     yield _scan(time * _US, self.poses[time], clouds, lasers)
-        self._report(omitted)
+        self._report()
 
 
-def vehicle_poses(table: ParquetFile, log: DrivingLog) -> dict[int, Float64[np.ndarray, "4 4"]]:
+def vehicle_poses(table: ParquetFile, log: DrivingLog) -> dict[int, Pose]:
     """Vehicle to world of each frame by its time stamp (microseconds), from a vehicle_pose file."""
     column = "[VehiclePoseComponent].world_from_vehicle.transform"
-    poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
+    poses: dict[int, Pose] = {}
     for row in table.rows([_TIME, column]):
         with log.omitting(f"the pose of frame {row[_TIME]}", WRONG_VALUES):
             poses[int(row[_TIME])] = rigid_from_numbers(row[column])
@@ -385,7 +386,7 @@ class WaymoCamera:
     name: str
     intrinsics: tuple[float, ...]
     """f_u f_v c_u c_v k1 k2 p1 p2 k3; the first pixel's center is (0.5, 0.5)."""
-    to_vehicle: Float64[np.ndarray, "4 4"]
+    to_vehicle: Pose
     width: int
     height: int
 
@@ -396,12 +397,7 @@ class WaymoCamera:
             raise ValueError(f"camera {self.name} has pictures of {self.width}x{self.height} px")
 
     def view(
-        self,
-        name: str,
-        vehicle_to_world: Float64[np.ndarray, "4 4"],
-        time_s: float,
-        shutter_s: float,
-        jpeg: Callable[[], bytes],
+        self, name: str, vehicle_to_world: Pose, time_s: float, shutter_s: float, jpeg: Callable[[], bytes]
     ) -> CaptureFrame:
         """View of one image at the vehicle's pose. An impossible shutter time is replaced by the default."""
         to_world = vehicle_to_world @ self.to_vehicle @ invert_pose(OPENCV_FROM_VEHICLE_AXES)
@@ -437,23 +433,17 @@ _MAX_NUMBERS = 64 * 4000 * 6
 class WaymoLaser:
     """Pose and beams of a lidar: row 0 of a range image is the highest beam."""
 
-    to_vehicle: Float64[np.ndarray, "4 4"]
-    inclinations_rad: Float64[np.ndarray, " k"]
-    """Inclination of each row from the lowest up, or the lowest and highest edge (2) of evenly spaced rows."""
-    is_even: bool
-
-    @classmethod
-    def calibrated(cls, to_vehicle: Any, beams: Any, low: float, high: float) -> "WaymoLaser":
-        """Laser from the numbers of a calibration, whose rows are evenly spaced if it lists no beams."""
-        inclinations, ends = np.asarray(beams, np.float64), np.array([low, high], np.float64)
-        is_even = not len(inclinations)
-        return cls(rigid_from_numbers(to_vehicle), ends if is_even else inclinations, is_even)
+    to_vehicle: Pose
+    beams_rad: Float64[np.ndarray, " k"]
+    """Inclination of each row from the lowest up; none if rows are evenly spaced."""
+    ends_rad: tuple[float, float] = (0.0, 0.0)
+    """Lowest and highest edge of evenly spaced rows."""
 
     def points(
         self,
         ranges: Float32[np.ndarray, "h w c"],
         pixel_poses: Float32[np.ndarray, "u v d"] | None,
-        vehicle_to_world: Float64[np.ndarray, "4 4"],
+        vehicle_to_world: Pose,
     ) -> _Cloud:
         """Points (m) in the vehicle's frame at the frame's pose, and intensities; ValueError if shapes disagree.
 
@@ -465,24 +455,19 @@ class WaymoLaser:
             raise ValueError(f"poses of the shape {pixel_poses.shape} belong to a range image of {height}x{width}")
         turned = np.arctan2(self.to_vehicle[1, 0], self.to_vehicle[0, 0])
         yaw = np.pi - 2 * np.pi * (np.arange(width) + 0.5) / width - turned
-        if self.is_even:
-            low, high = self.inclinations_rad
-            pitch = (low + (high - low) * (np.arange(height) + 0.5) / height)[::-1]
-        elif len(self.inclinations_rad) == height:
-            pitch = self.inclinations_rad[::-1]
-        else:
-            raise ValueError(f"a lidar of {len(self.inclinations_rad)} beams has a range image of {height} rows")
+        low, high = self.ends_rad
+        beams = self.beams_rad if len(self.beams_rad) else low + (high - low) * (np.arange(height) + 0.5) / height
+        if len(beams) != height:
+            raise ValueError(f"a lidar of {len(beams)} beams has a range image of {height} rows")
         poses = np.zeros((0, 0, 6), np.float32) if pixel_poses is None else np.ascontiguousarray(pixel_poses)
         back = invert_pose(vehicle_to_world)
-        points = _points(np.ascontiguousarray(ranges), pitch, yaw, self.to_vehicle, poses, back)
+        points = _points(np.ascontiguousarray(ranges), beams[::-1], yaw, self.to_vehicle, poses, back)
         seen = ranges[..., 0] > 0
         light = ranges[..., 1][seen] if ranges.shape[2] > 1 else np.zeros(len(points), np.float32)
         return points, np.ascontiguousarray(light, np.float32)
 
 
-def _scan(
-    time_s: float, pose: Float64[np.ndarray, "4 4"], clouds: list[_Cloud], lasers: Mapping[int, WaymoLaser]
-) -> LidarScan:
+def _scan(time_s: float, pose: Pose, clouds: list[_Cloud], lasers: Mapping[int, WaymoLaser]) -> LidarScan:
     top = lasers.get(1) or next(iter(lasers.values()))
     points, intensities = (np.concatenate(each) for each in zip(*clouds, strict=True))
     return LidarScan(time_s, pose, points, top.to_vehicle[:3, 3], intensities)
@@ -551,59 +536,31 @@ def _moved(pose, x, y, z):
 _SCALARS = {"double": 1, "float": 2, "int64": 3, "int32": 5, "string": 9, "bytes": 12}
 """Numbers of FieldDescriptorProto.Type; enumerations are read as int32."""
 
-_FIELDS: dict[str, dict[str, tuple[int, str]]] = {
-    "Transform": {"transform": (1, "double*")},
-    "CameraCalibration": {
-        "name": (1, "int32"),
-        "intrinsic": (2, "double*"),
-        "extrinsic": (3, "Transform"),
-        "width": (4, "int32"),
-        "height": (5, "int32"),
-    },
-    "LaserCalibration": {
-        "name": (1, "int32"),
-        "beam_inclinations": (2, "double*"),
-        "beam_inclination_min": (3, "double"),
-        "beam_inclination_max": (4, "double"),
-        "extrinsic": (5, "Transform"),
-    },
-    "Context": {
-        "name": (1, "string"),
-        "camera_calibrations": (2, "CameraCalibration*"),
-        "laser_calibrations": (3, "LaserCalibration*"),
-    },
-    "CameraImage": {
-        "name": (1, "int32"),
-        "image": (2, "bytes"),
-        "pose": (3, "Transform"),
-        "pose_timestamp": (5, "double"),
-        "shutter": (6, "double"),
-    },
-    "MatrixShape": {"dims": (1, "int32*")},
-    "MatrixFloat": {"data": (1, "bytes"), "shape": (2, "MatrixShape")},
-    "RangeImage": {"range_image_compressed": (2, "bytes"), "range_image_pose_compressed": (4, "bytes")},
-    "Laser": {"name": (1, "int32"), "ri_return1": (2, "RangeImage"), "ri_return2": (3, "RangeImage")},
-    "Box": {
-        "center_x": (1, "double"),
-        "center_y": (2, "double"),
-        "center_z": (3, "double"),
-        "width": (4, "double"),
-        "length": (5, "double"),
-        "height": (6, "double"),
-        "heading": (7, "double"),
-    },
-    "Label": {"box": (1, "Box"), "type": (3, "int32"), "id": (4, "string")},
-    "Frame": {
-        "context": (1, "Context"),
-        "timestamp_micros": (2, "int64"),
-        "pose": (3, "Transform"),
-        "images": (4, "CameraImage*"),
-        "lasers": (5, "Laser*"),
-        "laser_labels": (6, "Label*"),
-    },
-    "FramePictures": {"images": (4, "CameraImage*")},
+_FIELDS = {
+    "Transform": "1 transform double*",
+    "CameraCalibration": "1 name int32, 2 intrinsic double*, 3 extrinsic Transform, 4 width int32, 5 height int32",
+    "LaserCalibration": (
+        "1 name int32, 2 beam_inclinations double*, 3 beam_inclination_min double, 4 beam_inclination_max double, "
+        "5 extrinsic Transform"
+    ),
+    "Context": "1 name string, 2 camera_calibrations CameraCalibration*, 3 laser_calibrations LaserCalibration*",
+    "CameraImage": "1 name int32, 2 image bytes, 3 pose Transform, 5 pose_timestamp double, 6 shutter double",
+    "MatrixShape": "1 dims int32*",
+    "MatrixFloat": "1 data bytes, 2 shape MatrixShape",
+    "RangeImage": "2 range_image_compressed bytes, 4 range_image_pose_compressed bytes",
+    "Laser": "1 name int32, 2 ri_return1 RangeImage, 3 ri_return2 RangeImage",
+    "Box": (
+        "1 center_x double, 2 center_y double, 3 center_z double, 4 width double, 5 length double, 6 height double, "
+        "7 heading double"
+    ),
+    "Label": "1 box Box, 3 type int32, 4 id string",
+    "Frame": (
+        "1 context Context, 2 timestamp_micros int64, 3 pose Transform, 4 images CameraImage*, 5 lasers Laser*, "
+        "6 laser_labels Label*"
+    ),
+    "FramePictures": "4 images CameraImage*",
 }
-"""Message -> field -> number and type; a star means repeated. FramePictures is a Frame with only its images.
+"""Number, name and type of each message's fields; a star means repeated. FramePictures is a Frame with only its images.
 
 The numbers of a MatrixFloat are packed: read as bytes they become an array directly.
 """
@@ -633,9 +590,9 @@ def message_kinds() -> dict[str, Any]:
     file = descriptor.FileDescriptorProto(name="gsrain_waymo.proto", package=_PACKAGE, syntax="proto2")
     for message, fields in _FIELDS.items():
         described = file.message_type.add(name=message)
-        for name, (number, kind) in fields.items():
+        for number, name, kind in (field.split() for field in fields.split(", ")):
             plain = kind.rstrip("*")
-            field = described.field.add(name=name, number=number, label=3 if kind.endswith("*") else 1)
+            field = described.field.add(name=name, number=int(number), label=3 if kind.endswith("*") else 1)
             if plain in _SCALARS:
                 field.type = _SCALARS[plain]
             else:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..rain.calibration import atlas_velocity
-from .spectra import DisdrometerReading, DropSpectra, SpectrumRecords
+from .spectra import DisdrometerReading, SpectrumRecords
 
 logger = logging.getLogger("gsrain")
 
@@ -37,17 +37,7 @@ class Instrument:
         counts, order = self.arranged(records.counts, written, records.seconds, records.reported_mm_h)
         if order != written:
             logger.warning("%s: its spectra run with %s, not as usual with %s", path, order, written)
-        spectra = DropSpectra(
-            instrument=self.name,
-            times=records.times,
-            seconds=records.seconds,
-            diameter_edges_mm=self.diameter_edges_mm,
-            velocity_edges_m_s=self.velocity_edges_m_s,
-            counts=counts,
-            area_m2=self.area_m2,
-            reported_mm_h=records.reported_mm_h,
-        )
-        return DisdrometerReading(spectra=spectra, skipped=records.skipped)
+        return records.reading(self.name, self.diameter_edges_mm, self.velocity_edges_m_s, counts, self.area_m2)
 
     def arranged(
         self,

@@ -375,12 +375,6 @@ class RecordLayout:
     fixed_end: int
     """First byte after the non-record data."""
 
-    def whole(self, length: int) -> int:
-        """Number of complete records in a file of this length; -1 if even the non-record data is incomplete."""
-        if length < self.fixed_end or length < self.start:
-            return -1
-        return min(self.written, (length - self.start) // self.size) if self.size else self.written
-
 
 def with_whole_records(data: bytes) -> tuple[bytes, int, int]:
     """Return the file with a header that counts only complete records, their number, and the expected number.
@@ -389,9 +383,11 @@ def with_whole_records(data: bytes) -> tuple[bytes, int, int]:
     header can't be read. Source: the NetCDF classic format specification (Unidata).
     """
     layout = record_layout(data)
-    whole = layout.whole(len(data))
-    if whole < 0 or whole == layout.written:
-        return data, max(whole, 0), layout.written
+    if len(data) < max(layout.start, layout.fixed_end):
+        return data, 0, layout.written
+    whole = min(layout.written, (len(data) - layout.start) // layout.size) if layout.size else layout.written
+    if whole == layout.written:
+        return data, whole, whole
     return data[:4] + struct.pack(">I", whole) + data[8:], whole, layout.written
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import xarray as xr
 
-from ..plugins import DISDROMETERS, Extension, ExtensionError, load_extensions
+from ..plugins import DISDROMETERS, ExtensionError, load_extensions
 from ..safe_io.limits import TooLargeError, kind_of_bytes, read_file
 from .disdrodb import is_disdrodb, read_disdrodb
 from .hdf5_trial import LARGEST_DATASET, passes_trial
@@ -295,18 +295,13 @@ def read_by_packages(path: Path, lines: list[str]) -> DisdrometerReading | None:
     Raises `DisdrometerFileError` if that package fails.
     """
     for extension, kind in load_extensions(DISDROMETERS, LogFormat):
-        reading = _read_installed(path, lines, extension, kind)
-        if reading is not None:
-            return reading
+        try:
+            if kind.recognizes(lines):
+                return extension.expect(kind.read(path, lines), DisdrometerReading, "reads")
+        except (DisdrometerFileError, OSError, MemoryError):
+            raise
+        except ExtensionError as error:
+            raise DisdrometerFileError(path, str(error)) from error
+        except Exception as error:  # third-party code: its message becomes the reason
+            raise DisdrometerFileError(path, str(extension.unfit(error))) from error
     return None
-
-
-def _read_installed(path: Path, lines: list[str], extension: Extension, kind: LogFormat) -> DisdrometerReading | None:
-    try:
-        return extension.expect(kind.read(path, lines), DisdrometerReading, "reads") if kind.recognizes(lines) else None
-    except (DisdrometerFileError, OSError, MemoryError):
-        raise
-    except ExtensionError as error:
-        raise DisdrometerFileError(path, str(error)) from error
-    except Exception as error:  # third-party code: its message becomes the reason
-        raise DisdrometerFileError(path, str(extension.unfit(error))) from error

@@ -189,6 +189,27 @@ class SpectrumRecords:
     skipped: tuple[str, ...] = ()
     """One sentence with the reason for each unusable record."""
 
+    def reading(
+        self,
+        instrument: str,
+        diameter_edges_mm: Float64[np.ndarray, " diameters_and_one"],
+        velocity_edges_m_s: Float64[np.ndarray, " velocities_and_one"] | None,
+        counts: Float64[np.ndarray, "records diameters velocities"],
+        area_m2: Float64[np.ndarray, " diameters"],
+    ) -> DisdrometerReading:
+        """Reading with the records' counts arranged by class."""
+        spectra = DropSpectra(
+            instrument=instrument,
+            times=self.times,
+            seconds=self.seconds,
+            diameter_edges_mm=diameter_edges_mm,
+            velocity_edges_m_s=velocity_edges_m_s,
+            counts=counts,
+            area_m2=area_m2,
+            reported_mm_h=self.reported_mm_h,
+        )
+        return DisdrometerReading(spectra=spectra, skipped=self.skipped)
+
     def by_diameter(
         self,
         instrument: str,
@@ -196,17 +217,7 @@ class SpectrumRecords:
         area_m2: Float64[np.ndarray, " classes"],
     ) -> DisdrometerReading:
         """Reading of an instrument that measures no fall speed."""
-        spectra = DropSpectra(
-            instrument=instrument,
-            times=self.times,
-            seconds=self.seconds,
-            diameter_edges_mm=edges_mm,
-            velocity_edges_m_s=None,
-            counts=self.counts[:, :, None],
-            area_m2=area_m2,
-            reported_mm_h=self.reported_mm_h,
-        )
-        return DisdrometerReading(spectra=spectra, skipped=self.skipped)
+        return self.reading(instrument, edges_mm, None, self.counts[:, :, None], area_m2)
 
 
 def parse_records(
@@ -248,9 +259,9 @@ def parse_records(
     )
 
 
-def numbered_lines(lines: Iterable[str]) -> Iterator[tuple[str, str]]:
-    """Yield each nonempty line with its position, for `parse_records`."""
-    return ((f"line {i}", line) for i, line in enumerate(lines, 1) if line.strip())
+def numbered_lines(lines: Iterable[str], first: int = 1) -> Iterator[tuple[str, str]]:
+    """Yield each nonempty line with its position, for `parse_records`; `first` is the number of the first line."""
+    return ((f"line {i}", line) for i, line in enumerate(lines, first) if line.strip())
 
 
 def no_record_left(skipped: Sequence[str]) -> str:
@@ -272,11 +283,13 @@ def parse_drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarra
     """Drop counts as numbers; raises `RecordError` if one is missing, negative or not a number."""
     if len(values) != expected:
         raise RecordError(f"{len(values)} drop counts instead of {expected}: the record is cut off or damaged")
-    try:
-        counts = np.array([float(value) for value in values])
-    except ValueError:
-        wrong = next(i for i, value in enumerate(values) if not _is_number(value))
-        raise RecordError(f"drop count {wrong + 1} is {values[wrong]!r}, not a number") from None
+    numbers: list[float] = []
+    for value in values:
+        try:
+            numbers.append(float(value))
+        except ValueError:
+            raise RecordError(f"drop count {len(numbers) + 1} is {value!r}, not a number") from None
+    counts = np.array(numbers)
     bad = np.flatnonzero(~((counts >= 0) & (counts <= MAX_DROPS)))
     if bad.size:
         raise RecordError(f"drop count {bad[0] + 1} is {values[bad[0]]}")
@@ -319,11 +332,3 @@ def parse_utc(text: str, *formats: str) -> np.datetime64:
         except ValueError:
             continue
     raise RecordError(f"time {text.strip()[:40]!r} can't be read")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -437,10 +437,9 @@ def _layout(path: Path, lines: Sequence[str], columns: TableColumns) -> _Layout:
 
 def _table_rows(lines: Sequence[str], columns: TableColumns) -> Iterator[tuple[str, str]]:
     header = lines[columns.header_line - 1] if columns.header_line else None
-    for i, line in enumerate(lines[columns.header_line :], start=columns.header_line + 1):
-        # A restarted logger repeats its header.
-        if line.strip() and line != header and not line.startswith(columns.comments):
-            yield f"line {i}", line
+    for where, line in numbered_lines(lines[columns.header_line :], columns.header_line + 1):
+        if line != header and not line.startswith(columns.comments):  # a restarted logger repeats its header
+            yield where, line
 
 
 def _table_record(line: str, columns: TableColumns, layout: _Layout) -> SpectrumRecord:

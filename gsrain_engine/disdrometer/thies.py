@@ -10,6 +10,7 @@ from .spectra import (
     DisdrometerReading,
     RecordError,
     SpectrumRecord,
+    numbered_lines,
     parse_drop_counts,
     parse_rain_rate,
     parse_records,
@@ -43,9 +44,7 @@ def read_thies(path: Path, lines: list[str]) -> DisdrometerReading:
 def _telegrams(lines: list[str]) -> Iterator[tuple[str, str]]:
     """Nonempty lines from the first telegram on."""
     first = next(i for i, line in enumerate(lines) if _TELEGRAM.search(line))
-    for i, line in enumerate(lines[first:], start=first + 1):
-        if line.strip():
-            yield f"line {i}", line
+    return numbered_lines(lines[first:], first + 1)
 
 
 def _values(line: str) -> list[str]:

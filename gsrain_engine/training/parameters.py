@@ -32,9 +32,7 @@ class SplatParameters:
         self._steps: dict[str, int] = dict.fromkeys(NAMES, 0)
 
     @classmethod
-    def from_gaussians(
-        cls, gaussians: Gaussians, sh_degree: int, device: str = "cpu", dtype: Tensor = None
-    ) -> "SplatParameters":
+    def from_gaussians(cls, gaussians: Gaussians, sh_degree: int, device: str = "cpu") -> "SplatParameters":
         """Start at given Gaussians; missing harmonics start at 0, those above `sh_degree` are dropped."""
         k = COEFFICIENTS_OF_DEGREE[sh_degree]
         sh = np.zeros((len(gaussians), k, 3), np.float64)
@@ -49,8 +47,7 @@ class SplatParameters:
             "sh_dc": sh[:, :1],
             "sh_rest": sh[:, 1:],
         }
-        kind = dtype or torch.float32
-        return cls({name: torch.tensor(each, dtype=kind, device=device) for name, each in values.items()})
+        return cls({name: torch.tensor(each, dtype=torch.float32, device=device) for name, each in values.items()})
 
     def to_gaussians(self) -> Gaussians:
         """Return the current Gaussians, activated, in float32."""

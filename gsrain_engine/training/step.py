@@ -66,8 +66,7 @@ class Trainer:
         exposed = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
         if self.schedule.leaves_out(number):
             truth = truth._replace(mask=robust_mask(exposed, truth.image, truth.mask, settings.transients))
-        loss = view_loss(picture, exposed, truth, settings)
-        total = loss.total
+        loss = total = view_loss(picture, exposed, truth, settings)
         if self._exposures is not None:
             total = total + settings.exposure * self._exposures.penalty(index)
         regularization = self._control.regularization(self.model.background)
@@ -85,7 +84,7 @@ class Trainer:
             cleared = clear_free_space(number, settings.steps, self.model.background, self._free)
             change = ", ".join(filter(None, (change, cleared))) or None
         clock.stop("density")
-        return TrainingStepResult(float(loss.total.detach()), change, exposed.detach(), truth.image)
+        return TrainingStepResult(float(loss.detach()), change, exposed.detach(), truth.image)
 
     def render(self, view: TrainingView) -> Render:
         """Render the whole model for a view at full size, without gradients."""
@@ -181,17 +180,8 @@ class TrainingTarget(NamedTuple):
         return cls(torch.as_tensor(level.image, device=device).to(torch.float32) / 255, mask, hits, depths, sky)
 
 
-class Loss(NamedTuple):
-    """The weighted parts of one step's loss."""
-
-    total: Tensor
-    color: Tensor
-    depth: Tensor
-    cover: Tensor
-
-
-def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Loss:
-    """Loss of one render against its target.
+def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Tensor:
+    """Loss of one render against its target: the sum of color, depth and cover.
 
     Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `exposed`, the render with its camera's exposure. Depth
     is |d - m| / (d + m) of expected depth d and measured depth m: independent of scale, and bounded, since a beam that
@@ -213,7 +203,7 @@ def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, s
     if truth.sky is not None and picture.sky is not None and settings.cover:
         sky = truth.sky if truth.mask is None else truth.sky & truth.mask
         cover = cover + settings.cover * (picture.front.alpha * sky).sum() / sky.sum().clamp_min(1)
-    return Loss(color + depth + cover, color, depth, cover)
+    return color + depth + cover
 
 
 # L1 and D-SSIM

@@ -49,28 +49,16 @@ class DSINE_NAME(nn.Module):
         self.gain = nn.Parameter(torch.ones(1))
 """
 
-_OLD = """
-import torch
-import torch.nn as nn
-from models.submodules import Encoder
-from utils.rotation import turned
-COORDINATES
-class DSINE(nn.Module):
-    def __init__(self):
-        super().__init__()
-        self.encoder = Encoder(B=5, pretrained=True)
-        self.pixel_coords = get_pixel_coords(h=2000, w=2000)
-        self.gain = nn.Parameter(torch.ones(1))
-"""
-
 
 def write_program(folder: Path, is_old: bool = False) -> Path:
     """Write it as it is now, or as it was first."""
     forward = _FORWARD.replace("EXTRA", "ray")
     files = {"utils/rotation.py": "def turned(): ...\n"}
     if is_old:
-        files["models/submodules.py"] = _ENCODER
-        files["models/dsine.py"] = _OLD.replace("COORDINATES", _COORDINATES) + forward
+        files["models/submodules.py"] = _ENCODER + _COORDINATES
+        old = _NEW.replace("_NAME", "").replace("conv_encoder_decoder.", "").replace("dsine.", "")
+        old = old.replace("(self, args)", "(self)").replace("args.NNET_encoder_B", "5").replace(".to(0)", "")
+        files["models/dsine.py"] = "".join(line for line in old.splitlines(True) if "assert" not in line) + forward
     else:
         files["models/conv_encoder_decoder/submodules.py"] = _ENCODER
         files["models/dsine/submodules.py"] = _COORDINATES

@@ -30,38 +30,21 @@ def street_views() -> dict[str, ClearView]:
     return {view.name: clear_view(view, sensor) for view, sensor in zip(capture, sensors, strict=True)}
 
 
-def street_camera(x: float, heading: float, width: int = WIDTH) -> Camera:
+def street_camera(x: float, heading: float) -> Camera:
     eye = np.array([x, 0.0, 1.5])
     ahead = np.array([np.cos(heading), np.sin(heading), -0.03])
-    return Camera.from_fov(width, 2 * width // 3, 55, look_at(eye, eye + ahead, np.array([0, 0, 1.0])))
+    return Camera.from_fov(WIDTH, HEIGHT, 55, look_at(eye, eye + ahead, np.array([0, 0, 1.0])))
 
 
-def clear_view(view, sensor=""):
-    return ClearView(
-        view.name,
-        view.camera,
-        view.time_s,
-        view.image.astype(np.float32) / 255,
-        view.depth,
-        view.normals,
-        view.sky.astype(np.float32),
-        (~view.mask).astype(np.float32),
-        sensor,
-    )
+def clear_view(view, sensor):
+    image, normals = view.image.astype(np.float32) / 255, view.normals
+    sky, vehicles = view.sky.astype(np.float32), (~view.mask).astype(np.float32)
+    return ClearView(view.name, view.camera, view.time_s, image, view.depth, normals, sky, vehicles, sensor)
 
 
-def made_view(camera, depth, image=None, sky=None, vehicles=None, time_s=0.0, name="made", sensor=""):
-    """A view of arrays; without an image a gray one."""
-    depth = np.asarray(depth, np.float32)
+def made_view(camera, depth, sky=None, vehicles=None, time_s=0.0, name="made"):
+    """A gray view of arrays."""
     nothing = np.zeros(depth.shape, np.float32)
-    return ClearView(
-        name,
-        camera,
-        time_s,
-        np.full((*depth.shape, 3), 0.5, np.float32) if image is None else np.asarray(image, np.float32),
-        depth,
-        np.zeros((*depth.shape, 3), np.float32),
-        nothing if sky is None else np.asarray(sky, np.float32),
-        nothing if vehicles is None else np.asarray(vehicles, np.float32),
-        sensor,
-    )
+    sky, vehicles = (nothing if each is None else each.astype(np.float32) for each in (sky, vehicles))
+    gray = np.full((*depth.shape, 3), 0.5, np.float32)
+    return ClearView(name, camera, time_s, gray, depth.astype(np.float32), 0 * gray, sky, vehicles)

@@ -22,18 +22,17 @@ from gsrain_engine.appearance.scene_views import (
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame, Lens
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street.layout import Label
 from rasterized import rasterize
-from tests.training.drive_capture import HEIGHT, ROAD_Z, WIDTH, drive_capture, world_depth
+from tests.training.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture, world_depth
 from tests.training.small_street import FORWARD, LEFT, small_street, still_track
 
 # Cameras in a scene
 
-BELOW = Camera.from_fov(90, 60, 50, look_at(np.array([2.0, 1, 1.5]), np.array([9.0, 0, 1]), np.array([0.0, 0, 1])))
-
-
-LENS = Lens("opencv", (-0.1, 0.01, 0.0, 0.0))
+UP = np.array([0.0, 0, 1])
+BELOW = Camera.from_fov(90, 60, 50, look_at(np.array([2.0, 1, 1.5]), np.array([9.0, 0, 1]), UP))
 
 
 def cameras_of(scene: Scene, count: int | None = None, **options) -> list:
@@ -45,19 +44,20 @@ def forward_of(camera: Camera) -> np.ndarray:
 
 
 def recording(*sensors: str) -> Capture:
-    image = np.zeros((60, 90, 3), np.uint8)
-    return Capture(
-        "drive", tuple(CaptureFrame(f"v{i}", BELOW, image, i / 2, each, LENS) for i, each in enumerate(sensors))
-    )
+    image, lens = np.zeros((60, 90, 3), np.uint8), Lens("opencv", (-0.1, 0.01, 0.0, 0.0))
+    views = (CaptureFrame(f"v{i}", BELOW, image, i / 2, each, lens) for i, each in enumerate(sensors))
+    return Capture("drive", tuple(views))
 
 
-def test_views_lie_evenly_on_the_way_driven_front_and_side_in_turn():
+def test_views_are_even_along_the_drive_front_and_side_in_turn():
     views = cameras_of(small_street(), 4)
-    np.testing.assert_allclose([view.camera.position[0] for view in views], [0.75, 2.25, 3.75, 5.25])
-    np.testing.assert_allclose([view.time_s for view in views], [0.125, 0.375, 0.625, 0.875])
-    assert [view.name for view in views] == ["front_000", "left_001", "front_002", "left_003"]
-    assert [view.sensor for view in views] == ["front", "left", "front", "left"]
-    assert all(view.camera.position[2] == pytest.approx(1.5) for view in views)
+    np.testing.assert_allclose(
+        [view.camera.position for view in views], [[x, 0, 1.5] for x in (0.75, 2.25, 3.75, 5.25)]
+    )
+    assert [(view.name, view.sensor, view.time_s) for view in views] == [
+        ("front_000", "front", 0.125), ("left_001", "left", 0.375), ("front_002", "front", 0.625),
+        ("left_003", "left", 0.875),
+    ]  # fmt: skip
     for view, mounted in zip(views, (FORWARD, LEFT, FORWARD, LEFT), strict=True):
         np.testing.assert_allclose(forward_of(view.camera), mounted[:3, 2], atol=1e-12)
 
@@ -65,17 +65,17 @@ def test_views_lie_evenly_on_the_way_driven_front_and_side_in_turn():
 def test_pictures_are_small_and_keep_their_field_of_view():
     big = [replace(each, width=960, height=640, fx=600, fy=600, cx=480, cy=320) for each in small_street().rigs["test"]]
     wide = replace(small_street(), rigs={"big": tuple(big)})
-    for view in cameras_of(wide, 2):
-        assert view.camera.width * view.camera.height == pytest.approx(DEFAULT_PIXELS, rel=0.01)
-        assert view.camera.vertical_fov_deg == pytest.approx(2 * np.degrees(np.arctan(32 / 60)))
+    (view,) = cameras_of(wide, 1)
+    assert view.camera.width * view.camera.height == pytest.approx(DEFAULT_PIXELS, rel=0.01)
+    assert view.camera.vertical_fov_deg == pytest.approx(2 * np.degrees(np.arctan(32 / 60)))
     assert cameras_of(small_street(), 1)[0].camera.width == 96  # never more than its own
     asked = cameras_of(wide, 1, width_px=100)[0].camera
     assert (asked.width, asked.height, asked.fx) == (100, 67, pytest.approx(62.5))
-    views = scene_views(wide, chosen_cameras(wide, ViewChoice(count=2)), 60)
-    assert [view.image.shape for view in views] == [(40, 60, 3)] * 2
+    (drawn,) = scene_views(wide, [view], 60)
+    assert drawn.image.shape == (40, 60, 3)
 
 
-def test_without_a_track_views_surround_the_middle():
+def test_without_a_drive_cameras_stand_in_a_ring_and_in_its_middle():
     parked = replace(small_street(), ego=still_track((0, 0, 1.5), (0, 0, 1.5)))
     assert len({view.time_s for view in cameras_of(parked, 8)}) == 8
     assert len(cameras_of(Scene("empty"), 3)) == 3
@@ -89,7 +89,7 @@ def test_without_a_track_views_surround_the_middle():
     assert len({tuple(np.round(forward_of(view.camera), 6)) for view in views}) == 8
 
 
-def test_recorded_and_rig_cameras_can_be_chosen_by_sensor_and_indices_are_spread():
+def test_recorded_and_rig_cameras_can_be_chosen_by_sensor_and_are_spread():
     scene, capture = replace(small_street(), metres_per_unit=3.0), recording("front", "back", "front", "back")
     views = chosen_cameras(scene, ViewChoice(), capture)
     assert [(view.name, view.time_s) for view in views] == [("v0", 0), ("v1", 0.5), ("v2", 1), ("v3", 1.5)]
@@ -97,10 +97,16 @@ def test_recorded_and_rig_cameras_can_be_chosen_by_sensor_and_indices_are_spread
     only = chosen_cameras(scene, ViewChoice(sensors=("back",), count=1), capture)
     assert [view.sensor for view in only] == ["back"]
     assert {view.sensor for view in cameras_of(small_street(), 4, sensors=("left",))} == {"left"}
-    assert [list(evenly_spaced_indices(*each)) for each in ((5, None), (3, 9), (10, 2))] == [
-        [0, 1, 2, 3, 4], [0, 1, 2], [2, 7],
-    ]  # fmt: skip
-    assert [view.name for view in chosen_views(recording(*"aaaaaa"), ViewChoice(count=3))] == ["v1", "v3", "v5"]
+    for there, count, expected in ((5, None, [0, 1, 2, 3, 4]), (3, 9, [0, 1, 2]), (10, 2, [2, 7])):
+        assert list(evenly_spaced_indices(there, count)) == expected
+
+
+def test_views_on_a_path_are_even_in_time():
+    times, straight = np.array([0.0, 3.0]), np.tile([1.0, 0, 0, 0], (2, 1))
+    path = CameraPath(times, np.array([[0.0, 0, 1], [3.0, 0, 1]]), straight, np.array([50.0, 50.0]))
+    views = cameras_of(replace(small_street(), path=path), 4, source="path")
+    np.testing.assert_allclose([view.time_s for view in views], [0, 1, 2, 3])
+    np.testing.assert_allclose([view.camera.position[0] for view in views], [0, 1, 2, 3], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -122,41 +128,27 @@ def test_cameras_that_are_not_there_are_named(choice, capture, name):
 
 # Views of a scene
 
-UP = np.array([0.0, 0, 1])
-
-
 AHEAD = PlacedCamera("a", Camera.from_fov(120, 80, 60, look_at(np.array([3.0, 0, 1.6]), np.array([9.0, 0, 1.4]), UP)))
 
 
-def test_a_view_of_the_street_is_what_the_rasterizer_draws():
-    scene = small_street()
-    view = scene_view(scene, AHEAD)
-    frame = rasterize(scene.parts(0.0), AHEAD.camera)
+def test_a_view_is_what_the_rasterizer_draws_with_depth_sky_and_vehicles():
+    view = scene_view(small_street(), AHEAD)
+    frame = rasterize(small_street().parts(0.0), AHEAD.camera)
     opaque = frame.rgba[..., 3] > 0.999
     assert opaque.mean() > 0.5
     np.testing.assert_allclose(view.image[opaque], np.clip(frame.rgba[opaque][:, :3], 0, 1), atol=2e-3)
-
-
-def test_road_sky_and_car_are_separated():
-    view = scene_view(small_street(), AHEAD)
-    assert view.sky[2:10, 40:80].min() > 0.95
-    assert view.depth[2:10, 40:80].max() == 0
-    road = view.depth[-3, 60]
-    rows = (np.arange(80) + 0.5 - AHEAD.camera.cy) / AHEAD.camera.fy
-    drop = -(AHEAD.camera.world_to_camera[1, 2] * rows[-3] + AHEAD.camera.world_to_camera[2, 2])
-    assert road == pytest.approx(1.6 / drop, rel=0.25)  # its Gaussians are balls of half a metre
-    assert road < view.depth[-10, 60] < view.depth[-20, 60]
-    assert view.sky[-5:].max() < 0.05
-    assert view.normals[-3, 60, 2] > 0.9  # up, towards the eye
+    assert view.sky[2:10, 40:80].min() > 0.95 and view.depth[2:10, 40:80].max() == 0 and view.sky[-5:].max() < 0.05
+    pose = AHEAD.camera.world_to_camera
+    drop = -(pose[1, 2] * (77.5 - AHEAD.camera.cy) / AHEAD.camera.fy + pose[2, 2])
+    assert view.depth[77, 60] == pytest.approx(1.6 / drop, rel=0.25)  # its Gaussians are balls of half a meter
+    assert view.depth[77, 60] < view.depth[-10, 60] < view.depth[-20, 60]
+    assert view.normals[77, 60, 2] > 0.9  # up, towards the eye
     car = view.vehicles > 0.5
-    assert 0.005 < car.mean() < 0.2
-    inside = np.median(view.depth[car])
-    assert inside == pytest.approx(13.8 - 3, abs=0.3)
-    reds = view.image[car]
-    assert (reds[:, 0] > reds[:, 1] + 0.2).mean() > 0.9
+    assert 0.005 < car.mean() < 0.2 and np.median(view.depth[car]) == pytest.approx(13.8 - 3, abs=0.3)
+    assert (view.image[car][:, 0] > view.image[car][:, 1] + 0.2).mean() > 0.9
 
 
-def test_without_a_sky_layer_nothing_above_the_horizon_is_sky_and_nothing_below_is():
+def test_without_a_sky_layer_what_is_empty_above_the_horizon_is_sky():
     scene = small_street()
     bare = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
     view = scene_view(bare, AHEAD)
@@ -167,24 +159,19 @@ def test_without_a_sky_layer_nothing_above_the_horizon_is_sky_and_nothing_below_
     assert below.sky.max() == below.depth.max() == empty.depth.max() == 0 and empty.sky[0].min() == 1
 
 
-def test_views_are_drawn_on_demand_and_cached():
-    scene = small_street()
-    made: list[int] = []
+def test_views_are_made_on_demand_and_the_latest_are_cached():
+    view, made = scene_view(Scene("empty"), AHEAD), list[str]()
 
     def make(index: int):
-        made.append(index)
-        return scene_view(scene, replace(AHEAD, name=f"{index}"))
+        made.append(str(index))
+        return replace(view, name=str(index))
 
-    views = CachedViews(CACHED_VIEWS + 2, make)
+    views, last = CachedViews(CACHED_VIEWS + 2, make), str(CACHED_VIEWS + 1)
     assert made == []
-    assert views[-1].name == f"{CACHED_VIEWS + 1}"
-    assert views[0] is views[0]
-    assert made == [CACHED_VIEWS + 1, 0]
-    assert [view.name for view in views[1:3]] == ["1", "2"]
-    for index in range(CACHED_VIEWS):
-        _ = views[index]
-    _ = views[CACHED_VIEWS + 1]
-    assert made.count(CACHED_VIEWS + 1) == 2
+    assert [each.name for each in (views[-1], views[0], views[0], *views[1:3])] == [last, "0", "0", "1", "2"]
+    assert made == [last, "0", "1", "2"]
+    assert [each.name for each in views[:CACHED_VIEWS]] == [str(i) for i in range(CACHED_VIEWS)]
+    assert views[-1].name == last and len(made) == CACHED_VIEWS + 2  # the last one had been dropped
     with pytest.raises(IndexError):
         views[CACHED_VIEWS + 2]
 
@@ -196,21 +183,18 @@ Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 def test_lidar_becomes_dense_depth_and_normals_and_the_sky_is_found():
     capture = drive_capture()
-    view = CaptureViews(capture, WIDTH)[2]
-    truth = world_depth(capture[2].camera)
-    finite = np.isfinite(truth)
-    assert view.sky[:8].min() == 1
-    assert view.sky[HEIGHT // 2 :].max() == 0
-    assert not view.depth[view.sky > 0].any()
+    view, truth = CaptureViews(capture, WIDTH)[2], world_depth(capture[2].camera)
+    assert view.sky[:8].min() == 1 and view.sky[HEIGHT // 2 :].max() == 0 and not view.depth[view.sky > 0].any()
     rows = slice(HEIGHT // 2 + 4, HEIGHT)
     np.testing.assert_allclose(view.depth[rows], truth[rows], rtol=0.12)
-    assert (view.depth[finite] > 0).mean() > 0.95
+    assert (view.depth[np.isfinite(truth)] > 0).mean() > 0.95
     assert np.median(view.normals[rows][..., 2]) > 0.98
     assert view.vehicles.max() == 0
     np.testing.assert_array_equal(view.image, capture[2].image.astype(np.float32) / np.float32(255))
 
 
-def test_what_a_capture_knows_is_taken_as_it_is():
+@pytest.mark.parametrize("has_labels", [True, False])
+def test_depth_sky_normals_and_vehicles_of_a_capture_are_taken_as_they_are(has_labels):
     plain = drive_capture(2)
     truth = [world_depth(view.camera) for view in plain]
     known = tuple(
@@ -219,15 +203,21 @@ def test_what_a_capture_knows_is_taken_as_it_is():
             depth_source=np.where(np.isfinite(depth), depth, 0).astype(np.float32),
             sky_source=~np.isfinite(depth),
             normals_source=np.tile(np.float32([0, 0, 1]), (HEIGHT, WIDTH, 1)),
-            labels_source=np.where(depth < 5, np.uint8(Label.CAR), np.uint8(Label.ROAD)),
+            labels_source=np.where(depth < 5, np.uint8(Label.CAR), np.uint8(Label.ROAD)) if has_labels else None,
         )
         for view, depth in zip(plain, truth, strict=True)
     )
-    view = CaptureViews(replace(plain, views=known, sweeps=()), WIDTH)[1]
+    car = box("car", (30.0 + 2.0, 0.0), 0.0)  # its rear is the wall
+    view = CaptureViews(replace(plain, views=known, sweeps=(), boxes=(car,)), WIDTH)[1]
     np.testing.assert_array_equal(view.depth, known[1].depth)
     np.testing.assert_array_equal(view.sky > 0.5, known[1].sky)
     np.testing.assert_array_equal(view.normals[..., 2], 1)
-    np.testing.assert_array_equal(view.vehicles > 0.5, truth[1] < 5)
+    rows, columns = np.nonzero(view.vehicles > 0.5)
+    if has_labels:
+        np.testing.assert_array_equal(view.vehicles > 0.5, truth[1] < 5)
+    else:  # 2 m wide and 1.5 m high on the road, 29 m away; the lowest part shows the road as well
+        size = (np.ptp(columns) + 1, np.ptp(rows) + 1)
+        assert size == pytest.approx((2 / 29 * 70, 1.35 / 29 * 70), abs=1)
 
 
 def test_a_capture_in_other_units_and_axes_comes_into_the_world():
@@ -242,22 +232,21 @@ def test_a_capture_in_other_units_and_axes_comes_into_the_world():
         up=tuple(Y_UP[:3, 2]),
     )
     views = CaptureViews(capture, WIDTH)
-    scale = EGO_HEIGHT_M / -ROAD_Z
     rows = slice(HEIGHT // 2 + 6, HEIGHT)
-    np.testing.assert_allclose(views[1].depth[rows], scale * world_depth(metric[1].camera)[rows], rtol=0.1)
+    expected = EGO_HEIGHT_M / -ROAD_Z * world_depth(metric[1].camera)[rows]
+    np.testing.assert_allclose(views[1].depth[rows], expected, rtol=0.1)
     assert np.median(views[1].normals[rows][..., 2]) > 0.98
     assert views.to_world[:3, :3] @ Y_UP[:3, 2] == pytest.approx([0, 0, 2], abs=0.15)
 
 
-def test_poses_that_are_all_the_same_are_none():
-    plain = replace(drive_capture(2), sweeps=())
-    assert all(view.has_pose for view in CaptureViews(plain, WIDTH))
-    still = tuple(replace(view, camera=plain[0].camera) for view in plain)
-    assert not any(view.has_pose for view in CaptureViews(replace(plain, views=still), WIDTH))
-    at_rest = tuple(replace(view, camera=plain[0].camera) for view in drive_capture(2))
-    measured = replace(drive_capture(2), views=at_rest)  # a tripod with a lidar
-    assert all(view.has_pose for view in CaptureViews(measured, WIDTH))
-    assert not any(view.has_pose for view in CaptureViews(replace(plain, has_poses=False), WIDTH))
+def test_poses_that_are_all_the_same_are_unknown_unless_something_was_measured():
+    drive = drive_capture(2)
+    still = replace(drive, views=tuple(replace(view, camera=drive[0].camera) for view in drive))  # a tripod and a lidar
+    for capture, expected in (
+        (drive, True), (still, True), (replace(drive, sweeps=()), True), (replace(still, sweeps=()), False),
+        (replace(drive, has_poses=False), False),
+    ):  # fmt: skip
+        assert [view.has_pose for view in CaptureViews(capture, WIDTH)] == [expected] * 2
 
 
 def test_only_what_the_lens_saw_is_learned_from_and_no_picture_grows():
@@ -266,15 +255,12 @@ def test_only_what_the_lens_saw_is_learned_from_and_no_picture_grows():
     mask = CaptureViews(bent, WIDTH).mask("0")
     assert mask is not None and not mask.all() and mask[HEIGHT // 2, WIDTH // 2]
     assert CaptureViews(capture, WIDTH).mask("0") is None
-    assert CaptureViews(capture, 48)[0].image.shape == (32, 48, 3)
-    assert CaptureViews(capture, 4800)[0].image.shape == (HEIGHT, WIDTH, 3)
+    assert [CaptureViews(capture, width)[0].image.shape[1] for width in (48, 4800)] == [48, WIDTH]
 
 
 def test_a_real_drive_has_road_sky_and_cars(test_data):
     capture = chosen_views(open_capture(test_data / "driving" / "dgp" / "scene_02"), ViewChoice(sensors=("CAMERA_09",)))
     view = CaptureViews(chosen_views(capture, ViewChoice(count=1)), 160)[0]
-    assert 0.05 < view.sky.mean() < 0.4
-    assert view.vehicles.sum() > 10
-    middle = view.depth[70:80, 70:90]
-    assert 3 < np.median(middle) < 15
+    assert 0.05 < view.sky.mean() < 0.4 and view.vehicles.sum() > 10
+    assert 3 < np.median(view.depth[70:80, 70:90]) < 15
     assert np.median(view.normals[75:90, 40:120, 2]) > 0.9

@@ -2,7 +2,9 @@
 
 import json
 import pickle
+import shutil
 import zlib
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,14 +21,53 @@ Rows = dict[str, list[dict[str, Any]]]
 """Rows of tables, by their names."""
 
 
-def text_row(values: np.ndarray, digits: int = 12) -> str:
-    return " ".join(f"{value:.{digits}e}" for value in values.ravel())
+DRIVE = MiniDrive()
+INTRINSICS = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
+"""K as OpenCV counts pixels, from their centers."""
+
+
+def text_row(values: np.ndarray) -> str:
+    return " ".join(f"{value:.12e}" for value in values.ravel())
+
+
+# Damage
+
+Change = bytes | None | Callable[[bytes], bytes]
+"""New content of a file, None to remove it (or a folder), or a function of its content."""
+
+
+def damaged(write: Callable[[Path], object], changes: dict[str, Change], below: str = ".") -> Callable[[Path], Path]:
+    """Return a function that writes a drive, changes some of its files, and returns the path `below` to open."""
+
+    def write_damaged(folder: Path) -> Path:
+        write(folder)
+        for name, change in changes.items():
+            file = folder / name
+            if change is None:
+                shutil.rmtree(file) if file.is_dir() else file.unlink()
+            else:
+                file.write_bytes(change(file.read_bytes()) if callable(change) else change)
+        return folder / below
+
+    return write_damaged
+
+
+def edited(change: Callable[[Any], object], form: Any = json) -> Callable[[bytes], bytes]:
+    """Change the values in the content of a file, of JSON or (`form` pickle) a pickle."""
+
+    def edit(content: bytes) -> bytes:
+        values = form.loads(content)
+        change(values)
+        written = form.dumps(values)
+        return written if isinstance(written, bytes) else written.encode()
+
+    return edit
 
 
 # DGP
 
 
-def write_dgp(folder: Path, drive: MiniDrive, camera_lens: dict[str, float] | None = None) -> Path:
+def write_dgp(folder: Path, drive: MiniDrive = DRIVE, camera_lens: dict[str, float] | None = None) -> Path:
     scene = folder / "scene_07"
     for name in ("calibration", "ontology", "bounding_box_3d/LIDAR", "rgb/CAM", "point_cloud/LIDAR"):
         (scene / name).mkdir(parents=True)
@@ -80,11 +121,12 @@ def _pose(matrix: np.ndarray) -> dict[str, Any]:
 # nuScenes, its own tables and the info files of MMDetection3D
 
 
-def write_nuscenes(root: Path, drive: MiniDrive, scenes: tuple[str, ...] = ("scene-0061",)) -> Rows:
+def write_nuscenes(root: Path, drive: MiniDrive = DRIVE, scenes: tuple[str, ...] = ("scene-0061",)) -> None:
     """The tables of the devkit's schema; the drive happens in each scene, 100 s apart."""
     length, width, height = BOX_LWH
-    matrix = [[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]]
-    tables: Rows = {
+    matrix = INTRINSICS.tolist()
+    tables: Rows = defaultdict(list)
+    tables |= {
         "sensor": [
             {"token": "s-cam", "channel": "CAM_FRONT", "modality": "camera"},
             {"token": "s-top", "channel": "LIDAR_TOP", "modality": "lidar"},
@@ -96,12 +138,6 @@ def write_nuscenes(root: Path, drive: MiniDrive, scenes: tuple[str, ...] = ("sce
             {"token": "c-radar", "sensor_token": "s-radar", **_placed(np.eye(4)), "camera_intrinsic": []},
         ],
         "category": [{"token": "car", "name": "vehicle.car", "description": ""}],
-        "instance": [],
-        "scene": [],
-        "sample": [],
-        "sample_data": [],
-        "ego_pose": [],
-        "sample_annotation": [],
     }
     for channel in ("CAM_FRONT", "LIDAR_TOP", "RADAR_FRONT"):
         (root / "samples" / channel).mkdir(parents=True, exist_ok=True)
@@ -110,45 +146,26 @@ def write_nuscenes(root: Path, drive: MiniDrive, scenes: tuple[str, ...] = ("sce
         tables["instance"].append({"token": f"i-{scene}", "category_token": "car", "nbr_annotations": drive.samples})
         for k in range(drive.samples):
             key, time = f"{scene}-{k}", int(drive.time(k) * 1e6) + number * 100_000_000
-            tables["sample"].append(
-                {"token": key, "timestamp": time, "scene_token": f"t-{scene}", "prev": "", "next": ""}
-            )
+            sample = {"token": key, "timestamp": time, "scene_token": f"t-{scene}", "prev": "", "next": ""}
+            tables["sample"].append(sample)
             tables["ego_pose"].append({"token": f"e-{key}", "timestamp": time, **_placed(drive.vehicle_to_world(k))})
-            box = _placed(drive.box_to_world())
-            row = {
-                "token": f"a-{key}",
-                "sample_token": key,
-                "instance_token": f"i-{scene}",
-                "size": [width, length, height],
-            }
-            tables["sample_annotation"].append({**row, **box, "num_lidar_pts": 60})
-            for channel, sensor, suffix in (("CAM_FRONT", "c-cam", "jpg"), ("LIDAR_TOP", "c-top", "pcd.bin")):
+            box = {"sample_token": key, "instance_token": f"i-{scene}", "size": [width, length, height]}
+            tables["sample_annotation"].append({"token": f"a-{key}", **box, **_placed(drive.box_to_world())})
+            points = drive.lidar_points(k)
+            rows = np.column_stack([points, np.full(len(points), 9.0), np.zeros(len(points))]).astype(np.float32)
+            shared = {"sample_token": key, "ego_pose_token": f"e-{key}", "timestamp": time, "is_key_frame": True}
+            for channel, sensor, suffix, content in (
+                ("CAM_FRONT", "c-cam", "jpg", drive.jpeg(k)),
+                ("LIDAR_TOP", "c-top", "pcd.bin", rows.tobytes()),
+            ):
                 file = f"samples/{channel}/{key}.{suffix}"
-                tables["sample_data"].append(
-                    {
-                        "token": f"d-{channel}-{key}",
-                        "sample_token": key,
-                        "ego_pose_token": f"e-{key}",
-                        "calibrated_sensor_token": sensor,
-                        "filename": file,
-                        "timestamp": time,
-                        "is_key_frame": True,
-                    }
-                )
-                points = drive.lidar_points(k)
-                rows = np.column_stack([points, np.full(len(points), 9.0), np.zeros(len(points))]).astype(np.float32)
-                (root / file).write_bytes(drive.jpeg(k) if suffix == "jpg" else rows.tobytes())
+                named = {"token": f"d-{channel}-{key}", "calibrated_sensor_token": sensor, "filename": file}
+                tables["sample_data"].append({**named, **shared})
+                (root / file).write_bytes(content)
     # A picture between two samples, and a radar, which is nothing for us.
     between = {**tables["sample_data"][0], "token": "between", "is_key_frame": False}
-    tables["sample_data"].append({**between, "timestamp": between["timestamp"] + 83_000})
-    tables["sample_data"].append(
-        {**between, "token": "radar", "calibrated_sensor_token": "c-radar", "is_key_frame": True}
-    )
-    write_tables(root, tables)
-    return tables
-
-
-def write_tables(root: Path, tables: Rows) -> None:
+    radar = {"token": "radar", "calibrated_sensor_token": "c-radar", "is_key_frame": True}
+    tables["sample_data"] += [{**between, "timestamp": between["timestamp"] + 83_000}, {**between, **radar}]
     (root / "v1.0-mini").mkdir(exist_ok=True)
     for name, rows in tables.items():
         (root / "v1.0-mini" / f"{name}.json").write_text(json.dumps(rows))
@@ -158,9 +175,9 @@ def _placed(pose: np.ndarray) -> dict[str, Any]:
     return {"translation": pose[:3, 3].tolist(), "rotation": quaternion(pose)}
 
 
-def write_infos(folder: Path, drive: MiniDrive, layout: str, times: list[float] | None = None) -> Path:
+def write_infos(folder: Path, drive: MiniDrive = DRIVE, layout: str = "1.x", times: list[float] | None = None) -> Path:
     """An info file of version 1.x, or of one before with boxes as of then ("0.x") or of its last candidates ("rc")."""
-    matrix = [[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]]
+    matrix = INTRINSICS.tolist()
     rows: list[dict[str, Any]] = []
     for k in range(drive.samples):
         for name in ("samples/CAM_FRONT", "samples/LIDAR_TOP"):
@@ -175,43 +192,27 @@ def write_infos(folder: Path, drive: MiniDrive, layout: str, times: list[float] 
         length, width, height = BOX_LWH
         if layout == "1.x":
             lidar_to_camera = np.linalg.inv(drive.camera_to_vehicle) @ drive.lidar_to_vehicle
-            camera = {
-                "img_path": f"{k}.jpg",
-                "cam2img": matrix,
-                "lidar2cam": lidar_to_camera.tolist(),
-                "timestamp": time,
-            }
-            rows.append(
-                {
-                    "timestamp": time,
-                    "ego2global": vehicle.tolist(),
-                    "images": {"CAM_FRONT": camera},
-                    "lidar_points": {
-                        "lidar_path": f"{k}.pcd.bin",
-                        "num_pts_feats": 5,
-                        "lidar2ego": drive.lidar_to_vehicle.tolist(),
-                    },
-                    "instances": [{"bbox_3d": [*box[:3, 3], length, width, height, yaw], "bbox_label_3d": 0}],
-                }
-            )
+            camera = {"img_path": f"{k}.jpg", "cam2img": matrix, "lidar2cam": lidar_to_camera, "timestamp": time}
+            lidar = {"lidar_path": f"{k}.pcd.bin", "num_pts_feats": 5, "lidar2ego": drive.lidar_to_vehicle}
+            instance = {"bbox_3d": [*box[:3, 3], length, width, height, yaw], "bbox_label_3d": 0}
+            row = {"ego2global": vehicle, "images": {"CAM_FRONT": camera}, "lidar_points": lidar}
+            rows.append({"timestamp": time, **row, "instances": [instance]})
             continue
         sides, turn = ([width, length], -yaw - np.pi / 2) if layout == "0.x" else ([length, width], yaw)
-        placed = {"ego2global_translation": vehicle[:3, 3], "ego2global_rotation": quaternion(vehicle)}
-        seen = {
+        placed = _info_pose("ego2global", vehicle)
+        camera = {
             "data_path": f"./data/nuscenes/samples/CAM_FRONT/{k}.jpg",
             "timestamp": time * 1e6,
             "cam_intrinsic": np.array(matrix),
-            "sensor2ego_translation": drive.camera_to_vehicle[:3, 3],
-            "sensor2ego_rotation": quaternion(drive.camera_to_vehicle),
+            **_info_pose("sensor2ego", drive.camera_to_vehicle),
         }
         rows.append(
             {
                 "lidar_path": f"./data/nuscenes/samples/LIDAR_TOP/{k}.pcd.bin",
                 "timestamp": time * 1e6,
                 **placed,
-                "lidar2ego_translation": drive.lidar_to_vehicle[:3, 3],
-                "lidar2ego_rotation": quaternion(drive.lidar_to_vehicle),
-                "cams": {"CAM_FRONT": {**seen, **placed}},
+                **_info_pose("lidar2ego", drive.lidar_to_vehicle),
+                "cams": {"CAM_FRONT": {**camera, **placed}},
                 "gt_boxes": np.array([[*box[:3, 3], *sides, height, turn]]),
                 "gt_names": np.array(["Car"]),
             }
@@ -221,6 +222,10 @@ def write_infos(folder: Path, drive: MiniDrive, layout: str, times: list[float] 
     file = folder / "nuscenes_infos_train.pkl"
     file.write_bytes(pickle.dumps(values))
     return file
+
+
+def _info_pose(name: str, pose: np.ndarray) -> dict[str, Any]:
+    return {f"{name}_translation": pose[:3, 3], f"{name}_rotation": quaternion(pose)}
 
 
 # KITTI, raw and odometry
@@ -234,9 +239,12 @@ def drive_on_the_road() -> MiniDrive:
     return MiniDrive(road_m=-IMU_HEIGHT_M, offset=(0.0, 0.0, 0.0))
 
 
-def write_kitti(day: Path, drive: MiniDrive, name: str = "2011_09_26_drive_0005_sync") -> Path:
+RAW = "2011_09_26_drive_0005_sync"
+
+
+def write_kitti(day: Path, drive: MiniDrive | None = None) -> Path:
     """A drive as the raw data has it; the lidar's frame here is turned a little, and rectification turns too."""
-    folder = day / name
+    drive, folder = drive or drive_on_the_road(), day / RAW
     for part in ("oxts/data", "image_02/data", "velodyne_points/data"):
         (folder / part).mkdir(parents=True)
     lidar_to_imu = turned(np.radians(2.0), (1.0, 0.1, 1.8 - IMU_HEIGHT_M))
@@ -247,8 +255,7 @@ def write_kitti(day: Path, drive: MiniDrive, name: str = "2011_09_26_drive_0005_
     cosine, sine = np.cos(0.01), np.sin(0.01)
     rectify[1:3, 1:3] = [[cosine, -sine], [sine, cosine]]
     to_camera = np.linalg.inv(rectify) @ np.linalg.inv(first_to_imu) @ lidar_to_imu
-    matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
-    projection = matrix @ baseline[:3]
+    projection = INTRINSICS @ baseline[:3]
     lines = [
         "calib_time: 09-Jan-2012 13:57:47",
         f"R_rect_00: {text_row(rectify[:3, :3])}",
@@ -294,6 +301,8 @@ def write_kitti(day: Path, drive: MiniDrive, name: str = "2011_09_26_drive_0005_
 
 
 TO_OPENCV = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""Axes x forward, y left, z up to OpenCV's."""
+
 STEREO_M = 0.54
 ODOMETRY_LIDAR = turned(np.radians(1.0), (-0.27, 0.0, 0.08))
 TURN = np.radians(4.0)
@@ -304,24 +313,23 @@ def odometry_pose(sample: int) -> np.ndarray:
     return turned(TURN * max(sample - 1, 0), (STEP_M * sample, 0.0, 0.0))
 
 
-def write_sequence(root: Path, number: str = "00", samples: int = 3) -> Path:
+def write_sequence(root: Path, number: str = "00") -> Path:
     """A sequence with the pictures of both color cameras; poses in the axes of the first camera, as KITTI has them."""
     folder = root / "sequences" / number
     (root / "poses").mkdir(parents=True, exist_ok=True)
-    matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
     lines: list[str] = []
     for camera, shift in ((2, 0.06), (3, 0.06 - STEREO_M)):
         (folder / f"image_{camera}").mkdir(parents=True)
         placed = np.column_stack([np.eye(3), [shift, 0, 0]])
-        lines.append(f"P{camera}: {text_row(matrix @ placed)}")
-        for k in range(samples):
-            (folder / f"image_{camera}/{k:06d}.jpg").write_bytes(MiniDrive().jpeg(k))
+        lines.append(f"P{camera}: {text_row(INTRINSICS @ placed)}")
+        for k in range(3):
+            (folder / f"image_{camera}/{k:06d}.jpg").write_bytes(DRIVE.jpeg(k))
     (folder / "calib.txt").write_text("\n".join([*lines, f"Tr: {text_row((TO_OPENCV @ ODOMETRY_LIDAR)[:3])}"]) + "\n")
-    (folder / "times.txt").write_text("".join(f"{k * 0.1037:e}\n" for k in range(samples)))
-    poses = [TO_OPENCV @ odometry_pose(k) @ np.linalg.inv(TO_OPENCV) for k in range(samples)]
+    (folder / "times.txt").write_text("".join(f"{k * 0.1037:e}\n" for k in range(3)))
+    poses = [TO_OPENCV @ odometry_pose(k) @ np.linalg.inv(TO_OPENCV) for k in range(3)]
     (root / "poses" / f"{number}.txt").write_text("".join(text_row(pose[:3]) + "\n" for pose in poses))
     (folder / "velodyne").mkdir()
-    for k in range(samples):
+    for k in range(3):
         x, y = np.meshgrid(np.linspace(-9, 9, 25), np.linspace(-6, 6, 17))
         road = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -CAMERA_HEIGHT_M)])
         back = np.linalg.inv(ODOMETRY_LIDAR)
@@ -332,13 +340,11 @@ def write_sequence(root: Path, number: str = "00", samples: int = 3) -> Path:
 
 # Waymo, records and tables
 
-OWN_AXES = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-"""Waymo's camera axes (x forward, y left, z up) to OpenCV's."""
 SEGMENTS = ("10023947602400723454_1120_000_1140_000", "20023947602400723454_20_000_40_000")
 
 
 def write_frames(
-    file: Path, drive: MiniDrive, *, shift_m: float = 0.0, change: Callable[[int, Any], None] | None = None
+    file: Path, drive: MiniDrive = DRIVE, *, shift_m: float = 0.0, change: Callable[[int, Any], None] | None = None
 ) -> None:
     """Frames with one camera, a lidar with one return, and the parked car. The vehicle moves while the lidar turns."""
     records: list[bytes] = []
@@ -349,7 +355,7 @@ def write_frames(
         frame.context.name = "segment-7"
         camera = frame.context.camera_calibrations.add(name=1, width=WIDTH, height=HEIGHT)
         camera.intrinsic.extend([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, 0, 0, 0, 0, 0])
-        camera.extrinsic.transform.extend((drive.camera_to_vehicle @ OWN_AXES).ravel())
+        camera.extrinsic.transform.extend((drive.camera_to_vehicle @ TO_OPENCV).ravel())
         image = frame.images.add(name=1, image=drive.jpeg(k), pose_timestamp=drive.time(k), shutter=0.003)
         image.pose.transform.extend(drive.vehicle_to_world(k).ravel())
         laser = frame.context.laser_calibrations.add(name=1)
@@ -378,62 +384,62 @@ def matrix_message(values: np.ndarray) -> bytes:
 
 def segment_tables(drive: MiniDrive, shift_m: float = 0.0) -> Rows:
     """The components of one segment, with columns named as by the data set."""
-    tables: Rows = {name: [] for name in ("vehicle_pose", "camera_image", "lidar", "lidar_pose", "lidar_box")}
-    camera = "[CameraCalibrationComponent]."
-    numbers = dict(zip(("f_u", "f_v", "c_u", "c_v"), (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2), strict=True))
-    zeros = dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0)
-    tables["camera_calibration"] = [
-        {
-            "key.camera_name": 1,
-            **{f"{camera}intrinsic.{name}": value for name, value in {**numbers, **zeros}.items()},
-            f"{camera}extrinsic.transform": (drive.camera_to_vehicle @ OWN_AXES).ravel().tolist(),
-            f"{camera}width": WIDTH,
-            f"{camera}height": HEIGHT,
-        }
-    ]
-    lidar = "[LiDARCalibrationComponent]."
-    tables["lidar_calibration"] = [
-        {
-            "key.laser_name": 1,
-            f"{lidar}extrinsic.transform": LIDAR_TO_VEHICLE.ravel().tolist(),
-            f"{lidar}beam_inclination.min": float(BEAMS[0]),
-            f"{lidar}beam_inclination.max": float(BEAMS[-1]),
-            f"{lidar}beam_inclination.values": BEAMS.tolist(),
-        }
-    ]
+    lens = {
+        "f_u": FOCAL,
+        "f_v": FOCAL,
+        "c_u": WIDTH / 2,
+        "c_v": HEIGHT / 2,
+        "k1": 0,
+        "k2": 0,
+        "p1": 0,
+        "p2": 0,
+        "k3": 0,
+    }
+    camera = {f"intrinsic.{name}": float(value) for name, value in lens.items()}
+    camera |= {"extrinsic.transform": (drive.camera_to_vehicle @ TO_OPENCV).ravel().tolist()}
+    laser = {
+        "extrinsic.transform": LIDAR_TO_VEHICLE.ravel().tolist(),
+        "beam_inclination.min": float(BEAMS[0]),
+        "beam_inclination.max": float(BEAMS[-1]),
+        "beam_inclination.values": BEAMS.tolist(),
+    }
+    tables: Rows = {
+        "camera_calibration": [
+            {"key.camera_name": 1, **_columns("CameraCalibration", camera | {"width": WIDTH, "height": HEIGHT})}
+        ],
+        "lidar_calibration": [{"key.laser_name": 1, **_columns("LiDARCalibration", laser)}],
+        **{name: [] for name in ("vehicle_pose", "camera_image", "lidar", "lidar_pose", "lidar_box")},
+    }
     for k in range(drive.samples):
-        pose = drive.vehicle_to_world(k).ravel().tolist()
-        key = {"key.frame_timestamp_micros": int(drive.time(k) * 1e6)}
-        tables["vehicle_pose"].append({**key, "[VehiclePoseComponent].world_from_vehicle.transform": pose})
-        image = "[CameraImageComponent]."
-        tables["camera_image"].append(
-            {
-                **key,
-                "key.camera_name": 1,
-                f"{image}image": drive.jpeg(k),
-                f"{image}pose.transform": pose,
-                f"{image}pose_timestamp": drive.time(k),
-                f"{image}rolling_shutter_params.shutter": 0.003,
-            }
-        )
-        for component, column, values in (
-            ("lidar", "[LiDARComponent].range_image_return1", range_image(drive, k, shift_m)),
-            ("lidar_pose", "[LiDARPoseComponent].range_image_return1", pixel_poses(drive, k, shift_m)),
+        pose, placed = drive.vehicle_to_world(k).ravel().tolist(), drive.box_to_vehicle(k)
+        image = {
+            "image": drive.jpeg(k),
+            "pose.transform": pose,
+            "pose_timestamp": drive.time(k),
+            "rolling_shutter_params.shutter": 0.003,
+        }
+        box = {f"box.center.{axis}": float(value) for axis, value in zip("xyz", placed[:3, 3], strict=True)}
+        box |= {f"box.size.{axis}": side for axis, side in zip("xyz", BOX_LWH, strict=True)}
+        box |= {"box.heading": float(np.arctan2(placed[1, 0], placed[0, 0])), "type": 1}
+        for table, key, component, values in (
+            ("vehicle_pose", {}, "VehiclePose", {"world_from_vehicle.transform": pose}),
+            ("camera_image", {"key.camera_name": 1}, "CameraImage", image),
+            ("lidar", {"key.laser_name": 1}, "LiDAR", _matrix(range_image(drive, k, shift_m))),
+            ("lidar_pose", {"key.laser_name": 1}, "LiDARPose", _matrix(pixel_poses(drive, k, shift_m))),
+            ("lidar_box", {"key.laser_object_id": "car"}, "LiDARBox", box),
         ):
-            row = {f"{column}.values": values.ravel().tolist(), f"{column}.shape": list(values.shape)}
-            tables[component].append({**key, "key.laser_name": 1, **row})
-        box, placed = "[LiDARBoxComponent].", drive.box_to_vehicle(k)
-        tables["lidar_box"].append(
-            {
-                **key,
-                "key.laser_object_id": "car",
-                **{f"{box}box.center.{axis}": float(v) for axis, v in zip("xyz", placed[:3, 3], strict=True)},
-                **{f"{box}box.size.{axis}": v for axis, v in zip("xyz", BOX_LWH, strict=True)},
-                f"{box}box.heading": float(np.arctan2(placed[1, 0], placed[0, 0])),
-                f"{box}type": 1,
-            }
-        )
+            time = int(drive.time(k) * 1e6)
+            tables[table].append({"key.frame_timestamp_micros": time, **key, **_columns(component, values)})
     return tables
+
+
+def _columns(component: str, values: dict[str, Any]) -> dict[str, Any]:
+    return {f"[{component}Component].{name}": value for name, value in values.items()}
+
+
+def _matrix(values: np.ndarray) -> dict[str, Any]:
+    name = "range_image_return1"
+    return {f"{name}.values": values.ravel().tolist(), f"{name}.shape": list(values.shape)}
 
 
 def write_segment(root: Path, tables: Rows, segment: str = SEGMENTS[0]) -> None:

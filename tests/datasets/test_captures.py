@@ -3,6 +3,7 @@
 import json
 import shutil
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,7 @@ from colmap_files import POINTS, write_binary, write_pictures, write_text
 from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, Lens, readable_images
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.geometry import project_points
-from gsrain_engine.datasets.open_capture import FORMATS, capture_format, open_capture
-from gsrain_engine.datasets.rainsense import read_rain_sequence
+from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.scene.camera import Camera, look_at
 
 from .sample_captures import EYES, INTRINSICS, TARGET, UP, points_ply, views, write_bdd100k, write_nerfstudio
@@ -24,15 +24,8 @@ from .sample_captures import EYES, INTRINSICS, TARGET, UP, points_ply, views, wr
 
 
 def view_of(name: str, width: int = 8, **more: Any) -> CaptureFrame:
-    return CaptureFrame(name, Camera(width, 6, 10.0, 10.0, 4.0, 3.0), np.zeros((6, 8, 3), np.uint8), **more)
-
-
-def test_a_capture_has_what_every_view_has() -> None:
-    depth = np.ones((6, 8), np.float32)
-    labeled = view_of("b", depth_source=lambda: depth, labels_source=np.zeros((6, 8), np.uint8))
-    both = Capture("two", (view_of("a", depth_source=depth), labeled))
-    assert both.has == {"depth"} and [view.name for view in both] == ["a", "b"]
-    assert both[1].labels is not None and both[1].depth is depth
+    camera = Camera(width, 6, 10.0, 10.0, 4.0, 3.0)
+    return CaptureFrame(name, camera, **{"image_source": np.zeros((6, 8, 3), np.uint8), **more})
 
 
 def test_pixels_are_read_when_they_are_asked_for_and_checked() -> None:
@@ -42,19 +35,22 @@ def test_pixels_are_read_when_they_are_asked_for_and_checked() -> None:
         read.append("image")
         return np.zeros((6, 8, 3), np.uint8)
 
-    view = CaptureFrame("a", Camera(8, 6, 10.0, 10.0, 4.0, 3.0), picture)
+    view = view_of("a", image_source=picture)
     assert not read
     held = view.held()
     assert held.image is held.image and read == ["image"]
     with pytest.raises(CaptureError, match=r"view 'a': image is \(6, 8\)"):
         view_of("a", width=9).image.sum()
+    depth = np.ones((6, 8), np.float32)
+    both = Capture("two", (view_of("a", depth_source=depth), view_of("b", depth_source=depth, labels_source=depth)))
+    assert both.has == {"depth"}
 
 
 @pytest.mark.parametrize("name", ["../up", "/root", "a/../../b", "", "a\\..\\b"])
-def test_names_and_lenses_that_can_not_be_are_refused(name: str) -> None:
+def test_impossible_names_and_lenses_are_refused(name: str) -> None:
     with pytest.raises(CaptureError, match="can't be the name of a view"):
         Capture("names", (view_of(name),))
-    with pytest.raises(ValueError, match="several views named 'a'"):
+    with pytest.raises(CaptureError, match="several views named 'a'"):
         Capture("two", (view_of("a"), view_of("a")))
     with pytest.raises(ValueError, match="not 3"):
         Lens("opencv", (0.1, 0.0, 0.0))
@@ -81,12 +77,6 @@ def test_views_that_are_written_come_back(tmp_path: Path, below: str) -> None:
     assert capture[1].normals is None
 
 
-def change(folder: Path, **values: Any) -> None:
-    rows = json.loads((folder / "cameras.json").read_text())
-    rows[0].update(values)
-    (folder / "cameras.json").write_text(json.dumps(rows))
-
-
 @pytest.mark.parametrize(
     ("values", "field"),
     [
@@ -96,13 +86,14 @@ def change(folder: Path, **values: Any) -> None:
         ({"time_s": "late"}, "time_s"),
         ({"lens": {"model": "fisheye", "coefficients": [1.0]}}, "lens"),
         ({"lens": {"model": "cracked", "coefficients": [1.0] * 4}}, "'cracked'"),
+        ({"attributes": []}, "attributes"),
     ],
 )
-def test_fields_of_our_own_folder_that_make_no_sense_are_named(
-    tmp_path: Path, values: dict[str, Any], field: str
-) -> None:
+def test_impossible_fields_of_our_own_folder_are_named(tmp_path: Path, values: dict[str, Any], field: str) -> None:
     list(write_views(tmp_path, views()))
-    change(tmp_path, **values)
+    rows = json.loads((tmp_path / "cameras.json").read_text())
+    rows[0].update(values)
+    (tmp_path / "cameras.json").write_text(json.dumps(rows))
     with pytest.raises(CaptureError, match=rf"cameras\.json.*{field}"):
         open_capture(tmp_path)
 
@@ -124,12 +115,14 @@ def test_cut_pixels_are_found_when_they_are_read_and_missing_pictures_before(tmp
 # COLMAP
 
 
-@pytest.fixture(scope="module")
-def real(test_data: Path) -> Capture:
-    return open_capture(test_data / "driving" / "nuscenes_rear_26")
-
-
-def test_a_real_model_explains_where_its_points_were(real: Capture, test_data: Path) -> None:
+def test_a_real_model_explains_where_its_points_were(test_data: Path) -> None:
+    real = open_capture(test_data / "driving" / "nuscenes_rear_26")
+    assert (len(real), real.problems, real.is_metric, real[0].image.shape) == (26, (), False, (900, 1600, 3))
+    assert real.points_m is not None and real.point_colors is not None
+    assert len(real.points_m) == len(real.point_colors) == 2759
+    # A plane through the points of the road (below the cameras) has this normal; the pictures' own up is 5 degrees off.
+    road = np.array([0.006, -0.996, -0.084])
+    assert np.degrees(np.arccos(np.array(real.up) @ road / np.linalg.norm(road))) < 1.0
     folder = test_data / "driving" / "nuscenes_rear_26" / "colmap_derived" / "sparse" / "0"
     lines = [line for line in (folder / "points3D.txt").read_text().splitlines() if not line.startswith("#")]
     places = {int(line.split()[0]): [float(word) for word in line.split()[1:4]] for line in lines}
@@ -146,16 +139,6 @@ def test_a_real_model_explains_where_its_points_were(real: Capture, test_data: P
     assert len(errors) > 9000
     # The model's own figure is 0.82 px; a center of pixels that is off by a half would add 0.7 px.
     assert np.mean(errors) == pytest.approx(0.82, abs=0.02)
-
-
-def test_a_real_model_is_whole_and_has_its_up(real: Capture) -> None:
-    assert (len(real), real.problems, real.is_metric) == (26, (), False)
-    assert real.points_m is not None and real.point_colors is not None
-    assert len(real.points_m) == len(real.point_colors) == 2759
-    assert real[0].image.shape == (900, 1600, 3)
-    # A plane through the points of the road (below the cameras) has this normal; the pictures' own up is 5 degrees off.
-    road = np.array([0.006, -0.996, -0.084])
-    assert np.degrees(np.arccos(np.array(real.up) @ road / np.linalg.norm(road))) < 1.0
 
 
 @pytest.mark.parametrize("below", [".", "sparse", "sparse/0", "colmap/sparse/0", "colmap_derived/sparse/0"])
@@ -252,12 +235,10 @@ def test_folders_of_images_are_cameras_with_masks_and_the_largest_model_is_read(
         ("cameras.txt", "7 PINHOLE 64 forty 50 51 32 24", "cameras.txt, line 1: expected CAMERA_ID"),
         ("cameras.txt", "7 PINHOLE 64 48 50 51", "camera 7 has 2 parameters, PINHOLE has 4"),
         ("cameras.txt", "7 CURVED 64 48 50 51", "unknown model CURVED"),
-        ("cameras.txt", "7 FOV 64 48 50 50 32 24 0.1", "camera 7 has the model FOV"),
         ("cameras.txt", "7 THIN_PRISM_FISHEYE 64 48 50 50 32 24" + 8 * " 0.1", "the model THIN_PRISM_FISHEYE"),
         ("cameras.txt", "8 PINHOLE 64 48 50 51 32 24", "camera 7, which the model lacks"),
         ("images.txt", "1 1 0 0 0 0 0 0 7", "images.txt, line 1: expected IMAGE_ID"),
         ("images.txt", "1 0 0 0 0 0 0 0 7 a.png\n\n", "'a.png': .*not zero"),
-        ("images.txt", "# nothing", "no registered image"),
         ("points3D.txt", "1 2 3", "points3D.txt, line 1: expected POINT3D_ID"),
         ("points3D.txt", "1 1 2 3 300 0 0 1", "within 0..255"),
         ("images.txt", "\udcff", "can't be read as text"),
@@ -286,12 +267,12 @@ def test_poses_turn_from_opengl_to_opencv(tmp_path: Path, shared: bool) -> None:
         found = capture_format(path)
         assert found is not None and found.name == "nerfstudio"
         capture = open_capture(path)
-        a, b = capture
-        assert (a.name, b.name, a.sensor) == ("a", "b", "")
-        np.testing.assert_allclose(a.camera.world_to_camera, look_at(EYES[1], TARGET, UP), atol=1e-12)
-        np.testing.assert_allclose(b.camera.world_to_camera, look_at(EYES[0], TARGET, UP), atol=1e-12)
-        assert (a.camera.fx, a.camera.fy, a.camera.cx, a.camera.cy) == (50, 51, 32, 24)
-        assert a.image.shape == (48, 64, 3) and not capture.is_metric
+        for view, name, eye in zip(capture, "ab", EYES[::-1], strict=True):
+            assert (view.name, view.sensor, view.image.shape) == (name, "", (48, 64, 3))
+            expected = Camera(64, 48, 50.0, 51.0, 32.0, 24.0, look_at(eye, TARGET, UP))
+            np.testing.assert_allclose(view.camera.world_to_camera, expected.world_to_camera, atol=1e-12)
+            assert replace(view.camera, world_to_camera=expected.world_to_camera).to_json() == expected.to_json()
+        assert not capture.is_metric
         np.testing.assert_allclose(capture.up, [0, 0, 1], atol=0.05)
 
 
@@ -338,15 +319,14 @@ def test_frames_that_can_not_be_used_are_named(tmp_path: Path, values: dict[str,
 
 def test_blenders_angle_and_names_without_suffix(tmp_path: Path) -> None:
     write_nerfstudio(tmp_path, {})
-    with pytest.raises(CaptureError, match="none of its 2 frames can be used .*'fl_x'"):
+    with pytest.raises(CaptureError, match="'fl_x'"):
         open_capture(tmp_path)
-    write_nerfstudio(tmp_path, {"camera_angle_x": 2 * np.arctan(32 / 80)})
+    write_nerfstudio(tmp_path, {"camera_angle_x": 2 * np.arctan(32 / 80), "camera_angle_y": 2 * np.arctan(24 / 70)})
     text = (tmp_path / "transforms.json").read_text().replace(".png", "")
     (tmp_path / "transforms.json").unlink()
     (tmp_path / "transforms_train.json").write_text(text)
-    view = open_capture(tmp_path)[0]
-    assert view.camera.fx == view.camera.fy == pytest.approx(80)
-    assert (view.camera.cx, view.camera.cy, view.image.shape) == (32, 24, (48, 64, 3))
+    camera = open_capture(tmp_path)[0].camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((80, 70, 32, 24))
 
 
 def test_depth_and_masks_of_nerfstudio(tmp_path: Path) -> None:
@@ -429,13 +409,12 @@ def test_frames_of_bdd100k_have_the_attributes_of_their_labels(tmp_path: Path, t
     real = open_capture(test_data / "weather" / "bdd100k")
     assert (len(real), real[0].image.shape, real.has_poses) == (6, (720, 1280, 3), False)
     write_bdd100k(tmp_path)
-    row = json.loads((tmp_path / "labels/det_train.json").read_text())[0]
+    file = tmp_path / "labels/det_train.json"
+    row = json.loads(file.read_text())[0]
+    (tmp_path / "labels/broken.json").write_text("[{")
     for layout in ("list", "one each"):
         if layout == "one each":
-            (tmp_path / "labels/det_train.json").unlink()
-            (tmp_path / "labels/100k/train").mkdir(parents=True)
-            (tmp_path / "labels/100k/train/0.json").write_text(json.dumps({**row, "name": row["name"][:-4]}))
-        (tmp_path / "labels/broken.json").write_text("[{")
+            file.write_text(json.dumps({**row, "name": row["name"][:-4]}))
         for path in (tmp_path, tmp_path / "images/100k/train"):
             capture = open_capture(path)
             assert getattr(capture_format(path), "name", "") == "BDD-100K"
@@ -447,11 +426,9 @@ def test_other_pictures_among_those_of_bdd100k_are_named_and_few_of_its_make_non
     frames = tuple(f"0000f77c-6257be5{k}.jpg" for k in range(4))
     write_pictures(tmp_path / "a", (*frames, "holiday.jpg", "cat.png"))
     capture = open_capture(tmp_path / "a")
-    problem = next(each for each in capture.problems if "not named" in each)
-    assert len(capture) == 4 and problem.startswith("2 of 6 pictures are left out") and "cat.png" in problem
+    assert len(capture) == 4 and any("2 of 6 pictures" in each and "cat.png" in each for each in capture.problems)
     write_pictures(tmp_path / "b", (frames[0], "a.jpg", "b.jpg", "c.jpg"))
     assert getattr(capture_format(tmp_path / "b"), "name", "") == "image folder"
-    assert len(open_capture(tmp_path / "b")) == 4
 
 
 def test_a_real_sequence_of_rainsense_has_lidar_and_boxes(test_data: Path) -> None:
@@ -459,7 +436,7 @@ def test_a_real_sequence_of_rainsense_has_lidar_and_boxes(test_data: Path) -> No
     capture = open_capture(folder)
     (view,) = capture
     assert view.attributes == {"rain_mm_h": "0"} and view.lens is not None
-    assert view.camera.to_json() == read_rain_sequence(folder).camera.to_json()
+    assert view.image.shape == (view.camera.height, view.camera.width, 3)
     assert len(capture.sweeps[0].points_m) == 17700
     assert "holds no exact rotation (it stretches by 2.5%)" in capture.problems[0]
     # What the lidar measures close by is the road below the camera, which stands 1.5 m above it (as assumed).
@@ -492,17 +469,3 @@ def test_damaged_files_of_rainsense_are_named_one_after_the_other(test_data: Pat
     (folder / "context" / "camera_intrinsics.txt").write_text("K: 1\n")
     with pytest.raises(CaptureError, match=r"camera_intrinsics.txt: 1 numbers, expected 14"):
         open_capture(folder)
-
-
-# Formats by their order
-
-
-def test_formats_are_found_in_their_order(tmp_path: Path) -> None:
-    assert FORMATS[-1].name == "image folder"  # anything with pictures would be one
-    write_pictures(tmp_path / "images")
-    write_binary(tmp_path / "sparse/0")
-    found = capture_format(tmp_path)
-    assert found is not None and found.name == "COLMAP"
-    for below in ("sparse", "sparse/0"):
-        assert capture_format(tmp_path / below) is found
-    assert capture_format(tmp_path / "nothing") is None

@@ -14,7 +14,7 @@ import pytest
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureError
 from gsrain_engine.datasets.driving_log import DrivingLog
-from gsrain_engine.datasets.geometry import project_points, rigid_pose
+from gsrain_engine.datasets.geometry import rigid_pose
 from gsrain_engine.datasets.io.records import ParquetFile, parquet_module
 from gsrain_engine.datasets.io.safe_pickle import read_pickle
 from gsrain_engine.datasets.kitti import CAMERA_HEIGHT_M, KittiCamera, oxts_poses
@@ -26,15 +26,18 @@ from mini_drive import HEIGHT, WIDTH, MiniDrive, points_inside, turned
 from tfrecord_framing import framed
 
 from .sample_drives import (
+    DRIVE,
     EARTH_M,
     LATITUDE,
     LONGITUDE,
+    RAW,
     SEGMENTS,
     STEREO_M,
     TO_OPENCV,
     TURN,
+    damaged,
     drive_on_the_road,
-    matrix_message,
+    edited,
     segment_tables,
     write_dgp,
     write_frames,
@@ -43,23 +46,17 @@ from .sample_drives import (
     write_nuscenes,
     write_segment,
     write_sequence,
-    write_tables,
 )
 
-RAW = "2011_09_26_drive_0005_sync"
 INFOS = "nuscenes_infos_train.pkl"
 
 
-def write_records(folder: Path, drive: MiniDrive, shift_m: float = 0.0) -> None:
+def write_records(folder: Path, drive: MiniDrive = DRIVE, shift_m: float = 0.0) -> None:
     write_frames(folder / "some.tfrecord", drive, shift_m=shift_m)
 
 
-def write_waymo_tables(folder: Path, drive: MiniDrive, shift_m: float = 0.0) -> None:
+def write_waymo_tables(folder: Path, drive: MiniDrive = DRIVE, shift_m: float = 0.0) -> None:
     write_segment(folder / "training", segment_tables(drive, shift_m))
-
-
-def write_odometry(folder: Path, _: MiniDrive) -> None:
-    write_sequence(folder)
 
 
 class Miniature(NamedTuple):
@@ -72,7 +69,7 @@ class Miniature(NamedTuple):
     sensor: str
     intensity: float
     box_class: str = "Car"
-    drive: MiniDrive = MiniDrive()
+    drive: MiniDrive = DRIVE
 
 
 _MMDETECTION = "nuScenes (MMDetection3D)"
@@ -176,17 +173,13 @@ def test_a_sequence_of_kitti_odometry_is_read_exactly(tmp_path: Path) -> None:
 # Parts of a data set
 
 
-def test_nuscenes_reads_pictures_between_samples_when_asked(tmp_path: Path) -> None:
-    write_nuscenes(tmp_path, MiniDrive())
-    assert [view.time_s for view in read_nuscenes(tmp_path, key_frames_only=False)] == [0.0, 0.083, 0.5, 1.0]
-
-
-def test_a_scene_of_nuscenes_is_chosen_by_its_name_or_by_what_is_there(tmp_path: Path) -> None:
-    write_nuscenes(tmp_path, MiniDrive(), ("scene-0061", "scene-0103"))
+def test_nuscenes_reads_a_chosen_scene_and_pictures_between_samples_when_asked(tmp_path: Path) -> None:
+    write_nuscenes(tmp_path, DRIVE, ("scene-0061", "scene-0103"))
     first, chosen = open_capture(tmp_path), open_capture(tmp_path / "scene-0103")
     assert first.name == "scene-0061" and str(tmp_path / "scene-0103") in first.problems[0]
     assert (chosen.name, chosen.problems) == ("scene-0103", ())
-    MiniDrive().check(chosen, has_boxes=False)
+    DRIVE.check(chosen, has_boxes=False)
+    assert [view.time_s for view in read_nuscenes(tmp_path, key_frames_only=False)] == [0.0, 0.083, 0.5, 1.0]
     with pytest.raises(CaptureError, match="no scene 'scene-7'; it has scene-0061, scene-0103"):
         open_capture(tmp_path / "scene-7")
     for file in tmp_path.glob("samples/*/scene-0061*"):
@@ -195,7 +188,7 @@ def test_a_scene_of_nuscenes_is_chosen_by_its_name_or_by_what_is_there(tmp_path:
 
 
 def test_drives_of_an_info_file_are_split_where_time_jumps(tmp_path: Path) -> None:
-    file = write_infos(tmp_path, MiniDrive(), "1.x", [10.0, 10.5, 900.0])
+    file = write_infos(tmp_path, times=[10.0, 10.5, 900.0])
     assert len(open_capture(file)) == 2
     assert f"open another as {file}/1" in open_capture(tmp_path).problems[0]
     assert [view.image[0, 0, 0] for view in open_capture(file / "1")] == pytest.approx([80], abs=3)
@@ -212,16 +205,12 @@ def test_a_segment_of_waymo_is_chosen_by_its_name_or_a_file(tmp_path: Path) -> N
         assert len(open_capture(path)) == 2
 
 
-def test_a_dgp_scene_without_a_lidar_has_the_vehicle_of_its_camera(tmp_path: Path) -> None:
-    file = write_dgp(tmp_path, MiniDrive())
-    values = json.loads(file.read_text())
-    for sample in values["samples"]:
-        sample["datum_keys"] = [key for key in sample["datum_keys"] if key.startswith("c")]
-    file.write_text(json.dumps(values))
-    capture = open_capture(file)
-    assert not capture.sweeps and capture.ego is not None
-    np.testing.assert_allclose(capture[0].camera.position[2], 1.6 - EGO_HEIGHT_M, atol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(capture.ego.positions[-1]), 3.0, atol=1e-6)
+def test_of_several_sequences_one_with_poses_is_read(tmp_path: Path) -> None:
+    for number in ("04", "11"):
+        write_sequence(tmp_path, number)
+    (tmp_path / "poses/11.txt").unlink()
+    capture = open_capture(tmp_path)
+    assert capture.name == "04" and "sequences/11" in capture.problems[0]
 
 
 @pytest.mark.parametrize(
@@ -233,9 +222,22 @@ def test_a_dgp_scene_without_a_lidar_has_the_vehicle_of_its_camera(tmp_path: Pat
     ],
 )
 def test_the_lens_of_dgp_is_that_of_its_calibration(tmp_path: Path, extra: dict[str, float], lens: Any) -> None:
-    write_dgp(tmp_path, MiniDrive(), extra)
-    found = open_capture(tmp_path)[0].lens
+    found = open_capture(write_dgp(tmp_path, DRIVE, extra))[0].lens
     assert found is not None and (found.model, found.coefficients) == lens
+
+
+def test_a_dgp_scene_without_a_lidar_has_the_vehicle_of_its_camera(tmp_path: Path) -> None:
+    def without_lidar(values: Any) -> None:
+        for sample in values["samples"]:
+            sample["datum_keys"] = [key for key in sample["datum_keys"] if key.startswith("c")]
+
+    capture = open_capture(damaged(write_dgp, {"scene_07/scene_abc.json": edited(without_lidar)})(tmp_path))
+    assert not capture.sweeps and capture.ego is not None
+    np.testing.assert_allclose(capture[0].camera.position[2], 1.6 - EGO_HEIGHT_M, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(capture.ego.positions[-1]), 3.0, atol=1e-6)
+
+
+# Facts of the data sets
 
 
 def test_poses_of_oxts_are_those_of_a_mercator_projection() -> None:
@@ -280,7 +282,7 @@ def test_a_pixel_of_waymos_lidar_is_moved_by_its_own_pose() -> None:
     random = np.random.default_rng(4)
     ranges, poses = random.uniform(1, 50, (3, 4, 2)), random.uniform(-1, 1, (3, 4, 6))
     vehicle_to_world, to_vehicle = turned(0.7, (3.0, -2.0, 1.0)), turned(-0.4, (1.4, 0.2, 2.0))
-    laser = WaymoLaser(to_vehicle, np.array([-0.3, 0.1]), is_even=True)
+    laser = WaymoLaser(to_vehicle, np.zeros(0), (-0.3, 0.1))
     points, _ = laser.points(ranges.astype(np.float32), poses.astype(np.float32), vehicle_to_world)
     still, _ = laser.points(ranges.astype(np.float32), None, vehicle_to_world)
     for k, (roll, pitch, yaw, *place) in enumerate(poses.reshape(-1, 6)):
@@ -295,91 +297,25 @@ def test_a_pixel_of_waymos_lidar_is_moved_by_its_own_pose() -> None:
     assert np.arctan2(first[1], first[0]) == pytest.approx(np.pi * (1 - 1 / 4))
 
 
-# Damage that costs a part of a drive: each function writes a drive with holes and returns what is opened
+# Damage
 
 
-def dgp_with_holes(folder: Path) -> Path:
-    scene = write_dgp(folder, MiniDrive()).parent
-    (scene / "rgb/CAM/1.jpg").unlink()
-    (scene / "rgb/CAM/2.jpg").write_bytes(MiniDrive().jpeg(2)[:-20])
-    (scene / "point_cloud/LIDAR/0.npz").write_bytes(b"PK\x03\x04 not an archive")
-    (scene / "ontology/ont.json").write_text("{")
-    return scene
-
-
-def nuscenes_with_holes(folder: Path) -> Path:
-    tables = write_nuscenes(folder, MiniDrive())
-    (folder / "samples/CAM_FRONT/scene-0061-1.jpg").unlink()
-    (folder / "samples/LIDAR_TOP/scene-0061-2.pcd.bin").write_bytes(b"123")
-    tables["sample_annotation"][0]["size"] = [0.0, 1.0, 1.0]
-    tables["sample_data"][4]["ego_pose_token"] = "nowhere"
-    write_tables(folder, tables)
-    return folder
-
-
-def nuscenes_without_annotations(folder: Path) -> Path:
-    write_nuscenes(folder, MiniDrive())
-    (folder / "v1.0-mini/sample_annotation.json").unlink()
-    return folder
-
-
-def infos_with_holes(folder: Path) -> Path:
-    file = write_infos(folder, MiniDrive(), "1.x")
-    (folder / "samples/CAM_FRONT/1.jpg").unlink()
-    (folder / "samples/LIDAR_TOP/0.pcd.bin").unlink()
-    values = pickle.loads(file.read_bytes())
-    del values["data_list"][2]["ego2global"]
-    file.write_bytes(pickle.dumps(values))
-    return file
-
-
-def kitti_with_holes(folder: Path) -> Path:
-    drive = write_kitti(folder, drive_on_the_road())
-    (drive / "oxts/data/0000000001.txt").write_text("not numbers")
-    (drive / "velodyne_points/data/0000000002.bin").write_bytes(b"12345")
-    (drive / "image_02/data/0000000002.jpg").write_bytes(MiniDrive().jpeg(2)[:-20])
-    (drive / "image_03/data").mkdir(parents=True)
-    return drive
-
-
-def kitti_with_tracklets(text: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        drive = write_kitti(folder, drive_on_the_road())
-        (drive / "tracklet_labels.xml").write_text(text)
-        return drive
-
-    return write
-
-
-def odometry_with_holes(folder: Path) -> Path:
-    sequence = write_sequence(folder)
-    (sequence / "image_3/000001.jpg").write_bytes(b"")
-    (sequence / "velodyne/000000.bin").write_bytes(b"12")
-    lines = (folder / "poses/00.txt").read_text().splitlines()
-    (folder / "poses/00.txt").write_text("\n".join([*lines[:2], "1 2 3"]))
-    return sequence
+def cut(count: int) -> Callable[[bytes], bytes]:
+    return lambda content: content[:-count]
 
 
 def records_with(change: Callable[[Any], object]) -> Callable[[Path], Path]:
+    """Records whose second frame is changed."""
+
     def write(folder: Path) -> Path:
-        write_frames(folder / "a.tfrecord", MiniDrive(), change=lambda k, frame: change(frame) if k == 1 else None)
+        write_frames(folder / "a.tfrecord", change=lambda k, frame: change(frame) if k == 1 else None)
         return folder
 
     return write
 
 
-def records_cut_off(folder: Path) -> Path:
-    write_frames(folder / "a.tfrecord", MiniDrive())
-    (folder / "a.tfrecord").write_bytes((folder / "a.tfrecord").read_bytes()[:-100])
-    return folder
-
-
 def without_calibration(frame: Any) -> None:
     del frame.context.camera_calibrations[:]
-
-
-def mirrored(frame: Any) -> None:
-    frame.pose.transform[0] *= -1
 
 
 def with_range_image(data: bytes) -> Callable[[Any], None]:
@@ -391,7 +327,7 @@ def with_range_image(data: bytes) -> Callable[[Any], None]:
 
 def tables_with(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        tables = segment_tables(MiniDrive())
+        tables = segment_tables(DRIVE)
         change(tables)
         write_segment(folder, {name: rows for name, rows in tables.items() if rows})
         return folder
@@ -399,17 +335,18 @@ def tables_with(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], 
     return write
 
 
-def table_value(table: str, column: str, value: Callable[[Any], Any]) -> Callable[[dict[str, Any]], None]:
+def cell(table: str, column: str, value: Callable[[Any], Any]) -> Callable[[Path], Path]:
+    """Tables of Waymo with one value changed, in the second row."""
+
     def change(tables: dict[str, Any]) -> None:
         tables[table][1][column] = value(tables[table][1][column])
 
-    return change
+    return tables_with(change)
 
 
 def second_camera_mirrored(tables: dict[str, Any]) -> None:
-    first = tables["camera_calibration"][0]
     mirrored = {"[CameraCalibrationComponent].extrinsic.transform": (-np.eye(4)).ravel().tolist()}
-    tables["camera_calibration"].append({**first, "key.camera_name": 2, **mirrored})
+    tables["camera_calibration"].append({**tables["camera_calibration"][0], "key.camera_name": 2, **mirrored})
 
 
 def only_pictures(tables: dict[str, Any]) -> None:
@@ -417,28 +354,53 @@ def only_pictures(tables: dict[str, Any]) -> None:
         tables[name].clear()
 
 
+def tracklets(text: bytes) -> Callable[[Path], Path]:
+    return damaged(write_kitti, {f"{RAW}/tracklet_labels.xml": text}, RAW)
+
+
+def unrectified(folder: Path) -> Path:
+    return write_kitti(folder).rename(folder / "2011_09_26_drive_0005_extract")
+
+
 WITH_HOLES: list[tuple[Callable[[Path], Path], int, int, tuple[str, ...]]] = [
-    (dgp_with_holes, 1, 2, ("1.jpg: no such picture", "2.jpg: the picture is cut off", "0.npz: not a", "ont.json")),
-    (nuscenes_with_holes, 1, 2, ("-1.jpg: no such picture", "not rows of 5", "a-scene-0061-0 left out", "ego pose")),
-    (nuscenes_without_annotations, 3, 3, ("sample_annotation.json: this table of nuScenes is missing",)),
-    (infos_with_holes, 1, 1, ("'ego2global'", "CAM_FRONT of sample 1 left out: 1.jpg", "0.pcd.bin left")),
-    (kitti_with_holes, 1, 1, ("0000000001.txt", "0000000002.bin", "the picture is cut off", "image_03 left out")),
-    (kitti_with_tracklets('<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>'),
-     3, 3, ("boxes left out", "defines entities")),
-    (kitti_with_tracklets("<boost_serialization><tracklets>"), 3, 3, ("boxes left out",)),
-    (kitti_with_tracklets("<x><tracklets><item><h>one</h></item></tracklets></x>"), 3, 3, ("boxes left out",)),
-    (odometry_with_holes, 3, 1, ("image_3 has pictures of 1 moments, another camera of 2", "00.txt: line 3",
-                                 "image_3/000001.jpg left out", "velodyne/000000.bin left out")),
-    (records_cut_off, 2, 2, ("cut off",)),
+    (damaged(write_dgp, {
+        "scene_07/rgb/CAM/1.jpg": None,
+        "scene_07/rgb/CAM/2.jpg": cut(20),
+        "scene_07/point_cloud/LIDAR/0.npz": b"PK\x03\x04 not an archive",
+        "scene_07/ontology/ont.json": b"{",
+    }), 1, 2, ("1.jpg: no such picture", "2.jpg: the picture is cut off", "0.npz: not a", "ont.json")),
+    (damaged(write_nuscenes, {
+        "samples/CAM_FRONT/scene-0061-1.jpg": None,
+        "samples/LIDAR_TOP/scene-0061-2.pcd.bin": b"123",
+        "v1.0-mini/sample_annotation.json": edited(lambda rows: rows[0].update(size=[0.0, 1.0, 1.0])),
+        "v1.0-mini/sample_data.json": edited(lambda rows: rows[4].update(ego_pose_token="nowhere")),
+    }), 1, 2, ("-1.jpg: no such picture", "not rows of 5", "a-scene-0061-0 left out", "ego pose")),
+    (damaged(write_nuscenes, {"v1.0-mini/sample_annotation.json": None}), 3, 3, ("sample_annotation.json: this",)),
+    (damaged(write_infos, {
+        "samples/CAM_FRONT/1.jpg": None,
+        "samples/LIDAR_TOP/0.pcd.bin": None,
+        INFOS: edited(lambda values: values["data_list"][2].pop("ego2global"), pickle),
+    }), 1, 1, ("'ego2global'", "CAM_FRONT of sample 1 left out: 1.jpg", "0.pcd.bin left")),
+    (damaged(write_kitti, {
+        f"{RAW}/oxts/data/0000000001.txt": b"90 8 100 0 0 0",  # the pole, which is not on the map
+        f"{RAW}/velodyne_points/data/0000000002.bin": b"12345",
+        f"{RAW}/image_02/data/0000000002.jpg": cut(20),
+    }), 1, 1, ("0000000001.txt", "0000000002.bin", "the picture is cut off")),
+    (tracklets(b'<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>'), 3, 3, ("defines entities",)),
+    (tracklets(b"<x><tracklets><item><h>one</h></item></tracklets></x>"), 3, 3, ("boxes left out",)),
+    (damaged(write_sequence, {
+        "sequences/00/image_3/000001.jpg": b"",
+        "sequences/00/velodyne/000000.bin": b"12",
+        "poses/00.txt": lambda text: b"\n".join([*text.splitlines()[:2], b"1 2 3"]),
+    }), 3, 1, ("image_3 has pictures of 1 moments, another camera of 2", "00.txt: line 3",
+               "image_3/000001.jpg left out", "velodyne/000000.bin left out")),
+    (damaged(write_records, {"some.tfrecord": cut(100)}), 2, 2, ("cut off",)),
     (records_with(without_calibration), 2, 3, ("FRONT of frame 1 left out: its calibration",)),
-    (records_with(mirrored), 2, 2, ("frame 1 left out: a pose must be a rotation",)),
+    (records_with(lambda frame: frame.pose.transform.__setitem__(0, 9.0)), 2, 2, ("frame 1 left out: a",)),
     (records_with(with_range_image(zlib.compress(bytes(40_000_000)))), 3, 2, ("TOP of frame 1 left out",)),
-    (records_with(with_range_image(matrix_message(np.ones((3, 5, 4), np.float32)))), 3, 2, ("TOP of frame 1",)),
-    (tables_with(table_value("camera_image", "[CameraImageComponent].image", lambda image: image[:-30])),
-     2, 3, ("0001_FRONT left out: the picture is cut off",)),
-    (tables_with(table_value("lidar", "[LiDARComponent].range_image_return1.shape", lambda _: [3, 5, 4])),
-     3, 2, ("says that its shape is (3, 5, 4)",)),
-    (tables_with(table_value("lidar_box", "key.frame_timestamp_micros", lambda _: 5)), 3, 3, ("box car left out",)),
+    (cell("camera_image", "[CameraImageComponent].image", cut(30)), 2, 3, ("0001_FRONT left out: the picture",)),
+    (cell("lidar", "[LiDARComponent].range_image_return1.shape", lambda _: [3, 5, 4]), 3, 2, ("shape is (3, 5, 4)",)),
+    (cell("lidar_box", "key.frame_timestamp_micros", lambda _: 5), 3, 3, ("box car left out",)),
     (tables_with(second_camera_mirrored), 3, 3, ("FRONT_LEFT left out: a pose must be a rotation",)),
     (tables_with(only_pictures), 3, 0, ("boxes left out",)),
 ]  # fmt: skip
@@ -459,74 +421,21 @@ def test_what_is_missing_is_named_and_the_rest_is_used(
         assert capture.boxes[0].class_name == "class 4"
 
 
-# Damage that costs the drive
-
-
-def dgp_of_an_unknown_lens(folder: Path) -> Path:
-    return write_dgp(folder, MiniDrive(), {"xi": 0.7})
-
-
-def nuscenes_tables(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        tables = write_nuscenes(folder, MiniDrive())
-        change(tables)
-        write_tables(folder, tables)
-        return folder
-
-    return write
-
-
-def with_zero_turns(tables: dict[str, Any]) -> None:
-    for row in tables["ego_pose"]:
-        row["rotation"] = [0.0, 0.0, 0.0, 0.0]
-
-
-def kitti_calibration_without_place(folder: Path) -> Path:
-    drive = write_kitti(folder, drive_on_the_road())
-    file = folder / "calib_velo_to_cam.txt"
-    file.write_text(file.read_text().replace("T:", "U:"))
-    return drive
-
-
-def kitti_without_calibration(folder: Path) -> Path:
-    drive = write_kitti(folder, drive_on_the_road())
-    (folder / "calib_velo_to_cam.txt").unlink()
-    return drive
-
-
-def kitti_unrectified(folder: Path) -> Path:
-    return write_kitti(folder, drive_on_the_road()).rename(folder / "2011_09_26_drive_0005_extract")
-
-
-def sequence_without_poses(folder: Path) -> Path:
-    sequence = write_sequence(folder, "11")
-    (folder / "poses/11.txt").unlink()
-    return sequence
-
-
-def records_of_another_kind(folder: Path) -> Path:
-    (folder / "some.tfrecord").write_bytes(framed(b"\xff\xff no message"))
-    return folder
-
-
-def tables_cut_off(folder: Path) -> Path:
-    write_segment(folder, segment_tables(MiniDrive()))
-    file = folder / "vehicle_pose" / f"{SEGMENTS[0]}.parquet"
-    file.write_bytes(file.read_bytes()[:-9])
-    return folder
-
-
+NO_PROJECTION = b"P_rect_02:" + b" 0" * 12
 REFUSED: list[tuple[Callable[[Path], Path], str]] = [
-    (dgp_of_an_unknown_lens, "no picture that can be used.*xi in the calibration"),
-    (nuscenes_tables(lambda tables: tables["sample"].clear()), "of none of its 1 scenes"),
-    (nuscenes_tables(lambda tables: tables["ego_pose"][1].update(rotation=[1, 0, 0])), r"ego_pose.json: .*rotation"),
-    (nuscenes_tables(with_zero_turns), "its quaternion not zero"),
-    (kitti_calibration_without_place, "calib_velo_to_cam.txt: expected 3 finite numbers at T"),
-    (kitti_without_calibration, "calib_velo_to_cam.txt: no such file"),
-    (kitti_unrectified, "not rectified"),
-    (sequence_without_poses, r"11\.txt: no poses of this sequence.*COLMAP"),
-    (records_of_another_kind, r"some\.tfrecord: not a message"),
-    (tables_cut_off, "vehicle_pose"),
+    (partial(write_dgp, camera_lens={"xi": 0.7}), "no picture that can be used.*xi in the calibration"),
+    (damaged(write_nuscenes, {"v1.0-mini/sample.json": b"[]"}), "of none of its 1 scenes"),
+    (damaged(write_nuscenes, {"v1.0-mini/ego_pose.json": edited(lambda rows: rows[1].update(rotation=[1, 0, 0]))}),
+     r"ego_pose.json: .*rotation"),
+    (damaged(write_kitti, {"calib_velo_to_cam.txt": lambda text: text.replace(b"T:", b"U:")}, RAW),
+     "calib_velo_to_cam.txt: expected 3 finite numbers at T"),
+    (damaged(write_kitti, {"calib_cam_to_cam.txt": lambda text: text.partition(b"P_rect")[0] + NO_PROJECTION}, RAW),
+     "its projection matrix"),
+    (damaged(write_kitti, {"calib_velo_to_cam.txt": None}, RAW), "calib_velo_to_cam.txt: no such file"),
+    (unrectified, "not rectified"),
+    (damaged(write_sequence, {"poses/00.txt": None}, "sequences/00"), r"00\.txt: no poses of this sequence.*COLMAP"),
+    (damaged(write_records, {"some.tfrecord": framed(b"\xff\xff no message")}), r"some\.tfrecord: not a message"),
+    (damaged(write_waymo_tables, {f"training/vehicle_pose/{SEGMENTS[0]}.parquet": cut(9)}), "vehicle_pose"),
     (tables_with(lambda tables: tables.update(vehicle_pose=[{"key.frame_timestamp_micros": 1}])),
      r"has no column '\[VehiclePoseComponent\]"),
 ]  # fmt: skip
@@ -538,13 +447,6 @@ def test_drives_that_nothing_can_be_made_of_are_refused(
 ) -> None:
     with pytest.raises(CaptureError, match=named):
         open_capture(write(tmp_path))
-
-
-def test_of_several_sequences_one_with_poses_is_read(tmp_path: Path) -> None:
-    sequence_without_poses(tmp_path)
-    write_sequence(tmp_path, "04")
-    capture = open_capture(tmp_path)
-    assert capture.name == "04" and "sequences/11" in capture.problems[0]
 
 
 @pytest.mark.parametrize(
@@ -578,12 +480,19 @@ def infos(test_data: Path) -> Capture:
     return open_capture(test_data / "driving" / "nuscenes_sample")
 
 
-@pytest.fixture(scope="module")
-def waymo(test_data: Path) -> Capture:
-    return open_capture(test_data / "driving" / "waymo_frame")
+def assert_road_below(capture: Capture) -> None:
+    """The road near the car is where the lidar sees it: the world is level, and the ego stands above."""
+    near = [sweep.points_m[np.hypot(*(sweep.points_m - sweep.origin_m)[:, :2].T) < 8] for sweep in capture.sweeps]
+    assert abs(np.median(np.concatenate(near)[:, 2]) + EGO_HEIGHT_M) < 0.15
 
 
-def test_a_real_scene_of_dgp(dgp: Capture) -> None:
+def points_in_boxes(capture: Capture, boxes: list[tuple[int, float]]) -> list[int]:
+    """Number of points of the sweep at a time in each box."""
+    at = {sweep.time_s: sweep.points_m for sweep in capture.sweeps}
+    return [points_inside(capture, at[time_s], box, time_s) for box, time_s in boxes]
+
+
+def test_a_real_scene_of_dgp(dgp: Capture, test_data: Path) -> None:
     assert len(dgp) == 18
     assert dgp.sensors == tuple(f"CAMERA_{number:02d}" for number in (1, 5, 6, 7, 8, 9))
     assert [len(sweep.points_m) for sweep in dgp.sweeps] == [47230, 49469, 48620]
@@ -592,41 +501,32 @@ def test_a_real_scene_of_dgp(dgp: Capture) -> None:
     assert dgp.ego is not None
     steps = np.linalg.norm(np.diff(dgp.ego.positions, axis=0), axis=1)
     np.testing.assert_allclose(steps, [1.26, 1.28], atol=0.01)
-    # The road below the car is where the lidar sees it: the world is level, and the ego stands above.
-    near = np.concatenate([s.points_m[np.hypot(*(s.points_m - s.origin_m)[:, :2].T) < 6] for s in dgp.sweeps])
-    assert abs(np.median(near[:, 2]) + EGO_HEIGHT_M) < 0.1
-
-
-def test_real_boxes_of_dgp_hold_the_points_that_their_annotation_counted(dgp: Capture, test_data: Path) -> None:
-    folder = test_data / "driving" / "dgp" / "scene_02" / "bounding_box_3d" / "LIDAR"
+    assert_road_below(dgp)
+    # Boxes hold the points that their annotation counted; the public cloud is one point of five.
+    files = sorted((test_data / "driving" / "dgp" / "scene_02" / "bounding_box_3d" / "LIDAR").iterdir())
     ids = [box.id for box in dgp.boxes]
-    counted: list[int] = []
-    held: list[int] = []
-    for file, sweep in zip(sorted(folder.iterdir()), dgp.sweeps, strict=True):
-        for row in json.loads(file.read_text())["annotations"]:
-            counted.append(row["num_points"])
-            held.append(points_inside(dgp, sweep.points_m, ids.index(str(row["instance_id"])), sweep.time_s))
-    assert np.mean(held) > 5
-    assert np.corrcoef(counted, held)[0, 1] > 0.99
-    # The public cloud is one point of five of what was annotated.
+    rows = [
+        (row["num_points"], ids.index(str(row["instance_id"])), sweep.time_s)
+        for file, sweep in zip(files, dgp.sweeps, strict=True)
+        for row in json.loads(file.read_text())["annotations"]
+    ]
+    counted, held = [row[0] for row in rows], points_in_boxes(dgp, [row[1:] for row in rows])
+    assert np.mean(held) > 5 and np.corrcoef(counted, held)[0, 1] > 0.99
     assert sum(held) / sum(counted) == pytest.approx(0.2, abs=0.02)
 
 
 def test_a_real_sample_of_nuscenes(infos: Capture, test_data: Path) -> None:
     assert (len(infos), infos.problems, len(infos.boxes)) == (6, (), 69)
     assert infos[0].image.shape == (900, 1600, 3)
-    sweep = infos.sweeps[0]
-    assert sweep.points_m.shape == (34688, 3)
+    assert infos.sweeps[0].points_m.shape == (34688, 3)
     assert {box.class_name for box in infos.boxes} >= {"car", "pedestrian", "barrier", "unknown"}
-    near = sweep.points_m[np.hypot(*sweep.points_m[:, :2].T) < 10]
-    assert abs(np.median(near[:, 2]) + EGO_HEIGHT_M) < 0.15
-    heights = {view.sensor: view.camera.position[2] + EGO_HEIGHT_M for view in infos}
-    assert all(1.4 < height < 1.7 for height in heights.values()), heights
+    assert_road_below(infos)
+    heights = [view.camera.position[2] + EGO_HEIGHT_M for view in infos]
+    assert all(1.4 < height < 1.7 for height in heights), heights
     file = next((test_data / "driving" / "nuscenes_sample").glob("*.pkl"))
     counted = [int(row["num_lidar_pts"]) for row in read_pickle(file)["data_list"][0]["instances"]]
-    held = [points_inside(infos, sweep.points_m, k, sweep.time_s) for k in range(len(infos.boxes))]
-    assert np.mean(held) > 5
-    assert np.mean(np.abs(np.subtract(held, counted)) <= 2) > 0.9
+    held = points_in_boxes(infos, [(k, infos.sweeps[0].time_s) for k in range(len(infos.boxes))])
+    assert np.mean(held) > 5 and np.mean(np.abs(np.subtract(held, counted)) <= 2) > 0.9
     assert sum(held) == pytest.approx(sum(counted), rel=0.03)
 
 
@@ -641,33 +541,15 @@ def test_real_lidar_falls_on_edges_of_the_pictures(
     assert all(found[0.0] > ratio * found[angle] for angle in found if angle), found
 
 
-def test_a_real_frame_of_waymo(waymo: Capture) -> None:
+def test_a_real_frame_of_waymo(test_data: Path) -> None:
+    waymo = open_capture(test_data / "driving" / "waymo_frame")
     assert waymo.name == "1024360143612057520_3580_000_3600_000"
     assert waymo.sensors == ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT")
     assert [view.image.shape for view in waymo] == [(1280, 1920, 3)] * 3 + [(886, 1920, 3)] * 2
     assert [round(view.camera.exposure_s * 1000, 1) for view in waymo] == [2.6, 2.6, 2.7, 3.9, 3.1]
     assert len(waymo.boxes) == 75 and not waymo.sweeps and not waymo.problems
-    assert {box.class_name for box in waymo.boxes} == {"vehicle", "pedestrian", "sign", "cyclist"}
     heights = [view.camera.position[2] + EGO_HEIGHT_M for view in waymo]
     assert all(2.0 < height < 2.2 for height in heights), heights
-
-
-def test_real_boxes_of_waymo_fall_where_things_are(waymo: Capture) -> None:
-    """The front camera's pedestrians cross the street: dark clothes before a light road, left of the middle."""
-    front = waymo[0]
-    people: list[tuple[float, float]] = []
-    for box in waymo.boxes:
-        pose = box.track.pose(front.time_s)
-        assert pose is not None
-        pixels, depths = project_points((pose[:3, 3] + [0, 0, box.size_lwh[2] / 2])[None], front.camera, front.lens)
-        if box.class_name == "pedestrian" and 0 < depths[0] < 14 and 0 < pixels[0, 0] < 1920:
-            people.append((pixels[0, 0], pixels[0, 1]))
-    assert len(people) == 2
-    grey = front.image.mean(axis=2)
-    for column, row in people:
-        rows = slice(int(row) - 120, int(row) + 120)
-        body = grey[rows, int(column) - 40 : int(column) + 40].min(axis=1).mean()
-        assert body < 0.6 * grey[rows, int(column) + 260 : int(column) + 340].min(axis=1).mean()
 
 
 def test_real_vehicle_poses_of_waymo(test_data: Path) -> None:
@@ -677,6 +559,4 @@ def test_real_vehicle_poses_of_waymo(test_data: Path) -> None:
     assert not log.problems and len(times) == 199
     assert np.diff(times).mean() == pytest.approx(100_000, abs=100)
     assert np.linalg.norm(np.diff([poses[time][:3, 3] for time in times], axis=0), axis=1).max() < 0.2
-    for time in times:
-        np.testing.assert_allclose(poses[time][:3, :3] @ poses[time][:3, :3].T, np.eye(3), atol=1e-12)
-        assert poses[time][2, 2] > 0.99  # it stays level
+    assert min(pose[2, 2] for pose in poses.values()) > 0.99  # it stays level

@@ -1,9 +1,10 @@
 """Paths that are no capture, or lead out of one: the nearest kind is named, and outside files need a permission."""
 
 import json
-import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -16,55 +17,11 @@ from gsrain_engine.datasets.layout_hints import nearest_layout
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene
-from mini_drive import MiniDrive
 
 from .sample_captures import INTRINSICS, opengl_pose, views
-from .sample_drives import (
-    drive_on_the_road,
-    write_dgp,
-    write_infos,
-    write_kitti,
-    write_nuscenes,
-    write_sequence,
-    write_tables,
-)
+from .sample_drives import RAW, damaged, edited, write_dgp, write_infos, write_kitti, write_nuscenes, write_sequence
 
 # What is nearest to a folder that is no capture
-
-
-def kitti_without_oxts(folder: Path) -> Path:
-    drive = write_kitti(folder, drive_on_the_road())
-    shutil.rmtree(drive / "oxts")
-    return drive
-
-
-def kitti_day_without_oxts(folder: Path) -> Path:
-    return kitti_without_oxts(folder).parent
-
-
-def kitti_without_calibration(folder: Path) -> Path:
-    drive = kitti_without_oxts(folder)
-    for file in folder.glob("calib_*.txt"):
-        file.unlink()
-    return drive
-
-
-def sequence_without_times(folder: Path) -> Path:
-    sequence = write_sequence(folder)
-    (sequence / "times.txt").unlink()
-    return sequence
-
-
-def nuscenes_without_sample_data(folder: Path) -> Path:
-    write_nuscenes(folder, MiniDrive())
-    (folder / "v1.0-mini" / "sample_data.json").unlink()
-    return folder
-
-
-def colmap_without_images(folder: Path) -> Path:
-    write_binary(folder / "sparse" / "0")
-    (folder / "sparse" / "0" / "images.bin").unlink()
-    return folder
 
 
 def files(contents: dict[str, bytes]) -> Callable[[Path], Path]:
@@ -77,15 +34,21 @@ def files(contents: dict[str, bytes]) -> Callable[[Path], Path]:
     return write
 
 
+def colmap_model(folder: Path) -> None:
+    write_binary(folder / "sparse" / "0")
+
+
+NO_OXTS, NO_CALIBRATION = {f"{RAW}/oxts": None}, {f"calib_{name}.txt": None for name in ("cam_to_cam", "velo_to_cam")}
+NO_IMAGES = damaged(colmap_model, {"sparse/0/images.bin": None})
 SCENES = files(dict.fromkeys(("cat.splat", "dog.spz", "meta.json", "notes.txt"), b"{}"))
 PHONE = files({"IMG_1.HEIC": b"\0\0\0\x18ftypheic"})
 NEAREST: list[tuple[Callable[[Path], Path], str]] = [
-    (kitti_without_oxts, "KITTI raw without oxts"),
-    (kitti_day_without_oxts, "KITTI raw without oxts"),
-    (kitti_without_calibration, "KITTI raw without oxts and calib_cam_to_cam.txt"),
-    (sequence_without_times, "KITTI odometry without times.txt"),
-    (nuscenes_without_sample_data, "nuScenes without v1.0-*/sample_data.json"),
-    (colmap_without_images, "COLMAP without images.bin"),
+    (damaged(write_kitti, NO_OXTS, RAW), "KITTI raw without oxts"),
+    (damaged(write_kitti, NO_OXTS), "KITTI raw without oxts"),
+    (damaged(write_kitti, NO_OXTS | NO_CALIBRATION, RAW), "KITTI raw without oxts and calib_cam_to_cam.txt"),
+    (damaged(write_sequence, {"sequences/00/times.txt": None}, "sequences/00"), "KITTI odometry without times.txt"),
+    (damaged(write_nuscenes, {"v1.0-mini/sample_data.json": None}), "nuScenes without v1.0-*/sample_data.json"),
+    (NO_IMAGES, "COLMAP without images.bin"),
     (files({"cameras.json": b"[]"}), "capture folder without pictures"),
     (files({"meta.json": b'{"title": "my pictures"}'}), "SOG without its pictures (*.webp)"),
     (SCENES, "a folder of scenes (give one of the files in it: cat.splat, dog.spz)"),
@@ -97,18 +60,12 @@ NEAREST: list[tuple[Callable[[Path], Path], str]] = [
 def test_the_nearest_kind_is_named(
     tmp_path: Path, write: Callable[[Path], Path], kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = write(tmp_path)
-    with pytest.raises(CaptureError) as error:
-        open_capture(path)
-    assert f"nearest is {kind}" in str(error.value)
-    assert run(["info", str(path)]) == BAD_INPUT
+    assert run(["info", str(write(tmp_path))]) == BAD_INPUT
     printed = capsys.readouterr().err
-    assert kind in printed and printed.count("\n") == 1
+    assert f"nearest is {kind}" in printed and printed.count("\n") == 1
 
 
-def test_paths_that_are_near_to_nothing_are_refused_in_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_paths_that_are_near_to_nothing_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_pictures(tmp_path / "garden")
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "notes.txt").write_text("no capture")
@@ -131,29 +88,26 @@ def test_paths_that_are_near_to_nothing_are_refused_in_one_sentence(
 
 
 def test_pictures_that_are_opened_or_left_out_are_explained(tmp_path: Path) -> None:
-    write_pictures(colmap_without_images(tmp_path / "a") / "images")
+    write_pictures(NO_IMAGES(tmp_path / "a") / "images")
     capture = open_capture(tmp_path / "a")
     assert not capture.has_poses
     assert any("nearest to the folder is COLMAP without images.bin" in each for each in capture.problems)
     write_pictures(PHONE(tmp_path / "b"))
     Image.new("RGB", (8, 8)).save(tmp_path / "b" / "small.webp")  # a picture in WebP makes no SOG
-    problems = open_capture(tmp_path / "b").problems
-    assert any("1 more picture is left out" in each and "IMG_1.HEIC" in each for each in problems)
-    assert not any("nearest" in each for each in problems)
+    problems = "\n".join(open_capture(tmp_path / "b").problems)
+    assert "1 more picture is left out" in problems and "IMG_1.HEIC" in problems and "nearest" not in problems
 
 
-def test_a_folder_too_high_names_the_captures_below_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_too_high_names_the_captures_and_scenes_below_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_sequence(tmp_path / "data" / "drives" / "first")
     write_pictures(tmp_path / "data" / "thumbs")
-    for path in (tmp_path / "data", tmp_path / "data" / "drives"):
-        name = "drives/first" if path.name == "data" else "first"
-        assert run(["info", str(path)]) == BAD_INPUT
+    for below, name in (("data", "drives/first"), ("data/drives", "first")):
+        assert run(["info", str(tmp_path / below)]) == BAD_INPUT
         assert f"give a folder in it: {name} (KITTI odometry)" in capsys.readouterr().err
     assert run(["transfer", str(tmp_path), "-o", str(tmp_path / "out")]) == BAD_INPUT
     assert "give a folder in it: data/thumbs (image folder)" in capsys.readouterr().err
-
-
-def test_a_scene_is_asked_for_by_its_name_where_a_folder_holds_some(tmp_path: Path) -> None:
     with pytest.raises(SceneFormatError, match=r"give one of the files in it: cat.splat, dog.spz$"):
         read_scene(SCENES(tmp_path / "a"))
     trained = {f"point_cloud/iteration_{number}/point_cloud.ply": b"ply\n" for number in (7000, 30000)}
@@ -181,17 +135,15 @@ def nerfstudio(folder: Path, name: str, field: str = "") -> None:
     (folder / "transforms.json").write_text(json.dumps(values))
 
 
-def colmap(folder: Path, name: str) -> None:
-    write_binary(folder / "sparse" / "0", ("a.png", name))
+def colmap(folder: Path, name: str, write: Any = write_binary, below: str = "sparse/0") -> None:
+    write(folder / below, ("a.png", name))
     write_pictures(folder / "images", ("a.png",))
 
 
-def colmap_text(folder: Path, name: str) -> None:
-    write_text(folder / "sparse", ("a.png", name))
-    write_pictures(folder / "images", ("a.png",))
+TEXT = partial(colmap, write=write_text, below="sparse")
 
 
-@pytest.mark.parametrize(("write", "up"), [(nerfstudio, "../"), (colmap, "../../"), (colmap_text, "../../")])
+@pytest.mark.parametrize(("write", "up"), [(nerfstudio, "../"), (colmap, "../../"), (TEXT, "../../")])
 @pytest.mark.parametrize("kind", ["absolute", "dots", "link"])
 def test_pictures_elsewhere_are_refused_unless_allowed(
     place: Path, write: Callable[[Path, str], None], up: str, kind: str, capsys: pytest.CaptureFixture[str]
@@ -203,13 +155,12 @@ def test_pictures_elsewhere_are_refused_unless_allowed(
         (place / ("" if write is nerfstudio else "images") / "b.png").symlink_to(secret)
     with pytest.raises(OutsideError, match="leads out of .*--allow-outside"):
         open_capture(place)
-    assert run(["info", str(place)]) == BAD_INPUT
-    printed = capsys.readouterr().err
-    assert name in printed and printed.count("\n") == 1
     capture = open_capture(place, allow_outside=True)
     assert len(capture) == 2 and any(view.image[0, 0].tolist() == [250, 10, 10] for view in capture)
     assert run(["info", str(place), "--allow-outside"]) == 0
     assert run(["info", str(place)]) == BAD_INPUT, "what one command allows ends with it"
+    printed = capsys.readouterr().err
+    assert name in printed and printed.count("\n") == 1
 
 
 def linked_pictures(folder: Path) -> None:
@@ -227,61 +178,46 @@ def linked_mask(folder: Path) -> None:
 
 def own_folder(folder: Path) -> None:
     list(write_views(folder, views()))
-    rows = json.loads((folder / "cameras.json").read_text())
-    rows[1]["name"] = "../secret"
-    (folder / "cameras.json").write_text(json.dumps(rows))
-
-
-def nuscenes(folder: Path) -> None:
-    tables = write_nuscenes(folder, MiniDrive())
-    tables["sample_data"][0]["filename"] = "samples/../../secret.png"
-    write_tables(folder, tables)
 
 
 def infos(folder: Path) -> None:
-    write_infos(folder, MiniDrive(), "1.x")
+    write_infos(folder)
     picture = folder / "samples" / "CAM_FRONT" / "0.jpg"
     picture.rename(folder.parent / "0.jpg")
     picture.symlink_to(folder.parent / "0.jpg")
 
 
-def dgp(named: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        file = write_dgp(folder, MiniDrive())
-        values, out = json.loads(file.read_text()), "../../../outside"
-        cloud, image = (next(iter(datum["datum"].values())) for datum in values["data"][:2])
-        holder, key = {
-            "picture": (image, "filename"),
-            "cloud": (cloud, "filename"),
-            "boxes": (cloud["annotations"], "1"),
-            "calibration": (values["samples"][0], "calibration_key"),
-            "ontology": (values["ontologies"], "1"),
-            "scene": ({}, ""),
-        }[named]
-        holder[key] = out
-        file.write_text(json.dumps(values))
-        if named == "scene":
-            splits = {"0": {"filenames": ["../scene_abc.json", "scene_07/scene_abc.json"]}}
-            (folder / "scene_dataset_v1.json").write_text(json.dumps({"scene_splits": splits}))
+def dgp(change: Callable[[Any], object]) -> Callable[[Path], Path]:
+    return damaged(write_dgp, {"scene_07/scene_abc.json": edited(change)})
 
-    return write
+
+OUT = "../../../outside"
+ELSEWHERE = edited(lambda rows: rows[1].update(name="../secret"))
+FIRST_FILE = edited(lambda rows: rows[0].update(filename="samples/../../secret.png"))
+SCENE = b'{"scene_splits": {"0": {"filenames": ["../scene_abc.json", "scene_07/scene_abc.json"]}}}'
 
 
 @pytest.mark.parametrize(
     ("write", "name"),
     [
-        *((lambda folder, field=field: nerfstudio(folder, "a.png", field), "secret.png")
+        *((partial(nerfstudio, name="a.png", field=field), "secret.png")
           for field in ("mask_path", "depth_file_path", "ply_file_path")),
         (linked_pictures, "images"),
         (linked_mask, "masks"),
-        (own_folder, "secret"),
-        (nuscenes, "secret"),
+        (damaged(own_folder, {"cameras.json": ELSEWHERE}), "secret"),
+        (damaged(write_nuscenes, {"v1.0-mini/sample_data.json": FIRST_FILE}), "secret"),
         (infos, "0.jpg"),
-        *((dgp(named), "leads out of")
-          for named in ("picture", "cloud", "boxes", "calibration", "ontology", "scene")),
+        (damaged(write_dgp, {"scene_dataset_v1.json": SCENE}), "scene_abc"),
+        *((dgp(change), "outside") for change in (
+            lambda values: values["data"][0]["datum"]["point_cloud"].update(filename=OUT),
+            lambda values: values["data"][0]["datum"]["point_cloud"]["annotations"].update({"1": OUT}),
+            lambda values: values["data"][1]["datum"]["image"].update(filename=OUT),
+            lambda values: values["samples"][0].update(calibration_key=OUT),
+            lambda values: values["ontologies"].update({"1": OUT}),
+        )),
     ],
 )  # fmt: skip
-def test_every_file_that_a_capture_names_is_looked_at(place: Path, write: Callable[[Path], None], name: str) -> None:
+def test_every_file_that_a_capture_names_is_checked(place: Path, write: Callable[[Path], None], name: str) -> None:
     write(place)
     with pytest.raises(OutsideError, match=name):
         open_capture(place)

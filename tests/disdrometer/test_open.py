@@ -32,31 +32,23 @@ def read(folder: Path, *lines: str, end: str = "\n") -> DisdrometerReading:
 
 
 @pytest.mark.parametrize("dialect", (*STATING_DIALECTS, *SILENT_DIALECTS))
-def test_parsivel_records_come_back_from_every_dialect(dialect, tmp_path):
-    reading = read(tmp_path, *dialect(ROWS), "", end="\r\n")
-    found, seconds = reading.spectra, 60 if dialect in STATING_DIALECTS else 30
-    assert (found.instrument, reading.skipped, reading.drops) == ("OTT Parsivel", (), None)
-    np.testing.assert_array_equal(found.counts, [rain(), DRY, rain()])
-    np.testing.assert_array_equal(found.seconds, np.full(3, seconds))
-    np.testing.assert_array_equal(found.reported_mm_h, [0.772, 0, 1.544])
-    np.testing.assert_array_equal(found.times, np.array([time for time, _, _ in ROWS], "M8[ms]"))
-    np.testing.assert_allclose(found.rate_mm_h, np.array([RAIN_MM_H, 0, RAIN_MM_H]) * 60 / seconds, rtol=1e-4)
-
-
-@pytest.mark.parametrize("dialect", (*STATING_DIALECTS, *SILENT_DIALECTS))
-def test_a_log_that_is_cut_off_keeps_its_whole_records(dialect, tmp_path):
-    """Recording began again in between, and the last record ends anywhere."""
-    again = dialect([("2024-02-19 01:00:00", "NAN", DRY)])
-    text = "\n".join([*dialect(ROWS), *again])
-    last = len("\n".join([*dialect(ROWS), *again[:-1]]))
-    if dialect is parsivel_text.telegrams:
-        last = text.rindex("01:NAN")
-    whole = read(tmp_path, *text.split("\n"))
+def test_parsivel_records_come_back_from_every_dialect_whole_and_cut_off(dialect, tmp_path):
+    """Recording begins again after three records, and the fourth ends anywhere."""
+    last = dialect([("2024-02-19 01:00:00", "NAN", DRY)])
+    text = "\n".join([*dialect(ROWS), *last])
+    start = text.rindex("01:NAN") if dialect is parsivel_text.telegrams else len(text) - len(last[-1])
+    whole = read(tmp_path, *text.split("\n"), "", end="\r\n")
     assert len(whole.spectra) == 4 and whole.skipped == () and np.isnan(whole.spectra.reported_mm_h[-1])
-    for cut in np.linspace(last + 10, len(text) - 40, 5).astype(int):
+    for cut in np.linspace(start + 10, len(text) - 40, 4).astype(int):
         reading = read(tmp_path, *text[:cut].split("\n"))
-        np.testing.assert_array_equal(reading.spectra.counts, whole.spectra.counts[:3])
         assert len(reading.skipped) == 1
+        found, seconds = reading.spectra, 60 if dialect in STATING_DIALECTS else 30
+        assert (found.instrument, reading.drops) == ("OTT Parsivel", None)
+        np.testing.assert_array_equal(found.counts, [rain(), DRY, rain()])
+        np.testing.assert_array_equal(found.seconds, np.full(3, seconds))
+        np.testing.assert_array_equal(found.reported_mm_h, [0.772, 0, 1.544])
+        np.testing.assert_array_equal(found.times, np.array([time for time, _, _ in ROWS], "M8[ms]"))
+        np.testing.assert_allclose(found.rate_mm_h, np.array([RAIN_MM_H, 0, RAIN_MM_H]) * 60 / seconds, rtol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -85,15 +77,13 @@ def test_bad_records_are_left_out_and_named(tmp_path):
         station_line(22, rate="inf"): "rain rate is inf",
         station_line(23).replace(";00060;", ";9999;"): "sample interval is 9999",
         station_line(99): "time '20190410230799'",
-        "\x00\x01\x02 noise": "begin with a time",
     }
     reading = read(tmp_path, good, *damage, "", station_line(24), station_line(24), station_line(19))
-    np.testing.assert_array_equal(reading.spectra.counts, [DRY, rain(), DRY])
-    assert (np.diff(reading.spectra.times) > np.timedelta64(0)).all()  # in order of time
-    for line, (sentence, words) in enumerate(zip(reading.skipped, damage.values(), strict=False), 2):
-        assert sentence.startswith(f"line {line}: ") and words in sentence
-    assert reading.skipped[-1].startswith("line 14: the record of 2019-04-10T23:07:24.000")  # it is there twice
-    assert len(reading.skipped) == len(damage) + 1
+    np.testing.assert_array_equal(reading.spectra.counts, [DRY, rain(), DRY])  # in order of time
+    reasons = [*damage.values(), "the record of 2019-04-10T23:07:24.000"]  # that one is there twice
+    lines = [*range(2, 11), 13]
+    for sentence, line, reason in zip(reading.skipped, lines, reasons, strict=True):
+        assert sentence.startswith(f"line {line}: ") and reason in sentence
 
 
 def thies_line(second: int, *, rate: str = "000.000", counts: str = "", extra: str = "") -> str:
@@ -105,18 +95,15 @@ def test_thies_telegrams_bare_logged_and_short(tmp_path):
     counts = np.zeros((22, 20), int)
     counts[6, 11] = 60  # 1.25 to 1.5 mm at 4.2 to 5 m/s
     text = ";".join(f"{count:03d}" for count in counts.ravel())
-    lines = [
-        thies_line(0, rate="001.072", counts=text, extra="8A"),
-        '"2024-04-14 00:01:00",552609,"' + thies_line(30, counts=text, extra='+00.2;99999;8A"'),
-        "\x02" + thies_line(20)[:400],
-    ]
-    reading = read(tmp_path, "a header", *lines)
+    bare = thies_line(0, rate="001.072", counts=text, extra="8A")
+    logged = '"2024-04-14 00:01:00",552609,"' + thies_line(30, counts=text, extra='+00.2;99999;8A"')
+    reading = read(tmp_path, "a header", bare, logged, "\x02" + thies_line(20)[:400])
     np.testing.assert_array_equal(reading.spectra.counts, [counts, counts])
     times = np.array(["2021-09-15T07:00:00", "2024-04-14T00:01:00"], "M8[ms]")
     np.testing.assert_array_equal(reading.spectra.times, times)
     np.testing.assert_allclose(reading.spectra.rate_mm_h, np.pi / 6 * 1.375**3 * 60 / 4560 * 60)
     np.testing.assert_array_equal(reading.spectra.reported_mm_h, [1.072, 0])
-    assert [each.partition(": ")[0] for each in reading.skipped] == ["line 4"] and "519" in reading.skipped[0]
+    assert [each.partition(": ")[0] for each in reading.skipped] == ["line 4"]
 
     short = [";".join(thies_line(i, rate="1.5").split(";")[:22]) for i in (0, 59)]
     reading = read(tmp_path, *short, ";".join(short[0].split(";")[:10]))
@@ -135,6 +122,15 @@ def test_classes_of_parsivel_and_thies():
     np.testing.assert_allclose(THIES.area_m2, 0.00456)
 
 
+def test_a_transposed_log_is_read_and_reported(tmp_path, caplog):
+    found = read(tmp_path, station_line(20, numbers=[f"{count:03d}" for count in rain().ravel()])).spectra
+    np.testing.assert_array_equal(found.counts[0], rain())
+    assert "diameters first" in caplog.text
+    caplog.clear()
+    read(tmp_path, station_line(20, rain()))
+    assert caplog.text == ""
+
+
 @pytest.mark.parametrize("reported", [RAIN_MM_H, 0.0, np.nan])
 @pytest.mark.parametrize("written", ["velocities first", "diameters first"])
 def test_the_order_of_the_numbers_is_found(reported, written):
@@ -143,9 +139,7 @@ def test_the_order_of_the_numbers_is_found(reported, written):
         return PARSIVEL.arranged(numbers, written, np.full(records, 60.0), np.full(records, rate))
 
     slow = np.zeros_like(DRY)
-    slow[12, 8] = (
-        400  # 1.6 mm at 0.85 m/s: read in the other order these drops are smaller, and less rain than reported
-    )
+    slow[12, 8] = 400  # 1.6 mm at 0.85 m/s: in the other order these drops are smaller, and less rain than reported
     slow_mm_h = 60 * 400 * np.pi / 6 * PARSIVEL.diameter_edges_mm[12:14].mean() ** 3 / (1e6 * PARSIVEL.area_m2[12])
     for turn, order in (((0, 1), "diameters first"), ((1, 0), "velocities first")):
         found = arranged(rain().transpose(turn), reported)
@@ -156,16 +150,6 @@ def test_the_order_of_the_numbers_is_found(reported, written):
         assert 0 < few.sum() < 50 and arranged(few, 0.0)[1] == written == arranged(DRY, 0.0)[1]
         for factor in (0.25, 4.0, 30.0):  # a rate that fits neither order proves nothing: the drops' speeds decide
             assert arranged(rain().transpose(turn), factor * RAIN_MM_H, 5)[1] == order
-
-
-@pytest.mark.parametrize("rate", ["0000.772", "0000.000"])
-def test_a_transposed_log_is_read_and_reported(rate, tmp_path, caplog):
-    found = read(tmp_path, station_line(20, numbers=[f"{count:03d}" for count in rain().ravel()], rate=rate)).spectra
-    np.testing.assert_array_equal(found.counts[0], rain())
-    assert "diameters first" in caplog.text
-    caplog.clear()
-    read(tmp_path, station_line(20, rain(), rate))
-    assert caplog.text == ""
 
 
 ATLAS_07, ATLAS_12 = (9.65 - 10.3 * np.exp(-0.6 * each) for each in (0.7, 1.1875))
@@ -209,17 +193,15 @@ ASDO = "Date;Time;{};Spectrum\n15.11.2019;00:51:00;1;<SPECTRUM>ZERO</SPECTRUM>"
     [
         (None, DisdrometerFileError, "No such file"),
         (b"", DisdrometerFileError, "empty"),
-        (gzip.compress(b"", mtime=0), DisdrometerFileError, "empty"),
         (b"\x1f\x8b", DisdrometerFileError, "empty"),
         (b"\x1f\x8b" + b"\xff" * 40, DisdrometerFileError, "gzip"),
-        (b"\n\n", UnknownKindError, "line 1"),
-        (b"name,value\n1,2\n", UnknownKindError, "line 1.*Parsivel.*TOA5.*Thies LNM.*RD-80.*2DVD.*APU.*--columns"),
+        (b"name,value\n1,2\n", UnknownKindError, "line 1.*--columns"),
         (bytes(range(256)) * 20, UnknownKindError, "NetCDF"),
         (b"\x89PNG\r\n\x1a\n" + bytes(99), UnknownKindError, "it is a picture"),
         (b"current intensity:", DisdrometerFileError, "line 1"),
-        (b"current intensity:heavy", DisdrometerFileError, "line 1"),
         (b"current intensity:-3", DisdrometerFileError, "line 1"),
         (f"{station_line(20, rate='x')}\n{station_line(21, rate='y')}".encode(), DisdrometerFileError, "line 1.*and 1"),
+        (station_line(20, rate="x").encode(), DisdrometerFileError, "line 1: .*not a number$"),
         (MASK.encode(), DisdrometerFileError, "mask"),
         (ASDO.format("MOR Visibility (m)").encode(), DisdrometerFileError, "intensity"),
         (f"{ASDO}\n{ASDO}".format("Intensity", "Energy;Intensity").encode(), DisdrometerFileError, "line 3"),
@@ -238,18 +220,15 @@ def test_other_and_damaged_files_are_refused(data, kind, where, tmp_path):
 def test_gzip_is_opened_and_its_cut_off_end_is_named(tmp_path):
     rng = np.random.default_rng(1)
     noisy = [rng.integers(0, 2, (32, 32)) for _ in range(20)]
-    text = "\n".join(station_line(second, counts) for second, counts in enumerate(noisy))
+    text = "\n".join(station_line(second, counts) for second, counts in enumerate(noisy)).encode()
     path = tmp_path / "log.gz"
-    path.write_bytes(gzip.compress(text[:50_000].encode()) + gzip.compress(text[50_000:].encode()))
+    path.write_bytes(gzip.compress(text[:50_000]) + gzip.compress(text[50_000:]))
     assert len(read_disdrometer(path).spectra) == 20
-
-    whole = bytearray(gzip.compress(text.encode()))
+    whole = bytearray(gzip.compress(text))
     path.write_bytes(whole[: len(whole) // 2])
     reading = read_disdrometer(path)
-    assert 5 < len(reading.spectra) < 15
+    assert 5 < len(reading.spectra) < 15 and "gzip" in reading.skipped[-1]
     np.testing.assert_array_equal(reading.spectra.counts[3], noisy[3])
-    assert reading.skipped[0].startswith(f"line {len(reading.spectra) + 1}: ") and "gzip" in reading.skipped[-1]
-
     whole[-8] ^= 1  # the checksum
     path.write_bytes(whole)
     with pytest.raises(DisdrometerFileError, match="gzip"):
@@ -268,10 +247,3 @@ def test_sizes_are_bounded(tmp_path, monkeypatch):
     monkeypatch.setattr(open, "MAX_LINES", 2)
     with pytest.raises(DisdrometerFileError, match="more than 2 lines"):
         read(tmp_path, "a", "b", "c", "d")
-
-
-def test_records_are_picked_and_joined(tmp_path):
-    found = read(tmp_path, *parsivel_text.station(ROWS)).spectra
-    joined = found.concatenate([found[:1], found[np.array([False, True, True])]])
-    np.testing.assert_array_equal(joined.counts, found.counts)
-    np.testing.assert_array_equal(joined.times, found.times)

@@ -35,7 +35,7 @@ def test_three_days_of_locarno_and_their_quality(locarno):
     assert len(spectra) == 6526 and locarno.reading.skipped == ()
     assert (spectra.reported_mm_h > 0).sum() == 4114
     assert spectra.reported_mm_h.max() == pytest.approx(38.5, abs=0.05)
-    np.testing.assert_array_equal(spectra.seconds, np.full(6526, 30.0))
+    assert set(spectra.seconds) == {30.0}
     assert report.drops == spectra.counts.sum() == 1_013_869
     assert report.masks[0].drops == 0  # the first two diameter classes of a Parsivel are always empty
     assert 0.75 < report.drops_kept / report.drops < 0.95

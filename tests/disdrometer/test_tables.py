@@ -11,7 +11,7 @@ from extension_package import titled_blocks
 from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError
-from gsrain_engine.disdrometer.tables import TableColumns, drops_of_densities, load_columns
+from gsrain_engine.disdrometer.tables import TableColumns, load_columns
 from gsrain_engine.disdrometer.two_dvd import RD80_EDGES_MM
 from parsivel_text import DRY, pyatmoslogger, rain, scamp, velocity_major
 from repository import REPOSITORY
@@ -40,10 +40,8 @@ def test_broken_rows_of_a_table_are_left_out_and_named(tmp_path: Path):
     cut, word = lines[1][:3000], lines[3].replace(";020;", ";many;", 1)
     reading = read_disdrometer(written(tmp_path, *lines, cut, word, lines[2].replace("2024-02", "2024-99")))
     assert len(reading.spectra) == 3
-    for sentence, words in zip(
-        reading.skipped, ("line 5: .* instead of 1094", "line 6: drop count 356 is 'many'", "line 7: time '2024-99"),
-        strict=True,
-    ):  # fmt: skip
+    expected = ("line 5: .* instead of 1094", "line 6: drop count 356 is 'many'", "line 7: time '2024-99")
+    for sentence, words in zip(reading.skipped, expected, strict=True):
         assert re.match(words, sentence)
     lines = scamp(ROWS)
     reading = read_disdrometer(written(tmp_path, lines[0], ",,".join(lines[1].rsplit(",020,", 1)), *lines[2:]))
@@ -61,14 +59,6 @@ def rd80_row(minute: int, drops: int, rate: str) -> str:
     counts = [0] * 20
     counts[7] = drops  # 1.232 to 1.429 mm
     return "\t".join(["2022-01-01", f"18:{minute:02d}:00", "0", "60", *map(str, counts), rate, "0,001", "0,002"])
-
-
-def test_densities_become_the_drops_that_would_have_been_counted():
-    """N(D) dD times what drops sweep past in the time: 1 mm at 3.95 m/s, 3 mm at 8.03 m/s (Atlas et al. 1973)."""
-    density = np.array([[100.0, 0.0], [200.0, 10.0]])
-    counted = drops_of_densities(density, np.array([0.5, 1.5, 4.5]), 0.005, np.array([60.0, 30.0]))
-    slow, fast = 9.65 - 10.3 * np.exp(-0.6), 9.65 - 10.3 * np.exp(-1.8)
-    assert counted == pytest.approx(0.005 * np.array([[100 * slow * 60, 0], [200 * slow * 30, 30 * fast * 30]]))
 
 
 def test_classes_of_the_rd80_lie_around_its_mean_diameters():
@@ -128,12 +118,12 @@ def test_any_table_by_the_description_of_its_columns(tmp_path: Path):
 
 
 def test_a_described_density_is_counted_too(tmp_path: Path):
-    path = written(tmp_path, "time,d1,d2,d3", "2024-05-01T10:00:00,100,0,0")
+    path = written(tmp_path, "time,d1,d2,d3", "2024-05-01T10:00:00,100,40,0")
     columns = "{instrument: densities, time: time, seconds: 60, drops: {first: d1, last: d3}, quantity: drops_m3_mm, "
     columns += "diameter_edges_mm: [1, 1.5, 2, 2.5], area_m2: 0.005}"
     spectra = read_disdrometer(path, load_columns(described(tmp_path, columns))).spectra
-    fall = 9.65 - 10.3 * np.exp(-0.6 * 1.25)
-    np.testing.assert_allclose(spectra.counts[0, :, 0], [100 * 0.5 * fall * 0.005 * 60, 0, 0])
+    fall = 9.65 - 10.3 * np.exp(-0.6 * np.array([1.25, 1.75, 2.25]))  # Atlas et al. 1973
+    np.testing.assert_allclose(spectra.counts[0, :, 0], np.array([100, 40, 0]) * 0.5 * fall * 0.005 * 60)
 
 
 def test_columns_by_number_and_a_column_of_all_drops(tmp_path: Path):
@@ -161,7 +151,7 @@ OTHER = "instrument: X\ntime: t\ndrops: x\n"
         (OTHER + "diameter_edges_mm: [1, 2, 3, 4]", "`area_m2`"),
         (DVD + "area_m2: 1", "`area_m2` and `velocity_edges_m_s`"),
         (OTHER + "area_m2: 1\ndiameter_edges_mm: [1, 3, 2, 4]", "`diameter_edges_mm` must rise"),
-        (OTHER + "area_m2: 1\ndiameter_edges_mm: [1, 3, 20, 400]", "`diameter_edges_mm` .*0 to 50"),
+        (OTHER + "area_m2: 1\ndiameter_edges_mm: [1, 3, 20, 400]", "`diameter_edges_mm`"),
         (DVD + "seconds: 0", r"\$.seconds"),
         (DVD + "seconds: .nan", "seconds"),
         (DVD + "rate_unit: inch", "m/s, mm/h"),
@@ -198,16 +188,11 @@ def test_a_description_that_does_not_fit_names_its_field(tmp_path: Path, change:
         read_disdrometer(path, columns)
 
 
-def test_a_start_without_a_length_can_not_be_an_end(tmp_path: Path):
+def test_a_start_without_a_length_and_what_is_no_text_are_refused(tmp_path: Path):
     path = written(tmp_path, "time,n", "2024-05-01 10:00:00," + "0 " * 50)
     columns = load_columns(described(tmp_path, "{instrument: 2DVD, time: time, time_is: start, drops: n}"))
     with pytest.raises(DisdrometerFileError, match="`seconds`"):
         read_disdrometer(path, columns)
-
-
-def test_columns_do_not_describe_what_is_no_text(tmp_path: Path):
-    path = tmp_path / "table.gz"
-    columns = load_columns(described(tmp_path, "{instrument: 2DVD, time: time, drops: n}"))
     path.write_bytes(gzip.compress(bytes(range(256))))
     with pytest.raises(DisdrometerFileError, match="not a text"):
         read_disdrometer(path, columns)

@@ -11,7 +11,7 @@ from gsrain_engine.recolor.recolor import rainy_scene, wet_scene
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.progress import Progress, run_to_end
+from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import ColorGrading, Scene
 from rasterized import rasterize
 from training.small_street import small_street
@@ -32,16 +32,14 @@ def views_of(scene: Scene, count: int = 4) -> Sequence[ClearView]:
     return scene_views(scene, chosen_cameras(scene, ViewChoice(count=count)))
 
 
-def overcast_scene(scene: Scene, views: Sequence[ClearView] | None = None, steps: list[Progress] | None = None):
-    work = rainy_scene(scene, views_of(scene) if views is None else views, Overcast())
-    return run_to_end(work, ([] if steps is None else steps).append)
+def overcast_scene(scene: Scene, views: Sequence[ClearView] | None = None) -> Scene:
+    return run_to_end(rainy_scene(scene, views_of(scene) if views is None else views, Overcast()))
 
 
 @pytest.fixture(scope="module")
-def overcast() -> tuple[Scene, list[Progress]]:
+def overcast() -> Scene:
     assert isinstance(Overcast(), Transfer)
-    steps = list[Progress]()
-    return overcast_scene(small_street(), steps=steps), steps
+    return overcast_scene(small_street())
 
 
 def drawn(scene: Scene, wetness: float) -> np.ndarray:
@@ -52,7 +50,7 @@ def drawn(scene: Scene, wetness: float) -> np.ndarray:
 
 
 def test_every_member_gets_the_same_wet_colors_each_time_and_keeps_its_clear_ones(overcast):
-    members = zip(small_street().members, overcast[0].members, overcast_scene(small_street()).members, strict=True)
+    members = zip(small_street().members, overcast.members, overcast_scene(small_street()).members, strict=True)
     for before, after, repeated in members:
         np.testing.assert_array_equal(before.gaussians.sh, after.gaussians.sh)
         assert after.wet_sh is not None and repeated.wet_sh is not None
@@ -61,14 +59,13 @@ def test_every_member_gets_the_same_wet_colors_each_time_and_keeps_its_clear_one
 
 
 def test_a_view_that_was_not_used_looks_as_the_transfer_would_have_made_it(overcast):
-    clear, wet = drawn(overcast[0], 0.0), drawn(overcast[0], 1.0)
+    clear, wet = drawn(overcast, 0.0), drawn(overcast, 1.0)
     expected = 0.5 * clear.mean(axis=2, keepdims=True) + 0.2 * clear
     assert np.abs(wet - expected).mean() < 0.012 < 0.15 < np.abs(clear - expected).mean()
 
 
 def test_gaussians_that_no_view_sees_change_as_their_neighbours_do(overcast):
-    scene, _ = overcast
-    street = scene.member("layers/street")
+    street = overcast.member("layers/street")
     means, wet_sh = street.gaussians.means, street.wet_sh
     assert wet_sh is not None
     is_road = means[:, 2] < 0.01
@@ -87,15 +84,15 @@ def test_the_wet_look_makes_a_street_grey_and_its_road_darker():
     assert after[road].mean() < before[road].mean()
 
 
-def test_views_are_needed_and_one_of_them_must_see_something():
-    scene = small_street()
+def test_views_are_needed_and_one_of_them_must_show_something():
+    scene, blind = small_street(), Scene("void")
+    cameras = chosen_cameras(scene, ViewChoice(count=2))
     with pytest.raises(ValueError, match="at least one view"):
         overcast_scene(scene, [])
-    blind = Scene("void")
     with pytest.raises(ValueError, match="void"):
-        overcast_scene(blind, scene_views(blind, chosen_cameras(scene, ViewChoice(count=2))))
+        overcast_scene(blind, scene_views(blind, cameras))
     up = look_at(np.array([0.0, 0, 500]), np.array([0.0, 0, 600]), np.array([1.0, 0, 0]))
-    cameras = [*chosen_cameras(scene, ViewChoice(count=2)), PlacedCamera("up", Camera.from_fov(32, 32, 60, up))]
+    cameras.append(PlacedCamera("up", Camera.from_fov(32, 32, 60, up)))
     assert overcast_scene(scene, scene_views(scene, cameras)).has_wet_colors
 
 

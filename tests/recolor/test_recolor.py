@@ -10,12 +10,11 @@ from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.evaluation.image_metrics import psnr
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import RecolorOptions, RecolorResult, recolor_scene, recolor_to_capture
-from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Scene
 from rasterized import rasterize
 
-from .changed_street import changed, pictures, street_and_pictures, with_image
+from .changed_street import pictures, street_and_pictures, with_image
 
 PLAIN = RecolorSettings(exposure=False, robust=False, rounds=1, tikhonov=0.3)
 
@@ -61,13 +60,6 @@ def test_renderers_show_what_the_figures_say(street, solved):
     assert psnr(shown, targets[5].image) == pytest.approx(solved.views[5].psnr_db, abs=0.3)
 
 
-def test_what_no_view_sees_follows_the_map_of_colors(street, solved):
-    clear, _, _ = street
-    unseen = 0.5 + SH_C0 * solved.colors["layers/hidden"][:, 0].mean(axis=0)
-    before = 0.5 + SH_C0 * clear.member("layers/hidden").gaussians.sh[:, 0].mean(axis=0)
-    assert np.all(unseen < before - 0.05)
-
-
 def test_exposures_of_single_pictures_are_found_and_taken_out(street):
     clear, _, targets = street
     gains = np.array([1.0, 0.8, 1.2, 0.9, 1.1])
@@ -101,47 +93,32 @@ def test_masked_pixels_have_no_say_and_weights_without_room_are_recomputed(stree
     assert mean_psnr(masked) > mean_psnr(spoiled) + 0.5
 
 
-def test_progress_rises_shows_pictures_and_can_be_stopped_anywhere(street):
+def test_progress_rises_and_shows_pictures(street):
     clear, _, targets = street
     steps = list(recolor_scene(clear, targets[:2], (), PLAIN))
     fractions = [step.fraction for step in steps]
-    assert fractions == sorted(fractions)
-    assert (fractions[0], fractions[-1]) == (0, 1)
+    assert fractions == sorted(fractions) and (fractions[0], fractions[-1]) == (0, 1)
     assert sum(step.preview is not None for step in steps) == PLAIN.iterations
-    for count in (1, 3, len(steps) // 2, len(steps) - 1):
-        job = recolor_scene(clear, targets[:2], (), PLAIN)
-        for _ in range(count):
-            next(job)
-        job.close()
-        assert next(job, None) is None
 
 
 def test_the_pull_is_chosen_by_how_far_views_agree(street):
-    clear, _, _ = street
+    clear, _, agreeing = street
     r = np.random.default_rng(0)
-    agreeing = pictures(changed(clear))
-    blotched = [
-        with_image(v, v.image + np.kron(r.normal(0, 0.2, (8, 12, 1)), np.ones((8, 8, 1)))) for v in pictures(clear)
-    ]
+    blots = (np.kron(r.normal(0, 0.2, (8, 12, 1)), np.ones((8, 8, 1))) for _ in agreeing)
+    blotched = [with_image(v, v.image + blot) for v, blot in zip(pictures(clear), blots, strict=True)]
     settings = RecolorSettings(exposure=False)
     assert run(clear, agreeing, (), settings).prior_weight == 0.3
     assert run(clear, blotched, (), settings).prior_weight > 3
 
 
-def captured(targets) -> Capture:
-    frames = [
-        CaptureFrame(t.name, t.camera, (t.image * 255 + 0.5).astype(np.uint8), t.time_s, sky_source=None)
-        for t in targets
-    ]
-    return Capture("changed", tuple(frames))
-
-
 def test_a_capture_recolors_a_scene_and_torch_refines_it(street):
     pytest.importorskip("torch")
     clear, _, targets = street
-    plain = run_to_end(recolor_to_capture(clear, captured(targets), RecolorOptions(held_out=6)))
+    frames = [CaptureFrame(t.name, t.camera, (t.image * 255 + 0.5).astype(np.uint8), t.time_s) for t in targets]
+    capture = Capture("changed", tuple(frames))
+    plain = run_to_end(recolor_to_capture(clear, capture, RecolorOptions(held_out=6)))
     options = RecolorOptions(held_out=6, polish=20, refine=4, replace_clear=True)
-    refined = run_to_end(recolor_to_capture(clear, captured(targets), options))
+    refined = run_to_end(recolor_to_capture(clear, capture, options))
     assert plain.scene.has_wet_colors and not refined.scene.has_wet_colors
     for before, wet in zip(clear.members, plain.scene.members, strict=True):
         np.testing.assert_array_equal(wet.gaussians.sh, before.gaussians.sh)
@@ -150,4 +127,4 @@ def test_a_capture_recolors_a_scene_and_torch_refines_it(street):
     assert refined.numbers["psnr_db"] > plain.numbers["psnr_db"] - 1 > plain.numbers["psnr_before_db"] + 5
     assert [curve.name for curve in plain.report.curves] == ["residual"]
     with pytest.raises(ValueError, match="--capture"):
-        run_to_end(recolor_to_capture(clear, replace(captured(targets), has_poses=False), RecolorOptions()))
+        run_to_end(recolor_to_capture(clear, replace(capture, has_poses=False), RecolorOptions()))

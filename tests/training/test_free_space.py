@@ -13,10 +13,12 @@ from .drive_capture import drive_capture, world_depth  # noqa: E402
 from .random_splats import random_splats  # noqa: E402
 
 
-def carving(share: float = 0.4, measured: bool = True) -> FreeSpaceCarving | None:
+def carving(share: float = 0.4) -> FreeSpaceCarving:
     views = drive_capture(3).views
-    depths = [np.where(measured & np.isfinite(d := world_depth(v.camera)), d, 0).astype(np.float32) for v in views]
-    return FreeSpaceCarving.of([view.camera for view in views], depths, camera_trajectory(views, 20.0), share)
+    depths = [np.where(np.isfinite(d := world_depth(v.camera)), d, 0).astype(np.float32) for v in views]
+    found = FreeSpaceCarving.of([view.camera for view in views], depths, camera_trajectory(views, 20.0), share)
+    assert found is not None
+    return found
 
 
 def splats(means: list[list[float]]) -> SplatParameters:
@@ -42,13 +44,12 @@ def splats(means: list[list[float]]) -> SplatParameters:
 )  # fmt: skip
 def test_what_lies_before_a_surface_or_on_the_trajectory_is_in_free_space(share, point, expected) -> None:
     space = carving(share)
-    assert space is not None and 0.1 < space.near < 1.5
+    assert 0.1 < space.near < 1.5
     assert bool(space.holds(np.array([point], np.float32))[0]) == expected
 
 
 def test_free_space_is_cleared_periodically_and_at_the_end() -> None:
     space = carving()
-    assert space is not None
     for step, done in ((7, None), (25, "1 cleared away"), (39, "1 cleared away")):
         found = splats([[8, 0, 1], [29, 0, 1]])
         assert clear_free_space(step, 40, found, space) == done
@@ -58,7 +59,6 @@ def test_free_space_is_cleared_periodically_and_at_the_end() -> None:
 
 def test_gaussians_near_the_cameras_may_not_become_long() -> None:
     space = carving()
-    assert space is not None
     found = splats([[1.0, 0, -1.5], [29, 0, 1]])
     found.put("log_scales", slice(None), torch.full((2, 3), np.log(2.0)))
     clip_long_gaussians(found, space)

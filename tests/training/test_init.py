@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Capture, CaptureFrame
+from gsrain_engine.datasets.capture import Capture, TrackedBox
 from gsrain_engine.datasets.depth_maps import depth_priors
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.undistort import undistort_frame
@@ -14,13 +14,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.scene import DrawItem
 from gsrain_engine.training import init
-from gsrain_engine.training.init import (
-    actor_layers,
-    dome_radius,
-    initial_gaussians,
-    initial_sky,
-    inpaint_road,
-)
+from gsrain_engine.training.init import actor_layers, dome_radius, initial_gaussians, initial_sky, inpaint_road
 from gsrain_engine.training.surfels import LONGEST, SPREAD, camera_trajectory, split_long_gaussians
 from rasterized import rasterize
 
@@ -42,11 +36,6 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
     return float(-10 * np.log10(np.mean((a - b) ** 2)))
 
 
-def true_depths(capture: Capture) -> list[np.ndarray]:
-    """Depth of road and wall in each view; 0 in the sky."""
-    return [np.where(np.isfinite(d := world_depth(v.camera)), d, 0).astype(np.float32) for v in capture.views]
-
-
 def test_surfaces_are_covered_in_their_colours(drive: Capture, first: Gaussians) -> None:
     assert 1000 < len(first) <= 3000
     for view in drive.views:
@@ -66,14 +55,11 @@ def test_the_budget_holds_and_the_same_seed_gives_the_same_bytes(drive: Capture)
 
 def test_movers_leave_a_street_that_goes_on(drive: Capture) -> None:
     """Background behind a moving object in all images is filled in from around it."""
-    car = box("car", (8, 0), 1.0)
-    capture = replace(drive, boxes=(car,))
-    found = initial_gaussians(capture, capture.views, 3000)
-    view = capture.views[0]
-    frame = rasterize([DrawItem(found, np.eye(4))], view.camera)
-    assert frame.rgba[34:44, 44:52, 3].min() > 0.5
-    at = world_colors(view.camera)[34:44, 44:52]
-    assert np.abs(frame.rgba[34:44, 44:52, :3].mean(axis=(0, 1)) - at.mean(axis=(0, 1))).max() < 0.15
+    found = initial_gaussians(replace(drive, boxes=(box("car", (8, 0), 1.0),)), drive.views, 3000)
+    middle = rasterize([DrawItem(found, np.eye(4))], drive[0].camera).rgba[34:44, 44:52]
+    expected = world_colors(drive[0].camera)[34:44, 44:52]
+    assert middle[..., 3].min() > 0.5
+    np.testing.assert_allclose(middle[..., :3].mean(axis=(0, 1)), expected.mean(axis=(0, 1)), atol=0.15)
 
 
 def test_without_any_depth_they_fill_what_the_cameras_see(drive: Capture) -> None:
@@ -113,7 +99,7 @@ def test_a_real_street_begins_as_a_coarse_picture_of_itself(test_data: Path) -> 
 
 # Road under the ego, and pieces of road that reach past a camera
 
-UP = (0.0, 0.0, 1.0)
+WAY = camera_trajectory(drive_capture(5).views, 20.0)
 
 
 def road_with_a_hole() -> Gaussians:
@@ -128,8 +114,7 @@ def from_above(gaussians: Gaussians) -> np.ndarray:
 
 
 def filled(road: Gaussians, budget: int) -> Gaussians:
-    views = drive_capture(5).views
-    return inpaint_road(road, views, camera_trajectory(views, 20.0), UP, budget, 0.85)
+    return inpaint_road(road, drive_capture(5).views, WAY, (0.0, 0.0, 1.0), budget, 0.85)
 
 
 def test_a_hole_under_the_cameras_is_filled_with_the_road_around_it() -> None:
@@ -141,39 +126,26 @@ def test_a_hole_under_the_cameras_is_filled_with_the_road_around_it() -> None:
     middle = from_above(Gaussians.concatenate([road, found]))[20:40, 20:40]
     assert middle[..., 3].min() > 0.9
     assert middle[..., :3].reshape(-1, 3).mean(axis=0) == pytest.approx([0.5, 0.4, 0.3], abs=0.05)
-
-
-def test_no_road_is_invented() -> None:
     wall = flat_patch((30, -5, ROAD_Z), (0, 10, 0), (0, 0, 6), (0.5, 0.5, 0.5), 0.3)
-    for road, budget in ((road_with_a_hole(), 20), (Gaussians.empty(), 5000), (wall, 5000)):
-        assert len(filled(road, budget)) == 0
-
-
-def long_disc() -> Gaussians:
-    """Two discs 1.5 m under the way of the cameras and one far away, each 2 m long."""
-    return Gaussians(
-        np.array([[1, 0, ROAD_Z], [2, 1, ROAD_Z], [60, 0, 0]], np.float32),
-        np.tile(np.array([2.0, 0.1, 0.01], np.float32), (3, 1)),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1)),
-        np.full(3, 0.8, np.float32),
-        np.zeros((3, 1, 3), np.float32),
-    )
+    for other, budget in ((road, 20), (Gaussians.empty(), 5000), (wall, 5000)):  # no road is invented
+        assert len(filled(other, budget)) == 0
 
 
 def test_long_pieces_near_the_cameras_are_cut_and_cover_the_same() -> None:
-    way = camera_trajectory(drive_capture(5).views, 20.0)
-    cut = split_long_gaussians(long_disc(), way, 1000)
-    assert len(cut) > 20
-    distance = np.linalg.norm(cut.means[:, None] - way[None], axis=2).min(axis=1)
+    """Two discs 1.5 m under the way of the cameras and one far away, each 2 m long."""
+    means = np.array([[1, 0, ROAD_Z], [2, 1, ROAD_Z], [60, 0, 0]], np.float32)
+    scales, turns = (np.tile(np.float32(row), (3, 1)) for row in ((2.0, 0.1, 0.01), (1, 0, 0, 0)))
+    discs = Gaussians(means, scales, turns, np.full(3, 0.8, np.float32), np.zeros((3, 1, 3), np.float32))
+    cut = split_long_gaussians(discs, WAY, 1000)
     near = cut.means[:, 0] < 10
-    assert (cut.scales[near].max(axis=1) <= 1.01 * LONGEST * 1.81).all() and (distance[near] > 1).all()
+    assert near.sum() > 20 and (cut.scales[near].max(axis=1) <= 1.01 * LONGEST * 1.81).all()
     assert cut.scales[~near].max() == 2.0 and (~near).sum() == 1
     first = near & (cut.means[:, 1] < 0.5)
     steps = np.diff(np.sort(cut.means[first, 0]))
     assert steps == pytest.approx(cut.scales[first, 0][1:] / SPREAD, rel=1e-3)
     assert np.ptp(cut.means[first, 0]) + steps[0] == pytest.approx(2.0 / SPREAD, rel=1e-3)
     assert np.allclose(cut.means[first, 1:], [0, ROAD_Z])
-    few = split_long_gaussians(long_disc(), way, 3)
+    few = split_long_gaussians(discs, WAY, 3)
     assert len(few) == 3 and few.scales[:2].max() <= LONGEST * 1.81
 
 
@@ -181,62 +153,46 @@ def test_long_pieces_near_the_cameras_are_cut_and_cover_the_same() -> None:
 
 
 RED = np.array([200, 30, 20], np.uint8)
+CAR = box("car", (8, 0.5), 2.0)
 
 
-def rear_of(car, time_s: float) -> np.ndarray:
-    """Points on the side of a car that looks to the camera behind it."""
-    pose = car.track.pose(time_s)
+def with_car(car: TrackedBox) -> Capture:
+    """The rear of the car, which the camera behind it shows, is red in the pictures and has points in the sweeps."""
+    capture, views, sweeps = drive_capture(4), [], []
     y, z = (each.ravel() for each in np.meshgrid(np.linspace(-0.95, 0.95, 20), np.linspace(0.2, 1.45, 14)))
-    return np.stack([np.full(len(y), -1.95), y, z], axis=1) + pose[:3, 3]
-
-
-def with_car(capture: Capture, car) -> Capture:
-    """The car is red in the pictures and has points in the sweeps."""
-    views, sweeps = [], []
+    rear = np.stack([np.full(len(y), -1.95), y, z], axis=1)
     for view, sweep in zip(capture.views, capture.sweeps, strict=True):
-        points = rear_of(car, view.time_s)
-        seen = points @ view.camera.world_to_camera[:3, :3].T + view.camera.world_to_camera[:3, 3]
-        u = seen[:, 0] / seen[:, 2] * view.camera.fx + view.camera.cx
-        v = seen[:, 1] / seen[:, 2] * view.camera.fy + view.camera.cy
-        image = view.image.copy()
+        points, image = rear + car.track.pose(view.time_s)[:3, 3], view.image.copy()
+        x, y, z = view.camera.world_to_camera[:3, :3] @ points.T + view.camera.world_to_camera[:3, 3:]
+        u, v = (x / z * view.camera.fx + view.camera.cx, y / z * view.camera.fy + view.camera.cy)
         image[int(v.min()) : int(v.max()) + 1, int(u.min()) : int(u.max()) + 1] = RED
         views.append(replace(view, image_source=image))
-        all_points = np.concatenate([sweep.points_m, points.astype(np.float32)])
-        sweeps.append(replace(sweep, points_m=all_points))
+        sweeps.append(replace(sweep, points_m=np.concatenate([sweep.points_m, points.astype(np.float32)])))
     return replace(capture, views=tuple(views), sweeps=tuple(sweeps), boxes=(car,))
 
 
-@pytest.fixture
-def car():
-    return box("car", (8, 0.5), 2.0)
-
-
-def test_a_car_becomes_an_actor_in_its_colour(car) -> None:
-    capture = with_car(drive_capture(4), car)
-    points = init.points_of_box(capture, car)
+def test_a_car_becomes_an_actor_in_its_color() -> None:
+    capture = with_car(CAR)
+    points = init.points_of_box(capture, CAR)
     assert len(points) == 20 * 14  # the same ones in every sweep
     np.testing.assert_allclose(points[:, 0], -1.95, atol=1e-5)
     (actor,) = actor_layers(capture, capture.views)
-    assert (actor.id, actor.class_name, actor.size_lwh) == ("car", "Car", (4.0, 2.0, 1.5))
-    assert actor.track is car.track
+    assert (actor.id, actor.class_name, actor.size_lwh, actor.track) == ("car", "Car", (4.0, 2.0, 1.5), CAR.track)
     assert np.abs(actor.gaussians.means[:, 1]).max() < 1.0
     view = capture.views[2]
     frame = rasterize([DrawItem(actor.gaussians, actor.pose_at(view.time_s))], view.camera)
-    middle = view.camera.world_to_camera[:3] @ (car.track.pose(view.time_s) @ [-1.95, 0, 0.8, 1])
-    row = int(middle[1] / middle[2] * view.camera.fy + view.camera.cy)
-    column = int(middle[0] / middle[2] * view.camera.fx + view.camera.cx)
+    x, y, z = view.camera.world_to_camera[:3] @ (CAR.track.pose(view.time_s) @ [-1.95, 0, 0.8, 1])
+    row, column = int(y / z * view.camera.fy + view.camera.cy), int(x / z * view.camera.fx + view.camera.cx)
     color = frame.rgba[row, column]
     assert color[3] > 0.8
     np.testing.assert_allclose(color[:3] / color[3], RED / 255, atol=0.06)
-    assert frame.depth is not None and frame.depth[row, column] == pytest.approx(middle[2], abs=0.3)
+    assert frame.depth is not None and frame.depth[row, column] == pytest.approx(z, abs=0.3)
 
 
-def test_what_stands_has_few_points_or_is_in_no_view_is_no_actor(car, monkeypatch) -> None:
-    parked = with_car(drive_capture(4), box("parked", (8, 0.5), 0.0))
-    assert actor_layers(parked, parked.views) == ()
-    capture = with_car(drive_capture(4), car)
-    assert actor_layers(drive_capture(4), capture.views) == ()
-    away: list[CaptureFrame] = [replace(view, camera=replace(view.camera, cx=1e6)) for view in capture.views]
-    assert actor_layers(capture, away) == ()
+def test_boxes_that_stand_have_few_points_or_are_in_no_view_are_no_actors(monkeypatch) -> None:
+    parked, capture = with_car(box("parked", (8, 0.5), 0.0)), with_car(CAR)
+    away = [replace(view, camera=replace(view.camera, cx=1e6)) for view in capture.views]
+    for each, views in ((parked, parked.views), (drive_capture(4), capture.views), (capture, away)):
+        assert actor_layers(each, views) == ()
     monkeypatch.setattr(init, "MIN_POINTS", 300)
     assert actor_layers(capture, capture.views) == ()

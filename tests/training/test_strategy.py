@@ -57,8 +57,9 @@ def axes_of(g: Gaussians) -> np.ndarray:
 def test_small_are_cloned_large_split_and_faint_pruned() -> None:
     control, splats = adaptive(), parameters()
     before = splats.to_gaussians()
-    control.observe(3, picture([1, 1, 1, 1]))
-    assert control.adapt(3, splats, generator()) is None and len(splats) == 4  # between two changes
+    for step in (3, 110):  # between two changes, and after the last one
+        control.observe(step, picture([1, 1, 1, 1]))
+        assert control.adapt(step, splats, generator()) is None and len(splats) == 4
     control = adaptive()
     control.observe(9, picture([5e-6, 1e-6, 5e-6, 0]))
     assert control.adapt(10, splats, generator()) == "1 cloned, 1 split, 1 pruned"
@@ -87,26 +88,28 @@ def test_gradients_are_averaged_over_pictures_that_show_the_gaussian_and_over_it
         control.observe(9, picture([9, 1e-6, 3e-6, 9]), slice(1, 3))
     control.observe(9, picture([9, 0, 3e-6, 9], radii=[3.0, 0.0, 3.0, 3.0]), slice(1, 3))
     assert control.adapt(10, splats, generator()) == "1 cloned, 0 split, 0 pruned"
-    assert np.array_equal(splats.tensors["means"].detach()[2], splats.tensors["means"].detach()[1])
+    assert np.array_equal(splats.to_means()[2], splats.to_means()[1])
 
 
 def test_large_ones_go_after_a_reset_and_opacities_are_lowered() -> None:
     control, splats = adaptive(reset_every=20), parameters((0.01, 2.0), (0.5, 0.5))
-    control.observe(9, picture([0, 0]))
-    assert control.adapt(10, splats, generator()) == "0 cloned, 0 split, 0 pruned"
-    control.observe(15, picture([0, 0]))
-    assert control.adapt(20, splats, generator()) == "0 cloned, 0 split, 0 pruned, opacities reset"
+    for step, change in ((10, ""), (20, ", opacities reset"), (30, "")):
+        control.observe(step - 1, picture([0, 0]))
+        assert control.adapt(step, splats, generator()) == f"0 cloned, 0 split, {int(step == 30)} pruned{change}"
     np.testing.assert_allclose(splats.to_gaussians().opacities, 0.01, rtol=1e-5)
-    control.observe(25, picture([0, 0]))
-    assert control.adapt(30, splats, generator()) == "0 cloned, 0 split, 1 pruned"
 
 
-def test_the_highest_gradients_win_the_room_that_is_left() -> None:
-    control, splats = adaptive(max_count=6), parameters((0.01,) * 4, (0.5,) * 4)
-    means = splats.to_gaussians().means
-    control.observe(9, picture([4e-6, 9e-6, 5e-6, 8e-6]))
-    control.adapt(10, splats, generator())
-    assert np.array_equal(splats.to_gaussians().means[4:], means[[1, 3]])
+def test_wide_ones_and_then_the_highest_gradients_win_the_room_that_is_left() -> None:
+    for max_count, first_radius_px, change, grown in (
+        (6, 3.0, "2 cloned, 0 split, 0 pruned", [0, 1, 2, 3, 1, 3]),
+        (5, 20.0, "0 cloned, 1 split, 0 pruned", [1, 2, 3]),
+        (4, 3.0, "0 cloned, 0 split, 0 pruned", [0, 1, 2, 3]),
+    ):
+        control, splats = adaptive(max_count=max_count), parameters((0.01,) * 4, (0.5,) * 4)
+        means = splats.to_means()[grown]
+        control.observe(9, picture([4e-6, 9e-6, 5e-6, 8e-6], [first_radius_px, 3.0, 3.0, 3.0]))
+        assert control.adapt(10, splats, generator()) == change and len(splats) == max_count
+        assert np.array_equal(splats.to_means()[: len(grown)], means)
 
 
 @pytest.mark.parametrize("make", [adaptive, lambda: monte_carlo(means_rate=lambda step: 1e-4)])
@@ -114,18 +117,17 @@ def test_a_strategy_restored_from_its_state_changes_the_same_bytes(make) -> None
     first, second = make(), make()
     first.observe(8, picture([5e-6, 1e-6, 5e-6, 0]))
     second.restore(first.state())
-    results = []
+    states = []
     for control in (first, second):
         splats = parameters()
         control.observe(9, picture([5e-6, 1e-6, 5e-6, 0]))
         control.adapt(10, splats, generator(3))
-        results.append(splats.to_gaussians())
-    for name in ("means", "scales", "opacities"):
-        assert np.array_equal(getattr(results[0], name), getattr(results[1], name))
+        states.append(splats.state())
+    assert all(np.array_equal(array, states[1][name]) for name, array in states[0].items())
 
 
-@pytest.mark.parametrize("copies", [1, 2, 3, 10, MAX_COPIES])
-@pytest.mark.parametrize("opacity", [0.02, 0.5, 0.9, 0.995])
+@pytest.mark.parametrize("copies", [1, 3, MAX_COPIES])
+@pytest.mark.parametrize("opacity", [0.02, 0.9, 0.995])
 def test_a_stack_has_the_opacity_and_the_integral_of_the_one(opacity: float, copies: int) -> None:
     old = torch.tensor([opacity], dtype=torch.float64)
     new, shrink = relocation_factors(old, torch.tensor([copies]))
@@ -137,29 +139,21 @@ def test_a_stack_has_the_opacity_and_the_integral_of_the_one(opacity: float, cop
 
 
 def test_the_dead_move_to_the_living_by_opacity() -> None:
-    n, control = 3000, monte_carlo(max_count=0)
-    opacities = np.r_[np.full(n, 0.001), 0.2, 0.6]
-    splats = parameters((0.1,) * (n + 2), opacities)
-    places = splats.to_gaussians().means[n:]
-    assert control.adapt(10, splats, generator()) == f"{n} relocated, 0 added"
-    after = splats.to_gaussians()
-    at_second = (after.means[:n] == places[1]).all(axis=1).mean()
-    at_first = (after.means[:n] == places[0]).all(axis=1).mean()
-    assert at_first + at_second == 1
-    assert at_second == pytest.approx(0.75, abs=0.03)
+    n = 3000
+    splats = parameters((0.1,) * (n + 2), np.r_[np.full(n, 0.001), 0.2, 0.6])
+    places = splats.to_means()[n:]
+    assert monte_carlo(max_count=0).adapt(10, splats, generator()) == f"{n} relocated, 0 added"
+    first, second = ((splats.to_means()[:n] == place).all(axis=1).mean() for place in places)
+    assert first + second == 1 and second == pytest.approx(0.75, abs=0.03)
 
 
 def test_the_number_grows_to_the_cap_and_sources_and_copies_start_anew() -> None:
     control, splats = monte_carlo(max_count=107), parameters((0.1,) * 100, (0.5,) * 100)
     splats.tensors["means"].grad = torch.ones(100, 3)
     splats.step({"means": 1e-9})
-    counts, without_moments = [], []
-    for step in (10, 20, 30):
+    for step, count, least in ((10, 105, 6), (20, 107, 8), (30, 107, 8)):
         control.adapt(step, splats, generator(step))
-        counts.append(len(splats))
-        without_moments.append(int((splats.state()["means.first"] == 0).all(axis=1).sum()))
-    assert counts == [105, 107, 107]
-    assert without_moments[0] > 5 and without_moments[1] == without_moments[2] > 7
+        assert len(splats) == count and (splats.state()["means.first"] == 0).all(axis=1).sum() >= least
 
 
 def test_noise_follows_the_covariance_and_spares_the_opaque() -> None:
@@ -180,17 +174,14 @@ def test_noise_follows_the_covariance_and_spares_the_opaque() -> None:
 
 
 def test_the_pull_is_the_mean_of_opacities_and_scales() -> None:
-    splats = parameters((0.1, 0.3), (0.2, 0.6))
-    pull = monte_carlo().regularization(splats)
+    pull = monte_carlo().regularization(parameters((0.1, 0.3), (0.2, 0.6)))
     assert float(pull.detach()) == pytest.approx(0.01 * 0.4 + 0.01 * 0.2, rel=1e-5)
-    pull.backward()
-    assert float(splats.tensors["opacity_logits"].grad[0]) == pytest.approx(0.01 * 0.2 * 0.8 / 2, rel=1e-4)
 
 
 def test_schedules_scale_with_the_run() -> None:
-    paper = DefaultStrategySettings.for_run(30_000, 1.0, 10)
-    assert (paper.first_step, paper.last_step, paper.every, paper.reset_every) == (500, 15_000, 100, 3000)
-    short = DefaultStrategySettings.for_run(1000, 1.0, 10)
-    assert short.last_step == 500 and short.reset_every > short.last_step
+    paper, half, short = (DefaultStrategySettings.for_run(steps, 1.0, 10) for steps in (30_000, 15_000, 1000))
+    assert paper == DefaultStrategySettings(extent=1.0, max_count=10)
+    assert (half.first_step, half.last_step, half.every, half.reset_every) == (250, 7500, 50, 1500)
+    assert (short.first_step, short.last_step, short.every, short.reset_every) == (30, 500, 25, 1000)
     sampled = MCMCSettings.for_run(3000, 10, lambda step: 0.0)
     assert (sampled.first_step, sampled.last_step, sampled.every) == (50, 2500, 25)

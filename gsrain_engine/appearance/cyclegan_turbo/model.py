@@ -108,15 +108,8 @@ class CycleGanTurbo(torch.nn.Module):
         h and w are multiples of `architecture.side_multiple`. `guides` (b, 1, h, w) in [-1, 1] are the fourth channel;
         None gives zeros if the encoders have one. Raises ValueError for other sizes, and for guides without a channel.
         """
-        if torch.is_grad_enabled():
-            latents, skips = self.encode(pictures, guides, direction)
-            return decode_latents(self.autoencoder(direction), self.denoise(latents, direction), skips)
-        # One by one, since the autoencoder needs most of the memory, and images only interact in the UNet.
-        singles: list[Tensor | None] = [None] * len(pictures) if guides is None else list(guides.split(1))
-        halves = [self.encode(*each, direction) for each in zip(pictures.split(1), singles, strict=True)]
-        clean = self.denoise(torch.cat([latents for latents, _ in halves]), direction)
-        vae = self.autoencoder(direction)
-        return torch.cat([decode_latents(vae, clean[i : i + 1], skips) for i, (_, skips) in enumerate(halves)])
+        latents, skips = self.encode(pictures, guides, direction)
+        return decode_latents(self.autoencoder(direction), self.denoise(latents, direction), skips)
 
     def encode(
         self, pictures: Tensor, guides: Tensor | None = None, direction: Direction = "a2b"
@@ -346,16 +339,13 @@ def encode_images(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tens
     return mean * vae.config.scaling_factor, skips
 
 
-def decode_latents(vae: Autoencoder, latents: Tensor, skips: Sequence[Tensor], strength: float = 1.0) -> Tensor:
-    """Images (b, 3, h, w) in [-1, 1] from scaled latents and skips of `encode_images`.
-
-    `strength` scales the skips: 1 as trained (img2img-turbo's gamma), 0 disables them.
-    """
+def decode_latents(vae: Autoencoder, latents: Tensor, skips: Sequence[Tensor]) -> Tensor:
+    """Images (b, 3, h, w) in [-1, 1] from scaled latents and skips of `encode_images`."""
     decoder = vae.decoder
     flow = decoder.conv_in(vae.post_quant_conv(latents / vae.config.scaling_factor))
     flow = _through(decoder, decoder.mid_block, flow)
     for i, (block, skip) in enumerate(zip(decoder.up_blocks, reversed(skips), strict=True)):
-        flow = flow + getattr(decoder, f"skip_conv_{i + 1}")(skip * strength)
+        flow = flow + getattr(decoder, f"skip_conv_{i + 1}")(skip)
         flow = _through(decoder, block, flow)
     return decoder.conv_out(decoder.conv_act(decoder.conv_norm_out(flow))).clamp(-1, 1)
 

@@ -20,12 +20,7 @@ log = logging.getLogger(__name__)
 
 
 def open_model(
-    weights: Path | None,
-    base: Path | None = None,
-    *,
-    normals: bool = True,
-    lora: LoraRanks | None = None,
-    weather: str = "rainy",
+    weights: Path | None, base: Path | None = None, *, normals: bool = True, lora: LoraRanks | None = None
 ) -> CycleGanTurbo:
     """Load SD-Turbo with transfer weights, in float32 on the CPU; nothing is downloaded.
 
@@ -35,7 +30,6 @@ def open_model(
         normals: Add a fourth channel to the encoders; without trained weights it has no effect. Weights trained with
             one always get it, with zeros for missing guides.
         lora: Ranks of separate peft adapters, for training.
-        weather: Part of a WeatherEdit checkpoint to load.
 
     Raises FileNotFoundError with download instructions, and ValueError for files that don't fit.
     """
@@ -46,10 +40,10 @@ def open_model(
         model = turbo.build_random_model(ARCHITECTURES[file.architecture](), normals, lora, file.random_base_seed)
     else:
         architecture = sd_turbo() if file is None else ARCHITECTURES[file.architecture]()
-        texts = CAPTIONS if file is None else file.texts(weather)
+        texts = CAPTIONS if file is None else file.texts
         model = read_base(find_base_model(base), architecture, normals=normals, lora=lora, texts=texts)
     if file is not None:
-        apply_adapter_weights(model, file.delta(model, weather))
+        apply_adapter_weights(model, file.delta(model))
     return model
 
 

@@ -5,19 +5,19 @@ import math
 import time
 from collections.abc import Container, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 from jaxtyping import Float, Float32
 
 from ..base import ClearView, RainyView, TransferSettings
 from ..correspondence import correspondence
-from ..normals import GuideKind, NormalEstimator, normals_to_gray, open_estimator
+from ..normals import NormalEstimator, normals_to_gray, open_estimator
 from . import cross_view_attention as attention
-from .cross_view_attention import AttentionStep, BatchElement, CrossViewAttention, CrossViewExchange, TileWindow
+from .cross_view_attention import AttendingView, CrossViewExchange, TileWindow
 from .model import CycleGanTurbo
 from .pretrained import open_model
 from .weight_paths import find_transfer_weights
@@ -34,56 +34,48 @@ log = logging.getLogger(__name__)
 Image = Float32[np.ndarray, "_ _ c"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunSettings:
-    """Sizes, guides and neighbors of an inference run."""
-
-    side_px: int | None = 512
-    """Shorter side of images for the network, none enlarged; None leaves them as they are. The paper trains at 512."""
-    tile_px: int | None = None
-    """Side of the overlapping tiles that larger images pass in; None passes them whole."""
-    overlap_px: int = 128
-    """Minimum overlap of neighboring tiles."""
-    detail: bool = True
-    """Add the fine detail of the clear image where the network's input is smaller."""
-    normals: Literal["depth", "dsine", "marigold", "none"] = "depth"
-    """Source of the surface normals: the views' depth, or a network."""
-    guide: GuideKind = "up"
-    mutual: CrossViewAttention | None = field(default_factory=CrossViewAttention)
-    """None lets no view attend to others."""
-
-
 class CycleGanTurboTransfer:
     """The paper's transfer: one step of a fine-tuned SD-Turbo, guided by normals, with mutual self-attention."""
 
     name = "cyclegan-turbo"
 
     def __init__(
-        self, model: CycleGanTurbo, settings: RunSettings | None = None, estimator: NormalEstimator | None = None
+        self,
+        model: CycleGanTurbo,
+        settings: TransferSettings | None = None,
+        estimator: NormalEstimator | None = None,
+        px_per_token: Container[int] = attention.PX_PER_TOKEN,
     ) -> None:
         """Take a model with its weights, on its final device and in its final precision.
 
-        The estimator is needed if `settings.normals` is neither "depth" nor "none".
+        The estimator is needed if `settings.normals` is neither "depth" nor "none"; `px_per_token` are widths of the
+        tokens that attend to other views.
         """
-        self.model, self.settings, self.estimator = model, settings or RunSettings(), estimator
+        self.model, self.settings, self.estimator = model, settings or TransferSettings(), estimator
+        self._px_per_token = px_per_token
         weight = model.unet.conv_out.weight
         self._device, self._dtype = weight.device, weight.dtype
         self._has_warned = False
-        self._count = 0
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Yield rainy views in the plan's order; see `Transfer`. Holds only views that later ones attend to."""
-        mutual, self._count = self.settings.mutual, len(views)
-        plan = attention.attention_plan(views, mutual)
-        last_use = plan.last_use()
+        neighbours = self.settings.neighbours if self.settings.mutual_attention else 0
+        steps = attention.attention_plan(views, neighbours)
+        last_use = attention.last_uses(steps)
         held: dict[int, ClearView] = {}
-        uses = mutual if last_use else None
-        with nullcontext() if uses is None else attention.cross_view_attention(self.model.unet, uses) as exchange:
-            for number, step in enumerate(plan.steps):
-                held.update({index: views[index] for index in step.views})
+        unet, unchanged = self.model.unet, nullcontext(None)
+        with attention.cross_view_attention(unet, self._px_per_token) if last_use else unchanged as exchange:
+            for number, step in enumerate(steps):
+                view = held[step.view] = views[step.view]
                 if not number:
-                    self._log_duration(held[step.views[0]], len(views))
-                yield from self._step(held, step, last_use, exchange)
+                    self._log_duration(view, len(views))
+                found = [(source, correspondence(view, held[source])) for source in step.sources]
+                sources = tuple(each for each in found if each[1].valid.mean() >= _MIN_MATCHED)
+                attending = AttendingView(step.view, sources, step.view in last_use)
+                left_out = ""
+                if neighbours and len(views) > 1 and not sources and not attending.is_source:
+                    left_out = NO_OVERLAP if view.has_pose else WITHOUT_POSE
+                yield RainyView(view, self._image(view, attending, exchange), left_out=left_out)
                 over = {index for index in held if last_use.get(index, -1) <= number}
                 for index in over:
                     del held[index]
@@ -93,50 +85,24 @@ class CycleGanTurboTransfer:
     def _log_duration(self, view: ClearView, count: int) -> None:
         if self.model.architecture.name == "tiny":
             return
-        windows, mutual = self._windows(view), self.settings.mutual is not None
+        windows, mutual = self._windows(view), self.settings.mutual_attention
         one = estimated_seconds(windows[0].width, windows[0].height, str(self._device), self._dtype, mutual)
         seconds = count * len(windows) * one
         log.info("%s: %d views will take about %.0f s on %s", self.name, count, seconds, self._device)
 
-    def _step(
-        self, held: dict[int, ClearView], step: AttentionStep, used: Container[int], exchange: CrossViewExchange | None
-    ) -> Iterator[RainyView]:
-        mutual = self.settings.mutual
-        entries: list[_Entry] = []
-        inputs: list[tuple[ClearView, Image, tuple[TileWindow, ...], str]] = []
-        for index, sources in zip(step.views, step.sources, strict=True):
-            view = held[index]
-            windows = self._windows(view)
-            picture, guide = resized(view.image, *windows[0].frame), self._guide(view, *windows[0].frame)
-            found = ((source, correspondence(view, held[source])) for source in sources)
-            places = tuple(each for each in found if each[1].valid.mean() >= _MIN_MATCHED)
-            left_out = ""
-            if mutual is not None and mutual.neighbours and self._count > 1 and not places and index not in used:
-                left_out = NO_OVERLAP if view.has_pose else WITHOUT_POSE
-            inputs.append((view, picture, windows, left_out))
-            for window in windows:
-                element = BatchElement(index, window, places, index in used)
-                part = None if guide is None else guide[window.slices]
-                entries.append(_Entry(picture[window.slices], part, element))
-        # Views of one step may attend to each other in every layer; tiles of one view never do.
-        size = len(entries) if len(step.views) > 1 else 1
-        made: list[Image] = []
-        for start in range(0, len(entries), size):
-            made += self._made(entries[start : start + size], exchange)
-        for view, picture, windows, left_out in inputs:
-            parts, made = made[: len(windows)], made[len(windows) :]
-            small = blend_tiles(parts, windows, self.settings.overlap_px)
-            yield RainyView(view, restore_size(small, picture, view.image, self.settings.detail), left_out=left_out)
-
-    def _made(self, entries: Sequence["_Entry"], exchange: CrossViewExchange | None) -> list[Image]:
-        """Run entries of one size through the network as a batch; display color, 0..1."""
-        pictures = torch.stack([self._tensor(2 * each.picture - 1) for each in entries])
-        known = [each.guide for each in entries if each.guide is not None]
-        guides = torch.stack([self._tensor(each) for each in known]) if len(known) == len(entries) else None
-        announced = nullcontext() if exchange is None else exchange.batch([each.element for each in entries])
-        with announced, torch.inference_mode():
-            found = self.model.translate(pictures, guides, "a2b").float().permute(0, 2, 3, 1).cpu().numpy()
-        return [np.clip((each + 1) / 2, 0, 1).astype(np.float32) for each in found]
+    def _image(self, view: ClearView, attending: AttendingView, exchange: CrossViewExchange | None) -> Image:
+        """Translate a view, tile by tile; display color, 0..1."""
+        windows = self._windows(view)
+        picture, guide = resized(view.image, *windows[0].frame), self._guide(view, *windows[0].frame)
+        parts: list[Image] = []
+        for window in windows:
+            pixels = self._tensor(2 * picture[window.slices] - 1)
+            guides = None if guide is None else self._tensor(guide[window.slices])
+            mutual = nullcontext() if exchange is None else exchange.during(attending, window)
+            with mutual, torch.inference_mode():
+                found = self.model.translate(pixels, guides, "a2b")[0].float().permute(1, 2, 0).cpu().numpy()
+            parts.append(np.clip((found + 1) / 2, 0, 1).astype(np.float32))
+        return restore_size(blend_tiles(parts, windows), picture, view.image)
 
     def _windows(self, view: ClearView) -> tuple[TileWindow, ...]:
         """Windows of a clear image for the network: one piece or tiles."""
@@ -147,7 +113,7 @@ class CycleGanTurboTransfer:
             return (TileWindow.whole(*frame),)
         multiple *= _LEVELS
         frame = frame_size(height, width, settings.side_px, multiple)
-        return split_into_tiles(*frame, settings.tile_px, settings.overlap_px, multiple)
+        return split_into_tiles(*frame, settings.tile_px, multiple)
 
     def _guide(self, view: ClearView, height: int, width: int) -> Float32[np.ndarray, "h w 1"] | None:
         if self.settings.normals == "none" or not self.model.takes_guides:
@@ -160,14 +126,9 @@ class CycleGanTurboTransfer:
         return np.clip(resized(gray[..., None], height, width), -1, 1)
 
     def _tensor(self, values: Image) -> Tensor:
+        """Batch (1, c, h, w) of one image."""
         channels = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1), np.float32))
-        return channels.to(self._device, self._dtype)
-
-
-class _Entry(NamedTuple):
-    picture: Image
-    guide: Image | None
-    element: BatchElement
+        return channels[None].to(self._device, self._dtype)
 
 
 def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
@@ -186,13 +147,9 @@ def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
     device, estimator = chosen_device(settings.device), None
     if model.guide and settings.normals in ("dsine", "marigold"):
         estimator = open_estimator(settings.normals, settings.normals_weights, settings.normals_checkout, device)
-    run = RunSettings(
-        side_px=settings.side_px, tile_px=settings.tile_px, guide=settings.guide,
-        normals=settings.normals if model.guide else "none",
-        mutual=CrossViewAttention(neighbours=settings.neighbours) if settings.mutual_attention else None,
-    )  # fmt: skip
-    model = model.to(device, getattr(torch, settings.precision))
-    return CycleGanTurboTransfer(model, run, estimator)
+    if not model.guide:
+        settings = msgspec.structs.replace(settings, normals="none")
+    return CycleGanTurboTransfer(model.to(device, getattr(torch, settings.precision)), settings, estimator)
 
 
 def chosen_device(name: str) -> str:
@@ -259,27 +216,30 @@ def resized(image: Image, height: int, width: int) -> Image:
     return found.reshape(height, width, image.shape[2]).astype(np.float32)
 
 
-def restore_size(made: Image, small: Image, clear: Image, detail: bool) -> Image:
+def restore_size(made: Image, small: Image, clear: Image) -> Image:
     """Resize the network's output to the size of the clear image; `small` is the network's input; display, 0..1.
 
-    With `detail`, the detail that `small` lacks is added from the clear image: the top band of a Laplacian pyramid
-    (Burt and Adelson 1983), since the transfer mostly changes low frequencies.
+    The detail that `small` lacks is added from the clear image: the top band of a Laplacian pyramid (Burt and Adelson
+    1983), since the transfer mostly changes low frequencies.
     """
     height, width = clear.shape[:2]
     large = resized(made, height, width)
-    if detail and made.shape != clear.shape:
+    if made.shape != clear.shape:
         large = large + clear - resized(small, height, width)
     return np.clip(large, 0, 1)
 
 
-def split_into_tiles(height: int, width: int, tile_px: int, overlap_px: int, multiple: int) -> tuple[TileWindow, ...]:
+OVERLAP_PX = 128  # minimum overlap of neighboring tiles
+
+
+def split_into_tiles(height: int, width: int, tile_px: int, multiple: int) -> tuple[TileWindow, ...]:
     """Split an image into overlapping windows of at most `tile_px` a side that start at multiples of `multiple`."""
     tall, wide = min(tile_px, height), min(tile_px, width)
-    rows, columns = _starts(height, tall, overlap_px, multiple), _starts(width, wide, overlap_px, multiple)
+    rows, columns = _starts(height, tall, multiple), _starts(width, wide, multiple)
     return tuple(TileWindow(top, left, tall, wide, (height, width)) for top in rows for left in columns)
 
 
-def blend_tiles(parts: Sequence[Image], windows: Sequence[TileWindow], overlap_px: int) -> Image:
+def blend_tiles(parts: Sequence[Image], windows: Sequence[TileWindow]) -> Image:
     """Blend tiles into one image; where they overlap, each fades out towards its own border."""
     if len(parts) == 1:
         return parts[0]
@@ -287,24 +247,24 @@ def blend_tiles(parts: Sequence[Image], windows: Sequence[TileWindow], overlap_p
     total = np.zeros((*frame, parts[0].shape[2]))
     weights = np.zeros((*frame, 1))
     for part, window in zip(parts, windows, strict=True):
-        weight = _fade(window.height, overlap_px)[:, None, None] * _fade(window.width, overlap_px)[None, :, None]
+        weight = _fade(window.height)[:, None, None] * _fade(window.width)[None, :, None]
         total[window.slices] += weight * part
         weights[window.slices] += weight
     return (total / weights).astype(np.float32)
 
 
-def _starts(side: int, tile: int, overlap: int, multiple: int) -> list[int]:
+def _starts(side: int, tile: int, multiple: int) -> list[int]:
     """Start positions of tiles: as few as the overlap allows, spread evenly."""
     if tile >= side:
         return [0]
     # The step is a whole multiple, so starts rounded down to multiples are never farther apart than it.
-    step = max((tile - overlap) // multiple, 1) * multiple
+    step = max((tile - OVERLAP_PX) // multiple, 1) * multiple
     count = math.ceil((side - tile) / step)
     return [(side - tile) * i // count // multiple * multiple for i in range(count)] + [side - tile]
 
 
-def _fade(side: int, overlap: int) -> Float[np.ndarray, " n"]:
+def _fade(side: int) -> Float[np.ndarray, " n"]:
     """Raised cosine from nearly 0 at both ends to 1 within the overlap."""
-    ramp = max(min(overlap, side // 2), 1)
+    ramp = max(min(OVERLAP_PX, side // 2), 1)
     near_end = np.minimum(np.arange(side), np.arange(side)[::-1]) + 0.5
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(near_end / ramp, 1))

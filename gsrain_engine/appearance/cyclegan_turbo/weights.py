@@ -77,18 +77,19 @@ class WeightsFile:
         """True for a file of our format."""
         return self.metadata.get("format") == FORMAT
 
-    def texts(self, weather: str = "rainy") -> tuple[str, str] | None:
+    @property
+    def texts(self) -> tuple[str, str] | None:
         """Captions for a2b and b2a that the text encoder has to encode; None if the file has their embeddings."""
-        return None if self.is_own else published_texts(self.state, weather)
+        return None if self.is_own else published_texts(self.state)
 
-    def delta(self, model: CycleGanTurbo, weather: str = "rainy") -> AdapterWeights:
+    def delta(self, model: CycleGanTurbo) -> AdapterWeights:
         """Weights relative to SD-Turbo; raises ValueError with the first bad key if they don't fit this model."""
         source = str(self.path)
         try:
             if self.is_own:
                 return read_own(self.state, self.metadata, model, source)
             if "sd_vae_enc" in self.state or "rank_unet" in self.state:
-                return read_published(self.state, model, source, weather)
+                return read_published(self.state, model, source)
             if any(name.startswith((_PREFIX, _FLAT_PREFIX)) and _ENDING.search(name) for name in self.state):
                 return read_diffusers_lora(self.state, self.metadata, model, source)
             some = ", ".join(repr(name) for name in sorted(self.state)[:3])
@@ -362,33 +363,28 @@ _UNET_PARTS = {
 """Parts of the UNet, and keys of the names of their layers."""
 _OTHERS = ("rank_unet", "rank_vae", "vae_lora_target_modules", "sd_vae_enc", "sd_vae_dec")
 _VAES = ("vae.", "vae_b2a.")
-WEATHERS = ("rainy", "snowy", "foggy")
-"""Weathers in one checkpoint of WeatherEdit, which share an autoencoder."""
-WEATHEREDIT_CAPTION = "Picture of a {} weather scene"
+WEATHEREDIT_CAPTION = "Picture of a rainy weather scene"
+_WEATHEREDIT = tuple(f"sd_{weather}_{part}" for weather in ("rainy", "snowy", "foggy") for part in _UNET_PARTS)
+"""Keys of WeatherEdit's checkpoints, which hold several weathers that share an autoencoder."""
 
 
-def published_texts(state: Mapping[str, Any], weather: str) -> tuple[str, str]:
-    """Captions of the training; WeatherEdit has one per weather."""
+def published_texts(state: Mapping[str, Any]) -> tuple[str, str]:
+    """Captions of the training; WeatherEdit has its own."""
     a2b, b2a = CAPTIONS
-    return (WEATHEREDIT_CAPTION.format(weather) if "sd_rainy_encoder" in state else a2b), b2a
+    return (WEATHEREDIT_CAPTION if "sd_rainy_encoder" in state else a2b), b2a
 
 
-def read_published(
-    state: Mapping[str, Any], model: CycleGanTurbo, source: str, weather: str = "rainy"
-) -> AdapterWeights:
-    """Read the weights of a checkpoint; of a file with several weathers, the LoRAs of `weather`.
+def read_published(state: Mapping[str, Any], model: CycleGanTurbo, source: str) -> AdapterWeights:
+    """Read the weights of a checkpoint; of a file with several weathers, the LoRAs of rain.
 
     Raises ValueError with the `source` for missing and unknown keys and other shapes, naming the first.
     """
-    several = [each for each in WEATHERS if f"sd_{each}_encoder" in state]
-    if several and weather not in several:
-        raise ValueError(f"{source}: holds {', '.join(several)}, not {weather!r}")
-    parts = {f"sd_{weather}_{part}" if several else f"sd_{part}": names for part, names in _UNET_PARTS.items()}
+    several = [key for key in _WEATHEREDIT if key in state]
+    parts = {f"sd_rainy_{part}" if several else f"sd_{part}": names for part, names in _UNET_PARTS.items()}
     expected = {*parts, *parts.values(), *_OTHERS}
-    allowed = {f"sd_{each}_{part}" for each in several for part in _UNET_PARTS}
     # Unknown plain values are training metadata; unknown tensors would be weights lost silently.
     heavy = {key for key, value in state.items() if isinstance(value, Mapping) or hasattr(value, "shape")}
-    check_names((set(state) & expected) | (heavy - allowed), expected, source)
+    check_names((set(state) & expected) | heavy.difference(several), expected, source)
     additions: dict[str, LowRank] = {}
     rank = int(state["rank_unet"])
     for key, names in parts.items():
@@ -401,8 +397,7 @@ def read_published(
             additions[f"unet.{layer}"] = LowRank(down, up, 1.0)
     vae_additions, replaced = _autoencoders(state, model, source)
     guide: Guide = "mask" if replaced["vae.encoder.conv_in.weight"].shape[1] > 3 else ""
-    texts = published_texts(state, weather)
-    return AdapterWeights(source, additions | vae_additions, replaced, guide, texts=texts)
+    return AdapterWeights(source, additions | vae_additions, replaced, guide, texts=published_texts(state))
 
 
 def _autoencoders(
@@ -476,9 +471,6 @@ def read_diffusers_lora(
 def _named(name: str, layers: set[str], flat: Mapping[str, str], source: str) -> tuple[str, str]:
     ending = _ENDING.search(name)
     stem = name[: ending.start()] if ending else name
-    # Before diffusers used peft, attention LoRAs were named after the attention processor.
-    stem = re.sub(r"\.processor\.(to_[qkv])_lora$", r".\1", stem)
-    stem = re.sub(r"\.processor\.to_out_lora$", ".to_out.0", stem)
     layer = stem.removeprefix(_PREFIX) if stem.startswith(_PREFIX) else flat.get(stem.removeprefix(_FLAT_PREFIX), "")
     if ending is None or layer not in layers:
         raise ValueError(f"{source}: {name!r} is no addition to a layer of this UNet")

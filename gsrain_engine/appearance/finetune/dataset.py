@@ -86,52 +86,46 @@ class ImageSplit:
 class ImageSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Images of one data set, filtered by its own weather labels."""
 
-    path: Annotated[str, Meta(title="Path", description="Any capture, data set or folder of pictures.")]
-    weather: Annotated[
-        Literal["any", "clear", "rainy"],
-        Meta(title="Weather", description="Only pictures that the data set labels so; any: all there are."),
-    ] = "any"
-    daytime: Annotated[bool, Meta(title="Daytime", description="Leave out what is labelled as night or twilight.")] = (
-        True
-    )
-    count: Annotated[
-        Annotated[int, Meta(ge=1)] | None,
-        Meta(title="Count", description="So many, spread evenly over its sequences; none: all."),
-    ] = None
+    # fmt: off
+    path: Annotated[str, Meta(
+        title="Path", description="Any capture, data set or folder of pictures.")]
+    weather: Annotated[Literal["any", "clear", "rainy"], Meta(
+        title="Weather", description="Only pictures that the data set labels so; any: all there are.")] = "any"
+    daytime: Annotated[bool, Meta(
+        title="Daytime", description="Leave out what is labelled as night or twilight.")] = True
+    count: Annotated[Annotated[int, Meta(ge=1)] | None, Meta(
+        title="Count", description="So many, spread evenly over its sequences; none: all.")] = None
+    # fmt: on
 
 
 class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Two unpaired sets of images, their framing, and the guide for the encoder's fourth channel."""
 
+    # fmt: off
     clear: Annotated[tuple[ImageSource, ...], Meta(
         min_length=1, title="Clear", extra={"commands": "train-transfer"},
-        description="Captures or folders of images in dry weather.")]  # fmt: skip
+        description="Captures or folders of images in dry weather.")]
     rainy: Annotated[tuple[ImageSource, ...], Meta(
         min_length=1, title="Rainy", extra={"commands": "train-transfer"},
-        description="Captures or folders of images in rain.")]  # fmt: skip
-    test_share: Annotated[
-        float, Meta(ge=0, lt=1, title="Test share", description="Share of each source that is never trained on.")
-    ] = 0.2
+        description="Captures or folders of images in rain.")]
+    test_share: Annotated[float, Meta(
+        ge=0, lt=1, title="Test share", description="Share of each source that is never trained on.")] = 0.2
     width_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=8, title="Width", extra={"unit": "px"})] = 512
     height_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=8, title="Height", extra={"unit": "px"})] = 512
-    framing: Annotated[
-        Literal["stretch", "crop"],
-        Meta(title="Framing", description="stretch: as the paper, whatever the proportions. crop: their middle."),
-    ] = "stretch"
-    guide: Annotated[
-        Literal["up", "luma", "none"],
-        Meta(title="Guide", description="Fourth channel of the encoder: up-ness of surfaces, their luma, or none."),
-    ] = "up"
-    normals: Annotated[
-        str, Meta(title="Normals", description="Source of normals for pictures without depth: dsine, marigold, none.")
-    ] = "none"
-    normals_weights: Annotated[
-        str | None, Meta(title="Weights for normals", description="File or folder that the estimator needs.")
-    ] = None
-    normals_checkout: Annotated[
-        str | None, Meta(title="Checkout for normals", description="The person's own copy of DSINE's program.")
-    ] = None
-    seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Seed that draws the test pictures.")] = 0
+    framing: Annotated[Literal["stretch", "crop"], Meta(
+        title="Framing",
+        description="stretch: as the paper, whatever the proportions. crop: their middle.")] = "stretch"
+    guide: Annotated[Literal["up", "luma", "none"], Meta(
+        title="Guide", description="Fourth channel of the encoder: up-ness of surfaces, their luma, or none.")] = "up"
+    normals: Annotated[str, Meta(
+        title="Normals", description="Source of normals for pictures without depth: dsine, marigold, none.")] = "none"
+    normals_weights: Annotated[str | None, Meta(
+        title="Weights for normals", description="File or folder that the estimator needs.")] = None
+    normals_checkout: Annotated[str | None, Meta(
+        title="Checkout for normals", description="The person's own copy of DSINE's program.")] = None
+    seed: Annotated[int, Meta(
+        ge=0, le=2**31 - 1, title="Seed", description="Seed that draws the test pictures.")] = 0
+    # fmt: on
 
 
 def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSplit:

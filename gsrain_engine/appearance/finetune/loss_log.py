@@ -5,7 +5,6 @@ import logging
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from io import TextIOWrapper
@@ -123,20 +122,8 @@ def color_distance(
     return float(np.abs(_ranked(source) - _ranked(target)).mean())
 
 
-@dataclass(frozen=True, slots=True)
-class CollapseVerdict:
-    """State of a training over its last iterations."""
-
-    change: float
-    """Mean change by the translation, as a share of the value range."""
-    share: float
-    """Change as a share of the distance between the looks: 1 or more for a complete translation."""
-    warning: str | None
-    """Problem in a sentence or two; None if there is none or it is too early to tell."""
-
-
 class CollapseMonitor:
-    """Monitor of the losses of a training."""
+    """Monitor of the last losses of a training."""
 
     def __init__(self, distance: float, gan_weight: float, warned_after: int) -> None:
         """Take the distance between the looks, the adversarial weight, and the first step with warnings."""
@@ -147,32 +134,36 @@ class CollapseMonitor:
     def add(self, losses: Mapping[str, float]) -> None:
         self._recent.append(losses)
 
-    def verdict(self, step: int) -> CollapseVerdict:
-        if not self._recent:
-            return CollapseVerdict(0.0, 0.0, None)
-        mean = {name: sum(each[name] for each in self._recent) / len(self._recent) for name in self._recent[-1]}
-        share = mean["change"] / self.distance
-        warning = None if step < self._warned_after else self._warning(step, mean, share)
-        return CollapseVerdict(mean["change"], share, warning)
+    @property
+    def share(self) -> float:
+        """Mean change as a share of the distance between the looks: 1 or more for a complete translation."""
+        return self._mean("change") / self.distance
 
-    def _warning(self, step: int, mean: Mapping[str, float], share: float) -> str | None:
+    def warning(self, step: int) -> str | None:
+        """Problem in a sentence or two; None if there is none or it is too early to tell."""
+        if step < self._warned_after or not self._recent:
+            return None
         # Each of the two losses has half the weight, so chance level is the weight times `CHANCE`.
-        sums = [mean[f"judge_{look}_made"] + mean[f"judge_{look}_real"] for look in ("rainy", "clear")]
+        sums = [self._mean(f"judge_{look}_made") + self._mean(f"judge_{look}_real") for look in ("rainy", "clear")]
         judged = [each / (self._gan_weight * CHANCE) for each in sums] if self._gan_weight else []
         won = bool(judged) and min(judged) < _WON
-        if share < _STUCK:
+        if self.share < _STUCK:
             why = "raise losses.gan or the rate, lower the losses of LPIPS, and train in float32"
             if won:
                 why = "the discriminators tell everything apart and teach nothing: lower their rate"
             elif not judged:
                 why = "there is no adversarial loss: set losses.gan"
             return (
-                f"after {step:,} steps the model only reconstructs: it changes pictures by {mean['change']:.1%} of the "
-                f"range, {share:.0%} of what lies between the two looks; {why}"
+                f"after {step:,} steps the model only reconstructs: it changes pictures by "
+                f"{self._mean('change'):.1%} of the range, {self.share:.0%} of what lies between the two looks; {why}"
             )
         if won:
             return f"after {step:,} steps a discriminator's loss is {min(judged):.0%} of chance: lower its rate"
         return None
+
+    def _mean(self, name: str) -> float:
+        """Mean of one loss over the last iterations; 0 before the first."""
+        return sum(each[name] for each in self._recent) / max(len(self._recent), 1)
 
 
 def distance_sample(pictures: Sequence[object], limit: int = 64) -> list[int]:

@@ -148,12 +148,11 @@ class _FinetuneLoop:
         losses = done.losses
         self._monitor.add(losses)
         log.add(number + 1, losses)
-        verdict = self._monitor.verdict(number + 1)
-        self.run.warn(verdict.warning)
+        self.run.warn(self._monitor.warning(number + 1))
         cycle, gan = (losses[f"{kind}_clear"] + losses[f"{kind}_rainy"] for kind in ("cycle", "gan"))
         message = (
             f"{number + 1:,} of {self._settings.steps:,}: cycle {cycle:.3f}, GAN {gan:.2f}, "
-            f"change {verdict.share:.0%} of the distance between the looks"
+            f"change {self._monitor.share:.0%} of the distance between the looks"
         )
         preview = join_horizontally(done.clear, done.translated) if self.run.preview_is_due() else None
         return self.run.progress(number + 1, message, preview, losses)
@@ -191,11 +190,10 @@ class _FinetuneLoop:
     def result(self) -> FinetuneResult:
         recent = read_losses(self._task.losses)[-_RECENT:]
         names = [name for name in recent[-1] if name != "step"]
-        verdict = self._monitor.verdict(self._settings.steps)
         return FinetuneResult(
             weights=self._task.weights, grid=self._grid, steps=self._settings.steps, seconds=self.run.seconds,
             losses={name: sum(row[name] for row in recent) / len(recent) for name in names},
-            share=verdict.share, warning=verdict.warning, perceptual=self._perceptual,
+            share=self._monitor.share, warning=self._monitor.warning(self._settings.steps), perceptual=self._perceptual,
             table=self._split.table, problems=self._split.problems,
         )  # fmt: skip
 

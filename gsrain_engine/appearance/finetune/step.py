@@ -342,8 +342,8 @@ class NamedOptimizer:
     def begin(self) -> None:
         self._adam.zero_grad(set_to_none=True)
 
-    def step(self, iteration: int) -> float:
-        """Clip, update and clear the gradients; returns the gradient's norm before clipping.
+    def step(self, iteration: int) -> None:
+        """Clip, update and clear the gradients.
 
         The learning rate depends on the iteration alone, not on the number of its steps; the published code advances
         its schedule with each step. Raises `DivergedError` before any update if the gradient is not finite.
@@ -358,7 +358,6 @@ class NamedOptimizer:
             )
         self._adam.step()
         self.begin()
-        return length
 
     def state(self) -> dict[str, Any]:
         """Return all moments, on the CPU, as "moment:parameter"; empty before the first step."""

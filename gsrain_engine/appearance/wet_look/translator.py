@@ -6,7 +6,7 @@ import numpy as np
 
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView, Image, RainyView
-from ..normals import view_rays
+from ..normals import view_directions, view_rays
 from . import illumination
 from .environment import ReflectionEnvironment
 from .illumination import IlluminationEstimate, composite_over_cloud, estimate_illumination, extend_sky_mask
@@ -24,18 +24,12 @@ class WetTransfer:
 
     name = "wet"
 
-    def __init__(
-        self, settings: WetSettings, surroundings: ReflectionEnvironment, light: IlluminationEstimate | None = None
-    ) -> None:
-        self._settings, self._surroundings, self._light = settings, surroundings, light
-
-    def light_of(self, views: Sequence[ClearView]) -> IlluminationEstimate:
-        """Illumination of the clear views: the given one, or an estimate."""
-        return estimate_illumination(views) if self._light is None else self._light
+    def __init__(self, settings: WetSettings, surroundings: ReflectionEnvironment) -> None:
+        self._settings, self._surroundings = settings, surroundings
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Yield rainy views in order. Unless light was given, it is first estimated from some of the views."""
-        light = self.light_of(views)
+        """Yield rainy views in order; light is first estimated from some of the views."""
+        light = estimate_illumination(views)
         for i in range(len(views)):
             yield self._rainy(views[i], light)
 
@@ -76,12 +70,10 @@ def rainy_light(
     """Return the view on a rainy day without the water on the ground, in linear light."""
     clear = srgb_to_linear(view.image).astype(np.float32)
     view = extend_sky_mask(view)
-    rays = view_rays(view.camera)
-    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     surfaces = surfaces_of(view, ground)
     surface = illumination.overcast_surfaces(view, light, settings, surfaces)
     surface = wet_surfaces_color(surface, surfaces, settings)
-    surface = add_clear_coat(surface, surfaces, directions, settings)
+    surface = add_clear_coat(surface, surfaces, view_directions(view.camera), settings)
     surface = add_emissive_lights(surface, view, emissive_share(view, surfaces, settings.tail_lamps), settings.lamps)
-    rainy = composite_over_cloud(view, apply_fog(surface, view, rays, settings), settings)
+    rainy = composite_over_cloud(view, apply_fog(surface, view, view_rays(view.camera), settings), settings)
     return ((1 - settings.wetness) * clear + settings.wetness * rainy).astype(np.float32)

@@ -44,8 +44,18 @@ def read_bytes(file: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Read a whole file; raises `CaptureError` that names it."""
     try:
         return read_file(file, max_bytes)
+    except FileNotFoundError:
+        raise CaptureError(f"{file}: no such file") from None
     except OSError as error:
         raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
+
+
+def read_text(file: Path, max_bytes: int = MAX_FILE_BYTES) -> str:
+    """Read a whole file as UTF-8; raises `CaptureError` that names it."""
+    try:
+        return read_bytes(file, max_bytes).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{file}: no text ({error})") from None
 
 
 # NumPy archives
@@ -101,13 +111,10 @@ _MAX_BYTES = 1 << 30
 
 def read_json(file: Path) -> Any:
     """Read a JSON file; raises `CaptureError` if it is missing, broken or larger than 1 GB."""
+    content = read_bytes(file, _MAX_BYTES)
     try:
-        return json.loads(read_file(file, _MAX_BYTES).decode("utf-8"))
-    except FileNotFoundError:
-        raise CaptureError(f"{file}: no such file") from None
-    except InputError as error:
-        raise CaptureError(str(error)) from None
-    except (OSError, ValueError, RecursionError) as error:
+        return json.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
         raise CaptureError(f"{file}: not a JSON file that can be read ({error})") from None
 
 

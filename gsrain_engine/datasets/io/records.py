@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import import_module
 from io import TextIOWrapper
+from itertools import islice
 from pathlib import Path
 from typing import Any, no_type_check
 
@@ -226,14 +227,10 @@ def _text_columns(file: Path) -> dict[str, np.ndarray]:
                     break
                 case _:
                     pass
-        values: list[list[float]] = []
-        for line in stream:
-            if len(values) == count:
-                break
-            try:
-                values.append([float(word) for word in line.split()])
-            except ValueError:
-                raise CaptureError(f"{file}: vertex {len(values)} holds something else than numbers") from None
-    if len(values) < count or any(len(row) != len(names) for row in values):
-        raise CaptureError(f"{file}: {count} vertices of {len(names)} numbers were to come, it is cut off or damaged")
-    return dict(zip(names, np.array(values, np.float64).reshape(count, len(names)).T, strict=True))
+        try:
+            values = np.array([[float(word) for word in line.split()] for line in islice(stream, count)], np.float64)
+            columns = values.reshape(count, len(names)).T
+        except ValueError:
+            expected = f"{count} vertices of {len(names)} numbers were to come"
+            raise CaptureError(f"{file}: {expected}, it is cut off or damaged") from None
+    return dict(zip(names, columns, strict=True))

@@ -27,21 +27,9 @@ def trained_model(*, normals: bool = False, seed: int = 0) -> CycleGanTurbo:
     return model
 
 
-def trained_first_convolutions(model: CycleGanTurbo) -> None:
-    """Move the first convolutions as well, which img2img-turbo's checkpoints lose."""
-    with torch.no_grad():
-        for part in (model.unet.conv_in, model.vae.encoder.conv_in, model.vae_b2a.encoder.conv_in):
-            part.base_layer.weight += 0.1 * torch.randn(part.base_layer.weight.shape)
-
-
-@cache
-def _to_train(normals: bool) -> CycleGanTurbo:
-    return build_random_model(tiny(), normals, RANKS)
-
-
 def to_train(*, normals: bool = False) -> CycleGanTurbo:
     """A small model with peft adapters, in which nothing has moved yet."""
-    return deepcopy(_to_train(normals))
+    return build_random_model(tiny(), normals, RANKS)
 
 
 @cache
@@ -92,9 +80,19 @@ def with_mask_channel() -> CycleGanTurbo:
     return wide
 
 
-def load_weights(model: CycleGanTurbo, path: Path, weather: str = "rainy") -> None:
+def load_weights(model: CycleGanTurbo, path: Path) -> None:
     """Put the weights of a file into a model: merged, or into its peft adapters where it has them."""
-    apply_adapter_weights(model, open_weights(path).delta(model, weather))
+    apply_adapter_weights(model, open_weights(path).delta(model))
+
+
+def noise(seed: int, *shape: int) -> Any:
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+
+
+def out(model: CycleGanTurbo, pictures: Any, guides: Any = None, direction: str = "a2b") -> Any:
+    """Translate without gradients."""
+    with torch.no_grad():
+        return model.translate(pictures, guides, direction)
 
 
 def _adapter(model: CycleGanTurbo, name: str) -> dict[str, Any]:

@@ -7,46 +7,37 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.appearance.finetune.dataset import (
-    ConditioningImages,
-    ImageSettings,
-    ImageSource,
-    open_images,
-)
-from gsrain_engine.datasets.capture import CaptureFrame
+from gsrain_engine.appearance.finetune.dataset import ConditioningImages, ImageSettings, ImageSource, open_images
+from gsrain_engine.datasets.capture import CaptureError, CaptureFrame
 from gsrain_engine.scene.camera import Camera
 
 INTRINSICS = "K_cam:\n16 0 8\n0 16 6\n0 0 1\ndistortion:\n0 0 0 0 0\n"
 
 
-def save(file, seed=0, size=(16, 12)):
+def save(file, seed=0):
     file.parent.mkdir(parents=True, exist_ok=True)
-    pixels = np.random.default_rng(seed).integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
+    pixels = np.random.default_rng(seed).integers(0, 256, (12, 16, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(file, quality=95)
-
-
-def name_of(number):
-    return f"{number:08x}-{number * 7919 % 2**32:08x}"
 
 
 @pytest.fixture(scope="module")
 def bdd100k(tmp_path_factory):
-    """150 clear and 145 rainy frames by day, and some that nobody wants."""
+    """150 clear and 145 rainy frames, 4 of them at night, and others."""
     folder = tmp_path_factory.mktemp("bdd100k")
     weathers = ["clear"] * 150 + ["rainy"] * 145 + ["snowy"] * 3 + ["undefined"] * 2
     labels = []
     for number, weather in enumerate(weathers):
-        save(folder / "images" / f"{name_of(number)}.jpg", number)
-        labels.append({"name": f"{name_of(number)}.jpg", "attributes": {"weather": weather, "timeofday": "daytime"}})
-    for row in labels[:4]:
-        row["attributes"]["timeofday"] = "night"
+        name = f"{number:08x}-{number * 7919 % 2**32:08x}.jpg"
+        save(folder / "images" / name, number)
+        time = "night" if number < 4 else "daytime"
+        labels.append({"name": name, "attributes": {"weather": weather, "timeofday": time}})
     (folder / "det_train.json").write_text(json.dumps(labels))
     return folder
 
 
 @pytest.fixture(scope="module")
 def rainsense(tmp_path_factory):
-    """Four sequences of 12 frames: one dry, three in rain."""
+    """Four sequences: one dry, three in rain."""
     folder = tmp_path_factory.mktemp("rainsense")
     for case, intensity in enumerate((0.0, 1.376, 4.75, 9.245)):
         place = folder / f"rain_{case}" / "scene_0" / "case_000"
@@ -61,56 +52,46 @@ def rainsense(tmp_path_factory):
     return folder
 
 
-def settings(clear, rainy, **changes):
-    def source(path, weather, count):
-        return ImageSource(path=str(path), weather=weather, count=count)
-
-    values = {"width_px": 16, "height_px": 16, "guide": "none"} | changes
-    return ImageSettings(
-        clear=tuple(source(path, "clear", count) for path, count in clear),
-        rainy=tuple(source(path, "rainy", count) for path, count in rainy),
-        **values,
-    )
+def settings(sources, **changes):
+    looks = {
+        look: tuple(ImageSource(path=str(path), weather=look, count=count) for path, count in sources)
+        for look in ("clear", "rainy")
+    }
+    return ImageSettings(**(looks | {"width_px": 16, "height_px": 16, "guide": "none"} | changes))
 
 
-def test_composition_of_the_papers_table(bdd100k, rainsense):
-    both = ((rainsense, 22), (bdd100k, 139))
-    split = open_images(settings(both, both))
-    assert [(look, count) for _, look, count, _ in split.table] == [
-        ("clear", 22), ("clear", 139), ("rainy", 22), ("rainy", 139),
-    ]  # fmt: skip
+def test_the_papers_table_is_composed_and_split_by_the_seed_alone(bdd100k, rainsense):
+    split, same, other = (open_images(settings([(rainsense, 22), (bdd100k, 139)], seed=seed)) for seed in (3, 3, 4))
+    counts = [(look, count) for _, look, count, _ in split.table]
+    assert counts == [("clear", 22), ("clear", 139), ("rainy", 22), ("rainy", 139)]
     for train, test in ((split.train.source, split.test.source), (split.train.target, split.test.target)):
-        assert (len(train), len(test)) == (129, 32)
-        assert not {picture.name for picture in train} & {picture.name for picture in test}
-        assert len({picture.name for picture in train + test}) == 161
+        assert (len(train), len(test)) == (129, 32) and len({picture.name for picture in train + test}) == 161
+    tested = [{picture.name for picture in each.test.source} for each in (split, same, other)]
+    assert tested[0] == tested[1] != tested[2]
 
 
-def test_seed_alone_decides_the_split_and_night_and_other_weather_are_left_out(bdd100k):
-    def tested(seed):
-        split = open_images(settings([(bdd100k, 20)], [(bdd100k, 20)], seed=seed))
-        return {picture.name for picture in split.test.source}
-
-    assert tested(3) == tested(3) != tested(4)
-    split = open_images(settings([(bdd100k, None)], [(bdd100k, None)], test_share=0.0))
+def test_night_and_other_weather_are_left_out_and_missing_pictures_are_named(bdd100k, tmp_path):
+    split = open_images(settings([(bdd100k, None)], test_share=0.0))
     assert (len(split.train.source), len(split.train.target)) == (146, 145)
+    save(tmp_path / "plain" / "0.png")
+    for sources, changes, name in (
+        ([(bdd100k, 147)], {}, "count 147"), ([(tmp_path / "plain", 1)], {}, "weather"),
+        ([(bdd100k, 1)], {"test_share": 0.9}, "test_share"),
+    ):  # fmt: skip
+        with pytest.raises(CaptureError, match=name):
+            open_images(settings(sources, **changes))
 
 
-def test_pictures_are_framed(tmp_path):
+@pytest.mark.parametrize(("framing", "red"), [("stretch", 0.5), ("crop", 1.0)])
+def test_pictures_are_framed(tmp_path, framing, red):
     stripes = np.zeros((20, 40, 3), np.uint8)
     stripes[:, 10:30, 0] = 255
-    for look in ("clear", "rainy"):
-        (tmp_path / look).mkdir()
-        Image.fromarray(stripes).save(tmp_path / look / "stripes.png")
-    sources = {look: (ImageSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
-    size = {"width_px": 16, "height_px": 16, "guide": "none", "test_share": 0.0}
-    stretched, cropped = (
-        open_images(ImageSettings(**sources, **size, framing=framing)).train.source[0].read()[0]
-        for framing in ("stretch", "crop")
-    )
-    assert stretched.shape == cropped.shape == (16, 16, 3)
-    assert stretched.dtype == np.float32
-    np.testing.assert_allclose(stretched[..., 0].mean(), 0.5, atol=0.01)
-    np.testing.assert_allclose(cropped[..., 0], 1.0, atol=0.01)
+    Image.fromarray(stripes).save(tmp_path / "stripes.png")
+    sources = dict.fromkeys(("clear", "rainy"), (ImageSource(path=str(tmp_path)),))
+    (picture,) = open_images(settings([], **sources, test_share=0.0, framing=framing)).train.source
+    image, guide = picture.read()
+    assert image.shape == (16, 16, 3) and image.dtype == np.float32 and guide is None
+    assert image[..., 0].mean() == pytest.approx(red, abs=0.01)
 
 
 class Upward:

@@ -9,10 +9,7 @@ torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
 
 from gsrain_engine.appearance.finetune.dataset import open_images  # noqa: E402
-from gsrain_engine.appearance.finetune.discriminator import (  # noqa: E402
-    ClipFeatures,
-    area_resized,
-)
+from gsrain_engine.appearance.finetune.discriminator import ClipFeatures, area_resized  # noqa: E402
 from gsrain_engine.appearance.finetune.settings import PLACE, OptimizerSettings  # noqa: E402
 from gsrain_engine.appearance.finetune.step import (  # noqa: E402
     DivergedError,
@@ -27,21 +24,18 @@ from gsrain_engine.appearance.finetune.step import (  # noqa: E402
 from .small_training import small_settings, small_start  # noqa: E402
 
 
-def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
+def test_each_epoch_has_all_pictures_in_a_new_order(tmp_path: Path) -> None:
     pictures = open_images(small_settings(tmp_path).pictures).train
-    order = PairSampler(pictures, seed=3, guided=True, device="cpu")
-    count = len(pictures.source)
+    order, count = PairSampler(pictures, seed=3, guided=True, device="cpu"), len(pictures.source)
     means = [float(order.pair(i).clear.mean()) for i in range(3 * count)]
-    turns = [tuple(means[i : i + count]) for i in range(0, len(means), count)]
-    assert all(sorted(turn) == sorted(turns[0]) and len(set(turn)) == count for turn in turns)
-    assert len(set(turns)) > 1
-    repeated = PairSampler(pictures, seed=3, guided=True, device="cpu")
-    assert float(repeated.pair(count + 1).clear.mean()) == means[count + 1]
+    turns = {tuple(means[i : i + count]) for i in range(0, len(means), count)}
+    assert len(turns) > 1 and {frozenset(turn) for turn in turns} == {frozenset(means)} and len(set(means)) == count
+    repeated = PairSampler(pictures, seed=3, guided=False, device="cpu").pair(count + 1)
+    assert float(repeated.clear.mean()) == means[count + 1] and repeated.clear_guide is None
 
     pair = order.pair(0)
     assert pair.clear.shape == (1, 3, 16, 16) and -1 <= float(pair.clear.min()) < float(pair.clear.max()) <= 1
     assert pair.clear_guide is not None and not pair.clear_guide.any()
-    assert PairSampler(pictures, 3, guided=False, device="cpu").pair(0).clear_guide is None
     assert fingerprint(replace(pictures, source=pictures.source[:-1])) != fingerprint(pictures)
 
 
@@ -84,34 +78,31 @@ def test_only_what_is_learned_moves_and_checkpointing_changes_no_number(tmp_path
 
 
 @pytest.mark.usefixtures("small_networks")
-def test_the_columns_of_the_colours_keep_every_bit(tmp_path: Path) -> None:
+def test_the_guides_columns_are_learned_and_those_of_the_colors_keep_every_bit(tmp_path: Path) -> None:
     training = small_start(small_settings(tmp_path))
     model = training.model
-    decaying, held = trained_parameters(model)
-    optimizer = NamedOptimizer(OptimizerSettings(weight_decay=0.5), 1e-2, decaying, held)
+    optimizer = NamedOptimizer(OptimizerSettings(weight_decay=0.5), 1e-2, *trained_parameters(model))
     weight = model.vae.encoder.conv_in.base_layer.weight
     before = weight.detach().clone()
     clear, _ = training.order.read(training.order.pictures.source[0])
-    made = model.translate(clear, torch.ones_like(clear[:, :1]), "a2b")
-    made.square().mean().backward()
+    model.translate(clear, torch.ones_like(clear[:, :1]), "a2b").square().mean().backward()
     optimizer.step(0)
     assert torch.equal(weight[:, :3], before[:, :3])
     assert not before[:, 3].any() and weight[:, 3].all()
+    with pytest.raises(ValueError, match="LoRA"):
+        trained_parameters(torch.nn.Linear(2, 2))
 
 
 @pytest.mark.usefixtures("small_networks")
 def test_a_state_brings_everything_back(tmp_path: Path) -> None:
-    first = small_start(small_settings(tmp_path))
+    first, second = small_start(small_settings(tmp_path)), small_start(small_settings(tmp_path, seed=5))
     first.iterate(0)
-    second = small_start(small_settings(tmp_path, seed=5))
-    second.restore(first.state())
-    own, theirs = first.state(), second.state()
+    own = first.state()
+    second.restore(own)
+    theirs = second.state()
     assert set(own) == set(theirs) and not _changed(own, theirs)
-    missing = {name: each for name, each in own.items() if not name.endswith("conv_in.base_layer.weight")}
     with pytest.raises(KeyError, match="conv_in"):
-        second.restore(missing)
-    with pytest.raises(ValueError, match="LoRA"):
-        trained_parameters(torch.nn.Linear(2, 2))
+        second.restore({name: each for name, each in own.items() if not name.endswith("conv_in.base_layer.weight")})
 
 
 # Optimizer and losses
@@ -127,11 +118,11 @@ def test_the_rate_follows_from_the_iteration() -> None:
         assert number.item() == pytest.approx(-0.1 * share, rel=1e-5)
 
 
-def test_gradients_are_clipped_and_their_length_is_told() -> None:
+def test_gradients_are_clipped_and_a_diverged_training_changes_nothing() -> None:
     number = torch.nn.Parameter(torch.zeros(2))
     optimizer = NamedOptimizer(OptimizerSettings(), 1e-3, {"number": number})
     number.grad = torch.tensor([30.0, 40.0])
-    assert optimizer.step(0) == pytest.approx(50)
+    optimizer.step(0)
     assert float(optimizer.state()["exp_avg:number"].norm()) == pytest.approx(1.0, rel=1e-4)  # 10 (1 - beta_1)
     number.grad = torch.tensor([float("nan"), 0.0])
     before = number.detach().clone()
@@ -153,66 +144,29 @@ def test_losses_are_cross_entropies_and_weighted_differences() -> None:
 # Discriminators
 
 
-def _random(seed: int) -> object:
-    return torch.Generator().manual_seed(seed)
-
-
-def _pictures(count: int = 2, side: int = 40) -> object:
-    return torch.rand(count, 3, side, side, generator=_random(0)) * 2 - 1
-
-
-@pytest.fixture
-def features() -> ClipFeatures:
-    torch.manual_seed(0)
-    return ClipFeatures.tiny()
-
-
-@pytest.mark.parametrize("size", [(512, 512), (40, 96), (7, 5), (32, 31)])
+@pytest.mark.parametrize("size", [(40, 96), (7, 5), (32, 31)])
 def test_areas_are_torchs_areas(size: tuple[int, int]) -> None:
-    pictures = torch.rand(1, 2, *size, generator=_random(3))
+    pictures = torch.rand(1, 2, *size, generator=torch.Generator().manual_seed(3))
     expected = torch.nn.functional.interpolate(pictures, (32, 32), mode="area")
     assert torch.allclose(area_resized(pictures, 32), expected, atol=1e-6)
 
 
-def test_features_are_those_after_their_blocks_and_pass_gradients_though_frozen(features: ClipFeatures) -> None:
-    pictures = _pictures(side=32).requires_grad_(True)
-    features.train()
-    first, second, whole = features(pictures)
-    assert first.shape == second.shape == (2, 16, 4, 4) and whole.shape == (2, 16)
-    model = features.vision.vision_model
-    flow = model.pre_layrnorm(model.embeddings((pictures * 0.5 + 0.5 - features.mean) / features.deviation))
-    assert features.taps == (1, 2)
-    for block, found in zip(model.encoder.layers, (first, second), strict=False):
-        flow = block(flow, attention_mask=None)
-        flow = flow[0] if isinstance(flow, tuple) else flow
-        assert torch.allclose(found[1, :, 2, 3], flow[1, 1 + 2 * 4 + 3], atol=1e-5)
-    whole.sum().backward()
-    assert pictures.grad.abs().sum() > 0
-    assert not features.vision.training and all(each.grad is None for each in features.parameters())
-
-
-def test_clip_is_read_from_a_persons_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 6, "num_attention_heads": 2,
-              "image_size": 32, "patch_size": 8, "projection_dim": 24}  # fmt: skip
-    text = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
-            "vocab_size": 32}  # fmt: skip
+def test_clip_is_read_from_a_folder_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = {"hidden_size": 16, "intermediate_size": 32, "num_attention_heads": 2}
+    vision = sizes | {"num_hidden_layers": 6, "image_size": 32, "patch_size": 8, "projection_dim": 24}
+    text = sizes | {"num_hidden_layers": 1, "vocab_size": 32}
     clip = transformers.CLIPModel(transformers.CLIPConfig(text_config=text, vision_config=vision, projection_dim=24))
     clip.save_pretrained(tmp_path / "clip")
     read = ClipFeatures.read(tmp_path / "clip")
-    assert read.taps == (2, 4) and read.whole_channels == 24
+    assert (read.taps, read.map_channels, read.whole_channels) == ((2, 4), 16, 24)
     assert torch.equal(read.vision.visual_projection.weight, clip.visual_projection.weight)
     monkeypatch.setenv(PLACE, str(tmp_path / "clip"))
-    assert ClipFeatures.read(None).map_channels == 16
+    assert ClipFeatures.read(None).taps == (2, 4)
 
     state = {name: each for name, each in clip.state_dict().items() if "visual_projection" not in name}
     clip.save_pretrained(tmp_path / "half", state_dict=state)
-    with pytest.raises(ValueError, match=r"1 weights .* visual_projection\.weight"):
+    with pytest.raises(ValueError, match=r"visual_projection\.weight"):
         ClipFeatures.read(tmp_path / "half")
-    with pytest.raises(FileNotFoundError, match="clip-vit-base-patch32"):
-        ClipFeatures.read(tmp_path)
     monkeypatch.setenv(PLACE, str(tmp_path / "nowhere"))
-    with pytest.raises(FileNotFoundError, match=f"nowhere.*{PLACE}"):
+    with pytest.raises(FileNotFoundError, match=f"nowhere.*clip-vit-base-patch32.*{PLACE}"):
         ClipFeatures.read(None)
-
-
-# Augmentation

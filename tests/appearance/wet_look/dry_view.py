@@ -3,6 +3,7 @@
 import numpy as np
 
 from gsrain_engine.appearance.base import ClearView
+from gsrain_engine.appearance.normals import view_rays
 from gsrain_engine.scene.camera import Camera, look_at
 
 WIDTH, HEIGHT = 96, 64
@@ -22,9 +23,7 @@ def dry_view(*, shadow=0.0, texture=0.0, noise=0.0, seen_from=None, vehicles=Non
     `texture` is painted on road and wall; `noise` is the camera's, display, by the length of the view's name.
     """
     seen_from = seen_from or camera()
-    v, u = np.mgrid[: seen_from.height, : seen_from.width] + 0.5
-    rays = np.stack([(u - seen_from.cx) / seen_from.fx, (v - seen_from.cy) / seen_from.fy, np.ones_like(u)], axis=-1)
-    rays = rays @ seen_from.world_to_camera[:3, :3]
+    rays = view_rays(seen_from)
     eye = seen_from.position
     to_road = np.where(rays[..., 2] < -1e-6, -eye[2] / np.minimum(rays[..., 2], -1e-6), np.inf)
     to_wall = (WALL_AT_M - eye[0]) / rays[..., 0]
@@ -40,14 +39,5 @@ def dry_view(*, shadow=0.0, texture=0.0, noise=0.0, seen_from=None, vehicles=Non
     image = np.where(is_sky[..., None], SKY, image)
     image = np.clip(image + np.random.default_rng(len(name)).normal(0, noise, image.shape), 0, 1)
     normals = np.where(is_road[..., None], (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)) * ~is_sky[..., None]
-    nothing = np.zeros(depth.shape, np.float32)
-    return ClearView(
-        name,
-        seen_from,
-        0.0,
-        image.astype(np.float32),
-        np.where(is_sky, 0, depth).astype(np.float32),
-        normals.astype(np.float32),
-        is_sky.astype(np.float32),
-        nothing if vehicles is None else vehicles.astype(np.float32),
-    )
+    maps = (np.where(is_sky, 0, depth), normals, is_sky, np.zeros(depth.shape) if vehicles is None else vehicles)
+    return ClearView(name, seen_from, 0.0, *(each.astype(np.float32) for each in (image, *maps)))

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from gsrain_engine.appearance.base import ClearView
-from gsrain_engine.appearance.normals import view_rays
+from gsrain_engine.appearance.normals import view_rays, world_points
 from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, SceneEnvironment
 from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane
 from gsrain_engine.appearance.wet_look.masks import VisibleGround
-from gsrain_engine.appearance.wet_look.reflections import (
-    mirror_camera,
-    screen_space_reflection,
-)
+from gsrain_engine.appearance.wet_look.reflections import mirror_camera, screen_space_reflection
 from gsrain_engine.appearance.wet_look.water import water_layer_of
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
@@ -23,44 +20,29 @@ from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import patch
 
 LEVEL = GroundPlane(np.array([0.0, 0, 1]), 0.0)
-
-
 EYE = Camera(160, 120, 120.0, 120.0, 80.0, 60.0, look_at(np.array([0, 0, 1.5]), np.array([10, 0, 1.0]), np.eye(3)[2]))
+WALL_M, TOP_M = 12.0, 4.0
 
 
-WALL_M = 12.0
-
-
-def room(top_m=4.0):
-    """A wall of the given height behind level ground, and sky above it; gray levels tell rows."""
+def test_rays_find_what_the_view_shows_above_the_ground():
+    """The mirrored camera sees a wall behind level ground at the height at which the view has it."""
     rays = view_rays(EYE)
     to_wall = WALL_M / rays[..., 0]
     to_ground = np.where(rays[..., 2] < 0, -1.5 / np.minimum(rays[..., 2], -1e-9), np.inf)
     is_ground = to_ground < to_wall
-    is_sky = ~is_ground & (1.5 + to_wall * rays[..., 2] > top_m)
+    is_sky = ~is_ground & (1.5 + to_wall * rays[..., 2] > TOP_M)
     depth = np.where(is_sky, 0, np.minimum(to_wall, to_ground)).astype(np.float32)
     normals = np.where(is_ground[..., None], [0, 0, 1.0], [-1.0, 0, 0]).astype(np.float32)
-    image = np.repeat(np.linspace(0, 1, 120, dtype=np.float32)[:, None, None], 160, axis=1).repeat(3, axis=2)
-    view = ClearView("room", EYE, 0.0, image, depth, normals, is_sky.astype(np.float32), np.zeros_like(depth))
-    points = EYE.position + depth[..., None].astype(float) * rays
-    share, nothing = is_ground.astype(np.float32), np.zeros_like(depth)
-    return view, VisibleGround(LEVEL, share, nothing, points, normals, nothing)
+    nothing, image = np.zeros_like(depth), np.zeros((*depth.shape, 3), np.float32)
+    view = ClearView("room", EYE, 0.0, image, depth, normals, is_sky.astype(np.float32), nothing)
+    share, points = is_ground.astype(np.float32), world_points(depth, EYE)
+    camera = mirror_camera(EYE, LEVEL, 1.0)
+    found = screen_space_reflection(view, VisibleGround(LEVEL, share, nothing, points, normals, nothing), camera)
 
-
-def mirrored_room(top_m: float = 4.0, scale: float = 1.0):
-    """Reflection found in the view, the mirrored camera's rays, and the height at which each meets the wall."""
-    view, ground = room(top_m)
-    camera = mirror_camera(EYE, LEVEL, scale)
     rays = view_rays(camera)
-    heights = camera.position[2] + rays[..., 2] * WALL_M / rays[..., 0]
-    return screen_space_reflection(view, ground, camera), camera, rays, heights
-
-
-def test_rays_find_what_the_view_shows_above_the_ground():
-    """The mirrored camera sees the wall at the height at which the view has it."""
-    found, camera, rays, height = mirrored_room()
+    height = camera.position[2] + rays[..., 2] * WALL_M / rays[..., 0]
     start = -camera.position[2] / np.maximum(rays[..., 2], 1e-9)
-    is_wall = (height > 0.1) & (height < 3.8) & (start * rays[..., 0] < WALL_M - 0.5)
+    is_wall = (height > 0.1) & (height < TOP_M - 0.2) & (start * rays[..., 0] < WALL_M - 0.5)
     point = np.stack([np.full(height.shape, WALL_M), rays[..., 1] * WALL_M / rays[..., 0], height], axis=-1)
     local = point @ EYE.world_to_camera[:3, :3].T + EYE.world_to_camera[:3, 3]
     expected = local[..., :2] / local[..., 2:] * 120 + [80, 60]
@@ -73,16 +55,9 @@ def test_rays_find_what_the_view_shows_above_the_ground():
 
 # Water
 
-FOOT = np.array([9.0, 0.0, 0.0])
-
-
-POLE_M = 1.6
-
-
-def pole_camera(target=(9.0, 0.0, 0.2)):
-    return Camera(
-        240, 160, 200.0, 200.0, 120.0, 80.0, look_at(np.array([0.0, 0.3, 1.5]), np.array(target), np.eye(3)[2])
-    )
+FOOT, POLE_M = np.array([9.0, 0.0, 0.0]), 1.6
+POLE_POSE = look_at(np.array([0.0, 0.3, 1.5]), np.array((9.0, 0.0, 0.2)), np.eye(3)[2])
+POLE_CAMERA = PlacedCamera("eye", Camera(240, 160, 200.0, 200.0, 120.0, 80.0, POLE_POSE))
 
 
 def pole_scene():
@@ -94,10 +69,12 @@ def pole_scene():
     return Scene("pole", layers, ground_m=0.0)
 
 
+SCENE = pole_scene()
+
+
 @cache
 def visible():
-    scene = pole_scene()
-    return scene, scene_view(scene, PlacedCamera("eye", pole_camera()))
+    return scene_view(SCENE, POLE_CAMERA)
 
 
 def look(view: ClearView):
@@ -105,8 +82,7 @@ def look(view: ClearView):
 
 
 def water(wetness=1.0, surroundings=None):
-    scene, view = visible()
-    return water_layer_of(view, look(view), surroundings or SceneEnvironment(scene), look, wetness, 0)
+    return water_layer_of(visible(), look(visible()), surroundings or SceneEnvironment(SCENE), look, wetness, 0)
 
 
 @cache
@@ -118,35 +94,28 @@ def wet():
 
 
 def pixel(point):
-    local = pole_camera().world_to_camera[:3] @ [*point, 1.0]
+    local = POLE_POSE[:3] @ [*point, 1.0]
     return local[:2] / local[2] * 200 + [120, 80]
-
-
-def redness(found):
-    """Of the mirrored light alone."""
-    light = found.color / np.maximum(found.share, 1e-6)[..., None]
-    return light[..., 0] - 0.5 * (light[..., 1] + light[..., 2])
 
 
 @pytest.mark.parametrize("kind", ["scene", "picture"])
 def test_a_reflection_begins_at_the_foot_and_ends_where_the_mirrored_top_is(kind):
     found = wet() if kind == "scene" else water(surroundings=ImageEnvironment())
-    red = redness(found)
-    u, foot = pixel(FOOT)
-    _, top = pixel(FOOT * [1, 1, 0] - [0, 0, POLE_M])  # the mirror image of the top
+    light = found.color / np.maximum(found.share, 1e-6)[..., None]
+    red = light[..., 0] - 0.5 * (light[..., 1] + light[..., 2])  # of the mirrored light alone
+    (u, foot), (_, top) = pixel(FOOT), pixel(FOOT - [0, 0, POLE_M])  # the mirror image of the top
     column = red[:, round(u) - 2 : round(u) + 3].max(axis=1)
     clearly = np.where(found.share[:, round(u)] > 0, column, 0) > 0.15
     assert clearly[int(foot) + 4 : int(foot) + 12].all()
     assert foot + 10 < np.flatnonzero(clearly).max() < top + 8
-    beside = red[int(foot) + 4 : int(foot) + 12, [round(u) - 40, round(u) + 40]]
-    assert np.abs(beside).max() < 0.08
+    assert np.abs(red[int(foot) + 4 : int(foot) + 12, [round(u) - 40, round(u) + 40]]).max() < 0.08
 
 
 def test_water_is_on_the_ground_only_and_mirrors_more_at_flat_angles():
-    view, found = visible()[1], wet()
+    found = wet()
     u, foot = (round(x) for x in pixel(FOOT))
     wall = slice(0, round(pixel((30.0, 0, 0.6))[1]))
-    assert (view.depth[wall] > 0).mean() > 0.5
+    assert (visible().depth[wall] > 0).mean() > 0.5
     assert found.share[wall].max() == 0 and (found.through[wall] == 1).all()
     assert found.share[foot - 30 : foot - 6, u].max() < 0.02  # the pole
     assert found.share[foot + 5 :].min() > 0.005 and found.share.max() < 0.9
@@ -155,18 +124,19 @@ def test_water_is_on_the_ground_only_and_mirrors_more_at_flat_angles():
 
 
 def test_no_wetness_is_no_water_more_is_more_and_the_bytes_are_the_same_twice():
-    amounts = [float(water(w).share.mean()) for w in (0.05, 0.5)] + [float(wet().share.mean())]
-    assert amounts == sorted(amounts) and amounts[0] < 0.15 * amounts[-1]
+    little, much, most = (float(each.share.mean()) for each in (water(0.05), water(0.5), wet()))
+    assert little < much < most and little < 0.15 * most
     assert water(0.0) is None
     second = water()
-    for name in ("color", "share", "through"):
-        assert getattr(wet(), name).tobytes() == getattr(second, name).tobytes()
+    assert all(
+        getattr(wet(), name).tobytes() == getattr(second, name).tobytes() for name in ("color", "share", "through")
+    )
 
 
 def test_what_is_beyond_the_world_is_mirrored_as_sky():
-    """Without the wall and the pole the mirrored camera sees nothing: what it shows is sky, not black."""
-    scene = Scene("road", pole_scene().layers[:1], ground_m=0.0)
-    view = scene_view(scene, PlacedCamera("eye", pole_camera()))
+    """Without the wall and the pole the mirrored camera sees nothing: it shows sky, not black."""
+    scene = Scene("road", SCENE.layers[:1], ground_m=0.0)
+    view = scene_view(scene, POLE_CAMERA)
 
     def sky_is_white(each: ClearView):
         return np.repeat(each.sky[..., None], 3, axis=2)
