@@ -20,35 +20,19 @@ def view(position=(0.0, 0, 1.5), heading=0.0, velocity=(0.0, 0, 0), anchor_at=No
     return RainCamera(Camera.from_fov(960, 640, 36.0, pose), anchor, np.array(velocity))
 
 
-def arrays(rain):
-    g = gaussians_of(rain)
-    return g.means, g.scales, g.quaternions, g.opacities, g.sh
-
-
-def test_no_rain_draws_nothing():
-    assert not len(gaussians_of(RainSimulation.start(load_preset("clear")).frame(3.0, view())))
-
-
 def test_same_seed_and_time_same_bytes():
-    first, again = (RainSimulation.start(load_preset("8.5")).frame(4.2, view()) for _ in range(2))
-    assert all(np.array_equal(a, b) for a, b in zip(arrays(first), arrays(again), strict=True))
-    other = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), seed=1)).frame(4.2, view())
-    assert not np.array_equal(arrays(other)[0], arrays(first)[0])
+    def means(**changes):
+        rain = msgspec.structs.replace(load_preset("8.5"), **changes)
+        return gaussians_of(RainSimulation.start(rain).frame(4.2, view())).means.tobytes()
+
+    assert means() == means() != means(seed=1)
+    assert means(intensity_mm_h=0.0) == b""
 
 
 def test_paper_preset_has_exactly_its_drops_in_the_region():
     rainfall = RainSimulation.start(load_preset("paper"))
     assert drops_in_region(rainfall, 0.7, view()) == 257_040
     assert drops_in_region(rainfall, 31.0, view((12.0, 3, 2), 1.0)) == 257_040
-
-
-@pytest.mark.parametrize("heading", [0.0, 0.8, -2.4])
-def test_density_in_the_region_is_that_of_the_state_whatever_the_heading(heading):
-    rainfall = RainSimulation.start(load_preset("8.5"))
-    counted = drops_in_region(rainfall, 6.0, view((50.0, -20, 1.5), heading))
-    expected = rainfall.state.drops
-    # Drops of a lattice cell of 432 m3 fall inside the 216 m3 by chance: standard deviation sqrt(n / 2).
-    assert abs(counted - expected) < 4 * np.sqrt(expected / 2)
 
 
 def test_gusts_integrate_to_their_displacement():

@@ -92,31 +92,30 @@ def test_weather_is_plain_values_and_comes_back():
 
 
 @pytest.mark.parametrize(
-    ("key", "message"),
+    ("field", "values"),
     [
-        ({"intensity_mm_h": 100.5}, "intensity_mm_h must be within 0..100"),
-        ({"intensity_mm_h": float("nan")}, "intensity_mm_h must be within 0..100"),
-        *(({"wind_m_s": wind}, "wind_m_s must be within -40..40") for wind in ([0.0, 40.1], [-40.1, 0.0])),
-        *(({"wind_m_s": wind}, "wind_m_s must be within -40..40") for wind in ([40.1, 0.0], [0.0, -40.1])),
-        *(({"exposure_s": exposure}, "exposure_s must be within") for exposure in (0.9e-5, 1.1)),
-        *(({"time_s": time}, "time_s must be within") for time in (float("inf"), 1.1e7, -1.1e7)),
-        ({"time_s": -1.0}, "keys must rise in time"),
+        ("intensity_mm_h", (100.5, float("nan"))),
+        ("wind_m_s", ([0.0, 40.1], [-40.1, 0.0], [40.1, 0.0], [0.0, -40.1])),
+        ("exposure_s", (0.9e-5, 1.1)),
+        ("time_s", (float("inf"), 1.1e7, -1.1e7)),
+        ("keys must rise in time", (-1.0,)),
     ],
 )
-def test_keys_out_of_bounds_are_reported(key, message):
+def test_keys_out_of_bounds_are_reported(field, values):
     limits = {"time_s": 1e7, "intensity_mm_h": 100.0, "wind_m_s": (-40.0, 40.0), "exposure_s": 1.0}
     assert msgspec.to_builtins(msgspec.convert(limits, RainKeyframe)) == limits
-    with pytest.raises(msgspec.ValidationError, match=message):
-        msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, {"time_s": 5.0} | key]}, RainKeyframes)
+    for value in values:
+        key = {"time_s": 5.0, field if field in limits else "time_s": value}
+        with pytest.raises(msgspec.ValidationError, match=field):
+            msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, key]}, RainKeyframes)
 
 
 def test_a_series_is_cut_off_at_100_mm_h():
     weather = keyframes_from_series(np.array([0.0, 60.0]), np.array([250.0, 3.0]))
     assert [key.intensity_mm_h for key in weather.keys] == [100.0, 3.0]
-    with pytest.raises(ValueError, match="0 mm/h or more"):
-        keyframes_from_series(np.array([0.0]), np.array([-1.0]))
-    with pytest.raises(ValueError, match="rise in time"):
-        keyframes_from_series(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
+    for rates in ([1.0, -1.0], [1.0, np.inf], [1.0, 1.0]):
+        with pytest.raises(ValueError):
+            keyframes_from_series(np.zeros(2) if rates == [1.0, 1.0] else np.arange(2.0), np.array(rates))
 
 
 def test_a_disdrometers_day_becomes_a_weather(test_data):
@@ -135,13 +134,11 @@ def test_a_disdrometers_day_becomes_a_weather(test_data):
         keyframes_from_spectra(reading, speed_up=0.0)
 
 
-def test_records_without_time_or_rate_are_left_out_and_none_at_all_is_told():
+def test_records_without_time_or_rate_are_left_out():
     spectra = measured_rain(500.0, 5.0, 0.2, minutes=3, seed=1)
-    spectra.times[2] = np.datetime64("NaT")
-    spectra.times[4] = spectra.times[3]
+    spectra.times[2:5] = np.datetime64("NaT"), spectra.times[3], spectra.times[3]
     measured = keyframes_from_spectra(DisdrometerReading(spectra=spectra))
-    assert (measured.records, measured.left_out) == (4, 2)
-    assert measured.weather.keys[2].time_s == 90.0
+    assert (measured.records, measured.left_out, measured.weather.keys[2].time_s) == (4, 2, 90.0)
     spectra.times[:] = np.datetime64("NaT")
-    with pytest.raises(ValueError, match="no record has a time"):
+    with pytest.raises(ValueError, match="time"):
         keyframes_from_spectra(DisdrometerReading(spectra=spectra))
