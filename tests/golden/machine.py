@@ -6,16 +6,8 @@ from importlib import metadata
 from pathlib import Path
 
 PACKAGES = (
-    "numpy",
-    "numba",
-    "llvmlite",
-    "scipy",
-    "pillow",
-    "moderngl",
-    "av",
-    "openexr",
-    "opencv-contrib-python-headless",
-)
+    "numpy", "numba", "llvmlite", "scipy", "pillow", "moderngl", "av", "openexr", "opencv-contrib-python-headless",
+)  # fmt: skip
 
 
 def machine() -> dict[str, str]:

@@ -1,5 +1,6 @@
 """Labels of objects in pictures: which are visible, boxes in the image, and masks in COCO's run lengths."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from PIL import Image
 
 from boxy_scene import FAR_M, NEAR_M, boxy_scene
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.label_export import encode_rle
+from gsrain_engine.render.export import export_sequences
+from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.render.label_export import encode_rle, write_object_labels
 from gsrain_engine.render.object_labels import (
     area_px,
     bounding_rectangle,
@@ -22,6 +28,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.geometry import box_corners
 from gsrain_engine.scene.objects import scene_objects
+from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.rig import rig_camera
 from oracles.run_lengths import unpacked
 
@@ -78,6 +85,34 @@ def test_what_is_hidden_by_a_person_is_not_there():
     assert list(seen(without)) == ["far"]
     assert seen(without)["far"].visibility == pytest.approx(1.0, abs=0.02)
     assert list(seen(scene.with_member("actors/near", visible=False))) == ["far"]
+
+
+def test_labels_are_written_as_coco_and_kitti(tmp_path):
+    scene = boxy_scene()
+    recording = ExportSettings(output=str(tmp_path / "run"), size_px=(288, 192), passes=("color", "depth"), twin=True)
+    sequences = export_sequences(
+        recording, scene, RainSimulation.start(RainSettings()), camera_of(scene), in_scene_time=True
+    )
+    coco, kitti = (
+        run_to_end(write_object_labels(CpuRenderer(), form, recording, sequences, [0])) for form in ("coco", "kitti")
+    )
+    assert [*coco, *kitti] == [tmp_path / "run/labels.coco.json", tmp_path / "run"]
+    document, found = json.loads(coco[0].read_text()), list(seen(scene).values())
+    (image,) = document["images"]
+    assert image["file_name"] == "000000.png"
+    assert image["clear_file_name"] == "../run.clear/000000.png"
+    assert image["depth_file_name"] == "000000.depth.png"
+    lines = (tmp_path / "run/label_2/000000.txt").read_text().splitlines()
+    for each, label, line in zip(found, document["annotations"], lines, strict=True):
+        left, top, right, bottom = each.box_xyxy
+        assert (label["object"], label["bbox"]) == (each.object.id, [left, top, right - left, bottom - top])
+        np.testing.assert_array_equal(unpacked(label["segmentation"]), each.mask)
+        length, width, height = each.size_lwh_m
+        expected = [*(edge - 0.5 for edge in each.box_xyxy), height, width, length, *each.to_camera[:3, 3]]
+        assert line.startswith("Car ")
+        np.testing.assert_allclose(np.array(line.split()[4:14], float), expected, atol=0.006)
+    with Image.open(tmp_path / "run/instance_2/000000.png") as picture:
+        assert len(np.unique(np.asarray(picture))) == 3
 
 
 # Boxes
