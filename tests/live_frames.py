@@ -16,3 +16,11 @@ def picture(editor, view):
     """Bytes of a frame in one pane."""
     (texture,) = draw_frame(editor, view)
     return np.frombuffer(texture.read(), np.uint8)
+
+
+def darkened(scene):
+    """The scene with other colors: new arrays for every layer."""
+    for each in scene.members:
+        sh = (each.gaussians.sh - np.float32(0.5)).astype(np.float32)
+        scene = scene.with_member(each.key, gaussians=each.gaussians.with_sh(sh))
+    return scene

@@ -86,15 +86,12 @@ def test_every_drop_falls_at_the_speed_of_its_diameter(velocity):
     drops, before, field = drops_around(rainfall, 40.0, view)
     _, after, _ = drops_around(rainfall, 40.0 + dt, view)
     diameters = field.diameters_mm[drops.class_index]
-    expected = np.column_stack([*np.tile(WIND, (len(drops.numbers), 1)).T, -rainfall_speed(rainfall)(diameters)]) * dt
+    fall = fall_speed(rainfall.rain, rainfall.calibration)(diameters)
+    expected = np.column_stack([*np.tile(WIND, (len(drops.numbers), 1)).T, -fall]) * dt
     moved_so = np.all(np.abs(after - before - expected) < 1e-7, axis=1)
     at_face = np.any(np.abs(before) > field.period_m / 2 - 0.11, axis=1)
     assert np.all(moved_so | at_face)
     assert moved_so.mean() > 0.98
-
-
-def rainfall_speed(rainfall):
-    return fall_speed(rainfall.rain, rainfall.calibration)
 
 
 def likeness(numbers, *, drawn_anew=True, heights=True):
@@ -111,21 +108,17 @@ def likeness(numbers, *, drawn_anew=True, heights=True):
     return np.array([np.mean(seen[lag:] * seen[:-lag]) for lag in range(3, 75)]) / np.mean(seen**2)
 
 
-def test_no_size_comes_back_to_its_places_after_a_period():
-    """Drops of one size, in pictures of x and z: no two moments look alike.
+def test_no_period_is_visible_neither_in_all_drops_nor_in_those_of_one_size():
+    """In pictures of x and z no two moments look alike: by chance they are to 0.016 (standard deviation).
 
-    They fall through the lattice in 2.2 s. By chance pictures are alike to 0.016 (standard deviation); a tenth of the
-    drops back in their places would make it 0.1, found 99 times in 100 at a bound of 0.06. See the last line: the same
-    drops, not drawn anew. A drop comes to each height once in its period (z0 = h(i)), so the mean of each row, over the
-    whole width of the lattice, is no part of this.
+    Drops of one size fall through the lattice in 2.2 s. A tenth of them back in their places would make it 0.1, found
+    99 times in 100 at a bound of 0.06; see the same drops, not drawn anew. A drop comes to each height once in its
+    period (z0 = h(i)), so the mean of each row, over the whole width of the lattice, is no part of this. A lattice of
+    all sizes that repeats itself shows 0.1, heights and all.
     """
     numbers = np.sort((np.arange(8000, 8200) * FIRST_OF_CLASS % CLASSES)[:, None] + np.arange(110) * CLASSES, axis=None)
     assert np.abs(likeness(numbers, heights=False)).max() < 0.06
     assert likeness(numbers, heights=False, drawn_anew=False).max() > 0.5
-
-
-def test_no_period_is_visible_in_the_rain():
-    """Drops of all sizes, heights and all, alike to 0.013 by chance. A lattice that repeats itself shows 0.1."""
     assert np.abs(likeness(np.arange(22_000))).max() < 0.06
     assert likeness(np.arange(22_000), drawn_anew=False).max() > 0.08
 

@@ -11,7 +11,7 @@ FAR_AWAY = np.array([-1000.0, 0, 0])
 
 
 def haze(time_s=0.0, count=20_000, camera=FAR_AWAY, anchor=ANCHOR, **fields):
-    return make_haze(RainSettings(intensity_mm_h=8.5, **fields), count, time_s, anchor, camera)
+    return make_haze(RainSettings(intensity_mm_h=8.5, **fields), count, time_s, anchor, camera, np.ones(3))
 
 
 @pytest.mark.parametrize("reset", ["fade", "paper"])

@@ -9,7 +9,6 @@ import pytest
 from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.rain.shelter_map import CELL_M, ShelterMap, build_shelter_map, shelter_map_of
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, rain_camera
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
@@ -159,17 +158,3 @@ def test_no_drop_and_no_haze_is_under_the_bridge(reset):
     wet = roofs.shelter(open_air.haze.means.astype(float))
     assert np.sum(wet) > 20
     np.testing.assert_array_equal(kept_out.haze.means, open_air.haze.means[~wet])
-
-
-def test_the_open_street_does_not_change_by_it():
-    """Same bytes where there is no roof, and where the only one is out of the rain's reach."""
-    far_bridge = sheet((200, -10, 5), (206, 10, 5))
-    far_road = sheet((190, -10, 0), (210, 10, 0))
-    pictures = []
-    for street in (scene(ROAD, WALL), scene(ROAD, WALL, far_road, far_bridge)):
-        for on in (False, True):
-            renderer = CpuRenderer()
-            renderer.draw(street.parts(), camera(), frame(street, rain(roofs=on), RenderView(camera(), 3.0)))
-            pictures.append(renderer.read().rgba.tobytes())
-    assert shelter_map_of(scene(ROAD, WALL, far_road, far_bridge)) is not None
-    assert pictures[0] == pictures[1] and pictures[2] == pictures[3]

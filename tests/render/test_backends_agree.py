@@ -44,7 +44,8 @@ def small_scene():
 def small_shot(width=320, height=200):
     eye = np.array([0.0, 0.0, 1.6])
     pose = look_at(eye, eye + np.array([1, 0.1, 0.1]), np.array([0.0, 0.0, 1.0]))
-    return RenderView(Camera.from_fov(width, height, 45.0, pose), 2.0, np.array([8.0, 0.0, 0.0]))
+    full = Camera.from_fov(320, 200, 45.0, pose)
+    return RenderView(full.resized(width, height), 2.0, np.array([8.0, 0.0, 0.0]), focal_px=full.fx)
 
 
 def frame_of(renderer, scene, shot, rain):

@@ -11,7 +11,7 @@ from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.render.opengl import buffers
 from gsrain_engine.render.opengl.buffers import GrowableBuffer, reserve_buffer
-from live_frames import picture
+from live_frames import darkened, picture
 from render.cpu.raster_scenes import random_gaussians
 
 
@@ -61,10 +61,7 @@ def test_the_processor_goes_on_where_the_card_is_full(context, editor, view, mon
     before = picture(editor, view)
     monkeypatch.setattr(buffers, "reserve_buffer", refuse)
     monkeypatch.setattr(textures, "compile_kernels", lambda: None)  # those that are needed compile as they are
-    scene = editor.document.scene
-    for each in scene.members:
-        g = each.gaussians
-        scene = scene.with_member(each.key, gaussians=g.with_sh((g.sh - np.float32(0.5)).astype(np.float32)))
+    scene = darkened(editor.document.scene)
     if change == "edit":
         editor.document.edit("Darker", replace_scene, scene)
     else:

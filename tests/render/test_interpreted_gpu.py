@@ -115,16 +115,6 @@ def test_reports_each_kind_of_fault_whoever_comes_first(body, fault):
             assert any(fault in each for each in context.faults), list(context.faults)
 
 
-def test_one_buffer_for_two_blocks_is_reported():
-    context = InterpretedContext(0)
-    both = context.buffer(np.zeros(64, np.uint32))
-    for binding in (0, 1):
-        both.bind_to_storage_buffer(binding)
-    body = "layout(std430, binding = 1) readonly buffer In { uint given[]; };\nvoid main() { result[0] = given[0]; }"
-    context.compute_shader(HEAD.replace("64", "1") + OUT + body).run()
-    assert "Out and In of line 1 are one buffer" in context.faults
-
-
 @pytest.mark.parametrize(
     "body", ["void main() { uint a[3]; }", "void main() { int a = 1.5; }", "#pragma unroll\nvoid main() {}"]
 )

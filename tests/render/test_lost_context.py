@@ -11,7 +11,6 @@ from PIL import Image
 from app.main import BAD_INPUT, run
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.render.opengl import context
 from gsrain_engine.render.opengl.context import DeviceLostError, NoOpenGLError, context_monitor, open_context
 from gsrain_engine.render.opengl.renderer import SplatRenderer
@@ -111,8 +110,7 @@ def test_a_command_ends_in_a_sentence_and_writes_no_empty_picture(tmp_path, caps
     assert run([*command, str(tmp_path / "healthy" / out), *options]) == 0
     lost_after(12 if out == "frames" else 0)  # the sky is looked at first
     assert run([*command, str(tmp_path / "lost" / out), *options]) == BAD_INPUT
-    said = "gsrain: the graphics driver has restarted, or the card is gone: what was being drawn is lost"
-    assert said in capsys.readouterr().err
+    assert "gsrain: the graphics driver has restarted" in capsys.readouterr().err
     written = sorted((tmp_path / "lost").rglob("*.*"))
     assert 0 < len(written) < 15 if out == "frames" else not written
     for path in written:
@@ -120,13 +118,11 @@ def test_a_command_ends_in_a_sentence_and_writes_no_empty_picture(tmp_path, caps
         assert np.asarray(Image.open(path)).any()
 
 
-def test_a_screenshot_of_nothing_is_not_saved(own_context, tmp_path):
-    editor = Editor(small_scene())
+def test_a_screenshot_of_nothing_is_not_saved(own_context, editor, tmp_path):
     view = LiveView(own_context, "opengl")
-    draw_frame(editor, view, (64, 48))
+    draw_frame(editor, view)
     editor.viewport.screenshot = tmp_path / "picture.png"
     context_monitor(own_context).ask = lambda: GUILTY_CONTEXT_RESET
     with pytest.raises(DeviceLostError):
-        draw_frame(editor, view, (64, 48))
-    editor.close()
+        draw_frame(editor, view)
     assert not list(tmp_path.iterdir())

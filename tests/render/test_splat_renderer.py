@@ -1,29 +1,15 @@
-import dataclasses
-
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
+from gsrain_engine.render.opengl import shaders
 from gsrain_engine.render.opengl.renderer import SplatRenderer
+from gsrain_engine.render.opengl.shaders import ShaderError, load_compute_shader, load_program
 from gsrain_engine.render.opengl.sort import DepthSort
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.gaussians import Gaussians
 from render.cpu.raster_scenes import drawn
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
-
-
-def gaussians(means, scales=0.1, opacities=0.9, colors=(1.0, 0.5, 0.25)):
-    means = np.atleast_2d(np.array(means, np.float32))
-    n = len(means)
-    return Gaussians(
-        means,
-        np.broadcast_to(np.array(scales, np.float32), (n, 3)).copy(),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-        np.broadcast_to(np.array(opacities, np.float32), (n,)).copy(),
-        sh_from_color(np.broadcast_to(np.array(colors, np.float32), (n, 3)).copy()),
-    )
 
 
 @pytest.fixture
@@ -33,53 +19,14 @@ def renderer(context):
 
 def cloud(count, coefficients=1):
     """Gaussians by chance, half transparent."""
-    rng = np.random.default_rng(3)
-    set_ = gaussians(rng.uniform([-2, -1, 1], [2, 1, 9], (count, 3)), 0.1, 0.5)
-    return set_.with_sh(rng.normal(0, 0.3, (count, coefficients, 3)).astype(np.float32))
+    rng, f = np.random.default_rng(3), np.float32
+    means, turns = rng.uniform([-2, -1, 1], [2, 1, 9], (count, 3)), np.tile(np.array([1, 0, 0, 0], f), (count, 1))
+    sh = rng.normal(0, 0.3, (count, coefficients, 3)).astype(f)
+    return Gaussians(means.astype(f), np.full((count, 3), 0.1, f), turns, np.full(count, 0.5, f), sh)
 
 
 def draw(renderer, set_, **options):
     return drawn(renderer, set_, camera=CAMERA, **options)
-
-
-def test_a_gaussian_is_where_and_as_bright_as_the_formula_says(renderer):
-    frame = draw(renderer, gaussians([0.3, -0.2, 2.0], 0.05, 0.8))
-    x, y = np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5)
-    u, v = 50 * 0.3 / 2 + 32, 50 * -0.2 / 2 + 24
-    # J of the local affine approximation, at the Gaussian's own direction
-    j = np.array([[25, 0, -25 * 0.15], [0, 25, 25 * 0.1]])
-    covariance = j @ j.T * 0.05**2 + 0.3 * np.eye(2)
-    d = np.stack([x - u, y - v], axis=-1)
-    alpha = 0.8 * np.exp(-0.5 * np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(covariance), d))
-    alpha[alpha < 1 / 255] = 0
-    half = 0.8 * 2.0**-12  # splats keep their largest alpha in 16 bits
-    assert np.abs(frame.rgba[..., 3] - alpha).max() < 1.1 * half
-    assert np.allclose(frame.rgba[..., :3], alpha[..., None] * [1.0, 0.5, 0.25], atol=1.1 * half)
-
-
-NAN, INF = float("nan"), float("inf")
-extents = st.sampled_from([0.0, 1e-30, 1e-6, 1e-3, 1.0, 10.0, 1e4, 1e30, INF, NAN])
-places = st.sampled_from([-1e30, -1e6, -1.0, 0.0, 0.1999, 0.2, 0.2001, 3.0, 1e6, 1e30, NAN, INF])
-alphas = st.sampled_from([0.0, 1e-6, 1 / 255, 0.5, 1.0, NAN])
-turns = st.sampled_from([-1.0, 0.0, 0.5, 1.0, NAN])
-colors = st.sampled_from([-1e30, -1.0, 0.0, 1.0, 1e4, 1e30, NAN, INF])
-
-
-@given(
-    st.tuples(places, places, places), st.tuples(extents, extents, extents), alphas, st.tuples(*[turns] * 4), colors,
-)  # fmt: skip
-@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_degenerate_gaussians_leave_the_picture_finite_and_the_same(renderer, mean, scales, opacity, turn, color):
-    good = gaussians([[0, 0, 2.0], [0.3, 0.1, 4.0]])
-    bad = gaussians([mean], scales, opacity, (color,) * 3)
-    bad = dataclasses.replace(bad, quaternions=np.array([turn], np.float32))
-    both = Gaussians.concatenate([bad, good])
-    first, drawn = draw(renderer, both, with_depth=True), renderer.statistics.splats_drawn
-    assert np.isfinite(first.rgba).all()
-    assert np.isfinite(first.depth).all()
-    assert draw(renderer, both, with_depth=True).rgba.tobytes() == first.rgba.tobytes()
-    if drawn == len(good):
-        assert first.rgba.tobytes() == draw(renderer, good).rgba.tobytes()
 
 
 def test_splats_lie_in_several_blocks_as_far_as_the_driver_allows(context, monkeypatch):
@@ -88,9 +35,9 @@ def test_splats_lie_in_several_blocks_as_far_as_the_driver_allows(context, monke
         monkeypatch.setitem(context.info, "GL_MAX_SHADER_STORAGE_BLOCK_SIZE", 32 * slots)
         renderer = SplatRenderer(context)
         assert count < 3000 or draw(renderer, cloud(3000)).rgba.tobytes() == whole.tobytes()
-        draw(renderer, gaussians(np.full((count, 3), 2.0)))
+        draw(renderer, cloud(count))
     with pytest.raises(MemoryError, match="1280 Gaussians"):
-        draw(renderer, gaussians(np.full((1025, 3), 2.0)))
+        draw(renderer, cloud(1025))
 
 
 def test_sorting_on_the_gpu_draws_the_same(context, monkeypatch):
@@ -128,3 +75,19 @@ def test_uploading_in_slices_shows_the_same_and_giving_it_up_keeps_what_is_shown
     renderer.arrays.release_awaited()
     assert (renderer.arrays.missing(set_), renderer.arrays.missing(other)) == (0, 300)
     assert len(list(renderer.arrays.upload(other, slice_size=100))) == 12
+
+
+def test_error_names_our_file_and_line(context, monkeypatch):
+    files = {
+        "broken.comp": ["#version 430", '#include "common_bad.glsl"', "layout(local_size_x = 1) in;", "void main() {}"],
+        "common_bad.glsl": ["// fine", "float f() { return undeclared; }"],
+    }
+    monkeypatch.setattr(shaders, "read_shader", files.__getitem__)
+    with pytest.raises(ShaderError, match=r"common_bad.glsl:2"):
+        load_compute_shader(context, "broken.comp")
+
+
+def test_switches_reach_the_shader(context):
+    plain = load_program(context, "screen.vert", "heat.frag")
+    depth = load_program(context, "screen.vert", "heat.frag", switches={"DEPTH": 1})
+    assert plain.glo != depth.glo

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from given_rain import given_rain
@@ -43,16 +43,18 @@ def picture(gaussians: Gaussians, *arguments, **options) -> Frame:
     return drawn(CpuRenderer(), gaussians, *arguments, with_depth=True, **options)
 
 
-@settings(max_examples=80)
+@pytest.mark.parametrize("kind", ["cpu", "opengl"])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(what=changes, look=st.sampled_from(LOOKS), mixing=st.sampled_from([None, "linear", "display"]))
 @example(what=[("means", 0, 2, just_before), ("means", 1, 2, just_behind)], look="splats", mixing=None)
-def test_pictures_stay_finite_and_repeat_themselves(what, look, mixing):
+def test_pictures_stay_finite_and_repeat_themselves(open_kind, kind, what, look, mixing):
     """Also with strange rain."""
+    renderer = open_kind(kind)
     gaussians, rain = changed(random_gaussians(COUNT, 1, 1), what), None
     if mixing is not None:
         drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
         rain = given_rain(drops, np.ones(3, np.float32), mixing)
-    frame, again = (picture(gaussians, rain, look=look) for _ in range(2))
+    frame, again = (drawn(renderer, gaussians, rain, look=look, with_depth=True) for _ in range(2))
     assert np.isfinite(frame.rgba).all()
     assert np.isfinite(frame.depth).all()
     assert frame.rgba.min() >= 0
