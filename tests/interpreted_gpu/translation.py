@@ -171,7 +171,6 @@ class _Translator:
         self.constants, self.uniforms, self.blocks, self.shared, self.size = {}, {}, {}, {}, (1, 1, 1)
         self.scopes = [{name: _Symbol(f"_t.{name}", "uvec3", "local") for name in INVOCATION}]
         self.function = None
-        self.switches = 0
 
     def program(self):
         while self.at < len(self.tokens):
@@ -363,11 +362,6 @@ class _Translator:
         elif self.takes("return"):
             self.return_value(None if self.next == ";" else self.value())
             self.take(";")
-        elif self.takes("break"):
-            if self.switches:
-                self.refuse("a break inside a case")
-            self.emit("break")
-            self.take(";")
         elif token == "const" or (self.is_type(token) and self.tokens[self.at + 1].text != "("):
             self.takes("const")
             self.local()
@@ -404,9 +398,7 @@ class _Translator:
         self.scopes.pop()
 
     def loop(self, step):
-        outer, self.switches = self.switches, 0
         self.block()
-        self.switches = outer
         self.lines += ["    " * (self.depth + 1) + line for line in step]
 
     def switch(self):
@@ -426,7 +418,6 @@ class _Translator:
             word = "elif"
             self.depth += 1
             self.emit("pass")
-            self.switches += 1
             while self.next not in ("case", "default", "}"):
                 if self.next == "break":
                     self.take()
@@ -435,7 +426,6 @@ class _Translator:
                     break
                 ends = self.next == "return"
                 self.statement()
-            self.switches -= 1
             self.depth -= 1
             if not ends and self.next != "}":
                 self.refuse("a case that falls through")
