@@ -11,7 +11,7 @@ from gsrain_engine.rain.calibration import (
     load_calibration,
     save_calibration,
 )
-from gsrain_engine.rain.properties import DropSizes, calibration_curves, spectrum_at
+from gsrain_engine.rain.properties import CLASSES, DropSizes, calibration_curves, spectrum_at
 
 laws = st.builds(DropSizes, st.floats(1, 30), st.floats(0.02, 0.5))
 
@@ -24,6 +24,8 @@ def test_quantiles_and_density_are_those_of_the_truncated_gamma(sizes, probabili
     low, high = gamma.cdf([0.1, 8.0])
     assert 0.1 <= diameter[0] <= 8.0
     assert (gamma.cdf(diameter) - low) / (high - low) == pytest.approx(probability, abs=1e-6)
+    shares = (gamma.cdf(sizes.class_diameters_mm[[0, 9000, -1]]) - low) / (high - low)
+    assert CLASSES * shares == pytest.approx([0.5, 9000.5, CLASSES - 0.5], abs=0.01)
     expected = gamma.pdf(diameter) / (high - low)
     assert sizes.probability_per_mm(diameter) == pytest.approx(expected, rel=1e-9, abs=1e-300)
 

@@ -141,7 +141,7 @@ def test_nothing_is_hidden_by_no_rain_nor_by_the_faintest_that_can_be_written(in
     clear = state(intensity_mm_h=intensity)
     assert (round(clear.density_m3, 9), clear.drops, clear.haze_gaussians) == (0, 0, 0)
     assert clear.visibility_m == float("inf")
-    assert clear.extinction_per_m == 0 or intensity > 0
+    assert (clear.extinction_per_m, clear.table_density_m3, clear.table_implied_mm_h) == (0, 0, 0) or intensity > 0
 
 
 @pytest.mark.parametrize(
