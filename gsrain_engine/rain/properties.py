@@ -186,8 +186,8 @@ def _log_curves(calibration: Calibration) -> tuple[Any, tuple[float, float], tup
     log_density = np.log([row.density_m3 for row in rows])
     log_mean = np.log([row.shape * row.scale_mm for row in rows])
     columns = np.stack([log_density, log_mean, [row.shape for row in rows]], axis=1)
-    slopes = (float(np.polyfit(log_r, y, 1)[0]) for y in (log_density, log_mean))
-    return scipy.interpolate.PchipInterpolator(log_r, columns), (float(log_r[0]), float(log_r[-1])), (*slopes, 0.0)
+    slopes = float(np.polyfit(log_r, log_density, 1)[0]), float(np.polyfit(log_r, log_mean, 1)[0]), 0.0
+    return scipy.interpolate.PchipInterpolator(log_r, columns), (float(log_r[0]), float(log_r[-1])), slopes
 
 
 _PANELS, _NODES = 20, 20
