@@ -54,12 +54,14 @@ def test_pictures_stay_finite_and_repeat_themselves(open_kind, kind, what, look,
     if mixing is not None:
         drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
         rain = given_rain(drops, np.ones(3, np.float32), mixing)
-    frame, again = (drawn(renderer, gaussians, rain, look=look, with_depth=True) for _ in range(2))
+    with_depth = kind == "cpu" or look == "splats"
+    frame, again = (drawn(renderer, gaussians, rain, look=look, with_depth=with_depth) for _ in range(2))
     assert np.isfinite(frame.rgba).all()
-    assert np.isfinite(frame.depth).all()
+    assert not with_depth or np.isfinite(frame.depth).all()
     assert frame.rgba.min() >= 0
     assert frame.rgba[..., 3].max() <= 1 + 1e-5
-    assert frame.rgba.tobytes() + frame.depth.tobytes() == again.rgba.tobytes() + again.depth.tobytes()
+    assert frame.rgba.tobytes() == again.rgba.tobytes()
+    assert not with_depth or frame.depth.tobytes() == again.depth.tobytes()
 
 
 @settings(max_examples=60)
