@@ -15,20 +15,17 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from ..rain.frame import RainFrame
-from ..rain.streaks import streak_gaussians
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import DrawItem
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
 from .cpu.tiles import MAX_ALPHA
-from .renderer import Frame, RenderMode, RenderStatistics, timed
+from .renderer import MIN_WEIGHT, Frame, RenderMode, RenderStatistics, timed
 
 torch: Any = import_module("torch")
 Tensor = Any
 """torch is an optional dependency: this module is imported only if it is installed, and its types can't be named."""
-
-_MIN_WEIGHT = 0.5  # minimum alpha of pixels with depth, as in the other renderers
 
 
 class CudaRenderer:
@@ -71,11 +68,8 @@ class CudaRenderer:
         self.statistics = RenderStatistics(stages_ms={"project": 0.0, "draw": 0.0, "rain": 0.0})
         falling = Gaussians.empty()
         if rain is not None:
-            drops, shutter = rain.visible_drops(), rain.shutter
-            streaks = streak_gaussians(
-                drops.positions_m, drops.diameters_mm, drops.velocities_m_s, shutter, rain.rain, rain.color
-            )
-            falling = Gaussians.concatenate([streaks, rain.haze])
+            drops = rain.visible_drops()
+            falling = Gaussians.concatenate([rain.streaks(drops), rain.haze])
             self.statistics.drops_drawn, self.statistics.haze_drawn = len(drops.numbers), len(rain.haze)
         with self._timed("project"):
             scene = self._arrays.before_camera(parts, camera)
@@ -88,8 +82,8 @@ class CudaRenderer:
             image, alpha = self._composited(scene, camera, slabs)
             rgba, depth, weight = torch.cat([image[..., :3], alpha], dim=-1), None, alpha[..., 0]
             if with_depth:
-                mean = image[..., 3] / torch.clamp(weight, min=_MIN_WEIGHT)
-                depth = torch.where(weight > _MIN_WEIGHT, mean, 0.0)
+                mean = image[..., 3] / torch.clamp(weight, min=float(MIN_WEIGHT))
+                depth = torch.where(weight > float(MIN_WEIGHT), mean, 0.0)
         self.statistics.gaussians = sum(part.drawn_count for part in parts)
         if rain is not None and slabs is not None:
             with self._timed("rain"):
