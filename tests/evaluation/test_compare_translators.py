@@ -1,7 +1,5 @@
 """Comparisons of rain translators: shipped settings, resumed runs, missing views, fingerprints."""
 
-import csv
-import io
 import os
 
 import numpy as np
@@ -11,10 +9,7 @@ from gsrain_engine.evaluation.compare_results import (
     ComparedMethod,
     ComparisonPairs,
     TransferComparison,
-    comparison_csv,
     load_comparison,
-    markdown_table,
-    plain_row,
 )
 from gsrain_engine.evaluation.compare_translators import (
     MethodFolder,
@@ -61,29 +56,6 @@ def test_shipped_comparisons_load():
     assert [each.name for each in found["paper"].only((ours.name,)).methods] == [ours.name]
     with pytest.raises(ValueError, match="'none'"):
         found["paper"].only(("none",))
-
-
-def test_stopped_run_resumes_with_the_next_method(started, tmp_path):
-    _, work = started
-    first = work()
-    fractions = [next(first).fraction for _ in range(6)]
-    assert fractions == sorted(fractions) and 0 < fractions[0] < fractions[-1] < 1
-    first.close()
-    assert all(view.image.shape[1] == 48 for view in real_images([tmp_path / "real"], 48))
-    assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["clear"]  # nothing of wet
-    result = finished(work())
-    assert result.reused == ("clear",)
-    for row, cells in zip(result.rows, csv.DictReader(io.StringIO(comparison_csv(result.rows))), strict=True):
-        found = row.everywhere
-        numbers = [float(cells[name]) for name in ("error before", "error after", "KD-pixels16 x1000")]
-        expected = [255 * found.before.rmse, 255 * found.after.rmse, 1000 * row.distance.kernel]
-        assert numbers == pytest.approx(expected)
-        assert (cells["ratio"], cells["pairs"]) == (str(found.ratio), str(row.pairs))
-        assert plain_row(row)["rmse_before"] == found.before.rmse
-    second = finished(work())
-    assert second.reused == ("clear", "wet")
-    assert markdown_table(second.rows) == markdown_table(result.rows)
-    assert (second.figure == result.figure).all()
 
 
 def test_missing_views_are_omitted(started, tmp_path):

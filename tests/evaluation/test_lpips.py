@@ -4,7 +4,6 @@ import os
 import pickle
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -79,10 +78,15 @@ def test_colors_are_normalized_by_imagenets_mean_and_deviation(channel: int | No
     assert first[:, 5, 5].numpy() == pytest.approx(np.maximum(weights.biases[0] + added, 0), abs=1e-5)
 
 
-@pytest.mark.parametrize(("network", "parameters"), [("alex", 2_469_696), ("vgg", 14_714_688)])
-def test_networks_have_the_parameters_of_torchvisions(network: str, parameters: int):
-    weights = random_weights(network)
-    assert sum(each.size for each in (*weights.kernels, *weights.biases)) == parameters
+@pytest.mark.parametrize("network", ["alex", "vgg"])
+def test_distance_of_the_published_example(network: str):
+    """This code's distance when it gave 0.722 and 0.138 for the pairs of the original's repository, as the original."""
+    try:
+        weights = find_lpips_weights(network)
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
+    found = Lpips(weights).distance(1 - _picture(), _picture())
+    assert found == pytest.approx({"alex": 0.37250, "vgg": 0.71469}[network], abs=2e-4)
 
 
 def test_small_and_different_images_are_refused():
@@ -198,24 +202,3 @@ def test_loss_is_the_mean_distance_of_a_batch(tmp_path: Path, monkeypatch: pytes
         lpips_loss(tmp_path / "nowhere.npz", "cpu")
     monkeypatch.setenv(PLACE, str(tmp_path / "empty"))
     assert lpips_loss(None, "cpu") is None  # nothing is found
-
-
-@pytest.mark.parametrize("network", ["alex", "vgg"])
-def test_real_weights_grow_with_blur_and_noise(network: str):
-    """Needs the published weights; the environment variable says where."""
-    if PLACE not in os.environ:
-        pytest.skip(f"no real weights ({PLACE} is not set)")
-    try:
-        lpips = Lpips(find_lpips_weights(network))
-    except FileNotFoundError as error:
-        pytest.skip(str(error))
-    picture, generator = _picture(), np.random.default_rng(0)
-    noise = generator.normal(0, 1, picture.shape)
-    blurred = [lpips.distance(cv2.GaussianBlur(picture, None, sigma), picture) for sigma in (0.8, 1.6, 3.2)]
-    noisy = [lpips.distance(np.clip(picture + sigma * noise, 0, 1), picture) for sigma in (0.02, 0.06, 0.18)]
-    assert lpips.distance(picture, picture) == 0
-    assert 0 < blurred[0] < blurred[1] < blurred[2] < 1.5
-    assert 0 < noisy[0] < noisy[1] < noisy[2] < 1.5
-    # Of this code when it gave 0.722 and 0.138 for the two pairs of the original's repository, as the original does.
-    expected = {"alex": 0.37250, "vgg": 0.71469}[network]
-    assert lpips.distance(1 - picture, picture) == pytest.approx(expected, abs=2e-4)

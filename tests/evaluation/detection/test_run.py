@@ -199,15 +199,11 @@ def test_results_are_read_as_they_were_written(file):
         {"frame": replace(FRAME, truths=(replace(TRUTHS[0], box_xyxy=(4.0, 5.0, 40.0, 45.1)),))},
     ],
 )
-def test_results_of_other_inputs_are_removed(file, other):
-    frame = other.pop("frame", FRAME)
-    assert opened(file, **other).read([frame]) == 0
-    assert file.read_bytes() == b""
-
-
-def test_truncated_lines_are_removed(file):
-    whole = file.read_bytes()
-    for cut in (1, len(whole) // 2, len(whole) - 1):
+def test_results_of_other_inputs_and_truncated_lines_are_removed(file, other):
+    whole, frame = file.read_bytes(), other.pop("frame", FRAME)
+    for cut in (0, 1, len(whole) // 2, len(whole) - 1):
         file.write_bytes(whole + whole[:cut])
         assert opened(file).read([FRAME]) == 1
         assert file.read_bytes() == whole
+    assert opened(file, **other).read([frame]) == 0
+    assert file.read_bytes() == b""

@@ -161,16 +161,3 @@ def test_detections_have_boxes_and_labels_in_the_color_of_their_class():
     assert not _has(picture, class_color("person"))
     both = draw_boxes(PICTURE, [], found)  # labels do not overlap
     assert np.array_equal(picture[105:118], both[105:118]) and _has(both[283:], class_color("truck"))
-
-
-@pytest.mark.parametrize(
-    ("detections", "has_red", "has_white"),
-    [
-        ([], True, False),
-        ([Detection("truck", 0.8, BOX)], True, False),
-        ([Detection("car", 0.8, (206, 120, 400, 270))], False, True),
-    ],
-)
-def test_objects_are_red_if_missed_and_white_if_found(detections, has_red, has_white):
-    picture = draw_boxes(PICTURE, [Detection("car", 1.0, BOX)], detections)
-    assert (_has(picture, RED), _has(picture, WHITE)) == (has_red, has_white)
