@@ -15,9 +15,8 @@ from gsrain_engine.evaluation.fid_torch_features import (  # noqa: E402
     build_with_weights,
     inception_weights,
     is_torchscript,
-    matched_inception,
 )
-from gsrain_engine.evaluation.lpips_weights import read_arrays  # noqa: E402
+from gsrain_engine.evaluation.lpips_weights import read_arrays, write_arrays  # noqa: E402
 
 from .random_networks import write_inception  # noqa: E402
 
@@ -65,10 +64,11 @@ SEVEN = "Mixed_6d.branch7x7_2.conv.weight"
         ({"Mixed_8a.bn.bias": np.zeros(3, np.float32)}, "Mixed_8a.bn.bias"),
     ],
 )  # fmt: skip
-def test_wrong_weights_are_named(change, names, inception_file):
+def test_wrong_weights_are_named(change, names, inception_file, tmp_path):
     arrays = {name: array for name, array in (read_arrays(inception_file) | change).items() if array is not None}
-    with pytest.raises(ValueError, match=f"other: .*{names}"):
-        matched_inception(arrays, "other")
+    write_arrays(tmp_path / "other.safetensors", arrays)
+    with pytest.raises(ValueError, match=f"other.safetensors: .*{names}"):
+        inception_weights(tmp_path / "other.safetensors")
 
 
 def test_torchs_own_file_gives_the_same_arrays(inception_file, tmp_path):
