@@ -1,5 +1,7 @@
 """Comparisons of rain translators: shipped settings, resumed runs, missing views, fingerprints."""
 
+import csv
+import io
 import os
 
 import numpy as np
@@ -9,7 +11,10 @@ from gsrain_engine.evaluation.compare_results import (
     ComparedMethod,
     ComparisonPairs,
     TransferComparison,
+    comparison_csv,
     load_comparison,
+    markdown_table,
+    plain_row,
 )
 from gsrain_engine.evaluation.compare_translators import (
     MethodFolder,
@@ -56,6 +61,25 @@ def test_shipped_comparisons_load():
     assert [each.name for each in found["paper"].only((ours.name,)).methods] == [ours.name]
     with pytest.raises(ValueError, match="'none'"):
         found["paper"].only(("none",))
+
+
+def test_stopped_runs_resume_with_the_next_method(started, tmp_path):
+    _, work = started
+    first = work()
+    for _ in range(6):
+        next(first)
+    first.close()
+    assert [each.name for each in (tmp_path / "out").iterdir()] == ["clear"]
+    result, second = finished(work()), finished(work())
+    assert (result.reused, second.reused) == (("clear",), ("clear", "wet"))
+    assert markdown_table(second.rows) == markdown_table(result.rows)
+    assert (second.figure == result.figure).all()
+    for row, cells in zip(result.rows, csv.DictReader(io.StringIO(comparison_csv(result.rows))), strict=True):
+        found = row.everywhere
+        numbers = [float(cells[name]) for name in ("error before", "error after", "KD-pixels16 x1000", "ratio")]
+        expected = [255 * found.before.rmse, 255 * found.after.rmse, 1000 * row.distance.kernel, found.ratio]
+        assert numbers == pytest.approx(expected)
+        assert plain_row(row)["rmse_before"] == found.before.rmse
 
 
 def test_missing_views_are_omitted(started, tmp_path):

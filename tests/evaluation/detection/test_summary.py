@@ -6,6 +6,7 @@ import pytest
 from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.evaluation.detection.drawing import class_color, draw_boxes
 from gsrain_engine.evaluation.detection.figures import (
+    detection_sheet,
     object_figure,
     precision_figure,
 )
@@ -13,6 +14,7 @@ from gsrain_engine.evaluation.detection.ground_truth import LabeledObject
 from gsrain_engine.evaluation.detection.run import (
     Condition,
     EvaluatedFrame,
+    EvaluatedImage,
     evaluate_detections,
     object_rows,
 )
@@ -140,6 +142,16 @@ def test_figures_have_means_and_bands_by_object(rows, judgements):
     assert lightness == sorted(lightness, reverse=True) and shades(1) == shades(3)[1:2]
 
 
+def test_sheets_of_many_conditions_continue_below():
+    image = np.full((60, 300, 3), 90, np.uint8)
+    trials = [Condition("rainy", float(rain), (0,)) for rain in range(1, 31)]
+    sheet = detection_sheet([
+        EvaluatedImage(FRAME, each, {"d": evaluate_detections("d", FRAME, each, [])}, lambda: image) for each in trials
+    ])  # fmt: skip
+    assert sheet.shape[1] <= 1920
+    assert (sheet == 90).all(axis=2).sum() > 30 * 240 * 40
+
+
 # Boxes on an image
 
 PICTURE = np.full((360, 640, 3), 90, np.uint8)
@@ -161,3 +173,16 @@ def test_detections_have_boxes_and_labels_in_the_color_of_their_class():
     assert not _has(picture, class_color("person"))
     both = draw_boxes(PICTURE, [], found)  # labels do not overlap
     assert np.array_equal(picture[105:118], both[105:118]) and _has(both[283:], class_color("truck"))
+
+
+@pytest.mark.parametrize(
+    ("detections", "has_red", "has_white"),
+    [
+        ([], True, False),
+        ([Detection("truck", 0.8, BOX)], True, False),
+        ([Detection("car", 0.8, (206, 120, 400, 270))], False, True),
+    ],
+)
+def test_objects_are_red_if_missed_and_white_if_found(detections, has_red, has_white):
+    picture = draw_boxes(PICTURE, [Detection("car", 1.0, BOX)], detections)
+    assert (_has(picture, (255, 60, 60)), _has(picture, (255, 255, 255))) == (has_red, has_white)
