@@ -109,7 +109,7 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
             average_precision([each.truths for each in images], [each.detections for each in images])
             for images in by_seed.values()
         ]
-        bases = [(weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]]]
+        bases: list[_Weather] = [(weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]]]
         base = next((each for each in bases if each in pictures), None)  # the condition that differs least
         change = None
         if base is not None:
