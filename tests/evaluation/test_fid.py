@@ -292,5 +292,7 @@ def test_cell_statistics_are_color_and_edges_by_direction():
     np.testing.assert_allclose(cells[:, 3:], 0, atol=1e-3)
     upright = np.zeros((128, 128, 3), np.uint8)
     upright[:, ::16] = 255
-    across, _, down, _ = cell_statistics(upright).reshape(16, 10)[:, 6:].mean(axis=0)
+    cells = cell_statistics(upright).reshape(16, 10)  # a sixteenth of the columns is white
+    np.testing.assert_allclose(cells[:, :6], np.tile(np.repeat([1 / 16, 15**0.5 / 16], 3), (16, 1)), atol=1e-6)
+    across, _, down, _ = cells[:, 6:].mean(axis=0)
     assert across > 0.05 and down < 1e-6

@@ -35,9 +35,10 @@ def test_page_is_self_contained_and_has_the_figures(tmp_path: Path):
     curve = ReportCurve("loss", steps, 1.0 / (1 + steps), times_s=steps * 100.0, unit="of 1")
     views = [ImageComparison.measured(f"view {i}", truth + 0.01 * i, truth) for i in range(1, MAX_IMAGES + 7)]
     report = RunReport("a run", {"steps": 5}, (curve,), tuple(views), {"training": 75.0}, {"Gaussians": "1,234"})
-    write_report(tmp_path / "report.html", report)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert {path.name for path in tmp_path.iterdir()} == {"report.html"}
+    file = tmp_path / "new" / "report.html"
+    write_report(file, report)
+    page = file.read_text(encoding="utf-8")
+    assert list(file.parent.iterdir()) == [file]
     sources = re.findall(r'(?:src|href)="([^"]*)"', page)
     assert all(source.startswith("data:image/") for source in sources)
     assert sum(source.startswith("data:image/jpeg") for source in sources) == 3 * MAX_IMAGES

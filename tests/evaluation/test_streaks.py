@@ -9,6 +9,7 @@ from gsrain_engine.datasets.rainsense import RainSequence
 from gsrain_engine.evaluation.streaks import (
     BANDS,
     FALL_BY_DIAMETER_S,
+    StreakTable,
     coverage,
     cropped_camera,
     evenly_chosen,
@@ -71,9 +72,18 @@ def test_known_streaks_are_measured(angle, length, width):
     assert table.coverage_px2[0] == pytest.approx(ALPHA * length * width, rel=0.15)
     assert table.opacity[0] == pytest.approx(ALPHA, rel=0.3)
     assert table.rise_levels[0] == pytest.approx(RISE_LEVELS, rel=0.25)
-    blur_px2 = table.width_px[0] ** 2  # of the disc that moved: coverage pi/4 (D f/d)^2, length V T f/d
-    aspect = np.sqrt(np.pi / 4 * (table.length_px[0] ** 2 - blur_px2) / table.coverage_px2[0])
-    assert table.exposure_s[0] == pytest.approx(FALL_BY_DIAMETER_S * aspect)
+
+
+def test_opacity_and_exposure_of_known_sizes():
+    """By hand: 13^2 - 5^2 = 12^2, and a coverage of 9 pi px^2; then a streak that is all blur."""
+    zeros = np.zeros(2)
+    table = StreakTable(
+        frame=np.zeros(2, np.int64), center_px=np.zeros((2, 2)), angle_deg=zeros, length_px=np.array([13.0, 4.0]),
+        width_px=np.array([5.0, 5.0]), rise_levels=zeros, background_levels=zeros,
+        coverage_px2=np.array([9 * np.pi, 1.0]),
+    )  # fmt: skip
+    assert table.exposure_s == pytest.approx([FALL_BY_DIAMETER_S * 12 / 6, 0])
+    assert table.opacity == pytest.approx([9 * np.pi / 65, 1 / 20])
 
 
 @pytest.mark.parametrize(
@@ -111,6 +121,15 @@ def test_restless_pixels_are_excluded():
         residual_statistics(restless)
 
 
+def test_residual_statistics_of_known_rain():
+    statistics = residual_statistics(with_streaks(((100, 80), 0, 80, 10, 0.03)))
+    assert (statistics.frames, statistics.background_levels) == (FRAMES, 45)
+    assert statistics.noise_levels == pytest.approx(1.5, abs=0.3)
+    assert statistics.share_above == pytest.approx(800 / (FRAMES * NOTHING.size), rel=0.1)
+    assert statistics.share_below < 1e-4
+    assert residual_statistics(with_streaks(((100, 80), 0, 80, 10, -0.01))).share_below > 1e-4
+
+
 def test_automatic_exposure_is_removed():
     exposed = frames([NOTHING] * FRAMES)
     exposed[2:6] += 12
@@ -120,15 +139,15 @@ def test_automatic_exposure_is_removed():
 
 
 def test_streak_statistics_of_a_band():
-    found = with_streaks(((60, 70), 10, 40, 4, 0.03), ((140, 90), 10, 25, 4, 0.03), ((100, 130), 85, 40, 4, 0.03))
+    found = with_streaks(((60, 70), 12, 35, 4, 0.03), ((140, 90), 12, 25, 4, 0.03), ((100, 130), 85, 40, 4, 0.03))
     bright, darker = find_streaks(found, SKY), find_streaks(found, SKY, darker=True)
     statistics = streak_statistics(bright, darker, found)
     assert (len(bright), statistics.streaks, statistics.darker) == (3, 2, 0)  # one is too far from the vertical
     assert statistics.megapixels == pytest.approx(FRAMES * NOTHING.size * 1e-6)
     assert statistics.per_megapixel == pytest.approx(2 / statistics.megapixels)
-    assert sum(statistics.length_histogram) == sum(statistics.angle_histogram) == 2
-    assert statistics.length_histogram[2] == 1  # 20..30 px
-    assert statistics.angle_deg[1] == pytest.approx(10, abs=2.5)
+    assert statistics.length_histogram == (0, 0, 1, 1, 0, 0, 0, 0, 0, 0)  # 20..30 and 30..40 px
+    assert statistics.angle_histogram == tuple(2 * (low == 10) for low in range(-45, 45, 5))
+    assert statistics.angle_deg[1] == pytest.approx(12, abs=2.5)
     assert [0, *(high for _, high in BANDS[:-1])] == [low for low, _ in BANDS]
     halves = [streak_statistics(bright, darker, found, band).megapixels for band in ((32, 45), (45, 64))]
     assert sum(halves) == pytest.approx(statistics.megapixels) and min(halves) > 0
@@ -159,6 +178,13 @@ def test_exposure_of_simulated_rain_is_estimated(exposure_s):
     # Four Gaussians a streak spread like a box that is 1.3 times as long.
     assert np.median(table.exposure_s) == pytest.approx(1.3 * exposure_s, rel=0.25)
     assert abs(np.median(table.angle_deg)) < 2
+
+
+def test_display_mixing_is_fainter_on_dark_backgrounds():
+    rain = {"noise": 0, "intensity_mm_h": 2.0, "exposure_s": 0.008}
+    linear, display = (rendered(rain_light=light, **rain).astype(float) - 45 for light in ("linear", "display"))
+    assert linear.min() >= 0 and (rendered(noise=0) == 45).all()  # no rain: the background
+    assert 2 < linear.mean() / display.mean() < 8
 
 
 @pytest.mark.parametrize(
