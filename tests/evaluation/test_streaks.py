@@ -127,7 +127,10 @@ def test_residual_statistics_of_known_rain():
     assert statistics.noise_levels == pytest.approx(1.5, abs=0.3)
     assert statistics.share_above == pytest.approx(800 / (FRAMES * NOTHING.size), rel=0.1)
     assert statistics.share_below < 1e-4
-    assert residual_statistics(with_streaks(((100, 80), 0, 80, 10, -0.01))).share_below > 1e-4
+    levels = np.full((FRAMES, 40, 50), 45, np.uint8)
+    levels[4, :4] += np.array([[9], [8], [-8 % 256], [-9 % 256]], np.uint8)  # rows of 50 px; more than 8 is visible
+    changed = residual_statistics(median_residuals(levels))
+    assert (changed.share_above, changed.share_below) == pytest.approx((50 / levels.size, 50 / levels.size))
 
 
 def test_automatic_exposure_is_removed():
