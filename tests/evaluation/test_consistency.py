@@ -102,6 +102,7 @@ def test_pooled_errors_have_equal_weight_per_pixel():
     mean = pool_errors([small, large])
     assert mean.pixels == 400
     assert mean.after.rmse == pytest.approx(np.sqrt((100 * 0.04 + 300 * 0.01) / 400))
+    assert mean.after.contrast == pytest.approx(np.sqrt((100 * 0.16 + 300 * 0.04) / 400))
     assert mean.after.lpips == pytest.approx(0.15)
     assert (mean.ratio, mean.lpips_ratio) == pytest.approx((np.sqrt(1.75), 1.5))
     assert pool_errors([]) is None

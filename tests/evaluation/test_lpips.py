@@ -89,6 +89,12 @@ def test_distance_of_the_published_example(network: str):
     assert found == pytest.approx({"alex": 0.37250, "vgg": 0.71469}[network], abs=2e-4)
 
 
+@pytest.mark.parametrize(("network", "parameters"), [("alex", 2_469_696), ("vgg", 14_714_688)])
+def test_networks_have_the_parameters_of_torchvisions(network: str, parameters: int):
+    weights = random_weights(network)
+    assert sum(each.size for each in (*weights.kernels, *weights.biases)) == parameters
+
+
 def test_small_and_different_images_are_refused():
     lpips = Lpips(random_weights("alex", divisor=16))
     assert lpips(torch.zeros(32, 32, 3), torch.zeros(32, 32, 3)) == 0
