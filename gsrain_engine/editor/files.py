@@ -530,7 +530,7 @@ class Recovery:
 
     def forget(self) -> None:
         """Remove the autosave after the document was saved."""
-        self._changed_at = None
+        self._autosaved, self._changed_at = self._files.saved, None
         self._thread.submit(self._autosave.remove)
 
     def look(self) -> None:
