@@ -150,6 +150,10 @@ def test_an_actor_is_placed_where_the_numbers_say_at_that_moment():
     assert layer_pose(placed, "actors/car", 2.0).position_m == pytest.approx((5.0, 6.0, 0.0))
     assert layer_pose(placed, "actors/car").position_m == pytest.approx((4.0, 6.0, 0.0))  # at 0 s
     assert placed.actors[0].gaussians is scene.actors[0].gaussians
+    absent = scene.with_member("actors/car", track=replace(scene.actors[0].track, valid=np.zeros(5, bool)))
+    assert layer_pose(absent, "actors/car", 2.0) is None
+    with pytest.raises(ValueError, match="car"):
+        set_layer_pose(absent, "actors/car", pose, 2.0)
     small = set_layer_pose(scene, "actors/car", replace(pose, scale=0.5), 2.0).actors[0]
     assert small.size_lwh == pytest.approx((2.0, 1.0, 0.75))
     assert small.gaussians.scales == pytest.approx(scene.actors[0].gaussians.scales / 2)

@@ -201,6 +201,7 @@ def test_a_plane_of_a_twentieth_is_ground():
         assert found.share == pytest.approx(0.055)
         assert found.up == pytest.approx([0, 0, 1], abs=0.2 * rough_m + 1e-6)
         assert found.point_m[2] == pytest.approx(0, abs=0.2 * rough_m + 1e-6)
+    assert find_ground(flat_and_round((0.0, 1000), rough_m=0.1)).share == 1
     for scene in (flat_and_round((0.0, 45), lumps=955), flat_and_round((0.0, 2))):
         with pytest.raises(ValueError, match="No ground"):
             find_ground(scene)
