@@ -62,6 +62,8 @@ def test_renaming_keeps_names_unique_and_selection_sets_true():
     assert names(layers.rename(scene, "layers/ground", "ground")) == names(scene)
     assert names(layers.rename(scene, "actors/car", "ground"))[-1] == "ground"  # layers and actors apart
     assert layers.remove(renamed, "layers/house 2").selections["three"] == {}
+    again = layers.duplicate(layers.duplicate(scene, "layers/house"), "layers/house 2")
+    assert names(again) == ["ground", "house", "house 2", "house 3", "sky", "car"]
     for swapped in (layers.move_up(scene, "layers/house"), layers.move_down(scene, "layers/ground")):
         assert names(swapped) == ["house", "ground", "sky", "car"]
 
