@@ -1,7 +1,5 @@
-"""`gsrain reconstruct`, run as a person would run it: a capture folder in, a scene, a report and numbers out."""
+"""`gsrain reconstruct`: a capture folder in; a scene, a report and numbers out."""
 
-import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,6 @@ from app.main import run
 from colmap_files import cut_rows, write_undistorted
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats.scene_files import read_scene
-from gsrain_engine.training.train import EgoMaskReport
 from small_capture import small_capture
 from training.drive_capture import drive_capture
 
@@ -29,15 +26,13 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_capture_becomes_a_scene(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, numbers = tmp_path / "scene", tmp_path / "numbers.json"
-    asked = ["reconstruct", str(capture), "-o", str(scene), *QUICK, "--held-out", "2", "--json", str(numbers)]
-    assert run(asked) == 0
-    found = json.loads(numbers.read_text())
+def test_a_capture_becomes_a_scene(capture, tmp_path, reported, capsys):
+    scene = tmp_path / "scene"
+    found = reported("reconstruct", capture, "-o", scene, *QUICK, "--held-out", "2")
     assert found["views"] == 4
     assert [each["name"] for each in found["held_out"]] == ["1.00m", "3.00m"]
     assert found["psnr_held_out_db"] > found["psnr_before_db"]
-    assert found["gaussians"] > 0 and 0 < found["seconds"] < 600
+    assert found["gaussians"] > 0 and found["seconds"] > 0
     written = read_scene(scene)
     assert [layer.name for layer in written.layers] == ["background", "sky"]
     report = (tmp_path / "scene.report.html").read_text()
@@ -56,46 +51,28 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_pictures_may_have_different_sizes(photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    numbers = tmp_path / "numbers.json"
-    asked = ["reconstruct", str(photos), "-o", str(tmp_path / "scene"), *QUICK, "--json", str(numbers)]
-    assert run(asked) == 0
-    found = json.loads(numbers.read_text())
+def test_pictures_may_have_different_sizes(photos, tmp_path, reported, capsys):
+    command = ("reconstruct", photos, "-o", tmp_path / "scene", *QUICK)
+    found = reported(*command)
     assert found["views"] == 5
     assert found["own_body"] == {"searched": False, "reason": "the capture is no drive", "shares": {}}
     assert "Own body: not looked for (the capture is no drive)" in capsys.readouterr().out
     assert "not looked for (the capture is no drive)" in (tmp_path / "scene.report.html").read_text()
-    assert run([*asked, "--own-body"]) == 0
-    assert json.loads(numbers.read_text())["own_body"]["searched"]
+    assert reported(*command, "--own-body")["own_body"]["searched"]
     assert "Own body: looked for (asked for)" in capsys.readouterr().out
     assert run(["info", str(photos)]) == 0
     assert "96x60 to 96x64" in capsys.readouterr().out
 
 
-def test_the_own_body_is_looked_for_in_a_drive(capture: Path, tmp_path: Path) -> None:
-    drive = small_capture()
-    assert EgoMaskReport.planned(drive, None).searched and drive.ego is not None
-    assert not EgoMaskReport.planned(replace(drive, ego=None), None).searched
-    assert not EgoMaskReport.planned(drive, False).searched
-    assert EgoMaskReport.planned(replace(drive, ego=None), True).searched
-
-
-def test_other_pictures_take_the_place_of_the_own_ones(capture: Path, tmp_path: Path) -> None:
-    images = tmp_path / "red"
+def test_other_pictures_and_a_config_with_options_on_top(capture, tmp_path, reported):
+    images, config = tmp_path / "red", tmp_path / "quick.yaml"
     images.mkdir()
     for view in small_capture():
         Image.fromarray(np.full((32, 48, 3), (200, 30, 30), np.uint8)).save(images / f"{view.name}.png")
-    asked = ["reconstruct", str(capture), "-o", str(tmp_path / "scene"), *QUICK, "--images", str(images)]
-    assert run(asked) == 0
-    sh = read_scene(tmp_path / "scene").member("layers/background").gaussians.sh[:, 0]
-    assert np.median(sh[:, 0]) > np.median(sh[:, 1]) + 0.5
-
-
-def test_a_config_is_read_and_options_go_on_top(capture: Path, tmp_path: Path) -> None:
-    config = tmp_path / "quick.yaml"
     config.write_text("steps: 5\ngaussians: 1500\nsh_degree: 0\n")
-    numbers = tmp_path / "numbers.json"
-    asked = ["reconstruct", str(capture), "-o", str(tmp_path / "scene"), "--config", str(config), "--steps", "7"]
-    assert run([*asked, "--json", str(numbers)]) == 0
-    assert json.loads(numbers.read_text())["steps"] == 7
-    assert read_scene(tmp_path / "scene").member("layers/background").gaussians.sh_degree == 0
+    options = ("--images", images, "--config", config, "--steps", "12", "--device", "cpu")
+    found = reported("reconstruct", capture, "-o", tmp_path / "scene", *options)
+    assert found["steps"] == 12
+    background = read_scene(tmp_path / "scene").member("layers/background").gaussians
+    assert background.sh_degree == 0
+    assert np.median(background.sh[:, 0, 0]) > np.median(background.sh[:, 0, 1]) + 0.5

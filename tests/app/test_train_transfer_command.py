@@ -1,13 +1,12 @@
-"""`gsrain train-transfer` as a person runs it, on pictures of a few pixels."""
+"""`gsrain train-transfer` on pictures of a few pixels."""
 
-import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from app.main import BAD_INPUT, run
+
+from .picture_sets import write_pictures
 
 _CONFIG = """
 architecture: tiny
@@ -22,36 +21,23 @@ samples: 1
 """
 
 
-@pytest.fixture
-def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    random = np.random.default_rng(3)
-    for look in ("clear", "rainy"):
-        Path(look).mkdir()
-        for i in range(2):
-            Image.fromarray(random.integers(0, 256, (16, 24, 3), np.uint8)).save(f"{look}/{i}.png")
-    Path("own.yaml").write_text(_CONFIG)
-    return tmp_path
-
-
-def test_a_training_from_start_to_weights(
-    work: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_training_from_start_to_weights(tmp_path, reported, capsys, monkeypatch):
     pytest.importorskip("diffusers")
     from appearance.finetune.small_training import small
     from gsrain_engine.appearance.finetune import run as start
 
     monkeypatch.setattr(start, "tiny", small)
-    command = ["train-transfer", "own.yaml", "-o", "run", "--clear", "clear", "--rainy", "rainy", "--json", "run.json"]
-    assert run(command) == 0
-    said = capsys.readouterr().out
-    assert "run/weights.safetensors: 1 iterations" in said and "cycle, clear" in said
-    numbers = json.loads(Path("run.json").read_text())
+    monkeypatch.chdir(tmp_path)
+    for seed, look in enumerate(("clear", "rainy")):
+        write_pictures(Path(look), 2, seed)
+    Path("own.yaml").write_text(_CONFIG)
+    command = ["train-transfer", "own.yaml", "-o", "run", "--clear", "clear", "--rainy", "rainy"]
+    numbers = reported(*command)
+    printed = capsys.readouterr().out
+    assert "run/weights.safetensors: 1 iterations" in printed and "cycle, clear" in printed
     assert numbers["steps"] == 1 and set(numbers["losses"]) >= {"cycle_clear", "gan_rainy", "identity_clear", "change"}
     assert [row["count"] for row in numbers["pictures"]] == [2, 2]
     assert Path("run/weights.safetensors").is_file() and Path("run/samples/step_000001.png").is_file()
-
-    assert run(command) == BAD_INPUT
-    assert "holds a training already" in capsys.readouterr().err
-    assert run([*command, "--resume"]) == BAD_INPUT
-    assert "1 iterations are done" in capsys.readouterr().err
+    for options, words in (((), "holds a training already"), (("--resume",), "1 iterations are done")):
+        assert run([*command, *options]) == BAD_INPUT
+        assert words in capsys.readouterr().err

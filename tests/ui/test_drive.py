@@ -10,15 +10,10 @@ from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
 from small_scene import small_scene
-from window_driver import Driver, imgui
+from window_driver import imgui
 
 LEAD = {"id": "lead", "ahead_m": 9.0, "behaviour": {"kind": "constant-velocity"}}
 CRASH = {"name": "crash", "speed_m_s": 2.0, "duration_s": 4.0, "road_users": [LEAD]}
-
-
-@pytest.fixture
-def driver(tmp_path):
-    return Driver(tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -30,15 +25,6 @@ def rollout(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "crash.jsonl"
     write_rollout(path, simulation.rollout(agent.name))
     return path
-
-
-def choose(driver, title, path, button="Open"):
-    """Type a place into a file dialog."""
-    driver.frames(3)
-    driver.ctx.item_click(f"//{title}/##file_input")
-    driver.ctx.key_chars_replace(str(path))
-    driver.ctx.item_click(f"//{title}/**/{button}")
-    driver.frames(3)
 
 
 def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path):
@@ -56,7 +42,7 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.frames()
         assert drives.setup.is_changed
         driver.ctx.item_click("**/###save scenario")
-        choose(driver, "Save the scenario", tmp_path / "short.yaml", "Save")
+        driver.choose_file("Save the scenario", tmp_path / "short.yaml")
         saved = load_scenario(tmp_path / "short.yaml")
         assert (saved.duration_s, saved.speed_m_s) == (1.0, 2.5)
         driver.ctx.set_ref("//Drive")
@@ -74,7 +60,7 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
         driver.frames()
         driver.ctx.item_click("//Drive/###save roll-out")
-        choose(driver, "Save the roll-out", tmp_path / "mine.jsonl", "Save")
+        driver.choose_file("Save the roll-out", tmp_path / "mine.jsonl")
         driver.until(lambda: not drives.is_working)
         assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
 
@@ -99,10 +85,8 @@ def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
         assert drives.step_now.collision == "lead"
         driver.ctx.window_focus("//Drive plots")
         driver.frames(3)
-        area = driver.ctx.item_info("//Drive plots/##Speed").rect_full
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2((area.min.x + area.max.x) / 2, (area.min.y + area.max.y) / 2))
-        driver.ctx.mouse_click(0)
-        driver.frames(3)
+        corner, size = driver.area("//Drive plots/##Speed")
+        driver.click_at(corner + size / 2)
         assert 0.3 < editor.playback.clock.time_s / drives.playing.duration_s < 0.7
         driver.ctx.item_click("//Drive/front camera")
         driver.frames(3)

@@ -23,11 +23,6 @@ def own_folders(tmp_path_factory, monkeypatch):
         monkeypatch.setenv(name, str(tmp_path_factory.mktemp(name)))
 
 
-@pytest.fixture
-def driver(tmp_path):
-    return Driver(tmp_path)
-
-
 def key(driver, *keys):
     driver.ctx.window_focus("//View")
     driver.press(chord(*keys))
@@ -42,9 +37,7 @@ def test_saving_asks_for_a_place_once_and_a_star_tells_of_changes(driver, tmp_pa
         driver.click("//Rain/8.5")
         assert workspace.title == "GSRAIN: small *"
         key(driver, CTRL, imgui.Key.s)
-        driver.ctx.item_click("//Save the scene/##file_input")
-        driver.ctx.key_chars_replace(str(home))
-        driver.ctx.item_click("//Save the scene/**/Save")
+        driver.choose_file("Save the scene", home)
         driver.until(lambda: workspace.title == "GSRAIN: small")
         assert read_scene(home).rain["intensity_mm_h"] == 8.5
         driver.click("//Rain/12.0")

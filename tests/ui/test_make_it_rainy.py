@@ -2,25 +2,19 @@
 
 import msgspec
 import numpy as np
-import pytest
 
 from gsrain_engine.editor import make_rainy
 from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
 from ui.commands.keys import chord
-from window_driver import Driver, imgui
+from window_driver import imgui
 
 PANEL = "//Make it rainy/"
 UNDO = chord(imgui.Key.mod_ctrl, imgui.Key.z)
 
 
-@pytest.fixture
-def driver(tmp_path, monkeypatch):
+def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(driver, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    (tmp_path / "shots").mkdir()
-    return Driver(tmp_path / "shots")
 
-
-def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(driver):
     def script():
         editor, ctx = driver.editor, driver.ctx
         rainy = editor.wet_look
@@ -36,7 +30,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         # It lies over what it is of, right of the line, and only while the view is that one.
         assert (editor.viewport.options.split, rainy.fits) == ("now | preview", True)
         assert ctx.item_exists("//View/divider")
-        drag_the_view(driver)
+        driver.stroke(driver.at(0.75, 0.5), driver.at(0.75, 0.5) + [60, 0])  # right of the line
         assert rainy.what_is_stale == "The view has changed since."
         assert not ctx.item_exists("//View/divider")
         driver.click(f"{PANEL}Return to it")
@@ -78,12 +72,3 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         assert editor.document.scene is before
 
     driver.run(script)
-
-
-def drag_the_view(driver):
-    """Look elsewhere, by a drag right of the line."""
-    rect = driver.ctx.item_info("//View/view").rect_full
-    x, y = 0.25 * rect.min.x + 0.75 * rect.max.x, (rect.min.y + rect.max.y) / 2
-    driver.ctx.mouse_move_to_pos(imgui.ImVec2(x, y))
-    driver.ctx.mouse_drag_with_delta((60, 0))
-    driver.frames()

@@ -8,7 +8,7 @@ from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.training.settings import load_settings
 from training.drive_capture import drive_capture, world_depth
 from ui.commands.keys import chord
-from window_driver import Driver, imgui
+from window_driver import imgui
 
 pytest.importorskip("torch")
 
@@ -36,12 +36,9 @@ def drive(tmp_path):
     return tmp_path
 
 
-def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, monkeypatch):
-    shots = drive / "shots"
-    shots.mkdir()
+def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, driver, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
     settings = load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
-    driver = Driver(shots)
     editor = driver.editor
     editor.training.settings = settings
 

@@ -3,26 +3,11 @@
 import shlex
 
 import av
-import pytest
 
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 from ui.commands.keys import chord
-from window_driver import Driver, imgui
-
-
-@pytest.fixture
-def driver(tmp_path):
-    return Driver(tmp_path)
-
-
-def name_it(driver, title, path):
-    """Type a place into a save dialog, and save."""
-    driver.frames(3)
-    driver.ctx.item_click(f"//{title}/##file_input")
-    driver.ctx.key_chars_replace(str(path))
-    driver.ctx.item_click(f"//{title}/**/Save")
-    driver.frames(3)
+from window_driver import imgui
 
 
 def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
@@ -34,7 +19,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         editor.render_queue.change(size_px=(480, 320), last_s=3.0)
         driver.ctx.window_focus("//View")
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-        name_it(driver, "Record the timeline", target)
+        driver.choose_file("Record the timeline", target)
         driver.until(lambda: len(editor.jobs.all) == 1)
         job = editor.jobs.all[0]
         driver.ctx.window_focus("//Jobs")
@@ -48,7 +33,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         assert editor.viewport.job_previews == {}
         driver.ctx.window_focus("//View")
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-        name_it(driver, "Record the timeline", target)
+        driver.choose_file("Record the timeline", target)
         assert editor.status.question.text == "clip.mp4 is there already."
         driver.ctx.item_click("//Replace?/Cancel")
         driver.frames()
@@ -84,7 +69,10 @@ def test_steps_and_recordings_are_copied(driver, tmp_path):
             "edited",
             "-o",
             "clip.mp4",
-            *["--size", "960x640", "--codec", "h264"],
+            "--size",
+            "960x640",
+            "--codec",
+            "h264",
         ]
         recorded = copied("//Record/Copy as Python").splitlines()
         assert recorded[:-1] == edited.splitlines()[:-1]

@@ -7,15 +7,10 @@ from imgui_bundle import im_file_dialog
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 from ui.commands.keys import chord
-from window_driver import Driver, imgui
+from window_driver import imgui
 
 
-@pytest.fixture
-def driver(tmp_path):
-    return Driver(tmp_path)
-
-
-def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
+def test_dragging_the_intensity_is_one_step_and_time_plays(driver):
     def script():
         clear = driver.picture()
         driver.drag("//Rain/##intensity_mm_h", (60, 0))
@@ -27,13 +22,6 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
         assert np.array_equal(driver.picture(), clear)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
         assert driver.editor.document.rain.intensity_mm_h > 1
-
-    driver.run(script)
-
-
-def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
-    def script():
-        driver.click("//Rain/8.5")
         still = driver.picture()
         assert np.array_equal(driver.picture(), still)
         driver.click("//View/###Play")
@@ -46,29 +34,31 @@ def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
 
 
 def test_navigation_by_mouse_and_keys(driver):
+    viewport = driver.editor.viewport
+    navigation = viewport.navigation
+
     def script():
-        editor = driver.editor
-        start = editor.viewport.navigation.position.copy()
+        start = navigation.position.copy()
         driver.drag("//View/view", (80, 0))
-        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.5
+        assert np.linalg.norm(navigation.position - start) > 0.5
         driver.click("//View/###Home")
-        assert editor.viewport.navigation.position == pytest.approx(start)
+        assert navigation.position == pytest.approx(start)
         driver.ctx.mouse_move("//View/view")
         driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: editor.viewport.navigation.position[0] > start[0] + 0.1)
-        assert editor.viewport.navigation.velocity_m_s[0] > 1
+        driver.until(lambda: navigation.position[0] > start[0] + 0.1)
+        assert navigation.velocity_m_s[0] > 1
         driver.ctx.key_up(imgui.Key.w)
         driver.frames()
-        assert np.all(editor.viewport.navigation.velocity_m_s == 0)
+        assert np.all(navigation.velocity_m_s == 0)
         driver.press(imgui.Key.f)
-        assert editor.viewport.navigation.distance_m > 20
+        assert navigation.distance_m > 20
         driver.press(imgui.Key.r)
-        assert editor.viewport.navigation.position == pytest.approx(start)
+        assert navigation.position == pytest.approx(start)
         driver.ctx.mouse_wheel_y(2)
         driver.frames()
-        assert editor.viewport.navigation.distance_m < 20
+        assert navigation.distance_m < 20
         driver.click("//View/Follow path")
-        assert editor.viewport.options.follow_path
+        assert viewport.options.follow_path
 
     driver.run(script)
 
@@ -95,27 +85,29 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
 
 
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
+    options = driver.editor.viewport.options
+
     def script():
         driver.click("//Rain/8.5")
         driver.editor.document.change_rain("Much", streak_gain=50.0)
         driver.frames()
         rainy = driver.picture()
-        driver.editor.viewport.options.split = "clear | rainy"
+        options.split = "clear | rainy"
         driver.frames()
         both = driver.picture()
         middle = both.shape[1] // 2
         assert np.array_equal(both[:, middle + 1 :], rainy[:, middle + 1 :])
         assert np.abs(both[:, :middle] - rainy[:, :middle]).max() > 4
         driver.drag("//View/divider", (-120, 0))
-        assert driver.editor.viewport.options.divider < 0.4
+        assert options.divider < 0.4
         moved = driver.picture()
-        at = round(driver.editor.viewport.options.divider * moved.shape[1])
+        at = round(options.divider * moved.shape[1])
         assert np.array_equal(moved[:, at + 1 :], rainy[:, at + 1 :])
         assert np.array_equal(moved[:, : at - 1], both[:, : at - 1])
         driver.ctx.item_double_click("//View/divider")
         driver.frames()
-        assert driver.editor.viewport.options.divider == 0.5
-        driver.editor.viewport.options.split = "before | after"
+        assert options.divider == 0.5
+        options.split = "before | after"
         driver.frames()
         compared = driver.picture()
         assert np.abs(compared[:, :middle] - rainy[:, :middle]).max() > 4  # before: without the gain
