@@ -8,10 +8,7 @@ import pytest
 from cyclopts import CycloptsError
 
 from app.main import OLD_OPTIONS, app, renamed_options, run
-from app.options import converted_options, reject_non_finite
-from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.recolor.recolor import RecolorOptions
-from gsrain_engine.render.export_settings import ExportSettings
+from app.options import reject_non_finite
 
 OPTIONS = {
     "render": "--rain --intensity --preset --camera --camera-path --size --fps --duration --time --seed --exposure "
@@ -94,18 +91,3 @@ def test_no_option_takes_nan_however_deep_it_stands():
     ):  # fmt: skip
         with pytest.raises(ValueError, match=words):
             reject_non_finite(None, value)
-
-
-@pytest.mark.parametrize(
-    ("values", "kind", "name"),
-    [
-        ({"intensity_mm_h": 200}, RainSettings, "^--rain: "),
-        ({"exposure_s": 3.0}, RainSettings, "^--exposure must be"),
-        ({"output": "a.mp4", "passes": ["color", "heat"]}, ExportSettings, "^--passes: "),
-        ({"output": "a.mp4", "first_s": 2.0, "last_s": 1.0}, ExportSettings, "^--to must be above --time"),
-        ({"colors": {"iterations": 0}}, RecolorOptions, "^--iterations: "),
-    ],
-)
-def test_an_error_names_the_option(values, kind, name):
-    with pytest.raises(ValueError, match=name):
-        converted_options(values, kind)
