@@ -84,6 +84,15 @@ class Driver:
         self.ctx.item_click(item)
         self.frames()
 
+    def tap(self, item):
+        """Click an item of a window that is in front."""
+        self.ctx.item_click(item)
+        self.frames(3)
+
+    def type_in(self, item, value):
+        self.ctx.item_input_value(item, value)
+        self.frames()
+
     def drag(self, item, pixels):
         self.ctx.item_drag_with_delta(item, pixels)
         self.frames()

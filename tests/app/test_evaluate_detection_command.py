@@ -11,11 +11,8 @@ from PIL import Image
 from app.main import BAD_INPUT, run
 from boxy_scene import boxy_scene
 from colmap_files import write_binary, write_pictures
-from gsrain_engine.datasets.capture import CaptureFrame
-from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.evaluation.detection.detector import Detector
-from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.rig import rig_camera
+from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 pytest.importorskip("onnxruntime")
@@ -158,18 +155,3 @@ def test_a_source_without_anything_to_find_is_refused(detector, tmp_path, capsys
     write_pictures(tmp_path / "photos")
     assert run(words(tmp_path / source, detector, "--seeds", "1", "--rain", "0")) == BAD_INPUT
     assert error in capsys.readouterr().err
-
-
-def test_a_reconstruction_beside_its_pictures(project, detector, tmp_path, reported):
-    camera = rig_camera(read_scene(project), "one", "FRONT", 0.0)
-    dim = np.full((480, 960, 3), (120, 20, 20), np.uint8)
-    list(write_views(tmp_path / "taken", [CaptureFrame("first", camera, dim)]))
-    truth = write_truth(tmp_path / "truth.json", "first.png", {3: "car"}, [(3, [0, 0, 64, 32])])
-    options = ("--capture", tmp_path / "taken", "--truth", truth, "--rain", "50", "--seeds", "1")
-    report = reported(*words(project, detector, *options))
-    found = {row["picture"]: row["confidence"] for row in report["rows"]}
-    assert list(found) == ["original", "clear", "rainy"]
-    assert found["clear"] > found["original"] > 0.1  # the scene's car is a brighter red than the picture
-    changes = {each["picture"]: each["change"] for each in report["scores"]}
-    assert changes["original"] is None
-    assert changes["rainy"]["mean"] == pytest.approx(found["rainy"] - found["clear"])

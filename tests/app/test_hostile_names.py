@@ -66,23 +66,14 @@ def _two(place: Path) -> list[str]:
     return [str(_pictures(place / "shown", 0)), str(_pictures(place / "truth", 20))]
 
 
-def _file(place: Path, suffix: str, text: str = "") -> str:
-    """A file of such a name: a scene, or with text."""
-    file = place / f"{FILE}{suffix}"
-    file.write_text(text) if text else write_scene(small_scene(), file)
-    return str(file)
-
-
 def _settings(place: Path) -> list[str]:
     """A file of settings with an unknown field of such a name."""
-    file = _file(place, ".yaml", f'"{json.dumps(NAME)[1:-1]}": 1\n')
-    return ["evaluate", "transfers", file, "-o", str(place / "out")]
+    (place / f"{FILE}.yaml").write_text(f'"{json.dumps(NAME)[1:-1]}": 1\n')
+    return ["evaluate", "transfers", str(place / f"{FILE}.yaml"), "-o", str(place / "out")]
 
 
 WAYS = {
     "info": (lambda place: ["info", str(_scene(place))], 0),
-    "convert": (lambda place: ["convert", _file(place, ".ply"), str(place / f"{FILE}.splat")], 0),
-    "calibrate": (lambda place: ["calibrate", _file(place, ".txt", f"{NAME};1;2\n"), "-o", "c.yaml"], BAD_INPUT),
     "images": (lambda place: ["evaluate", "images", *_two(place), "--report", str(place / "r.html")], 0),
     "settings": (_settings, BAD_INPUT),
     "view": (lambda place: [str(place / f"missing {FILE}")], BAD_INPUT),

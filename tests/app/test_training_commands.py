@@ -7,14 +7,13 @@ import pytest
 from PIL import Image
 
 from app.main import run
-from colmap_files import cut_rows, write_undistorted
+from colmap_files import cut_rows
 from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_capture import small_capture
 from tests.recolor.changed_street import street_and_pictures
-from training.drive_capture import drive_capture
 
 
 @pytest.fixture(scope="module")
@@ -101,29 +100,6 @@ def test_a_capture_becomes_a_scene(capture, tmp_path, reported, capsys):
     printed = capsys.readouterr().out
     assert f"{found['psnr_held_out_db']:.2f} dB" in printed
     assert str(scene) in printed
-
-
-@pytest.fixture(scope="module")
-def photos(tmp_path_factory) -> Path:
-    """Output of image_undistorter for photos with a camera each: every image is a row higher than the one before."""
-    pytest.importorskip("torch")
-    folder = tmp_path_factory.mktemp("photos") / "dense"
-    drive = drive_capture(5, step_m=0.7)
-    write_undistorted(folder, cut_rows(drive), np.concatenate([sweep.points_m[::4] for sweep in drive.sweeps]))
-    return folder
-
-
-def test_pictures_may_have_different_sizes(photos, tmp_path, reported, capsys):
-    command = ("reconstruct", photos, "-o", tmp_path / "scene", *QUICK)
-    found = reported(*command)
-    assert found["views"] == 5
-    assert found["own_body"] == {"searched": False, "reason": "the capture is no drive", "shares": {}}
-    assert "Own body: not looked for (the capture is no drive)" in capsys.readouterr().out
-    assert "not looked for (the capture is no drive)" in (tmp_path / "scene.report.html").read_text()
-    assert reported(*command, "--own-body")["own_body"]["searched"]
-    assert "Own body: looked for (asked for)" in capsys.readouterr().out
-    assert run(["info", str(photos)]) == 0
-    assert "96x60 to 96x64" in capsys.readouterr().out
 
 
 def test_other_pictures_and_a_config_with_options_on_top(capture, tmp_path, reported):

@@ -64,8 +64,7 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         driver.ctx.combo_click("Camera/right")
         driver.frames()
         assert captures.listed == [1, 3]
-        driver.ctx.item_click("###next view")
-        driver.frames()
+        driver.tap("###next view")
         assert captures.chosen == 3
 
         # Cameras in the picture are clicked; a drag moves on.
@@ -84,8 +83,7 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         assert captures.view_at_camera is None
 
         driver.ctx.set_ref("//Capture")
-        driver.ctx.item_click("###close capture")
-        driver.frames()
+        driver.tap("###close capture")
         assert captures.capture is None and captures.textures == {}
 
     driver.run(script)

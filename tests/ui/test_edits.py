@@ -102,10 +102,8 @@ def test_two_clicks_measure_and_a_true_length_sets_the_meter(driver):
         first, second = driver.tool("Measure").points_m
         assert np.linalg.norm(second - first) == pytest.approx(4, abs=0.3)
         assert np.array_equal(editor.viewport.navigation.position, here)
-        driver.ctx.item_input_value("**/##true length", 8.0)
-        driver.frames()
-        driver.ctx.item_click("**/Set scale")
-        driver.frames()
+        driver.type_in("**/##true length", 8.0)
+        driver.tap("**/Set scale")
         assert editor.document.scene.metres_per_unit == pytest.approx(8 / np.linalg.norm(second - first))
         assert editor.document.history.undo_label == "Set the scale"
         assert editor.viewport.navigation.position == pytest.approx(editor.document.scene.metres_per_unit * here)
@@ -129,28 +127,9 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
         assert smaller.size_m[2] == pytest.approx(box.size_m[2] - 4, abs=0.2)
         assert smaller.face_m(2, False) == pytest.approx(box.face_m(2, False))
         assert np.array_equal(editor.viewport.navigation.position, eye)
-        driver.ctx.item_click("**/Apply##crop")
-        driver.frames()
+        driver.tap("**/Apply##crop")
         wall = editor.document.scene.member(WALL)
         assert np.all(wall.marks.deleted.flags[wall.gaussians.means[:, 2] > smaller.face_m(2, True)[2]])
         assert editor.document.scene.member("layers/sky").marks.deleted is None
-
-    driver.run(script)
-
-
-def test_floaters_are_found_and_deleted(driver):
-    editor = driver.editor
-
-    def script():
-        wall = editor.document.scene.member(WALL).gaussians
-        opacities = wall.opacities.copy()
-        opacities[:9] = 0.01
-        change_wall(editor, gaussians=replace(wall, opacities=opacities))
-        driver.click("//Edit/Find floaters")
-        driver.until(lambda: editor.document.history.undo_label == "Find floaters", 100_000)
-        driver.frames()
-        driver.click("//Edit/Delete 9 floaters")
-        assert editor.document.scene.member(WALL).marks.deleted.size == 9
-        assert editor.document.history.undo_label == "Delete floaters"
 
     driver.run(script)

@@ -66,8 +66,7 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
         screens.append(driver.screen())
         driver.window.ask_to_close()  # the cross of the window
         driver.frames(3)
-        driver.ctx.item_click("//Unsaved changes/Cancel")
-        driver.frames(3)
+        driver.tap("//Unsaved changes/Cancel")
         assert editor.status.question is None and not editor.should_quit
         driver.press(chord(CTRL, imgui.Key.z))
         assert not editor.files.has_changes
@@ -89,13 +88,11 @@ def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
         editor = driver.editor
         driver.window.ask_to_close()
         driver.frames(3)
-        driver.ctx.item_click("//Work goes on/Cancel")
-        driver.frames(3)
+        driver.tap("//Work goes on/Cancel")
         assert job.state == "running" and editor.status.question is None
         driver.window.ask_to_close()
         driver.frames(3)
-        driver.ctx.item_click("//Work goes on/Wait")
-        driver.frames(3)
+        driver.tap("//Work goes on/Wait")
         driver.press(imgui.Key.enter)  # stops nothing
         assert job.state == "running" and driver.ctx.item_exists("//Waiting/Stop it")
         road = editor.document.scene.layers[0]

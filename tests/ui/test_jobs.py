@@ -125,8 +125,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
         driver.ctx.window_focus("//Capture")
         driver.ctx.item_open("//Capture/Reconstruct")
         driver.frames()
-        driver.ctx.item_click("//Capture/Reconstruct/Reconstruct")
-        driver.frames()
+        driver.tap("//Capture/Reconstruct/Reconstruct")
         (job,) = editor.jobs.all
         # Where it was started there is how far it is, and nothing else can be started.
         assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
@@ -157,8 +156,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
         driver.until(lambda: ended(editor.jobs.all[-1]), 1_000_000)
         assert (editor.jobs.all[-1].state, editor.jobs.all[-1].error) == ("finished", None)
         assert np.array_equal(driver.picture(), trained)  # it does not rain
-        driver.ctx.item_input_value("//Rain/##intensity_mm_h", 12.0)
-        driver.frames()
+        driver.type_in("//Rain/##intensity_mm_h", 12.0)
         wet = driver.picture()
         assert 0.35 < wet.mean() / trained.mean() < 0.65
         driver.press(UNDO)
@@ -196,8 +194,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
         driver.choose_file("Record the timeline", target)
         assert editor.status.question.text == "clip.mp4 is there already."
-        driver.ctx.item_click("//Replace?/Cancel")
-        driver.frames()
+        driver.tap("//Replace?/Cancel")
         assert (editor.status.question, len(editor.jobs.all)) == (None, 1)
 
     driver.run(script)

@@ -124,8 +124,7 @@ def test_sphere_and_box_are_placed_sized_and_applied(hand):
         road = editor.document.scene.layers[0]
         means = road.gaussians.means[selected(road).indices]
         assert np.linalg.norm(means - options.ball.center_m, axis=1).max() <= options.ball.radius_m
-        hand.ctx.item_click("//View/**/Drop##sphere")
-        hand.frames()
+        hand.tap("//View/**/Drop##sphere")
         assert options.ball is None and hand.counts()["road"] == len(means)
         hand.use("Box")
         hand.draw((0.5, 0.75))
@@ -134,12 +133,10 @@ def test_sphere_and_box_are_placed_sized_and_applied(hand):
         hand.stroke(face, face - [0, 40])
         assert options.box.size_m[2] > 2.1
         hand.ctx.set_ref("//View")
-        hand.ctx.item_input_value("**/##yaw", 30.0)
-        hand.frames()
+        hand.type_in("**/##yaw", 30.0)
         assert options.box.yaw_deg == 30
         options.box = replace(options.box, size_m=(9.0, 2.0, 6.0))
-        hand.ctx.item_click("**/Apply##box")
-        hand.frames()
+        hand.tap("**/Apply##box")
         assert hand.counts()["road"] > 5 and hand.step == f"Select {hand.counts()['road']} by box"
 
     hand.run(script)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from imgui_bundle import im_file_dialog
 
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
@@ -138,7 +137,7 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
 
 
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
-    lab, screens = driver.editor.calibration, []
+    lab = driver.editor.calibration
 
     def script():
         driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
@@ -158,17 +157,8 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
         driver.frames()
         assert driver.editor.live_rain.simulation.calibration.name == "marshall_palmer"
         assert driver.editor.document.history.undo_label == "Calibration"
-        driver.ctx.item_click("Fit to measurements...")
-        driver.frames(3)
-        screens.append(driver.screen())
-        driver.press(imgui.Key.escape)
-        im_file_dialog.FileDialog.instance().close()
-        driver.frames(3)
-        screens.append(driver.screen())
 
     driver.run(script)
-    shown, closed = screens
-    assert np.abs(shown - closed).mean() > 5
 
 
 _CTRL, _KEY = imgui.Key.mod_ctrl, imgui.Key
