@@ -29,7 +29,16 @@ from gsrain_engine.scene.open import file_hash
 
 from ..console import Console, bold, print, progress_bar, table_of
 from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
-from ..outputs import check_image, check_page, provenance_lines, run_provenance, table_stream, write_numbers, write_page
+from ..outputs import (
+    check_image,
+    check_page,
+    finite_numbers,
+    provenance_lines,
+    run_provenance,
+    table_stream,
+    write_numbers,
+    write_page,
+)
 from .images import LpipsChoice, Report, open_lpips
 
 _COLUMNS = 150
@@ -158,7 +167,7 @@ def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
         "lpips_after": agreement.after.lpips,
         "lpips_ratio": agreement.lpips_ratio,
     }
-    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in numbers.items()}
+    return finite_numbers(numbers)
 
 
 def print_agreements(numbers: Mapping[str, Any], titles: Sequence[str], console: Console) -> None:

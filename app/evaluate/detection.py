@@ -58,7 +58,7 @@ from ..options import (
     parse_intensities,
     setting,
 )
-from ..outputs import check_ending, claim_outputs, command_line, version_of, write_numbers
+from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
 from ..render import wet_look
 from ..scene import names_scene
 
@@ -242,10 +242,9 @@ class DetectionNumbers:
 
     @property
     def plain(self) -> dict[str, Any]:
-        left = {name: asdict(each) for name, each in self.robustness.items()}
         return {
             "settings": self.settings,
-            "robustness": {n: {k: None if v != v else v for k, v in each.items()} for n, each in left.items()},
+            "robustness": finite_numbers({name: asdict(each) for name, each in self.robustness.items()}),
             "not_named": self.not_named,
             "scores": [summary.plain(each) for each in self.scores],
             "recall_by_distance": [summary.plain(each) for each in self.distances],

@@ -36,7 +36,15 @@ from ..options import (
     parse_intensities,
     setting,
 )
-from ..outputs import claim_outputs, provenance_lines, run_provenance, table_stream, write_numbers, write_text
+from ..outputs import (
+    claim_outputs,
+    finite_numbers,
+    provenance_lines,
+    run_provenance,
+    table_stream,
+    write_numbers,
+    write_text,
+)
 from ..scene import names_scene
 
 _COLUMNS = 130
@@ -168,7 +176,7 @@ _COUNTED = ("clear", "kept", "dropped", "masked", "false")
 
 def _row(run: RainRunCounts) -> dict[str, Any]:
     tally = run.tally
-    return {
+    return finite_numbers({
         "intensity_mm_h": run.state.intensity_mm_h,
         "seed": run.seed,
         "turn": run.turn,
@@ -178,13 +186,13 @@ def _row(run: RainRunCounts) -> dict[str, Any]:
         **{name: int(getattr(tally, name).sum()) for name in _COUNTED},
         "untouched": tally.untouched,
         "at_threshold": run.at_threshold,
-        "range_rmse_m": None if math.isnan(tally.range_rmse_m) else tally.range_rmse_m,
+        "range_rmse_m": tally.range_rmse_m,
         "by_range": [
-            {"from_m": start, "to_m": None if math.isinf(end) else end}
+            {"from_m": start, "to_m": end}
             | {name: int(getattr(tally, name)[k]) for name in _COUNTED}
             for k, (start, end) in enumerate(pairwise(tally.edges_m.tolist()))
         ],
-    }
+    })  # fmt: skip
 
 
 def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -30,6 +30,7 @@ from gsrain_engine.rain.keyframes import (
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
 from ..commands.table import help_of
+from ..widgets.draw import draw_diamond
 from ..widgets.fields import LOGARITHMIC, ask_what_to_open, button, square_button, toggle_keyframe, warn
 
 _IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 100."
@@ -331,10 +332,7 @@ def _row(
         imgui.set_cursor_screen_pos(ImVec2(x - _GRIP_PX, middle - _GRIP_PX))
         imgui.invisible_button(f"{name} {number}", ImVec2(2 * _GRIP_PX, 2 * _GRIP_PX))
         radius = 6.5 if imgui.is_item_hovered() or imgui.is_item_active() else 5.0
-        left, right = ImVec2(x - radius, middle), ImVec2(x + radius, middle)
-        draw.add_quad_filled(
-            ImVec2(x, middle - radius), right, ImVec2(x, middle + radius), left, imgui.get_color_u32(_KEY)
-        )
+        draw_diamond(ImVec2(x, middle), radius, _KEY)
         value = getattr(key, name)
         words = f"wind {value[0]:.1f}, {value[1]:.1f} m/s" if name == "wind_m_s" else f"exposure {1000 * value:.2f} ms"
         imgui.set_item_tooltip(f"{words} at {key.time_s:.2f} s. Drag to move; right click or Delete removes it.")

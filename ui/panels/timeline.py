@@ -448,11 +448,9 @@ def _keyframe(playback: Playback, camera_path: CameraPathEditor, key: int, momen
             f"Keyframe {key + 1} at {moment:.2f} s. Click: look through it. Drag: move in time. Ctrl+drag: copy. "
             "Delete: remove. Right click: menu."
         )
-    draw, is_active = imgui.get_window_draw_list(), camera_path.active_key == key
     radius = _RADIUS + (1.5 if hovered else 0)
-    for r, hue in ((radius + 1.5, hues.OUTLINE), (radius, hues.CHOSEN if is_active else hues.KEY)):
-        left, right = ImVec2(at.x - r, at.y), ImVec2(at.x + r, at.y)
-        draw.add_quad_filled(left, ImVec2(at.x, at.y - r), right, ImVec2(at.x, at.y + r), color(hue))
+    hues.draw_diamond(at, radius + 1.5, hues.OUTLINE)
+    hues.draw_diamond(at, radius, hues.CHOSEN if camera_path.active_key == key else hues.KEY)
 
 
 def _drag(playback: Playback, camera_path: CameraPathEditor) -> None:

@@ -98,8 +98,8 @@ def _setting(wet_look: WetLookController, name: str) -> None:
         wet_look.settings = edit_field(settings, name, label=label)
 
 
-def _take(wet_look: WetLookController, name: str, text: str) -> None:
-    wet_look.change(**{name: Path(text).expanduser() if text.strip() else None})
+def _take(wet_look: WetLookController, name: str, path: Path | None) -> None:
+    wet_look.change(**{name: path})
 
 
 def _views(wet_look: WetLookController) -> None:

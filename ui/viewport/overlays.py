@@ -59,7 +59,7 @@ def path_overlay(viewport: ViewportState, playback: Playback, camera_path: Camer
     draw_lines(canvas, drawing.now_px.tolist(), PLAYHEAD, 1.5, outline=1.5)
     under: int | None = None
     if viewport.options.tool == "" or is_dragged:
-        near = [mark.key for mark in drawing.keys if _is_near(canvas, mark.handle_px, _REACH_PX)]
+        near = [mark.key for mark in drawing.keys if canvas.is_mouse_near(mark.handle_px, _REACH_PX)]
         under = near[-1] if near else None  # drawn last
     for mark in drawing.keys:
         _draw_keyframe(camera_path, canvas, mark, is_near=mark.key == under)
@@ -74,11 +74,6 @@ def path_overlay(viewport: ViewportState, playback: Playback, camera_path: Camer
     if imgui.is_mouse_clicked(_LEFT):
         camera_path.begin_drag(under, in_view=True)
     return True
-
-
-def _is_near(canvas: Canvas, pixel: tuple[float, float], reach_px: float) -> bool:
-    x, y = canvas.mouse_px
-    return abs(pixel[0] - x) <= reach_px and abs(pixel[1] - y) <= reach_px
 
 
 def _draw_keyframe(camera_path: CameraPathEditor, canvas: Canvas, mark: KeyHandle, *, is_near: bool) -> None:
@@ -129,7 +124,7 @@ def capture_overlay(document: Document, viewport: ViewportState, captures: Captu
     found = frustums(cameras, captures.listed, captures.length_m(document.scene), canvas.shot.camera)
     under: Frustum | None = None
     if canvas.hovered and viewport.options.tool == "":
-        near = [each for each in found if each.eye_px and _is_near(canvas, each.eye_px, _CAMERA_REACH_PX)]
+        near = [each for each in found if each.eye_px and canvas.is_mouse_near(each.eye_px, _CAMERA_REACH_PX)]
         under = near[-1] if near else None
     for number, each in enumerate(found):
         if number >= len(found) - _IMAGES:
