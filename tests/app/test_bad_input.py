@@ -79,6 +79,7 @@ sweep sweep.yaml --dask a:1 --dask-resources GPU     | --dask-resources GPU
 sweep sweep.yaml --summarize-only                    | no rows
 sweep folderless.yaml                                | --output DIR
 drive --agent nobody                                 | --agent nobody
+drive --rain "a lot"                                 | --rain a lot
 drive --export csv                                   | --export csv
 drive --agent hugsim                                 | --hugsim-dir DIR
 drive --hugsim-dir x --agent http                    | --hugsim-dir

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.main import BAD_INPUT, run
+from app.main import run
 from colmap_files import write_binary, write_pictures
 from datasets.sample_captures import views as capture_views
 from gsrain_engine.datasets.capture_folder import write_views
@@ -179,15 +179,3 @@ def test_the_folder_that_street_writes_is_scene_and_capture(tmp_path, reported, 
     shutil.rmtree(town / "images")
     assert run(["info", str(town)]) == 0
     assert "town: " in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("meta", ['{"title": "photos"}', "[]", "{", '{"means": 1' + " " * (1 << 20) + "}"])
-def test_a_meta_json_alone_is_no_sog(tmp_path, meta, capsys):
-    folder = tmp_path / "photos"
-    write_pictures(folder, ("a.png", "b.png"))
-    (folder / "meta.json").write_text(meta)
-    assert run(["info", str(folder)]) == 0
-    assert "image folder, 2 views" in capsys.readouterr().out
-    assert run(["render", str(folder), "-o", str(tmp_path / "a.png")]) == BAD_INPUT
-    (error,) = capsys.readouterr().err.splitlines()
-    assert "meta.json" in error and "SOG" in error

@@ -5,11 +5,9 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.editor.capture_view import THUMBNAIL_PX, CaptureController, ImageRequest
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import Against, MatchingController
-from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport.options import Mode
-from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..commands.table import help_of
 from ..widgets.draw import DIM, TEXT, color, draw_image
@@ -24,14 +22,8 @@ _ROW_EM = 3.6
 _MAX_PROBLEMS = 50
 
 
-def capture_panel(
-    document: Document,
-    viewport: ViewportState,
-    captures: CaptureController,
-    matching: MatchingController,
-    training: TrainingController,
-    jobs: JobRunner,
-) -> None:
+def capture_panel(editor: Editor) -> None:
+    captures = editor.captures
     if captures.busy is not None:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)
     if (capture := captures.capture) is None:
@@ -42,14 +34,14 @@ def capture_panel(
             ask_for_capture_file(captures)
         return
     _head(captures, capture)
-    _display_options(document, captures, capture)
+    _display_options(editor.document, captures, capture)
     _steps(captures, capture)
     _problems(captures.problems)
     if imgui.tree_node("Matching"):
-        matching_fields(matching)
+        matching_fields(editor.matching)
         imgui.tree_pop()
     if imgui.tree_node("Reconstruct"):
-        reconstruct_fields(viewport, captures, training, jobs)
+        reconstruct_fields(editor.viewport, captures, editor.training, editor.jobs)
         imgui.tree_pop()
     _list(captures, capture)
 

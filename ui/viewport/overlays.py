@@ -17,7 +17,6 @@ from gsrain_engine.editor.overlays import Frustum, KeyHandle, frustums, image_gr
 from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection_boxes, rollout_overlay
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
 from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Canvas, color, draw_card, draw_dot, draw_lines
@@ -128,7 +127,7 @@ def capture_overlay(document: Document, viewport: ViewportState, captures: Captu
         under = near[-1] if near else None
     for number, each in enumerate(found):
         if number >= len(found) - _IMAGES:
-            _draw_image(document, captures, canvas, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
+            _draw_image(document, captures, canvas, each.view, THUMBNAIL_PX, 1.0)
         is_chosen = captures.chosen == each.view
         hue = CHOSEN if is_chosen or under is each else _CAMERA
         draw_lines(canvas, each.lines_px.tolist(), hue, 2.0 if is_chosen else 1.0)
@@ -152,7 +151,7 @@ def _draw_recorded_image(document: Document, captures: CaptureController, canvas
         is_there = ImageRequest(view, LARGE_PX) in captures.textures
         if captures.pictures is not None:
             captures.pictures.want(view, LARGE_PX)
-        _draw_image(document, captures, canvas, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
+        _draw_image(document, captures, canvas, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
     grid = image_grid(camera, captures.length_m(document.scene), canvas.shot.camera, (1, 1))
     if grid is not None:
         a, b, d, c = (canvas.on_screen(x, y) for x, y in grid.reshape(4, 2).tolist())
@@ -160,17 +159,12 @@ def _draw_recorded_image(document: Document, captures: CaptureController, canvas
 
 
 def _draw_image(
-    document: Document,
-    captures: CaptureController,
-    canvas: Canvas,
-    camera: Camera,
-    view: int,
-    width: int,
-    opacity: float,
+    document: Document, captures: CaptureController, canvas: Canvas, view: int, width: int, opacity: float
 ) -> None:
     """Draw a recorded image in its camera's frustum."""
     if captures.pictures is None:
         return
+    camera = captures.cameras(document.scene)[view]
     captures.pictures.want(view, width)
     texture = captures.textures.get(ImageRequest(view, width))
     cells = (4, 3) if width == THUMBNAIL_PX else (8, 6)
