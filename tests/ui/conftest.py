@@ -1,4 +1,4 @@
-"""What tests of the window share."""
+"""Fixture of the tests of the window."""
 
 import pytest
 
