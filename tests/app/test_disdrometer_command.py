@@ -75,13 +75,13 @@ def test_rates_that_disagree_are_refused_unless_forced(files, tmp_path, capsys):
     assert "its drops give 2.3" in load_calibration(str(out)).source
 
 
-KEYS = {"requested_mm_h", "measured_mm_h", "standard_error_mm_h", "drops_counted", "mean_diameter_mm"}
+REPORTED = {"requested_mm_h", "measured_mm_h", "standard_error_mm_h", "drops_counted", "mean_diameter_mm"}
 
 
 def test_reports_what_was_asked_for_and_what_fell(reported, capsys):
     command = ("disdrometer", "--rain", "8.5", "--area", "0.5", "--seconds", "60")
     report = reported(*command)
-    assert set(report) >= KEYS
+    assert set(report) >= REPORTED
     assert report["requested_mm_h"] == report["implied_mm_h"] == 8.5
     assert abs(report["measured_mm_h"] - 8.5) < 3 * report["standard_error_mm_h"]
     assert report["standard_error_mm_h"] == pytest.approx(0.036, abs=0.001)
