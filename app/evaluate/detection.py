@@ -58,7 +58,7 @@ from ..options import (
     parse_intensities,
     setting,
 )
-from ..outputs import check_ending, claim_outputs, command_line, version_of, write_numbers
+from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
 from ..render import wet_look
 from ..scene import names_scene
 
@@ -140,17 +140,18 @@ def detection(
             cache = None
             if output is not None:
                 output.mkdir(parents=True, exist_ok=True)
-                cache = open_cache(output, prepared, detectors, detector, renderer.name, wet)
+                cache = open_cache(output, prepared, detectors, renderer.name, wet)
                 open_files.enter_context(cache)
             advance = open_files.enter_context(
                 progress_bar("Detecting", len(prepared.frames) * len(trials), draws=True)
             )
             open_files.callback(collector.close)
-            for image in evaluation.evaluate_images(prepared.pictures, detectors, prepared.frames, trials, cache):
+            networks = list(detectors.values())
+            for image in evaluation.evaluate_images(prepared.pictures, networks, prepared.frames, trials, cache):
                 collector.add(image)
                 advance()
             collector.finish_view()
-    numbers = detection_numbers(collector.results, detectors, detector, renderer.name, prepared, seeds)
+    numbers = detection_numbers(collector.results, detectors, renderer.name, prepared, seeds)
     print_scores(numbers.scores, Console(width=_COLUMNS))
     for sentence in unnamed_object_notes(numbers):
         print(sentence)
@@ -161,7 +162,11 @@ def detection(
     write_numbers(json, numbers.plain)
 
 
-def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> list[Detector]:
+_Detectors = dict[Path, Detector]
+"""Detectors by their files."""
+
+
+def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> _Detectors:
     texts: list[str | None] = list(descriptions or [None])
     if len(texts) not in (1, len(files)):
         raise ValueError(f"--description: {len(texts)} for {len(files)} detectors; give one for all, or one each")
@@ -171,7 +176,7 @@ def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> lis
     doubled = next((name for name in names if names.count(name) > 1), None)
     if doubled is not None:
         raise ValueError(f"--detector: two files are called {doubled}; rows are told apart by that name")
-    return detectors
+    return dict(zip(files, detectors, strict=True))
 
 
 # Evaluated views
@@ -197,12 +202,7 @@ _PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless"
 
 
 def open_cache(
-    folder: Path,
-    source: PreparedSource,
-    detectors: Sequence[Detector],
-    files: Sequence[Path],
-    backend: str,
-    is_wet: bool,
+    folder: Path, source: PreparedSource, detectors: _Detectors, backend: str, is_wet: bool
 ) -> evaluation.ResultCache:
     """Open the cached results in a folder, and report how many of an earlier run are still valid."""
     inputs = {
@@ -216,7 +216,7 @@ def open_cache(
     }
     used = {
         each.name: file_hash(file) + msgspec.json.encode(each.description, order="sorted").decode()
-        for each, file in zip(detectors, files, strict=True)
+        for file, each in detectors.items()
     }
     cache = evaluation.ResultCache(folder / evaluation.FINISHED_FILE, inputs, used)
     count = cache.read(source.frames)
@@ -242,10 +242,9 @@ class DetectionNumbers:
 
     @property
     def plain(self) -> dict[str, Any]:
-        left = {name: asdict(each) for name, each in self.robustness.items()}
         return {
             "settings": self.settings,
-            "robustness": {n: {k: None if v != v else v for k, v in each.items()} for n, each in left.items()},
+            "robustness": finite_numbers({name: asdict(each) for name, each in self.robustness.items()}),
             "not_named": self.not_named,
             "scores": [summary.plain(each) for each in self.scores],
             "recall_by_distance": [summary.plain(each) for each in self.distances],
@@ -255,8 +254,7 @@ class DetectionNumbers:
 
 def detection_numbers(
     judgements: Sequence[evaluation.DetectionResult],
-    detectors: Sequence[Detector],
-    files: Sequence[Path],
+    detectors: _Detectors,
     backend: str,
     source: PreparedSource,
     seeds: int,
@@ -279,10 +277,7 @@ def detection_numbers(
     settings = {
         "source": source.name,
         "command": command_line(),
-        "detectors": {
-            each.name: {"file": file.name, "sha256": file_sha256(file)}
-            for each, file in zip(detectors, files, strict=True)
-        },
+        "detectors": {each.name: {"file": file.name, "sha256": file_sha256(file)} for file, each in detectors.items()},
         "inputs": source.inputs,
         "frames": [each.name for each in source.frames],
         "size_px": [camera.width, camera.height],
