@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import groupby, product
 from operator import itemgetter
 from pathlib import Path
-from statistics import median
+from statistics import correlation, linear_regression, median
 from typing import Annotated, Any, get_args
 
 import msgspec
@@ -177,14 +177,10 @@ def lines_over_gaussians(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]
 
 
 def _fitted(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
-    x = np.array([row["gaussians"] for row in rows], np.float64)
-    y = np.array([row["frame_ms_median"] for row in rows])
-    dx, dy = x - x.mean(), y - y.mean()
-    slope = float(dx @ dy / (dx @ dx))
-    spread = float(dy @ dy)
-    r2 = float((dx @ dy) ** 2 / (dx @ dx) / spread) if spread > 0 else 1.0
-    intercept_ms = float(y.mean() - slope * x.mean())
-    return {"slope_ns_per_gaussian": 1e6 * slope, "intercept_ms": intercept_ms, "r2": min(r2, 1.0)}
+    gaussians, times_ms = ([row[name] for row in rows] for name in ("gaussians", "frame_ms_median"))
+    slope, intercept_ms = linear_regression(gaussians, times_ms)
+    r2 = correlation(gaussians, times_ms) ** 2 if len(set(times_ms)) > 1 else 1.0
+    return {"slope_ns_per_gaussian": 1e6 * slope, "intercept_ms": intercept_ms, "r2": r2}
 
 
 def rain_costs(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

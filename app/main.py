@@ -5,7 +5,7 @@ import os
 import re
 import select
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
-from gsrain_engine.plugins import Extension, ExtensionError, find_extensions
+from gsrain_engine.plugins import find_extensions
 from gsrain_engine.scene.files import sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
@@ -127,7 +127,7 @@ def run(arguments: list[str]) -> int:
         if not _HARMLESS.intersection(arguments) and not _has_working_directory():
             raise ValueError("the working directory was removed; cd to one that is there")
         if arguments[:1] == ["evaluate"]:
-            add_installed_evaluations(evaluations, OUR_EVALUATIONS, arguments[1:])
+            add_installed_evaluations(arguments[1:])
         # Run in a separate context, so that permissions of one command end with it.
         code = copy_context().run(
             app, list(renamed_options(arguments)), exit_on_error=False, print_error=False, result_action="return_value"
@@ -196,30 +196,18 @@ def renamed_options(arguments: Sequence[str]) -> Iterator[str]:
 # Evaluations of other installed packages
 
 
-def add_installed_evaluations(evaluations: App, ours: frozenset[str], asked: Sequence[str]) -> None:
+def add_installed_evaluations(asked: Sequence[str]) -> None:
     """Add the evaluations of other packages; only the one that `asked` begins with is loaded.
 
-    If that one is unusable, running it raises the reason.
+    Raises `ExtensionError` with the reason if that one is unusable.
     """
-    for name in set(evaluations) - ours:  # from an earlier run
+    for name in set(evaluations) - OUR_EVALUATIONS:  # from an earlier run
         del evaluations[name]
     for each in find_extensions(EVALUATION_POINT):
-        if each.name in ours:
+        if each.name in OUR_EVALUATIONS:
             continue
         if list(asked[:1]) == [each.name]:
-            evaluations.command(_function(each), name=each.name)
+            evaluations.command(each.load_callable(), name=each.name)
         else:  # it appears only in the help
             summary = f"Of the package {each.package} {each.version}."
             evaluations.command(lambda: None, name=each.name, help=summary)
-
-
-def _function(extension: Extension) -> Callable[..., object]:
-    try:
-        return extension.load_callable()
-    except ExtensionError as error:
-        problem = error
-
-        def unfit(*_: str) -> None:
-            raise problem
-
-        return unfit

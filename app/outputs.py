@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import os
 import shlex
 import stat
@@ -11,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened, whole_file
 
@@ -184,6 +185,15 @@ def _mode(path: Path) -> int | None:
 
 
 # Numbers and reports
+
+
+def finite_numbers(value: Any) -> Any:
+    """Replace NaN and infinity, which JSON lacks, with null."""
+    if isinstance(value, dict):
+        return {name: finite_numbers(each) for name, each in cast(dict[str, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return [finite_numbers(each) for each in cast(Sequence[Any], value)]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:

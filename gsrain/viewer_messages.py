@@ -1,14 +1,10 @@
-"""Messages between `gr.Viewer` and its window: MessagePack, each preceded by its length. Scenes are sent as folders."""
+"""Messages between `gr.Viewer` and its window: JSON, one a line. Scenes are sent as folders."""
 
-import struct
 from typing import Any, BinaryIO
 
 import msgspec
 
 from gsrain_engine.rain.settings import RainSettings as RainSettings
-
-_LENGTH = struct.Struct(">I")
-_MAX_BYTES = 1 << 24
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True, tag=True):
@@ -65,18 +61,11 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
 
 def send(file: BinaryIO, message: Request | Reply) -> None:
     """Write a message. Raises `OSError` if the receiver has exited, `ValueError` if the file is closed."""
-    data = msgspec.msgpack.encode(message)
-    file.write(_LENGTH.pack(len(data)) + data)
+    file.write(msgspec.json.encode(message) + b"\n")
     file.flush()
 
 
 def receive(file: BinaryIO, kind: Any) -> Any:
     """Wait for a message; None if the sender has exited. Raises `ValueError` for an invalid message."""
-    head = file.read(_LENGTH.size)
-    if len(head) < _LENGTH.size:
-        return None
-    (length,) = _LENGTH.unpack(head)
-    if length > _MAX_BYTES:
-        raise ValueError(f"a message of {length:,} bytes: at most {_MAX_BYTES:,} are allowed")
-    data = file.read(length)
-    return msgspec.msgpack.decode(data, type=kind) if len(data) == length else None
+    line = file.readline()
+    return msgspec.json.decode(line, type=kind) if line.endswith(b"\n") else None

@@ -285,9 +285,8 @@ class _CodeFinder(importlib.abc.MetaPathFinder):
     def __init__(self, code: Code) -> None:
         self.path = code.path
         self._files = code.files
-        self._folders = {name.rpartition(".")[0] for name in code.files} - set(code.files) - {MAIN}
-        while more := {name.rpartition(".")[0] for name in self._folders} - self._folders - set(code.files) - {MAIN}:
-            self._folders |= more
+        parts = [name.split(".") for name in code.files]
+        self._folders = {".".join(each[:count]) for each in parts for count in range(1, len(each))} - set(code.files)
 
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None

@@ -9,7 +9,6 @@ from gsrain_engine.rain.drop_field import DropCulling, DropPhases, Drops, place_
 from gsrain_engine.rain.frame import RainCamera, RainFrame
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.rain.streaks import streak_gaussians
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import linear_to_srgb
@@ -40,11 +39,7 @@ def given_rain(gaussians: Gaussians, light=(0.5, 0.5, 0.5), mixing: Literal["lin
 
 def gaussians_of(rain: RainFrame) -> Gaussians:
     """Streaks and haze of a frame, as the renderers without a GPU draw them."""
-    drops = rain.visible_drops()
-    streaks = streak_gaussians(
-        drops.positions_m, drops.diameters_mm, drops.velocities_m_s, rain.shutter, rain.rain, rain.color
-    )
-    return Gaussians.concatenate([streaks, rain.haze])
+    return rain.gaussians
 
 
 def all_drops(rain: RainFrame) -> Drops:

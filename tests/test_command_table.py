@@ -16,18 +16,13 @@ from ui.commands.table import (
     function_at,
     help_of,
 )
-from ui.tools import TOOLS
 
 
-def test_all_functions_of_the_table_exist():
+def test_all_that_rows_name_exists():
     places = [place for each in COMMANDS for place in (each.run, each.is_possible, each.is_on, each.more)]
     places += [function for table in (SHELL_COMMANDS, EVALUATIONS, BENCHMARKS) for function, _ in table.values()]
     found = [function_at(place) for place in places if isinstance(place, str)]
-    assert len(found) > 50
-    assert all(map(callable, found))
-
-
-def test_other_forms_of_a_command_exist():
+    assert len(found) > 50 and all(map(callable, found))
     assert {each.edit for each in COMMANDS} <= {"", *EDITS}
     assert {each.shell for each in COMMANDS} <= {"", *SHELL_COMMANDS}
     assert {each.python for each in COMMANDS} <= {"", *gr.__all__}
@@ -37,11 +32,9 @@ def test_other_forms_of_a_command_exist():
 def test_rows_made_from_types_cover_them():
     assert get_args(RenderMode) == RENDER_MODES
     assert get_args(Split) == SPLITS
-    assert {"Rain regions", "Pick sky color"} <= {tool.name for tool in TOOLS}
 
 
-def test_each_command_has_a_name_of_its_own_and_help():
+def test_commands_have_different_names_and_help():
     names = [each.name for each in COMMANDS]
     assert len(set(names)) == len(names)
-    assert all(each.help for each in COMMANDS)
-    assert help_of("Undo") == "Revert the last step."
+    assert all(help_of(each.name) == each.help != "" for each in COMMANDS)

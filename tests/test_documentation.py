@@ -55,12 +55,6 @@ def test_every_page_is_in_the_menu_of_the_site(site_pages):
     assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
 
 
-def test_every_picture_is_on_a_page():
-    on_pages = {posixpath.normpath(page.parent / link) for page in PAGES for link in links_of(page)}
-    there = {str(each.relative_to(REPOSITORY)) for each in (REPOSITORY / "docs" / "images").iterdir() if each.is_file()}
-    assert there <= on_pages
-
-
 def test_every_panel_has_its_picture_on_the_page_of_all_panels():
     page = text_of(Path("docs/guide/panels.md"))
     for panel in BUILT_IN_PANELS:
@@ -87,38 +81,23 @@ def test_keys_of_the_pages_are_those_of_the_window():
     ("text", "source", "page", "expected"),
     [
         ("[a](docs/faq.md#x)", "README.md", "index.md", "[a](faq.md#x)"),
-        ("[a](../README.md)", "docs/faq.md", "faq.md", "[a](index.md)"),
-        ("![a](../images/b.jpg)", "docs/guide/rain.md", "guide/rain.md", "![a](../images/b.jpg)"),
         ("[a](../../CONTRIBUTING.md#b)", "docs/guide/rain.md", "guide/rain.md", "[a](../contributing.md#b)"),
         ("[a](https://b.org/c.md)", "README.md", "index.md", "[a](https://b.org/c.md)"),
-        ("[a](#b)", "docs/faq.md", "faq.md", "[a](#b)"),
     ],
 )
 def test_links_lead_to_where_texts_are_in_the_site(site_pages, text, source, page, expected):
     assert site_pages.with_site_links(text, source, page) == expected
 
 
-def test_lists_below_text_are_lists_in_the_site(site_pages):
-    from types import SimpleNamespace
-
-    page = SimpleNamespace(file=SimpleNamespace(src_uri="faq.md"))
-    assert site_pages.on_page_markdown("Words:\n* one\n* two\n", page, None, None) == "Words:\n\n* one\n* two\n"
-
-
 def test_the_reference_names_every_command(site_pages):
     text = site_pages.commands_page()
     assert text.startswith("# Commands\n\nWhat `gsrain COMMAND --help` says")
     headings = set(re.findall(r"^#+ (.*)$", text, re.MULTILINE))
+    assert {each.words[0] for each in LISTED if each.words} >= {*SHELL_COMMANDS, "evaluate", "bench"}
     names = {*SHELL_COMMANDS, *(f"evaluate {each}" for each in evaluations), *(f"bench {each}" for each in benchmarks)}
     expected = {f"gsrain {name}" for name in names if "--" not in name and not name.endswith(" -h")}
     assert expected <= headings | {each.strip("`") for each in headings}
     assert "--intensities" in text and "[required]" in text and "**Parameters**" not in text
-
-
-def test_there_are_commands_in_the_documentation():
-    used = {each.words[0] for each in LISTED if each.words}
-    assert used >= {*SHELL_COMMANDS, "evaluate", "bench"}
-    assert sum(each.is_whole for each in LISTED) > 40
 
 
 @pytest.mark.parametrize("name", sorted({each.words[0] if each.words else "" for each in LISTED}))

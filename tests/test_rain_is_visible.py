@@ -1,7 +1,6 @@
 """The rain of the built-in street, as a person sees it: against its own still without rain, over seeds."""
 
 import re
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -15,14 +14,14 @@ from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.open import load_street
+from repository import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 SEEDS, INTENSITIES = range(5), ("1.2", "8.5", "12.0")
 STREAKS, HAZE = {"haze": False}, {"streaks": False}
 
 
 class Stills:
-    """Stills of the street 2 s into the default drive, with the sky looked at once."""
+    """Stills of the street 2 s into the default drive, with one sky color."""
 
     def __init__(self):
         self.renderer, self.street = CpuRenderer(), load_street()
@@ -72,10 +71,10 @@ def test_the_paper_s_streaks_are_far_fainter(stills):
     assert 0 < difference.max() < 4 < physical.max()
 
 
-def test_advice_on_faint_rain_does_what_it_says(stills):
-    told = re.findall(r"^\| (.+) \| ([\d.]+) \|$", (REPOSITORY / "docs" / "faq.md").read_text(), re.MULTILINE)
+def test_advice_on_faint_rain_is_measured(stills):
+    documented = re.findall(r"^\| (.+) \| ([\d.]+) \|$", (REPOSITORY / "docs" / "faq.md").read_text(), re.MULTILINE)
     measured = StreetStills(stills.street).advice()
-    assert len(told) == len(measured) == 8
-    for (advice, percent), (name, value) in zip(told, measured.items(), strict=True):
+    assert len(documented) == len(measured) == 8
+    for (advice, percent), (name, value) in zip(documented, measured.items(), strict=True):
         assert value == pytest.approx(float(percent), rel=0.1, abs=0.01), (advice, name)
     assert measured["exposure 0.001"] > measured["as it is"] > measured["exposure 0.02"]

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from types import ModuleType
 from typing import get_args
 
 import msgspec
@@ -17,7 +16,7 @@ from cyclopts import App
 from app.main import OLD_OPTIONS, app, benchmarks, evaluations, run
 from app.schema import SETTINGS, Kind, settings_type
 from gsrain_engine.disdrometer.tables import TableColumns
-from gsrain_engine.fields import Field, field_of, fields_of, number_text, option_names, schema_of, structs_of
+from gsrain_engine.fields import field_of, fields_of, option_names, structs_of
 from gsrain_engine.presets import shipped_folder
 from gsrain_engine.rain.settings import RainSettings
 from repository import REPOSITORY
@@ -82,9 +81,6 @@ def test_a_new_setting_is_one_line(tmp_path):
     assert "found in all" in done.stdout, done.stderr[-3000:]
 
 
-# Options by hand: none that a settings field of the command's module has
-
-
 def commands():
     for name in SHELL_COMMANDS:
         yield name, app[name]
@@ -93,30 +89,20 @@ def commands():
 
 
 @pytest.mark.parametrize(("name", "command"), list(commands()), ids=lambda each: each if isinstance(each, str) else "")
-def test_no_option_is_written_by_hand_that_a_settings_field_has(name: str, command: App):
-    module = inspect.getmodule(command.default_command)
-    fields = list(_settings_of(module))
+def test_options_of_settings_are_made_from_their_fields(name: str, command: App):
+    kinds = vars(inspect.getmodule(command.default_command)).values()
+    structs = [each for each in kinds if isinstance(each, type) and issubclass(each, msgspec.Struct)]
+    fields = [field for each in structs for field in fields_of(each) if field.title != field.name]
     for argument in command.assemble_argument_collection():
         for option in argument.names:
-            made = [each.described for each in fields if option in _names(each)]
+            made = [each.described for each in fields if option in (*each.options, f"--{each.name.replace('_', '-')}")]
             is_made = any(argument.parameter.help.startswith(text) for text in made)
             assert is_made or not made, f"{option} of gsrain {name} is a settings field"
 
 
-def _settings_of(module: ModuleType):
-    """Fields of the settings structs that a module of commands uses."""
-    for kind in vars(module).values():
-        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-            yield from (each for each in fields_of(kind) if each.title != each.name)
-
-
-def _names(field: Field) -> set[str]:
-    return {*field.options, f"--{field.name.replace('_', '-')}"}
-
-
-def test_fields_name_commands_that_there_are():
+def test_fields_name_existing_commands():
     known = {name for name, _ in commands()}
-    for kind, *_ in SETTINGS.items():
+    for kind in SETTINGS:
         for struct in structs_of(settings_type(kind)):
             for each in fields_of(struct):
                 assert set(each.commands) <= known, each
@@ -144,16 +130,6 @@ def test_fields_have_bounds_default_and_option(name, range, default, options):
     assert (field.range, field.default_text, field.options) == (range, default, options)
 
 
-def test_numbers_are_written_as_people_do():
-    assert [number_text(each) for each in (30.0, 1e-5, 0.1, 1.6e-6, -40)] == [
-        "30",
-        "0.00001",
-        "0.1",
-        "0.0000016",
-        "-40",
-    ]
-
-
 @pytest.mark.parametrize("kind", get_args(Kind))
 def test_shipped_files_fit_their_schema(kind, capsys):
     assert set(SETTINGS) == set(get_args(Kind)) == {each.name for each in shipped_folder("sample_configs").iterdir()}
@@ -165,15 +141,16 @@ def test_shipped_files_fit_their_schema(kind, capsys):
         assert any(set(each["required"]) <= names <= set(each["properties"]) for each in objects), file
 
 
-def test_a_schema_has_units_bounds_and_help(tmp_path):
+def test_schemas_have_units_bounds_and_help(tmp_path):
     assert run(["schema", "rain", "-o", str(tmp_path / "rain.json")]) == 0
-    fields = json.loads((tmp_path / "rain.json").read_text())["$defs"]["RainSettings"]["properties"]
+    struct = json.loads((tmp_path / "rain.json").read_text())["$defs"]["RainSettings"]
+    fields = struct["properties"]
     assert fields["exposure_s"]["x-unit"] == "s" and fields["exposure_s"]["anyOf"][0]["minimum"] == 1e-5
     assert (fields["gust_m_s"]["maximum"], fields["gust_m_s"]["title"]) == (20, "Gusts")
-    assert schema_of(RainSettings)["$defs"]["RainSettings"]["additionalProperties"] is False
+    assert struct["additionalProperties"] is False
 
 
-def test_the_page_of_settings_lists_every_field():
+def test_every_field_is_documented():
     spec = importlib.util.spec_from_file_location("site_pages", REPOSITORY / "docs" / "site_pages.py")
     site_pages = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(site_pages)
@@ -181,8 +158,5 @@ def test_the_page_of_settings_lists_every_field():
     for kind in SETTINGS:
         for struct in structs_of(settings_type(kind)):
             assert all(f"| `{each.name}` |" in page for each in fields_of(struct))
-
-
-def test_the_page_of_formats_names_every_field_of_a_table():
-    text = (REPOSITORY / "docs" / "formats.md").read_text("utf-8")
-    assert [each.name for each in fields_of(TableColumns) if f"`{each.name}`" not in text] == []
+    formats = (REPOSITORY / "docs" / "formats.md").read_text("utf-8")
+    assert [each.name for each in fields_of(TableColumns) if f"`{each.name}`" not in formats] == []

@@ -12,6 +12,7 @@ import numpy as np
 
 from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.transform import pivot
 from gsrain_engine.scene.scene import Scene
 from ui.commands.keys import chord
 from ui.window import begin_editor
@@ -45,35 +46,6 @@ class Person(Driver):
             self.ctx.item_click(f"//{title}/{label}")
             self.frames(4)
 
-    @property
-    def picture_place(self):
-        """Corner and size of the picture on the screen."""
-        rect = self.ctx.item_info("//View/view").rect_full
-        return np.array([rect.min.x, rect.min.y]), np.array([rect.max.x - rect.min.x, rect.max.y - rect.min.y])
-
-    def at(self, x, y):
-        """Screen position of a place in the picture, as shares of its width and height."""
-        corner, size = self.picture_place
-        return corner + size * [x, y]
-
-    def point_at(self, place):
-        self.ctx.mouse_move_to_pos(imgui.ImVec2(*map(float, place)))
-        self.frames()
-
-    def click_at(self, place):
-        self.point_at(place)
-        self.ctx.mouse_click(0)
-        self.frames()
-
-    def drag_through(self, places, button=0):
-        self.point_at(places[0])
-        self.ctx.mouse_down(button)
-        self.frames()
-        for place in places[1:]:
-            self.point_at(place)
-        self.ctx.mouse_up(button)
-        self.frames(3)
-
     def is_idle(self):
         return self.editor.busy is None and not self.editor.jobs.running and self.editor.viewport.staged is None
 
@@ -105,7 +77,7 @@ def first(folder, plant):
         person.point_at(person.at(0.5, 0.5))
         person.press(KEY.l)
         around = np.linspace(0, 2 * np.pi, 24)
-        person.drag_through([person.at(0.5 + 0.3 * np.cos(a), 0.85 + 0.16 * np.sin(a)) for a in around])
+        person.stroke(*(person.at(0.5 + 0.3 * np.cos(a), 0.85 + 0.16 * np.sin(a)) for a in around))
         selected = sum(each.marks.selected.size for each in editor.document.scene.members if each.marks.selected)
         person.press(KEY.delete)
         person.say("deleted", selected, count - editor.document.scene.gaussian_count)
@@ -124,9 +96,11 @@ def first(folder, plant):
         person.press(KEY.f)
         person.press(KEY.t)
         person.frames(3)
-        middle = _pivot_on_screen(person)
-        handle = middle + _up_on_screen(person, 40)
-        person.drag_through([handle, *(handle - [0, step] for step in (5, 15, 25))])
+        middle_m = pivot(editor.document.scene, "layers/street", 0.0)
+        middle = person.on_screen(middle_m)
+        up = person.on_screen(middle_m + [0, 0, 5.0]) - middle
+        handle = middle + 40 * up / np.linalg.norm(up)
+        person.stroke(handle, *(handle - [0, step] for step in (5, 15, 25)))
         move = editor.document.scene.member("layers/street").to_scene
         person.say("placed", float(np.linalg.norm(move[:3, 3])), editor.document.history.undo_label)
         person.press(KEY.escape)
@@ -136,13 +110,13 @@ def first(folder, plant):
         person.press(KEY.r)
         for time_s, turn in ((0.0, 0), (1.5, 30), (3.0, 60), (5.0, 90)):
             person.ctx.item_input_value("//Timeline/**/##time", time_s)
-            person.drag_through([person.at(0.5, 0.4), person.at(0.5, 0.4) + [turn, 0.2 * turn]], button=1)
+            person.stroke(person.at(0.5, 0.4), person.at(0.5, 0.4) + [turn, 0.2 * turn], button=1)
             person.press(KEY.k)
         path = editor.document.scene.path
         person.say("keys", path.times_s.tolist())
-        rect = person.ctx.item_info("//Timeline/ruler").rect_full
-        low, y = rect.min.x, (rect.min.y + rect.max.y) / 2 - 4
-        person.drag_through([(low + editor.playback.timeline.ruler.x(each), y) for each in (5.0, 3.5, 2.0)])
+        (left, top), (_, height) = person.area("//Timeline/ruler")
+        moments = (left + editor.playback.timeline.ruler.x(each) for each in (5.0, 3.5, 2.0))
+        person.stroke(*((x, top + height / 2 - 4) for x in moments))
         person.say("scrubbed", editor.playback.clock.time_s)
 
         person.ctx.window_focus("//Record")
@@ -188,27 +162,6 @@ def second(folder):
         person.say("recovered", editor.document.rain.intensity_mm_h, scene.gaussian_count, len(scene.path.times_s))
 
     person.run(script)
-
-
-def _pivot_on_screen(person):
-    from gsrain_engine.editor.edits.transform import pivot
-
-    return _on_screen(person, pivot(person.editor.document.scene, "layers/street", 0.0))
-
-
-def _up_on_screen(person, pixels):
-    from gsrain_engine.editor.edits.transform import pivot
-
-    middle = pivot(person.editor.document.scene, "layers/street", 0.0)
-    up = _on_screen(person, middle + [0, 0, 5.0]) - _on_screen(person, middle)
-    return pixels * up / np.linalg.norm(up)
-
-
-def _on_screen(person, point_m):
-    corner, size = person.picture_place
-    camera = person.editor.viewport.shot(int(size[0]), int(size[1])).camera
-    x, y, z = camera.world_to_camera[:3, :3] @ point_m + camera.world_to_camera[:3, 3]
-    return corner + [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]
 
 
 if __name__ == "__main__":

@@ -84,9 +84,69 @@ class Driver:
         self.ctx.item_click(item)
         self.frames()
 
+    def tap(self, item):
+        """Click an item of a window that is in front."""
+        self.ctx.item_click(item)
+        self.frames(3)
+
+    def type_in(self, item, value):
+        self.ctx.item_input_value(item, value)
+        self.frames()
+
     def drag(self, item, pixels):
         self.ctx.item_drag_with_delta(item, pixels)
         self.frames()
+
+    def area(self, item="//View/view"):
+        """Corner and size of an item on the screen, by default of the picture."""
+        rect = self.ctx.item_info(item).rect_full
+        return np.array([rect.min.x, rect.min.y]), np.array([rect.get_width(), rect.get_height()])
+
+    def at(self, x, y):
+        """Screen position of a place in the picture, as shares of its width and height."""
+        corner, size = self.area()
+        return corner + size * [x, y]
+
+    def on_screen(self, point_m):
+        """Screen position of a world point."""
+        corner, (width, height) = self.area()
+        camera = self.editor.viewport.shot(int(width), int(height)).camera
+        x, y, z = camera.world_to_camera[:3] @ np.append(point_m, 1.0)
+        return corner + [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]
+
+    def point_at(self, place):
+        self.ctx.mouse_move_to_pos(imgui.ImVec2(*map(float, place)))
+        self.frames()
+
+    def click_at(self, place, button=0):
+        self.point_at(place)
+        self.ctx.mouse_click(button)
+        self.frames()
+
+    def stroke(self, *places, held=(), button=0, lets_go=True):
+        """Press at the first place of the screen, go through the others, and let go; keys are held meanwhile."""
+        self.point_at(places[0])
+        for key in held:
+            self.ctx.key_down(key)
+        self.frames()
+        self.ctx.mouse_down(button)
+        self.frames()
+        for place in places[1:]:
+            self.point_at(place)
+        if lets_go:
+            self.ctx.mouse_up(button)
+            self.frames()
+        for key in held:
+            self.ctx.key_up(key)
+        self.frames()
+
+    def choose_file(self, title, path, button="Save"):
+        """Type a place into a file dialog."""
+        self.frames(3)
+        self.ctx.item_click(f"//{title}/##file_input")
+        self.ctx.key_chars_replace(str(path))
+        self.ctx.item_click(f"//{title}/**/{button}")
+        self.frames(3)
 
     def press(self, chord):
         self.ctx.key_press(chord)

@@ -193,7 +193,8 @@ class CommandPalette:
             imgui.set_keyboard_focus_here()
         imgui.set_next_item_width(-1)
         changed, self._typed = imgui.input_text_with_hint("##typed", "Type a command", self._typed)
-        found = [row for row in _rows(editor) if matches(row.name, self._typed)]
+        words = self._typed.lower().split()
+        found = [row for row in _rows(editor) if all(word in row.name.lower() for word in words)]
         step = imgui.is_key_pressed(imgui.Key.down_arrow) - imgui.is_key_pressed(imgui.Key.up_arrow)
         self._line = 0 if changed else min(max(self._line + step, 0), max(len(found) - 1, 0))
         chosen = self._list(found)
@@ -228,10 +229,6 @@ class CommandPalette:
         return chosen
 
 
-def matches(name: str, typed: str) -> bool:
-    return all(word in name.lower() for word in typed.lower().split())
-
-
 def _rows(editor: Editor) -> list[_PaletteRow]:
     rows = [
         _PaletteRow(each.title(editor), each.key_names, each.help, each.can_run(editor), partial(each.perform, editor))
@@ -239,15 +236,8 @@ def _rows(editor: Editor) -> list[_PaletteRow]:
     ]
     for tool in TOOLS:
         keys = chord_name(int(tool.key)) if tool.key is not None else ""
-        rows.append(
-            _PaletteRow(
-                f"Tool: {tool.name}",
-                keys,
-                tool.help,
-                True,
-                partial(setattr, editor.viewport.options, "tool", tool.name),
-            )
-        )
+        choose = partial(setattr, editor.viewport.options, "tool", tool.name)
+        rows.append(_PaletteRow(f"Tool: {tool.name}", keys, tool.help, True, choose))
     for window in panel_windows():
         show = partial(bring_to_front, window)
         rows.append(_PaletteRow(f"Panel: {window.label.partition('###')[0]}", "", "Bring it to the front.", True, show))

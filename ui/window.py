@@ -266,10 +266,8 @@ class MainWindow:
         elif self._editor is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
-            self.workspace, self._style = (
-                Workspace(self._editor, context, self._backend),
-                self._editor.preferences.value,
-            )
+            self.workspace = Workspace(self._editor, context, self._backend)
+            self._style = self._editor.preferences.value
             for panel in self.workspace.dockable_windows():
                 hello_imgui.add_dockable_window(panel)
 

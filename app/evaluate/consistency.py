@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,7 +29,16 @@ from gsrain_engine.scene.open import file_hash
 
 from ..console import Console, bold, print, progress_bar, table_of
 from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
-from ..outputs import check_image, check_page, provenance_lines, run_provenance, table_stream, write_numbers, write_page
+from ..outputs import (
+    check_image,
+    check_page,
+    finite_numbers,
+    provenance_lines,
+    run_provenance,
+    table_stream,
+    write_numbers,
+    write_page,
+)
 from .images import LpipsChoice, Report, open_lpips
 
 _COLUMNS = 150
@@ -82,11 +92,12 @@ def consistency(
             if not rows:
                 raise ValueError(f"{each.folder}: neighboring views match in too few pixels to be compared")
             results.append(rows)
-    print_agreements(compared, results, Console(file=table_stream(json), width=_COLUMNS))
+    numbers = report_of(compared, results, water_film)
+    print_agreements(numbers, [each.title for each in compared], Console(file=table_stream(json), width=_COLUMNS))
     inputs = {str(folder): input_fingerprint(folder) for folder in folders}
     if lpips and Path(lpips).is_file():
         inputs[f"LPIPS {lpips}"] = file_hash(Path(lpips))
-    numbers = report_of(compared, results, water_film) | run_provenance(inputs, ("torch",))
+    numbers |= run_provenance(inputs, ("torch",))
     if contact_sheet is not None or report is not None:
         sheet = _sheet(compared, own_pairs, water_film, contact_sheet_pairs)
         if contact_sheet is not None:
@@ -126,18 +137,17 @@ def report_of(
     rows: list[dict[str, Any]] = []
     for each, own in zip(compared, results, strict=True):
         about = {"folder": str(each.folder), "method": each.method}
-        everywhere, dry = _means(own)
-        values = {**_numbers(everywhere), "outside_film": _numbers(dry)}
-        means.append({**about, "settings": each.settings, "pairs": len(own), **values})
+        pooled = pool_errors(row.everywhere for row in own)
+        dry = pool_errors(row.outside_film for row in own if row.outside_film)
+        means.append({**about, "settings": each.settings, "pairs": len(own), **_both(pooled, dry)})
         for row in own:
-            values = {**_numbers(row.everywhere), "outside_film": _numbers(row.outside_film)}
-            rows.append({**about, "of": row.of, "to": row.to, "matched_share": row.matched_share, **values})
+            pair = {"of": row.of, "to": row.to, "matched_share": row.matched_share}
+            rows.append({**about, **pair, **_both(row.everywhere, row.outside_film)})
     return {"film_share": film, "means": means, "rows": rows}
 
 
-def _means(rows: Sequence[PairAgreement]) -> tuple[WarpAgreement | None, WarpAgreement | None]:
-    everywhere = pool_errors(row.everywhere for row in rows)
-    return everywhere, pool_errors(row.outside_film for row in rows if row.outside_film)
+def _both(everywhere: WarpAgreement | None, dry: WarpAgreement | None) -> dict[str, Any]:
+    return {**_numbers(everywhere), "outside_film": _numbers(dry)}
 
 
 def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
@@ -157,26 +167,24 @@ def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
         "lpips_after": agreement.after.lpips,
         "lpips_ratio": agreement.lpips_ratio,
     }
-    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in numbers.items()}
+    return finite_numbers(numbers)
 
 
-def print_agreements(
-    compared: Sequence[ViewFolder], results: Sequence[Sequence[PairAgreement]], console: Console
-) -> None:
-    with_lpips = any(row.everywhere.after.lpips is not None for rows in results for row in rows)
-    titles = "view,neighbour,matched,before,after,ratio,per contrast,dry,dry before,dry after,dry ratio"
-    table = table_of(titles + ",LPIPS before,after,ratio" * with_lpips, wraps=True)
-    for each, rows in zip(compared, results, strict=True):
+def print_agreements(numbers: Mapping[str, Any], titles: Sequence[str], console: Console) -> None:
+    """Print the numbers of `report_of`: the pairs of each folder, below its title, and their means."""
+    with_lpips = any(row["lpips_after"] is not None for row in numbers["rows"])
+    columns = "view,neighbour,matched,before,after,ratio,per contrast,dry,dry before,dry after,dry ratio"
+    table = table_of(columns + ",LPIPS before,after,ratio" * with_lpips, wraps=True)
+    rows = iter(numbers["rows"])
+    for title, mean in zip(titles, numbers["means"], strict=True):
         table.add_section()
-        table.add_row(bold(each.title))
-        worst = sorted(rows, key=lambda row: -row.everywhere.after.rmse)[:_MAX_ROWS]
-        for row in rows if len(rows) <= _MAX_ROWS else worst:
-            cells = [row.of, row.to, f"{row.matched_share:.0%}"]
-            table.add_row(*cells, *_cells(row.everywhere, row.outside_film, with_lpips))
-        everywhere, dry = _means(rows)
-        if everywhere is not None:
-            mean = f"mean of {len(rows)} pairs" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
-            table.add_row(bold(mean), "", "", *_cells(everywhere, dry, with_lpips))
+        table.add_row(bold(title))
+        own = list(islice(rows, mean["pairs"]))
+        is_long = len(own) > _MAX_ROWS
+        for row in sorted(own, key=lambda row: -row["rmse_after"])[:_MAX_ROWS] if is_long else own:
+            table.add_row(row["of"], row["to"], f"{row['matched_share']:.0%}", *_cells(row, with_lpips))
+        words = f"mean of {len(own)} pairs" + (f", above the {_MAX_ROWS} worst" if is_long else "")
+        table.add_row(bold(words), "", "", *_cells(mean, with_lpips))
     console.print(table)
     console.print(
         "Errors of the neighbor warped onto the view, in levels of 255; dry: share of the matched pixels that lies "
@@ -184,23 +192,18 @@ def print_agreements(
     )
 
 
-def _cells(everywhere: WarpAgreement, dry: WarpAgreement | None, with_lpips: bool) -> list[str]:
-    cells = [*_error_cells(everywhere), _ratio(everywhere.contrast_ratio)]
-    cells += ["", "", "", ""] if dry is None else [f"{dry.pixels / everywhere.pixels:.0%}", *_error_cells(dry)]
+def _cells(row: Mapping[str, Any], with_lpips: bool) -> list[str]:
+    before, after, ratio, per_contrast, lpips_before, lpips_after, *dry = _page_cells(row)
+    dry_pixels = row["outside_film"]["pixels"]
+    share = f"{dry_pixels / row['pixels']:.0%}" if dry_pixels else ""
+    cells = [*map(_text, (before, after, ratio, per_contrast)), share, *map(_text, dry)]
     if with_lpips:
-        before = everywhere.before.lpips if everywhere.before is not None else None
-        cells += ["" if value is None else f"{value:.3f}" for value in (before, everywhere.after.lpips)]
-        cells.append(_ratio(everywhere.lpips_ratio))
+        cells += [_text(lpips_before, 3), _text(lpips_after, 3), _text(row["lpips_ratio"])]
     return cells
 
 
-def _error_cells(agreement: WarpAgreement) -> list[str]:
-    before = "" if agreement.before is None else f"{_LEVELS * agreement.before.rmse:.2f}"
-    return [before, f"{_LEVELS * agreement.after.rmse:.2f}", _ratio(agreement.ratio)]
-
-
-def _ratio(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.2f}"
+def _text(value: float | None, digits: int = 2) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
 
 
 # HTML page

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from PIL import Image
 
+from gsrain_engine.appearance.rainy_recording import photo_view
 from gsrain_engine.appearance.scene_views import (
     PlacedCamera,
     ViewChoice,
@@ -58,7 +59,7 @@ from ..options import (
     parse_intensities,
     setting,
 )
-from ..outputs import check_ending, claim_outputs, command_line, version_of, write_numbers
+from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
 from ..render import wet_look
 from ..scene import names_scene
 
@@ -140,17 +141,18 @@ def detection(
             cache = None
             if output is not None:
                 output.mkdir(parents=True, exist_ok=True)
-                cache = open_cache(output, prepared, detectors, detector, renderer.name, wet)
+                cache = open_cache(output, prepared, detectors, renderer.name, wet)
                 open_files.enter_context(cache)
             advance = open_files.enter_context(
                 progress_bar("Detecting", len(prepared.frames) * len(trials), draws=True)
             )
             open_files.callback(collector.close)
-            for image in evaluation.evaluate_images(prepared.pictures, detectors, prepared.frames, trials, cache):
+            networks = list(detectors.values())
+            for image in evaluation.evaluate_images(prepared.pictures, networks, prepared.frames, trials, cache):
                 collector.add(image)
                 advance()
             collector.finish_view()
-    numbers = detection_numbers(collector.results, detectors, detector, renderer.name, prepared, seeds)
+    numbers = detection_numbers(collector.results, detectors, renderer.name, prepared, seeds)
     print_scores(numbers.scores, Console(width=_COLUMNS))
     for sentence in unnamed_object_notes(numbers):
         print(sentence)
@@ -161,7 +163,11 @@ def detection(
     write_numbers(json, numbers.plain)
 
 
-def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> list[Detector]:
+_Detectors = dict[Path, Detector]
+"""Detectors by their files."""
+
+
+def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> _Detectors:
     texts: list[str | None] = list(descriptions or [None])
     if len(texts) not in (1, len(files)):
         raise ValueError(f"--description: {len(texts)} for {len(files)} detectors; give one for all, or one each")
@@ -171,7 +177,7 @@ def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> lis
     doubled = next((name for name in names if names.count(name) > 1), None)
     if doubled is not None:
         raise ValueError(f"--detector: two files are called {doubled}; rows are told apart by that name")
-    return detectors
+    return dict(zip(files, detectors, strict=True))
 
 
 # Evaluated views
@@ -197,12 +203,7 @@ _PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless"
 
 
 def open_cache(
-    folder: Path,
-    source: PreparedSource,
-    detectors: Sequence[Detector],
-    files: Sequence[Path],
-    backend: str,
-    is_wet: bool,
+    folder: Path, source: PreparedSource, detectors: _Detectors, backend: str, is_wet: bool
 ) -> evaluation.ResultCache:
     """Open the cached results in a folder, and report how many of an earlier run are still valid."""
     inputs = {
@@ -216,7 +217,7 @@ def open_cache(
     }
     used = {
         each.name: file_hash(file) + msgspec.json.encode(each.description, order="sorted").decode()
-        for each, file in zip(detectors, files, strict=True)
+        for file, each in detectors.items()
     }
     cache = evaluation.ResultCache(folder / evaluation.FINISHED_FILE, inputs, used)
     count = cache.read(source.frames)
@@ -242,10 +243,9 @@ class DetectionNumbers:
 
     @property
     def plain(self) -> dict[str, Any]:
-        left = {name: asdict(each) for name, each in self.robustness.items()}
         return {
             "settings": self.settings,
-            "robustness": {n: {k: None if v != v else v for k, v in each.items()} for n, each in left.items()},
+            "robustness": finite_numbers({name: asdict(each) for name, each in self.robustness.items()}),
             "not_named": self.not_named,
             "scores": [summary.plain(each) for each in self.scores],
             "recall_by_distance": [summary.plain(each) for each in self.distances],
@@ -255,8 +255,7 @@ class DetectionNumbers:
 
 def detection_numbers(
     judgements: Sequence[evaluation.DetectionResult],
-    detectors: Sequence[Detector],
-    files: Sequence[Path],
+    detectors: _Detectors,
     backend: str,
     source: PreparedSource,
     seeds: int,
@@ -279,10 +278,7 @@ def detection_numbers(
     settings = {
         "source": source.name,
         "command": command_line(),
-        "detectors": {
-            each.name: {"file": file.name, "sha256": file_sha256(file)}
-            for each, file in zip(detectors, files, strict=True)
-        },
+        "detectors": {each.name: {"file": file.name, "sha256": file_sha256(file)} for file, each in detectors.items()},
         "inputs": source.inputs,
         "frames": [each.name for each in source.frames],
         "size_px": [camera.width, camera.height],
@@ -487,8 +483,6 @@ def _output_words(value: Any) -> object:
 # Sources of views
 
 _SLOW_FPS = 2.0  # frame rate of videos of frames far apart in time
-_LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
-"""World-to-camera transform that looks ahead over a road, for images without poses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -562,8 +556,7 @@ def _hashes(choice: DetectionSource) -> dict[str, str]:
 
 def _of_view(view: CaptureFrame, world: Scene, capture: Capture, width_px: int) -> PlacedCamera:
     """Return the world camera of a captured view; without poses, a level camera over the road."""
-    camera = view.camera
-    camera = camera.moved(world.scene_to_world) if capture.has_poses else replace(camera, world_to_camera=_LEVEL)
+    camera = photo_view(world, capture, view).camera
     return PlacedCamera(view.name, camera, view.time_s, view.sensor).at_width(width_px)
 
 

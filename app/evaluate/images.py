@@ -1,7 +1,6 @@
 """`gsrain evaluate images` and `fid`: PSNR, SSIM, LPIPS, FID and KID of images, and conversion of their weights."""
 
 import logging
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -91,15 +90,12 @@ def images(
     if masks is not None:
         inputs[f"masks {masks}"] = input_fingerprint(masks)
     facts = outputs.run_provenance(inputs, ("scikit-image", "torch"))
-    plain_means = {
-        name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()
-    }
     plain_rows = [
-        {"name": row.name, "psnr_db": _finite(row.psnr_db), "ssim": row.ssim, "lpips": row.lpips}
-        | {"compared_share": share}
+        {"name": row.name, "psnr_db": row.psnr_db, "ssim": row.ssim, "lpips": row.lpips, "compared_share": share}
         for row, share in zip(rows, shares, strict=True)
     ]
-    numbers = {**settings, **facts, "means": plain_means, "rows": plain_rows}
+    plain_means = {name: each._asdict() for name, each in means.items()}
+    numbers = outputs.finite_numbers({**settings, **facts, "means": plain_means, "rows": plain_rows})
     outputs.write_numbers(json, numbers)
     if report is not None:
         lines = {**settings, **outputs.provenance_lines(facts)}
@@ -159,11 +155,6 @@ def _print(rows: Sequence[ImageComparison], means: dict[str, MeanInterval], cons
     table.add_row(bold(title), *(bold(f"{each.mean:.4g}") for each in means.values()))
     table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
     console.print(table)
-
-
-def _finite(value: float) -> float | None:
-    """Replace infinity, the PSNR of equal images, which JSON lacks."""
-    return value if math.isfinite(value) else None
 
 
 # FID and KID

@@ -36,7 +36,15 @@ from ..options import (
     parse_intensities,
     setting,
 )
-from ..outputs import claim_outputs, provenance_lines, run_provenance, table_stream, write_numbers, write_text
+from ..outputs import (
+    claim_outputs,
+    finite_numbers,
+    provenance_lines,
+    run_provenance,
+    table_stream,
+    write_numbers,
+    write_text,
+)
 from ..scene import names_scene
 
 _COLUMNS = 130
@@ -168,7 +176,7 @@ _COUNTED = ("clear", "kept", "dropped", "masked", "false")
 
 def _row(run: RainRunCounts) -> dict[str, Any]:
     tally = run.tally
-    return {
+    return finite_numbers({
         "intensity_mm_h": run.state.intensity_mm_h,
         "seed": run.seed,
         "turn": run.turn,
@@ -178,23 +186,21 @@ def _row(run: RainRunCounts) -> dict[str, Any]:
         **{name: int(getattr(tally, name).sum()) for name in _COUNTED},
         "untouched": tally.untouched,
         "at_threshold": run.at_threshold,
-        "range_rmse_m": None if math.isnan(tally.range_rmse_m) else tally.range_rmse_m,
+        "range_rmse_m": tally.range_rmse_m,
         "by_range": [
-            {"from_m": start, "to_m": None if math.isinf(end) else end}
+            {"from_m": start, "to_m": end}
             | {name: int(getattr(tally, name)[k]) for name in _COUNTED}
             for k, (start, end) in enumerate(pairwise(tally.edges_m.tolist()))
         ],
-    }
+    })  # fmt: skip
 
 
 def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write a CSV line for each run and range bin; the last bin has no end."""
-    text = io.StringIO()
+    text, run = io.StringIO(), ("intensity_mm_h", "seed", "turn")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["intensity_mm_h", "seed", "turn", "from_m", "to_m", *_COUNTED])
-    for row in rows:
-        for part in row["by_range"]:
-            writer.writerow([row["intensity_mm_h"], row["seed"], row["turn"], *part.values()])
+    writer.writerow([*run, "from_m", "to_m", *_COUNTED])
+    writer.writerows([*(row[name] for name in run), *part.values()] for row in rows for part in row["by_range"])
     write_text(path, text.getvalue())
 
 
@@ -202,13 +208,11 @@ def print_lidar(by_intensity: _Runs, sensor: LidarSensor, console: Console) -> N
     """Print means over seeds and turns, and the shares of kept returns by range."""
     table = table_of("mm/h,beta 1/km,wetness,clear,kept,too weak,behind a drop,drops,noise mm", wraps=True)
     for intensity, runs in by_intensity.items():
-        tallies = [run.tally for run in runs]
-        clear, kept = (int(np.sum([getattr(each, name) for each in tallies])) for name in ("clear", "kept"))
+        clear, kept, *counts = _counted(runs)
         table.add_row(
             f"{intensity:g}", f"{1e3 * runs[0].state.extinction_per_m:.2f}", f"{runs[0].wetness:.2f}",
-            f"{clear / len(runs):,.0f}", f"{kept / max(clear, 1):.2%}",
-            *(_spread([int(getattr(each, name).sum()) for each in tallies]) for name in ("dropped", "masked", "false")),
-            f"{1e3 * np.mean([each.range_rmse_m for each in tallies]):.1f}",
+            f"{clear.mean():,.0f}", f"{kept.sum() / max(clear.sum(), 1):.2%}", *map(_spread, counts),
+            f"{1e3 * np.mean([run.tally.range_rmse_m for run in runs]):.1f}",
         )  # fmt: skip
     console.print(f"{sensor.name}; 10 % is detected up to {sensor.range_m:.0f} m")
     console.print(table)
@@ -222,6 +226,11 @@ def print_lidar(by_intensity: _Runs, sensor: LidarSensor, console: Console) -> N
             "that limit, and any rain loses them.",
             soft_wrap=True,
         )
+
+
+def _counted(runs: Sequence[RainRunCounts]) -> list[Int64[np.ndarray, " runs"]]:
+    """Return the numbers of beams of each run, by outcome as in `_COUNTED`."""
+    return [np.array([getattr(run.tally, name).sum() for run in runs], np.int64) for name in _COUNTED]
 
 
 def _return_share_by_range(by_intensity: _Runs) -> Table:
@@ -245,9 +254,9 @@ def _returned_and_clear(runs: Sequence[RainRunCounts]) -> list[Int64[np.ndarray,
     return [np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear")]
 
 
-def _spread(counts: Sequence[int]) -> str:
-    mean = sum(counts) / len(counts)
-    return f"{mean:,.0f}" if min(counts) == max(counts) else f"{mean:,.0f} ({min(counts):,}..{max(counts):,})"
+def _spread(counts: Int64[np.ndarray, " runs"]) -> str:
+    low, high, mean = counts.min(), counts.max(), f"{counts.mean():,.0f}"
+    return mean if low == high else f"{mean} ({low:,}..{high:,})"
 
 
 # HTML page
@@ -276,12 +285,9 @@ def write_lidar_page(file: Path, figure: Path, by_intensity: _Runs, report: Mapp
 def _totals(by_intensity: _Runs) -> ReportTable:
     rows: list[tuple[str | float | None, ...]] = []
     for intensity, runs in by_intensity.items():
-        clear, kept, dropped, masked, false = (
-            np.array([getattr(run.tally, name).sum() for run in runs], np.float64)
-            for name in ("clear", "kept", "dropped", "masked", "false")
-        )
+        clear, kept, *lost, false = _counted(runs)
         share = float(100 * kept.sum() / max(clear.sum(), 1))
-        means = (float(each.mean()) for each in (dropped, masked, false))
+        means = (float(each.mean()) for each in (*lost, false))
         about = f"{intensity:g}", 1e3 * runs[0].state.extinction_per_m, runs[0].wetness, float(clear.mean()), share
         rows.append((*about, *means, float(false.min()), float(false.max())))
     columns = "mm/h,beta 1/km,wetness,clear,kept %,too weak,behind a drop,drops,least,most"

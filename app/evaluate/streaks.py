@@ -5,7 +5,7 @@ import math
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
 from gsrain_engine.evaluation.streaks import (
@@ -22,7 +22,7 @@ from gsrain_engine.rain.settings import RainSettings
 
 from ..console import Console, Table, progress_bar, table_of
 from ..options import JsonFileOrScreen, check_within, option, options_of, setting
-from ..outputs import check_writable, table_stream, write_numbers
+from ..outputs import check_writable, finite_numbers, table_stream, write_numbers
 
 RenderedOptions = options_of(RainSettings, "evaluate streaks", defaults={"intensity_mm_h": "that of each sequence"})
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
@@ -58,7 +58,7 @@ def streaks(
             advance()
     _print(rows, Console(file=table_stream(json), width=_COLUMNS))
     edges = {"length_edges_px": list(LENGTH_EDGES_PX), "angle_edges_deg": list(ANGLE_EDGES_DEG)}
-    write_numbers(json, _finite({"frames": frames, **knobs, **edges, "rows": [asdict(row) for row in rows]}))
+    write_numbers(json, finite_numbers({"frames": frames, **knobs, **edges, "rows": [asdict(row) for row in rows]}))
 
 
 def _exposures(text: str) -> list[float]:
@@ -85,15 +85,6 @@ def _long_enough(folder: Path) -> list[RainSequence]:
     if not long_enough:
         raise ValueError(f"{folder}: no sequence of {_MIN_FRAMES} frames or more, which a temporal median needs")
     return long_enough
-
-
-def _finite(value: Any) -> Any:
-    """Replace NaN, which JSON lacks, with null."""
-    if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _print(rows: list[RealRainComparison], console: Console) -> None:

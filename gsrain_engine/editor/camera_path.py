@@ -61,9 +61,8 @@ class CameraPathEditor:
         time_s = self._playback.nearest_frame_time(self._playback.clock.time_s if time_s is None else time_s)
         path = self._document.scene.path
         is_new = path is None or edits.keyframe_at(path, time_s) is None
-        self._edit_keyframe(
-            "Insert keyframe" if is_new else "Update keyframe", edits.with_keyframe, time_s, self._camera_in_scene
-        )
+        label = "Insert keyframe" if is_new else "Update keyframe"
+        self._edit_keyframe(label, edits.with_keyframe, time_s, self._camera_in_scene)
 
     def append_keyframe(self) -> None:
         """Add the current view as a keyframe after the last one, at the average keyframe distance, and seek there."""
@@ -79,9 +78,8 @@ class CameraPathEditor:
     def update_keyframe(self, key: int) -> None:
         """Set a keyframe to the current view."""
         if (path := self._document.scene.path) is not None:
-            camera = self._camera_in_scene
-            self._document.edit("Update keyframe", with_path, edits.with_keyframe, float(path.times_s[key]), camera)
-            self._playback.timeline.key = key
+            time_s, camera = float(path.times_s[key]), self._camera_in_scene
+            self._edit_keyframe("Update keyframe", edits.with_keyframe, time_s, camera)
 
     def delete_keyframe(self, key: int) -> None:
         self._edit_path("Delete keyframe", edits.without_keyframe, key)

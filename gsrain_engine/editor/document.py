@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, Literal, NamedTuple, ParamSpec
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 
@@ -71,22 +71,18 @@ class History:
 
     def __init__(self, document: DocumentState) -> None:
         """Start with an opened document."""
-        self._steps = [Step("Open", document)]
+        self.steps = [Step("Open", document)]
+        """Oldest first."""
         self.cursor = 0
 
     @property
-    def steps(self) -> tuple[Step, ...]:
-        """Oldest first."""
-        return tuple(self._steps)
-
-    @property
     def labels(self) -> list[str]:
-        return [step.label for step in self._steps]
+        return [step.label for step in self.steps]
 
     @property
     def step(self) -> Step:
         """The present step."""
-        return self._steps[self.cursor]
+        return self.steps[self.cursor]
 
     @property
     def present(self) -> DocumentState:
@@ -95,7 +91,7 @@ class History:
     @property
     def previous(self) -> DocumentState:
         """Document before the last step; at the start the present one."""
-        return self._steps[max(0, self.cursor - 1)].document
+        return self.steps[max(0, self.cursor - 1)].document
 
     @property
     def undo_label(self) -> str | None:
@@ -105,7 +101,7 @@ class History:
     @property
     def redo_label(self) -> str | None:
         """Label of the step that redo restores; None at the end."""
-        return self._steps[self.cursor + 1].label if self.cursor + 1 < len(self._steps) else None
+        return self.steps[self.cursor + 1].label if self.cursor + 1 < len(self.steps) else None
 
     def continues(self, gesture: str | None) -> bool:
         """Return whether the present step belongs to a gesture that has not ended."""
@@ -114,9 +110,9 @@ class History:
     def record(self, step: Step) -> None:
         """Append a step and drop the redo steps. A continuing gesture replaces its own last step."""
         if self.continues(step.gesture):
-            self._steps[self.cursor] = replace(step, label=self.step.label)
+            self.steps[self.cursor] = replace(step, label=self.step.label)
         else:
-            self._steps[self.cursor + 1 :] = [step]
+            self.steps[self.cursor + 1 :] = [step]
             self.cursor += 1
 
     def end_gesture(self) -> None:
@@ -125,26 +121,10 @@ class History:
 
     def go_to(self, step: int) -> None:
         """Go to a step, at most to the first or the last one."""
-        self.cursor = min(max(step, 0), len(self._steps) - 1)
+        self.cursor = min(max(step, 0), len(self.steps) - 1)
 
 
 # Edited document
-
-_P = ParamSpec("_P")
-
-
-class Signal(Generic[_P]):
-    """Functions that are called, in the order of their connection, when something has happened."""
-
-    def __init__(self) -> None:
-        self._receivers: list[Callable[_P, object]] = []
-
-    def connect(self, receiver: Callable[_P, object]) -> None:
-        self._receivers.append(receiver)
-
-    def emit(self, *values: _P.args, **named: _P.kwargs) -> None:
-        for receiver in self._receivers:
-            receiver(*values, **named)
 
 
 class Document:
@@ -157,8 +137,8 @@ class Document:
 
     def __init__(self, state: DocumentState, clock: PlaybackClock, status: StatusBus) -> None:
         """`clock` is the time at which rain with keyframes is changed."""
-        self.changed: Signal[DocumentState, DocumentState] = Signal()
-        """Emitted with the old and the new document after each edit, undo, redo and opening."""
+        self.followers: list[Callable[[DocumentState, DocumentState], object]] = []
+        """Functions to call with the old and the new document after each edit, undo, redo and opening."""
         self.history = History(state)
         self._clock, self._status = clock, status
 
@@ -186,7 +166,7 @@ class Document:
     def open(self, state: DocumentState) -> None:
         """Replace the document by another one, with a history of its own."""
         before, self.history = self.state, History(state)
-        self.changed.emit(before, state)
+        self._notify(before)
 
     def edit(
         self,
@@ -239,7 +219,7 @@ class Document:
         """Go to a step of the history, backward or forward."""
         before = self.state
         self.history.go_to(step)
-        self.changed.emit(before, self.state)
+        self._notify(before)
 
     def _apply(self, label: str | Callable[[Scene, Scene], str], step: Step) -> bool:
         before = self.state
@@ -252,8 +232,12 @@ class Document:
             return False
         label = label if isinstance(label, str) else label(before.scene, after.scene)
         self.history.record(replace(step, label=label, document=after))
-        self.changed.emit(before, after)
+        self._notify(before)
         return True
+
+    def _notify(self, before: DocumentState) -> None:
+        for follower in self.followers:
+            follower(before, self.state)
 
 
 def with_rain(state: DocumentState, at_s: float = 0.0, **fields: Any) -> DocumentState:

@@ -5,7 +5,7 @@ import operator
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -87,19 +87,15 @@ class RolloutPlayer:
             self._status.report(why_not)
             return
         scenario, settings = self.setup.scenario, self.setup.settings
-        rains, known = settings.rains(self._document.rain_now), self._files.known
-
-        job = simulation_job(saved_scene(self._viewport), scenario, settings, rains, known)
+        rains = settings.rains(self._document.rain_now)
+        job = simulation_job(saved_scene(self._viewport), scenario, settings, rains, self._files.known)
         self._jobs.start(job, lambda found, _: self._open(found))
 
     # Files
 
     def open(self, path: Path) -> None:
         """Read a roll-out in the background and play it."""
-
-        def fail(error: Exception) -> None:
-            self._status.report(error, f"{path.name} can't be opened")
-
+        fail = partial(self._status.report, what=f"{path.name} can't be opened")
         self._tasks.start(lambda: [load_rollout(path)], self._open, fail)
 
     def _open(self, found: list[LoadedRollout]) -> None:
@@ -121,10 +117,8 @@ class RolloutPlayer:
             if self.playing is playing:
                 self.playing = saved
 
-        def fail(error: Exception) -> None:
-            self._status.report(error, f"{path} can't be written")
-
         def write() -> None:
+            fail = partial(self._status.report, what=f"{path} can't be written")
             self._tasks.start(lambda: write_rollout(path, playing.rollout), take, fail)
 
         self._status.ask_before_replacing([path], write)

@@ -19,9 +19,10 @@ from .document import Document, DocumentState
 from .drawing.frame import DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .drive import RolloutPlayer
 from .edits.members import replace_scene
-from .files import Files, LoadedDocument, new_screenshot
+from .files import Files, LoadedDocument
 from .finetune import FinetuneController
 from .floaters import FloaterFinder
+from .jobs.folder import new_file
 from .jobs.job import JobRunner
 from .live_rain import LiveRain
 from .make_rainy import WetLookController
@@ -261,7 +262,7 @@ class Editor:
 
     def take_screenshot(self, folder: Path | None = None) -> None:
         """Save the next image under the present date and time, by default in the user's pictures folder."""
-        self.viewport.screenshot = new_screenshot(folder or Path(platformdirs.user_pictures_dir()))
+        self.viewport.screenshot = new_file(folder or Path(platformdirs.user_pictures_dir()), "gsrain", ".png")
 
     def _swap_in(self, staged: PendingScene) -> None:
         """Display the staged scene, whose Gaussians are ready for the next frame.

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
-from itertools import count
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -166,10 +166,8 @@ class Files:
             if Path(label) in self.recent and not Path(label).exists():
                 self._update_recent(Path(label), add=False)
 
-        self._opening, self._viewport.is_reading = (
-            self._other.start(read, stage, fail, message=f"Opening {label}"),
-            True,
-        )
+        self._opening = self._other.start(read, stage, fail, message=f"Opening {label}")
+        self._viewport.is_reading = True
 
     def _ask_about_capture(self, error: NotASceneError) -> None:
         text = (
@@ -395,12 +393,8 @@ class Files:
         self, work: Callable[[], Any], take: Callable[[Any], None], trouble: str, title: str, message: str
     ) -> None:
         """Read or write in the background; an error is reported, after `trouble`."""
-
-        def fail(error: Exception) -> None:
-            self._status.report(error, trouble)
-
         self._status.dismiss()
-        self._work.start(work, take, fail, title, message)
+        self._work.start(work, take, partial(self._status.report, what=trouble), title, message)
 
     def _update_recent(self, path: Path, *, add: bool = True) -> None:
         def take(paths: list[Path]) -> None:
@@ -477,14 +471,6 @@ def _recent_file() -> Path:
     return state_folder() / "recent.json"
 
 
-def new_screenshot(folder: Path) -> Path:
-    """Choose an unused file name in a folder by the present date and time."""
-    name = f"gsrain_{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    existing = {each.name for each in folder.glob(f"{name}*.png")}
-    names = (f"{name}.png" if number == 1 else f"{name}_{number}.png" for number in count(1))
-    return folder / next(each for each in names if each not in existing)
-
-
 # Crash recovery
 
 
@@ -530,7 +516,7 @@ class Recovery:
 
     def forget(self) -> None:
         """Remove the autosave after the document was saved."""
-        self._changed_at = None
+        self._autosaved, self._changed_at = self._files.saved, None
         self._thread.submit(self._autosave.remove)
 
     def look(self) -> None:

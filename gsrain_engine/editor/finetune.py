@@ -79,7 +79,6 @@ class FinetuneController:
         except (ValueError, OSError) as error:
             self._status.report(str(error))
             return
-
         self.job = self._jobs.start(finetune_job(task), lambda weights, _: f"Trained: {weights}")
 
     def _ask(self, error: UntrustedCodeError, resume: bool) -> None:

@@ -28,12 +28,16 @@ class LiveRain:
         self.simulation = RainSimulation.start(document.rain, weather=document.keyframes)
         """The document's rain."""
         self._other = self.simulation
-        self._shelter = ShelterMapBuilder(thread)
+        self._thread = thread
+        self._searched: Scene | None = None
+        """Scene of the last search for roofs."""
+        self.pending: list[Future[ShelterMap | None]] = []
+        """The last search for roofs, to wait for where there are no frames."""
         self.sky_color = SkyColor(OVERCAST, found=False)
         """Last sample of the scene's sky."""
         self.sky_is_stale = True
         """True if the sky has to be sampled again, e.g. for another scene."""
-        document.changed.connect(self._follow)
+        document.followers.append(self._follow)
 
     @property
     def displayed(self) -> RainSimulation:
@@ -41,7 +45,7 @@ class LiveRain:
 
         It is without roofs until they are found, because finding them takes seconds.
         """
-        has_roofs, rain = self._shelter.has_map(self._document.scene), self._document.rain
+        has_roofs, rain = self._has_shelter_map, self._document.rain
         if (driven := self._rollouts.rainfall(roofs=has_roofs)) is not None:
             return driven
         if not rain.roofs or (has_roofs and self._viewport.drawn_preview is None):
@@ -77,39 +81,22 @@ class LiveRain:
 
     @property
     def is_searching_roofs(self) -> bool:
-        return self._document.rain.roofs and not self._shelter.has_map(self._document.scene)
+        return self._document.rain.roofs and not self._has_shelter_map
 
     @property
-    def pending(self) -> list[Future[ShelterMap | None]]:
-        """Search for roofs in progress, to wait for where there are no frames."""
-        return self._shelter.pending
+    def _has_shelter_map(self) -> bool:
+        """True if the roofs of the scene are found: `shelter_map_of` caches the results of searches."""
+        is_same = self._searched is not None and self._searched.geometry_key == self._document.scene.geometry_key
+        return is_same and all(each.done() for each in self.pending)
 
     def poll(self) -> None:
-        if self._document.rain.roofs:
-            self._shelter.search(self._document.scene)
+        """Search for roofs, one scene after another."""
+        if self.is_searching_roofs and all(each.done() for each in self.pending):
+            self._searched = self._document.scene
+            self.pending = [self._thread.submit(shelter_map_of, self._searched)]
 
     def _follow(self, old: DocumentState, new: DocumentState) -> None:
         self.sky_is_stale = self.sky_is_stale or old.scene.geometry_key != new.scene.geometry_key
         if self.simulation.rain != new.rain or self.simulation.weather is not new.keyframes:
             time_s = self._viewport.playback.clock.time_s
             self.simulation = self.simulation.changed(new.rain, time_s, new.keyframes)
-
-
-class ShelterMapBuilder:
-    """Computes shelter maps of one scene after another; results are in the cache of `shelter_map_of`."""
-
-    def __init__(self, thread: ThreadPoolExecutor) -> None:
-        self._thread = thread
-        self._scene: Scene | None = None
-        self.pending: list[Future[ShelterMap | None]] = []
-        """The last search, to wait for where there are no frames."""
-
-    def has_map(self, scene: Scene) -> bool:
-        """Return whether the roofs of a scene have been found."""
-        is_same = self._scene is not None and self._scene.geometry_key == scene.geometry_key
-        return is_same and all(each.done() for each in self.pending)
-
-    def search(self, scene: Scene) -> None:
-        """Start to search a scene, unless its roofs are found or another search is running."""
-        if all(each.done() for each in self.pending) and not self.has_map(scene):
-            self._scene, self.pending = scene, [self._thread.submit(shelter_map_of, scene)]

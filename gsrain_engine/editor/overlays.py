@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from ..datasets.capture import Capture
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from .viewport.picking import NEAR_M, project_lines, project_point
+from .viewport.picking import NEAR_M, in_camera, project_lines, project_point, to_pixels
 from .viewport_state import ViewportState
 
 _SAMPLES_A_SECOND, _MAX_SAMPLES = 12, 700
@@ -50,10 +50,10 @@ def path_overlay_of(viewport: ViewportState, camera: Camera) -> PathOverlay | No
         if (handle := project_point(path.positions[key], camera)) is not None:
             frustum = _frustum(path.camera(float(path.times_s[key]), 3, 2), camera)
             keys.append(KeyHandle(key, (handle.x, handle.y), frustum))
-    in_camera = _in_camera(at_seconds, camera)
+    ticks = in_camera(at_seconds, camera)
     return PathOverlay(
         project_lines(np.stack([positions[:-1], positions[1:]], axis=1), camera),
-        _to_pixels(in_camera[in_camera[:, 2] > NEAR_M], camera),
+        to_pixels(ticks[ticks[:, 2] > NEAR_M], camera),
         keys,
         _frustum(path.camera(viewport.playback.clock.time_s, 3, 2), camera),
     )
@@ -83,15 +83,6 @@ def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
     ends = [[eye, a], [eye, b], [eye, c], [eye, d], [a, b], [b, c], [c, d], [d, a], [left, flag], [flag, right]]
     lines = np.array(ends, np.float64)
     return project_lines(lines @ pose[:3, :3].T + pose[:3, 3], camera)
-
-
-def _in_camera(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "n 3"]:
-    return points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-
-
-def _to_pixels(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "n 2"]:
-    """Project points in the frame of the camera."""
-    return np.array([camera.fx, camera.fy]) * points[:, :2] / points[:, 2:] + np.array([camera.cx, camera.cy])
 
 
 # Frustums of captured cameras and the corners of their images
@@ -170,10 +161,10 @@ def image_grid(
     """
     columns, rows = np.meshgrid(np.linspace(0, shown.width, cells[0] + 1), np.linspace(0, shown.height, cells[1] + 1))
     points = _on_plane(shown, length_m, np.stack([columns.ravel(), rows.ravel()], axis=1))
-    in_camera = _in_camera(points, camera)
-    if in_camera[:, 2].min() < max(0.02 * length_m, _NEAR):
+    points = in_camera(points, camera)
+    if points[:, 2].min() < max(0.02 * length_m, _NEAR):
         return None
-    return _to_pixels(in_camera, camera).reshape(*columns.shape, 2)
+    return to_pixels(points, camera).reshape(*columns.shape, 2)
 
 
 def fov_to_fit_deg(shown: Camera, aspect: float) -> float:

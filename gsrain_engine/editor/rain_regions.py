@@ -15,6 +15,7 @@ from ..render.draw import RenderView, rain_anchor
 from ..scene.camera import Camera, look_at
 from ..scene.geometry import EDGES
 from ..scene.scene import Scene
+from .overlays import image_corners
 from .viewport.picking import NEAR_M, project_lines, project_point
 from .viewport_state import ViewportState
 
@@ -179,10 +180,7 @@ def inset_view(box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], widt
 
 def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3"]:
     """Edges of a camera's frustum up to a depth, as lines in the world."""
-    x0, x1 = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
-    y0, y1 = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
-    corners = length_m * np.array([[x0, y0, 1.0], [x1, y0, 1.0], [x1, y1, 1.0], [x0, y1, 1.0]])
-    corners = corners @ camera.world_to_camera[:3, :3] + camera.position
+    corners = image_corners(camera, length_m)
     eye = np.broadcast_to(camera.position, (4, 3))
     return np.concatenate([np.stack([eye, corners], axis=1), np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
 

@@ -191,12 +191,8 @@ def weather_row(weather: RainKeyframes, first_s: float, last_s: float, max_keys:
     times = weather.times_s[(weather.times_s >= first_s) & (weather.times_s <= last_s)]
     thinned = times[:: max(1, -(-len(times) // max_keys))]
     spans = [(weather.keys[0].time_s, weather.keys[-1].time_s)] if len(weather.keys) > 1 else []
-    return TimelineRow(
-        "rain",
-        "Keyframes of the Rain keyframes panel: intensity, wind and exposure.",
-        spans,
-        (*thinned.tolist(),),
-    )
+    help_text = "Keyframes of the Rain keyframes panel: intensity, wind and exposure."
+    return TimelineRow("rain", help_text, spans, (*thinned.tolist(),))
 
 
 def presence(track: PoseTrack) -> list[tuple[float, float]]:

@@ -81,7 +81,7 @@ class ViewportState:
         self._core: tuple[Hashable, SceneCore] | None = None
         self._last_view: RenderView | None = None
         self._observed_at = 0.0
-        document.changed.connect(self._follow)
+        document.followers.append(self._follow)
 
     @property
     def is_opening(self) -> bool:

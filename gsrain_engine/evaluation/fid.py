@@ -99,7 +99,7 @@ def distribution_distance(
         repeated = len(each) - len(set(each.hashes))
         if repeated:
             warnings.append(f"{repeated} of the {len(each)} {name} pictures repeat others of them")
-    interval = frechet_interval(real.features, fake.features, resamples, seed, advance, value)
+    interval = frechet_interval(real.features, fake.features, resamples, seed, advance)
     return DistributionDistance(
         metric=extractor.metric, kernel_metric=extractor.kernel_metric, extractor=extractor.described,
         features=extractor.features, real=real.name, fake=fake.name, real_pictures=len(real), fake_pictures=len(fake),
@@ -369,12 +369,7 @@ NOTABLE_SHARE = 0.1  # share of a distance from which its small-sample bias trig
 
 
 def frechet_interval(
-    real: Features,
-    fake: Features,
-    resamples: int,
-    seed: int,
-    advance: Advance = lambda: None,
-    value: float | None = None,
+    real: Features, fake: Features, resamples: int, seed: int, advance: Advance = lambda: None
 ) -> Interval:
     """Return the confidence interval of the Frechet distance for image sets of these sizes.
 
@@ -382,10 +377,9 @@ def frechet_interval(
     which raises their distances; this shift is removed: the interval is the value plus the quantiles of the resampled
     distances around their mean. It does not cover the small-sample bias of the value itself, see `same_distribution`.
     For few images it is too wide (for 32 with 64 features by half); for similar images, such as neighboring frames of a
-    drive, too narrow, since it assumes independence. `advance` is called after each resample. `value` is the distance
-    itself, if known.
+    drive, too narrow, since it assumes independence. `advance` is called after each resample.
     """
-    value = frechet_distance(real, fake) if value is None else value
+    value = frechet_distance(real, fake)
     points = reduce_dimension(real, fake)
     distances: list[float] = []
     for counts in _drawn_counts(len(real), len(fake), resamples, seed):

@@ -107,35 +107,31 @@ def is_torchscript(file: Path) -> bool:
 
 
 def inception_weights(file: Path) -> dict[str, np.ndarray]:
-    """Read Inception's weights by the names of `networks.Inception`; raises as `matched_inception` does."""
-    return matched_inception(read_arrays(file), str(file))
+    """Read exactly the arrays that `Inception` requires, by their names, with checked shapes.
 
-
-def matched_inception(arrays: Mapping[str, np.ndarray], source: str) -> dict[str, np.ndarray]:
-    """Return exactly the arrays that Inception requires, with checked shapes.
-
-    Raises ValueError with the source for other content; torchvision's ImageNet weights, which have the same names and
+    Raises ValueError with the file for other content; torchvision's ImageNet weights, which have the same names and
     shapes but different features, are detected by their number of classes.
     """
+    arrays = read_arrays(file)
     classes = arrays.get("fc.weight")
     if classes is not None and len(classes) != _CLASSES:
         raise ValueError(
-            f"{source}: Inception of {len(classes)} classes, such as torchvision's; FID is defined with that of "
+            f"{file}: Inception of {len(classes)} classes, such as torchvision's; FID is defined with that of "
             f"{_CLASSES} (pt_inception-2015-12-05)"
         )
     if any(name.startswith("AuxLogits.") for name in arrays):
-        raise ValueError(f"{source}: Inception with AuxLogits, such as torchvision's; FID's has none")
+        raise ValueError(f"{file}: Inception with AuxLogits, such as torchvision's; FID's has none")
     expected = {name: tuple(each.shape) for name, each in build_without_weights(Inception).state_dict().items()}
     unused = ("num_batches_tracked", "fc.weight", "fc.bias")
     found = {name: array for name, array in arrays.items() if not name.endswith(unused)}
     for name, shape in expected.items():
         if name not in found:
-            raise ValueError(f"{source}: not the weights of Inception: {name} is missing")
+            raise ValueError(f"{file}: not the weights of Inception: {name} is missing")
         if found[name].shape != shape:
-            raise ValueError(f"{source}: not the weights of Inception: {name} is {found[name].shape}, expected {shape}")
+            raise ValueError(f"{file}: not the weights of Inception: {name} is {found[name].shape}, expected {shape}")
     too_much = sorted(set(found) - set(expected))
     if too_much:
-        raise ValueError(f"{source}: not the weights of Inception: it has no {too_much[0]}")
+        raise ValueError(f"{file}: not the weights of Inception: it has no {too_much[0]}")
     return {name: np.ascontiguousarray(array, np.float32) for name, array in found.items()}
 
 

@@ -51,23 +51,21 @@ class DropMotion:
     fall_speed_m_s: Float64[np.ndarray, " classes"]
     """Downward speed of each class."""
     since_s: float = 0.0
-    drifted_m: Float64[np.ndarray, "2"] | None = None
-    """Drift of all drops up to `since_s`; None is zero."""
-    fallen_m: Float64[np.ndarray, " classes"] | None = None
-    """Fall of each class up to `since_s`; None is zero."""
+    drifted_m: Float64[np.ndarray, "2"] | float = 0.0
+    """Drift of all drops up to `since_s`."""
+    fallen_m: Float64[np.ndarray, " classes"] | float = 0.0
+    """Fall of each class up to `since_s`."""
 
     def without_drift(self) -> "DropMotion":
-        return replace(self, wind=Wind(), drifted_m=None)
+        return replace(self, wind=Wind(), drifted_m=0.0)
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
         """Drift of all drops by the wind along x and y, in meters."""
-        moved = self.wind.displacement(time_s) - self.wind.displacement(self.since_s)
-        return moved if self.drifted_m is None else moved + self.drifted_m
+        return self.wind.displacement(time_s) - self.wind.displacement(self.since_s) + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
         """Fall of each class in meters."""
-        moved = self.fall_speed_m_s * (time_s - self.since_s)
-        return moved if self.fallen_m is None else moved + self.fallen_m
+        return self.fall_speed_m_s * (time_s - self.since_s) + self.fallen_m
 
     def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
         """Continue from the displacement at a time with another wind and other speeds."""
@@ -92,10 +90,10 @@ class KeyframedDropMotion:
     table: DropClassTable
     weights_s: Float64[np.ndarray, "n nodes"]
     """W_j from the first knot of the intensity to each knot."""
-    drifted_m: Float64[np.ndarray, "2"] | None = None
-    """Offset added to the drift; None is zero. It makes drops continue from their positions when settings change."""
-    fallen_m: Float64[np.ndarray, " classes"] | None = None
-    """Offset added to the fall of each class; None is zero."""
+    drifted_m: Float64[np.ndarray, "2"] | float = 0.0
+    """Offset added to the drift. It makes drops continue from their positions when settings change."""
+    fallen_m: Float64[np.ndarray, " classes"] | float = 0.0
+    """Offset added to the fall of each class."""
     _base: dict[tuple[int, int], Float64[np.ndarray, " classes"]] = field(default_factory=dict, init=False)
     """Cache of the fall up to the latest (knot, interval): consecutive frames usually share it."""
 
@@ -124,17 +122,15 @@ class KeyframedDropMotion:
         return DropMotion(wind, speeds, time_s, self.drift(time_s), self.fallen(time_s))
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        moved = self.mean_wind.integral(time_s) + self.gusts.displacement(time_s)
-        return moved if self.drifted_m is None else moved + self.drifted_m
+        return self.mean_wind.integral(time_s) + self.gusts.displacement(time_s) + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        moved = self._since_first_knot(time_s) - self._since_first_knot_at_zero
-        return moved if self.fallen_m is None else moved + self.fallen_m
+        return self._since_first_knot(time_s) - self._since_first_knot_at_zero + self.fallen_m
 
     def going_on_from(self, motion: DropMotion) -> "KeyframedDropMotion":
         """Return a copy with offsets that match the motion's displacement at its `since_s`."""
         time_s = motion.since_s
-        bare = replace(self, drifted_m=None, fallen_m=None)
+        bare = replace(self, drifted_m=0.0, fallen_m=0.0)
         drifted, fallen = motion.drift(time_s) - bare.drift(time_s), motion.fallen(time_s) - bare.fallen(time_s)
         return replace(bare, drifted_m=drifted, fallen_m=fallen)
 

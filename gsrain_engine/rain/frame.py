@@ -15,7 +15,7 @@ from .haze import make_haze
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
-from .streaks import ShutterModel, sh_of, streak_gaussians
+from .streaks import ShutterModel, streak_gaussians
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,13 +149,8 @@ class RainFrame:
         if not self.rain.haze:
             return Gaussians.empty()
         view = self.view
-        means, opacities = make_haze(
-            self.rain, self.haze_count, self.time_s, view.anchor_to_world, view.camera.position, view.roofs
-        )
-        n = len(means)
-        upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-        return Gaussians(
-            means, np.full((n, 3), self.rain.haze_sigma_m, np.float32), upright, opacities, sh_of(self.color, n)
+        return make_haze(
+            self.rain, self.haze_count, self.time_s, view.anchor_to_world, view.camera.position, self.color, view.roofs
         )
 
     @property

@@ -1,13 +1,13 @@
 """Haze: the extinction coefficient of falling drops, and far drops as large, faint Gaussians."""
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Float32, Float64, UInt32
+from jaxtyping import Float64, UInt32
 
+from ..scene.gaussians import Gaussians
 from .pcg_hash import pcg4d
 from .settings import RainSettings
 from .shelter_map import ShelterMap
+from .streaks import sh_of
 
 LIFETIME_S, FADE_S = 4.0, 1.0  # lifetime of a haze Gaussian, with a smoothstep fade at both ends
 RAMP_M = (3.0, 5.0)  # distances from the camera between which haze fades in; streaks represent nearer drops
@@ -21,13 +21,6 @@ _FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
 
 EXTINCTION_EFFICIENCY = 2.0
 """Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
-
-
-class Haze(NamedTuple):
-    """Isotropic haze Gaussians in the world."""
-
-    means: Float32[np.ndarray, "n 3"]
-    opacities: Float32[np.ndarray, " n"]
 
 
 def extinction_per_m(rain: RainSettings, density_m3: float, mean_square_m2: float) -> float:
@@ -54,12 +47,14 @@ def make_haze(
     time_s: float,
     anchor_to_world: Float64[np.ndarray, "4 4"],
     camera_position: Float64[np.ndarray, "3"],
+    color: Float64[np.ndarray, "3"],
     roofs: ShelterMap | None = None,
-) -> Haze:
+) -> Gaussians:
     """Place the haze Gaussians at a time; `count` is M, the number within the haze region at full opacity.
 
-    Each of the M is split into several fainter ones at independent positions that share its opacity, unless the
-    settings fix the number or use the paper's reset. Those with a center under one of the `roofs` are left out.
+    They are isotropic, in the world, and have one display color. Each of the M is split into several fainter ones at
+    independent positions that share its opacity, unless the settings fix the number or use the paper's reset. Those
+    with a center under one of the `roofs` are left out.
     """
     shares = 1.0
     if rain.haze_reset == "paper":
@@ -70,12 +65,11 @@ def make_haze(
         positions, fade = _fading(rain, count * shares, time_s, anchor_to_world)
     ramp = _smoothstep((np.linalg.norm(positions - camera_position, axis=1) - RAMP_M[0]) / (RAMP_M[1] - RAMP_M[0]))
     opacity = rain.haze_opacity / shares * fade * ramp
-    is_drawn = opacity > 0
-    haze = Haze(positions[is_drawn].astype(np.float32), opacity[is_drawn].astype(np.float32))
-    if roofs is None:
-        return haze
-    is_open = ~roofs.shelter(haze.means.astype(np.float64))
-    return Haze(haze.means[is_open], haze.opacities[is_open])
+    means, opacities = positions[opacity > 0].astype(np.float32), opacity[opacity > 0].astype(np.float32)
+    n, upright = len(means), np.array([1, 0, 0, 0], np.float32)
+    sigmas = np.full((n, 3), rain.haze_sigma_m, np.float32)
+    haze = Gaussians(means, sigmas, np.tile(upright, (n, 1)), opacities, sh_of(color, n))
+    return haze if roofs is None else haze.take(np.flatnonzero(~roofs.shelter(means.astype(np.float64))))
 
 
 def _fading(

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -167,39 +167,27 @@ def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[floa
     for row in calibration.rows:
         if row.intensity_mm_h == intensity:
             return row.density_m3, DropSizes(row.shape, row.scale_mm)
-    log_density, log_mean, shapes = _log_curves(calibration)
+    curves, (low, high), slopes = _log_curves(calibration)
     x = float(np.log(intensity))
-    shape = float(shapes.inside(np.clip(x, *shapes.ends)))
-    return float(np.exp(log_density(x))), DropSizes(shape, float(np.exp(log_mean(x))) / shape)
+    inside = min(max(x, low), high)
+    values = zip(curves(inside).tolist(), slopes, strict=True)
+    log_density, log_mean, shape = (value + slope * (x - inside) for value, slope in values)
+    return float(np.exp(log_density)), DropSizes(shape, float(np.exp(log_mean)) / shape)
 
 
 @lru_cache(maxsize=8)
-def _log_curves(calibration: Calibration) -> "tuple[_LogCurve, _LogCurve, _LogCurve]":
-    """Logarithms of density and mean diameter, and the shape, over ln R."""
+def _log_curves(calibration: Calibration) -> tuple[Any, tuple[float, float], tuple[float, float, float]]:
+    """Logarithms of density and mean diameter, and the shape, over ln R: curves, ends, and slopes beyond the ends.
+
+    The curves are shape-preserving cubics (Fritsch and Carlson, 1980), the slopes fitted to all rows; the shape stays.
+    """
     rows = calibration.rows
     log_r = np.log([row.intensity_mm_h for row in rows])
     log_density = np.log([row.density_m3 for row in rows])
     log_mean = np.log([row.shape * row.scale_mm for row in rows])
-    shape = np.array([row.shape for row in rows])
-    return _LogCurve.through(log_r, log_density), _LogCurve.through(log_r, log_mean), _LogCurve.through(log_r, shape)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LogCurve:
-    """Shape-preserving cubic (Fritsch and Carlson, 1980), extrapolated with the slope fitted to all points."""
-
-    inside: Callable[[float], Any]
-    ends: tuple[float, float]
-    slope: float
-
-    @classmethod
-    def through(cls, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> "_LogCurve":
-        inside = scipy.interpolate.PchipInterpolator(x, y)
-        return cls(inside, (float(x[0]), float(x[-1])), float(np.polyfit(x, y, 1)[0]))
-
-    def __call__(self, at: float) -> float:
-        inside = min(max(at, self.ends[0]), self.ends[1])
-        return float(self.inside(inside)) + self.slope * (at - inside)
+    columns = np.stack([log_density, log_mean, [row.shape for row in rows]], axis=1)
+    slopes = float(np.polyfit(log_r, log_density, 1)[0]), float(np.polyfit(log_r, log_mean, 1)[0]), 0.0
+    return scipy.interpolate.PchipInterpolator(log_r, columns), (float(log_r[0]), float(log_r[-1])), slopes
 
 
 _PANELS, _NODES = 20, 20
@@ -252,9 +240,8 @@ class DropClassTable:
             rows = np.array([row.intensity_mm_h for row in calibration.rows])
             low = [0.0] if lowest_mm_h < LOWEST_MM_H else []
             nodes = np.unique(np.concatenate([low, grid, rows[(rows > grid[0]) & (rows < grid[-1])]]))
-        laws = msgspec.structs.replace(RainSettings(), velocity=rain.velocity)
         rates = np.maximum(nodes, LOWEST_MM_H).tolist()
-        diameters, speeds = zip(*(_classes_at(rate, laws, calibration) for rate in rates), strict=True)
+        diameters, speeds = zip(*(_classes_at(rate, rain.velocity, calibration) for rate in rates), strict=True)
         return cls(nodes, diameters, speeds)
 
     def interval(self, intensity_mm_h: float) -> int:
@@ -308,9 +295,9 @@ def _steps(intensity_mm_h: float) -> float:
 
 @lru_cache(maxsize=_CACHED_TABLES)
 def _classes_at(
-    intensity_mm_h: float, laws: RainSettings, calibration: Calibration
+    intensity_mm_h: float, velocity: Literal["calibration", "atlas"], calibration: Calibration
 ) -> tuple[Float64[np.ndarray, " classes"], Float64[np.ndarray, " classes"]]:
-    rain = msgspec.structs.replace(laws, intensity_mm_h=intensity_mm_h)
+    rain = RainSettings(intensity_mm_h=intensity_mm_h, velocity=velocity)
     diameters = rain_properties(rain, calibration).sizes.class_diameters_mm
     return diameters, fall_speed(rain, calibration)(diameters)
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from ..presets import load_config, shipped_config_names
+from ..presets import load_config
 from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
@@ -180,13 +180,6 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 # YAML files with the fields of `RainSettings`; omitted fields have their defaults.
 
 _FOLDER = "rain"
-_ORDER = ("clear", "1.2", "8.5", "12.0", "paper")
-
-
-def preset_names() -> list[str]:
-    """Names of the shipped presets, weakest first."""
-    names = shipped_config_names(_FOLDER)
-    return [name for name in _ORDER if name in names] + [name for name in names if name not in _ORDER]
 
 
 def load_preset(name: str) -> RainSettings:

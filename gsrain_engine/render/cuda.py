@@ -21,13 +21,11 @@ from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import DrawItem
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
 from .cpu.tiles import MAX_ALPHA
-from .renderer import Frame, RenderMode, RenderStatistics, timed
+from .renderer import MIN_WEIGHT, Frame, RenderMode, RenderStatistics, timed
 
 torch: Any = import_module("torch")
 Tensor = Any
 """torch is an optional dependency: this module is imported only if it is installed, and its types can't be named."""
-
-_MIN_WEIGHT = 0.5  # minimum alpha of pixels with depth, as in the other renderers
 
 
 class CudaRenderer:
@@ -83,8 +81,8 @@ class CudaRenderer:
             image, alpha = self._composited(scene, camera, slabs)
             rgba, depth, weight = torch.cat([image[..., :3], alpha], dim=-1), None, alpha[..., 0]
             if with_depth:
-                mean = image[..., 3] / torch.clamp(weight, min=_MIN_WEIGHT)
-                depth = torch.where(weight > _MIN_WEIGHT, mean, 0.0)
+                mean = image[..., 3] / torch.clamp(weight, min=float(MIN_WEIGHT))
+                depth = torch.where(weight > float(MIN_WEIGHT), mean, 0.0)
         self.statistics.gaussians = sum(part.drawn_count for part in parts)
         if rain is not None and slabs is not None:
             with self._timed("rain"):

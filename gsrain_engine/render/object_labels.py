@@ -92,8 +92,6 @@ class VisibleObject:
     """Ratio of its pixels to its pixels without occlusion; 0..1."""
     truncation: float
     """Share of its box's outline outside the image; 0..1."""
-    outline_xyxy: BoxXYXY
-    """Bounding box of its projected 3D box, clipped to the image."""
 
     @property
     def box_xyxy(self) -> BoxXYXY:
@@ -147,8 +145,8 @@ def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time
         within = cut_at_edges(hull, camera)
         if len(within) and np.ptp(hull[:, 1]) >= _MIN_HEIGHT_PX:
             truncation = min(max(1 - area_px(within) / max(area_px(hull), 1e-9), 0.0), 1.0)
-            size, nothing, box = (length, width, height), np.zeros((0, 0), np.bool_), bounding_rectangle(within)
-            found.append(VisibleObject(each, to_camera, size, nothing, 0.0, truncation, box))
+            size, nothing = (length, width, height), np.zeros((0, 0), np.bool_)
+            found.append(VisibleObject(each, to_camera, size, nothing, 0.0, truncation))
     return found
 
 

@@ -105,6 +105,7 @@ NEAREST_M, FARTHEST_M = 0.5, 200.0
 """Range of the depth colors: each octave is distinct for small captures and for streets."""
 
 MAX_FRAGMENTS = 256  # upper end of the overdraw colors
+MIN_WEIGHT = np.float32(0.5)  # minimum alpha of pixels with depth
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""`gsrain drive` on a small scene: what it writes, twice the same bytes, and bad input."""
+"""`gsrain drive` on a small scene: what it writes, twice the same bytes, and failures of agents."""
 
 import json
 from dataclasses import replace
@@ -23,10 +23,10 @@ road_users:
   - {{id: lead, model: hatchback, ahead_m: 12.0, behaviour: {{kind: stationary}}}}
 duration_s: 6.0
 """
-CONTRACT = (
+CONTRACT = {
     "collision", "min_ttc_s", "planned_point_collision_rate", "planned_frame_collision_rate", "comfort_executed",
     "comfort_planned", "steps", "agent", "intensity_mm_h",
-)  # fmt: skip
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_a_driver_who_never_brakes_hits_the_car_and_is_filmed(scenario, tmp_path
         options = ("-o", folder, "--fps", 2, "--backend", "cpu", "--json", folder / "numbers.json")
         assert drive(scenario, "--agent", "constant-velocity", *options) == 0
     numbers = json.loads((tmp_path / "once" / "numbers.json").read_text())
-    assert set(CONTRACT) <= set(numbers)
+    assert set(numbers) >= CONTRACT
     assert numbers["collision"] and numbers["collided_with"] == "lead" and numbers["min_ttc_s"] == 0
     assert numbers["intensity_mm_h"] == 8.5 and numbers["agent"] == "constant-velocity"
     # 7.675 m from bumper to bumper at 2 m/s: touched in the sixteenth step. Plans reach 6 m: from the fifth on into it.
@@ -63,10 +63,9 @@ def test_a_driver_who_never_brakes_hits_the_car_and_is_filmed(scenario, tmp_path
     assert "standing" in capsys.readouterr().out
 
 
-def test_an_oracle_stops_at_every_intensity(scenario, tmp_path):
-    options = ("--rain", "0,1.2,12", "--export", "parquet,mcap,xosc", "--json", tmp_path / "n.json")
-    assert drive(scenario, "--agent", "oracle-idm", "-o", tmp_path, *options) == 0
-    rows = json.loads((tmp_path / "n.json").read_text())["rows"]
+def test_an_oracle_stops_at_every_intensity(scenario, tmp_path, reported):
+    options = ("--rain", "0,1.2,12", "--export", "parquet,mcap,xosc", "-o", tmp_path)
+    rows = reported("drive", scenario, "--agent", "oracle-idm", *options)["rows"]
     assert [row["intensity_mm_h"] for row in rows] == [0, 1.2, 12]
     assert not any(row["collision"] for row in rows) and len({row["min_ttc_s"] for row in rows}) == 1
     for ending in ("jsonl", "parquet", "mcap", "xosc"):
@@ -75,28 +74,21 @@ def test_an_oracle_stops_at_every_intensity(scenario, tmp_path):
     assert "| standing | oracle-idm | Clear | No |" in (tmp_path / "table.md").read_text()
 
 
-def test_a_scene_without_cameras_is_driven_through_but_not_filmed(scenario, tmp_path, capsys):
-    write_scene(replace(small_scene(), rigs={}), tmp_path / "blind")
-    asked = (scenario, "--agent", "oracle-idm", "--scene", tmp_path / "blind", "-o", tmp_path / "out")
-    assert drive(*asked, "--video") == BAD_INPUT
-    assert "has no rig whose front camera could film" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-    assert drive(*asked) == 0
+def test_scenes_without_cameras_and_starts_in_an_obstacle(scenario, tmp_path, capsys):
+    scene, asked = small_scene("boxed"), (scenario, "--agent", "oracle-idm", "-o", tmp_path / "out", "--scene")
+    write_scene(replace(scene, rigs={}), tmp_path / "blind")
+    assert drive(*asked, tmp_path / "blind", "--video") == BAD_INPUT
+    assert "--video" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert drive(*asked, tmp_path / "blind") == 0
     assert (tmp_path / "out" / "table.csv").is_file() and not list((tmp_path / "out").glob("*.mp4"))
-
-
-def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, capsys):
-    scene = small_scene("boxed")
+    assert "begins inside" not in capsys.readouterr().out
     box = Layer("box", patch((-1, 0, 0.6), np.array([2.0, 0, 0]), np.array([0, 0, 0.8]), 12, (0.5, 0.5, 0.5)))
     write_scene(replace(scene, layers=(*scene.layers, box)), tmp_path / "boxed")
-    asked = (scenario, "--agent", "oracle-idm", "--no-video")
-    assert drive(*asked, "--scene", tmp_path / "boxed", "-o", tmp_path / "inside") == 0
+    assert drive(*asked, tmp_path / "boxed", "--no-video") == 0
     assert "The drive begins inside of an obstacle of scene 'boxed'" in capsys.readouterr().out
-    assert drive(*asked, "-o", tmp_path / "free") == 0
-    assert "begins inside" not in capsys.readouterr().out
 
 
-def test_a_driver_of_ones_own_may_fail_as_it_likes(scenario, tmp_path, capsys):
+def test_an_agent_of_a_file_may_fail_in_any_way(scenario, tmp_path, capsys):
     own = tmp_path / "mine.py"
     own.write_text(
         "from gsrain_engine.simulation.agents.base import ConstantVelocityAgent as Shipped\n"
@@ -109,18 +101,3 @@ def test_a_driver_of_ones_own_may_fail_as_it_likes(scenario, tmp_path, capsys):
     assert len(read_rollout(tmp_path / "standing_constant-velocity_8.5mm_seed0.jsonl").steps) == 3
     own.write_text(own.read_text().split("    def plan")[0] + "    def reset(self, seed, rig):\n        return 1 / 0\n")
     assert drive(scenario, "--agent", f"{own}:Mine", "-o", tmp_path / "none", "--no-video") == BAD_INPUT
-
-
-def test_a_scenario_of_any_name_is_driven_and_its_files_are_found(scenario, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    text = scenario.read_text().replace("duration_s: 6.0", "duration_s: 0.5")
-    for number, name in enumerate(("n" * 4000, "$雨/_" * 200)):
-        (tmp_path / f"{number}.yaml").write_text(text.replace("name: standing", f"name: '{name}'"))
-        line = (f"{number}.yaml", "--agent", "constant-velocity", "--no-video")
-        assert drive(*line, "--export", "parquet") == 0
-    folders = [each for each in tmp_path.iterdir() if each.is_dir()]
-    assert len(folders) == 2
-    for folder in folders:
-        assert len(list(folder.glob("*.jsonl"))) == len(list(folder.glob("*.parquet"))) == 1
-        assert len(list(folder.glob("*.png"))) == 1
-        assert "8.5mm_seed0" in " ".join(each.name for each in folder.iterdir())

@@ -1,13 +1,14 @@
-"""`gsrain evaluate streaks` on a small made-up data set in RainSense's layout, and on bad input."""
+"""`gsrain evaluate streaks` on sequences in RainSense's layout, and `gsrain evaluate lidar` on a small scene."""
 
+import csv
 import json
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from app.main import BAD_INPUT, run
-from gsrain_engine.datasets.rainsense import find_rain_sequences
+from gsrain_engine.scene.formats.scene_files import write_scene
+from small_scene import small_scene
 
 WIDTH, HEIGHT, FRAMES = 256, 192, 8
 INTRINSICS = """K_cam:
@@ -19,22 +20,22 @@ distortion:
 """
 
 
-def write_sequence(folder, intensity, frames=FRAMES):
-    """Grey walls under a bright sky, with noise; frame 3 has one bright upright line."""
+def write_sequence(folder, intensity):
+    """Gray walls under a bright sky, with noise; frame 3 has one bright upright line."""
     random = np.random.default_rng(7)
     (folder / "context").mkdir(parents=True)
     (folder / "image").mkdir()
     (folder / "context" / "rainfall_intensity.txt").write_text(f"current intensity:{intensity}")
     (folder / "context" / "camera_intrinsics.txt").write_text(INTRINSICS)
-    stamps = [f"{1000 + 0.1 * k:.4f},{k}" for k in range(frames + 2)]
+    stamps = [f"{1000 + 0.1 * k:.4f},{k}" for k in range(FRAMES + 2)]
     (folder / "timestamps.txt").write_text("\n".join(["timestamps,index", *stamps]))
-    for number in range(frames):
+    for number in range(FRAMES):
         levels = np.full((HEIGHT, WIDTH), 45.0)
         levels[:40] = 210
         if number == 3:
             levels[80:120, 100:104] += 20
-        grey = np.clip(levels + 1.2 * random.standard_normal(levels.shape), 0, 255).astype(np.uint8)
-        Image.fromarray(np.dstack([grey] * 3)).save(folder / "image" / f"image_{number:03}.jpg", quality=97)
+        gray = np.clip(levels + 1.2 * random.standard_normal(levels.shape), 0, 255).astype(np.uint8)
+        Image.fromarray(np.dstack([gray] * 3)).save(folder / "image" / f"image_{number:03}.jpg", quality=97)
 
 
 @pytest.fixture
@@ -45,33 +46,9 @@ def real(tmp_path):
     return tmp_path / "set"
 
 
-def streaks(folder, *options):
-    return run(["evaluate", "streaks", str(folder), *options])
-
-
-def test_sequences_are_read_by_rising_intensity(real):
-    light, heavy = find_rain_sequences(real)
-    assert (light.name, light.intensity_mm_h, len(light)) == ("b/case_000", 1.5, FRAMES)
-    assert heavy.intensity_mm_h == 6.0
-    camera = light.camera
-    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (400, 402, 128.5, 160.5)  # the file has OpenCV's pixels
-    np.testing.assert_allclose(camera.position, (0, 0, 1.5))
-    np.testing.assert_allclose(camera.world_to_camera[:3, :3] @ [1, 0, 0], [0, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(light.distortion, (-0.4, 0.05, -0.006, 0.007, 0.25))
-    np.testing.assert_allclose(light.times_s, 0.1 * np.arange(FRAMES), atol=1e-6)
-    assert abs(int(light.gray_image(3)[100, 102]) - 65) < 6
-    capture = light.capture([2, 5])
-    assert [view.name for view in capture] == ["image_002", "image_005"]
-    assert capture[1].time_s == pytest.approx(0.5)
-    np.testing.assert_allclose(capture[0].image[150].mean(), 45, atol=1)
-
-
-def test_streaks_reports_real_and_ours(real, tmp_path, capsys):
-    file = tmp_path / "out" / "streaks.json"
-    options = ("--exposure", "0.008,0.02", "--frames", "7", "--json", str(file))
-    assert streaks(real, *options) == 0
-    report = json.loads(file.read_text())
+def test_streaks_of_real_and_rendered_rain(real, reported, capsys):
+    command = ("evaluate", "streaks", real, "--exposure", "0.008,0.02", "--frames", "7")
+    report = reported(*command)
     assert (report["frames"], report["rain_light"], report["seed"]) == (7, "linear", 0)
     assert [row["labelled_mm_h"] for row in report["rows"]] == [1.5, 6.0]
     for row in report["rows"]:
@@ -83,22 +60,17 @@ def test_streaks_reports_real_and_ours(real, tmp_path, capsys):
         assert (streak["streaks"], streak["darker"]) == (1, 0)
         assert streak["length_px"][1] == pytest.approx(40, rel=0.15)
         assert row["real"]["residual"]["frames"] == 7
-    assert all(row["ours"][0]["streak"]["streaks"] > 0 for row in report["rows"])
-    shown = capsys.readouterr().out
-    assert shown.count("real") == 2
-    assert shown.count("ours") == 4
-    again = tmp_path / "again.json"
-    assert streaks(real, *options[:-1], str(again)) == 0
-    assert again.read_bytes() == file.read_bytes()
+        assert row["ours"][0]["streak"]["streaks"] > 0
+    printed = capsys.readouterr().out
+    assert (printed.count("real"), printed.count("ours")) == (2, 4)
+    assert reported(*command) == report
 
 
-def test_options_change_our_rain(real, tmp_path):
+def test_options_change_the_rendered_rain(real, reported):
     def mean_std(*options):
-        file = tmp_path / "numbers.json"
-        assert (
-            streaks(real / "b", "--exposure", "0.008", "--window", "0,48,256,128", "--json", str(file), *options) == 0
-        )
-        row = json.loads(file.read_text())["rows"][0]
+        (row,) = reported(
+            "evaluate", "streaks", real / "b", "--exposure", "0.008", "--window", "0,48,256,128", *options
+        )["rows"]
         assert row["window"] == [0, 48, 256, 128]
         return row["rendered_mm_h"], row["ours"][0]["residual"]["std_levels"]
 
@@ -111,16 +83,39 @@ def test_options_change_our_rain(real, tmp_path):
     assert mean_std("--seed", "1")[1] != plain
 
 
-@pytest.mark.parametrize(
-    ("file", "damage", "words"),
-    [
-        ("image/image_002.jpg", "no picture", "image_002.jpg"),
-        ("timestamps.txt", "timestamps,index\n1.0,0\n", "timestamps.txt: 1 time stamps"),
-        ("context/camera_intrinsics.txt", "K_cam:\n1 2 3\n", "camera_intrinsics.txt: 3 numbers"),
-        ("context/rainfall_intensity.txt", "current intensity:-3", "-3.0 mm/h"),
-    ],
-)
-def test_a_damaged_sequence_is_named(real, capsys, file, damage, words):
-    (real / "a" / "case_000" / file).write_text(damage)
-    assert streaks(real / "a") == BAD_INPUT
-    assert words in capsys.readouterr().err.splitlines()[-1]
+SENSOR = """
+name: four rings
+elevations_deg: [-20, -8, 0, 8]
+azimuth_step_deg: 1
+range_m: 40
+least_reflectance: 0.0001
+"""
+
+
+def test_a_scene_is_scanned_and_rained_on(tmp_path, reported, capsys):
+    scene, sensor, out = tmp_path / "scene", tmp_path / "sensor.yaml", tmp_path / "out"
+    write_scene(small_scene(), scene)
+    sensor.write_text(SENSOR)
+    options = ("-o", out, "--sensor", sensor, "--rain", "0,50", "--seeds", 2, "--sweeps", 1)
+    report = reported("evaluate", "lidar", scene, *options)
+    rows = report["rows"]
+    dry, heavy = ([row for row in rows if row["intensity_mm_h"] == rain] for rain in (0, 50))
+    assert len(dry) == len(heavy) == 2 and report["sensor"]["name"] == "four rings"
+    assert all(row["kept"] == row["clear"] > 100 and row["false"] == row["dropped"] == 0 for row in dry)
+    assert sum(row["dropped"] for row in heavy) > 0 and sum(row["false"] for row in heavy) > 0
+    assert all(row["clear"] == row["kept"] + row["dropped"] + row["masked"] for row in rows)
+    with (out / "lidar.csv").open() as file:
+        assert sum(int(line["false"]) for line in csv.DictReader(file)) == sum(row["false"] for row in rows)
+    for row in heavy:
+        sweep = np.load(out / "sweeps" / f"{row['turn']}_rain50_seed{row['seed']}.npz")
+        assert len(sweep["points_m"]) == row["kept"] + row["false"]
+        assert sweep["is_false"].sum() == row["false"]
+    assert (out / "lidar.png").read_bytes().startswith(b"\x89PNG")
+    page = (out / "report.html").read_text()
+    share = 100 * sum(row["kept"] for row in heavy) / sum(row["clear"] for row in heavy)
+    assert "four rings" in page and f">{share:.2f}<" in page
+    assert "kept" in capsys.readouterr().out
+    assert json.loads((out / "lidar.json").read_text()) == report
+    assert report["seeds"] == [0, 1] and report["versions"]["gsrain"]
+    assert set(report["inputs"]) == {str(scene), str(sensor)}
+    assert all(each in page for each in (report["command"], *report["inputs"].values()))

@@ -4,10 +4,8 @@ import json
 import logging
 import re
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,25 +13,25 @@ from PIL import Image
 
 from app.console import Console, Table, bold, print_lines, run_with_progress, use_any_encoding
 from app.console import print as print_line
-from app.main import run
+from app.main import BAD_INPUT, run
 from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
 from gsrain_engine.safe_io.text_files import escape_invisible, figure_words
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import small_scene
-from sweep.small_sweep import write_road, write_scenario
 
 NAME = "\x1b]0;owned\x07\u202e[red][/x]\nOK\u2066"
 """A title of the window, a turned reading direction, markup that closes what is not open, a line of its own."""
-SHOWN = r"\x1b]0;owned\x07\u202e[red][/x]\nOK\u2066"
+ESCAPED = r"\x1b]0;owned\x07\u202e[red][/x]\nOK\u2066"
 FILE = NAME.replace("/", "")
 """The same as a file's name."""
 _STYLES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 def clean(text: str) -> str:
-    """Return what was printed; fails for anything in it that is neither a letter nor the end of a line."""
+    """Return printed text without styles; fails for anything in it that is neither printable nor the end of a line."""
+    text = _STYLES.sub("", text).replace("\r", "")
     assert [sign for sign in text if not sign.isprintable() and sign != "\n"] == [], repr(text)
     return text
 
@@ -56,11 +54,6 @@ def _scene(place: Path) -> Path:
     return place / "scene"
 
 
-def _flat(place: Path) -> Path:
-    write_scene(small_scene(), place / f"{FILE}.ply")
-    return place / f"{FILE}.ply"
-
-
 def _pictures(folder: Path, shade: int) -> Path:
     folder.mkdir(parents=True)
     values = np.random.default_rng(0).integers(0, 200, (16, 24, 3)).astype(np.uint8)
@@ -69,116 +62,52 @@ def _pictures(folder: Path, shade: int) -> Path:
     return folder
 
 
-def _capture(place: Path) -> Path:
-    """A nerfstudio capture whose pictures and camera model have such names."""
-    folder = _pictures(place / "capture", 0)
-    frames = [
-        {"file_path": f"{name}.png", "transform_matrix": np.eye(4).tolist()} for name in (FILE, "plain", f"no {FILE}")
-    ]
-    intrinsics = {"fl_x": 20.0, "fl_y": 20.0, "cx": 12.0, "cy": 8.0, "w": 24, "h": 16}
-    (folder / "transforms.json").write_text(json.dumps({**intrinsics, "frames": frames}))
-    return folder
-
-
-def _log(place: Path) -> str:
-    (place / f"{FILE}.txt").write_text(f"{NAME};1;2\n" * 3)
-    return str(place / f"{FILE}.txt")
-
-
-def _sweep(place: Path) -> list[str]:
-    scenario = write_scenario(place / "short.yaml", write_road(place / f"{FILE}road"))
-    text = scenario.read_text().replace("name: short", f"name: {json.dumps(NAME)}")
-    scenario.write_text(text.replace("id: lead", f"id: lead\n  model: {json.dumps(NAME + '.ply')}"))
-    file = place / f"{FILE}.yaml"
-    agents = [{"name": "constant-velocity", "label": f"agent {NAME}"}]
-    values = {"kind": "drive", "scenarios": [str(scenario)], "intensities_mm_h": [0], "seeds": 1, "agents": agents}
-    file.write_text(json.dumps(values))
-    return ["sweep", str(file), "--workers", "0", "-o", str(place / "out")]
-
-
-def _drive(place: Path) -> list[str]:
-    scenario = write_scenario(place / "short.yaml", write_road(place / f"{FILE}road"))
-    words = {"name: short": f"name: {json.dumps(NAME)}", "id: lead": f"id: {json.dumps(NAME)}"}
-    text = scenario.read_text()
-    for old, new in words.items():
-        assert old in text
-        text = text.replace(old, new)
-    scenario.write_text(text)
-    options = ["--agent", "constant-velocity", "--no-video", "-o", str(place / "drive")]
-    return ["drive", str(scenario), *options]
-
-
-def _field(place: Path, *command: str) -> list[str]:
-    """A file of settings with an unknown field of such a name."""
-    file = place / f"{FILE}.yaml"
-    file.write_text(f'"{json.dumps(NAME)[1:-1]}": 1\n')
-    return [*command, str(file)]
-
-
-class Way(NamedTuple):
-    """A command, and how names get into it."""
-
-    command: str
-    arguments: Callable[[Path], list[str]]
-    code: int = 2
-
-
-def _missing(*words: str) -> Callable[[Path], list[str]]:
-    """Arguments in which `{}` is a file that is not there."""
-    return lambda place: [each.format(place / f"missing {FILE}") for each in words]
-
-
-WAYS = (
-    Way("info", lambda place: ["info", str(_scene(place))], 0),
-    Way("capture", lambda place: ["info", str(_capture(place)), "--check"], 0),
-    Way("convert", lambda place: ["convert", str(_flat(place)), str(place / f"{FILE}.splat")], 0),
-    Way("calibrate", lambda place: ["calibrate", _log(place), "-o", str(place / "c.yaml")]),
-    Way("sweep", _sweep, 1),
-    Way("drive", _drive, 0),
-    Way("images", lambda place: ["evaluate", "images", *_two(place), "--report", str(place / "r.html")], 0),
-    Way("settings", lambda place: [*_field(place, "evaluate", "transfers"), "-o", str(place / "out")]),
-    Way("missing", _missing("reconstruct", "{}", "-o", "{}.scene")),
-    Way("view", _missing("{}")),
-)
-"""Names in scenes, captures, scenarios, settings and files; all commands print by one door (test_architecture.py)."""
-
-
 def _two(place: Path) -> list[str]:
     return [str(_pictures(place / "shown", 0)), str(_pictures(place / "truth", 20))]
 
 
-@pytest.mark.parametrize("way", WAYS, ids=[way.command for way in WAYS])
+def _settings(place: Path) -> list[str]:
+    """A file of settings with an unknown field of such a name."""
+    (place / f"{FILE}.yaml").write_text(f'"{json.dumps(NAME)[1:-1]}": 1\n')
+    return ["evaluate", "transfers", str(place / f"{FILE}.yaml"), "-o", str(place / "out")]
+
+
+WAYS = {
+    "info": (lambda place: ["info", str(_scene(place))], 0),
+    "images": (lambda place: ["evaluate", "images", *_two(place), "--report", str(place / "r.html")], 0),
+    "settings": (_settings, BAD_INPUT),
+    "view": (lambda place: [str(place / f"missing {FILE}")], BAD_INPUT),
+}
+"""Names in scenes, settings and files; all commands print by one door (test_architecture.py)."""
+
+
+@pytest.mark.parametrize("way", WAYS)
 def test_a_name_is_printed_as_it_is_and_steers_nothing(way, place, capsys):
-    assert run(way.arguments(place)) == way.code
+    arguments, code = WAYS[way]
+    assert run(arguments(place)) == code
     out, err = capsys.readouterr()
+    assert not _STYLES.search(out + err)
     printed = clean(out) + clean(err)
     assert r"\x1b" in printed and r"\u202e" in printed, printed
     assert "Traceback" not in printed
 
 
 def test_nor_in_a_terminal(place, capsys, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm")
-    arguments = ["evaluate", "images", *_two(place)]
-    assert run(arguments) == 0
-    out, err = capsys.readouterr()
-    assert "\x1b[1m" in out  # a terminal it is: the line of means is bold
-    assert SHOWN.replace("/", "") in clean(_STYLES.sub("", out))
-    clean(_STYLES.sub("", err).replace("\r", ""))
-
-
-def test_titles_and_warnings_of_progress(capsys, monkeypatch):
     def work():
         yield Progress(0.5, f"1 of 2: {NAME}", warning=f"beware of {NAME}")
 
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "200")
+    for variable, value in (("FORCE_COLOR", "1"), ("TERM", "xterm"), ("COLUMNS", "200")):
+        monkeypatch.setenv(variable, value)
+    assert run(["evaluate", "images", *_two(place)]) == 0
+    out, err = capsys.readouterr()
+    assert "\x1b[1m" in out  # a terminal it is: the line of means is bold
+    assert ESCAPED.replace("/", "") in clean(out)
+    clean(err)
     run_with_progress(work())
-    assert f"beware of {SHOWN}" in clean(_STYLES.sub("", capsys.readouterr().err).replace("\r", ""))
+    assert f"beware of {ESCAPED}" in clean(capsys.readouterr().err)
 
 
-def test_cells_titles_and_bold_ones(capsys):
+def test_tables_and_lines(tmp_path, capsys, monkeypatch):
     table = Table(f"name {NAME}", title=f"title {NAME}", box=None)
     table.add_row(f"[bold]{NAME}")
     table.add_row(bold(f"bold {NAME}"))
@@ -188,9 +117,14 @@ def test_cells_titles_and_bold_ones(capsys):
     print_line(NAME, 3)
     print_lines(f"one {NAME.replace(chr(10), '')}\ntwo\n")
     printed = clean(capsys.readouterr().out)
-    for words in (f"name {SHOWN}", f"title {SHOWN}", f"[bold]{SHOWN}", f"bold {SHOWN}", f":warning: {SHOWN}"):
-        assert words in printed
-    assert f"\n{SHOWN} 3\n" in printed and printed.endswith("\ntwo\n")
+    for words in ("name ", "title ", "[bold]", "bold ", ":warning: "):
+        assert words + ESCAPED in printed
+    assert f"\n{ESCAPED} 3\n" in printed and printed.endswith("\ntwo\n")
+    with (tmp_path / "out").open("w", encoding="ascii") as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        use_any_encoding()
+        print_line("Straße \udcff")
+    assert (tmp_path / "out").read_text() == "Stra\\xdfe \\udcff\n"
 
 
 def test_records_of_the_log(capsys, monkeypatch):
@@ -205,29 +139,17 @@ def test_records_of_the_log(capsys, monkeypatch):
     except KeyError:
         logger.exception("a fault in %s", NAME)
     printed = clean(capsys.readouterr().err)
-    assert printed.startswith(f"left out {SHOWN}\n") and "Traceback" in printed
+    assert printed.startswith(f"left out {ESCAPED}\n") and "Traceback" in printed
 
 
-def test_letters_that_an_encoding_lacks(tmp_path, monkeypatch):
-    with (tmp_path / "out").open("w", encoding="ascii") as stream:
-        monkeypatch.setattr(sys, "stdout", stream)
-        use_any_encoding()
-        print_line("Straße \udcff")
-    assert (tmp_path / "out").read_text() == "Stra\\xdfe \\udcff\n"
-
-
-def test_a_page_names_them_as_they_are():
-    table = ReportTable(NAME, ("column",), ((NAME,),))
-    report = RunReport(f"<script>{NAME}", {NAME: NAME}, problems=(NAME,), notes=(NAME,), tables=(table,))
-    page = report_page(report)
-    assert page.count(SHOWN) >= 5 and "<script>\\x1b" not in page
-    clean(page)
-
-
-def test_a_figure_takes_no_name_for_a_formula():
+def test_pages_and_figures():
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    table = ReportTable(NAME, ("column",), ((NAME,),))
+    report = RunReport(f"<script>{NAME}", {NAME: NAME}, problems=(NAME,), notes=(NAME,), tables=(table,))
+    page = clean(report_page(report))
+    assert page.count(ESCAPED) >= 5 and "<script>\\x1b" not in page
     figure = Figure()
     axes = figure.subplots()
     for name in ("$\\notacommand{$", "_hidden", "costs $5"):
@@ -237,10 +159,5 @@ def test_a_figure_takes_no_name_for_a_formula():
     FigureCanvasAgg(figure).draw()  # a formula that can't be read is a ValueError
     assert [each.get_text().strip() for each in legend.get_texts()][1] == "_hidden"
     assert figure_words("$x^$ \u202e") == "\\$x^\\$ \\u202e"
-
-
-def test_what_is_escaped():
     assert escape_invisible("Zürich 東京　1, naïve") == "Zürich 東京　1, naïve"
-    assert (
-        escape_invisible("a\tb\r\x00\x9b\u200f\u2069\u2028\ufeff") == "a\\tb\\r\\x00\\x9b\\u200f\\u2069\\u2028\\ufeff"
-    )
+    assert escape_invisible("a\tb\r\x00\x9b\u200f\u2069\ufeff") == "a\\tb\\r\\x00\\x9b\\u200f\\u2069\\ufeff"

@@ -1,57 +1,55 @@
-"""`gsrain render` with the options of a recording, as a person types them."""
+"""`gsrain render`: stills, frames and videos, cameras and paths, weather, wet colors and passes."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from io import BytesIO
 
+import av
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
-from app.main import BAD_INPUT, run
+from app.main import run
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from small_scene import small_scene
+from gsrain_engine.scene.scene import Layer, Scene
+from small_scene import patch, small_scene
+
+CONTRACT = {
+    "frames", "seconds", "splats", "drops", "drops_drawn", "haze_gaussians", "backend", "intensity_mm_h",
+    "implied_mm_h",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def project(tmp_path_factory):
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("render")
+
+
+@pytest.fixture(scope="module")
+def wall(folder):
+    """A file with a wall 6 m ahead (+z), up is -y."""
+    wall = patch((-4, -3, 6), np.array([8.0, 0, 0]), np.array([0, 6.0, 0]), 20, (0.7, 0.45, 0.3))
+    write_scene(Scene("wall", (Layer("wall", wall),), up=(0.0, -1.0, 0.0)), folder / "wall.ply")
+    return folder / "wall.ply"
+
+
+@pytest.fixture(scope="module")
+def project(folder):
     """A scene folder with a vehicle, a flight of one second from 1 s on, and rain."""
     facing = np.tile([0.5, -0.5, 0.5, -0.5], (2, 1))
     flight = CameraPath(np.array([1.0, 2.0]), np.array([[0.0, 0, 2], [6, 0, 2]]), facing, np.full(2, 50.0))
-    folder = tmp_path_factory.mktemp("render") / "project"
-    write_scene(replace(small_scene(), path=flight, rain={"intensity_mm_h": 8.5}), folder)
-    return folder
-
-
-def render(project, out, *options):
-    return run(["render", str(project), "-o", str(out), "--size", "64x48", "--backend", "cpu", *options])
-
-
-def test_a_project_is_flown_along_its_own_path_in_its_own_rain(project, tmp_path, capsys):
-    numbers = tmp_path / "numbers.json"
-    assert render(project, tmp_path / "all", "--fps", "4", "--json", str(numbers)) == 0
-    report = json.loads(numbers.read_text())
-    assert (report["frames"], report["intensity_mm_h"]) == (8, 8.5)  # from 0 s to the flight's end
-    assert render(project, tmp_path / "late", "--fps", "4", "--from", "1", "--to", "1.75") == 0
-    late = [path.read_bytes() for path in sorted((tmp_path / "late").iterdir())]
-    assert late == [(tmp_path / "all" / f"{k:06d}.png").read_bytes() for k in (4, 5, 6)]
-    assert len(set(late)) == 3
-    assert render(project, tmp_path / "still.png", "--time", "1.5") == 0
-    assert (tmp_path / "still.png").read_bytes() == late[2]
-
-
-def test_cameras_passes_and_twin(project, tmp_path, capsys):
-    options = ["--cameras", "one", "--passes", "color,labels", "--twin", "--to", "0.1", "--codec", "exr"]
-    assert render(project, tmp_path / "rig", *options) == 0
-    assert f"{tmp_path / 'rig'} and {tmp_path / 'rig.clear'}: 3 of 3 frames" in capsys.readouterr().out
-    names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*") if path.is_file()}
-    frames = [f"00000{k}" for k in range(3)]
-    assert names == {"rig/labels.json"} | {
-        each for k in frames for each in (f"rig/{k}.exr", f"rig/{k}.labels.png", f"rig.clear/{k}.exr")
-    }
-    assert np.asarray(Image.open(tmp_path / "rig" / "000000.labels.png")).shape == (48, 64)
+    write_scene(replace(small_scene(), path=flight, rain={"intensity_mm_h": 8.5}), folder / "project")
+    return folder / "project"
 
 
 @pytest.fixture
@@ -66,84 +64,191 @@ def photos(tmp_path):
     return tmp_path / "cameras.json"
 
 
-def test_a_still_of_photos_without_times_is_one_of_a_camera_at_rest(project, photos, tmp_path, capsys):
-    options = ("--exposure", "0.02", "--json", str(tmp_path / "n.json"))
-    flown = ("--camera-path", str(photos), "--rain", "50", *options)
-    assert render(project, tmp_path / "still.npy", *flown) == 0
+def words(scene, out, *options):
+    command = ["render", str(scene), "-o", str(out), "--size", "64x48", "--backend", "cpu"]
+    return [*command, *map(str, options)]
+
+
+def render(scene, out, *options):
+    assert run(words(scene, out, *options)) == 0
+    return out
+
+
+def mean(file):
+    return np.asarray(Image.open(file)).mean()
+
+
+def test_a_still_and_its_numbers(wall, tmp_path, reported, capsys):
+    out = tmp_path / "still.png"
+    report = reported(*words(wall, out, "--rain", "8.5"))
+    assert np.asarray(Image.open(out)).shape == (48, 64, 3) and mean(out) > 20
+    assert set(report) >= CONTRACT
+    assert (report["frames"], report["intensity_mm_h"], report["implied_mm_h"]) == (1, 8.5, 8.5)
+    assert report["drops"] == 331_752
+    assert report["haze_gaussians"] == 713  # beta V_f / (2 pi s_h^2 alpha_m)
+    assert str(out) in capsys.readouterr().out
+    without, zero, some = (
+        render(wall, tmp_path / f"{name}.npy", *options).read_bytes()
+        for name, options in (("without", ()), ("zero", ("--rain", "0")), ("some", ("--rain", "5")))
+    )
+    assert without == zero != some
+    assert abs(mean(render(wall, tmp_path / "wet.png", "--wet")) - mean(render(wall, tmp_path / "dry.png"))) > 0.5
+
+
+def test_a_project_is_flown_along_its_own_path_in_its_own_rain(project, tmp_path, reported):
+    report = reported(*words(project, tmp_path / "all", "--fps", "4"))
+    assert (report["frames"], report["intensity_mm_h"]) == (8, 8.5)  # from 0 s to the flight's end
+    late = render(project, tmp_path / "late", "--fps", "4", "--from", "1", "--to", "1.75")
+    frames = [path.read_bytes() for path in sorted(late.iterdir())]
+    assert frames == [(tmp_path / "all" / f"{k:06d}.png").read_bytes() for k in (4, 5, 6)] and len(set(frames)) == 3
+    assert render(project, tmp_path / "still.png", "--time", "1.5").read_bytes() == frames[2]
+
+
+def test_a_frame_alone_is_that_of_the_sequence(wall, project, tmp_path):
+    alone = tmp_path / "alone scene"
+    write_scene(replace(read_scene(project), path=None, ego=None, rigs={}), alone)  # the camera swings around it
+    for number, (scene, frame, options) in enumerate((
+        (wall, 12, ("--rain", "8.5", "--fps", "10", "--duration", "1.4")),
+        (project, 6, ("--fps", "4")),
+        (alone, 2, ("--fps", "1", "--to", "4", "--rain", "0")),
+    )):  # fmt: skip
+        frames = render(scene, tmp_path / f"frames{number}", *options)
+        still = render(scene, tmp_path / f"still{number}.png", *options, "--frame", frame)
+        assert still.read_bytes() == (frames / f"{frame:06}.png").read_bytes()
+        assert still.read_bytes() != (frames / f"{frame - 1:06}.png").read_bytes()
+    assert len(list((tmp_path / "frames0").glob("*.png"))) == 14
+    assert render(alone, tmp_path / "front.png", "--rain", "0").read_bytes() != still.read_bytes()
+
+
+def test_a_video_is_repeatable_and_ctrl_c_leaves_a_playable_one(wall, tmp_path):
+    first, second = (render(wall, tmp_path / name, "--rain", "4", "--duration", "0.5") for name in ("a.mp4", "b.mp4"))
+    with av.open(str(first)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 15
+    assert first.read_bytes() == second.read_bytes()
+    out = tmp_path / "stopped.mp4"
+    # A shell without job control starts its background commands deaf to Ctrl-C, and their children with them.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = [sys.executable, "-c", f"{listen}\nfrom app.__main__ import main\nmain()", *words(wall, out)]
+    environment = {**os.environ, "NO_COLOR": "1"}
+    with subprocess.Popen(
+        [*command, "--duration", "600"], stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        while not out.exists() or out.stat().st_size < 20_000:
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(0.1)
+        process.send_signal(signal.SIGINT)
+        printed = process.communicate(timeout=60)[0]
+    assert process.returncode == 130 and "stopped after" in printed
+    with av.open(str(out)) as container:
+        assert sum(1 for _ in container.decode(video=0)) > 10
+
+
+def test_camera_and_depth_are_in_the_scene_s_own_axes(wall, tmp_path):
+    camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, look_at(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, -1.0, 0])))
+    (tmp_path / "camera.json").write_text(json.dumps(camera.to_json()))
+    options = ("--camera", tmp_path / "camera.json", "--depth")
+    assert np.load(render(wall, tmp_path / "view.npy", *options)).shape == (48, 64, 4)
+    assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(6.0, abs=0.1)
+    render(wall, tmp_path / "view.npy", *options, "--metres-per-unit", "2", "--up", "-y")
+    assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(12.0, abs=0.2)
+
+
+def test_cameras_passes_and_twin(project, tmp_path, capsys):
+    out, options = tmp_path / "rig", ("--cameras", "one", "--passes", "color,labels", "--twin", "--to", "0.1")
+    render(project, out, *options, "--codec", "exr")
+    assert f"{out} and {tmp_path / 'rig.clear'}: 3 of 3 frames" in capsys.readouterr().out
+    names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*") if path.is_file()}
+    frames = [f"00000{k}" for k in range(3)]
+    assert names == {"rig/labels.json"} | {
+        each for k in frames for each in (f"rig/{k}.exr", f"rig/{k}.labels.png", f"rig.clear/{k}.exr")
+    }
+    assert np.asarray(Image.open(out / "000000.labels.png")).shape == (48, 64)
+
+
+def test_a_still_of_photos_without_times_is_one_of_a_camera_at_rest(project, photos, tmp_path, reported, capsys):
+    options = ("--exposure", "0.02", "--rain", "50")
+    flown = ("--camera-path", photos, *options)
+    report = reported(*words(project, tmp_path / "still.npy", *flown))
     assert "photos without times: the camera is at rest" in capsys.readouterr().out
-    told = json.loads((tmp_path / "n.json").read_text())
-    assert (told["speed_m_s"], told["speed_is_assumed"]) == (0.0, True)
+    assert (report["speed_m_s"], report["speed_is_assumed"]) == (0.0, True)
     camera = read_camera_path(photos).camera(0.0, 64, 48)
     (tmp_path / "camera.json").write_text(json.dumps(camera.to_json()))
-    standing = ("--camera", str(tmp_path / "camera.json"), "--rain", "50", *options)
-    assert render(project, tmp_path / "standing.npy", *standing) == 0
-    assert render(project, tmp_path / "fast.npy", *flown, "--speed", "14") == 0
-    still, fast, same = (np.load(tmp_path / f"{name}.npy") for name in ("still", "fast", "standing"))
+    standing = ("--camera", tmp_path / "camera.json", *options)
+    still = np.load(tmp_path / "still.npy")
+    fast = np.load(render(project, tmp_path / "fast.npy", *flown, "--speed", "14"))
+    same = np.load(render(project, tmp_path / "standing.npy", *standing))
     slanted = np.abs(fast - same).max()
     assert slanted > 0.003 and np.abs(still - same).max() < 0.01 * slanted
-    for name, asked in (("flown", flown), ("stood", standing)):
-        assert render(project, tmp_path / f"{name}.npy", *asked, "--motion-blur", "2") == 0
-    flown_blurred, stood_blurred = np.load(tmp_path / "flown.npy"), np.load(tmp_path / "stood.npy")
+    flown_blurred, stood_blurred = (
+        np.load(render(project, tmp_path / f"{name}.npy", *given, "--motion-blur", "2"))
+        for name, given in (("flown", flown), ("stood", standing))
+    )
     assert np.abs(flown_blurred - stood_blurred).max() < 0.01 * slanted
 
 
-def test_a_flight_along_photos_without_times_takes_walking_pace_or_a_speed(project, photos, tmp_path, capsys):
-    numbers = tmp_path / "n.json"
-    base = ("--camera-path", str(photos), "--fps", "1", "--rain", "0", "--json", str(numbers))
-    assert render(project, tmp_path / "walk", *base) == 0
-    assert "walking pace, 1.4 m/s, is assumed" in capsys.readouterr().out
-    told = json.loads(numbers.read_text())
-    assert (told["frames"], told["speed_m_s"], told["speed_is_assumed"]) == (9, 1.4, True)  # 12 m
-    assert render(project, tmp_path / "drive", *base, "--speed", "3") == 0
-    told = json.loads(numbers.read_text())
-    assert (told["frames"], told["speed_m_s"], told["speed_is_assumed"]) == (4, 3.0, False)
-    assert "walking" not in capsys.readouterr().out
-    assert render(project, tmp_path / "own", "--fps", "2", "--json", str(numbers)) == 0
-    assert json.loads(numbers.read_text())["speed_m_s"] is None  # that path has times of its own
-    assert render(project, tmp_path / "own", "--fps", "2", "--speed", "1.5", "--json", str(numbers)) == 0
-    assert json.loads(numbers.read_text())["frames"] == 10  # 6 m in 4 s, which begin at 1 s
+def test_speeds_of_paths_and_drives_along_photos(project, photos, tmp_path, reported, capsys):
+    flown, own = ("--camera-path", photos, "--fps", "1", "--rain", "0"), ("--fps", "2")
+    for name, options, (frames, speed, is_assumed) in (
+        ("walk", flown, (9, 1.4, True)),  # 12 m
+        ("fast", (*flown, "--speed", "3"), (4, 3.0, False)),
+        ("own", own, (4, None, False)),  # that path has times of its own
+        ("slow", (*own, "--speed", "1.5"), (10, 1.5, False)),  # 6 m in 4 s, which begin at 1 s
+    ):
+        report = reported(*words(project, tmp_path / f"frames of {name}", *options))
+        assert (report["frames"], report["speed_m_s"], report["speed_is_assumed"]) == (frames, speed, is_assumed)
+        assert ("walking pace, 1.4 m/s, is assumed" in capsys.readouterr().out) is is_assumed
+    for name, options, seconds in (("walk", [], 12 / 1.4), ("drive", ["--speed", "6"], 2.0)):
+        assert run(["convert", str(project), str(tmp_path / name), "--drive", str(photos), *options]) == 0
+        assert ("walking pace" in capsys.readouterr().out) is (not options)
+        assert read_scene(tmp_path / name).ego.times[-1] == pytest.approx(seconds, abs=0.01)
 
 
-def test_a_frame_of_a_path_is_a_still(project, tmp_path, capsys):
-    assert render(project, tmp_path / "all", "--fps", "4") == 0
-    assert render(project, tmp_path / "still.png", "--fps", "4", "--frame", "6") == 0
-    assert (tmp_path / "still.png").read_bytes() == (tmp_path / "all" / "000006.png").read_bytes()
-
-
-def test_a_frame_of_the_swing_around_a_scene_is_a_still(project, tmp_path):
-    alone = tmp_path / "alone"
-    write_scene(replace(read_scene(project), path=None, ego=None, rigs={}), alone)
-    assert render(alone, tmp_path / "all", "--fps", "1", "--to", "4", "--rain", "0") == 0
-    assert render(alone, tmp_path / "still.png", "--fps", "1", "--frame", "2", "--rain", "0") == 0
-    assert (tmp_path / "still.png").read_bytes() == (tmp_path / "all" / "000002.png").read_bytes()
-    assert render(alone, tmp_path / "front.png", "--rain", "0") == 0
-    assert (tmp_path / "front.png").read_bytes() != (tmp_path / "still.png").read_bytes()
-
-
-def test_an_ego_drives_along_photos_at_walking_pace_or_a_speed(project, photos, tmp_path, capsys):
-    for name, asked, seconds in (("walk", [], 12 / 1.4), ("drive", ["--speed", "6"], 2.0)):
-        assert run(["convert", str(project), str(tmp_path / name), "--drive", str(photos), *asked]) == 0
-        assert ("walking pace" in capsys.readouterr().out) is (not asked)
-        ego = read_scene(tmp_path / name).ego
-        assert ego is not None and ego.times[-1] == pytest.approx(seconds, abs=0.01)
-    assert run(["convert", str(project), str(tmp_path / "none"), "--speed", "6"]) == BAD_INPUT
-    assert "--speed 6: is that of --drive" in capsys.readouterr().err
-
-
-def test_jpegs_are_stills_and_frames_in_srgb(project, tmp_path, capsys):
+def test_jpegs_are_stills_and_frames_in_srgb(project, tmp_path):
     moment = ("--from", "1.5")
-    assert render(project, tmp_path / "still.png", *moment) == 0
-    for name in ("still.jpg", "again.JPEG"):
-        assert render(project, tmp_path / name, *moment) == 0
-    assert (tmp_path / "still.jpg").read_bytes() == (tmp_path / "again.JPEG").read_bytes()
-    with Image.open(tmp_path / "still.jpg") as still, Image.open(tmp_path / "still.png") as lossless:
+    first, second, png = (render(project, tmp_path / name, *moment) for name in ("a.jpg", "b.JPEG", "still.png"))
+    assert first.read_bytes() == second.read_bytes()
+    with Image.open(first) as still, Image.open(png) as lossless:
         profile = ImageCms.ImageCmsProfile(BytesIO(still.info["icc_profile"]))
         assert still.format == "JPEG" and "sRGB" in ImageCms.getProfileDescription(profile)
         assert np.abs(np.asarray(still, float) - np.asarray(lossless.convert("RGB"), float)).mean() < 2
-    assert render(project, tmp_path / "frames", *moment, "--to", "1.56", "--codec", "jpeg", "--quality", "40") == 0
+    render(project, tmp_path / "frames", *moment, "--to", "1.56", "--codec", "jpeg", "--quality", "40")
     frames = sorted((tmp_path / "frames").iterdir())
     assert [each.name for each in frames] == ["000000.jpg", "000001.jpg"]
-    assert frames[0].stat().st_size < (tmp_path / "still.jpg").stat().st_size
-    capsys.readouterr()
-    assert render(project, tmp_path / "no.jpg", "--depth") == BAD_INPUT
-    assert "no.jpg: JPEG holds colors alone; for the pass depth take PNG" in capsys.readouterr().err
+    assert frames[0].stat().st_size < first.stat().st_size
+
+
+def test_the_weather_of_a_scene_and_what_replaces_it(tmp_path, reported, capsys):
+    keys = (RainKeyframe(time_s=0.0, intensity_mm_h=0.0), RainKeyframe(time_s=2.0, intensity_mm_h=10.0))
+    rain, weather = RainSettings(intensity_mm_h=50.0, seed=4), RainKeyframes(keys=keys)
+    shower = tmp_path / "shower"
+    write_scene(
+        replace(small_scene(), rain=msgspec.to_builtins(rain), weather=msgspec.to_builtins(weather)), shower
+    )  # fmt: skip
+
+    def frame(time, *options):
+        report = reported(*words(shower, tmp_path / "still.npy", "--time", time, *options))
+        return np.load(tmp_path / "still.npy"), report
+
+    wet, report = frame(1.5)
+    assert report["intensity_mm_h"] == pytest.approx(7.5) and report["drops"] > 0
+    assert "a weather with 2 keys" in capsys.readouterr().out
+    assert not np.array_equal(wet, frame(1.5, "--rain", "0")[0])
+    assert np.array_equal(frame(0)[0], frame(0, "--rain", "0")[0])
+    for options, expected in ((("--rain", "3"), 3.0), (("--preset", "1.2"), 1.2), (("--seed", "9"), 5.0)):
+        assert frame(1, *options)[1]["intensity_mm_h"] == pytest.approx(expected)
+
+
+def test_a_scene_gets_as_wet_as_it_rains_or_as_wet_as_asked(tmp_path):
+    scene = small_scene()
+    for each in scene.layers[:2]:
+        scene = scene.with_member(each.key, wet_sh=each.gaussians.sh - np.float32(0.6))
+    write_scene(scene, tmp_path / "wet")
+    clear, light, wet, soaked, dry = (
+        mean(render(tmp_path / "wet", tmp_path / f"{number}.png", "--no-streaks", "--no-haze", *options))
+        for number, options in enumerate((
+            (), ("--rain", "1.2"), ("--rain", "12"), ("--wetness", "1"), ("--rain", "12", "--wetness", "0")
+        ))
+    )  # fmt: skip
+    assert wet < light - 3 < clear - 6
+    assert soaked < wet < soaked + 5
+    assert dry == pytest.approx(clear, abs=0.01)

@@ -1,13 +1,12 @@
-"""`gsrain sweep` as a person types it."""
+"""`gsrain sweep`: tables, shares, failures, and permission to run the code that a sweep names."""
 
 import csv
 import io
-import json
 
 import pytest
 
 from app.main import BAD_INPUT, run
-from app.sweep import SOME_FAILED
+from app.sweep import INTERRUPTED, SOME_FAILED
 from gsrain_engine import trusted_code
 from sweep.small_sweep import write_road, write_scenario
 
@@ -28,61 +27,49 @@ def table(folder):
         return list(csv.DictReader(file))
 
 
-def test_it_writes_tables_and_goes_on_where_it_was(sweep, tmp_path, capsys):
-    numbers = tmp_path / "numbers.json"
-    assert run(["sweep", str(sweep), "--workers", "0", "--json", str(numbers)]) == 0
-    told = json.loads(numbers.read_text())
-    assert (told["jobs"], told["done"], told["kept"], told["failed"]) == (8, 8, 0, 0)
-    assert {cell["agent"]: cell["runs"] for cell in told["cells"]} == {"constant-velocity": 2, "oracle-idm": 2}
-    shown = capsys.readouterr().out
-    assert "oracle-idm" in shown and "8 of 8 jobs finished, 0 failed" in shown
-    out = tmp_path / "out"
-    assert len(table(out)) == 8 and (out / "table.parquet").is_file()
-    assert (out / "figures" / "short-road.png").is_file()
-    page = (out / "report.html").read_text()
-    assert "Wilson" in page and "constant-velocity" in page
-    before = {name: (out / name).read_bytes() for name in ("table.csv", "table.parquet", "summary.json")}
-    assert run(["sweep", str(sweep), "--workers", "0", "--json", str(numbers)]) == 0
-    told = json.loads(numbers.read_text())
-    assert (told["done"], told["kept"]) == (0, 8)
-    assert {name: (out / name).read_bytes() for name in before} == before
-
-
-def test_shares_make_one_table(sweep, tmp_path, capsys):
-    assert run(["sweep", str(sweep), "--workers", "0", "--shard", "1/2"]) == 0
-    assert "share 1/2 is done" in capsys.readouterr().out
-    out = tmp_path / "out"
-    assert not (out / "table.csv").exists() and len(list((out / "rows").iterdir())) == 4
-    assert run(["sweep", str(sweep), "--summarize-only"]) == 0
-    assert "4 of 8 jobs finished" in capsys.readouterr().out
-    assert run(["sweep", str(sweep), "--workers", "0", "--shard", "2/2"]) == 0  # the last one makes it
-    assert len(table(out)) == 8
-
-
-def test_a_failure_is_said_and_done_again_when_asked(sweep, tmp_path, capsys):
-    scenario = tmp_path / "short.yaml"
-    scenario.write_text(scenario.read_text().replace("id: lead", "id: lead\n  model: absent.ply"))
-    assert run(["sweep", str(sweep), "--workers", "0"]) == SOME_FAILED
-    assert "8 x model absent.ply: no such file" in capsys.readouterr().out
-    assert {row["status"] for row in table(tmp_path / "out")} == {"failed"}
-    assert run(["sweep", str(sweep), "--workers", "0"]) == SOME_FAILED
-    assert len((tmp_path / "out" / "log.jsonl").read_text().splitlines()) == 8
-    assert run(["sweep", str(sweep), "--workers", "0", "--retry-failed"]) == SOME_FAILED
-    assert len((tmp_path / "out" / "log.jsonl").read_text().splitlines()) == 16
-
-
-def test_ctrl_c_says_how_it_goes_on(sweep, tmp_path, capsys, monkeypatch):
-    from app import sweep as command
-
+def test_tables_a_second_run_and_ctrl_c(sweep, tmp_path, reported, capsys, monkeypatch):
     def stopped(work):
         for _ in range(4):
             next(work)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "run_with_progress", stopped)
-    assert run(["sweep", str(sweep), "--workers", "0"]) == command.INTERRUPTED
-    assert "stopped with 5 jobs to do; the same command goes on from there" in capsys.readouterr().err
-    assert not (tmp_path / "out" / "table.csv").exists()
+    command, out = ("sweep", sweep, "--workers", "0"), tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr("app.sweep.run_with_progress", stopped)
+        assert run([*map(str, command)]) == INTERRUPTED
+    assert "stopped with 5 jobs to do" in capsys.readouterr().err and not (out / "table.csv").exists()
+    report = reported(*command)
+    assert (report["jobs"], report["done"], report["kept"], report["failed"]) == (8, 5, 3, 0)
+    assert {cell["agent"]: cell["runs"] for cell in report["cells"]} == {"constant-velocity": 2, "oracle-idm": 2}
+    printed = capsys.readouterr().out
+    assert "oracle-idm" in printed and "8 of 8 jobs finished, 0 failed" in printed
+    assert len(table(out)) == 8 and (out / "figures" / "short-road.png").is_file()
+    page = (out / "report.html").read_text()
+    assert "Wilson" in page and "constant-velocity" in page
+    before = {name: (out / name).read_bytes() for name in ("table.csv", "table.parquet", "summary.json")}
+    report = reported(*command)
+    assert (report["done"], report["kept"]) == (0, 8)
+    assert {name: (out / name).read_bytes() for name in before} == before
+
+
+def test_shares_make_one_table(sweep, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(["sweep", str(sweep), "--workers", "0", "--shard", "1/2"]) == 0
+    assert "share 1/2 is done" in capsys.readouterr().out
+    assert not (out / "table.csv").exists() and len(list((out / "rows").iterdir())) == 4
+    assert run(["sweep", str(sweep), "--summarize-only"]) == 0 and len(table(out)) == 4
+    assert run(["sweep", str(sweep), "--workers", "0", "--shard", "2/2"]) == 0  # the last one makes it
+    assert len(table(out)) == 8
+
+
+def test_failures_are_rows_and_run_again_when_asked(sweep, tmp_path, capsys):
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text(scenario.read_text().replace("id: lead", "id: lead\n  model: absent.ply"))
+    for options, attempts in ((), 8), ((), 8), (("--retry-failed",), 16):
+        assert run(["sweep", str(sweep), "--workers", "0", *options]) == SOME_FAILED
+        assert "8 x model absent.ply: no such file" in capsys.readouterr().out
+        assert len((tmp_path / "out" / "log.jsonl").read_text().splitlines()) == attempts
+    assert {row["status"] for row in table(tmp_path / "out")} == {"failed"}
 
 
 _DRIVER = """
@@ -97,56 +84,37 @@ class Mine(ConstantVelocityAgent):
 """
 
 
-@pytest.fixture
-def with_code(sweep, tmp_path, monkeypatch):
-    """A sweep that names a Python file near it, and an empty memory of answers."""
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(trusted_code, "TRUSTED", set())
-    (tmp_path / "mine.py").write_text(_DRIVER)
-    sweep.write_text(sweep.read_text().replace("[constant-velocity, oracle-idm]", "['mine.py:Mine']"))
-    return sweep
-
-
 class _Terminal(io.StringIO):
     def isatty(self):
         return True
 
 
-def _answer(monkeypatch, words):
-    monkeypatch.setattr("sys.stdin", _Terminal(f"{words}\n"))
-    asked = _Terminal()
-    monkeypatch.setattr("sys.stderr", asked)
-    return asked
+def test_code_that_a_sweep_names_runs_only_when_it_is_allowed(sweep, tmp_path, capsys, monkeypatch):
+    (tmp_path / "mine.py").write_text(_DRIVER)
+    sweep.write_text(sweep.read_text().replace("[constant-velocity, oracle-idm]", "['mine.py:Mine']"))
 
+    def swept(*options, answer=None):
+        """Run the sweep as another process would: in a terminal where something is answered."""
+        with monkeypatch.context() as patch:
+            patch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+            patch.setattr(trusted_code, "TRUSTED", set())
+            asked = _Terminal()
+            if answer is not None:
+                patch.setattr("sys.stdin", _Terminal(f"{answer}\n"))
+                patch.setattr("sys.stderr", asked)
+            code = run(["sweep", str(sweep), "--workers", "0", *options])
+        return code, asked.getvalue() or capsys.readouterr().err
 
-def test_code_that_a_sweep_names_does_not_run_unasked(with_code, tmp_path, capsys, monkeypatch):
-    command = ["sweep", str(with_code), "--workers", "0"]
-    assert run(command) == BAD_INPUT
-    told = capsys.readouterr().err
-    assert "names Python code" in told and "mine.py (SHA-256" in told and "--trust" in told
-    asked = _answer(monkeypatch, "")  # Enter is no
-    assert run(command) == BAD_INPUT
-    assert "mine.py (SHA-256" in asked.getvalue() and "[y/N]" in asked.getvalue()
+    for code, printed in (swept(), swept(answer="")):  # Enter is no
+        assert code == BAD_INPUT and "mine.py (SHA-256" in printed
+    assert "[y/N]" in printed
     assert not (tmp_path / "ran").exists() and not (tmp_path / "out").exists()
-
-
-def test_trust_is_for_one_run(with_code, tmp_path, monkeypatch):
-    command = ["sweep", str(with_code), "--workers", "0"]
-    assert run([*command, "--trust"]) == 0
+    assert swept("--trust")[0] == 0  # for one run
     assert (tmp_path / "ran").exists() and len(table(tmp_path / "out")) == 4
-    monkeypatch.setattr(trusted_code, "TRUSTED", set())  # another process
-    assert run(command) == 0  # nothing is left to do, so nothing has to be allowed
-    assert run([*command, "-o", str(tmp_path / "other")]) == BAD_INPUT
-
-
-def test_an_answer_holds_for_this_content(with_code, tmp_path, monkeypatch):
-    _answer(monkeypatch, "yes")
-    assert run(["sweep", str(with_code), "--workers", "0", "--shard", "1/2"]) == 0
-    monkeypatch.undo()
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(trusted_code, "TRUSTED", set())
-    assert run(["sweep", str(with_code), "--workers", "0", "--shard", "2/2"]) == 0
-    assert len(table(tmp_path / "out")) == 4
-    (tmp_path / "mine.py").write_text(_DRIVER + "# changed\n")
-    monkeypatch.setattr(trusted_code, "TRUSTED", set())
-    assert run(["sweep", str(with_code), "--workers", "0"]) == BAD_INPUT
+    assert swept()[0] == 0  # nothing is left to do, so nothing has to be allowed
+    other = ("-o", str(tmp_path / "other"))
+    assert swept(*other)[0] == BAD_INPUT
+    assert swept(*other, "--shard", "1/2", answer="yes")[0] == 0
+    assert swept(*other, "--shard", "2/2")[0] == 0
+    (tmp_path / "mine.py").write_text(_DRIVER + "# changed\n")  # a permission is for the content
+    assert swept("-o", str(tmp_path / "third"))[0] == BAD_INPUT

@@ -2,36 +2,29 @@
 
 from dataclasses import replace
 
-import pytest
-
 from gsrain_engine.editor.background_edits import reconstruct
 from gsrain_engine.editor.document import Recipe
 from gsrain_engine.editor.drawing.frame import DrawResult
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.job_results import scene_results
 from small_scene import small_scene
 
 RECIPE = Recipe(reconstruct, {})
 
 
-@pytest.fixture
-def editor():
-    opened = Editor(small_scene())
-    yield opened
-    opened.close()
-
-
-def grown(layers):
-    scene = small_scene("grown")
-    return replace(scene, layers=scene.layers[:layers])
+def taking(editor):
+    """A receiver of scenes with a number of layers, and the call that brings what is staged into the picture."""
+    take, scene = scene_results(editor.viewport, "Grow", RECIPE, is_whole=True), small_scene("grown")
+    return (
+        lambda layers, is_final=False: take(replace(scene, layers=scene.layers[:layers]), is_final),
+        lambda: editor.apply(DrawResult(is_pending_ready=True)),
+    )
 
 
 def test_snapshots_and_result_are_one_step_that_is_undone_at_once(editor):
-    before, take = editor.document.scene, scene_results(editor.viewport, "Grow", RECIPE, is_whole=True)
+    before, (take, swap_in) = editor.document.scene, taking(editor)
     for layers, is_final in ((1, False), (2, False), (3, True)):
-        take(grown(layers), is_final)
-        editor.apply(DrawResult(is_pending_ready=True))
+        take(layers, is_final)
+        swap_in()
         assert len(editor.document.scene.layers) == layers
         assert editor.document.history.labels == ["Open", "Grow"]
     editor.document.undo()
@@ -41,42 +34,30 @@ def test_snapshots_and_result_are_one_step_that_is_undone_at_once(editor):
 
 
 def test_a_snapshot_waits_for_the_one_before_but_the_result_replaces_it(editor):
-    take = scene_results(editor.viewport, "Grow", RECIPE, is_whole=True)
+    take, _ = taking(editor)
     for layers, is_final, staged in ((1, False, 1), (2, False, 1), (3, True, 3)):
-        take(grown(layers), is_final)
+        take(layers, is_final)
         assert len(editor.viewport.staged.scene.layers) == staged
 
 
 def test_a_result_is_a_step_of_its_own_after_another_edit(editor):
-    take = scene_results(editor.viewport, "Grow", RECIPE, is_whole=True)
-    take(grown(1), False)
-    editor.apply(DrawResult(is_pending_ready=True))
+    take, swap_in = taking(editor)
+    take(1)
+    swap_in()
     editor.document.undo()
     editor.document.change_rain("Intensity", intensity_mm_h=5.0)
-    take(grown(2), False)
-    editor.apply(DrawResult(is_pending_ready=True))
+    take(2)
+    swap_in()
     assert editor.document.history.labels == ["Open", "Intensity"]
-    take(grown(3), True)
-    editor.apply(DrawResult(is_pending_ready=True))
+    take(3, is_final=True)
+    swap_in()
     assert editor.document.history.labels == ["Open", "Intensity", "Grow"]
-    assert len(editor.document.scene.layers) == 3
-    assert editor.document.rain.intensity_mm_h == 5
+    assert (len(editor.document.scene.layers), editor.document.rain.intensity_mm_h) == (3, 5)
 
 
-def test_wet_colors_are_added_to_the_scene_as_it_is_by_then(editor):
-    road = editor.document.scene.member("layers/road")
-    colored = editor.document.scene.with_member(road.key, wet_sh=road.gaussians.sh * 0.5)
-    editor.document.edit("Show or hide", set_visible, "layers/wall", False)
-    scene_results(editor.viewport, "Recolor", RECIPE)(colored, True)
-    editor.apply(DrawResult(is_pending_ready=True))
-    assert editor.document.scene.member(road.key).wet_sh is colored.member(road.key).wet_sh
-    assert not editor.document.scene.member("layers/wall").visible
-    assert editor.document.history.undo_label == "Recolor"
-
-
-def test_a_scene_that_is_being_opened_is_not_replaced(editor, tmp_path):
-    before, take = editor.document.scene, scene_results(editor.viewport, "Grow", RECIPE, is_whole=True)
+def test_a_scene_that_is_being_opened_is_not_replaced(editor):
+    before, (take, swap_in) = editor.document.scene, taking(editor)
     editor.files.open("street")
-    take(grown(3), True)
-    editor.apply(DrawResult(is_pending_ready=True))
+    take(3, is_final=True)
+    swap_in()
     assert editor.document.scene is before and editor.viewport.is_opening

@@ -1,4 +1,7 @@
-"""Rain of the document: keyframes, measurements and calibrations."""
+"""Rain of the document: keyframes, drops in the air, roofs, measurements and calibrations."""
+
+from concurrent.futures import wait as wait_for
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -6,131 +9,128 @@ import pytest
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
-from gsrain_engine.editor.rain import CalibrationTools
+from gsrain_engine.editor.edits.members import set_visible
+from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes, set_keyframe_number
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.keyframes import HEAVIEST_MM_H, RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from oracles.drop_phases import displacement
 from small_scene import small_scene
 
 
-@pytest.fixture
-def editor():
-    editor = Editor(small_scene())
-    editor.playback.clock.playing = False
-    yield editor
-    editor.close()
-
-
-def keys(*pairs):
-    return RainKeyframes(keys=tuple(RainKeyframe(time_s=time, intensity_mm_h=rate) for time, rate in pairs))
+def key_shower(editor, first_mm_h=0.0):
+    rates = ((0.0, first_mm_h), (10.0, 10.0))
+    keys = tuple(RainKeyframe(time_s=time, intensity_mm_h=rate) for time, rate in rates)
+    editor.document.edit_keyframes("Shower", replace_keyframes, RainKeyframes(keys=keys))
 
 
 def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(editor):
-    editor.document.edit_keyframes("Shower", replace_keyframes, keys((0.0, 0.0), (10.0, 10.0)))
+    def key_times():
+        return editor.document.keyframes.key_times["intensity_mm_h"].tolist()
+
+    key_shower(editor)
     editor.playback.clock.time_s = 4.0
     editor.document.change_rain("Intensity", "drag", intensity_mm_h=7.0)
     editor.playback.clock.time_s = 4.5  # time goes on while the mouse is held
     editor.document.change_rain("Intensity", "drag", intensity_mm_h=8.0, haze=False)
     editor.document.end_gesture()
-    assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, 4.0, 10.0]
+    assert key_times() == [0.0, 4.0, 10.0]
     assert editor.document.keyframes.key_at(4.0).intensity_mm_h == 8.0
     assert not editor.document.rain.haze
     editor.document.change_rain("Intensity", "drag", intensity_mm_h=1.0)
-    assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, 4.0, 4.5, 10.0]
+    assert key_times() == [0.0, 4.0, 4.5, 10.0]
     editor.document.undo()
     editor.document.undo()
-    assert editor.document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, 10.0]
+    assert key_times() == [0.0, 10.0]
 
 
-def test_drops_go_on_from_where_they_are_when_keys_change(editor):
+def test_numbers_of_a_keyframe_are_changed_within_their_bounds():
+    keyframes = RainKeyframes().with_key(1.0, intensity_mm_h=2.0)
+    for name, value, changed in (
+        ("intensity_mm_h", 1000.0, {"intensity_mm_h": HEAVIEST_MM_H}), ("exposure_s", 5.0, {"exposure_s": 0.005}),
+        ("wind x", 50.0, {"wind_m_s": (40.0, 0.0)}), ("wind y", -3.0, {"wind_m_s": (0.0, -3.0)}), ("time", 7.0, {}),
+    ):  # fmt: skip
+        key = RainKeyframe(**{"time_s": value if name == "time" else 1.0, "intensity_mm_h": 2.0} | changed)
+        assert set_keyframe_number(keyframes, 1.0, name, value).keys == (key,)
+
+
+def test_drops_go_on_from_where_they_are_when_rain_or_keys_change(editor):
     editor.document.change_rain("Intensity", intensity_mm_h=3.0)
     editor.playback.clock.time_s = 6.0
 
     def moved():
         return displacement(editor.live_rain.simulation.frozen_at(6.0).motion, 6.0)
 
-    before = moved()
-    editor.document.edit_keyframes("Shower", replace_keyframes, keys((0.0, 0.0), (10.0, 10.0)))
-    assert np.allclose(moved(), before, atol=1e-9)
-    editor.document.edit_keyframes(
-        "Wind", replace_keyframes, editor.document.keyframes.with_key(2.0, wind_m_s=(5.0, 1.0))
-    )
-    assert np.allclose(moved(), before, atol=1e-9)
-    editor.document.undo()
-    editor.document.undo()
-    assert np.allclose(moved(), before, atol=1e-9)
+    before, document = moved(), editor.document
+    for change in (
+        lambda: document.change_rain("Intensity", intensity_mm_h=4.5),
+        lambda: key_shower(editor),
+        lambda: document.edit_keyframes("Wind", RainKeyframes.with_key, 2.0, wind_m_s=(5.0, 1.0)),
+        document.undo,
+        document.undo,
+    ):
+        change()
+        assert np.allclose(moved(), before, atol=1e-9)
 
 
-def test_before_and_after_each_have_their_weather(editor):
-    editor.document.edit_keyframes("Shower", replace_keyframes, keys((0.0, 6.0), (10.0, 10.0)))
-    editor.viewport.options.split = "before | after"
-    before, after = editor.split_panes
-    assert before.rainfall.state_at(5.0).intensity_mm_h == 0.0
-    assert after.rainfall.state_at(5.0).intensity_mm_h == 8.0
-    editor.viewport.options.split = "clear | rainy"
-    clear, rainy = editor.split_panes
-    assert clear.rainfall.state_at(5.0).intensity_mm_h == 0.0
-    assert rainy.rainfall.state_at(5.0).intensity_mm_h == 8.0
+def test_rain_falls_through_roofs_until_they_are_found():
+    with closing(Editor(small_scene(), RainSettings(intensity_mm_h=8.5, roofs=True))) as editor:
+        assert editor.busy == "Finding roofs"
+        assert not editor.split_panes[0].rainfall.rain.roofs
+        editor.tick(0.0)
+        wait_for(editor.pending_files, timeout=60)
+        assert editor.busy is None
+        assert editor.split_panes[0].rainfall is editor.live_rain.simulation
+        editor.document.edit("Show or hide", set_visible, "layers/road", False)  # another scene, as seen from above
+        assert editor.busy == "Finding roofs"
+
+
+# Measurements and calibrations
 
 
 @pytest.fixture
-def lab():
-    editor = Editor(rain=RainSettings(intensity_mm_h=8.5))
-    yield editor.calibration
-    editor.close()
+def rainy():
+    with closing(Editor(rain=RainSettings(intensity_mm_h=8.5))) as editor:
+        yield editor
 
 
-def wait(lab: CalibrationTools) -> None:
+def wait(lab):
     while lab.busy is not None:
         for each in lab.pending:
             each.exception(timeout=120)
         lab.poll()
 
 
-def test_the_rain_carries_what_was_asked_for(lab):
-    lab.area_m2, lab.seconds = 0.2, 90.0
-    lab.measure()
-    assert "90 s" in lab.busy
-    lab.measure()  # one at a time: this one is not begun
-    wait(lab)
-    assert lab.error is None
-    assert len(lab.counted.counts) == 2
-    assert lab.counted.seconds.sum() == 90
-    assert abs(lab.counted.rate_mm_h - 8.5) < 3 * lab.counted.standard_error_mm_h < 0.5
-
-
-def test_what_goes_wrong_is_one_sentence_and_the_last_result_stays(lab, tmp_path):
+def test_a_measurement_that_fails_leaves_one_sentence(rainy, tmp_path):
+    lab = rainy.calibration
     lab.area_m2 = 1e6
     lab.measure()
+    assert "60 s" in lab.busy
     wait(lab)
     assert "area" in lab.error
-    bad = tmp_path / "bad.txt"
-    bad.write_bytes(b"\x00\x01 no disdrometer")
-    lab.fit([bad])
+    (tmp_path / "bad.txt").write_bytes(b"\x00\x01 no disdrometer")
+    lab.fit([tmp_path / "bad.txt"])
     wait(lab)
     assert "bad.txt" in lab.error
     assert (lab.counted, lab.fitted) == (None, None)
 
 
-def test_a_fit_is_saved_and_used(tmp_path, monkeypatch):
+def test_a_fit_is_saved_and_used(rainy, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    times = 60.0 * np.arange(9)
-    for number, intensity in enumerate((2.0, 8.5)):
+    files = [tmp_path / "rain0.nc", tmp_path / "rain1.nc"]
+    for file, intensity in zip(files, (2.0, 8.5), strict=True):
         instrument = VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=intensity)), 1.0)
-        write_spectra(tmp_path / f"rain{number}.nc", instrument.measure(times).spectra)
-    editor = Editor(rain=RainSettings(intensity_mm_h=8.5))
-    editor.calibration.fit([tmp_path / "rain0.nc", tmp_path / "rain1.nc"])
-    wait(editor.calibration)
-    assert editor.calibration.error is None
-    editor.calibration.use_fitted()
-    assert editor.document.rain.calibration.endswith("rain0.yaml")
-    assert editor.document.rain.calibration in editor.calibration.calibrations
-    kept = load_calibration(editor.document.rain.calibration)
+        write_spectra(file, instrument.measure(60.0 * np.arange(9)).spectra)
+    lab, document = rainy.calibration, rainy.document
+    lab.fit(files)
+    wait(lab)
+    assert lab.error is None
+    lab.use_fitted()
+    assert document.rain.calibration.endswith("rain0.yaml")
+    assert document.rain.calibration in lab.calibrations
     # Simulated by the published table with its density closed: the fit finds that table's sizes again.
-    assert kept.rows[-1].shape == pytest.approx(editor.calibration.pass_file.rows[1].shape, rel=0.1)
-    editor.document.undo()
-    assert editor.document.rain.calibration == "published"
-    editor.close()
+    fitted = load_calibration(document.rain.calibration)
+    assert fitted.rows[-1].shape == pytest.approx(lab.pass_file.rows[1].shape, rel=0.1)
+    document.undo()
+    assert document.rain.calibration == "published"

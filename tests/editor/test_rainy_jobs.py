@@ -1,4 +1,4 @@
-"""Making a scene rainy behind the window: real workers on a small scene, the preview, and trainings."""
+"""Making a scene rainy behind the window: the work on a small scene, previews, and trainings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,21 +10,12 @@ import pytest
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.jobs import training
-from gsrain_engine.editor.jobs.make_rainy import (
-    MAKE_RAINY_TITLE,
-    PreviewedView,
-    PreviewSettings,
-    TransferRequest,
-    make_rainy,
-    preview_view,
-)
+from gsrain_engine.editor.jobs.make_rainy import TransferRequest, make_rainy, preview_view
 from gsrain_engine.recolor.result import read_recolored
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.scene.scene import Scene
 from gsrain_engine.trusted_code import answers_file
 from small_scene import small_scene
 
@@ -32,19 +23,14 @@ CHOICE = ViewChoice(source="rig", count=2, width_px=64)
 
 
 @pytest.fixture
-def editor():
-    opened = Editor(small_scene())
-    yield opened
-    opened.close()
-
-
-# Wet colors and previews
-
-
-def test_the_work_writes_wet_colors_of_every_member_and_a_report(tmp_path):
+def saved(tmp_path):
     write_scene_folder(small_scene(), tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def test_the_work_writes_wet_colors_of_every_member_and_a_report(saved, tmp_path):
     order = TransferRequest("wet", TransferSettings(), CHOICE)
-    steps = list(make_rainy(tmp_path / "scene", order, tmp_path / "colors.npz", tmp_path / "report.html"))
+    steps = list(make_rainy(saved, order, tmp_path / "colors.npz", tmp_path / "report.html"))
     assert [each.fraction for each in steps] == sorted(each.fraction for each in steps)
     assert sum(each.preview is not None for each in steps) >= 2
     residuals = [each.metrics["residual"] for each in steps if "residual" in each.metrics]
@@ -56,55 +42,13 @@ def test_the_work_writes_wet_colors_of_every_member_and_a_report(tmp_path):
     assert (tmp_path / "report.html").read_text().count("data:image") >= 2
 
 
-def test_a_preview_is_the_view_that_the_job_would_make(tmp_path):
-    scene = small_scene()
-    write_scene_folder(scene, tmp_path / "scene")
-    placed = chosen_cameras(scene, CHOICE)[0]
-    *_, clear, rainy = list(preview_view(tmp_path / "scene", "wet", TransferSettings(), placed))
+def test_a_preview_is_the_view_that_the_job_would_make(saved):
+    placed = chosen_cameras(small_scene(), CHOICE)[0]
+    *_, clear, rainy = list(preview_view(saved, "wet", TransferSettings(), placed))
     assert rainy.preview.shape == (placed.camera.height, 64, 3)
     assert np.abs(rainy.preview.astype(int) - clear.preview).mean() > 3
-    *_, dry = preview_view(tmp_path / "scene", "wet", TransferSettings(wetness=0.0), placed)
+    *_, dry = preview_view(saved, "wet", TransferSettings(wetness=0.0), placed)
     assert np.array_equal(dry.preview, clear.preview)
-
-
-def test_a_preview_appears_next_to_the_image_and_leaves_no_job(editor):
-    editor.wet_look.viewport_px = (96, 64)
-    editor.wet_look.preview()
-    editor.jobs.newest("preview").wait(60)
-    assert editor.wet_look.previewed.pixels.shape == (64, 96, 3)
-    assert editor.wet_look.fits and editor.viewport.options.split == "now | preview"
-    assert editor.jobs.all == []
-    editor.wet_look.change(seed=1)
-    assert "settings" in editor.wet_look.what_is_stale
-
-
-def test_a_preview_fits_only_what_it_is_of(editor):
-    shot, scene = editor.viewport.shot(96, 64), editor.document.scene
-    recipe = PreviewSettings("wet", TransferSettings())
-    view = PreviewedView(np.zeros((64, 96, 3), np.uint8), shot.camera, 0.0, scene, recipe)
-    assert view.is_of(editor.viewport.shot(960, 640).camera, 0.0, scene)
-    assert not view.is_of(editor.viewport.shot(960, 600).camera, 0.0, scene)
-    wet = scene.with_member("layers/road", wet_sh=scene.member("layers/road").gaussians.sh)
-    assert view.is_of(shot.camera, 1.0, wet)  # views are clear, and nothing moves
-    assert not view.is_of(shot.camera, 0.0, scene.with_member("layers/road", visible=False))
-    editor.viewport.dolly(1.0)
-    assert not view.is_of(editor.viewport.shot(96, 64).camera, 0.0, scene)
-
-
-def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(editor):
-    scene = editor.document.scene
-    editor.document.edit("Nothing yet", replace_scene, Scene("nothing"))
-    editor.wet_look.make_soon()
-    editor.tick(0.0)
-    assert not editor.jobs.all
-    editor.document.edit("Everything", replace_scene, scene)
-    editor.tick(0.0)
-    (job,) = editor.jobs.all
-    assert (job.title, editor.status.problem) == (MAKE_RAINY_TITLE, None)
-    job.cancel()
-    editor.tick(0.0)
-    editor.tick(0.0)
-    assert editor.jobs.all == [job]
 
 
 @pytest.mark.parametrize(
@@ -117,7 +61,7 @@ def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(editor):
         ("rig", "wet", None, "drive"),
     ],
 )
-def test_what_a_transfer_lacks_is_named_once_the_scene_is_there(editor, source, method, images, missing):
+def test_a_transfer_that_lacks_something_names_it_once_the_scene_is_there(editor, source, method, images, missing):
     editor.document.edit("Without a drive", replace_scene, replace(editor.document.scene, ego=None))
     rainy = editor.wet_look
     rainy.method, rainy.settings, rainy.choice = method, TransferSettings(images=images), ViewChoice(source=source)
@@ -145,13 +89,11 @@ def studio(editor, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setattr(finetune, "has_torch", lambda: True)
     monkeypatch.setattr(training, "train_transfer", learning)
+    folders = {name: tmp_path / name for name in ("clear", "rainy", "output")}
     for name in ("clear", "rainy"):
-        (tmp_path / name).mkdir()
-    studio = editor.finetune
-    studio.choice = msgspec.structs.replace(
-        studio.choice, clear=tmp_path / "clear", rainy=tmp_path / "rainy", output=tmp_path / "out", steps=1000
-    )
-    return studio
+        folders[name].mkdir()
+    editor.finetune.choice = msgspec.structs.replace(editor.finetune.choice, **folders, steps=1000)
+    return editor.finetune
 
 
 def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(editor, studio):
@@ -165,7 +107,7 @@ def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(
         (output / "checkpoint.safetensors").touch()
         assert studio.can_resume
     job = studio.job
-    assert (job.progress.message, job.progress.warning) == (f"Trained: {job.result}", "the model only reconstructs")
+    assert (str(job.result) in job.progress.message, job.progress.warning) == (True, "the model only reconstructs")
     assert job.progress.preview.shape == (8, 8, 3)
     assert job.curves.curve("cycle_clear").tolist() == [[1, 2, 3], [2, 1, 2 / 3]]
     assert {"cycle_clear", "gan_rainy"} <= {name for names in job.plots.values() for name in names}

@@ -15,9 +15,8 @@ from gsrain_engine.evaluation.fid_torch_features import (  # noqa: E402
     build_with_weights,
     inception_weights,
     is_torchscript,
-    matched_inception,
 )
-from gsrain_engine.evaluation.lpips_weights import read_arrays  # noqa: E402
+from gsrain_engine.evaluation.lpips_weights import read_arrays, write_arrays  # noqa: E402
 
 from .random_networks import write_inception  # noqa: E402
 
@@ -30,26 +29,20 @@ def inception_file(tmp_path_factory):
 @pytest.fixture(scope="module")
 def picture():
     y, x = np.mgrid[0:299, 0:299]
-    return np.stack([x * 0.8, y * 0.8, (x + y) % 256], axis=2).astype(np.uint8)
+    return np.stack([x * 0.8, y * 0.8, (x + y) % 256], axis=2)
 
 
-def test_inception_gives_what_the_network_of_fid_gives(inception_file):
-    """Numbers of pytorch-fid's own InceptionV3 with these weights and this picture: once, every bit was the same."""
+def test_inception_gives_the_features_of_pytorch_fid(inception_file, picture, monkeypatch):
+    """Numbers of pytorch-fid's own InceptionV3 with these weights and this image; once, every bit was equal."""
     network = build_with_weights(Inception, inception_weights(inception_file))
-    y, x = np.mgrid[0:299, 0:299]
-    picture = np.stack([x * 0.8, y * 0.8, (x + y) % 256], axis=2).astype(np.float32)
-    found = network(torch.from_numpy(picture).permute(2, 0, 1)[None])[0].numpy()
+    found = network(torch.from_numpy(picture.astype(np.float32)).permute(2, 0, 1)[None])[0].numpy()
     np.testing.assert_allclose(found[[0, 500, 1500, 2047]], (1.460849, 0, 0.9803747, 0.04222643), rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose((found.mean(), found.std()), (4.257572, 5.851245), rtol=1e-4)
-
-
-def test_only_inception_is_called_fid(inception_file, picture, monkeypatch):
     monkeypatch.setenv(INCEPTION_PLACE, str(inception_file.parent))
     extractor = open_extractor(ExtractorChoice())
-    assert extractor.metric == "FID"
-    assert "published" not in extractor.described  # random numbers are not what pytorch-fid publishes
-    assert extractor.key is not None
-    features = extractor(picture[:100])
+    assert extractor.metric == "FID" and extractor.key is not None
+    assert "published" not in extractor.described  # the weights are random
+    features = extractor(picture.astype(np.uint8)[:100])
     assert (features.shape, features.dtype) == ((2048,), np.float32)
 
 
@@ -71,10 +64,11 @@ SEVEN = "Mixed_6d.branch7x7_2.conv.weight"
         ({"Mixed_8a.bn.bias": np.zeros(3, np.float32)}, "Mixed_8a.bn.bias"),
     ],
 )  # fmt: skip
-def test_wrong_weights_are_named(change, names, inception_file):
+def test_wrong_weights_are_named(change, names, inception_file, tmp_path):
     arrays = {name: array for name, array in (read_arrays(inception_file) | change).items() if array is not None}
-    with pytest.raises(ValueError, match=f"other: .*{names}"):
-        matched_inception(arrays, "other")
+    write_arrays(tmp_path / "other.safetensors", arrays)
+    with pytest.raises(ValueError, match=f"other.safetensors: .*{names}"):
+        inception_weights(tmp_path / "other.safetensors")
 
 
 def test_torchs_own_file_gives_the_same_arrays(inception_file, tmp_path):
@@ -96,9 +90,6 @@ class _Whole(torch.nn.Module):
         super().__init__()
         self.layers = _Pooled()
 
-    def forward(self, pictures):
-        return self.layers(pictures)
-
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning", "ignore:.*torch.jit.*:FutureWarning")
 def test_torchscript_runs_only_where_it_may(tmp_path, picture):
@@ -108,8 +99,8 @@ def test_torchscript_runs_only_where_it_may(tmp_path, picture):
     with pytest.raises(ValueError, match="--torchscript"):
         open_extractor(ExtractorChoice(weights=file))
     extractor = open_extractor(ExtractorChoice(weights=file, allows_torchscript=True))
-    expected = ((resized(picture, 299, 299) - 128) / 128).mean(axis=(0, 1))
-    np.testing.assert_allclose(extractor(picture)[:3], expected, atol=1e-4)
+    expected = ((resized(picture.astype(np.uint8), 299, 299) - 128) / 128).mean(axis=(0, 1))
+    np.testing.assert_allclose(extractor(picture.astype(np.uint8))[:3], expected, atol=1e-4)
     assert "TorchScript" in extractor.described
     torch.jit.script(_Pooled()).save(str(file))
     with pytest.raises(ValueError, match="not the TorchScript of Inception"):

@@ -46,9 +46,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("commits", nargs="*", metavar="COMMIT", help="two to compare, else one; default: .")
     parser.add_argument("--write", type=Path, metavar="FILE", help="keep the hashes of one commit in this file")
     parser.add_argument("--compare", type=Path, metavar="FILE", help="compare one commit with hashes that were kept")
-    parser.add_argument(
-        "--only", default="", metavar="NAME", help="only cases whose chain has this in a name, e.g. drive/"
-    )
+    parser.add_argument("--only", default="", metavar="NAME", help="chains with this in a case's name, e.g. drive/")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave all files here, in a folder a commit")
     parser.add_argument("--workers", type=int, default=2, help="commands at a time; default: 2")
     arguments = parser.parse_args()
@@ -62,11 +60,8 @@ def _arguments() -> argparse.Namespace:
 
 def _made(commit: str, arguments: argparse.Namespace) -> dict[str, str]:
     print(f"{commit}:", flush=True)
-    keep = (
-        None
-        if arguments.keep is None
-        else arguments.keep / (Path(commit).resolve().name if Path(commit).is_dir() else commit)
-    )
+    name = Path(commit).resolve().name if Path(commit).is_dir() else commit
+    keep = None if arguments.keep is None else arguments.keep / name
     with checkout(commit) as tree:
         return hashes(tree, workers=arguments.workers, only=arguments.only, keep=keep,
                       report=lambda line: print(line, flush=True))  # fmt: skip
@@ -74,12 +69,8 @@ def _made(commit: str, arguments: argparse.Namespace) -> dict[str, str]:
 
 def _differences(old: dict[str, str], new: dict[str, str]) -> list[str]:
     """Return a line for each name whose hash differs or is on one side only."""
-    lines = []
-    for name in sorted(old.keys() | new.keys()):
-        if old.get(name) != new.get(name):
-            before, after = (_short(each.get(name)) for each in (old, new))
-            lines.append(f"DIFFERENT {name}: {before} -> {after}")
-    return lines
+    names = [name for name in sorted(old.keys() | new.keys()) if old.get(name) != new.get(name)]
+    return [f"DIFFERENT {name}: {_short(old.get(name))} -> {_short(new.get(name))}" for name in names]
 
 
 def _failures(found: dict[str, str]) -> list[str]:

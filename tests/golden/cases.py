@@ -6,11 +6,8 @@ CROSSING = "saved/crossing"
 """The saved scene: 1,000 Gaussians, wet colors, a vehicle, a rig, marks, a camera path, rain with keys."""
 
 WEATHERS = {
-    "clear": "--rain 0",
-    "8.5": "--rain 8.5",
-    "paper": "--preset paper",
-    "wet": "--rain 8.5 --wetness 0.8",
-}
+    "clear": "--rain 0", "8.5": "--rain 8.5", "paper": "--preset paper", "wet": "--rain 8.5 --wetness 0.8",
+}  # fmt: skip
 BACKENDS = "cpu", "opengl"
 LOOKS = "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"
 SCENARIOS = "cut-in", "idm-traffic", "lead-braking", "stationary-lead"
@@ -88,14 +85,9 @@ def street_stills() -> Chain:
 def conversions() -> Chain:
     """Return one export of each format that can be written, and stills of one."""
     targets = {
-        "crossing.ply": "",
-        "crossing.splat": "",
-        "crossing.spz": "",
-        "wet.ply": "--wetness 1",
-        "copy": "",
-        "leveled": "--level --metres-per-unit 2",
-        "turned": "--up -y",
-    }
+        "crossing.ply": "", "crossing.splat": "", "crossing.spz": "", "wet.ply": "--wetness 1", "copy": "",
+        "leveled": "--level --metres-per-unit 2", "turned": "--up -y",
+    }  # fmt: skip
     exports = tuple(
         Case(
             f"convert/{name}",
@@ -124,6 +116,7 @@ def recordings() -> Chain:
     """Return clips and frames with all passes, labels, and forms of files."""
     small = f"render {CROSSING} --size 64x48 --backend cpu"
     rig = f"render {CROSSING} --backend cpu --cameras"
+    front = f"{rig} pair/FRONT --to 0.1 -o"
     passes = "--passes color,depth,alpha,labels --twin --motion-blur 2 --supersampling 2 --fps 4 --to 0.5"
     preset = f"render {CROSSING} --backend cpu --preset saved/settings/preset.yaml --camera saved/camera.json"
     frames = "pixels frames*/**/*.png", "numbers frames*/**/*.json", "numbers numbers.json"
@@ -134,28 +127,17 @@ def recordings() -> Chain:
         Case("recording/video", f"{small} -o clip.mp4 --to 1 --fps 8", ("bytes clip.mp4",)),
         Case("recording/roofs", f"{small} -o roofs.png --roofs --seed 5", ("pixels roofs.png",)),
         Case("recording/preset", f"{preset} -o preset.png", ("pixels preset.png",)),
-        Case(
-            "recording/coco",
-            f"{rig} pair/FRONT -o coco --labels coco --to 0.1",
-            ("numbers coco/**/*.json", "pixels coco/**/*.png"),
-        ),
-        Case(
-            "recording/kitti",
-            f"{rig} pair/FRONT -o kitti --labels kitti --to 0.1",
-            ("bytes kitti/**/*.txt", "pixels kitti/**/*.png"),
-        ),
+        Case("recording/coco", f"{front} coco --labels coco", ("numbers coco/**/*.json", "pixels coco/**/*.png")),
+        Case("recording/kitti", f"{front} kitti --labels kitti", ("bytes kitti/**/*.txt", "pixels kitti/**/*.png")),
     )
 
 
 def drives(scenario: str) -> Case:
     """Return roll-outs of a shipped scenario by three agents, with rain and without."""
     agents = "--agent constant-velocity --agent oracle-idm --agent neuroncap-baseline"
-    options = "--rain 0,8.5 --duration 8 --width 96 --no-video --backend cpu"
-    return Case(
-        f"drive/{scenario}",
-        f"drive {scenario} {agents} {options} -o {scenario} --json {scenario}.json",
-        (f"rollout {scenario}/*.jsonl", f"numbers {scenario}.json"),
-    )
+    options = f"--rain 0,8.5 --duration 8 --width 96 --no-video --backend cpu -o {scenario} --json {scenario}.json"
+    results = f"rollout {scenario}/*.jsonl", f"numbers {scenario}.json"
+    return Case(f"drive/{scenario}", f"drive {scenario} {agents} {options}", results)
 
 
 def own_drives() -> Chain:
@@ -181,12 +163,9 @@ def own_drives() -> Chain:
 
 def measured_rain() -> Chain:
     """Return what a virtual disdrometer counts, and a calibration fitted to it."""
+    meter = "disdrometer --area 0.2 --seconds 120 --record 60"
     meters = tuple(
-        Case(
-            f"disdrometer/{rain}",
-            f"disdrometer --rain {rain} --area 0.2 --seconds 120 --record 60 -o {rain}.nc --json {rain}.json",
-            (f"numbers {rain}.json",),
-        )
+        Case(f"disdrometer/{rain}", f"{meter} --rain {rain} -o {rain}.nc --json {rain}.json", (f"numbers {rain}.json",))
         for rain in ("1.2", "8.5")
     )
     preset = "disdrometer --preset saved/settings/preset.yaml --area 0.1 --seconds 30 --record 30"
@@ -205,28 +184,22 @@ def wet_looks() -> Chain:
     """Return views made wet, a scene recolored to them, and how they compare."""
     views = f"transfer {CROSSING} --method wet --views rig --count 6 --width 96"
     recolor = f"recolor {CROSSING} --images wet -o recolored --iterations 4 --held-out 3"
+    fid = "evaluate fid wet half --extractor pixels16"
     return (
         Case("transfer", f"{views} -o wet --json wet.json", ("numbers wet.json", "pixels wet/**/*.png")),
         Case("transfer/half", f"{views} -o half --wetness 0.3 --seed 2", ("pixels half/**/*.png",)),
         Case("recolor", f"{recolor} --json recolor.json", ("numbers recolor.json", "scene recolored")),
         Case("evaluate/images", "evaluate images half wet --json images.json", ("numbers images.json",)),
         Case("evaluate/consistency", "evaluate consistency wet half --json views.json", ("numbers views.json",)),
-        Case(
-            "evaluate/fid",
-            "evaluate fid wet half --extractor pixels16 --resamples 20 --json fid.json",
-            ("numbers fid.json",),
-        ),
+        Case("evaluate/fid", f"{fid} --resamples 20 --json fid.json", ("numbers fid.json",)),
     )
 
 
 def lidar() -> Case:
     """Return a lidar's sweeps in rain."""
     options = "--sensor saved/settings/lidar.yaml --rain 0,8.5 --seeds 2 --sweeps 2 --json lidar.json"
-    return Case(
-        "evaluate/lidar",
-        f"evaluate lidar {CROSSING} -o lidar {options}",
-        ("numbers lidar.json", "arrays lidar/**/*.npz"),
-    )
+    results = "numbers lidar.json", "arrays lidar/**/*.npz"
+    return Case("evaluate/lidar", f"evaluate lidar {CROSSING} -o lidar {options}", results)
 
 
 def sweeps() -> Chain:

@@ -3,26 +3,19 @@
 import platform
 import sys
 from importlib import metadata
-from pathlib import Path
+
+from gsrain_engine.render.renderer import processor_name
 
 PACKAGES = (
-    "numpy",
-    "numba",
-    "llvmlite",
-    "scipy",
-    "pillow",
-    "moderngl",
-    "av",
-    "openexr",
-    "opencv-contrib-python-headless",
-)
+    "numpy", "numba", "llvmlite", "scipy", "pillow", "moderngl", "av", "openexr", "opencv-contrib-python-headless",
+)  # fmt: skip
 
 
 def machine() -> dict[str, str]:
     """Return names of the processor and the OpenGL driver, and versions of what computes."""
     versions = {name: _version(name) for name in PACKAGES}
     return {
-        "cpu": _processor(),
+        "cpu": processor_name(),
         "opengl": _driver(),
         "python": platform.python_version(),
         "system": sys.platform,
@@ -34,14 +27,6 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "absent"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
 
 
 def _driver() -> str:

@@ -36,14 +36,7 @@ def checkout(commit: str) -> Iterator[Path]:
             subprocess.run([*git, "worktree", "remove", "--force", str(tree)], check=True)
 
 
-def hashes(
-    tree: Path,
-    *,
-    workers: int = 2,
-    only: str = "",
-    keep: Path | None = None,
-    report: Callable[[str], None] = print,
-) -> dict[str, str]:
+def hashes(tree: Path, *, workers: int, only: str, keep: Path | None, report: Callable[[str], None]) -> dict[str, str]:
     """Hash what a checkout makes, by name; `only` takes chains with a case whose name contains it.
 
     `keep` is a new folder where all files stay, to look at differences.

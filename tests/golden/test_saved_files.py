@@ -113,21 +113,20 @@ def test_the_window_opens_the_scene_folder_as_it_was_left(saved, editor):
     assert (editor.viewport.options.gain_ev, editor.viewport.options.background) == (0.5, (0.1, 0.2, 0.3))
 
 
-def test_unsaved_changes_are_recovered(saved, editor):
-    editor.files.open(str(saved / "crossing"))
+@pytest.mark.parametrize("name", ["crossing", "sketch"])
+def test_unsaved_changes_and_an_unsaved_new_scene_are_recovered(saved, editor, name):
+    if name == "crossing":
+        editor.files.open(str(saved / name))
+    else:
+        editor.files.recovery.look()
     settle(editor)
     editor.status.answer(editor.status.question.answers[0])
     settle(editor)
-    assert editor.document.rain.intensity_mm_h == 12.0 and editor.files.has_changes
-    assert editor.document.scene.member("layers/hedge").marks.deleted.size == 60
-
-
-def test_an_unsaved_new_scene_is_recovered(saved, editor):
-    editor.files.recovery.look()
-    settle(editor)
-    editor.status.answer(editor.status.question.answers[0])
-    settle(editor)
-    assert (editor.document.scene.name, editor.document.rain.intensity_mm_h) == ("sketch", 3.5)
+    document = editor.document
+    assert (document.scene.name, document.rain.intensity_mm_h) == (name, {"crossing": 12.0, "sketch": 3.5}[name])
+    if name == "crossing":
+        assert editor.files.has_changes
+        assert document.scene.member("layers/hedge").marks.deleted.size == 60
 
 
 def test_preferences_and_recent_scenes(saved):
@@ -159,19 +158,15 @@ def test_the_layout_of_panels_names_panels_that_there_are():
         ("detector", load_description),
         ("lidar", lambda path: convert_checked(yaml_values(Path(path).read_bytes()), LidarSensor)),
         ("columns", load_columns),
+        ("../sweep/drives", load_sweep),
+        ("../sweep/frames", load_sweep),
     ],
 )
 def test_settings_keep_all_their_values(name, load, monkeypatch):
-    monkeypatch.chdir(SAVED / "settings")
-    written = yaml.safe_load(Path(f"{name}.yaml").read_text())
-    assert _leaves(written) <= _leaves(msgspec.to_builtins(load(f"{name}.yaml"), enc_hook=str))
-
-
-@pytest.mark.parametrize("name", ["drives", "frames"])
-def test_sweeps_keep_all_their_values(name, monkeypatch):
-    monkeypatch.chdir(SAVED / "sweep")
-    written = yaml.safe_load(Path(f"{name}.yaml").read_text())
-    assert _leaves(written) <= _leaves(msgspec.to_builtins(load_sweep(f"{name}.yaml")))
+    path = SAVED / "settings" / f"{name}.yaml"
+    monkeypatch.chdir(path.parent)
+    written = yaml.safe_load(path.read_text())
+    assert _leaves(written) <= _leaves(msgspec.to_builtins(load(path.name), enc_hook=str))
 
 
 def test_rows_and_roll_outs_of_a_sweep():

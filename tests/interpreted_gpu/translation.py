@@ -37,17 +37,9 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)|(?P<sign><<=|>>=|\+\+|--|<<|>>|<=|>=|==|!=|&&|\|\||[-+*/%&|^]=|[-+*/%&|^~!<>=?:;,.(){}\[\]]))"
 )
 _LEVELS = [
-    ["||"],
-    ["&&"],
-    ["|"],
-    ["^"],
-    ["&"],
-    ["==", "!="],
-    ["<", ">", "<=", ">="],
-    ["<<", ">>"],
-    ["+", "-"],
+    ["||"], ["&&"], ["|"], ["^"], ["&"], ["==", "!="], ["<", ">", "<=", ">="], ["<<", ">>"], ["+", "-"],
     ["*", "/", "%"],
-]
+]  # fmt: skip
 _ASSIGNMENTS = {"=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^=", "<<=", ">>="}
 
 
@@ -179,8 +171,6 @@ class _Translator:
         self.constants, self.uniforms, self.blocks, self.shared, self.size = {}, {}, {}, {}, (1, 1, 1)
         self.scopes = [{name: _Symbol(f"_t.{name}", "uvec3", "local") for name in INVOCATION}]
         self.function = None
-        self.switches = 0
-        self.steps = []
 
     def program(self):
         while self.at < len(self.tokens):
@@ -211,6 +201,19 @@ class _Translator:
             return True
         return False
 
+    def separated(self):
+        """Take the first token of each of the things that commas separate, and the semicolon after them."""
+        yield self.take()
+        while self.takes(","):
+            yield self.take()
+        self.take(";")
+
+    def condition(self):
+        self.take("(")
+        code = self.value().code
+        self.take(")")
+        return code
+
     def emit(self, line):
         self.lines.append("    " * self.depth + line)
 
@@ -234,13 +237,9 @@ class _Translator:
                 self.scopes[0][name] = _Symbol(f"m_{name}", codec, "memory")
         elif self.takes("uniform"):
             kind = self.take()
-            while True:
-                name = self.take()
+            for name in self.separated():
                 self.uniforms[name] = kind
                 self.scopes[0][name] = _Symbol(f"u_{name}", kind, "local")
-                if not self.takes(","):
-                    break
-            self.take(";")
         elif self.takes("const"):
             self.constants_of()
         elif self.is_type(self.next):
@@ -283,16 +282,13 @@ class _Translator:
     def declared(self, kind):
         """Names and codecs of `kind a, b[3], c[];`, up to its semicolon."""
         found = []
-        while True:
-            name, codec = self.take(), self.codecs[kind]
+        for name in self.separated():
+            codec = self.codecs[kind]
             if self.takes("["):
                 count = None if self.next == "]" else eval(self.expression().code, self.constant_names())
                 self.take("]")
                 codec = array_codec(codec, count)
             found.append((name, codec))
-            if not self.takes(","):
-                break
-        self.take(";")
         return found
 
     def struct_declaration(self):
@@ -306,15 +302,11 @@ class _Translator:
 
     def constants_of(self):
         kind = self.take()
-        while True:
-            name = self.take()
+        for name in self.separated():
             self.take("=")
             value = self.converted(self.expression(), kind)
             self.constants[f"c_{name}"] = eval(value, self.constant_names())
             self.scopes[0][name] = _Symbol(f"c_{name}", kind, "local")
-            if not self.takes(","):
-                break
-        self.take(";")
 
     def function_declaration(self):
         kind, name = self.take(), self.take()
@@ -354,14 +346,8 @@ class _Translator:
 
     def statement(self):
         token = self.next
-        if token == "{":
-            self.emit("if True:")
-            self.block()
-        elif self.takes("if"):
-            self.take("(")
-            condition = self.value()
-            self.take(")")
-            self.emit(f"if {condition.code}:")
+        if self.takes("if"):
+            self.emit(f"if {self.condition()}:")
             self.block()
             if self.takes("else"):
                 self.emit("else:")
@@ -369,24 +355,12 @@ class _Translator:
         elif self.takes("for"):
             self.for_loop()
         elif self.takes("while"):
-            self.take("(")
-            condition = self.value()
-            self.take(")")
-            self.emit(f"while {condition.code}:")
+            self.emit(f"while {self.condition()}:")
             self.loop([])
         elif self.takes("switch"):
             self.switch()
         elif self.takes("return"):
             self.return_value(None if self.next == ";" else self.value())
-            self.take(";")
-        elif self.takes("break"):
-            if self.switches:
-                self.refuse("a break inside a case")
-            self.emit("break")
-            self.take(";")
-        elif self.takes("continue"):
-            self.lines += [("    " * self.depth + line) for line in self.steps[-1]]
-            self.emit("continue")
             self.take(";")
         elif token == "const" or (self.is_type(token) and self.tokens[self.at + 1].text != "("):
             self.takes("const")
@@ -397,10 +371,7 @@ class _Translator:
 
     def local(self):
         kind = self.take()
-        while True:
-            name = self.take()
-            if self.next == "[":
-                self.refuse("a local array")
+        for name in self.separated():
             # An initializer may call a function that writes a variable declared just before it.
             if self.takes("="):
                 value = self.converted(self.expression(), kind)
@@ -409,20 +380,12 @@ class _Translator:
             symbol = _Symbol(f"v{next(self.numbers)}_{name}", kind, "local")
             self.emit(f"{symbol.name} = {value}")
             self.scopes[-1][name] = symbol
-            if not self.takes(","):
-                break
-        self.take(";")
 
     def for_loop(self):
         self.take("(")
         self.scopes.append({})
-        if self.is_type(self.next):
-            self.local()
-        else:
-            if self.next != ";":
-                self.action()
-            self.take(";")
-        condition = "True" if self.next == ";" else self.value().code
+        self.local()
+        condition = self.value().code
         self.take(";")
         body, depth, self.lines, self.depth = self.lines, self.depth, [], 0
         while self.next != ")":
@@ -435,18 +398,13 @@ class _Translator:
         self.scopes.pop()
 
     def loop(self, step):
-        self.steps.append(step)
-        outer, self.switches = self.switches, 0
         self.block()
-        self.switches = outer
-        self.lines += ["    " * (self.depth + 1) + line for line in self.steps.pop()]
+        self.lines += ["    " * (self.depth + 1) + line for line in step]
 
     def switch(self):
-        self.take("(")
-        value, chosen = self.value(), f"v{next(self.numbers)}_case"
-        self.take(")")
+        value, chosen = self.condition(), f"v{next(self.numbers)}_case"
         self.take("{")
-        self.emit(f"{chosen} = {value.code}")
+        self.emit(f"{chosen} = {value}")
         word = "if"
         while not self.takes("}"):
             if self.takes("default"):
@@ -460,7 +418,6 @@ class _Translator:
             word = "elif"
             self.depth += 1
             self.emit("pass")
-            self.switches += 1
             while self.next not in ("case", "default", "}"):
                 if self.next == "break":
                     self.take()
@@ -469,7 +426,6 @@ class _Translator:
                     break
                 ends = self.next == "return"
                 self.statement()
-            self.switches -= 1
             self.depth -= 1
             if not ends and self.next != "}":
                 self.refuse("a case that falls through")
@@ -548,13 +504,11 @@ class _Translator:
         return left
 
     def unary(self):
-        if self.next not in ("-", "+", "!", "~"):
+        if self.next not in ("-", "+", "!"):
             return self.postfix()
         sign, value = self.take(), self.loaded(self.unary())
         if sign == "!":
             return _Operand("bool", f"(not {value.code})")
-        if sign == "~":
-            return _Operand(value.type, f"({value.code} ^ {ALL if value.type == 'uint' else -1})")
         wrapped = f"(-{value.code} & {ALL})" if value.type == "uint" else f"(-{value.code})"
         return value if sign == "+" else _Operand(value.type, wrapped)
 
@@ -618,8 +572,8 @@ class _Translator:
         if not operand.memory:
             return operand
         kind = operand.type.type
-        if isinstance(kind, tuple):
-            self.refuse("an array as a whole")
+        if kind not in SCALARS and kind not in VECTORS:
+            self.refuse("an array or a struct as a whole")
         request = f"{operand.memory}, {operand.offset}, {operand.place!r}, {self.codec(kind)}"
         if operand.code == "constant":
             return _Operand(kind, f"_t.load({request})")
@@ -645,12 +599,9 @@ class _Translator:
             operand.offset, operand.type = f"{operand.offset} + {at} * {stride}", operand.type.members[0]
             return operand
         value = self.loaded(operand)
-        if value.type in MATRICES:
-            kind = vector_type("f", MATRICES[value.type][1])
-        elif value.type in VECTORS:
-            kind = SCALAR_OF[VECTORS[value.type][0]]
-        else:
+        if value.type not in MATRICES:
             return self.refuse(f"an index of {value.type}")
+        kind = vector_type("f", MATRICES[value.type][1])
         path = (*value.path, int(index.code)) if value.name and index.code.isdigit() else ()
         return _Operand(kind, f"{value.code}.parts[{index.code}]", name=value.name if path else "", path=path)
 
@@ -667,8 +618,7 @@ class _Translator:
             if len(places) == 1:
                 code = f"{value.code}.parts[{places[0]}]"
                 return _Operand(SCALAR_OF[kind], code, name=value.name, path=(*value.path, places[0]))
-            code = f"swizzled({value.code}, {places})"
-            return _Operand(vector_type(kind, len(places)), code, name=value.name, path=(*value.path, places))
+            return _Operand(vector_type(kind, len(places)), f"swizzled({value.code}, {places})")
         kind = {name: codec.type for name, _, codec in self.codecs[value.type].members}[field]
         return _Operand(kind, f"{value.code}[{field!r}]", name=value.name, path=(*value.path, field))
 
@@ -709,7 +659,7 @@ class _Translator:
         if name == "barrier":
             self.function.pauses = True
             return _Operand("void", f"(yield ({BARRIER}, None, 0, {place!r}))")
-        if name in ("atomicAdd", "atomicOr", "atomicAnd", "atomicMax", "atomicMin", "atomicXor", "atomicExchange"):
+        if name in ("atomicAdd", "atomicOr"):
             target, kind = arguments[0], arguments[0].type.type
             self.function.pauses = True
             request = f"{target.memory}, {target.offset}, {place!r}, {self.codec(kind)}"

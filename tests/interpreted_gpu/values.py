@@ -34,9 +34,6 @@ class Vec:
     def __sub__(self, other):
         return self.combined(other, lambda a, b: a - b)
 
-    def __rsub__(self, other):
-        return self.combined(other, lambda a, b: b - a)
-
     def __mul__(self, other):
         if isinstance(other, Mat):
             return Vec("f", [dot(self, column) for column in other.parts])
@@ -45,20 +42,11 @@ class Vec:
     def __truediv__(self, other):
         return self.combined(other, quotient if "f" in (self.kind, getattr(other, "kind", "f")) else whole_quotient)
 
-    def __rtruediv__(self, other):
-        return self.combined(other, lambda a, b: quotient(b, a))
-
     def __rshift__(self, other):
         return self.combined(other, lambda a, b: a >> b)
 
-    def __lshift__(self, other):
-        return self.combined(other, lambda a, b: a << b)
-
     def __and__(self, other):
         return self.combined(other, lambda a, b: a & b)
-
-    def __or__(self, other):
-        return self.combined(other, lambda a, b: a | b)
 
     def __xor__(self, other):
         return self.combined(other, lambda a, b: a ^ b)
@@ -81,12 +69,7 @@ class Mat:
             for column, share in zip(self.parts[1:], other.parts[1:], strict=True):
                 total = total + column * share
             return total
-        if isinstance(other, Mat):
-            return Mat(self * column for column in other.parts)
-        return Mat(column * other for column in self.parts)
-
-    def __rmul__(self, other):
-        return Mat(column * other for column in self.parts)
+        return Mat(self * column for column in other.parts)
 
 
 def _wrapped(kind, value):
@@ -231,22 +214,16 @@ def constructed(name, *values):
     if isinstance(values[0], Mat):
         return Mat(Vec("f", column.parts[:rows]) for column in values[0].parts[:columns])
     flat = [float(part) for each in values for part in (each.parts if isinstance(each, Vec) else (each,))]
-    if len(flat) == 1:
-        return Mat(Vec("f", [flat[0] if r == c else 0.0 for r in range(rows)]) for c in range(columns))
     return Mat(Vec("f", flat[c * rows : (c + 1) * rows]) for c in range(columns))
 
 
 def put(value, path, new):
-    """Replace a part of a local value: a field, an index, or the components of a swizzle."""
+    """Replace a part of a local value: a field, or an index."""
     head, rest = path[0], path[1:]
     if isinstance(value, dict):
         return {**value, head: put(value[head], rest, new) if rest else new}
     parts = list(value.parts)
-    if isinstance(head, tuple):
-        for at, part in zip(head, new.parts, strict=True):
-            parts[at] = part
-    else:
-        parts[head] = put(parts[head], rest, new) if rest else new
+    parts[head] = put(parts[head], rest, new) if rest else new
     return Mat(parts) if isinstance(value, Mat) else Vec(value.kind, parts)
 
 
@@ -264,13 +241,8 @@ class Codec:
         if self.type in SCALARS:
             word = words[at]
             return word if self.type == "uint" else _number(word) if self.type == "float" else signed(word)
-        if self.type in VECTORS:
-            kind, size = VECTORS[self.type]
-            each = CODECS[SCALAR_OF[kind]]
-            return Vec(kind, [each.decode(words, at + k) for k in range(size)])
-        if isinstance(self.type, tuple):
-            raise UnsupportedError("an array is read as a whole")
-        return {name: codec.decode(words, at + offset) for name, offset, codec in self.members}
+        kind, size = VECTORS[self.type]
+        return Vec(kind, [CODECS[SCALAR_OF[kind]].decode(words, at + k) for k in range(size)])
 
     def encode(self, value):
         if self.type in SCALARS:
@@ -306,8 +278,7 @@ RUNTIME = {
     "put": put, "signed": signed, "quotient": quotient, "whole_quotient": whole_quotient,
     "remainder": remainder, "constructed": constructed,
     "swizzled": lambda value, places: Vec(value.kind, [value.parts[k] for k in places]),
-    "atomic_add": lambda a, b: a + b & ALL, "atomic_or": lambda a, b: a | b, "atomic_and": lambda a, b: a & b,
-    "atomic_xor": lambda a, b: a ^ b, "atomic_max": max, "atomic_min": min, "atomic_exchange": lambda a, b: b,
+    "atomic_add": lambda a, b: a + b & ALL, "atomic_or": lambda a, b: a | b,
     **{f"g_{name}": function for name, function in {**SAME, **COMPARED}.items()},
     **{f"g_{name}": function for name, (_, function) in OF_TYPE.items()},
 }  # fmt: skip

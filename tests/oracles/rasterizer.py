@@ -84,23 +84,16 @@ def _nearest_first(
 
 
 def _blended(splats: Sequence[_Splat], camera: Camera) -> Float64[np.ndarray, "h w 5"]:
-    image = np.zeros((camera.height, camera.width, 5))
-    for splat, weight in weights_slowly(splats, camera):
-        image += weight[..., None] * np.array([*splat.color, 1.0, splat.depth])
-    return image
-
-
-def weights_slowly(splats: Sequence[_Splat], camera: Camera) -> list[tuple[_Splat, Float64[np.ndarray, "h w"]]]:
-    """Blending weight of each splat in each pixel, nearest splat first."""
+    """Sum of the splats' values by their weights in each pixel, nearest splat first."""
     shape = (camera.height, camera.width)
-    transmittance, is_open = np.ones(shape), np.ones(shape, bool)
-    weights: list[tuple[_Splat, Float64[np.ndarray, "h w"]]] = []
+    image, transmittance, is_open = np.zeros((*shape, 5)), np.ones(shape), np.ones(shape, bool)
     for splat in splats:
         alpha = _alpha(splat, camera)
-        weights.append((splat, np.where(is_open, transmittance * alpha, 0)))
-        transmittance = transmittance * (1 - alpha)
+        weight = np.where(is_open, transmittance * alpha, 0)
+        image += weight[..., None] * np.array([*splat.color, 1.0, splat.depth])
+        transmittance *= 1 - alpha
         is_open &= transmittance >= MIN_TRANSMITTANCE
-    return weights
+    return image
 
 
 def _alpha(splat: _Splat, camera: Camera) -> Float64[np.ndarray, "h w"]:
@@ -153,27 +146,14 @@ def _color(part: DrawItem, i: int, camera: Camera) -> Float64[np.ndarray, "3"]:
 def sh_basis_slowly(direction: Float[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 16"]:
     """Real spherical harmonics up to degree 3 in unit directions, signed as in 3DGS."""
     x, y, z = np.moveaxis(np.asarray(direction, np.float64), -1, 0)
-    c1 = np.sqrt(3 / (4 * np.pi))
-    c2 = np.sqrt(15 / (4 * np.pi))
+    c1, c2 = np.sqrt(3 / (4 * np.pi)), np.sqrt(15 / (4 * np.pi))
     c3a, c3b = np.sqrt(35 / (32 * np.pi)), np.sqrt(21 / (32 * np.pi))
-    return np.stack(
-        [
-            np.full_like(x, np.sqrt(1 / (4 * np.pi))),
-            -c1 * y,
-            c1 * z,
-            -c1 * x,
-            c2 * x * y,
-            -c2 * y * z,
-            np.sqrt(5 / (16 * np.pi)) * (3 * z * z - 1),
-            -c2 * x * z,
-            c2 / 2 * (x * x - y * y),
-            -c3a * y * (3 * x * x - y * y),
-            np.sqrt(105 / (4 * np.pi)) * x * y * z,
-            -c3b * y * (5 * z * z - 1),
-            np.sqrt(7 / (16 * np.pi)) * z * (5 * z * z - 3),
-            -c3b * x * (5 * z * z - 1),
-            np.sqrt(105 / (16 * np.pi)) * z * (x * x - y * y),
-            -c3a * x * (x * x - 3 * y * y),
-        ],
-        axis=-1,
-    )
+    harmonics = [
+        np.full_like(x, np.sqrt(1 / (4 * np.pi))),
+        -c1 * y, c1 * z, -c1 * x,
+        c2 * x * y, -c2 * y * z, np.sqrt(5 / (16 * np.pi)) * (3 * z * z - 1), -c2 * x * z, c2 / 2 * (x * x - y * y),
+        -c3a * y * (3 * x * x - y * y), np.sqrt(105 / (4 * np.pi)) * x * y * z, -c3b * y * (5 * z * z - 1),
+        np.sqrt(7 / (16 * np.pi)) * z * (5 * z * z - 3), -c3b * x * (5 * z * z - 1),
+        np.sqrt(105 / (16 * np.pi)) * z * (x * x - y * y), -c3a * x * (x * x - 3 * y * y),
+    ]  # fmt: skip
+    return np.stack(harmonics, axis=-1)

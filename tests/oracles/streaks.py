@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.streaks import (
@@ -36,13 +36,7 @@ def make_streaks(
     shutter: ShutterModel,
     rain: RainSettings,
 ) -> StreakGaussians:
-    """Turn drops into one to n_max Gaussians each, along the path the drop takes through the picture.
-
-    Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
-    attenuation with distance. Copies: eq. 10-12. With the speed across, the integral of alpha over the image is the
-    drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus and out of it: the circle of confusion adds a
-    sixteenth of its diameter's square to the variances, as a disc has.
-    """
+    """Turn drops into one to n_max Gaussians each, as the docstring of `streak_gaussians` describes."""
     diameters_m = diameters_mm * 1e-3
     seen = velocities_m_s - shutter.velocity_m_s if rain.streak_frame == "camera" else velocities_m_s
     to_drop = positions_m - shutter.camera.position
@@ -73,7 +67,9 @@ def make_streaks(
     opacity = opacity * across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
     across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
 
-    owner, place = _copies(copies)
+    owner = np.repeat(np.arange(len(copies)), copies)
+    number = np.arange(len(owner)) - np.repeat(np.cumsum(copies) - copies, copies)
+    place = number - (copies[owner] - 1) / 2  # in spacings from the middle
     direction = seen / np.maximum(speed, 1e-9)[:, None]
     offset = place * (length / copies)[owner]
     return StreakGaussians(
@@ -82,13 +78,6 @@ def make_streaks(
         quaternions=_turn_z_to(direction)[owner].astype(np.float32),
         opacities=opacity[owner].astype(np.float32),
     )
-
-
-def _copies(counts: Int64[np.ndarray, " m"]) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """For every copy, its drop and its place along the streak in spacings from the middle."""
-    owner = np.repeat(np.arange(len(counts)), counts)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return owner, number - (counts[owner] - 1) / 2
 
 
 def _turn_z_to(direction: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 4"]:

@@ -38,10 +38,6 @@ def test_load_takes_the_axis_and_the_unit(tmp_path, scene):
     assert lying.up == (0, 0, 1) and lying.metres_per_unit == 0.5 and not lying.unit_is_assumed
     unsorted = gr.load(tmp_path / "bare.ply", sort=False)
     assert np.array_equal(unsorted.layers[0].gaussians.means[:400, 0], scene.layers[0].gaussians.means[:, 0])
-    with pytest.raises(ValueError, match=r"up 'k': expected one of x, -x, y"):
-        gr.load(tmp_path / "bare.ply", up="k")
-    with pytest.raises(ValueError, match=r"scale 0: must be within"):
-        gr.load(tmp_path / "bare.ply", scale=0)
     with pytest.raises(gr.SceneFormatError, match=r"nothing\.ply"):
         gr.load(tmp_path / "nothing.ply")
 
@@ -54,18 +50,34 @@ def test_rain_has_short_names_and_all_fields(rain):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("call", "words"),
     [
-        ({"intensity": 101}, "<= 100.0 - at `intensity`"),
-        ({"wind": (99, 0)}, "wind must be within -40..40"),
-        ({"exposure": 7.0}, "exposure must be within"),
-        ({"intensty": 8}, "unknown field `intensty`; did you mean `intensity"),
-        ({"intensity": float("nan")}, "nan"),
+        (lambda scene: gr.load("street", up="k"), "up 'k'"),
+        (lambda scene: gr.load("street", scale=0), "scale 0"),
+        (lambda scene: gr.Rain(intensity=101), "<= 100.0 - at `intensity`"),
+        (lambda scene: gr.Rain(wind=(99, 0)), "wind must be within -40..40"),
+        (lambda scene: gr.Rain(exposure=7.0), "exposure must be within"),
+        (lambda scene: gr.Rain(intensty=8), "unknown field `intensty`; did you mean `intensity"),
+        (lambda scene: gr.Rain(intensity=float("nan")), "nan"),
+        (lambda scene: gr.measure_rain(gr.Rain(8.5), seconds=0), "seconds 0"),
+        (lambda scene: gr.render(scene, size=(0, 64)), r">= 1 - at `size\[0\]`"),
+        (lambda scene: gr.render_video(scene, None, None, "odd.mp4", size=(97, 64)), "even width"),
+        (lambda scene: gr.frames(scene, start=2.0, end=1.0), "end must be above start"),
+        (lambda scene: gr.CameraPath.orbit(scene, seconds=0), "above 0 s"),
+        (lambda scene: gr.wet(scene, method="fog"), "'fog'"),
+        (lambda scene: gr.wet(scene, method="images"), "images="),
+        (lambda scene: gr.wet(scene, weights="none.pkl"), r"weights none\.pkl"),
+        (lambda scene: gr.wet(scene, sed=3), "did you mean `seed`"),
+        (lambda scene: gr.wet(scene, views=0), ">= 1"),
+        (lambda scene: gr.drive(scene, agent="nobody"), "agent nobody"),
+        (lambda scene: gr.drive(replace(scene, ego=None)), "drive"),
     ],
 )
-def test_rain_names_the_argument_that_is_wrong(given, message):
-    with pytest.raises(ValueError, match=message):
-        gr.Rain(**given)
+def test_bad_input_is_named(scene, call, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=words):
+        call(scene)
+    assert not list(tmp_path.iterdir())
 
 
 def test_rain_from_a_disdrometer(tmp_path):
@@ -85,8 +97,6 @@ def test_rain_is_measured():
     assert isinstance(measured.rate, float) and abs(measured.rate - 8.5) < 4 * measured.standard_error
     assert str(measured) == f"{measured.rate:.2f} +- {measured.standard_error:.2f} mm/h"
     assert measured.drops > 1000 and 0.3 < measured.mean_diameter < 2
-    with pytest.raises(ValueError, match="seconds 0: must be above 0"):
-        gr.measure_rain(gr.Rain(8.5), seconds=0)
 
 
 def test_an_image_is_what_the_command_renders(tmp_path, scene, rain):
@@ -126,8 +136,6 @@ def test_a_camera_can_be_given_or_a_path(scene):
     assert gr.render(scene, camera=camera, size=(48, 32), backend="cpu").rgb.shape == (32, 48, 3)
     middle = gr.render(scene, camera=path, size=SIZE, time=3.0, backend="cpu")
     assert np.abs(middle.rgb.astype(float) - own.rgb).mean() < 1  # an orbit passes its home camera
-    with pytest.raises(ValueError, match=r">= 1 - at `size\[0\]`"):
-        gr.render(scene, size=(0, 64))
 
 
 def test_paths_of_a_scene(tmp_path, scene):
@@ -137,8 +145,6 @@ def test_paths_of_a_scene(tmp_path, scene):
     path.save(tmp_path / "path.json", tilted)
     assert gr.CameraPath.read(tmp_path / "path.json", tilted).positions == pytest.approx(path.positions)
     assert gr.CameraPath.default(scene).end_s == 5.0  # the ego vehicle's drive
-    with pytest.raises(ValueError, match="above 0 s"):
-        gr.CameraPath.orbit(scene, seconds=0)
 
 
 def test_frames_are_those_of_the_video(tmp_path, scene, rain):
@@ -155,42 +161,32 @@ def test_frames_are_those_of_the_video(tmp_path, scene, rain):
     video = gr.render_video(scene, None, None, tmp_path / "dry.mp4", size=SIZE, fps=2, end=1.0, backend="cpu")
     with av.open(str(video)) as file:
         assert len(list(file.decode(video=0))) == 2
-    with pytest.raises(ValueError, match="even width"):
-        gr.render_video(scene, rain, path, tmp_path / "odd.mp4", size=(97, 64))
-    with pytest.raises(ValueError, match="end must be above start"):
-        gr.frames(scene, rain, path, start=2.0, end=1.0)
 
 
 def test_a_renderer_is_used_by_threads_and_then_closed(scene, rain):
     found = []
     with gr.Renderer("cpu") as renderer:
-        work = [threading.Thread(target=lambda: found.append(renderer.render(scene, rain, size=SIZE).rgb))] * 1
-        work += [threading.Thread(target=lambda: found.append(next(renderer.frames(scene, rain, size=SIZE)).rgb))]
-        for each in work:
+        work = (
+            lambda: found.append(renderer.render(scene, rain, size=SIZE).rgb),
+            lambda: found.append(next(renderer.frames(scene, rain, size=SIZE)).rgb),
+        )
+        threads = [threading.Thread(target=each) for each in work]
+        for each in threads:
             each.start()
-        for each in work:
+        for each in threads:
             each.join()
         frames = renderer.frames(scene, rain, size=SIZE)
         assert repr(renderer) == "<gsrain.Renderer cpu>"
-    assert len(found) == 2
+    assert len(found) == 2 and found[0].shape == found[1].shape == (64, 96, 3)
     for use in (lambda: renderer.render(scene), lambda: next(frames)):
         with pytest.raises(ValueError, match="closed"):
             use()
 
 
-def test_wet_colors(tmp_path, scene):
+def test_wet_colors(scene):
     steps = []
     wet = gr.wet(scene, views=2, seed=3, progress=steps.append)
     assert wet.has_wet_colors and not scene.has_wet_colors and steps[-1].fraction == 1
-    for given, message in (
-        ({"method": "fog"}, "no transfer method 'fog'"),
-        ({"method": "images"}, "needs the argument images="),
-        ({"weights": tmp_path / "none.pkl"}, r"weights .*none\.pkl: no such file"),
-        ({"sed": 3}, "did you mean `seed`"),
-        ({"views": 0}, ">= 1"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            gr.wet(scene, **given)
 
 
 def test_a_drive(tmp_path, scene):
@@ -200,7 +196,3 @@ def test_a_drive(tmp_path, scene):
     assert gr.read_rollout(tmp_path / "run.jsonl") == run.rollout
     with pytest.raises(ValueError, match="no roll-out"):
         run._replace(rollout=None).save(tmp_path / "none.jsonl")
-    with pytest.raises(ValueError, match="agent nobody"):
-        gr.drive(scene, agent="nobody")
-    with pytest.raises(ValueError, match="drive"):
-        gr.drive(replace(scene, ego=None))

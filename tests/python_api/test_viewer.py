@@ -81,7 +81,7 @@ def test_a_window_that_does_not_reply_is_not_waited_for_forever():
     with gr.Viewer(small_scene(), timeout=0.2) as viewer:
         window = window_of_this_process()
         window.suspend()
-        with pytest.raises(gr.ViewerError, match=r"has not replied for 0\.2 s"):
+        with pytest.raises(gr.ViewerError, match=r"0\.2 s"):
             viewer.rain  # noqa: B018
         window.kill()
 
@@ -118,5 +118,5 @@ def test_messages_are_whole_or_none():
     assert receive(file, REQUESTS) == sent and receive(file, REQUESTS) == GetState(number=8)
     assert receive(file, REQUESTS) is None
     assert receive(io.BytesIO(file.getvalue()[:20]), REQUESTS) is None
-    with pytest.raises(ValueError, match="at most"):
-        receive(io.BytesIO(b"\xff\xff\xff\xff"), Reply)
+    with pytest.raises(ValueError, match="number"):
+        receive(io.BytesIO(b"{}\n"), Reply)

@@ -24,11 +24,11 @@ def positions_at(time_s, center=(0.0, 0.0, 0.0), wind=(0.0, 0.0), count=20_000):
     return drops.positions(PERIOD) + center, drops
 
 
-def culling(camera=(-1.0, 0.3, 0.2), far=2.0, yaw=0.4):
+def culling(camera=(-1.0, 0.3, 0.2), far=2.0, yaw=0.4, half=(2.8, 2.8, 3.0)):
     c, s = np.cos(yaw), np.sin(yaw)
     return DropCulling(
         region_rotation=np.array([[c, s], [-s, c]]),
-        region_half=np.array([2.8, 2.8, 3.0]),
+        region_half=np.array(half),
         camera_position=np.array(camera),
         cell_to_camera=np.array([[s, -c, 0.0], [0.0, 0.0, -1.0], [c, s, 0.0]]),
         slopes=np.array([-0.5, 0.6, -0.4, 0.3]),
@@ -84,6 +84,20 @@ def test_compiled_search_finds_what_the_reference_places(time_s):
     assert seen.sum() > 50
     assert np.array_equal(found, np.flatnonzero(seen))
     assert len(found_drops(50_000, 7, where, PERIOD, cull, in_view=False)) == in_region.sum()
+
+
+def test_compiled_search_places_drops_to_the_last_bit_far_and_late():
+    """At 10,000 s and 10 km a drop is found in a box that ends exactly on it, but in none a rounding step smaller."""
+    where = phases_of(displaced(10_000.0, (2.0, -1.5)), np.array([8_000.0, -6_000.0, 120.0]), PERIOD)
+    distance = np.abs(place_drops(np.arange(CLASSES), 3, where).positions(PERIOD))
+    for number in range(0, CLASSES, 2048):
+        for smaller in (None, 0, 1, 2):
+            half = distance[number].copy()
+            if smaller is not None:
+                half[smaller] = np.nextafter(half[smaller], 0)
+            found = found_drops(CLASSES, 3, where, PERIOD, culling(yaw=0.0, half=half), in_view=False)
+            np.testing.assert_array_equal(found, np.flatnonzero(np.all(distance <= half, axis=1)))
+            assert (number in found) == (smaller is None)
 
 
 def test_a_wrap_draws_the_later_axes_anew_but_no_earlier_one():

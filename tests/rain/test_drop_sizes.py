@@ -11,28 +11,23 @@ from gsrain_engine.rain.calibration import (
     load_calibration,
     save_calibration,
 )
-from gsrain_engine.rain.properties import DropSizes, calibration_curves, spectrum_at
+from gsrain_engine.rain.properties import CLASSES, DropSizes, calibration_curves, spectrum_at
 
 laws = st.builds(DropSizes, st.floats(1, 30), st.floats(0.02, 0.5))
 
 
 @given(laws, st.floats(0, 1))
 @settings(max_examples=50, deadline=None)
-def test_quantiles_are_those_of_the_truncated_gamma(sizes, probability):
-    diameter = float(sizes.quantile(np.array([probability]))[0])
+def test_quantiles_and_density_are_those_of_the_truncated_gamma(sizes, probability):
+    diameter = sizes.quantile(np.array([probability]))
     gamma = stats.gamma(sizes.shape, scale=sizes.scale_mm)
     low, high = gamma.cdf([0.1, 8.0])
-    assert 0.1 <= diameter <= 8.0
+    assert 0.1 <= diameter[0] <= 8.0
     assert (gamma.cdf(diameter) - low) / (high - low) == pytest.approx(probability, abs=1e-6)
-
-
-@given(laws, st.floats(0.1, 8.0))
-@settings(max_examples=50, deadline=None)
-def test_the_density_is_that_of_the_truncated_gamma(sizes, diameter):
-    gamma = stats.gamma(sizes.shape, scale=sizes.scale_mm)
-    low, high = gamma.cdf([0.1, 8.0])
+    shares = (gamma.cdf(sizes.class_diameters_mm[[0, 9000, -1]]) - low) / (high - low)
+    assert CLASSES * shares == pytest.approx([0.5, 9000.5, CLASSES - 0.5], abs=0.01)
     expected = gamma.pdf(diameter) / (high - low)
-    assert float(sizes.probability_per_mm(np.array([diameter]))[0]) == pytest.approx(expected, rel=1e-9, abs=1e-300)
+    assert sizes.probability_per_mm(diameter) == pytest.approx(expected, rel=1e-9, abs=1e-300)
 
 
 @given(laws, st.integers(1, 6))
@@ -43,10 +38,7 @@ def test_moments_are_those_of_the_truncated_gamma(sizes, power):
     share = np.diff(special.gammainc(sizes.shape + power, bounds)) / np.diff(special.gammainc(sizes.shape, bounds))
     expected = sizes.scale_mm**power * special.poch(sizes.shape, power) * share[0]
     assert sizes.expectation(lambda d: d**power) == pytest.approx(expected, rel=1e-7)
-
-
-def test_a_law_of_nothing_but_mist_lies_at_its_lower_end():
-    """Of it e^-1000 is within 0.1..8 mm: a number that only exists as a logarithm."""
+    # Of mist e^-1000 is within 0.1..8 mm: a number that only exists as a logarithm.
     assert DropSizes(2.0, 1e-4).expectation(lambda d: d) == pytest.approx(0.1, abs=1e-3)
 
 

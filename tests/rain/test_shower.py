@@ -6,7 +6,6 @@ import pytest
 
 from given_rain import HERE, gaussians_of
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.rain.drop_field import place_drops
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.properties import DropClassTable, rain_properties
 from gsrain_engine.rain.settings import RainSettings, RegionBox
@@ -82,24 +81,14 @@ def test_displacement_is_the_integral_of_the_speeds(between):
 def test_no_drop_jumps_at_a_key_or_between():
     """From one thousandth of a second to the next no class moves farther than its speed, at keys and node crossings."""
     rainfall = RainSimulation.start(RainSettings(seed=5, gust_m_s=1.0), weather=GUSTY)
+    straight = RainSimulation.start(RainSettings(streak_reset="paper", gust_m_s=2.0), weather=GUSTY)
+    assert np.array_equal(straight.frozen_at(12.0).motion.drift(12.0), np.zeros(2))  # the paper's form, in any weather
     for at in (0.0, 3.0, 18.0, 20.0, 33.0, *np.random.default_rng(2).uniform(0, 35, 12)):
         before, after = (rainfall.frozen_at(float(at) + step).motion for step in (-5e-4, 5e-4))
         moved = displacement(after, float(at) + 5e-4) - displacement(before, float(at) - 5e-4)
         expected = -1e-3 * 0.5 * (before.fall_speed_m_s + after.fall_speed_m_s)
         assert np.abs(moved[:, 2] - expected).max() < 1e-6
         assert np.abs(moved[:, :2]).max() < 0.02
-
-
-def test_drops_come_and_go_by_number_and_those_that_stay_fall_on():
-    rainfall = RainSimulation.start(RainSettings(seed=5, streak_region=SMALL), weather=TRIANGLE)
-    early, late = (rainfall.frame(at, HERE) for at in (10.0, 10.01))
-    assert late.count > early.count > 10_000
-    numbers = np.arange(early.count)
-    before = place_drops(numbers, 5, early.where)
-    after = place_drops(numbers, 5, late.where)
-    moved = after.positions(late.period_m)[:, 2] - before.positions(early.period_m)[:, 2]
-    moved = (moved + 1.0) % 2.0 - 1.0  # the cell is 2 m high
-    assert moved == pytest.approx(-0.01 * early.fall_speed_m_s[before.class_index], abs=1e-4)
 
 
 def test_haze_and_numbers_follow_the_intensity():
@@ -140,11 +129,6 @@ def test_a_keyed_exposure_lengthens_streaks():
     assert rainfall.frame(5.0, HERE).shutter.exposure_s == pytest.approx(0.011)
     long, short = (gaussians_of(rainfall.frame(at, HERE)).scales.max() for at in (10.0, 0.0))
     assert long > 5 * short
-
-
-def test_the_papers_reset_falls_straight_under_any_weather():
-    rainfall = RainSimulation.start(RainSettings(streak_reset="paper", gust_m_s=2.0), weather=GUSTY)
-    assert np.array_equal(rainfall.frozen_at(12.0).motion.drift(12.0), np.zeros(2))
 
 
 def test_changing_the_weather_moves_no_drop():

@@ -28,29 +28,29 @@ def test_straight_between_keys_and_held_beyond_them(at, expected):
     assert TRIANGLE.rain_at(RainSettings(intensity_mm_h=50.0), at).intensity_mm_h == pytest.approx(expected)
 
 
-def test_each_field_has_keys_of_its_own():
+def test_each_field_has_keys_of_its_own_which_are_set_moved_and_removed():
     weather = TRIANGLE.with_key(20.0, wind_m_s=(2.0, 0.0)).with_key(40.0, wind_m_s=(4.0, -2.0), exposure_s=0.01)
     rain = weather.rain_at(RainSettings(seed=7), 30.0)
-    assert rain.intensity_mm_h == pytest.approx(8.0)
-    assert rain.wind_m_s == pytest.approx((3.0, -1.0))
-    assert (rain.exposure_s, rain.seed) == (0.01, 7)
+    assert rain == RainSettings(seed=7, intensity_mm_h=8.0, wind_m_s=(3.0, -1.0), exposure_s=0.01)
     assert weather.without("intensity_mm_h").rain_at(RainSettings(intensity_mm_h=1.0), 30.0).intensity_mm_h == 1.0
     assert weather.without("wind_m_s").key_times["wind_m_s"].tolist() == []
-    assert weather.key_at(40.0).intensity_mm_h == 12.0
-
-
-def test_keys_are_set_moved_and_removed():
-    weather = TRIANGLE.with_key(40.0, intensity_mm_h=5.0)
-    assert weather.key_times["intensity_mm_h"].tolist() == [10.0, 40.0, 70.0]
-    assert weather.key_at(40.0).intensity_mm_h == 5.0
     moved = weather.moved_key(40.0, 80.0, "intensity_mm_h", intensity_mm_h=3.0)
     assert moved.key_times["intensity_mm_h"].tolist() == [10.0, 70.0, 80.0]
+    assert moved.key_times["wind_m_s"].tolist() == [20.0, 40.0]
     assert moved.key_at(80.0).intensity_mm_h == 3.0
-    with_wind = weather.with_key(40.0, wind_m_s=(1.0, 1.0)).moved_key(40.0, 50.0, "intensity_mm_h")
-    assert with_wind.key_times["wind_m_s"].tolist() == [40.0]
-    assert with_wind.key_times["intensity_mm_h"].tolist() == [10.0, 50.0, 70.0]
+    assert moved.moved_key(40.0, 90.0, "intensity_mm_h") is moved.moved_key(11.0, 90.0, "wind_m_s") is moved
+    assert weather.with_key(40.0, intensity_mm_h=5.0).key_at(40.0).intensity_mm_h == 5.0
     assert weather.without_key(10.0).key_times["intensity_mm_h"].tolist() == [40.0, 70.0]
     assert weather.without_key(11.0) is weather
+
+
+def test_smooth_has_no_corners():
+    """At its top a straight shower turns by 0.8 mm/h a second, the smooth one by less than a fifth of that."""
+    smooth = msgspec.structs.replace(TRIANGLE, between="smooth")
+    for weather, low, high in ((TRIANGLE, 0.39, 1), (smooth, 0, 0.16)):
+        for at in (10.0, 40.0, 70.0):
+            rates = [weather.rain_at(RainSettings(), at + step).intensity_mm_h for step in (-1.0, 0.0, 1.0)]
+            assert low < abs(np.diff(rates, 2)[0]) < high
 
 
 @given(
@@ -71,19 +71,6 @@ def test_smooth_goes_through_its_keys_and_never_beyond_its_neighbours(pairs, at)
     assert min(near) - 1e-9 <= weather.rain_at(RainSettings(), at).intensity_mm_h <= max(near) + 1e-9
 
 
-def test_smooth_has_no_corners():
-    """At its top a straight shower turns by 0.8 mm/h a second, the smooth one by less than a fifth of that."""
-    smooth = shower((10.0, 0.0), (40.0, 12.0), (70.0, 0.0), between="smooth")
-
-    def turn(weather, at):
-        before, here, after = (weather.rain_at(RainSettings(), at + step).intensity_mm_h for step in (-1.0, 0.0, 1.0))
-        return abs(before - 2 * here + after)
-
-    for at in (10.0, 40.0, 70.0):
-        assert turn(TRIANGLE, at) > 0.39
-        assert turn(smooth, at) < 0.16
-
-
 def test_weather_is_plain_values_and_comes_back():
     weather = shower_keyframes(5.0).with_key(3.0, wind_m_s=(1.0, -2.0), exposure_s=0.002)
     values = msgspec.json.decode(msgspec.json.encode(msgspec.to_builtins(weather)))
@@ -92,42 +79,39 @@ def test_weather_is_plain_values_and_comes_back():
 
 
 @pytest.mark.parametrize(
-    ("key", "message"),
+    ("field", "values"),
     [
-        ({"intensity_mm_h": 100.5}, "intensity_mm_h must be within 0..100"),
-        ({"intensity_mm_h": float("nan")}, "intensity_mm_h must be within 0..100"),
-        *(({"wind_m_s": wind}, "wind_m_s must be within -40..40") for wind in ([0.0, 40.1], [-40.1, 0.0])),
-        *(({"wind_m_s": wind}, "wind_m_s must be within -40..40") for wind in ([40.1, 0.0], [0.0, -40.1])),
-        *(({"exposure_s": exposure}, "exposure_s must be within") for exposure in (0.9e-5, 1.1)),
-        *(({"time_s": time}, "time_s must be within") for time in (float("inf"), 1.1e7, -1.1e7)),
-        ({"time_s": -1.0}, "keys must rise in time"),
+        ("intensity_mm_h", (100.5, float("nan"))),
+        ("wind_m_s", ([0.0, 40.1], [-40.1, 0.0], [40.1, 0.0], [0.0, -40.1])),
+        ("exposure_s", (0.9e-5, 1.1)),
+        ("time_s", (float("inf"), 1.1e7, -1.1e7)),
+        ("keys must rise in time", (-1.0,)),
     ],
 )
-def test_keys_out_of_bounds_are_reported(key, message):
+def test_keys_out_of_bounds_are_reported(field, values):
     limits = {"time_s": 1e7, "intensity_mm_h": 100.0, "wind_m_s": (-40.0, 40.0), "exposure_s": 1.0}
     assert msgspec.to_builtins(msgspec.convert(limits, RainKeyframe)) == limits
-    with pytest.raises(msgspec.ValidationError, match=message):
-        msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, {"time_s": 5.0} | key]}, RainKeyframes)
+    for value in values:
+        key = {"time_s": 5.0, field if field in limits else "time_s": value}
+        with pytest.raises(msgspec.ValidationError, match=field):
+            msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, key]}, RainKeyframes)
 
 
 def test_a_series_is_cut_off_at_100_mm_h():
     weather = keyframes_from_series(np.array([0.0, 60.0]), np.array([250.0, 3.0]))
     assert [key.intensity_mm_h for key in weather.keys] == [100.0, 3.0]
-    with pytest.raises(ValueError, match="0 mm/h or more"):
-        keyframes_from_series(np.array([0.0]), np.array([-1.0]))
-    with pytest.raises(ValueError, match="rise in time"):
-        keyframes_from_series(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
+    for rates in ([1.0, -1.0], [1.0, np.inf], [1.0, 1.0]):
+        with pytest.raises(ValueError):
+            keyframes_from_series(np.zeros(2) if rates == [1.0, 1.0] else np.arange(2.0), np.array(rates))
 
 
 def test_a_disdrometers_day_becomes_a_weather(test_data):
     """Against the file's own records: rates, order, spacing, and the speed-up."""
     reading = read_disdrometer(test_data / "disdrometer" / "locarno_parsivel_20181029.dat.gz")
-    measured = keyframes_from_spectra(reading, speed_up=60.0, start_s=5.0)
-    spectra = reading.spectra
+    measured, spectra = keyframes_from_spectra(reading, speed_up=60.0, start_s=5.0), reading.spectra
     assert measured.records + measured.left_out == len(spectra)
     assert measured.weather.keys[0].time_s == 5.0
-    span = (spectra.times[-1] - spectra.times[0]) / np.timedelta64(1, "s")
-    assert measured.duration_s == pytest.approx(span / 60.0)
+    assert measured.duration_s == pytest.approx((spectra.times[-1] - spectra.times[0]) / np.timedelta64(1, "m"))
     rates = np.array([key.intensity_mm_h for key in measured.weather.keys])
     assert rates.max() == pytest.approx(min(100.0, np.nanmax(spectra.reported_mm_h)))
     assert f"{measured.records:,} records" in measured.summary
@@ -135,13 +119,11 @@ def test_a_disdrometers_day_becomes_a_weather(test_data):
         keyframes_from_spectra(reading, speed_up=0.0)
 
 
-def test_records_without_time_or_rate_are_left_out_and_none_at_all_is_told():
+def test_records_without_time_or_rate_are_left_out():
     spectra = measured_rain(500.0, 5.0, 0.2, minutes=3, seed=1)
-    spectra.times[2] = np.datetime64("NaT")
-    spectra.times[4] = spectra.times[3]
+    spectra.times[2:5] = np.datetime64("NaT"), spectra.times[3], spectra.times[3]
     measured = keyframes_from_spectra(DisdrometerReading(spectra=spectra))
-    assert (measured.records, measured.left_out) == (4, 2)
-    assert measured.weather.keys[2].time_s == 90.0
+    assert (measured.records, measured.left_out, measured.weather.keys[2].time_s) == (4, 2, 90.0)
     spectra.times[:] = np.datetime64("NaT")
-    with pytest.raises(ValueError, match="no record has a time"):
+    with pytest.raises(ValueError, match="time"):
         keyframes_from_spectra(DisdrometerReading(spectra=spectra))

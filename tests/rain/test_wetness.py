@@ -31,13 +31,6 @@ def test_wetness_begins_at_zero_rises_and_saturates():
     assert [round(wetness(rate), 2) for rate in (1.2, 8.5, 12.0)] == [0.55, 0.92, 0.95]
 
 
-def test_without_drying_it_follows_the_intensity():
-    course = WetnessCurve(curve((0, 0), (10, 12), (20, 0)), 0.0)
-    assert [course.at(t) for t in (-5.0, 5.0, 10.0, 15.0, 99.0)] == pytest.approx(
-        [0, wetness(6), wetness(12), wetness(6), 0]
-    )
-
-
 @given(
     st.lists(st.tuples(st.floats(0.1, 50), st.floats(0, 100)), min_size=1, max_size=6),
     st.floats(0.5, 200),

@@ -1,4 +1,4 @@
-"""Breaks real commands while they write: kills them at calls that change the disk, or lets the disk become full.
+"""Breaks real commands while they write: kills them at calls that change the disk, or fills the disk.
 
 `python tests/reliability/broken_commands.py killed [--each 20] [--seed 0] [NAME...]`, on a system that can fork. After
 each death nothing may stand half under the name of a result; in the end the same command has to succeed, and nothing
@@ -8,7 +8,7 @@ but results may be left.
 command is run with less and less room. Where it fails it has to name the place in one line and end with code 2, and no
 file that was to be renamed may be left. Results of an earlier run that fitted stay as they were, or are replaced whole.
 
-Not tests: they take minutes. Both print a line for each fault, and a table.
+Not tests: they take minutes. Both print a line for each fault and for each command.
 """
 
 import argparse
@@ -42,57 +42,55 @@ from reliability.dying import run_in_child  # noqa: E402
 # Killed
 
 
-def kill_often(command: Command, times: int, inputs: Path, folder: Path, chance: random.Random) -> tuple[int, int]:
-    """Let a command die so often, each time over what the one before has left; returns deaths and faults."""
-    said = folder / "said.txt"
-    run_in_child(partial(run, command.line(inputs, folder / "first")), None, said)  # compiles what has to be
-    code, count = run_in_child(partial(run, command.line(inputs, folder / "whole")), 0, said)
+def kill_often(
+    command: Command, times: int, inputs: Path, folder: Path, chance: random.Random
+) -> tuple[int, list[str]]:
+    """Let a command die so often, each time over the remains of the one before; returns deaths and faults."""
+    output = folder / "output.txt"
+    run_in_child(partial(run, command.line(inputs, folder / "first")), None, output)  # compiles kernels
+    code, count = run_in_child(partial(run, command.line(inputs, folder / "whole")), 0, output)
     if code != 0:
-        print(f"{command.name}: fails by itself: {said.read_text()[-500:]}")
-        return 0, 1
+        return 0, [f"fails by itself: {output.read_text()[-500:]}"]
     results = folder / "killed"
     results.mkdir()
-    deaths, found = 0, list[str]()
+    deaths, faults = 0, list[str]()
     for _ in range(times):
         at = chance.randint(1, count)
-        code, _ = run_in_child(partial(run, command.again(inputs, results)), at, said)
+        code, _ = run_in_child(partial(run, command.again(inputs, results)), at, output)
         deaths += code == -signal.SIGKILL
-        ended = [] if code in (0, -signal.SIGKILL) else [f"ended with {code}: {said.read_text()[-300:]}"]
-        found += [f"killed at {at} of {count}: {each}" for each in [*complaints(results), *ended]]
+        ended = [] if code in (0, -signal.SIGKILL) else [f"ended with {code}: {output.read_text()[-300:]}"]
+        faults += [f"killed at {at} of {count}: {each}" for each in [*complaints(results), *ended]]
     for part in results.rglob("*"):
-        os.utime(part, (0, 0))  # as if ten minutes had gone by
-    code, _ = run_in_child(partial(run, command.again(inputs, results)), 0, said)
-    found += [] if code == 0 else [f"in the end: {code}: {said.read_text()[-300:]}"]
-    found += [f"left behind: {each}" for each in leftovers(results)]
-    found += [f"not as without deaths: {each}" for each in names_in(folder / "whole") ^ names_in(results)]
-    for each in found:
-        print(f"{command.name}, {each}", flush=True)
-    return deaths, len(found)
-
-
-def names_in(folder: Path) -> set[str]:
-    return {str(each.relative_to(folder)) for each in folder.rglob("*")}
+        os.utime(part, (0, 0))  # as if ten minutes had passed
+    code, _ = run_in_child(partial(run, command.again(inputs, results)), 0, output)
+    faults += [] if code == 0 else [f"in the end: {code}: {output.read_text()[-300:]}"]
+    faults += [f"left behind: {each}" for each in leftovers(results)]
+    whole, killed = (
+        {str(each.relative_to(place)) for each in place.rglob("*")} for place in (folder / "whole", results)
+    )
+    return deaths, faults + [f"not as without deaths: {each}" for each in whole ^ killed]
 
 
 def kill(commands: list[Command], place: Path, times: int, seed: int) -> Iterator[str]:
-    """Kill each command; yields rows of a table."""
+    """Kill each command; yields faults, and a line for each command."""
     chance, inputs = random.Random(seed), place / "in"
     for module in ("render", "scene", "drive", "sweep", "train", "translate"):
         import_module(f"app.{module}")  # once, not in each child
     inputs.mkdir()
-    run_in_child(lambda: write_inputs(inputs) or 0, None, inputs / "said.txt")
+    run_in_child(lambda: write_inputs(inputs) or 0, None, inputs / "output.txt")
     for command in commands:
         folder = place / command.name.replace(" ", "_")
         folder.mkdir()
         deaths, faults = kill_often(command, times, inputs, folder, chance)
-        yield f"{command.name:30} {deaths:4} deaths {faults:4} faults"
+        yield from (f"{command.name}, {each}" for each in faults)
+        yield f"{command.name:30} {deaths:4} deaths {len(faults):4} faults"
 
 
 # On a full disk
 
 _DISK_MB = 64
 _SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)
-"""Of what the results take: how much room there is."""
+"""Free space as shares of the size of the results."""
 
 
 @contextmanager
@@ -106,14 +104,16 @@ def small_disk(place: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(place)], check=True)
 
 
-def leave(room: int, disk: Path) -> Path:
-    """Fill a disk but for so many bytes, in whole pages."""
+@contextmanager
+def full_disk(room: int, disk: Path) -> Iterator[None]:
+    """Leave only so many bytes of a disk, in whole pages."""
     filler = disk / "filler"
-    free = shutil.disk_usage(disk).free
+    pages = (shutil.disk_usage(disk).free - room) // 4096
     with filler.open("wb") as file:
-        for _ in range((free - room) // 4096):
+        for _ in range(pages):
             file.write(bytes(4096))
-    return filler
+    yield
+    filler.unlink()
 
 
 def gsrain(arguments: list[str]) -> tuple[int, str]:
@@ -122,53 +122,48 @@ def gsrain(arguments: list[str]) -> tuple[int, str]:
     with redirect_stderr(errors), redirect_stdout(io.StringIO()):
         try:
             code = run(arguments)
-        except Exception as error:  # what would be a traceback
+        except Exception as error:  # would be a traceback
             return 1, f"Traceback: {type(error).__name__}: {error}"
     return code, errors.getvalue()
 
 
-def fill_disk(command: Command, inputs: Path, disk: Path, *, over: bool) -> tuple[int, int]:
-    """Run a command with less and less room, into an empty folder or over results; returns failures and faults."""
+def fill_disk(command: Command, inputs: Path, disk: Path, *, over: bool) -> tuple[int, list[str]]:
+    """Run a command with less and less space, into an empty folder or over results; returns failures and faults."""
     results = disk / "results"
     results.mkdir()
     used = shutil.disk_usage(disk).used
-    code, said = gsrain(command.line(inputs, results))
+    code, error = gsrain(command.line(inputs, results))
     if code != 0:
-        print(f"{command.name}: fails by itself: {said[-300:]}")
-        shutil.rmtree(results)
-        return 0, 1
-    size, failures, faults = shutil.disk_usage(disk).used - used, 0, 0
+        return 0, [f"fails by itself: {error[-300:]}"]
+    size, failures, faults = shutil.disk_usage(disk).used - used, 0, list[str]()
     for share in _SHARES:
         if not over:
             shutil.rmtree(results)
             results.mkdir()
-        filler = leave(int(share * size), disk)
-        code, said = gsrain(command.line(inputs, results))
-        filler.unlink()
+        with full_disk(int(share * size), disk):
+            code, error = gsrain(command.line(inputs, results))
         found = complaints(results) + [f"left behind: {each}" for each in leftovers(results)]
-        if code != 0:
-            failures += 1
-            *_, last = said.strip().splitlines() or [""]
-            if code != 2 or "Traceback" in said or "space" not in last or not last.startswith("gsrain: "):
-                found.append(f"ended with {code}: {said[-400:]}")
-            elif "results" not in last:
-                found.append(f"does not name the place: {last}")
-        faults += len(found)
-        for each in found:
-            print(f"{command.name}{', over an older one' * over}, {share:.0%} of the room: {each}", flush=True)
-    shutil.rmtree(results)
+        failures += code != 0
+        *_, last = error.strip().splitlines() or [""]
+        is_explained = code == 2 and "space" in last and last.startswith("gsrain: ") and "results" in last
+        if code != 0 and ("Traceback" in error or not is_explained):
+            found.append(f"ended with {code}: {error[-400:]}")
+        faults += [f"{share:.0%} of the space: {each}" for each in found]
     return failures, faults
 
 
 def fill(commands: list[Command], place: Path) -> Iterator[str]:
-    """Run each command on a disk that becomes full; yields rows of a table."""
+    """Run each command on a disk that becomes full; yields faults, and a line for each command."""
     (place / "in").mkdir()
     write_inputs(place / "in")
     with small_disk(place / "disk") as disk:
         for command in commands:
             for over in (False, True):
+                name = command.name + ", over an older one" * over
                 failures, faults = fill_disk(command, place / "in", disk, over=over)
-                yield f"{command.name + ', over an older one' * over:50} {failures} full {faults} faults"
+                shutil.rmtree(disk / "results")
+                yield from (f"{name}, {each}" for each in faults)
+                yield f"{name:50} {failures} full {len(faults)} faults"
 
 
 def main() -> None:
@@ -179,18 +174,12 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="commands, by the beginning of their names; default: all")
     arguments = parser.parse_intermixed_args()
     commands = [each for each in COMMANDS if each.name.startswith(tuple(arguments.names) or "")]
-    table: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        rows = (
-            kill(commands, place, arguments.each, arguments.seed)
-            if arguments.how == "killed"
-            else fill(commands, place)
-        )
+        killed = arguments.how == "killed"
+        rows = kill(commands, place, arguments.each, arguments.seed) if killed else fill(commands, place)
         for row in rows:
-            table.append(row)
             print(row, flush=True)
-    print("\n".join(["", *table]))
 
 
 if __name__ == "__main__":

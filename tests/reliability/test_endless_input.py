@@ -1,4 +1,4 @@
-"""Endless input in place of every file that a command reads: one sentence, soon, and without taking memory."""
+"""Endless input in place of every file that a command reads: an error soon, and without much memory."""
 
 import json
 import os
@@ -60,7 +60,7 @@ def scene(tmp_path_factory):
 
 
 def refusal(command, make, scene, folder, capsys):
-    """Run a command whose file is something else; returns what it says."""
+    """Run a command whose file is something else; returns its error."""
     words = command.split()
     for word in {each for each in words if "{}" in each}:
         make(folder / word.format("input"))
@@ -78,24 +78,23 @@ def refusal(command, make, scene, folder, capsys):
 
 
 @pytest.mark.parametrize("command", [*SETTINGS, *FILES])
-def test_a_device_is_no_file(command, scene, tmp_path, capsys):
-    error = refusal(command, lambda path: path.symlink_to("/dev/zero"), scene, tmp_path, capsys)
-    assert "input" in error
-    if command in SETTINGS:
-        assert error.endswith("not a file but a device")
-
-
-@pytest.mark.parametrize("command", [*SETTINGS, *FILES])
-def test_a_pipe_that_nobody_writes_to_is_not_waited_for(command, scene, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda path: path.symlink_to("/dev/zero"), "not a file but a device"),
+        (os.mkfifo, "a pipe that has not ended within 0.1 s"),
+    ],
+    ids=["device", "pipe"],
+)
+def test_devices_and_pipes_without_a_writer_are_refused(command, make, reason, scene, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(limits, "PIPE_WAIT_S", 0.1)
-    error = refusal(command, os.mkfifo, scene, tmp_path, capsys)
+    error = refusal(command, make, scene, tmp_path, capsys)
     assert "input" in error
-    if command in SETTINGS:
-        assert error.endswith("a pipe that has not ended within 0.1 s")
+    assert command in FILES or error.endswith(reason)
 
 
 @pytest.mark.parametrize("command", [SETTINGS[0], SETTINGS[2], SETTINGS[7]])
-def test_a_pipe_without_end_takes_no_memory_without_end(command, scene, tmp_path, capsys, monkeypatch):
+def test_endless_pipes_take_little_memory(command, scene, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("gsrain_engine.scene.files._MAX_BYTES", 1 << 24)
 
     def endless(path):
@@ -111,7 +110,7 @@ def test_a_pipe_without_end_takes_no_memory_without_end(command, scene, tmp_path
     assert "larger than 17 MB" in refusal(command, endless, scene, tmp_path, capsys)
 
 
-def test_cameras_come_through_pipes(scene, tmp_path):
+def test_cameras_are_read_from_pipes(scene, tmp_path):
     """As a shell hands them over: `--camera <(command)`."""
     pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]
     camera = {"width": 48, "height": 32, "fx": 40, "fy": 40, "cx": 24, "cy": 16, "world_to_camera": pose}
@@ -125,7 +124,7 @@ def test_cameras_come_through_pipes(scene, tmp_path):
         assert picture.size == (48, 32)
 
 
-def test_pipes_in_the_place_of_parts_of_files_keep_no_save_waiting(tmp_path):
+def test_pipes_in_place_of_temporary_files_do_not_block(tmp_path):
     os.mkfifo(tmp_path / ".a.ply.0123abcd.part")
     with limited_time(10):
         write_scene(small_scene(), tmp_path / "a.ply")

@@ -1,4 +1,4 @@
-"""Workers that are stopped, think for minutes, have too little memory, or crash: the job panel says what it is."""
+"""Workers that are stopped, silent, out of memory, or crash: the job panel has the reason."""
 
 import os
 import signal
@@ -36,13 +36,6 @@ def crashing():
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
-def finished(job):
-    while job.state == "running":
-        job.wait(30)
-        job.poll()
-    return job
-
-
 def heard(job, message, warning=None):
     """Poll until a job has a message and a warning."""
     until = time.monotonic() + 30
@@ -52,7 +45,7 @@ def heard(job, message, warning=None):
         job.poll()
 
 
-def test_a_stopped_worker_is_told_of_goes_on_and_ends_at_once_when_it_is_cancelled():
+def test_stopped_workers_are_reported_and_can_be_canceled():
     job = WorkerProcess(endless)
     heard(job, "still at it")
     pid = job.pid
@@ -64,36 +57,33 @@ def test_a_stopped_worker_is_told_of_goes_on_and_ends_at_once_when_it_is_cancell
     job.cancel()
     began = time.monotonic()
     job.close()
-    assert time.monotonic() - began < 4  # SIGTERM by itself waits for who lets it go on
+    assert time.monotonic() - began < 4  # SIGTERM alone waits until the process is resumed
     assert not psutil.pid_exists(pid)
 
 
-def test_silence_is_told_by_the_minute():
+def test_silence_is_reported_by_the_minute():
     now = [0.0]
-    silence = WorkerWatchdog(os.getpid(), lambda: now[0])
-    told = []
+    watchdog, gone = (WorkerWatchdog(pid, lambda: now[0]) for pid in (os.getpid(), 2**22 + 1))
+    warnings = []
     for now[0] in (30.0, 59.0, 61.0, 119.0, 125.0):
-        told.append(silence.warning)
-    assert told == [None, None, "no news for 1 min", "no news for 1 min", "no news for 2 min"]
-    silence.heard()
-    assert silence.warning is None
+        warnings.append(watchdog.warning)
+        assert now[0] > 60 or gone.warning is None  # a process that has ended is not stopped
+    assert warnings == [None, None, "no news for 1 min", "no news for 1 min", "no news for 2 min"]
+    watchdog.heard()
+    assert watchdog.warning is None
 
 
-def test_a_process_that_is_gone_is_not_stopped():
-    now = [0.0]
-    silence = WorkerWatchdog(2**22 + 1, lambda: now[0])
-    now[0] = 10.0
-    assert silence.warning is None
-
-
-def test_too_little_memory_is_a_sentence():
-    job = finished(WorkerProcess(with_little_memory))
-    assert job.state == "failed"
-    assert job.error.startswith("the machine ran out of memory: close other programs")
-    job.close()
-
-
-def test_a_crash_is_told_by_its_name():
-    job = finished(WorkerProcess(crashing))
-    assert (job.state, job.error) == ("failed", "the worker died of SIGSEGV")
+@pytest.mark.parametrize(
+    ("work", "error"),
+    [
+        (with_little_memory, "the machine ran out of memory: close other programs"),
+        (crashing, "the worker died of SIGSEGV"),
+    ],
+)
+def test_failures_are_explained(work, error):
+    job = WorkerProcess(work)
+    while job.state == "running":
+        job.wait(30)
+        job.poll()
+    assert job.state == "failed" and job.error.startswith(error)
     job.close()

@@ -1,8 +1,14 @@
-"""An OpenGL context without a window, the same one for all tests of this folder."""
+"""An OpenGL context without a window, the same one for all tests of this folder; renderers, an editor and its view."""
 
 import pytest
 
+from gsrain_engine.editor.drawing import live_view
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.opengl.context import NoOpenGLError, is_software, open_context
+from gsrain_engine.render.opengl.renderer import SplatRenderer
+from small_scene import small_scene
 
 
 @pytest.fixture(scope="session")
@@ -30,3 +36,47 @@ def gpu_context(context):
     if is_software(context):
         pytest.skip("needs a GPU: a software rasterizer runs the threads of a workgroup one after another")
     return context
+
+
+@pytest.fixture
+def open_kind(request):
+    """Open a renderer by its name; "cuda" is that with a stand-in for gsplat, on torch's CPU."""
+
+    def opened(kind):
+        if kind == "cpu":
+            return CpuRenderer()
+        if kind == "opengl":
+            return SplatRenderer(request.getfixturevalue("context"), harmonics="single")
+        pytest.importorskip("torch", reason="torch is not installed: pip install gsrain[jobs]")
+        from gsrain_engine.render.cuda import CudaRenderer
+        from render.gsplat_stand_in import rasterization
+
+        return CudaRenderer(rasterization, "cpu")
+
+    return opened
+
+
+@pytest.fixture(params=["cpu", "opengl", "cuda"])
+def any_renderer(request, open_kind):
+    return open_kind(request.param)
+
+
+@pytest.fixture
+def editor():
+    opened = Editor(small_scene())
+    opened.playback.clock.playing = False
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def view(context):
+    return LiveView(context, "opengl")
+
+
+@pytest.fixture
+def slow_view(view, monkeypatch):
+    """A live view that uploads one slice a frame."""
+    monkeypatch.setattr(live_view, "_CHUNK_SIZE", 0)
+    monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
+    return view

@@ -13,8 +13,6 @@ from gsrain_engine.scene.scene import Scene
 from live_frames import draw_frame
 from small_scene import small_scene
 
-SIZE = (96, 64)
-
 
 @pytest.mark.parametrize("backend", ["opengl", "cpu"])
 def test_a_closed_scene_is_free(context, backend):
@@ -23,13 +21,13 @@ def test_a_closed_scene_is_free(context, backend):
     view = LiveView(context, backend)
     editor.viewport.options.split = "clear | rainy"
     for _ in range(3):
-        draw_frame(editor, view, SIZE)
+        draw_frame(editor, view)
     editor.viewport.options.split = "off"
-    draw_frame(editor, view, SIZE)
+    draw_frame(editor, view)
     held = [weakref.ref(each.gaussians.means) for each in editor.document.scene.members]
     editor.files.close_scene()
     for _ in range(2):
-        draw_frame(editor, view, SIZE)
+        draw_frame(editor, view)
     gc.collect()
     assert [each() is None for each in held] == [True] * 3
     assert not view.arrays.masks
@@ -42,6 +40,6 @@ def test_an_empty_scene_waits_for_no_kernels(context, monkeypatch):
     editor = Editor(Scene("no scene"))
     view = LiveView(context, "cpu")
     assert not view.is_settled
-    draw_frame(editor, view, SIZE)
+    draw_frame(editor, view)
     assert view.is_settled
     editor.close()

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.opengl.renderer import SplatRenderer
+from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.camera import read_camera
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.scene import DrawItem
@@ -17,7 +19,7 @@ CASES = {"street_sh3": "golden/street_sh3.ply", "plant": "data/scenes/plant.spla
 LEAST_PSNR_DB = 50.0
 
 
-def psnr_db(golden: Path, case: str, renderer: SplatRenderer) -> float:
+def psnr_db(golden: Path, case: str, renderer: Renderer) -> float:
     """PSNR of a case, in the file's own axes, as the reference was made."""
     layer = read_scene(golden.parent / CASES[case]).layers[0]
     camera = read_camera(golden / f"{case}.camera.json")
@@ -27,9 +29,9 @@ def psnr_db(golden: Path, case: str, renderer: SplatRenderer) -> float:
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("precision", ["half", "single"])
-def test_golden_with_egl(context, golden, case, precision):
-    assert psnr_db(golden, case, SplatRenderer(context, precision)) >= LEAST_PSNR_DB
+def test_golden_with_egl_and_without_opengl(context, golden, case):
+    assert psnr_db(golden, case, SplatRenderer(context)) >= LEAST_PSNR_DB
+    assert psnr_db(golden, case, CpuRenderer()) >= 60
 
 
 def test_golden_with_osmesa(golden):

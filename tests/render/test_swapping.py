@@ -7,129 +7,66 @@ from PIL import Image
 
 from gsrain_engine.editor.drawing import live_view
 from gsrain_engine.editor.drawing.live_view import LiveView, SkyColorSampler
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.draw import LodSubset
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
-from gsrain_engine.scene.scene import DrawItem, Scene
-from live_frames import draw_frame
-from render.cpu.raster_scenes import random_gaussians, small_camera
+from live_frames import SIZE, darkened, picture
 from small_scene import small_scene
 
-SIZE = (96, 64)
 HERE = Camera.from_fov(96, 64, 50.0, look_at(np.array([0.0, 0, 1.5]), np.array([1.0, 0, 1.5]), np.array([0.0, 0, 1])))
 
 
-def darkened(scene):
-    """The scene with other colors: new arrays for every layer."""
-    for each in scene.members:
-        g = each.gaussians
-        scene = scene.with_member(each.key, gaussians=g.with_sh((g.sh - np.float32(0.5)).astype(np.float32)))
-    return scene
-
-
-def picture(editor, view):
-    (texture,) = draw_frame(editor, view, SIZE)
-    return np.frombuffer(texture.read(), np.uint8)
-
-
-@pytest.fixture
-def editor():
-    opened = Editor(small_scene())
-    opened.playback.clock.playing = False
-    yield opened
-    opened.close()
-
-
-@pytest.fixture
-def slow_view(context, editor, monkeypatch):
-    """A live view that uploads one slice a frame."""
-    monkeypatch.setattr(live_view, "_CHUNK_SIZE", 0)
-    monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
-    return LiveView(context, "opengl")
-
-
-def fresh(context, editor):
-    return picture(editor, LiveView(context, "opengl"))
-
-
-def test_the_last_scene_is_shown_until_the_new_one_is_there(context, editor, slow_view):
-    before = picture(editor, slow_view)
-    assert not editor.viewport.is_catching_up
-    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
-    frames = 0
-    while editor.viewport.is_catching_up or not frames:
-        now = picture(editor, slow_view)
+@pytest.mark.parametrize("staged", [False, True])
+def test_the_last_scene_is_shown_until_all_of_the_new_one_is_uploaded(context, editor, slow_view, staged):
+    before, first, frames = picture(editor, slow_view), editor.document.scene, 0
+    if staged:
+        editor.viewport.staged = PendingScene("Darker", darkened(first))
+    else:
+        editor.document.edit("Darker", replace_scene, darkened(first))
+    while np.array_equal(now := picture(editor, slow_view), before):
+        assert editor.viewport.is_catching_up or staged
         frames += 1
-        if editor.viewport.is_catching_up:
-            assert np.array_equal(now, before)
         assert frames < 100
     assert frames > 2
-    after = fresh(context, editor)
-    assert np.array_equal(now, after)
-    assert not np.array_equal(before, after)
+    assert editor.viewport.staged is None
+    assert not editor.viewport.is_catching_up
+    assert np.array_equal(now, picture(editor, LiveView(context, "opengl")))
     editor.document.undo()
     assert np.array_equal(picture(editor, slow_view), before)  # in the very next frame: its arrays are still there
     assert not editor.viewport.is_catching_up
+    assert editor.document.scene is first
 
 
-def test_the_camera_goes_on_moving_meanwhile(editor, slow_view):
-    before = picture(editor, slow_view)
-    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
-    editor.viewport.navigation.turn(0.2, 0.0)
-    assert not np.array_equal(picture(editor, slow_view), before)
-    assert editor.viewport.is_catching_up
-
-
-def test_a_screenshot_does_not_wait(context, editor, slow_view, tmp_path):
+def test_a_screenshot_waits_neither_for_uploads_nor_for_the_sky(context, editor, slow_view, monkeypatch, tmp_path):
+    monkeypatch.setattr(live_view, "_QUICK", 500)
+    editor.document.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
     picture(editor, slow_view)
     editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
+    editor.viewport.navigation.turn(0.1, 0.0)
+    picture(editor, slow_view)
+    assert editor.live_rain.sky_is_stale
     editor.viewport.screenshot = tmp_path / "now.png"
     picture(editor, slow_view)
+    assert not editor.live_rain.sky_is_stale
+    exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
+    assert editor.live_rain.sky == pytest.approx(exact.color, abs=1e-6)
     saved = np.asarray(Image.open(tmp_path / "now.png"))
-    assert np.array_equal(saved, fresh(context, editor).reshape(SIZE[1], SIZE[0], 4)[..., :3])
+    expected = picture(editor, LiveView(context, "opengl")).reshape(SIZE[1], SIZE[0], 4)[..., :3]
+    np.testing.assert_allclose(saved, expected, atol=1)
 
 
-def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, editor, slow_view):
-    before, first = picture(editor, slow_view), editor.document.scene
-    editor.viewport.staged = PendingScene("Darker", darkened(editor.document.scene))
-    frames = 0
-    while editor.viewport.staged is not None:
-        assert editor.document.scene is first
-        now = picture(editor, slow_view)
-        assert np.array_equal(now, before)
-        frames += 1
-        assert frames < 100
-    assert frames > 2
-    assert np.array_equal(picture(editor, slow_view), fresh(context, editor))
-
-
-def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, editor):
-    view, first = LiveView(context, "opengl"), editor.document.scene
+def test_a_scene_that_is_opened_lets_go_of_the_last_one(editor, view):
+    first = editor.document.scene
     picture(editor, view)
     editor.viewport.staged = PendingScene("other", darkened(small_scene("other")), is_opened=True)
     while editor.viewport.staged is not None:
         picture(editor, view)
     picture(editor, view)
     assert view.arrays.missing(first.layers[0].gaussians) > 0
-
-
-def test_giving_up_an_upload_keeps_what_is_shown(context):
-    renderer, g, other = SplatRenderer(context), random_gaussians(300, 1), random_gaussians(300, 2)
-    renderer.draw([DrawItem(g, np.eye(4))], small_camera())
-    slices = renderer.arrays.upload(other, slice_size=100)
-    for _ in range(7):  # two arrays, and a third of the third
-        next(slices)
-    slices.close()
-    renderer.arrays.release_awaited()
-    assert renderer.arrays.missing(g) == 0
-    assert renderer.arrays.missing(other) == 300
-    assert len(list(renderer.arrays.upload(other, slice_size=100))) == 12
 
 
 class Counting(SplatRenderer):
@@ -171,23 +108,12 @@ def test_the_first_look_at_the_sky_is_at_once_and_the_next_a_picture_a_frame(ren
     assert watch.is_through
 
 
-def test_only_a_scene_that_is_there_is_said_to_have_no_sky(renderer, caplog):
-    caplog.set_level("INFO", logger="gsrain")
-    watch, scene = SkyColorSampler(), small_scene()
-    watch.look(renderer, Scene("to be opened"), HERE, resting=False)
-    assert "shows no sky" not in caplog.text
-    walled = scene.with_member("layers/sky", visible=False).with_member("layers/wall", visible=False)
-    watch.look(renderer, walled, HERE, resting=True, at_once=True)
-    assert "shows no sky" in caplog.text
-
-
 def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(renderer):
     watch, scene = SkyColorSampler(), small_scene()
     watch.look(renderer, scene, HERE, resting=False)
     renderer.limits.clear()
-    g = scene.layers[0].gaussians
-    selected = scene.with_member("layers/road", marks=SelectionFlags(selected=BitMask.all(len(g))))
-    assert watch.look(renderer, selected, HERE, resting=True) is None
+    marks = SelectionFlags(selected=BitMask.all(len(scene.layers[0].gaussians)))
+    assert watch.look(renderer, scene.with_member("layers/road", marks=marks), HERE, resting=True) is None
     assert watch.is_through
     for step in range(5):
         moved = np.eye(4)
@@ -204,43 +130,10 @@ def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, 
     other, looks = darkened(scene), []
     for resting in (False, True):
         renderer.limits.clear()
-        for _ in range(20):
-            found = watch.look(renderer, other, HERE, resting=resting)
-            looks += [found] if found is not None else []
+        found = (watch.look(renderer, other, HERE, resting=resting) for _ in range(20))
+        looks += [each for each in found if each is not None]
         assert (renderer.limits[0] == {None}) == resting
         assert watch.is_exact == resting
     assert len(looks) == 2
     assert looks[1] == sky_color(renderer, other, HERE)
     np.testing.assert_allclose(looks[0].color, looks[1].color, atol=0.1)
-
-
-def test_a_screenshot_finds_the_exact_sky(context, editor, monkeypatch, tmp_path):
-    monkeypatch.setattr(live_view, "_QUICK", 500)
-    editor.document.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
-    view = LiveView(context, "opengl")
-    picture(editor, view)
-    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
-    editor.viewport.navigation.turn(0.1, 0.0)
-    picture(editor, view)
-    assert editor.live_rain.sky_is_stale
-    editor.viewport.screenshot = tmp_path / "now.png"
-    picture(editor, view)
-    assert not editor.live_rain.sky_is_stale
-    exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
-    assert editor.live_rain.sky == pytest.approx(exact.color, abs=1e-6)
-
-
-def test_growth_is_worked_out_once_for_all_colours(monkeypatch):
-    calls = []
-    monkeypatch.setattr("gsrain_engine.render.draw.lod_growth", lambda g, share: calls.append(share) or 1.5)
-    g, thinning = random_gaussians(100), LodSubset(0.25)
-    for sh in (g.sh, g.sh * np.float32(2)):
-        part = thinning(DrawItem(g.with_sh(sh), np.eye(4)))
-        assert (part.limit, part.growth) == (25, 1.5)
-    assert calls == [0.25]
-    thinning.forget_all_but([g])
-    thinning.growth(g)
-    assert calls == [0.25]
-    thinning.forget_all_but([])
-    thinning.growth(g)
-    assert calls == [0.25, 0.25]

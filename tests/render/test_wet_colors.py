@@ -1,4 +1,4 @@
-"""Wet colors in OpenGL, in the sky, in sequences and in the live view: blended by a number, never uploaded twice."""
+"""Wet colors in the sky, in sequences and in the live view: they follow the rain."""
 
 from dataclasses import replace
 
@@ -6,10 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drawing import live_view
-from gsrain_engine.editor.drawing.frame import DrawResult
-from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
@@ -21,74 +17,23 @@ from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.transforms import with_wet_colors_of, with_wetness_baked
-from live_frames import draw_frame
-from render.cpu.raster_scenes import small_camera
-from render.cpu.test_marked_parts import COLORS
-from render.cpu.test_wet_colors import blended, wet_part
+from live_frames import SIZE, draw_frame, picture
 from small_scene import small_scene
 
-SIZE = (96, 64)
 HERE = Camera.from_fov(96, 64, 50.0, look_at(np.array([0.0, 0, 1.5]), np.array([1.0, 0, 1.5]), np.array([0.0, 0, 1])))
-
-
-def drawn(renderer, *parts):
-    renderer.draw(parts, small_camera())
-    return renderer.read().rgba
 
 
 def darker(scene, share=0.5):
     """The scene with wet colors: the clear ones, darker."""
     for each in scene.members:
-        sh = each.gaussians.sh
-        scene = scene.with_member(each.key, wet_sh=sh - np.float32(share))
+        scene = scene.with_member(each.key, wet_sh=each.gaussians.sh - np.float32(share))
     return scene
 
 
-@pytest.mark.parametrize("harmonics", ["single", "half", "byte"])
-@pytest.mark.parametrize("degree", [0, 1, 3])
-def test_opengl_blends_as_the_processor_does(context, harmonics, degree):
-    opengl, part = SplatRenderer(context, harmonics=harmonics), wet_part(degree=degree)
-    clear = drawn(opengl, part._replace(wet_sh=None)).tobytes()
-    assert drawn(opengl, part).tobytes() == clear
-    soaked = part._replace(wetness=1.0)
-    assert drawn(opengl, soaked).tobytes() == drawn(opengl, blended(soaked)).tobytes() != clear
-    between = part._replace(wetness=0.4, colors=COLORS, selected=BitMask.of(np.arange(300) % 3 == 0))
-    atol = {"single": 2e-3, "half": 3e-3, "byte": 5e-2}[harmonics]
-    np.testing.assert_allclose(drawn(opengl, between), drawn(CpuRenderer(), between), atol=atol)
-    dry = wet_part(degree=2)._replace(wet_sh=None)
-    mixed = [drawn(opengl, dry, each) for each in (soaked, blended(soaked))]
-    np.testing.assert_allclose(*mixed, atol=1e-6)
-
-
-def test_wet_colours_are_uploaded_once(context):
-    renderer, part = SplatRenderer(context), wet_part()
-    for share in (0.3, 0.0, 0.9):
-        drawn(renderer, part._replace(wetness=share))
-    wet = renderer.arrays.buffers(part.gaussians, part.wet_sh).wet_sh[0].glo
-    for share in (0.1, 0.0, 1.0):
-        drawn(renderer, part._replace(wetness=share))
-        assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 0
-    assert renderer.arrays.buffers(part.gaussians, part.wet_sh).wet_sh[0].glo == wet
-
-
-def test_nobody_uploads_wet_colours_that_are_not_seen(context):
-    renderer, part = SplatRenderer(context), wet_part()
-    drawn(renderer, part)
-    assert renderer.arrays.missing(part.gaussians) == 0
-    assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 300
-
-
-def test_wet_colours_at_rest_outlive_what_else_comes(context, monkeypatch):
-    """With no room for resting arrays, those of the present scene stay while it is dry."""
-    monkeypatch.setattr("gsrain_engine.render.opengl.buffers.RESTING_BYTES", 0)
-    renderer, part = SplatRenderer(context), wet_part()
-    drawn(renderer, part._replace(wetness=0.5))
-    drawn(renderer, part)
-    assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 0
-    drawn(renderer, wet_part(degree=0))
-    assert renderer.arrays.missing(part.gaussians, part.wet_sh) == 300
+def rain_at(editor, intensity_mm_h, **fields):
+    clear = msgspec.structs.asdict(load_preset("clear"))
+    editor.document.change_rain("Rain", **clear | {"intensity_mm_h": intensity_mm_h, **fields})
 
 
 def test_the_sky_gets_as_dark_as_it_looks():
@@ -121,26 +66,7 @@ def test_a_sequence_gets_wet_as_its_weather_does():
     np.testing.assert_array_equal(fixed.frame(renderer, 4, sky).rgba, frames[4])
 
 
-@pytest.fixture
-def editor():
-    opened = Editor(small_scene())
-    opened.playback.clock.playing = False
-    yield opened
-    opened.close()
-
-
-def picture(editor, view):
-    (texture,) = draw_frame(editor, view, SIZE)
-    return np.frombuffer(texture.read(), np.uint8)
-
-
-def rain_at(editor, intensity_mm_h, **fields):
-    clear = msgspec.structs.asdict(load_preset("clear"))
-    editor.document.change_rain("Rain", **clear | {"intensity_mm_h": intensity_mm_h, **fields})
-
-
-def test_the_slider_moves_the_appearance(context, editor):
-    view = LiveView(context, "opengl")
+def test_the_slider_moves_the_appearance_but_the_clear_side_is_dry(context, editor, view):
     clear = picture(editor, view)
     editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
     assert np.array_equal(picture(editor, view), clear)
@@ -151,32 +77,23 @@ def test_the_slider_moves_the_appearance(context, editor):
     assert clear.mean() > picture(editor, view).mean() > soaked.mean()
     rain_at(editor, 12.0, streaks=False, haze=False)
     assert soaked.mean() < picture(editor, view).mean() < soaked.mean() + 5
-    editor.document.undo()
-    editor.document.undo()
-    editor.document.undo()
+    exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
+    assert exact.wet_color is not None
+    while editor.live_rain.sky_is_stale:
+        picture(editor, view)
+    assert editor.live_rain.sky == pytest.approx(exact.at(wetness(12.0)), abs=1e-6)
+    editor.viewport.options.split = "clear | rainy"
+    left, right = draw_frame(editor, view, SIZE)
+    assert np.frombuffer(left.read(), np.uint8).mean() > np.frombuffer(right.read(), np.uint8).mean() + 10
+    editor.viewport.options.split = "off"
+    for _ in range(3):
+        editor.document.undo()
     assert np.array_equal(picture(editor, view), clear)
 
 
-def test_drops_take_the_wet_skys_colour(context, editor):
-    view = LiveView(context, "opengl")
-    editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
-    rain_at(editor, 1.2)
-    picture(editor, view)
-    light = editor.live_rain.sky
-    rain_at(editor, 12.0)
-    assert max(editor.live_rain.sky) < max(light) - 0.02
-    rain_at(editor, 12.0, wetness=0.0)
-    exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
-    while editor.live_rain.sky_is_stale:
-        picture(editor, view)
-    assert editor.live_rain.sky == pytest.approx(exact.color, abs=1e-6)
-
-
-def test_finished_wet_colours_are_one_step_and_come_in_slices(context, editor, monkeypatch):
-    monkeypatch.setattr(live_view, "_CHUNK_SIZE", 0)
-    monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
+def test_finished_wet_colors_are_one_step_and_come_in_slices(editor, slow_view):
     rain_at(editor, 12.0, streaks=False, haze=False)
-    view = LiveView(context, "opengl")
+    view = slow_view
     clear, before = picture(editor, view), editor.document.scene
     editor.viewport.staged = PendingScene("Make it rainy", darker(editor.document.scene), change=with_wet_colors_of)
     shown = []
@@ -192,21 +109,3 @@ def test_finished_wet_colours_are_one_step_and_come_in_slices(context, editor, m
     assert np.array_equal(picture(editor, view), clear)
     editor.document.redo()
     assert np.array_equal(picture(editor, view), wet)
-
-
-def test_wet_colours_that_fit_nothing_are_reported(editor):
-    editor.viewport.staged = PendingScene("Make it rainy", editor.document.scene, change=with_wet_colors_of)
-    editor.apply(DrawResult(is_pending_ready=True))
-    assert (
-        editor.status.problem
-        == "The scene has changed so much that the new wet colors fit none of its layers and actors."
-    )
-    assert editor.document.history.undo_label is None
-
-
-def test_the_clear_side_is_dry(context, editor):
-    editor.document.edit("Wet colors", replace_scene, darker(editor.document.scene))
-    rain_at(editor, 12.0, wetness=0.9)
-    editor.viewport.options.split = "clear | rainy"
-    left, right = draw_frame(editor, LiveView(context, "opengl"), SIZE)
-    assert np.frombuffer(left.read(), np.uint8).mean() > np.frombuffer(right.read(), np.uint8).mean() + 10

@@ -1,4 +1,4 @@
-"""A recorded capture in the real window, opened and looked from as a person does."""
+"""A recorded capture in the real window: opened, listed, looked from, clicked and closed."""
 
 import numpy as np
 from imgui_bundle import ImVec2
@@ -19,11 +19,6 @@ def _click_slowly() -> None:
     io.mouse_double_click_time = 60.0
 
 
-def _views(driver) -> str:
-    """The list of views, a window of its own in the panel; its name has slashes."""
-    return driver.ctx.window_info("//Capture/views").window.name.replace("/", "\\/")
-
-
 def _idle(driver) -> None:
     driver.until(lambda: not driver.editor.captures.is_working)
     driver.frames(6)
@@ -31,29 +26,28 @@ def _idle(driver) -> None:
 
 def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
     folder = written_capture(tmp_path / "drive")
-    driver = Driver(tmp_path / "shots", backend="opengl")
-    (tmp_path / "shots").mkdir()
-    captures = driver.editor.captures
+    driver = Driver(tmp_path, backend="opengl")
+    editor, captures = driver.editor, driver.editor.captures
 
     def script():
         captures.open(folder)  # its panel comes to the front
         driver.until(lambda: captures.capture is not None)
-        assert driver.editor.status.problem is None
+        assert editor.status.problem is None
         _idle(driver)
         assert {wish.view for wish in captures.textures if wish.width_px == THUMBNAIL_PX} == {0, 1, 2, 3}
 
         # A double click in the list looks from there, and the recorded picture fills the viewport.
         captures.opacity = 1.0
         _click_slowly()
-        driver.ctx.item_double_click(f"//{_views(driver)}/##view 001")
+        views = driver.ctx.window_info("//Capture/views").window.name.replace("/", "\\/")
+        driver.ctx.item_double_click(f"//{views}/##view 001")
         driver.frames()
-        assert captures.chosen == 1
-        assert captures.view_at_camera == 1
+        assert captures.chosen == captures.view_at_camera == 1
         _idle(driver)
         assert ImageRequest(1, LARGE_PX) in captures.textures
         assert _share(driver.screen(), COLORS[1]) > 0.05
 
-        # Keys go from view to view; the slider and the switch lay the picture over the render.
+        # Keys go from view to view; the switch hides the picture.
         driver.ctx.mouse_move("//View/view")
         driver.press(imgui.Key.page_down)
         assert captures.view_at_camera == 2
@@ -70,47 +64,26 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         driver.ctx.combo_click("Camera/right")
         driver.frames()
         assert captures.listed == [1, 3]
-        driver.ctx.item_click("###next view")
-        driver.frames()
+        driver.tap("###next view")
         assert captures.chosen == 3
 
-        driver.ctx.item_click("###close capture")
-        driver.frames()
-        assert captures.capture is None
-        assert captures.textures == {}
-
-    driver.run(script)
-
-
-def test_cameras_and_points_stand_in_the_picture_and_are_clicked(tmp_path):
-    folder = written_capture(tmp_path / "drive")
-    driver = Driver(tmp_path / "shots", backend="opengl")
-    (tmp_path / "shots").mkdir()
-    editor, captures = driver.editor, driver.editor.captures
-
-    def script():
-        captures.open(folder)
-        driver.until(lambda: captures.capture is not None)
+        # Cameras in the picture are clicked; a drag moves on.
+        driver.ctx.combo_click("Camera/all cameras")
+        editor.viewport.stop_riding()
         editor.viewport.navigation.position = np.array([-3.0, 1.0, 3.0])
         editor.viewport.navigation.heading, editor.viewport.navigation.pitch = -0.2, -0.3
+        captures.chosen = 0
         driver.frames(4)
-        camera = editor.viewport.shot(*captures.viewport_px).camera
-        eye = captures.cameras(editor.document.scene)[3].position
-        x, y, z = (camera.world_to_camera @ np.append(eye, 1.0))[:3]
-        at = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        corner = driver.ctx.item_info("//View/view").rect_full.min
-        driver.ctx.mouse_move_to_pos(ImVec2(corner.x + at[0], corner.y + at[1]))
-        driver.frames()
-        driver.ctx.mouse_click()
-        driver.frames()
+        driver.click_at(driver.on_screen(captures.cameras(editor.document.scene)[3].position))
         assert captures.chosen == 3
-        _click_slowly()
         driver.ctx.mouse_double_click()
         driver.frames()
         assert captures.view_at_camera == 3
-
-        # A drag moves on; the cameras show again.
         driver.drag("//View/view", ImVec2(60, 10))
         assert captures.view_at_camera is None
+
+        driver.ctx.set_ref("//Capture")
+        driver.tap("###close capture")
+        assert captures.capture is None and captures.textures == {}
 
     driver.run(script)

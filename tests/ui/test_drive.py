@@ -10,15 +10,10 @@ from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
 from small_scene import small_scene
-from window_driver import Driver, imgui
+from window_driver import imgui
 
 LEAD = {"id": "lead", "ahead_m": 9.0, "behaviour": {"kind": "constant-velocity"}}
 CRASH = {"name": "crash", "speed_m_s": 2.0, "duration_s": 4.0, "road_users": [LEAD]}
-
-
-@pytest.fixture
-def driver(tmp_path):
-    return Driver(tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -32,15 +27,6 @@ def rollout(tmp_path_factory):
     return path
 
 
-def choose(driver, title, path, button="Open"):
-    """Type a place into a file dialog."""
-    driver.frames(3)
-    driver.ctx.item_click(f"//{title}/##file_input")
-    driver.ctx.key_chars_replace(str(path))
-    driver.ctx.item_click(f"//{title}/**/{button}")
-    driver.frames(3)
-
-
 def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path):
     editor = driver.editor
     drives = editor.rollouts
@@ -49,14 +35,12 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.ctx.window_focus("//Drive")
         driver.frames()
         driver.ctx.set_ref("//Drive")
-        driver.ctx.item_click("Change the scenario")
-        driver.frames()
+        driver.tap("Change the scenario")
         driver.ctx.item_input_value("**/##duration_s", 1.0)
-        driver.ctx.item_input_value("**/##speed_m_s", 2.5)
-        driver.frames()
+        driver.type_in("**/##speed_m_s", 2.5)
         assert drives.setup.is_changed
         driver.ctx.item_click("**/###save scenario")
-        choose(driver, "Save the scenario", tmp_path / "short.yaml", "Save")
+        driver.choose_file("Save the scenario", tmp_path / "short.yaml")
         saved = load_scenario(tmp_path / "short.yaml")
         assert (saved.duration_s, saved.speed_m_s) == (1.0, 2.5)
         driver.ctx.set_ref("//Drive")
@@ -64,8 +48,7 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.ctx.combo_click("##agent/constant-velocity")
         driver.ctx.combo_click("##rain/one intensity")
         driver.frames()
-        driver.ctx.item_input_value("##intensity_mm_h", 5.0)
-        driver.frames()
+        driver.type_in("##intensity_mm_h", 5.0)
         driver.ctx.item_click("###drive")
         driver.until(lambda: len(editor.jobs.all) == 1)
         job = editor.jobs.all[0]
@@ -74,7 +57,7 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
         driver.frames()
         driver.ctx.item_click("//Drive/###save roll-out")
-        choose(driver, "Save the roll-out", tmp_path / "mine.jsonl", "Save")
+        driver.choose_file("Save the roll-out", tmp_path / "mine.jsonl")
         driver.until(lambda: not drives.is_working)
         assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
 
@@ -94,29 +77,23 @@ def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
         driver.frames(3)
         first = driver.picture()
         assert np.abs(first - before).mean() > 2  # a car, another place, rain
-        driver.ctx.item_click("//Drive/###collision")
-        driver.frames(3)
+        driver.tap("//Drive/###collision")
         assert drives.step_now.collision == "lead"
         driver.ctx.window_focus("//Drive plots")
         driver.frames(3)
-        area = driver.ctx.item_info("//Drive plots/##Speed").rect_full
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2((area.min.x + area.max.x) / 2, (area.min.y + area.max.y) / 2))
-        driver.ctx.mouse_click(0)
-        driver.frames(3)
+        corner, size = driver.area("//Drive plots/##Speed")
+        driver.click_at(corner + size / 2)
         assert 0.3 < editor.playback.clock.time_s / drives.playing.duration_s < 0.7
-        driver.ctx.item_click("//Drive/front camera")
-        driver.frames(3)
+        driver.tap("//Drive/front camera")
         front = editor.viewport.navigation.camera(90, 60).world_to_camera
-        driver.ctx.item_click("//Drive/Ego car")
-        driver.frames()
+        driver.tap("//Drive/Ego car")
         assert [each.id for each in editor.rollouts.displayed_scene.actors] == ["lead"]
         driver.ctx.mouse_move("//View/view")
         driver.ctx.mouse_drag_with_delta(imgui.ImVec2(40, 0), 1)  # a person looks elsewhere
         driver.frames()
         assert driver.editor.viewport.chase.mode == "free"
         assert not np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, front)
-        driver.ctx.item_click("//Drive/**/###close")
-        driver.frames()
+        driver.tap("//Drive/**/###close")
         assert (drives.playing, editor.document.history.cursor, editor.files.has_changes) == (None, 0, False)
         editor.playback.clock.seek(0.0)
         editor.viewport.go_home()

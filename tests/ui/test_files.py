@@ -23,11 +23,6 @@ def own_folders(tmp_path_factory, monkeypatch):
         monkeypatch.setenv(name, str(tmp_path_factory.mktemp(name)))
 
 
-@pytest.fixture
-def driver(tmp_path):
-    return Driver(tmp_path)
-
-
 def key(driver, *keys):
     driver.ctx.window_focus("//View")
     driver.press(chord(*keys))
@@ -42,9 +37,7 @@ def test_saving_asks_for_a_place_once_and_a_star_tells_of_changes(driver, tmp_pa
         driver.click("//Rain/8.5")
         assert workspace.title == "GSRAIN: small *"
         key(driver, CTRL, imgui.Key.s)
-        driver.ctx.item_click("//Save the scene/##file_input")
-        driver.ctx.key_chars_replace(str(home))
-        driver.ctx.item_click("//Save the scene/**/Save")
+        driver.choose_file("Save the scene", home)
         driver.until(lambda: workspace.title == "GSRAIN: small")
         assert read_scene(home).rain["intensity_mm_h"] == 8.5
         driver.click("//Rain/12.0")
@@ -73,8 +66,7 @@ def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
         screens.append(driver.screen())
         driver.window.ask_to_close()  # the cross of the window
         driver.frames(3)
-        driver.ctx.item_click("//Unsaved changes/Cancel")
-        driver.frames(3)
+        driver.tap("//Unsaved changes/Cancel")
         assert editor.status.question is None and not editor.should_quit
         driver.press(chord(CTRL, imgui.Key.z))
         assert not editor.files.has_changes
@@ -96,13 +88,11 @@ def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
         editor = driver.editor
         driver.window.ask_to_close()
         driver.frames(3)
-        driver.ctx.item_click("//Work goes on/Cancel")
-        driver.frames(3)
+        driver.tap("//Work goes on/Cancel")
         assert job.state == "running" and editor.status.question is None
         driver.window.ask_to_close()
         driver.frames(3)
-        driver.ctx.item_click("//Work goes on/Wait")
-        driver.frames(3)
+        driver.tap("//Work goes on/Wait")
         driver.press(imgui.Key.enter)  # stops nothing
         assert job.state == "running" and driver.ctx.item_exists("//Waiting/Stop it")
         road = editor.document.scene.layers[0]

@@ -27,8 +27,7 @@ def test_layers_cameras_steps_and_files(tmp_path, monkeypatch):
             driver.frames(2)
         driver.ctx.window_focus("//Layers")
         for layer in editor.document.scene.layers[:4]:  # those that are in sight
-            driver.ctx.item_click(f"//Layers/**/###{text.plain_identity(layer.key.replace('/', ' '))}")
-            driver.frames(2)
+            driver.tap(f"//Layers/**/###{text.plain_identity(layer.key.replace('/', ' '))}")
             chosen.append(editor.viewport.options.member)
 
     driver.run(script)

@@ -14,47 +14,22 @@ KEY = imgui.Key
 
 
 class Hand(Driver):
-    """A driver that knows places of the picture, as shares of its width and height."""
-
-    def place(self, x, y):
-        area = self.ctx.item_info("//View/view").rect_full
-        return imgui.ImVec2(area.min.x + x * (area.max.x - area.min.x), area.min.y + y * (area.max.y - area.min.y))
+    """A driver that selects in places of the picture, as shares of its width and height."""
 
     def draw(self, *places, held=()):
-        """Press at the first place, go through the others, let go."""
-        self.ctx.mouse_move_to_pos(self.place(*places[0]))
-        for key in held:
-            self.ctx.key_down(key)
-        self.ctx.mouse_down(0)
-        self.frames(1)
-        for at in places[1:]:
-            self.ctx.mouse_move_to_pos(self.place(*at))
-        self.ctx.mouse_up(0)
-        self.frames()
-        for key in held:
-            self.ctx.key_up(key)
-        self.frames()
-
-    def tap(self, x, y, held=()):
-        self.draw((x, y), held=held)
+        self.stroke(*(self.at(*each) for each in places), held=held)
 
     def use(self, name):
         """Pick a tool by its key."""
-        self.ctx.mouse_move_to_pos(self.place(0.5, 0.6))
+        self.ctx.mouse_move_to_pos(imgui.ImVec2(*self.at(0.5, 0.6)))
         self.press(next(tool.key for tool in TOOLS if tool.name == name))
         assert self.editor.viewport.options.tool == name
-
-    def choose(self, name, word):
-        """Pick a word in a combo of the bar."""
-        self.ctx.set_ref(self.ctx.window_info("//View/tool options").window)
-        self.ctx.combo_click(f"{name}/{word}")
-        self.frames()
 
     def counts(self):
         return {member.name: selected(member).size for member in self.editor.document.scene.members}
 
     @property
-    def said(self):
+    def step(self):
         return self.editor.document.history.undo_label
 
 
@@ -68,23 +43,23 @@ LOWER = ((0.2, 0.62), (0.9, 0.62), (0.9, 0.95), (0.2, 0.95))
 
 
 def test_rectangle_and_its_modes_and_undo(hand):
+    editor = hand.editor
+
     def script():
-        editor = hand.editor
         hand.use("Rectangle")
         hand.draw(LOWER[0], LOWER[2])
         first = hand.counts()
         assert first["road"] > 5 and first["wall"] == first["sky"] == 0
-        assert hand.said == f"Select {first['road']:,} by rectangle"
+        assert hand.step == f"Select {first['road']:,} by rectangle"
         hand.draw((0.2, 0.2), (0.9, 0.5), held=(KEY.mod_shift,))
         added = hand.counts()
-        assert added["wall"] > 0 and added["road"] >= first["road"]
-        assert hand.said.startswith("Add ")
+        assert added["wall"] > 0 and added["road"] >= first["road"] and hand.step.startswith("Add ")
         hand.draw(LOWER[0], LOWER[2], held=(KEY.mod_ctrl,))
         assert hand.counts()["road"] == added["road"] - first["road"]
-        assert hand.said == f"Remove {first['road']:,} by rectangle"
+        assert hand.step == f"Remove {first['road']:,} by rectangle"
         hand.draw((0.2, 0.2), (0.55, 0.5), held=(KEY.mod_ctrl, KEY.mod_shift))
         assert 0 < selected_count(editor.document.scene) < sum(added.values()) - first["road"]
-        assert hand.said.startswith("Keep ")
+        assert hand.step.startswith("Keep ")
         for _ in range(3):
             hand.press(chord(KEY.mod_ctrl, KEY.z))
         assert hand.counts() == first
@@ -102,32 +77,33 @@ def test_lasso_polygon_and_brush(hand):
     def script():
         hand.use("Lasso")
         hand.draw(*LOWER)
-        lassoed = hand.counts()
-        assert lassoed["road"] > 5 and hand.said == f"Select {lassoed['road']:,} by lasso"
+        road = hand.counts()["road"]
+        assert road > 5 and hand.step == f"Select {road:,} by lasso"
         hand.use("Polygon")
         for corner in LOWER:
-            hand.tap(*corner)
-        assert hand.said.endswith("lasso")  # not closed yet
+            hand.draw(corner)
+        assert hand.step.endswith("lasso")  # not closed yet
         hand.press(KEY.enter)
-        assert hand.counts() == lassoed or abs(hand.counts()["road"] - lassoed["road"]) <= 2
+        assert abs(hand.counts()["road"] - road) <= 2
         steps = len(hand.editor.document.history.labels)
         for corner in (*LOWER, LOWER[0]):  # the first corner closes too
-            hand.tap(*corner, held=(KEY.mod_ctrl,))
+            hand.draw(corner, held=(KEY.mod_ctrl,))
         assert hand.counts()["road"] == 0
         for corner in LOWER:
-            hand.tap(*corner)
+            hand.draw(corner)
         hand.press(KEY.escape)
         hand.use("Polygon")
         hand.press(KEY.enter)
         assert len(hand.editor.document.history.labels) == steps + 1  # the corners are gone
         hand.use("Brush")
-        hand.draw((0.3, 0.8), (0.5, 0.85), (0.7, 0.8))
+        stroke = (0.3, 0.8), (0.5, 0.85), (0.7, 0.8)
+        hand.draw(*stroke)
         thin = hand.counts()["road"]
-        assert hand.said == f"Select {thin} by brush"
+        assert hand.step == f"Select {thin} by brush"
         for _ in range(4):
             hand.press(KEY.right_bracket)
         assert hand.editor.selection.brush_radius_px > 45
-        hand.draw((0.3, 0.8), (0.5, 0.85), (0.7, 0.8))
+        hand.draw(*stroke)
         assert hand.counts()["road"] > thin > 0
         hand.press(KEY.left_bracket)
         assert hand.editor.selection.brush_radius_px < 45
@@ -136,45 +112,40 @@ def test_lasso_polygon_and_brush(hand):
 
 
 def test_sphere_and_box_are_placed_sized_and_applied(hand):
+    editor, options = hand.editor, hand.editor.selection
+
     def script():
-        editor, options = hand.editor, hand.editor.selection
         hand.use("Sphere")
         hand.draw((0.5, 0.75), (0.7, 0.75))
         assert abs(options.ball.center_m[2]) < 0.1  # on the road
-        assert options.ball.radius_m > 0.5
-        assert hand.said is None
+        assert options.ball.radius_m > 0.5 and hand.step is None
         hand.press(KEY.enter)
-        assert hand.said == f"Select {hand.counts()['road']} by sphere"
-        means = editor.document.scene.layers[0].gaussians.means[selected(editor.document.scene.layers[0]).indices]
+        assert hand.step == f"Select {hand.counts()['road']} by sphere"
+        road = editor.document.scene.layers[0]
+        means = road.gaussians.means[selected(road).indices]
         assert np.linalg.norm(means - options.ball.center_m, axis=1).max() <= options.ball.radius_m
-        hand.ctx.item_click("//View/**/Drop##sphere")
-        hand.frames()
+        hand.tap("//View/**/Drop##sphere")
         assert options.ball is None and hand.counts()["road"] == len(means)
         hand.use("Box")
-        hand.tap(0.5, 0.75)
+        hand.draw((0.5, 0.75))
         assert options.box.center_m[2] == pytest.approx(1.0, abs=0.1)
-        area = hand.ctx.item_info("//View/view").rect_full
-        wide = editor.viewport.shot(int(area.max.x - area.min.x), int(area.max.y - area.min.y)).camera
-        x, y, z = wide.world_to_camera[:3, :3] @ options.box.face_m(2, True) + wide.world_to_camera[:3, 3]
-        at = (wide.fx * x / z + wide.cx) / wide.width, (wide.fy * y / z + wide.cy) / wide.height
-        hand.draw(at, (at[0], at[1] - 0.1))
+        face = hand.on_screen(options.box.face_m(2, True))
+        hand.stroke(face, face - [0, 40])
         assert options.box.size_m[2] > 2.1
         hand.ctx.set_ref("//View")
-        hand.ctx.item_input_value("**/##yaw", 30.0)
-        hand.frames()
+        hand.type_in("**/##yaw", 30.0)
         assert options.box.yaw_deg == 30
         options.box = replace(options.box, size_m=(9.0, 2.0, 6.0))
-        hand.ctx.item_click("**/Apply##box")
-        hand.frames()
-        assert hand.counts()["road"] > 5
-        assert hand.said == f"Select {hand.counts()['road']} by box"
+        hand.tap("**/Apply##box")
+        assert hand.counts()["road"] > 5 and hand.step == f"Select {hand.counts()['road']} by box"
 
     hand.run(script)
 
 
 def test_a_range_dragged_over_the_histogram_selects(hand):
+    options = hand.editor.selection
+
     def script():
-        options = hand.editor.selection
         hand.ctx.window_focus("//Select")
         hand.ctx.set_ref("//Select")
         hand.ctx.combo_click("##attribute/height (m)")
@@ -182,19 +153,14 @@ def test_a_range_dragged_over_the_histogram_selects(hand):
         assert options.attribute == "height" and options.range is None
         hand.click("//Select/Set##range")  # all of it
         assert selected_count(hand.editor.document.scene) == 944
-        plot = hand.ctx.item_info("//Select/##attribute plot").rect_full
-        y, width = (plot.min.y + plot.max.y) / 2, plot.max.x - plot.min.x
-        hand.ctx.mouse_move_to_pos(imgui.ImVec2(plot.min.x + 0.3 * width, y))
-        hand.ctx.mouse_down(0)
-        hand.ctx.mouse_move_to_pos(imgui.ImVec2(plot.min.x + 0.6 * width, y))
-        hand.ctx.mouse_up(0)
-        hand.frames()
+        corner, size = hand.area("//Select/##attribute plot")
+        hand.stroke(corner + size * [0.3, 0.5], corner + size * [0.6, 0.5])
         low, high = options.range
         assert 20 < low < 60 < high < 110  # m; the sky reaches up to 150
         hand.click("//Select/Set##range")
         heights = hand.editor.document.scene.layers[2].gaussians.means[:, 2]
         assert hand.counts() == {"road": 0, "wall": 0, "sky": int(((heights >= low) & (heights <= high)).sum())}
-        assert hand.said == f"Select {hand.counts()['sky']} by height"
+        assert hand.step == f"Select {hand.counts()['sky']} by height"
         hand.click("//Select/Remove##range")
         assert selected_count(hand.editor.document.scene) == 0
 

@@ -1,124 +1,100 @@
-"""The timeline and the camera path in the real window, driven as a person drives them."""
+"""The timeline, the camera path and the rain over time, regions and drop color, driven by hand."""
 
 import numpy as np
 import pytest
+from imgui_bundle import implot
 
+from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.editor.overlays import path_overlay_of
+from gsrain_engine.editor.rain_regions import face_handles, inset_view
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.render.draw import rain_anchor
 from ui.commands.keys import chord
-from window_driver import Driver, imgui
+from ui.panels import rain_keyframes
+from window_driver import imgui
 
 KEY = imgui.Key
 UNDO = chord(KEY.mod_ctrl, KEY.z)
 
 
 @pytest.fixture
-def driver(tmp_path):
-    made = Driver(tmp_path)
-    made.editor.viewport.options.shrink = 3  # a coarse picture: none of these tests looks at it
-    return made
-
-
-def place(driver, item):
-    """Screen position of an item."""
-    rect = driver.ctx.item_info(item).rect_full
-    return np.array([rect.min.x, rect.min.y]), np.array([rect.max.x, rect.max.y])
-
-
-def hand(driver, start, end, modifier=None):
-    """Drag with the left button from one place of the screen to another."""
-    driver.ctx.mouse_move_to_pos(imgui.ImVec2(*map(float, start)))
-    driver.frames()
-    if modifier is not None:
-        driver.ctx.key_down(modifier)
-        driver.frames()
-    driver.ctx.mouse_down(0)
-    driver.frames()
-    for share in (0.3, 0.7, 1.0):
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2(*map(float, np.asarray(start) + share * np.subtract(end, start))))
-        driver.frames()
-    driver.ctx.mouse_up(0)
-    driver.frames()
-    if modifier is not None:
-        driver.ctx.key_up(modifier)
-        driver.frames()
-
-
-def four_keys(driver):
-    """Look around, and keep four views at 0, 1, 2 and 4 s, by the keyboard alone."""
+def flight(driver):
+    """Begin a flight: look around, and store four views at 0, 1, 2 and 4 s, by the keyboard alone."""
     editor = driver.editor
-    driver.ctx.mouse_move("//View/view")
-    for time_s, step in ((0.0, (0, 0, 0)), (1.0, (3, 0.5, 0.5)), (2.0, (3, -1, 0.5)), (4.0, (4, 0.5, 0))):
-        editor.playback.clock.seek(time_s)
-        editor.viewport.navigation.position = editor.viewport.navigation.position + np.array(step, float)
-        driver.frames()
-        driver.press(KEY.k)
-    return editor.document.scene.path
+    editor.viewport.options.shrink = 3  # a coarse picture: none of these tests looks at it
+
+    def begin():
+        driver.ctx.mouse_move("//View/view")
+        for time_s, step in ((0.0, (0, 0, 0)), (1.0, (3, 0.5, 0.5)), (2.0, (3, -1, 0.5)), (4.0, (4, 0.5, 0))):
+            editor.playback.clock.seek(time_s)
+            editor.viewport.navigation.position = editor.viewport.navigation.position + np.array(step, float)
+            driver.frames()
+            driver.press(KEY.k)
+        return editor.document.scene.path
+
+    return begin
 
 
-def on_ruler(driver, time_s):
-    """Screen position of a moment on the ruler."""
-    low, high = place(driver, "//Timeline/ruler")
-    return low[0] + driver.editor.playback.timeline.ruler.x(time_s), (low[1] + high[1]) / 2 - 4
+def drag(driver, start, end, held=()):
+    driver.stroke(*(start + share * np.subtract(end, start) for share in (0, 0.3, 0.7, 1.0)), held=held)
 
 
-def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
+def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver, flight):
+    editor = driver.editor
+    document, clock, timeline = editor.document, editor.playback.clock, editor.playback.timeline
+
+    def on_ruler(time_s):
+        (left, top), (_, height) = driver.area("//Timeline/ruler")
+        return np.array([left + timeline.ruler.x(time_s), top + height / 2 - 4])
+
     def script():
-        editor = driver.editor
-        path = four_keys(driver)
+        path = flight()
         assert path.times_s.tolist() == [0, 1, 2, 4]
-        assert editor.document.history.labels[1:] == ["Insert keyframe"] * 4
+        assert document.history.labels[1:] == ["Insert keyframe"] * 4
         by_hand = editor.viewport.navigation.position.copy()
 
-        # a click on a key looks through it
+        # A click on a key looks through it.
         driver.click("//Timeline/**/key 1")
-        assert editor.viewport.options.follow_path
-        assert editor.playback.clock.time_s == 1.0
+        assert editor.viewport.options.follow_path and clock.time_s == 1.0
         assert editor.viewport.shot(96, 64).camera.position == pytest.approx(path.positions[1])
 
-        # dragging the ruler scrubs, and everything follows
-        hand(driver, on_ruler(driver, 0.5), on_ruler(driver, 3.0))
-        assert editor.playback.clock.time_s == pytest.approx(3.0, abs=0.05)
-        assert editor.viewport.shot(96, 64).camera.position == pytest.approx(
-            editor.viewport.path.camera(editor.playback.clock.time_s, 96, 64).position
-        )
+        # Dragging the ruler scrubs, and everything follows.
+        drag(driver, on_ruler(0.5), on_ruler(3.0))
+        assert clock.time_s == pytest.approx(3.0, abs=0.05)
+        expected = editor.viewport.path.camera(clock.time_s, 96, 64).position
+        assert editor.viewport.shot(96, 64).camera.position == pytest.approx(expected)
 
-        # a drag in time is one step
-        (x, y), _ = place(driver, "//Timeline/**/key 1")
-        pixels = editor.playback.timeline.ruler.x(1.5) - editor.playback.timeline.ruler.x(0.0)
-        steps = len(editor.document.history.labels)
-        hand(driver, (x + 6, y + 6), (x + 6 + pixels, y + 6))
-        assert editor.document.scene.path.times_s == pytest.approx([0, 2, 2.5, 4], abs=0.05)  # past the third one
-        assert editor.playback.timeline.key == 2
-        assert editor.document.scene.path.positions[2] == pytest.approx(path.positions[1])
-        assert editor.document.history.labels[steps:] == ["Move keyframe"]
+        # A drag in time is one step; with Ctrl it copies.
+        place = driver.area("//Timeline/**/key 1")[0] + 6
+        moved = np.array([timeline.ruler.x(1.5) - timeline.ruler.x(0.0), 0.0])
+        steps = len(document.history.labels)
+        drag(driver, place, place + moved)
+        assert document.scene.path.times_s == pytest.approx([0, 2, 2.5, 4], abs=0.05)  # past the third one
+        assert timeline.key == 2
+        assert document.scene.path.positions[2] == pytest.approx(path.positions[1])
+        assert document.history.labels[steps:] == ["Move keyframe"]
         driver.press(UNDO)
-        assert editor.document.scene.path is path
-
-        # with Ctrl it copies
-        hand(driver, (x + 6, y + 6), (x + 6 + 2 * pixels, y + 6), KEY.mod_ctrl)
-        copied = editor.document.scene.path
+        assert document.scene.path is path
+        drag(driver, place, place + 2 * moved, held=(KEY.mod_ctrl,))
+        copied = document.scene.path
         assert len(copied.times_s) == 5
-        assert np.delete(copied.times_s, editor.playback.timeline.key) == pytest.approx(path.times_s)
-        assert copied.times_s[editor.playback.timeline.key] == pytest.approx(4.0, abs=0.1)
-        assert copied.positions[editor.playback.timeline.key] == pytest.approx(path.positions[1])
-        assert editor.document.history.undo_label == "Copy keyframe"
+        assert np.delete(copied.times_s, timeline.key) == pytest.approx(path.times_s)
+        assert copied.times_s[timeline.key] == pytest.approx(4.0, abs=0.1)
+        assert copied.positions[timeline.key] == pytest.approx(path.positions[1])
+        assert document.history.undo_label == "Copy keyframe"
         driver.press(UNDO)
-        assert editor.document.scene.path is path
+        assert document.scene.path is path
 
-        # Delete takes the chosen one away
+        # Delete removes the active one.
         driver.click("//Timeline/**/key 2")
         driver.press(KEY.delete)
-        assert editor.document.scene.path.times_s.tolist() == [0, 1, 4]
+        assert document.scene.path.times_s.tolist() == [0, 1, 4]
         driver.press(UNDO)
-        assert editor.document.scene.path is path
+        assert document.scene.path is path
 
-        # a drag of the picture leaves the ride where the camera is
+        # A drag of the picture leaves the ride where the camera is.
         driver.click("//Timeline/**/key 3")
-        driver.ctx.mouse_move("//View/view")
-        driver.ctx.mouse_down(1)
-        driver.ctx.mouse_move_to_pos(imgui.ImVec2(*(np.mean(place(driver, "//View/view"), axis=0) + [4, 0]).tolist()))
-        driver.ctx.mouse_up(1)
-        driver.frames()
+        driver.stroke(driver.at(0.5, 0.5), driver.at(0.5, 0.5) + [4, 0], button=1)
         assert not editor.viewport.options.follow_path
         assert editor.viewport.navigation.position == pytest.approx(path.positions[3])
         assert editor.viewport.navigation.position == pytest.approx(by_hand)
@@ -126,42 +102,139 @@ def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
     driver.run(script)
 
 
-def test_a_key_is_dragged_in_the_picture(driver):
+def test_a_key_is_dragged_in_the_picture(driver, flight):
+    document, viewport = driver.editor.document, driver.editor.viewport
+    here = np.array([-4.0, -3.0, 4.0])
+
     def script():
-        editor = driver.editor
-        path = four_keys(driver)
-        editor.viewport.navigation.position = np.array([-4.0, -3.0, 4.0])
-        editor.viewport.navigation.heading, editor.viewport.navigation.pitch = 0.3, -0.2
+        path = flight()
+        viewport.navigation.position = here
+        viewport.navigation.heading, viewport.navigation.pitch = 0.3, -0.2
         driver.frames(3)
-        corner, end = place(driver, "//View/view")
-        width, height = (end - corner).astype(int)
-        camera = editor.viewport.shot(int(width), int(height)).camera
+        corner, size = driver.area()
+        camera = viewport.shot(*map(int, size)).camera
 
         def handle(key):
-            return corner + next(
-                each.handle_px for each in path_overlay_of(editor.viewport, camera).keys if each.key == key
-            )
+            return corner + next(each.handle_px for each in path_overlay_of(viewport, camera).keys if each.key == key)
 
-        steps = len(editor.document.history.labels)
-        start = handle(2)
-        hand(driver, start, start + [40, -30])
-        moved = editor.document.scene.path
+        steps, start = len(document.history.labels), handle(2)
+        drag(driver, start, start + [40, -30])
+        moved = document.scene.path
         assert handle(2) == pytest.approx(start + [40, -30], abs=2)
         depth = [camera.world_to_camera[2, :3] @ each.positions[2] for each in (path, moved)]
         assert depth[0] == pytest.approx(depth[1])  # in the plane that faces the view
         assert np.array_equal(np.delete(moved.positions, 2, axis=0), np.delete(path.positions, 2, axis=0))
-        assert editor.document.history.labels[steps:] == ["Move keyframe"]
-        assert np.array_equal(editor.viewport.navigation.position, [-4.0, -3.0, 4.0])  # the view stays
+        assert document.history.labels[steps:] == ["Move keyframe"]
+        assert np.array_equal(viewport.navigation.position, here)  # the view stays
 
         driver.press(UNDO)
-        assert editor.document.scene.path is path
-        hand(driver, start, start + [30, -40], KEY.mod_shift)
-        risen = editor.document.scene.path.positions[2] - path.positions[2]
-        assert risen[:2] == pytest.approx([0, 0], abs=1e-9)
-        assert risen[2] > 0.1
+        assert document.scene.path is path
+        drag(driver, start, start + [30, -40], held=(KEY.mod_shift,))
+        risen = document.scene.path.positions[2] - path.positions[2]
+        assert risen[:2] == pytest.approx([0, 0], abs=1e-9) and risen[2] > 0.1
 
         driver.click("//Timeline/show path")
-        hand(driver, start, start + [30, 0])  # nothing is there to take hold of: the view orbits
-        assert not np.array_equal(editor.viewport.navigation.position, [-4.0, -3.0, 4.0])
+        drag(driver, start, start + [30, 0])  # nothing is there to take hold of: the view orbits
+        assert not np.array_equal(viewport.navigation.position, here)
+
+    driver.run(script)
+
+
+@pytest.fixture
+def pixel_of(monkeypatch):
+    """Screen position of a point of the plot, as last drawn."""
+    last = {}
+    drawn = rain_keyframes.now_line
+
+    def spy(editor):
+        drawn(editor)
+        for name, at in (("zero", 0.0), ("one", 1.0)):
+            pixel = implot.plot_to_pixels(at, at)
+            last[name] = np.array([pixel.x, pixel.y])
+
+    monkeypatch.setattr(rain_keyframes, "now_line", spy)
+    return lambda seconds, rate: last["zero"] + [seconds, rate] * (last["one"] - last["zero"])
+
+
+def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
+    document = driver.editor.document
+    keys = ((0.0, 0.0), (10.0, 8.0), (20.0, 0.0))
+    hill = RainKeyframes(keys=tuple(RainKeyframe(time_s=at, intensity_mm_h=rate) for at, rate in keys))
+
+    def place(key):
+        return key.time_s, key.intensity_mm_h
+
+    def script():
+        document.edit_keyframes("Hill", replace_keyframes, hill)
+        driver.ctx.window_focus("//Shower")
+        driver.frames(4)
+        driver.stroke(pixel_of(10.0, 8.0), *(pixel_of(11.0, rate) for rate in (8.5, 9.5, 11.0)))
+        assert place(document.keyframes.keys[1]) == pytest.approx((11.0, 11.0), abs=0.3)
+        assert document.history.undo_label == "Move rain keyframe"
+        document.undo()
+        assert document.keyframes == hill
+        driver.point_at(pixel_of(15.0, 7.0))
+        driver.ctx.mouse_double_click(0)
+        driver.frames(3)
+        added = document.keyframes.keys[2]
+        assert len(document.keyframes.keys) == 4 and place(added) == pytest.approx((15.0, 7.0), abs=0.3)
+        driver.click_at(pixel_of(10.0, 8.0), button=1)
+        assert document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, added.time_s, 20.0]
+
+    driver.run(script)
+
+
+def test_a_face_of_the_region_is_dragged_from_outside(driver):
+    """The upper face in the inset: the region gets higher, the floor stays, and it is one step."""
+    editor = driver.editor
+
+    def script():
+        editor.viewport.options.tool = "Rain regions"
+        driver.ctx.window_focus("//View")
+        driver.frames(4)
+        corner, size = driver.area()
+        style = imgui.get_style()
+        em = style.font_size_base * style.font_scale_main * style.font_scale_dpi
+        inset = np.minimum([15 * em, 11 * em], 0.5 * size).astype(int)
+        shot, box = editor.viewport.shot(*map(int, size)), editor.document.rain.streak_region
+        anchor = rain_anchor(editor.document.scene, editor.live_rain.simulation, shot)
+        camera = inset_view(box, anchor, *inset.tolist()).camera
+        (top,) = [each for each in face_handles(box, anchor, camera, inset=0.0) if each.face == (2, True)]
+        x, y, z = camera.world_to_camera[:3] @ np.append(top.point_m, 1.0)
+        place = corner + size - inset - 0.6 * em + [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]
+        steps = editor.document.history.cursor
+        driver.stroke(place, *(place - [0, up] for up in (4, 8, 12)))
+        changed = editor.document.rain.streak_region
+        assert changed.maximum_m[2] > box.maximum_m[2] + 0.3
+        assert (changed.minimum_m, changed.maximum_m[:2]) == (box.minimum_m, box.maximum_m[:2])
+        assert editor.document.history.cursor == steps + 1
+        editor.document.undo()
+        assert editor.document.rain.streak_region == box
+
+    driver.run(script)
+
+
+def test_the_drop_color_is_picked_from_the_view(driver):
+    """A pixel of the wall, which is reddish, then a rectangle of the sky; back to the scene's sky."""
+    editor = driver.editor
+
+    def script():
+        editor.document.change_rain("Intensity", intensity_mm_h=8.5)
+        driver.frames(3)
+        driver.click("//Rain/###pick sky")
+        driver.ctx.window_focus("//View")
+        driver.frames(3)
+        picture = driver.picture()
+        row, column = np.unravel_index(np.argmax(picture[..., 0] - picture[..., 2]), picture.shape[:2])
+        driver.click_at(driver.area()[0] + [column + 0.5, row + 0.5])
+        driver.until(lambda: editor.document.rain.drop_color is not None)
+        picked = editor.document.rain.drop_color
+        assert picked[0] > picked[2] + 0.1
+        driver.stroke(driver.at(0.4, 0.14), driver.at(0.6, 0.2))
+        driver.until(lambda: editor.viewport.sky_pick is None and editor.document.rain.drop_color != picked, 200)
+        driver.frames()
+        assert editor.document.rain.drop_color[2] > editor.document.rain.drop_color[0] + 0.05
+        driver.click("//Rain/from the sky")
+        assert editor.document.rain.drop_color is None
 
     driver.run(script)

@@ -1,21 +1,19 @@
-"""The real window under Xvfb, driven as a person drives it."""
+"""The real window under Xvfb: rain, time, navigation, files, two pictures, palette, layers and panels."""
 
 import numpy as np
 import pytest
-from imgui_bundle import im_file_dialog
 
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
-from ui.commands.keys import chord
-from window_driver import Driver, imgui
+from ui.commands.keys import chord, chord_name, chords_of
+from ui.commands.table import COMMANDS
+from ui.panels.registry import BUILT_IN_PANELS
+from ui.shell import MENUS
+from ui.tools import TOOLS
+from window_driver import imgui
 
 
-@pytest.fixture
-def driver(tmp_path):
-    return Driver(tmp_path)
-
-
-def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
+def test_dragging_the_intensity_is_one_step_and_time_plays(driver):
     def script():
         clear = driver.picture()
         driver.drag("//Rain/##intensity_mm_h", (60, 0))
@@ -27,13 +25,6 @@ def test_dragging_the_intensity_makes_it_rain_and_is_one_step(driver):
         assert np.array_equal(driver.picture(), clear)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
         assert driver.editor.document.rain.intensity_mm_h > 1
-
-    driver.run(script)
-
-
-def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
-    def script():
-        driver.click("//Rain/8.5")
         still = driver.picture()
         assert np.array_equal(driver.picture(), still)
         driver.click("//View/###Play")
@@ -46,29 +37,30 @@ def test_time_plays_pauses_and_rain_falls_in_real_seconds(driver):
 
 
 def test_navigation_by_mouse_and_keys(driver):
+    viewport = driver.editor.viewport
+
     def script():
-        editor = driver.editor
-        start = editor.viewport.navigation.position.copy()
+        start = viewport.navigation.position.copy()
         driver.drag("//View/view", (80, 0))
-        assert np.linalg.norm(editor.viewport.navigation.position - start) > 0.5
+        assert np.linalg.norm(viewport.navigation.position - start) > 0.5
         driver.click("//View/###Home")
-        assert editor.viewport.navigation.position == pytest.approx(start)
+        assert viewport.navigation.position == pytest.approx(start)
         driver.ctx.mouse_move("//View/view")
         driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: editor.viewport.navigation.position[0] > start[0] + 0.1)
-        assert editor.viewport.navigation.velocity_m_s[0] > 1
+        driver.until(lambda: viewport.navigation.position[0] > start[0] + 0.1)
+        assert viewport.navigation.velocity_m_s[0] > 1
         driver.ctx.key_up(imgui.Key.w)
         driver.frames()
-        assert np.all(editor.viewport.navigation.velocity_m_s == 0)
+        assert np.all(viewport.navigation.velocity_m_s == 0)
         driver.press(imgui.Key.f)
-        assert editor.viewport.navigation.distance_m > 20
+        assert viewport.navigation.distance_m > 20
         driver.press(imgui.Key.r)
-        assert editor.viewport.navigation.position == pytest.approx(start)
+        assert viewport.navigation.position == pytest.approx(start)
         driver.ctx.mouse_wheel_y(2)
         driver.frames()
-        assert editor.viewport.navigation.distance_m < 20
+        assert viewport.navigation.distance_m < 20
         driver.click("//View/Follow path")
-        assert editor.viewport.options.follow_path
+        assert viewport.options.follow_path
 
     driver.run(script)
 
@@ -95,27 +87,29 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
 
 
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
+    options = driver.editor.viewport.options
+
     def script():
         driver.click("//Rain/8.5")
         driver.editor.document.change_rain("Much", streak_gain=50.0)
         driver.frames()
         rainy = driver.picture()
-        driver.editor.viewport.options.split = "clear | rainy"
+        options.split = "clear | rainy"
         driver.frames()
         both = driver.picture()
         middle = both.shape[1] // 2
         assert np.array_equal(both[:, middle + 1 :], rainy[:, middle + 1 :])
         assert np.abs(both[:, :middle] - rainy[:, :middle]).max() > 4
         driver.drag("//View/divider", (-120, 0))
-        assert driver.editor.viewport.options.divider < 0.4
+        assert options.divider < 0.4
         moved = driver.picture()
-        at = round(driver.editor.viewport.options.divider * moved.shape[1])
+        at = round(options.divider * moved.shape[1])
         assert np.array_equal(moved[:, at + 1 :], rainy[:, at + 1 :])
         assert np.array_equal(moved[:, : at - 1], both[:, : at - 1])
         driver.ctx.item_double_click("//View/divider")
         driver.frames()
-        assert driver.editor.viewport.options.divider == 0.5
-        driver.editor.viewport.options.split = "before | after"
+        assert options.divider == 0.5
+        options.split = "before | after"
         driver.frames()
         compared = driver.picture()
         assert np.abs(compared[:, :middle] - rainy[:, :middle]).max() > 4  # before: without the gain
@@ -143,7 +137,7 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
 
 
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
-    lab, screens = driver.editor.calibration, []
+    lab = driver.editor.calibration
 
     def script():
         driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
@@ -163,14 +157,70 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
         driver.frames()
         assert driver.editor.live_rain.simulation.calibration.name == "marshall_palmer"
         assert driver.editor.document.history.undo_label == "Calibration"
-        driver.ctx.item_click("Fit to measurements...")
-        driver.frames(3)
-        screens.append(driver.screen())
-        driver.press(imgui.Key.escape)
-        im_file_dialog.FileDialog.instance().close()
-        driver.frames(3)
-        screens.append(driver.screen())
 
     driver.run(script)
-    shown, closed = screens
-    assert np.abs(shown - closed).mean() > 5
+
+
+_CTRL, _KEY = imgui.Key.mod_ctrl, imgui.Key
+
+
+def test_keys_and_titles_mean_one_thing():
+    keys = [keys for command in COMMANDS for keys in chords_of(command)]
+    keys += [int(tool.key) for tool in TOOLS if tool.key is not None]
+    keys += [int(key) for key in (_KEY.w, _KEY.a, _KEY.s, _KEY.d, _KEY.q, _KEY.e)]
+    assert sorted(keys) == sorted(set(keys)), [chord_name(each) for each in keys if keys.count(each) > 1]
+    names = [command.name for command in COMMANDS] + [tool.name for tool in TOOLS]
+    assert len(names) == len(set(names))
+    assert {command.menu for command in COMMANDS} <= {"", *MENUS}
+    assert len({panel.title for panel in BUILT_IN_PANELS}) == len(BUILT_IN_PANELS)
+
+
+def test_a_command_is_found_by_a_part_of_its_name_and_any_step_can_be_gone_to(driver):
+    editor = driver.editor
+
+    def script():
+        driver.click("//Rain/8.5")
+        driver.ctx.window_focus("//View")
+        driver.press(chord(_CTRL, imgui.Key.p))
+        driver.frames(3)
+        assert editor.viewport.options.dialog == "commands"
+        driver.ctx.key_chars("undo")
+        driver.frames(3)
+        driver.press(imgui.Key.enter)
+        driver.until(lambda: editor.document.rain.intensity_mm_h == 0)
+        driver.until(lambda: editor.viewport.options.dialog == "")
+        assert editor.document.history.redo_label == "Preset 8.5"
+        for name in ("1.2", "8.5", "12.0"):
+            driver.click(f"//Rain/{name}")
+        for item, intensity in (("Preset 1.2##1", 1.2), ("Preset 12.0##3", 12), ("Open##0", 0)):
+            driver.click(f"//History/{item}")
+            assert editor.document.rain.intensity_mm_h == intensity
+
+    driver.run(script)
+
+
+def test_layers_are_locked_copied_named_and_removed(driver):
+    editor = driver.editor
+
+    def names():
+        return [each.name for each in editor.document.scene.layers]
+
+    def script():
+        driver.click("//Layers/members/###lock layers road")
+        assert editor.document.scene.layers[0].locked
+        driver.click("//Layers/members/###layers wall")
+        assert editor.viewport.options.member == "layers/wall"
+        driver.click("//Layers/Duplicate")
+        assert names() == ["road", "wall", "wall 2", "sky"]
+        assert editor.document.scene.layers[2].gaussians is editor.document.scene.layers[1].gaussians
+        driver.ctx.item_double_click("//Layers/members/###layers wall 2")
+        driver.frames(3)
+        driver.ctx.key_chars_replace_enter("fence")
+        driver.frames(3)
+        assert (names()[2], editor.viewport.options.member) == ("fence", "layers/fence")
+        driver.click("//Layers/Remove")
+        assert names() == ["road", "wall", "sky"]
+        driver.press(chord(_CTRL, imgui.Key.z))
+        assert names() == ["road", "wall", "fence", "sky"]
+
+    driver.run(script)

@@ -5,14 +5,12 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.editor.capture_view import THUMBNAIL_PX, CaptureController, ImageRequest
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import Against, MatchingController
-from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport.options import Mode
-from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..commands.table import help_of
-from ..widgets.draw import BACKGROUND, DIM, TEXT, color
+from ..widgets.draw import DIM, TEXT, color, draw_image
 from ..widgets.fields import WARNING, ask_what_to_open, button, checkbox, combo, disabled, text_color
 from ..widgets.text import label
 from .training import reconstruct_fields
@@ -24,14 +22,8 @@ _ROW_EM = 3.6
 _MAX_PROBLEMS = 50
 
 
-def capture_panel(
-    document: Document,
-    viewport: ViewportState,
-    captures: CaptureController,
-    matching: MatchingController,
-    training: TrainingController,
-    jobs: JobRunner,
-) -> None:
+def capture_panel(editor: Editor) -> None:
+    captures = editor.captures
     if captures.busy is not None:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)
     if (capture := captures.capture) is None:
@@ -42,14 +34,14 @@ def capture_panel(
             ask_for_capture_file(captures)
         return
     _head(captures, capture)
-    _display_options(document, captures, capture)
+    _display_options(editor.document, captures, capture)
     _steps(captures, capture)
     _problems(captures.problems)
     if imgui.tree_node("Matching"):
-        matching_fields(matching)
+        matching_fields(editor.matching)
         imgui.tree_pop()
     if imgui.tree_node("Reconstruct"):
-        reconstruct_fields(viewport, captures, training, jobs)
+        reconstruct_fields(editor.viewport, captures, editor.training, editor.jobs)
         imgui.tree_pop()
     _list(captures, capture)
 
@@ -175,24 +167,16 @@ def _row(captures: CaptureController, capture: Capture, index: int, height: floa
     draw, camera = imgui.get_window_draw_list(), view.camera
     width = min(height * camera.width / camera.height, 2.2 * height)
     image_height = min(height, width * camera.height / camera.width)
-    _thumbnail(captures, index, ImVec2(at.x, at.y + (height - image_height) / 2), ImVec2(width, image_height))
+    if captures.pictures is not None:
+        captures.pictures.want(index, THUMBNAIL_PX)
+    low = ImVec2(at.x, at.y + (height - image_height) / 2)
+    texture = captures.textures.get(ImageRequest(index, THUMBNAIL_PX))
+    draw_image(texture, low, ImVec2(low.x + width, low.y + image_height))
     left, top = at.x + 2.0 * height + imgui.get_font_size() * 0.5, at.y + (height - 2.3 * line) / 2
     draw.add_text(ImVec2(left, top), color(TEXT), view.name.rpartition("/")[2])
     moment = f"{view.time_s:.2f} s" if captures.has_times else f"{camera.width} x {camera.height} px"
     words = "unreadable" if fault is not None else f"{view.sensor}  {moment}" if view.sensor else moment
     draw.add_text(ImVec2(left, top + 1.3 * line), color(WARNING) if fault else color(DIM), words)
-
-
-def _thumbnail(captures: CaptureController, index: int, at: ImVec2, size: ImVec2) -> None:
-    draw = imgui.get_window_draw_list()
-    if captures.pictures is not None:
-        captures.pictures.want(index, THUMBNAIL_PX)
-    texture = captures.textures.get(ImageRequest(index, THUMBNAIL_PX))
-    end = ImVec2(at.x + size.x, at.y + size.y)
-    if texture is None:
-        draw.add_rect_filled(at, end, color(BACKGROUND))
-    else:
-        draw.add_image(imgui.ImTextureRef(texture.name), at, end)
 
 
 # Matching with another view

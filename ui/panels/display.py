@@ -6,7 +6,7 @@ from gsrain_engine.editor.preferences import Preferences, PreferencesStore
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.opengl.buffers import Harmonics
 
-from ..widgets.fields import CLAMPED, WARNING, combo, disabled, edit_field, number, plain_label, settings_label
+from ..widgets.fields import CLAMPED, WARNING, combo, disabled, edit_field, field_label, number, plain_label
 from ..widgets.text import readings
 
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
@@ -39,7 +39,7 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
         preferences.set(theme=changed.theme)
     for name, form in (("font_scale", "%.2f"), ("ui_scale", "%.2f"), ("autosave_s", "%.0f")):
         # It applies when the slider is released, so that the layout doesn't change during the drag.
-        info, present = settings_label(Preferences, name), _dragged.get(name, getattr(preferences.value, name))
+        info, present = field_label(name, Preferences), _dragged.get(name, getattr(preferences.value, name))
         changed, value = imgui.slider_float(f"##{name}", present, info.low, info.high, form, CLAMPED)
         if changed:
             _dragged[name] = value

@@ -13,6 +13,7 @@ from gsrain_engine.editor.jobs.drive import LoadedRollout
 from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.viewport.camera_follow import ChaseMode
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.fields import field_of
 from gsrain_engine.simulation.agents.registry import SHIPPED_AGENTS, options_used_by
 from gsrain_engine.simulation.scenario import ScenarioUser
 
@@ -27,10 +28,9 @@ from ..widgets.fields import (
     checkbox,
     edit_choice,
     edit_field,
-    field_info,
+    field_label,
     path_field,
     plain_label,
-    settings_label,
     share_of_width,
     square_button,
     warn,
@@ -159,13 +159,12 @@ def _agent_fields(setup: DriveSetup) -> None:
         _text(setup, "url", "none")
 
 
-def _take_detector(setup: DriveSetup, text: str) -> None:
-    detector = Path(text).expanduser() if text.strip() else None
+def _take_detector(setup: DriveSetup, detector: Path | None) -> None:
     setup.settings = msgspec.structs.replace(setup.settings, detector=detector)
 
 
 def _text(setup: DriveSetup, name: str, hint: str) -> None:
-    info = settings_label(type(setup.settings), name)
+    info = field_label(name, type(setup.settings))
     _, typed = imgui.input_text_with_hint(f"##{name}", hint, getattr(setup.settings, name) or "")
     if imgui.is_item_deactivated_after_edit():
         setup.settings = msgspec.structs.replace(setup.settings, **{name: typed.strip() or None})
@@ -313,7 +312,7 @@ def _all_fields(settings: _Settings) -> _Settings:
             inside = _all_fields(value)
             imgui.pop_id()
             settings = settings if inside is value else msgspec.structs.replace(settings, **{name: inside})
-        elif isinstance(value, bool | int | float) or value in field_info(name, type(settings)).choices:
+        elif isinstance(value, bool | int | float) or value in field_of(type(settings), name).choices:
             settings = _field(settings, name)
     return settings
 
@@ -323,7 +322,7 @@ def _field(settings: _Settings, name: str) -> _Settings:
     value = getattr(settings, name)
     if not isinstance(value, float):
         return edit_field(settings, name)
-    info = settings_label(type(settings), name)
+    info = field_label(name, type(settings))
     speed = min((info.high - info.low) / _DRAG_PX, _FASTEST)
     changed, value = imgui.drag_float(f"##{name}", value, speed, info.low, info.high, "%.4g", CLAMPED)
     imgui.set_item_tooltip(f"{info.help}\n{info.low:g} to {info.high:g}. Drag; double click: type.".strip())

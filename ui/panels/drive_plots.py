@@ -15,7 +15,7 @@ from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.scene.scene import RigCamera
 from gsrain_engine.simulation.metrics.summary import DriveMetrics
 
-from ..widgets.draw import BACKGROUND, OUTLINE, PLAYHEAD, color
+from ..widgets.draw import OUTLINE, PLAYHEAD, color, draw_image
 from ..widgets.fields import combo
 
 _WIDE = 1.6  # aspect ratio from which the plots are side by side
@@ -241,11 +241,7 @@ def camera_mosaic_panel(document: Document, rollouts: RolloutPlayer) -> None:
 def _image(rollouts: RolloutPlayer, camera: RigCamera, at: ImVec2, width: float) -> None:
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     end = ImVec2(at.x + width, at.y + width * camera.height / camera.width)
-    image = rollouts.mosaic.pictures.get(camera.name)
-    if image is None:
-        draw.add_rect_filled(at, end, color(BACKGROUND))
-    else:
-        draw.add_image(imgui.ImTextureRef(image.name), at, end)
+    draw_image(rollouts.mosaic.pictures.get(camera.name), at, end)
     words = camera.name.removeprefix("CAM_").replace("_", " ").lower()
     size, low = imgui.calc_text_size(words), ImVec2(at.x + 3, at.y + 3)
     draw.push_clip_rect(at, end, True)

@@ -28,8 +28,8 @@ from ..widgets.fields import (
     copy_buttons,
     disabled,
     end_gesture_when_released,
+    field_label,
     plain_label,
-    settings_label,
     share_of_width,
     text_color,
 )
@@ -106,7 +106,7 @@ _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isol
 
 def _floaters(document: Document, floaters: FloaterFinder, jobs: JobRunner) -> None:
     for name, (high, form) in _RANGES.items():
-        settings_label(FloaterRules, name)
+        field_label(name, FloaterRules)
         value = getattr(_State.rules, name)
         changed, value = imgui.slider_float(f"##{name}", value, 0.0, high, form if value else "off", LOGARITHMIC)
         if changed:

@@ -18,8 +18,8 @@ from ..widgets.fields import (
     button,
     disabled,
     end_gesture_when_released,
+    field_label,
     plain_label,
-    settings_label,
     share_of_width,
     text_color,
 )
@@ -208,7 +208,7 @@ def grading_fields(document: Document, member: Layer | Actor) -> None:
     plain_label("Opacity", f"Multiplies the opacity of every Gaussian of {member.name}.")
     _set_opacity(document, member, _slider("opacity", member.opacity, 0.0, 1.0, 1.0))
     for name in ColorGrading.__struct_fields__:
-        info, present = settings_label(ColorGrading, name), getattr(member.grading, name)
+        info, present = field_label(name, ColorGrading), getattr(member.grading, name)
         value = _slider(name, present, info.low, info.high, getattr(UNCHANGED, name))
         if value != present:
             _grade(document, member, info.title, msgspec.structs.replace(member.grading, **{name: value}))

@@ -9,7 +9,7 @@ from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.live_rain import LiveRain
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.fields import fields_of
+from gsrain_engine.fields import field_of, fields_of
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.properties import intensity_for_density
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, RainSettings, RegionBox, load_preset
@@ -76,14 +76,14 @@ def wetness_fields(document: Document, live_rain: LiveRain) -> None:
     own, now = document.rain.wetness, live_rain.wetness_now
     has_colors = document.scene.has_wet_colors
     auto_width = imgui.calc_text_size("auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x
-    fields.label("wetness")
+    fields.field_label("wetness")
     imgui.set_next_item_width(-auto_width)
     with disabled(own is None or not has_colors):
         changed, value = imgui.slider_float("##wetness", now, 0.0, 1.0, "%.2f", CLAMPED)
         if changed:
             document.change_rain("Wetness", "wetness", wetness=value)
         fields.end_gesture_when_released(document)
-    imgui.set_item_tooltip(fields.field_info("wetness").help if has_colors else _NO_WET_COLORS)
+    imgui.set_item_tooltip(field_of(RainSettings, "wetness").help if has_colors else _NO_WET_COLORS)
     imgui.same_line()
     help_text = "Compute the wetness from the intensity (docs/physics.md, 11)."
     with disabled(not has_colors):
@@ -131,7 +131,7 @@ def _exposure(document: Document, viewport: ViewportState, playback: Playback) -
     own = exposure is None
     camera_s = viewport.shot(16, 16).camera.exposure_s
     width = 1.3 * imgui.get_frame_height()
-    fields.plain_label("Exposure (ms)", fields.field_info("exposure_s").help)
+    fields.plain_label("Exposure (ms)", field_of(RainSettings, "exposure_s").help)
     imgui.set_next_item_width(-width - imgui.get_style().item_spacing.x - keyframe_button_width())
     colors = tint_keyframed(document, "exposure_s")
     with disabled(own):
@@ -150,7 +150,7 @@ def _exposure(document: Document, viewport: ViewportState, playback: Playback) -
 
 
 def _wind(document: Document, viewport: ViewportState, playback: Playback) -> None:
-    fields.label("wind_m_s")
+    fields.field_label("wind_m_s")
     imgui.set_next_item_width(-keyframe_button_width())
     colors = tint_keyframed(document, "wind_m_s")
     changed, wind = imgui.slider_float2("##wind_m_s", list(document.rain_now.wind_m_s), -20, 20, "%.1f")
@@ -163,14 +163,14 @@ def _wind(document: Document, viewport: ViewportState, playback: Playback) -> No
 
 def _region(document: Document, viewport: ViewportState, name: str) -> None:
     shows = f"show_{name}"
-    title = f"Show {fields.field_info(name).title.lower()}"
+    title = f"Show {field_of(RainSettings, name).title.lower()}"
     is_shown = checkbox(title, getattr(viewport.options, shows), "Draw the region's edges in the viewport.")
     setattr(viewport.options, shows, is_shown)
     fields.box(document, name)
 
 
 def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain) -> None:
-    fields.label("drop_color")
+    fields.field_label("drop_color")
     own, is_picking = document.rain.drop_color, viewport.options.tool == PICK_TOOL
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label
     changed, color = imgui.color_edit3("##drop_color", list(own or live_rain.sky), flags)

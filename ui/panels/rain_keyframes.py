@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from gsrain_engine.disdrometer.rain_rates import MeasuredKeyframes, keyframes_from_spectra
 from gsrain_engine.disdrometer.spectra import DisdrometerReading
 from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.rain_keyframes import (
     add_shower,
     move_keyframe,
@@ -19,7 +20,6 @@ from gsrain_engine.editor.edits.rain_keyframes import (
 )
 from gsrain_engine.editor.rain import CalibrationTools, KeyframePanelState, PendingInput
 from gsrain_engine.editor.timeline import Playback
-from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.keyframes import (
     HEAVIEST_MM_H,
     NO_KEYFRAMES,
@@ -30,6 +30,7 @@ from gsrain_engine.rain.keyframes import (
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
 from ..commands.table import help_of
+from ..widgets.draw import draw_diamond
 from ..widgets.fields import LOGARITHMIC, ask_what_to_open, button, square_button, toggle_keyframe, warn
 
 _IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 100."
@@ -42,20 +43,15 @@ _MOVE, _REMOVE = "Move rain keyframe", "Remove rain keyframe"  # labels of steps
 _WIDE_EM, _NUMBERS_EM = 50.0, 22.0  # panel width from which the table is next to the plot, and the table's width
 
 
-def rain_keyframes_panel(
-    document: Document,
-    viewport: ViewportState,
-    playback: Playback,
-    calibration: CalibrationTools,
-    keyframe_panel: KeyframePanelState,
-) -> None:
+def rain_keyframes_panel(editor: Editor) -> None:
+    document, keyframe_panel = editor.document, editor.keyframe_panel
     room, em = imgui.get_content_region_avail(), imgui.get_font_size()
     is_wide = room.x > _WIDE_EM * em
-    _buttons(document, viewport, playback, calibration, keyframe_panel)
-    if calibration.series is not None:
-        _series(document, calibration, keyframe_panel, *calibration.series)
+    _buttons(editor)
+    if editor.calibration.series is not None:
+        _series(editor, *editor.calibration.series)
     imgui.begin_group()
-    _plot(document, playback, keyframe_panel, room.x - _NUMBERS_EM * em if is_wide else room.x)
+    _plot(document, editor.playback, keyframe_panel, room.x - _NUMBERS_EM * em if is_wide else room.x)
     imgui.end_group()
     if is_wide:
         imgui.same_line()
@@ -89,22 +85,17 @@ def ask_for_rate_file(calibration: CalibrationTools) -> None:
     ask_what_to_open("Import a series", _SERIES_FILES, lambda paths: calibration.read_series(paths[0]))
 
 
-def _buttons(
-    document: Document,
-    viewport: ViewportState,
-    playback: Playback,
-    calibration: CalibrationTools,
-    keyframe_panel: KeyframePanelState,
-) -> None:
+def _buttons(editor: Editor) -> None:
+    document, playback, calibration = editor.document, editor.playback, editor.calibration
     now_s = playback.clock.time_s
     present = document.keyframes.key_at(now_s)
     is_here = present is not None and present.intensity_mm_h is not None
     action = "Remove the keyframe" if is_here else "Insert a keyframe of the present intensity"
     if button("Remove keyframe###now" if is_here else "Insert keyframe###now", f"{action} at {now_s:.2f} s."):
-        toggle_keyframe(document, viewport, playback, "intensity_mm_h")
+        toggle_keyframe(document, editor.viewport, playback, "intensity_mm_h")
     _same_line_if_fits("Add passing shower")
     if button("Add passing shower", help_of("Add passing shower")):
-        add_passing_shower(document, playback, keyframe_panel)
+        add_passing_shower(document, playback, editor.keyframe_panel)
     _same_line_if_fits("Import...")
     if button("Import...", _IMPORT_HELP, enabled=calibration.busy is None):
         ask_for_rate_file(calibration)
@@ -112,7 +103,7 @@ def _buttons(
     if button(
         f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower", "Show all keyframes. Wheel: zoom in time. Drag: pan."
     ):
-        keyframe_panel.refit = True
+        editor.keyframe_panel.refit = True
     _same_line_if_fits("Clear keyframes")
     if button("Clear keyframes", help_of("Clear rain keyframes"), enabled=bool(document.keyframes.keys)):
         clear_keyframes(document)
@@ -129,14 +120,9 @@ def _same_line_if_fits(label: str) -> None:
         imgui.same_line()
 
 
-def _series(
-    document: Document,
-    calibration: CalibrationTools,
-    keyframe_panel: KeyframePanelState,
-    name: str,
-    reading: DisdrometerReading,
-) -> None:
+def _series(editor: Editor, name: str, reading: DisdrometerReading) -> None:
     """Draw the options for importing a disdrometer series."""
+    document, calibration, keyframe_panel = editor.document, editor.calibration, editor.keyframe_panel
     imgui.separator_text(name)
     try:
         measured = _keyframes_of(reading, keyframe_panel.speed_up, keyframe_panel.start_s)
@@ -195,9 +181,7 @@ def _plot(document: Document, playback: Playback, keyframe_panel: KeyframePanelS
     if implot.begin_plot("##shower", ImVec2(width, height), flags):
         _axes(document, playback, keyframe_panel)
         _curve(document, keyframe_panel)
-        is_over_key = _keys(
-            document, keyframe_panel
-        )  # before the clock: where they overlap, the drag moves the keyframe
+        is_over_key = _keys(document, keyframe_panel)  # before the clock: a drag of both moves the keyframe
         now_line(playback)
         if implot.is_plot_hovered() and not is_over_key and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             at = implot.get_plot_mouse_pos()
@@ -331,10 +315,7 @@ def _row(
         imgui.set_cursor_screen_pos(ImVec2(x - _GRIP_PX, middle - _GRIP_PX))
         imgui.invisible_button(f"{name} {number}", ImVec2(2 * _GRIP_PX, 2 * _GRIP_PX))
         radius = 6.5 if imgui.is_item_hovered() or imgui.is_item_active() else 5.0
-        left, right = ImVec2(x - radius, middle), ImVec2(x + radius, middle)
-        draw.add_quad_filled(
-            ImVec2(x, middle - radius), right, ImVec2(x, middle + radius), left, imgui.get_color_u32(_KEY)
-        )
+        draw_diamond(ImVec2(x, middle), radius, _KEY)
         value = getattr(key, name)
         words = f"wind {value[0]:.1f}, {value[1]:.1f} m/s" if name == "wind_m_s" else f"exposure {1000 * value:.2f} ms"
         imgui.set_item_tooltip(f"{words} at {key.time_s:.2f} s. Drag to move; right click or Delete removes it.")

@@ -9,6 +9,7 @@ from gsrain_engine.editor.drive import RolloutPlayer
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.recorder import RenderQueue
 from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.fields import field_of
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
 
@@ -22,9 +23,8 @@ from ..widgets.fields import (
     combo,
     copy_buttons,
     disabled,
-    field_info,
+    field_label,
     plain_label,
-    settings_label,
     share_of_width,
     warn,
 )
@@ -127,7 +127,7 @@ def _format(render_queue: RenderQueue) -> None:
         render_queue.change(codec=codec, quality=None)
     if not render_queue.settings.is_video:
         return
-    settings_label(ExportSettings, "quality")
+    field_label("quality", ExportSettings)
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
     default = DEFAULT_QUALITY.get(settings.codec, 0)
     quality, highest = settings.quality, 51 if settings.codec == "h264" else 63
@@ -143,7 +143,7 @@ def _format(render_queue: RenderQueue) -> None:
 
 def _size(render_queue: RenderQueue) -> None:
     present = render_queue.settings.size_px
-    settings_label(ExportSettings, "size_px")
+    field_label("size_px", ExportSettings)
     if imgui.begin_combo("##size", _SIZES.get(present, "other")):
         for size, title in _SIZES.items():
             if imgui.selectable(title, size == present)[0]:
@@ -160,7 +160,7 @@ def _size(render_queue: RenderQueue) -> None:
 
 
 def _cameras(document: Document, render_queue: RenderQueue) -> None:
-    settings_label(ExportSettings, "cameras")
+    field_label("cameras", ExportSettings)
     present = render_queue.settings.cameras
     if not imgui.begin_combo("##cameras", "all rig cameras" if present == ("all",) else ", ".join(present) or _PATH):
         return
@@ -185,15 +185,15 @@ def _cameras(document: Document, render_queue: RenderQueue) -> None:
 
 def _times(render_queue: RenderQueue) -> None:
     settings = render_queue.settings
-    settings_label(ExportSettings, "fps")
+    field_label("fps", ExportSettings)
     changed, fps = imgui.input_float("##fps", settings.fps, 0.0, 0.0, "%.6g")
     if changed:
         render_queue.change(fps=min(max(fps, 0.1), 1000.0))
-    settings_label(ExportSettings, "first_s")
+    field_label("first_s", ExportSettings)
     changed, first_s = imgui.drag_float("##first_s", settings.first_s, 0.02, -36000.0, 36000.0, "%.3f")
     if changed and (settings.last_s is None or first_s < settings.last_s):
         render_queue.change(first_s=first_s)
-    settings_label(ExportSettings, "last_s")
+    field_label("last_s", ExportSettings)
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
     is_whole, end_s = settings.last_s is None, render_queue.end_s
     with disabled(is_whole):
@@ -219,13 +219,13 @@ def _passes(render_queue: RenderQueue) -> None:
                 render_queue.change(passes=passes)
         if name != "labels":
             imgui.same_line()
-    info = field_info("twin", ExportSettings)
+    info = field_of(ExportSettings, "twin")
     if (twin := checkbox(info.title, settings.twin, info.help)) != settings.twin:
         render_queue.change(twin=twin)
 
 
 def _count(render_queue: RenderQueue, name: str, highest: int, form: str, flags: int) -> None:
-    settings_label(ExportSettings, name)
+    field_label(name, ExportSettings)
     value = getattr(render_queue.settings, name)
     text = "off" if value == 1 else form.format(value)
     changed, value = imgui.slider_int(f"##{name}", value, 1, highest, text, flags)

@@ -39,7 +39,6 @@ def select_panel(document: Document, viewport: ViewportState, selection: Selecti
 
 
 def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: bool) -> None:
-    options = selection
     if button("All", "Select all visible Gaussians (Ctrl+A)."):
         selection.select_all()
     imgui.same_line()
@@ -60,7 +59,9 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     imgui.text("by")
     imgui.same_line()
     imgui.set_next_item_width(-1)
-    _, options.distance_m = imgui.slider_float("##distance_m", options.distance_m, 0.001, 10.0, "%.3f m", LOGARITHMIC)
+    _, selection.distance_m = imgui.slider_float(
+        "##distance_m", selection.distance_m, 0.001, 10.0, "%.3f m", LOGARITHMIC
+    )
     imgui.set_item_tooltip("Distance between centers in meters. Ctrl+click to type.")
 
 
@@ -68,16 +69,15 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
 
 
 def _selection_sets(document: Document, selection: SelectionTool, is_selected: bool) -> None:
-    options = selection
     with disabled(not is_selected):
         imgui.set_next_item_width(-4.5 * imgui.get_font_size())
         flags, hint = imgui.InputTextFlags_.enter_returns_true, unused_set_name(document.scene)
-        entered, options.set_name = imgui.input_text_with_hint("##set name", hint, options.set_name, flags)
+        entered, selection.set_name = imgui.input_text_with_hint("##set name", hint, selection.set_name, flags)
         imgui.set_item_tooltip("Name of the set; a set of the same name is replaced.")
         imgui.same_line()
         is_saved = button("Save", "Store the selection under this name in the scene's file.", width=-1)
         if (is_saved or entered) and selection.save_set():
-            options.set_name = ""
+            selection.set_name = ""
     if not document.scene.selections:
         imgui.text_disabled("No sets yet: save a selection.")
         return
@@ -111,24 +111,23 @@ def _row(selection: SelectionTool, name: str, size: int) -> None:
 
 def _name(selection: SelectionTool, name: str) -> None:
     """Draw the name; a double click edits it."""
-    options = selection
-    if options.renamed_set != name:
+    if selection.renamed_set != name:
         imgui.align_text_to_frame_padding()
         imgui.selectable(label(name), False)
         imgui.set_item_tooltip(f"{name}: double-click to rename.")
         if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
-            options.renamed_set = options.new_name = name
+            selection.renamed_set = selection.new_name = name
         return
     imgui.set_next_item_width(-1)
     if imgui.is_window_appearing() or not imgui.is_any_item_active():
         imgui.set_keyboard_focus_here()
     flags = imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all
-    entered, options.new_name = imgui.input_text("##new name", options.new_name, flags)
+    entered, selection.new_name = imgui.input_text("##new name", selection.new_name, flags)
     imgui.set_item_tooltip("Enter applies the name, Esc cancels.")
     if entered:
-        selection.rename_set(name, options.new_name)
+        selection.rename_set(name, selection.new_name)
     if entered or imgui.is_item_deactivated():
-        options.renamed_set = ""
+        selection.renamed_set = ""
 
 
 # Attribute range over a histogram
@@ -141,17 +140,17 @@ _LINE, _INSIDE = ImVec4(0.3, 0.75, 1.0, 1.0), (0.3, 0.75, 1.0, 0.18)
 
 def _attribute_range(document: Document, viewport: ViewportState, selection: SelectionTool) -> None:
     """Draw the choice of an attribute, its histogram, and the buttons that apply the range."""
-    options, shot = selection, viewport.shot(_SIZE, _SIZE)
+    shot = viewport.shot(_SIZE, _SIZE)
     titles = {name: f"{name} ({each.unit})" if each.unit else name for name, each in ATTRIBUTES.items()}
     imgui.set_next_item_width(-1)
-    attribute = combo("##attribute", options.attribute, titles, ATTRIBUTES[options.attribute].help)
-    if attribute != options.attribute:
-        options.attribute, options.range = attribute, None
-    histogram = options.histogram.of(document.scene, shot, attribute)
-    low, high = options.range or (float(histogram.edges[0]), float(histogram.edges[-1]))
+    attribute = combo("##attribute", selection.attribute, titles, ATTRIBUTES[selection.attribute].help)
+    if attribute != selection.attribute:
+        selection.attribute, selection.range = attribute, None
+    histogram = selection.histogram.of(document.scene, shot, attribute)
+    low, high = selection.range or (float(histogram.edges[0]), float(histogram.edges[-1]))
     chosen = _numbers(attribute, histogram, *_plot(attribute, histogram, low, high))
     if chosen != (low, high):
-        options.range = low, high = min(chosen), max(chosen)
+        selection.range = low, high = min(chosen), max(chosen)
     if attribute == "layer":
         imgui.push_text_wrap_pos(0.0)
         imgui.text_disabled(

@@ -7,9 +7,8 @@ from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
 
 from gsrain_engine.editor.camera_path import CameraPathEditor
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.drive import RolloutPlayer
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.timeline import Playback, TimelineRow, ego_speed_km_h, speed_of, track_rows, weather_row
-from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.camera_path import CameraPath, Easing, Interpolation
 from gsrain_engine.scene.camera_path_edit import ViewAngles, focal_length_mm, fov_of_focal_length
 
@@ -37,15 +36,10 @@ _TITLES_EM, _NUMBERS_EM = 6.5, 21.0
 _NARROW_EM = 50.0  # width below which the numbers are hidden in favor of the rows
 
 
-def timeline_panel(
-    document: Document,
-    viewport: ViewportState,
-    playback: Playback,
-    camera_path: CameraPathEditor,
-    rollouts: RolloutPlayer,
-) -> None:
+def timeline_panel(editor: Editor) -> None:
+    playback, camera_path = editor.playback, editor.camera_path
     em, timeline = imgui.get_font_size(), playback.timeline
-    _transport(document, viewport, playback, camera_path)
+    _transport(editor)
     avail = imgui.get_content_region_avail()
     numbers = _NUMBERS_EM * em if avail.x > _NARROW_EM * em else 0.0
     titles = _TITLES_EM * em
@@ -64,15 +58,15 @@ def timeline_panel(
     _playhead(playback, ImVec2(start.x + titles, start.y), width, height, with_head=True)
     imgui.end_group()
     imgui.set_cursor_screen_pos(ImVec2(start.x, start.y + height))
-    _rows(document, viewport, playback, camera_path, rollouts, titles, width)
+    _rows(editor, titles, width)
     if numbers:
         imgui.set_cursor_screen_pos(ImVec2(start.x + avail.x - numbers + 8, start.y))
         if imgui.begin_child("numbers", ImVec2(numbers - 8, 0)):
-            key, path = camera_path.active_key, document.scene.path
+            key, path = camera_path.active_key, editor.document.scene.path
             if path is not None and key is not None:
-                _keyframe_numbers(document, viewport, playback, camera_path, path, key)
+                _keyframe_numbers(editor, path, key)
             else:
-                _path_numbers(viewport, playback, camera_path, rollouts, path)
+                _path_numbers(editor, path)
         imgui.end_child()
     key = camera_path.active_key
     timeline.takes_keys = imgui.is_window_focused(imgui.FocusedFlags_.child_windows)
@@ -87,8 +81,9 @@ _SPEEDS = {each: f"{each:g}\u00d7" for each in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)}
 _GAP = 18.0
 
 
-def _transport(document: Document, viewport: ViewportState, playback: Playback, camera_path: CameraPathEditor) -> None:
-    clock, timeline, view = playback.clock, playback.timeline, viewport.options
+def _transport(editor: Editor) -> None:
+    playback, view = editor.playback, editor.viewport.options
+    clock, timeline = playback.clock, playback.timeline
     start, end = playback.span_s
     if button(f"{_FA.ICON_FA_BACKWARD_FAST}###to start", "To the start (Ctrl+Left)."):
         clock.seek(start)
@@ -113,17 +108,17 @@ def _transport(document: Document, viewport: ViewportState, playback: Playback, 
     imgui.same_line()
     _time(playback, end)
     imgui.same_line(spacing=_GAP)
-    _keyframe_buttons(camera_path)
+    _keyframe_buttons(editor.camera_path)
     imgui.same_line(spacing=_GAP)
     help_text = "Follow path: look through the path camera (V)."
     if button(f"{_FA.ICON_FA_VIDEO}###ride", help_text, is_on=view.follow_path):
-        viewport.ride(not view.follow_path)
+        editor.viewport.ride(not view.follow_path)
     imgui.same_line()
     help_text = "Show path: draw path and keyframes in the viewport."
     if button(f"{_FA.ICON_FA_ROUTE}###show path", help_text, is_on=timeline.show_path):
         timeline.show_path = not timeline.show_path
     imgui.same_line()
-    _path_menu(document, playback, camera_path)
+    _path_menu(editor.document, playback, editor.camera_path)
 
 
 def _time(playback: Playback, end: float) -> None:
@@ -315,32 +310,25 @@ _DOT_PX = 4.0
 _HINT = "No keyframes yet: find a view, press K; move on in time, find another view, press K."
 
 
-def _rows(
-    document: Document,
-    viewport: ViewportState,
-    playback: Playback,
-    camera_path: CameraPathEditor,
-    rollouts: RolloutPlayer,
-    titles: float,
-    width: float,
-) -> None:
+def _rows(editor: Editor, titles: float, width: float) -> None:
+    playback = editor.playback
     size = ImVec2(titles + width + imgui.get_style().scrollbar_size, 0)
     is_visible = imgui.begin_child("rows", size, window_flags=imgui.WindowFlags_.no_scroll_with_mouse)
     corner, height, io = imgui.get_window_pos(), imgui.get_window_height(), imgui.get_io()
-    ruler, weather = playback.timeline.ruler, document.keyframes
+    ruler, weather = playback.timeline.ruler, editor.document.keyframes
     if is_visible:
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(0, 0))
-        _camera_row(document, viewport, playback, camera_path, titles, width)
+        _camera_row(editor, titles, width)
         if weather.keys:
             last_s = ruler.first_s + ruler.visible_span_s
             rain = weather_row(weather, ruler.first_s, last_s, int(width / 6))
             _row(playback, rain, titles, width, hues.FLIGHT, 0.4)
-        for row in track_rows(rollouts.displayed_scene):
+        for row in track_rows(editor.rollouts.displayed_scene):
             _row(playback, row, titles, width, hues.PRESENT, 0.25)
         imgui.pop_style_var()
         if io.key_shift and io.mouse_wheel and imgui.is_window_hovered():
             imgui.set_scroll_y(imgui.get_scroll_y() - io.mouse_wheel * imgui.get_text_line_height())
-        _keyframe_menu(playback, camera_path)
+        _keyframe_menu(playback, editor.camera_path)
         _playhead(playback, ImVec2(corner.x + titles, corner.y), width, height, with_head=False)
     imgui.end_child()
     # Zoom with the wheel and pan with the middle button, over ruler and rows.
@@ -352,23 +340,17 @@ def _rows(
             ruler.pan(io.mouse_delta.x)
 
 
-def _camera_row(
-    document: Document,
-    viewport: ViewportState,
-    playback: Playback,
-    camera_path: CameraPathEditor,
-    titles_px: float,
-    width: float,
-) -> None:
+def _camera_row(editor: Editor, titles_px: float, width: float) -> None:
+    playback = editor.playback
     corner, height = _begin_row("camera", "Keyframes of the camera path.", titles_px, width)
-    if (path := document.scene.path) is None:
+    if (path := editor.document.scene.path) is None:
         place = ImVec2(corner.x + 32, corner.y + 0.12 * height)
         imgui.get_window_draw_list().add_text(place, color(hues.DIM), _HINT)
     else:
         _bar(playback, corner, height, (path.start_s, path.end_s), hues.FLIGHT, 0.4)
-        for span_s in speed_of(viewport.path).implausible_spans:
+        for span_s in speed_of(editor.viewport.path).implausible_spans:
             _bar(playback, corner, height, span_s, hues.TOO_FAST, 0.4)
-        _keyframes(playback, camera_path, path, corner, width, height)
+        _keyframes(playback, editor.camera_path, path, corner, width, height)
     _end_row(corner, titles_px, width, height)
 
 
@@ -448,11 +430,9 @@ def _keyframe(playback: Playback, camera_path: CameraPathEditor, key: int, momen
             f"Keyframe {key + 1} at {moment:.2f} s. Click: look through it. Drag: move in time. Ctrl+drag: copy. "
             "Delete: remove. Right click: menu."
         )
-    draw, is_active = imgui.get_window_draw_list(), camera_path.active_key == key
     radius = _RADIUS + (1.5 if hovered else 0)
-    for r, hue in ((radius + 1.5, hues.OUTLINE), (radius, hues.CHOSEN if is_active else hues.KEY)):
-        left, right = ImVec2(at.x - r, at.y), ImVec2(at.x + r, at.y)
-        draw.add_quad_filled(left, ImVec2(at.x, at.y - r), right, ImVec2(at.x, at.y + r), color(hue))
+    hues.draw_diamond(at, radius + 1.5, hues.OUTLINE)
+    hues.draw_diamond(at, radius, hues.CHOSEN if camera_path.active_key == key else hues.KEY)
 
 
 def _drag(playback: Playback, camera_path: CameraPathEditor) -> None:
@@ -500,14 +480,8 @@ _TOO_FAST = ImVec4(0.95, 0.45, 0.38, 1.0)
 _LABEL_EM = 6.5
 
 
-def _keyframe_numbers(
-    document: Document,
-    viewport: ViewportState,
-    playback: Playback,
-    camera_path: CameraPathEditor,
-    path: CameraPath,
-    key: int,
-) -> None:
+def _keyframe_numbers(editor: Editor, path: CameraPath, key: int) -> None:
+    document, camera_path = editor.document, editor.camera_path
     _label(f"Keyframe {key + 1}/{len(path.times_s)}", "Time of the keyframe in seconds, on a whole frame.")
     imgui.set_next_item_width(0.5 * imgui.get_content_region_avail().x - 3)
     typed = _typed_number("##key time", float(path.times_s[key]))
@@ -515,10 +489,10 @@ def _keyframe_numbers(
         camera_path.retime_keyframe(key, typed)
     imgui.same_line(spacing=6)
     if button("Whole path", "Show speed, easing and the other numbers of the whole path.", width=-1):
-        playback.timeline.key = None
+        editor.playback.timeline.key = None
     help_text = "Position in the world: x, y, z in meters, z is up. Ctrl+click types a number."
     _label("Position", help_text)
-    position = viewport.path.positions[key].tolist()
+    position = editor.viewport.path.positions[key].tolist()
     changed, moved = imgui.drag_float3("##key place", position, 0.02, 0, 0, "%.2f")
     imgui.set_item_tooltip(help_text)
     if changed:
@@ -553,13 +527,8 @@ def _set_fov(document: Document, camera_path: CameraPathEditor, key: int, fov_de
     end_gesture_when_released(document)
 
 
-def _path_numbers(
-    viewport: ViewportState,
-    playback: Playback,
-    camera_path: CameraPathEditor,
-    rollouts: RolloutPlayer,
-    path: CameraPath | None,
-) -> None:
+def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
+    viewport, camera_path = editor.viewport, editor.camera_path
     displayed = path or viewport.path
     with disabled(path is None):
         _label("Interpolation", "Curve between keyframes, and easing.")
@@ -581,8 +550,8 @@ def _path_numbers(
         imgui.set_item_tooltip("Duration of the path in seconds: scales the times of all keyframes.")
         if typed is not None:
             camera_path.stretch_path(typed)
-    speed, t = speed_of(viewport.path), playback.clock.time_s
-    ego = ego_speed_km_h(rollouts.displayed_scene, t)
+    speed, t = speed_of(viewport.path), editor.playback.clock.time_s
+    ego = ego_speed_km_h(editor.rollouts.displayed_scene, t)
     now = 3.6 * float(np.linalg.norm(viewport.path.velocity(t)))
     imgui.text(f"{speed.length_m:.1f} m, {speed.mean_km_h:.0f} km/h, at most {speed.fastest_km_h:.0f} km/h")
     imgui.set_item_tooltip("Length, mean speed and maximum speed of the path.")

@@ -13,6 +13,7 @@ from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch
 from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.fields import field_of
 from gsrain_engine.training.settings import TrainingSettings, settings_names
 
 from ..widgets.fields import (
@@ -22,7 +23,6 @@ from ..widgets.fields import (
     combo,
     edit_choice,
     edit_field,
-    field_info,
     path_field,
     plain_label,
 )
@@ -81,7 +81,7 @@ def _reconstruction_settings(training: TrainingController) -> None:
     plain_label("Settings", help_text)
     if (preset := combo("##preset", training.preset, settings_names(), help_text)) != training.preset:
         training.choose_preset(preset)
-    settings, info = training.settings, field_info("sh_degree", TrainingSettings)
+    settings, info = training.settings, field_of(TrainingSettings, "sh_degree")
     for name, step in _STEPS.items():
         settings = edit_field(settings, name, step=step)
     settings = edit_field(settings, "density")
@@ -119,11 +119,11 @@ def transfer_training_fields(viewport: ViewportState, finetune: FinetuneControll
 
 def _config(finetune: FinetuneController) -> None:
     choice, from_file = finetune.choice, "from a file..."
-    names, help_text = finetuning_names(), field_info("config", FinetuneChoice).help
+    names, help_text = finetuning_names(), field_of(FinetuneChoice, "config").help
     choices = {each: each for each in names} | {from_file: from_file}
     if choice.config not in names:
         choices, help_text = {choice.config: Path(choice.config).name} | choices, choice.config
-    plain_label("Settings", field_info("config", FinetuneChoice).help)
+    plain_label("Settings", field_of(FinetuneChoice, "config").help)
     picked = combo("##config", choice.config, choices, _FINETUNE_PRESETS.get(choice.config, help_text))
     if picked == from_file:
         ask_what_to_open("Settings of the training", f"YAML{{.yaml,.yml}},{ALL_FILES}", partial(_take_file, finetune))
@@ -135,6 +135,5 @@ def _take_file(finetune: FinetuneController, chosen: list[Path]) -> None:
     finetune.choice = msgspec.structs.replace(finetune.choice, config=str(chosen[0]))
 
 
-def _take(finetune: FinetuneController, name: str, text: str) -> None:
-    path = Path(text).expanduser() if text.strip() else None
+def _take(finetune: FinetuneController, name: str, path: Path | None) -> None:
     finetune.choice = msgspec.structs.replace(finetune.choice, **{name: path})

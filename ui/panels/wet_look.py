@@ -8,7 +8,7 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.finetune import FinetuneController
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
 from gsrain_engine.editor.live_rain import LiveRain
@@ -47,23 +47,17 @@ _COMPARE_HELP = (
 )
 
 
-def wet_look_panel(
-    document: Document,
-    viewport: ViewportState,
-    live_rain: LiveRain,
-    wet_look: WetLookController,
-    finetune: FinetuneController,
-    jobs: JobRunner,
-) -> None:
+def wet_look_panel(editor: Editor) -> None:
+    viewport, wet_look, jobs = editor.viewport, editor.wet_look, editor.jobs
     _method(wet_look)
     _views(wet_look)
     imgui.spacing()
     _preview(wet_look, jobs)
     _make(viewport, wet_look, jobs)
-    if document.scene.has_wet_colors:
-        _result(document, viewport, live_rain, wet_look)
+    if editor.document.scene.has_wet_colors:
+        _result(editor.document, viewport, editor.live_rain, wet_look)
     if imgui.collapsing_header("Train the transfer"):
-        transfer_training_fields(viewport, finetune, jobs)
+        transfer_training_fields(viewport, editor.finetune, jobs)
 
 
 def _method(wet_look: WetLookController) -> None:
@@ -98,8 +92,8 @@ def _setting(wet_look: WetLookController, name: str) -> None:
         wet_look.settings = edit_field(settings, name, label=label)
 
 
-def _take(wet_look: WetLookController, name: str, text: str) -> None:
-    wet_look.change(**{name: Path(text).expanduser() if text.strip() else None})
+def _take(wet_look: WetLookController, name: str, path: Path | None) -> None:
+    wet_look.change(**{name: path})
 
 
 def _views(wet_look: WetLookController) -> None:

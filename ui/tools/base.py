@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.viewport.picking import pick_point
 
-from ..widgets.draw import Canvas, is_clicked
+from ..widgets.draw import Canvas, draw_lines, is_clicked
 
 Pixel = tuple[float, float]
 CLAMP = imgui.SliderFlags_.always_clamp
@@ -152,5 +152,4 @@ def draw_rectangle(canvas: Canvas, first: Pixel, second: Pixel) -> None:
 
 def draw_faint_line(canvas: Canvas, first: Pixel, second: Pixel) -> None:
     """Draw a thin line, such as the closing edge of a shape."""
-    start, end = canvas.on_screen(*first), canvas.on_screen(*second)
-    imgui.get_window_draw_list().add_line(start, end, imgui.get_color_u32(_FAINT), 1.0)
+    draw_lines(canvas, [(first, second)], _FAINT, 1.0)

@@ -1,6 +1,7 @@
 """Tools "Rain regions" and "Pick sky color": boxes of streaks and haze, and the color of drops."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
@@ -17,8 +18,8 @@ from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, RegionBox
 from gsrain_engine.render.draw import RenderView, rain_anchor
 
 from ..panels.rain import PICK_TOOL
-from ..widgets.draw import WHITE, Canvas, Rgba, draw_hint, draw_line, draw_point, draw_words
-from ..widgets.fields import help_button
+from ..widgets.draw import WHITE, Canvas, draw_hint, draw_line, draw_lines, draw_point, draw_words
+from ..widgets.fields import button
 from ..widgets.text import inline_text
 from .base import DragTool, Tool, draw_rectangle
 
@@ -47,7 +48,8 @@ class RegionTool(Tool):
         """Draw the region with a dot on each visible face, and an outside view; handle the mouse."""
         box = getattr(self._document.rain, self._region)
         anchor = rain_anchor(self._rollouts.displayed_scene, self._live_rain.displayed, canvas.shot)
-        _edges(canvas, box, anchor, _COLORS[self._region])
+        color, edges = _COLORS[self._region], partial(regions.project_edges, box, anchor)
+        draw_lines(canvas, edges(canvas.shot.camera).tolist(), color, 2.0)
         inset = self._inset(canvas, box, anchor)
         handles = regions.face_handles(box, anchor, canvas.shot.camera)
         outside = regions.face_handles(box, anchor, inset.shot.camera, inset=0.0)
@@ -65,7 +67,7 @@ class RegionTool(Tool):
         draw.add_text(inset.on_screen(8, 5), ink, "From outside: drag the dots")
         for start, end in regions.frustum_lines(canvas.shot.camera, 0.45 * float(min(box.size_m))):
             draw_line(inset, start, end, _CAMERA)
-        _edges(inset, box, anchor, _COLORS[self._region])
+        draw_lines(inset, edges(inset.shot.camera).tolist(), color, 2.0)
         self._dots(inset, box, outside, lit, labeled=True)
         return lit is not None or inset.hovered
 
@@ -100,7 +102,7 @@ class RegionTool(Tool):
         imgui.text_disabled(f"{x:.1f} x {y:.1f} x {z:.1f} m")
         imgui.set_item_tooltip("Ahead, across, upward; numbers of both corners are in the Rain panel under Regions.")
         imgui.same_line()
-        if help_button("Reset##region", "The region of the paper's setup."):
+        if button("Reset##region", "The region of the paper's setup."):
             label = f"Reset the {_LABELS[self._region].lower()}"
             self._document.change_rain(label, None, **{self._region: _WHOLE[self._region]})
 
@@ -119,12 +121,6 @@ class RegionTool(Tool):
             self._document.change_rain(
                 f"Drag the {_LABELS[self._region].lower()}", "region face", **{self._region: changed}
             )
-
-
-def _edges(canvas: Canvas, box: RegionBox, anchor: Float64[np.ndarray, "4 4"], color: Rgba) -> None:
-    draw = imgui.get_window_draw_list()
-    for start, end in regions.project_edges(box, anchor, canvas.shot.camera).tolist():
-        draw.add_line(canvas.on_screen(*start), canvas.on_screen(*end), imgui.get_color_u32(color), 2.0)
 
 
 def _under_mouse(canvas: Canvas, handles: list[FaceHandle]) -> FaceHandle | None:

@@ -125,7 +125,7 @@ class PolygonTool(LassoTool):
                 corners = corners[:-1]
             closes = any(imgui.is_key_pressed(key, False) for key in (imgui.Key.enter, imgui.Key.keypad_enter))
         if canvas.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            if len(corners) >= 3 and _is_mouse_at(canvas, corners[0]):
+            if len(corners) >= 3 and canvas.is_mouse_near(corners[0], _KNOB_PX + 2):
                 closes = True
             else:
                 corners = (*corners, canvas.mouse_px)
@@ -144,7 +144,7 @@ class PolygonTool(LassoTool):
         base.draw_polyline(canvas, self.points)
         draw = imgui.get_window_draw_list()
         for corner in self.points:
-            closes = corner is self.points[0] and len(self.points) >= 3 and _is_mouse_at(canvas, corner)
+            closes = corner is self.points[0] and len(self.points) >= 3 and canvas.is_mouse_near(corner, _KNOB_PX + 2)
             center = canvas.on_screen(*corner)
             draw.add_circle_filled(center, _KNOB_PX if closes else _KNOB_PX - 2, imgui.get_color_u32(base.DARK))
             draw.add_circle_filled(center, _KNOB_PX - (2 if closes else 3.5), imgui.get_color_u32(base.LIGHT))
@@ -158,11 +158,6 @@ class PolygonTool(LassoTool):
 
 
 _KNOB_PX = 7.0  # half the width of a corner's knob
-
-
-def _is_mouse_at(canvas: Canvas, at: base.Pixel) -> bool:
-    x, y = canvas.mouse_px
-    return max(abs(x - at[0]), abs(y - at[1])) <= _KNOB_PX + 2
 
 
 class BrushTool(ShapeTool):

@@ -12,7 +12,7 @@ from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.scene.scene import Scene
 
 from ..widgets.draw import WHITE, YELLOW, Canvas, draw_hint, draw_line, draw_point
-from ..widgets.fields import help_button
+from ..widgets.fields import button
 from ..widgets.text import inline_text
 from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse, same_line_if_fits
 from .select_screen import MODIFIERS, mode_now, mode_options
@@ -158,10 +158,10 @@ def _apply(selection: SelectionTool, time_s: float, volume: Volume, name: str) -
 def _is_dropped(playback: Playback, selection: SelectionTool, volume: Volume, name: str) -> bool:
     """Draw the buttons of a volume; returns True if it is to be removed."""
     same_line_if_fits(11)
-    if help_button(f"Apply##{name}", "Select what is inside (Enter), whether the camera sees it or not."):
+    if button(f"Apply##{name}", "Select what is inside (Enter), whether the camera sees it or not."):
         _apply(selection, playback.clock.time_s, volume, name)
     imgui.same_line()
-    return help_button(f"Drop##{name}", f"Take the {name} away; the selection stays.")
+    return button(f"Drop##{name}", f"Take the {name} away; the selection stays.")
 
 
 class CropTool(BoxFaceTool):
@@ -185,10 +185,10 @@ class CropTool(BoxFaceTool):
     def options(self) -> None:
         box = self._box_of(self._document.scene)
         help_text = "Delete what lies outside, of background layers that are shown and not locked."
-        if help_button("Apply##crop", help_text):
+        if button("Apply##crop", help_text):
             self._document.edit("Crop to the box", crop, box)
         imgui.same_line()
-        if help_button("Reset##crop", "Put the box around most of what can be seen."):
+        if button("Reset##crop", "Put the box around most of what can be seen."):
             box = box_around(self._document.scene)
         imgui.same_line()
         changed, yaw = drag_number("##yaw", box.yaw_deg, 0.5, (-180, 180), "%.1f°", _YAW_HELP, 5, flags=0)
@@ -219,10 +219,9 @@ _GRIP_PX = 10.0
 
 def face_under_mouse(canvas: Canvas, box: CropBox) -> tuple[int, bool] | None:
     """Return the face of the dot under the mouse: its axis, and True for its upper side."""
-    x, y = canvas.mouse_px
     for face in _FACES if canvas.hovered else ():
         pixel = canvas.pixel(box.face_m(*face))
-        if pixel is not None and abs(pixel[0] - x) < _GRIP_PX and abs(pixel[1] - y) < _GRIP_PX:
+        if pixel is not None and canvas.is_mouse_near(pixel, _GRIP_PX):
             return face
     return None
 

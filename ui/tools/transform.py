@@ -17,7 +17,7 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.scene import Scene
 
 from ..widgets.draw import Canvas, Gizmo, draw_hint, draw_line, draw_point, draw_words
-from ..widgets.fields import help_button
+from ..widgets.fields import button
 from ..widgets.text import inline_text
 from .base import Tool, clicked_point, drag_number
 
@@ -74,10 +74,8 @@ class MoveTool(Tool):
             imgui.set_item_tooltip(help_text)
             imgui.same_line()
         key = _target(self._document, self._viewport)
-        name = (
-            f"{selected_count(self._document.scene):,} selected" if key is None else key.partition("/")[2] or "nothing"
-        )
-        imgui.text_disabled(name)
+        count = f"{selected_count(self._document.scene):,} selected"
+        imgui.text_disabled(count if key is None else key.partition("/")[2] or "nothing")
         imgui.set_item_tooltip("What the gizmo acts on: the selection, else the layer or actor picked in Layers.")
 
     def _finish(self, drag: _Drag) -> None:
@@ -132,28 +130,20 @@ class LevelTool(Tool):
 
     def options(self) -> None:
         help_text = "Find the largest low plane of the scene and make it level; it becomes the ground."
-        if help_button("From the ground", help_text):
+        if button("From the ground", help_text):
             self._points_m = ()
             self._document.edit("Level by the ground", level.level_from_ground)
         imgui.same_line()
         inline_text("ground at")
+        ground_m, bounds_m = self._document.scene.ground_m or 0.0, (-1000, 1000)
         help_text = "Height of the ground in the world, in meters: rain falls down to it."
-        changed, height = drag_number(
-            "##ground height",
-            self._document.scene.ground_m or 0.0,
-            0.01,
-            (-1000, 1000),
-            "%.2f m",
-            help_text,
-            6,
-            flags=0,
-        )
+        changed, height = drag_number("##ground height", ground_m, 0.01, bounds_m, "%.2f m", help_text, 6, flags=0)
         if changed:
             self._document.edit("Ground height", level.set_ground_height, height, gesture="ground height")
         if imgui.is_item_deactivated():
             self._document.end_gesture()
         imgui.same_line()
-        if help_button("Clear##level", "Forget the points that were clicked."):
+        if button("Clear##level", "Forget the points that were clicked."):
             self._points_m = ()
 
 
@@ -251,11 +241,11 @@ class MeasureTool(Tool):
         imgui.set_item_tooltip("How long it truly is, in meters.")
         imgui.same_line()
         help_text = "Let the whole scene grow or shrink so that the line is as long as this."
-        if help_button("Set scale", help_text) and length is not None:
+        if button("Set scale", help_text) and length is not None:
             self._document.edit("Set the scale", level.set_length, length, self.true_m)
         imgui.end_disabled()
         imgui.same_line()
-        if help_button("Clear##measure", "Forget both points."):
+        if button("Clear##measure", "Forget both points."):
             self.points_m = ()
 
     @property

@@ -17,7 +17,6 @@ from gsrain_engine.editor.overlays import Frustum, KeyHandle, frustums, image_gr
 from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection_boxes, rollout_overlay
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
 from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Canvas, color, draw_card, draw_dot, draw_lines
@@ -59,7 +58,7 @@ def path_overlay(viewport: ViewportState, playback: Playback, camera_path: Camer
     draw_lines(canvas, drawing.now_px.tolist(), PLAYHEAD, 1.5, outline=1.5)
     under: int | None = None
     if viewport.options.tool == "" or is_dragged:
-        near = [mark.key for mark in drawing.keys if _is_near(canvas, mark.handle_px, _REACH_PX)]
+        near = [mark.key for mark in drawing.keys if canvas.is_mouse_near(mark.handle_px, _REACH_PX)]
         under = near[-1] if near else None  # drawn last
     for mark in drawing.keys:
         _draw_keyframe(camera_path, canvas, mark, is_near=mark.key == under)
@@ -74,11 +73,6 @@ def path_overlay(viewport: ViewportState, playback: Playback, camera_path: Camer
     if imgui.is_mouse_clicked(_LEFT):
         camera_path.begin_drag(under, in_view=True)
     return True
-
-
-def _is_near(canvas: Canvas, pixel: tuple[float, float], reach_px: float) -> bool:
-    x, y = canvas.mouse_px
-    return abs(pixel[0] - x) <= reach_px and abs(pixel[1] - y) <= reach_px
 
 
 def _draw_keyframe(camera_path: CameraPathEditor, canvas: Canvas, mark: KeyHandle, *, is_near: bool) -> None:
@@ -129,11 +123,11 @@ def capture_overlay(document: Document, viewport: ViewportState, captures: Captu
     found = frustums(cameras, captures.listed, captures.length_m(document.scene), canvas.shot.camera)
     under: Frustum | None = None
     if canvas.hovered and viewport.options.tool == "":
-        near = [each for each in found if each.eye_px and _is_near(canvas, each.eye_px, _CAMERA_REACH_PX)]
+        near = [each for each in found if each.eye_px and canvas.is_mouse_near(each.eye_px, _CAMERA_REACH_PX)]
         under = near[-1] if near else None
     for number, each in enumerate(found):
         if number >= len(found) - _IMAGES:
-            _draw_image(document, captures, canvas, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
+            _draw_image(document, captures, canvas, each.view, THUMBNAIL_PX, 1.0)
         is_chosen = captures.chosen == each.view
         hue = CHOSEN if is_chosen or under is each else _CAMERA
         draw_lines(canvas, each.lines_px.tolist(), hue, 2.0 if is_chosen else 1.0)
@@ -157,7 +151,7 @@ def _draw_recorded_image(document: Document, captures: CaptureController, canvas
         is_there = ImageRequest(view, LARGE_PX) in captures.textures
         if captures.pictures is not None:
             captures.pictures.want(view, LARGE_PX)
-        _draw_image(document, captures, canvas, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
+        _draw_image(document, captures, canvas, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
     grid = image_grid(camera, captures.length_m(document.scene), canvas.shot.camera, (1, 1))
     if grid is not None:
         a, b, d, c = (canvas.on_screen(x, y) for x, y in grid.reshape(4, 2).tolist())
@@ -165,17 +159,12 @@ def _draw_recorded_image(document: Document, captures: CaptureController, canvas
 
 
 def _draw_image(
-    document: Document,
-    captures: CaptureController,
-    canvas: Canvas,
-    camera: Camera,
-    view: int,
-    width: int,
-    opacity: float,
+    document: Document, captures: CaptureController, canvas: Canvas, view: int, width: int, opacity: float
 ) -> None:
     """Draw a recorded image in its camera's frustum."""
     if captures.pictures is None:
         return
+    camera = captures.cameras(document.scene)[view]
     captures.pictures.want(view, width)
     texture = captures.textures.get(ImageRequest(view, width))
     cells = (4, 3) if width == THUMBNAIL_PX else (8, 6)

@@ -20,7 +20,7 @@ from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
 from ..widgets.draw import Canvas, draw_lines
-from ..widgets.fields import help_button
+from ..widgets.fields import button
 from ..widgets.text import label
 from .overlays import OVERLAYS, draw_divider, preview_side
 
@@ -167,16 +167,19 @@ def tool_options(tool: Tool, corner: ImVec2, left: float, width: float) -> None:
 
 
 def view_bar(editor: Editor) -> None:
-    icon = icons.ICON_FA_PAUSE if editor.playback.clock.playing else icons.ICON_FA_PLAY
-    if _view_button(icon, "Play", "Start or stop time (Space)."):
-        editor.playback.clock.toggle()
+    clock, viewport = editor.playback.clock, editor.viewport
     frame_help = "Move back until the active layer or actor, or else the whole scene, is visible (F)."
-    if _view_button(icons.ICON_FA_EXPAND, "Frame", frame_help):
-        editor.viewport.frame_scene()
-    if _view_button(icons.ICON_FA_HOUSE, "Home", "Return to the initial view of the scene (R)."):
-        editor.viewport.go_home()
-    if _view_button(icons.ICON_FA_CAMERA, "Screenshot", "Save the viewport as PNG (F12); the log has its path."):
-        editor.take_screenshot()
+    for icon, name, help_text, act in (
+        (icons.ICON_FA_PAUSE if clock.playing else icons.ICON_FA_PLAY, "Play", "Start or stop time (Space).",
+         clock.toggle),
+        (icons.ICON_FA_EXPAND, "Frame", frame_help, viewport.frame_scene),
+        (icons.ICON_FA_HOUSE, "Home", "Return to the initial view of the scene (R).", viewport.go_home),
+        (icons.ICON_FA_CAMERA, "Screenshot", "Save the viewport as PNG (F12); the log has its path.",
+         editor.take_screenshot),
+    ):  # fmt: skip
+        if button(f"{icon}###{name}", f"{name}: {help_text}"):
+            act()
+        imgui.same_line()
     _, editor.viewport.options.follow_path = imgui.checkbox("Follow path", editor.viewport.options.follow_path)
     imgui.set_item_tooltip("Follow the camera path: your own keyframes, else the ego vehicle's drive or a swing (V).")
     imgui.same_line()
@@ -199,12 +202,6 @@ def view_bar(editor: Editor) -> None:
         imgui.set_item_tooltip("Time in the scene, and speed of W A S D (Ctrl+wheel). F1 shows all keys.")
     else:
         imgui.new_line()
-
-
-def _view_button(icon: str, name: str, help_text: str) -> bool:
-    clicked = help_button(f"{icon}###{name}", f"{name}: {help_text}")
-    imgui.same_line()
-    return clicked
 
 
 # Start page without a scene
@@ -263,10 +260,10 @@ def _draw_problem(status: StatusBus, problem: str, corner: ImVec2, width: int, h
         if imgui.button("Close"):
             status.dismiss()
         imgui.same_line()
-        if help_button("Details", "Show the log, which has the rest."):
+        if button("Details", "Show the log, which has the rest."):
             imgui.set_window_focus("Log")
         imgui.same_line()
-        if help_button("Copy", "Put the sentence on the clipboard."):
+        if button("Copy", "Put the sentence on the clipboard."):
             imgui.set_clipboard_text(problem)
 
 

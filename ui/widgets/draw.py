@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui, imguizmo, implot
 from jaxtyping import Float64
 
 from gsrain_engine.editor.viewport import picking
+from gsrain_engine.editor.viewport.options import Texture
 from gsrain_engine.render.draw import RenderView
 
 from .text import visible_name
@@ -63,6 +64,11 @@ class Canvas:
     def mouse_px(self) -> tuple[float, float]:
         at = imgui.get_mouse_pos()
         return at.x - self.corner.x, at.y - self.corner.y
+
+    def is_mouse_near(self, pixel: tuple[float, float], reach_px: float) -> bool:
+        """Return True if the mouse is in the square around a pixel that reaches so far to each side."""
+        x, y = self.mouse_px
+        return max(abs(pixel[0] - x), abs(pixel[1] - y)) <= reach_px
 
     def on_screen(self, x: float, y: float) -> ImVec2:
         return ImVec2(self.corner.x + x, self.corner.y + y)
@@ -120,6 +126,13 @@ def draw_dot(
     draw.add_circle_filled(at, radius, color(hue))
 
 
+def draw_diamond(at: ImVec2, radius: float, hue: Color) -> None:
+    """Draw a keyframe at a position on the screen."""
+    left, right = ImVec2(at.x - radius, at.y), ImVec2(at.x + radius, at.y)
+    above, below = ImVec2(at.x, at.y - radius), ImVec2(at.x, at.y + radius)
+    imgui.get_window_draw_list().add_quad_filled(left, above, right, below, color(hue))
+
+
 def draw_lines(
     canvas: Canvas,
     lines_px: Iterable[Sequence[Sequence[float]]],
@@ -149,6 +162,15 @@ def draw_card(
     low, high = ImVec2(at.x - x, at.y - y), ImVec2(at.x + size.x + x, at.y + size.y + y)
     draw.add_rect_filled(low, high, color(paper), rounding)
     draw.add_text(at, color(ink), words)
+
+
+def draw_image(texture: Texture | None, low: ImVec2, high: ImVec2) -> None:
+    """Draw an image between two corners on the screen, or a gray field while there is none."""
+    draw = imgui.get_window_draw_list()
+    if texture is None:
+        draw.add_rect_filled(low, high, color(BACKGROUND))
+    else:
+        draw.add_image(imgui.ImTextureRef(texture.name), low, high)
 
 
 def is_clicked(canvas: Canvas) -> bool:

@@ -21,14 +21,9 @@ from gsrain_engine.scene.formats.registry import writable_suffixes
 _LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
 
-def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> Field:
-    """Return the declaration of a field, of the rain or of another struct."""
-    return field_of(owner, name)
-
-
-def label(name: str) -> Field:
-    """Draw a field's title with its help as tooltip, and move to the position of its widget."""
-    info = field_info(name)
+def field_label(name: str, owner: type[msgspec.Struct] = RainSettings) -> Field:
+    """Draw a field's title with its help as tooltip, and move to the position of its widget; returns its metadata."""
+    info = field_of(owner, name)
     plain_label(info.label, info.help)
     return info
 
@@ -46,7 +41,7 @@ def plain_label(text: str, help_text: str) -> None:
 
 def rain_field(document: Document, name: str) -> None:
     """Draw the widget of a rain setting that its type selects."""
-    info = field_info(name)
+    info = field_of(RainSettings, name)
     if info.choices:
         choice(document, name)
     else:
@@ -55,7 +50,7 @@ def rain_field(document: Document, name: str) -> None:
 
 def slider(document: Document, name: str, *, high: float | None = None, beside_px: float = 0.0) -> None:
     """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
-    info = label(name)
+    info = field_label(name)
     if beside_px:
         imgui.set_next_item_width(-beside_px)
     flags = LOGARITHMIC if info.is_logarithmic else CLAMPED
@@ -67,7 +62,7 @@ def slider(document: Document, name: str, *, high: float | None = None, beside_p
 
 
 def integer(document: Document, name: str) -> None:
-    info = label(name)
+    info = field_label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(document.rain, name))
     if changed:
         document.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
@@ -75,7 +70,7 @@ def integer(document: Document, name: str) -> None:
 
 
 def choice(document: Document, name: str) -> None:
-    info = label(name)
+    info = field_label(name)
     present = info.choices.index(getattr(document.rain, name))
     changed, picked = imgui.combo(f"##{name}", present, list(info.choices))
     if changed:
@@ -83,7 +78,7 @@ def choice(document: Document, name: str) -> None:
 
 
 def toggle(document: Document, name: str) -> None:
-    info = field_info(name)
+    info = field_of(RainSettings, name)
     changed, value = imgui.checkbox(info.title, getattr(document.rain, name))
     imgui.set_item_tooltip(info.help)
     if changed:
@@ -92,7 +87,7 @@ def toggle(document: Document, name: str) -> None:
 
 def box(document: Document, name: str) -> None:
     """Edit the lower and upper corner of a region in meters; corners that would invert it are ignored."""
-    info, region = field_info(name), getattr(document.rain, name)
+    info, region = field_of(RainSettings, name), getattr(document.rain, name)
     for corner, words in (("minimum_m", "from"), ("maximum_m", "to")):
         plain_label(f"{words} x, y, z (m)", f"{info.help} In the ego's frame: x forward, y left, z up.")
         changed, value = imgui.drag_float3(f"##{name}.{corner}", list(getattr(region, corner)), 0.05, -200, 200, "%.2f")
@@ -116,7 +111,7 @@ _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 
 def edit_field(settings: _Settings, name: str, *, label: str | None = None, step: int = 1) -> _Settings:
     """Draw a field's widget and return the settings; `label` replaces a long title, `step` is that of an integer."""
-    info, value = field_info(name, type(settings)), getattr(settings, name)
+    info, value = field_of(type(settings), name), getattr(settings, name)
     if isinstance(value, bool):
         changed, value = imgui.checkbox(f"{info.title}###{name}", value)
     else:
@@ -140,24 +135,24 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
 
 
 def path_field(
-    settings: msgspec.Struct, name: str, kinds: str, take: Callable[[str], None], *, label: str | None = None
+    settings: msgspec.Struct, name: str, kinds: str, take: Callable[[Path | None], None], *, label: str | None = None
 ) -> None:
     """Draw a path with a button that opens a dialog: `kinds` as in a file dialog, "" for a folder.
 
-    `take` gets the typed or chosen path, a chosen one in a later frame.
+    `take` gets the typed or chosen path, a chosen one in a later frame; None for an empty text.
     """
-    info, present = field_info(name, type(settings)), getattr(settings, name)
+    info, present = field_of(type(settings), name), getattr(settings, name)
     value = "" if present is None else str(present)
     plain_label(label or info.title, info.help)
     imgui.set_next_item_width(-keyframe_button_width())
     _, typed = imgui.input_text_with_hint(f"##{name}", "none chosen", value)
     # A half-typed path doesn't exist yet: accept it only after editing.
     if imgui.is_item_deactivated_after_edit():
-        take(typed)
+        take(Path(typed).expanduser() if typed.strip() else None)
     imgui.set_item_tooltip(f"{info.help}\n{value}".strip())
     imgui.same_line()
     if square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, f"choose {name}"):
-        ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(str(chosen[0])))
+        ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(chosen[0]))
     imgui.set_item_tooltip("Choose a file..." if kinds else "Choose a folder...")
 
 
@@ -208,9 +203,8 @@ def keyframe_button(document: Document, viewport: ViewportState, playback: Playb
 
 def toggle_keyframe(document: Document, viewport: ViewportState, playback: Playback, name: Keyed) -> None:
     """Set a field's keyframe at the current time to its current value, or remove the one there."""
-    weather, now_s, title = document.keyframes, playback.clock.time_s, _TITLES[name]
-    present = weather.key_at(now_s)
-    if present is not None and getattr(present, name) is not None:
+    now_s, title = playback.clock.time_s, _TITLES[name]
+    if _is_keyed_now(document, playback, name):
         document.edit_keyframes(f"Remove {title} keyframe", RainKeyframes.without_key, now_s, name)
         return
     value = getattr(document.rain_now, name)
@@ -279,13 +273,6 @@ def answer_dialogs(status: StatusBus) -> None:
         elif chosen:
             # The dialog appends the chosen type's suffix to a name without one, even `.*`.
             answer([path.with_suffix("") if path.suffix == ".*" else path for path in chosen])
-
-
-def help_button(label: str, help_text: str) -> bool:
-    """Draw a button with a tooltip; returns True if clicked."""
-    clicked = imgui.button(label)
-    imgui.set_item_tooltip(help_text)
-    return clicked
 
 
 def square_button(icon: str, name: str) -> bool:
@@ -406,17 +393,10 @@ def number(
     return new if changed else value  # the widget rounds to single precision
 
 
-def settings_label(owner: type[msgspec.Struct], name: str) -> Field:
-    """Draw the label of a field, and move to the position of its widget; returns the field's metadata."""
-    info = field_info(name, owner)
-    plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
-    return info
-
-
 def edit_choice(
     settings: _Settings, name: str, choices: Mapping[Any, str] | Sequence[Any], help_text: str | None = None
 ) -> _Settings:
     """Draw a combo box of other choices or titles than the field's own; returns the updated settings."""
-    info, value = settings_label(type(settings), name), getattr(settings, name)
+    info, value = field_label(name, type(settings)), getattr(settings, name)
     picked = combo(f"##{name}", value, choices, help_text or info.help)
     return settings if picked == value else msgspec.structs.replace(settings, **{name: picked})

@@ -29,7 +29,6 @@ from ..viewport.options import Texture
 _NEAR_M, _POINT_PX = 0.05, 3.0
 _PER_FRAME = 4  # maximum number of images uploaded
 
-
 logger = logging.getLogger("gsrain")
 
 

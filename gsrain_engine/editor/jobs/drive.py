@@ -154,11 +154,7 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def simulation_job(
-    scene: Scene,
-    scenario: Scenario,
-    settings: DriveSettings,
-    rains: Sequence[RainSettings],
-    known: FileCache,
+    scene: Scene, scenario: Scenario, settings: DriveSettings, rains: Sequence[RainSettings], known: FileCache
 ) -> Job[list[LoadedRollout]]:
     """Create a job of one drive, or one in each of several rains; `known` are the scene's files."""
 

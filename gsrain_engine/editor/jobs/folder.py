@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
+from itertools import chain, count
 from pathlib import Path
 
 import platformdirs
@@ -72,6 +73,11 @@ def new_report(name: str) -> Path:
     """Choose a report file for `name`, by the present date and time; its folder may not exist yet."""
     folder = platformdirs.user_data_path("gsrain", appauthor=False) / "reports"
     about = re.sub(r"[/\x00-\x1f\x7f]", "_", name).encode(errors="replace")[:_MAX_SUBJECT_BYTES].decode(errors="ignore")
-    when = f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    places = (folder / f"{about}_{when}{suffix}.html" for suffix in ("", *(f"_{number}" for number in range(2, 100))))
-    return next((place for place in places if not place.exists()), folder / f"{about}_{when}.html")
+    return new_file(folder, about, ".html")
+
+
+def new_file(folder: Path, name: str, suffix: str) -> Path:
+    """Choose an unused file name by the present date and time."""
+    dated = f"{name}_{datetime.now():%Y-%m-%d_%H-%M-%S}"
+    stems = chain([dated], (f"{dated}_{number}" for number in count(2)))
+    return next(file for stem in stems if not os.path.lexists(file := folder / f"{stem}{suffix}"))

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import count
 from typing import Any
 
 from ...scene.scene import Scene
 from ..document import Document
 from ..edits.gaussians import CropBox
+from ..edits.members import unique_name
 from ..timeline import Playback
 from . import candidates
 from .attributes import AttributeHistogram
@@ -126,7 +126,7 @@ def select_found(scene: Scene, mode: Mode, find: Callable[..., Found], *argument
 
 
 def unused_set_name(scene: Scene) -> str:
-    return next(each for number in count(1) if (each := f"selection {number}") not in scene.selections)
+    return unique_name("selection 1", scene.selections)
 
 
 def save_set(scene: Scene, name: str) -> Scene:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, no_type_check
 
@@ -209,10 +209,8 @@ def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
     scale = min(1.0, (_MAX_PIXELS / ((right - left) * (bottom - top))) ** 0.5)
     width, height = max(1, round((right - left) * scale)), max(1, round((bottom - top) * scale))
     across, down = width / (right - left), height / (bottom - top)
-    return Camera(
-        width, height, camera.fx * across, camera.fy * down, (camera.cx - left) * across, (camera.cy - top) * down,
-        camera.world_to_camera, camera.exposure_s,
-    )  # fmt: skip
+    cx, cy = (camera.cx - left) * across, (camera.cy - top) * down
+    return replace(camera, width=width, height=height, fx=camera.fx * across, fy=camera.fy * down, cx=cx, cy=cy)
 
 
 def strip_sh(part: DrawItem) -> DrawItem:

@@ -6,9 +6,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from ...scene.camera import Camera
 from ...scene.camera_path import CameraPath
 from ...scene.scene import Actor, RigCamera, Scene
+from ...simulation.sensors import placed_camera
 from .camera import OrbitCamera, default_path
 
 ChaseMode = Literal["behind", "front camera", "free"]
@@ -51,15 +51,9 @@ class ChaseCamera:
             return
         pose = vehicle.rig_to_world
         self.velocity_m_s = vehicle.speed_m_s * pose[:3, 0]
-        front = vehicle.front_camera
         if self.mode == "front camera":
-            if front is not None:
-                to_camera = np.linalg.inv(pose @ front.camera_to_ego)
-                navigation.look_like(
-                    Camera(
-                        front.width, front.height, front.fx, front.fy, front.cx, front.cy, to_camera, front.exposure_s
-                    )
-                )
+            if vehicle.front_camera is not None:
+                navigation.look_like(placed_camera(vehicle.front_camera, pose))
         elif self._pose is None:
             _stand_behind(vehicle, navigation)
         elif not np.array_equal(self._pose, pose):

@@ -1,7 +1,7 @@
 """Picking of Gaussians and surface points, projection of points and lines, gizmo matrices, and sky color picks."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -50,9 +50,7 @@ def pick(
     members = [each for each in scene.members if each.visible and (among is None or among(each))]
     owned = [(each.key, part) for each in members if (part := scene.part(each, shot.time_s)) is not None]
     parts, camera = [part for _, part in owned], shot.camera
-    pixel = Camera(
-        1, 1, camera.fx, camera.fy, camera.cx - x + 0.5, camera.cy - y + 0.5, camera.world_to_camera, camera.exposure_s
-    )
+    pixel = replace(camera, width=1, height=1, cx=camera.cx - x + 0.5, cy=camera.cy - y + 0.5)
     splats = project(parts, pixel)
     rows, weights = _weights(parts, splats)
     if not len(rows) or weights.sum() < _MIN_ALPHA:
@@ -112,14 +110,23 @@ def project_point(point: Float64[np.ndarray, "3"], camera: Camera) -> ProjectedP
 
 def project_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
     """Project world lines (meters) to pixels, clipped at the near plane."""
-    ends = lines @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    ends = in_camera(lines, camera)
     ends = ends[(ends[..., 2] > NEAR_M).any(axis=1)]
     start, end = ends[:, 0], ends[:, 1]
     behind = ends[..., 2] < NEAR_M
     rise = np.where(behind.any(axis=1), end[:, 2] - start[:, 2], 1.0)
     crossing = start + ((NEAR_M - start[:, 2]) / rise)[:, None] * (end - start)
-    ends = np.where(behind[..., None], crossing[:, None], ends)
-    return np.array([camera.fx, camera.fy]) * ends[..., :2] / ends[..., 2:] + np.array([camera.cx, camera.cy])
+    return to_pixels(np.where(behind[..., None], crossing[:, None], ends), camera)
+
+
+def in_camera(points: Float64[np.ndarray, "*n 3"], camera: Camera) -> Float64[np.ndarray, "*n 3"]:
+    """Points of the world in the frame of a camera, meters."""
+    return points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+
+
+def to_pixels(points: Float64[np.ndarray, "*n 3"], camera: Camera) -> Float64[np.ndarray, "*n 2"]:
+    """Project points in the frame of the camera."""
+    return np.array([camera.fx, camera.fy]) * points[..., :2] / points[..., 2:] + np.array([camera.cx, camera.cy])
 
 
 # Gizmo matrices (4x4, column-major)

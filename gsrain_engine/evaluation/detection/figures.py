@@ -48,7 +48,7 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
     columns = min(len(detectors), _MAX_PANELS)
     lines = ceil(len(detectors) / columns)
     height = lines * _HEIGHT_IN
-    legend_in = max(legend_width_in(len(names) + 1, height) for _, names in blocks)
+    legend_in = _LEGEND_IN * max(_legend_columns(len(names) + 1, height) for _, names in blocks)
     figure = Figure(figsize=(_WIDTH_IN * columns + legend_in, height * len(blocks)), layout="constrained")
     parts: list[SubFigure] = list(figure.subfigures(len(blocks), 1, squeeze=False).ravel())
     for part, (field, names) in zip(parts, blocks, strict=True):
@@ -76,7 +76,7 @@ def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:
     """Draw mAP and mAP50 of each detector against the rain rate, with the range over the seeds."""
     detectors = list(dict.fromkeys(each.detector for each in scores))
     entries = len(detectors) + len({each.detector for each in scores if each.picture == "original"})
-    legend_in = legend_width_in(entries, _HEIGHT_IN)
+    legend_in = _LEGEND_IN * _legend_columns(entries, _HEIGHT_IN)
     figure = Figure(figsize=(2 * _WIDTH_IN + legend_in, _HEIGHT_IN), layout="constrained")
     panels: list[Axes] = list(figure.subplots(1, 2, sharey=True))
     for panel, number in zip(panels, ("map", "map50"), strict=True):
@@ -142,20 +142,14 @@ def _mean_label(rows: Sequence[ObjectRow]) -> str:
     return f"mean of {count} object{'' if count == 1 else 's'}"
 
 
-def legend_columns(entries: int, height_in: float) -> int:
-    """Return the number of columns of a legend in 8 points for a height in inches."""
+def _legend_columns(entries: int, height_in: float) -> int:
     return max(1, ceil(entries / max(1, int(height_in * _LINES_PER_IN))))
-
-
-def legend_width_in(entries: int, height_in: float) -> float:
-    """Return the approximate width of such a legend, in inches."""
-    return _LEGEND_IN * legend_columns(entries, height_in)
 
 
 def _legend_at_right(figure: Figure | SubFigure, panel: Axes, height_in: float) -> None:
     """Put a panel's legend in 8 points to the right of all panels, in as many columns as its entries need."""
     handles, labels = panel.get_legend_handles_labels()
-    columns = legend_columns(len(labels), height_in)
+    columns = _legend_columns(len(labels), height_in)
     figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=8, ncols=columns)
 
 

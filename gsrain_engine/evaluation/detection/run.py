@@ -12,17 +12,17 @@ import numpy as np
 from jaxtyping import UInt8
 from msgspec import structs
 
+from ...appearance.rainy_recording import rain_on_photo
 from ...appearance.scene_views import PlacedCamera
 from ...datasets.capture import Capture
 from ...datasets.undistort import undistort_frame
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...render.draw import RenderView, draw_view, rain_camera
+from ...render.draw import RenderView, draw_view, ego_view
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...safe_io.limits import read_file
 from ...scene.files import whole_file
-from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ...scene.objects import scene_objects
 from ...scene.scene import Scene
 from .decoders import intersection_over_union
@@ -134,25 +134,15 @@ class ConditionRenderer:
             rain = structs.replace(self.rain, intensity_mm_h=key[0], seed=key[1])
             self._rains[key] = RainSimulation.start(rain)
         rainfall = self._rains[key]
-        return self._in_front(frame, rainfall) if self.is_in_front else self._drawn(frame, rainfall)
+        if not self.is_in_front:
+            return self._drawn(frame, rainfall)
+        assert frame.original is not None
+        return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.color)
 
     def _drawn(self, frame: EvaluatedFrame, rainfall: RainSimulation | None) -> UInt8[np.ndarray, "h w 3"]:
         wetness = 0.0 if rainfall is None else rainfall.wetness_at(frame.shot.time_s)
         draw_view(self.renderer, self.scene, rainfall, self.sky.at(wetness), frame.shot)
         return self.renderer.read().to_uint8()
-
-    def _in_front(self, frame: EvaluatedFrame, rainfall: RainSimulation) -> UInt8[np.ndarray, "h w 3"]:
-        """Composite rain over the photograph B, W its share of a pixel and S its light: enc((1-W) dec(B) + W S)."""
-        assert frame.original is not None
-        view = rain_camera(self.scene, rainfall, frame.shot)
-        falling = rainfall.frame(frame.shot.time_s, view, self.sky.color)
-        self.renderer.draw([], frame.shot.camera, falling)
-        share = self.renderer.read().rgba[..., 3:]
-        is_linear = rainfall.rain.rain_light == "linear"
-        encode, decode = (linear_to_srgb, srgb_to_linear) if is_linear else (np.asarray, np.asarray)
-        light = decode(np.array(rainfall.rain.drop_color or self.sky.color))
-        mixed = encode((1 - share) * decode(frame.original().astype(np.float64) / 255) + share * light)
-        return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
 
 
 def evaluate_images(
@@ -343,7 +333,6 @@ def _hash(*parts: bytes) -> str:
 
 # Frames
 
-_STEP_S = 0.005  # half the time step of the velocity estimate
 Labels = dict[str, tuple[LabeledObject, ...]]
 
 
@@ -355,7 +344,7 @@ def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera
     frames: list[EvaluatedFrame] = []
     for each in placed:
         truths = ground_truth_from_scene(renderer, scene, objects, each.camera, each.time_s)
-        frames.append(EvaluatedFrame(each.name, render_view_of(scene, each), truths))
+        frames.append(EvaluatedFrame(each.name, ego_view(scene, each.camera, each.time_s), truths))
     return frames
 
 
@@ -377,18 +366,10 @@ def recorded_frames(
             truths = ground_truth_from_boxes(capture.boxes, view.camera, view.time_s)
         else:
             truths = _labels_of(labels, each.name)
-        frames.append(EvaluatedFrame(each.name, render_view_of(scene, each), truths, lambda view=view: view.image))
+        frames.append(
+            EvaluatedFrame(each.name, ego_view(scene, each.camera, each.time_s), truths, lambda view=view: view.image)
+        )
     return frames
-
-
-def render_view_of(scene: Scene, placed: PlacedCamera) -> RenderView:
-    """The render view of a camera fixed to the scene's ego vehicle, if present at its time."""
-    now, before, after = (scene.ego_to_world(placed.time_s + step) for step in (0.0, -_STEP_S, _STEP_S))
-    velocity_m_s = np.zeros(3)
-    if now is not None and before is not None and after is not None:
-        mounted = np.linalg.inv(now) @ np.append(placed.camera.position, 1.0)
-        velocity_m_s = ((after - before) @ mounted)[:3] / (2 * _STEP_S)
-    return RenderView(placed.camera, placed.time_s, velocity_m_s)
 
 
 def _labels_of(labels: Labels, name: str) -> tuple[LabeledObject, ...]:

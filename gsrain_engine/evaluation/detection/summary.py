@@ -102,18 +102,18 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
     found: list[ScoreByIntensity] = []
     detectors = list(dict.fromkeys(each.detector for each in judgements))
     for weather, by_seed in sorted(pictures.items(), key=lambda each: (detectors.index(each[0][0]), each[0][2])):
-        if not lines[weather]:
-            continue
         own = lines[weather]
-        precision = _precisions(by_seed)
-        bases: list[_Weather] = [
-            (weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]] if (weather[0], each, 0.0) in pictures
+        if not own:
+            continue
+        precision = [
+            average_precision([each.truths for each in images], [each.detections for each in images])
+            for images in by_seed.values()
         ]
+        bases: list[_Weather] = [(weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]]]
+        base = next((each for each in bases if each in pictures), None)  # the condition that differs least
         change = None
-        if bases:  # the condition without rain that differs least
-            changes = [
-                _mean(each, "confidence") - _mean(lines[bases[0]][seed], "confidence") for seed, each in own.items()
-            ]
+        if base is not None:
+            changes = [_mean(each, "confidence") - _mean(lines[base][seed], "confidence") for seed, each in own.items()]
             change = SeedChange.of(changes if weather[1] == "rainy" else changes[:1])
         found.append(
             ScoreByIntensity(
@@ -125,8 +125,8 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
                     float(np.mean([r.confidence >= FOUND_FROM for r in each])) for each in own.values()
                 ),
                 flips=SeedSpread.of(float(np.mean([_is_flip(r) for r in each])) for each in own.values()),
-                map=SeedSpread.of(value for value, _ in precision),
-                map50=SeedSpread.of(value for _, value in precision),
+                map=SeedSpread.of(each.map for each in precision),
+                map50=SeedSpread.of(each.map50 for each in precision),
                 change=change,
             )
         )
@@ -164,17 +164,6 @@ def distance_scores(rows: Sequence[ObjectRow]) -> list[DistanceScore]:
 def plain(score: ScoreByIntensity | DistanceScore) -> dict[str, Any]:
     """Return a score as plain values for JSON, NaN as None."""
     return {name: _finite(value) for name, value in asdict(score).items()}
-
-
-def _precisions(by_seed: dict[int, list[DetectionResult]]) -> list[tuple[float, float]]:
-    """Both average precisions of each seed; computed once for equal images."""
-    known: dict[tuple[int, ...], tuple[float, float]] = {}
-    keys = [tuple(map(id, own)) for own in by_seed.values()]
-    for key, own in zip(keys, by_seed.values(), strict=True):
-        if key not in known:
-            precision = average_precision([each.truths for each in own], [each.detections for each in own])
-            known[key] = precision.map, precision.map50
-    return [known[key] for key in keys]
 
 
 def _is_flip(row: ObjectRow) -> bool:

@@ -134,14 +134,7 @@ ByIntensity = Mapping[float, Sequence[RainRunCounts]]  # all seeds and turns at 
 
 
 def write_figure(path: Path, run: RainRun, by_intensity: ByIntensity) -> None:
-    """Draw the figure and write it (PNG) atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        draw_figure(run, by_intensity).savefig(temporary, format="png", dpi=_DPI)
-
-
-def draw_figure(run: RainRun, by_intensity: ByIntensity) -> Figure:
-    """Draw one turn from above, clear and in its rain, and the counts of all turns by range."""
+    """Draw one turn from above, clear and in its rain, and the counts of all turns by range; write it (PNG)."""
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.08)  # pyright: ignore
     FigureCanvasAgg(figure)
@@ -155,7 +148,9 @@ def draw_figure(run: RainRun, by_intensity: ByIntensity) -> Figure:
     _draw_rain(figure.add_subplot(grid[0, 1]), run, reach)
     _draw_return_share(figure.add_subplot(grid[1, 0]), by_intensity)
     _draw_false(figure.add_subplot(grid[1, 1]), by_intensity)
-    return figure
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=_DPI)
 
 
 def _from_above(turn: LidarTurn, points_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:

@@ -376,7 +376,7 @@ def _add_pairs(members, by_pair, sums, shares):
 # Color operator
 # One view as a linear operator on the Gaussians' colors: image = W colors, without storing W.
 
-_LEAST_ALPHA = np.float32(1e-3)  # alpha below which a pixel counts as empty
+_MIN_ALPHA = np.float32(1e-3)  # alpha below which a pixel counts as empty
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -413,6 +413,8 @@ def color_operator(parts: Sequence[DrawItem], camera: Camera) -> ColorOperator:
     return ColorOperator(splats, bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height))
 
 
-def expected(weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Weighted mean of a blended channel; 0 where empty."""
-    return np.where(weight > _LEAST_ALPHA, weighted / np.maximum(weight, _LEAST_ALPHA), np.float32(0))
+def expected(
+    weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"], min_weight: np.float32 = _MIN_ALPHA
+) -> Float32[np.ndarray, "h w"]:
+    """Weighted mean of a blended channel; 0 where empty, at weights up to `min_weight`."""
+    return np.where(weight > min_weight, weighted / np.maximum(weight, min_weight), np.float32(0))

@@ -13,8 +13,8 @@ from ...rain.frame import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
-from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, timed
-from .compositing import composite, composite_in_rain
+from ..renderer import FARTHEST_M, MAX_FRAGMENTS, MIN_WEIGHT, NEAREST_M, Frame, RenderMode, RenderStatistics, timed
+from .compositing import composite, composite_in_rain, expected
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
 from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
@@ -57,7 +57,7 @@ class CpuRenderer:
                 self._frame = _draw_mode(look, splats, tiles, with_depth=with_depth)
             elif rain.is_linear:
                 rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
-                self._frame = Frame(rgba, _expected_depth(weighted, weight) if with_depth else None)
+                self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
             else:
                 self._frame = _draw_behind_veil(splats, order, tiles, rain, with_depth=with_depth)
         self.statistics.splats_drawn = len(order)
@@ -69,8 +69,6 @@ class CpuRenderer:
 
 # Drawing
 
-_MIN_WEIGHT = np.float32(0.5)  # minimum alpha of pixels with depth, as in the OpenGL renderer
-
 
 def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
@@ -78,7 +76,7 @@ def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     if with_depth or look not in ("ellipsoids", "overdraw"):
         rgba, weighted = composite(splats.shapes, splats.colors, tiles)
-        depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
+        depth = expected(weighted, rgba[..., 3], MIN_WEIGHT) if with_depth or look == "depth" else None
     if look == "ellipsoids":
         _cover(tiles, splats.shapes, splats.colors, rgba)
     elif look == "overdraw":
@@ -101,13 +99,7 @@ def _draw_behind_veil(
     is_rain = splats.shapes[order, 6] < MIN_SCENE_CUT
     alone = bin_into_tiles(splats.shapes, order[~is_rain], tiles.width, tiles.height)
     clear, weighted = composite(splats.shapes, splats.colors, alone)
-    return Frame(rgba, _expected_depth(weighted, clear[..., 3]))
-
-
-def _expected_depth(
-    weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
-) -> Float32[np.ndarray, "h w"]:
-    return np.where(weight > _MIN_WEIGHT, weighted / np.maximum(weight, _MIN_WEIGHT), np.float32(0))
+    return Frame(rgba, expected(weighted, clear[..., 3], MIN_WEIGHT))
 
 
 def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float32[np.ndarray, "h w 4"]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -12,7 +12,8 @@ from jaxtyping import Float32
 from ...rain.frame import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
-from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
+from ..cpu.compositing import expected
+from ..renderer import FARTHEST_M, MAX_FRAGMENTS, MIN_WEIGHT, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
 from .buffers import GpuArrays, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
 from .projection import ProjectionPass
@@ -27,7 +28,6 @@ class FramebufferLayout(NamedTuple):
     """Attachments of a framebuffer: the fragment shader's locations 0, 1, 2."""
 
     size: tuple[int, int]
-    dtype: str
     shares: bool = False
     depth: bool = False
 
@@ -45,11 +45,11 @@ class Framebuffer:
     @classmethod
     def make(cls, context: moderngl.Context, layout: FramebufferLayout) -> "Framebuffer":
         """Create the textures of a layout; raises `MemoryError` if the graphics card is full."""
-        color = context.texture(layout.size, 4, dtype=layout.dtype)
+        color = context.texture(layout.size, 4, dtype="f4")
         color.filter = moderngl.NEAREST, moderngl.NEAREST
         # Without rain the second attachment only keeps the location of the third.
         with_shares = layout.shares or layout.depth
-        shares = context.texture(layout.size, 2, dtype=layout.dtype) if with_shares else None
+        shares = context.texture(layout.size, 2, dtype="f4") if with_shares else None
         depth = context.texture(layout.size, 2, dtype="f4") if layout.depth else None
         check_gpu_memory(context, 16 * layout.size[0] * layout.size[1])
         attachments = [each for each in (color, shares, depth) if each is not None]
@@ -69,25 +69,16 @@ class SplatRenderer:
 
     Args:
         context: OpenGL 4.3 or later.
-        precision: Precision of the image. Half is for scenes without rain: it loses part of the haze.
         harmonics: GPU storage of colors.
         activates: Make the context current to draw and read, so that several can be used alternately on one thread.
     """
 
     name = "opengl"
 
-    def __init__(
-        self,
-        context: moderngl.Context,
-        precision: Literal["half", "single"] = "single",
-        harmonics: Harmonics = "half",
-        *,
-        activates: bool = False,
-    ) -> None:
+    def __init__(self, context: moderngl.Context, harmonics: Harmonics = "half", *, activates: bool = False) -> None:
         self.context = context
         self._active: AbstractContextManager[object] = context if activates else nullcontext()
         self.arrays = GpuArrays(context, harmonics)
-        self._dtype = "f2" if precision == "half" else "f4"
         self._projection = ProjectionPass(context, self.arrays)
         self._store = ProjectedSplatBuffer(context)
         self._is_software = is_software(context)
@@ -161,8 +152,7 @@ class SplatRenderer:
             check_context(self.context)
             if sums is None:
                 return Frame(rgba)
-            weighted, weight = np.moveaxis(sums, -1, 0)
-            return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
+            return Frame(rgba, expected(sums[..., 0], sums[..., 1], MIN_WEIGHT))
 
     def _take_stock(self) -> None:
         """Read the statistics of the last image from the GPU."""
@@ -176,15 +166,14 @@ class SplatRenderer:
 
     def _fetch(self, texture: moderngl.Texture) -> Float32[np.ndarray, "h w c"]:
         width, height = texture.size
-        values = np.frombuffer(texture.read(), np.float16 if texture.dtype == "f2" else np.float32)
-        return values.reshape(height, width, texture.components).astype(np.float32)
+        return np.frombuffer(texture.read(), np.float32).reshape(height, width, texture.components).copy()
 
     def _blend(
         self, order: moderngl.Buffer, camera: Camera, look: RenderMode, *, with_depth: bool, linear_rain: bool
     ) -> None:
         """Draw the sorted splats into an empty framebuffer."""
         size = (camera.width, camera.height)
-        target = self._target("splats", FramebufferLayout(size, self._dtype, linear_rain, with_depth))
+        target = self._target("splats", FramebufferLayout(size, linear_rain, with_depth))
         switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
         switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
         macros = {name: 1 for name, is_set in switches.items() if is_set} | dict(self._store.switches)
@@ -221,7 +210,7 @@ class SplatRenderer:
         for unit, (name, texture) in enumerate(textures.items()):
             texture.use(unit)
             program[name] = unit
-        target = self._target("resolved", FramebufferLayout(splats.layout.size, self._dtype))
+        target = self._target("resolved", FramebufferLayout(splats.layout.size))
         target.framebuffer.use()
         vertices.render(moderngl.TRIANGLES, vertices=3)
         return target.color

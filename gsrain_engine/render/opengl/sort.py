@@ -8,7 +8,7 @@ from jaxtyping import UInt32
 
 from ..cpu.projection import NEAR_M
 from .buffers import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, GrowableBuffer
-from .shaders import load_compute_shader
+from .shaders import load_compute_shader, set_uniforms
 
 KEY_BITS = 28
 DIGIT_BITS = 4
@@ -184,11 +184,10 @@ class PrefixSum:
         blocks are empty.
         """
         found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
-        for name, value in {
-            "blocks": blocks, "fixed_blocks": fixed, "found_copies": copies, "by_group": by_group,
-            "max_elements": max_elements,
-        }.items():  # fmt: skip
-            self._shader[name] = value
+        set_uniforms(
+            self._shader, blocks=blocks, fixed_blocks=fixed, found_copies=copies, by_group=by_group,
+            max_elements=max_elements,
+        )  # fmt: skip
         for binding, buffer in ((_COUNTS, counts), (_FOUND_WORK, found_work), (_WORK, work)):
             buffer.bind_to_storage_buffer(binding)
         self._shader.run()

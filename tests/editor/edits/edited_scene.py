@@ -68,8 +68,8 @@ def without(scene, *names):
     )
 
 
-def seen(scene, time_s=0.0):
-    """All that can be seen, in the world's meters, in an order that does not depend on who is drawn first."""
+def flattened(scene, time_s=0.0):
+    """All visible Gaussians in the world, in an order that does not depend on that of the members."""
     every = flatten_scene(scene, time_s)
     order = np.lexsort(np.round(every.means.T, 3))
     return every.take(order)

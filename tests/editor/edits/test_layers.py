@@ -8,18 +8,13 @@ import pytest
 from gsrain_engine.editor.edits import gaussians, layers
 from gsrain_engine.editor.edits.actors import turn_actor
 from gsrain_engine.editor.edits.gaussians import compact
-from gsrain_engine.editor.edits.transform import move_member, move_selected, preview_move
+from gsrain_engine.editor.edits.transform import Pose, move_member, move_selected, preview_move, set_layer_pose
 from gsrain_engine.recolor.result import with_colors
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.transforms import (
-    blend_wet_sh,
-    flatten_scene,
-    with_wet_colors_of,
-    with_wetness_baked,
-)
+from gsrain_engine.scene.transforms import blend_wet_sh, flatten_scene, with_wet_colors_of, with_wetness_baked
 
-from .edited_scene import assert_same, edited_scene, seen, turned, with_selection, without
+from .edited_scene import assert_same, edited_scene, flattened, turned, with_selection, without
 
 
 def names(scene):
@@ -35,7 +30,7 @@ def test_separating_keeps_the_picture_and_marks_what_left():
     assert (piece.opacity, piece.grading) == (rest.opacity, rest.grading)
     assert rest.gaussians is scene.layers[1].gaussians
     assert not rest.marks.selected
-    assert_same(seen(parted), seen(scene))
+    assert_same(flattened(parted), flattened(scene))
 
 
 def test_merging_keeps_the_picture_and_the_marks():
@@ -50,7 +45,7 @@ def test_merging_keeps_the_picture_and_the_marks():
     whole = one.layers[0]
     assert len(whole.gaussians) == 60
     assert (whole.marks.selected.size, whole.marks.hidden.size, whole.marks.deleted) == (11, 1, None)
-    assert_same(seen(one), seen(scene))
+    assert_same(flattened(one), flattened(scene))
     (mask,) = one.selections["both"].values()
     expected = scene.part(scene.layers[1]).to_world @ [*scene.layers[1].gaussians.means[2], 1]
     found = whole.gaussians.means[mask.indices] @ one.part(whole).to_world[:3, :3].T + one.part(whole).to_world[:3, 3]
@@ -67,65 +62,81 @@ def test_renaming_keeps_names_unique_and_selection_sets_true():
     assert names(layers.rename(scene, "layers/ground", "ground")) == names(scene)
     assert names(layers.rename(scene, "actors/car", "ground"))[-1] == "ground"  # layers and actors apart
     assert layers.remove(renamed, "layers/house 2").selections["three"] == {}
-    with pytest.raises(ValueError, match="empty"):
-        layers.rename(scene, "layers/ground", "  ")
+    again = layers.duplicate(layers.duplicate(scene, "layers/house"), "layers/house 2")
+    assert names(again) == ["ground", "house", "house 2", "house 3", "sky", "car"]
+    for swapped in (layers.move_up(scene, "layers/house"), layers.move_down(scene, "layers/ground")):
+        assert names(swapped) == ["house", "ground", "sky", "car"]
 
 
-def test_imported_scenes_keep_their_place_in_the_world():
-    scene, other = edited_scene(), replace(edited_scene(), metres_per_unit=2.0, up=(0.0, 0.0, 1.0))
-    other = replace(other, selections={"set": {"layers/ground": BitMask.all(40)}})
+@pytest.mark.parametrize(
+    ("edit", "arguments", "reason"),
+    [
+        (layers.separate, (), "selected"),
+        (gaussians.isolate_selected, (), "selected"),
+        (layers.rename, ("layers/ground", "  "), "empty"),
+        (layers.remove, ("layers/none",), "layers/none"),
+        (layers.remove, ("layers/house",), "house is locked"),
+        (layers.merge, (["layers/ground", "layers/house"],), "house is locked"),
+        (layers.merge, (["layers/ground", "layers/ground"],), "two"),
+        (layers.merge, (["layers/ground", "actors/car"],), "Actors"),
+        (layers.merge, (["layers/ground", "layers/sky"],), "sky"),
+        (layers.move_up, ("actors/car",), "first"),
+        (layers.move_down, ("layers/sky",), "last"),
+        (set_layer_pose, ("layers/ground", Pose((0, 0, 0), (0, 0, 0), 0)), "ground"),
+    ],
+)
+def test_impossible_edits_are_refused_with_the_reason(edit, arguments, reason):
+    with pytest.raises(ValueError, match=reason):
+        edit(edited_scene().with_member("layers/house", locked=True), *arguments)
+
+
+@pytest.mark.parametrize(("metres_per_unit", "up"), [(2.0, (0.0, 0.0, 1.0)), (0.75, (0.0, -1.0, 0.0))])
+def test_imported_scenes_keep_their_place_in_the_world(metres_per_unit, up):
+    scene, sets = edited_scene(), {"set": {"layers/ground": BitMask.all(40)}}
+    other = replace(edited_scene(), metres_per_unit=metres_per_unit, up=up, selections=sets)
     both = layers.import_scene(scene, other)
     assert names(both) == ["ground", "house", "sky", "ground 2", "house 2", "sky 2", "car", "car 2"]
     alone = replace(both, layers=both.layers[3:], actors=both.actors[1:])
     for time_s in (0.0, 2.5):
-        assert_same(seen(alone, time_s), seen(other, time_s), 1e-4)
+        assert_same(flattened(alone, time_s), flattened(other, time_s), 1e-4)
     assert list(both.selections["set"]) == ["layers/ground 2"]
-    assert both.actors[1].size_lwh == pytest.approx((16.0, 8.0, 6.0))  # 2 m instead of 0.5 m a unit
+    assert both.actors[1].size_lwh == pytest.approx(np.array([4.0, 2.0, 1.5]) * metres_per_unit / 0.5)
     assert layers.import_scene(replace(scene, layers=(), actors=()), other) is other
 
 
 TURN = turned(35, 0, 1.3, (0.5, -0.2, 0.1))
 
 
-def wet_of(member, seed=5):
-    return np.random.default_rng(seed).normal(0, 0.4, member.gaussians.sh.shape).astype(np.float32)
+def wet_of(member):
+    return np.random.default_rng(len(member.gaussians)).normal(0, 0.4, member.gaussians.sh.shape).astype(np.float32)
 
 
 def wet_scene(*names):
     """The scene of the other tests with wet colors for the members that are named, a selection and what is deleted."""
     scene = with_selection(edited_scene(), ground=9, house=7, car=5)
-    for seed, each in enumerate(scene.members):
+    for each in scene.members:
         gone = BitMask.of(np.arange(len(each.gaussians)) % 4 == 1)
-        wet = wet_of(each, seed) if not names or each.name in names else None
+        wet = wet_of(each) if not names or each.name in names else None
         scene = scene.with_member(each.key, wet_sh=wet, marks=replace(each.marks, deleted=gone))
     return scene
 
 
-def soaked(scene):
-    """Wet colors as the only ones."""
-    return with_wetness_baked(scene, 1.0)
-
-
 def wet_image(scene, wetness=0.0):
-    baked = [
-        flatten_scene(replace(scene, layers=(each,), actors=())) for each in with_wetness_baked(scene, wetness).layers
-    ]
-    baked += [
-        flatten_scene(replace(scene, layers=(), actors=(each,))) for each in with_wetness_baked(scene, wetness).actors
-    ]
-    return Gaussians.concatenate(baked)
+    """All members flattened one after the other, so that their order does not depend on who is drawn first."""
+    baked = with_wetness_baked(scene, wetness)
+    alone = [replace(scene, layers=(each,), actors=()) for each in baked.layers]
+    alone += [replace(scene, layers=(), actors=(each,)) for each in baked.actors]
+    return Gaussians.concatenate([flatten_scene(each) for each in alone])
 
 
+HOUSES = ["layers/house", "layers/house 2"]
 EDITS = {
-    "nothing": lambda scene: scene,
     "delete": gaussians.delete_selected,
     "isolate": gaussians.isolate_selected,
     "compact": compact,
     "separate": layers.separate,
     "merge": lambda scene: layers.merge(scene, ["layers/ground", "layers/house"]),
-    "merge alike": lambda scene: layers.merge(
-        layers.duplicate(scene, "layers/house"), ["layers/house", "layers/house 2"]
-    ),
+    "merge alike": lambda scene: layers.merge(layers.duplicate(scene, "layers/house"), HOUSES),
     "duplicate": lambda scene: layers.duplicate(scene, "actors/car"),
     "rename": lambda scene: layers.rename(scene, "layers/house", "shed"),
     "import": lambda scene: layers.import_scene(replace(without(scene, "sky"), up=(0.0, 0.0, 1.0)), scene),
@@ -143,7 +154,7 @@ EDITS = {
 def test_wet_colours_come_along(name, names):
     edit, scene = EDITS[name], wet_scene(*names)
     edited = edit(scene)
-    assert_same(wet_image(edited, 1.0), wet_image(edit(soaked(scene))))
+    assert_same(wet_image(edited, 1.0), wet_image(edit(with_wetness_baked(scene, 1.0))))
     assert_same(wet_image(edited, 0.0), wet_image(edit(with_wetness_baked(scene, 0.0))))
     assert any(each.wet_sh is not None for each in edited.members)
     assert np.abs(wet_image(edited, 1.0).sh - wet_image(edited, 0.0).sh).max() > 0.1
@@ -165,7 +176,6 @@ def test_a_finished_recolouring_leaves_everything_else():
     taken = with_wet_colors_of(meanwhile, finished)
     assert [each.wet_sh is not None for each in taken.members] == [True, True, False, True]
     assert all(new.gaussians is old.gaussians for new, old in zip(taken.members, meanwhile.members, strict=True))
-    with pytest.raises(ValueError, match="fit none"):
-        with_wet_colors_of(without(meanwhile, "ground", "house", "car"), finished)
-    with pytest.raises(ValueError, match="fit none"):
-        with_wet_colors_of(scene, scene)
+    for without_any, wet in ((without(meanwhile, "ground", "house", "car"), finished), (scene, scene)):
+        with pytest.raises(ValueError, match="fit none"):
+            with_wet_colors_of(without_any, wet)

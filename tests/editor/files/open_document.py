@@ -2,13 +2,12 @@
 
 import threading
 from concurrent.futures import wait
-from contextlib import suppress
 
 import numpy as np
 
 from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.edits.members import replace_scene
-from gsrain_engine.editor.jobs.job import Job, JobError
+from gsrain_engine.editor.jobs.job import Job
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.progress import Progress
@@ -44,6 +43,10 @@ def keep_now(editor):
     settle(editor)
 
 
+def full_disk(*_, **__):
+    raise OSError(28, "No space left on device")
+
+
 def names_in(folder):
     return {file.name: file.stat().st_ino for file in folder.rglob("*") if file.is_file()}
 
@@ -51,11 +54,9 @@ def names_in(folder):
 class HeldJob(Job):
     """A job in a thread that goes on until the test ends it."""
 
-    def __init__(self, title="Make it rainy", ends_with_scene=True):
-        self._is_ended, self._scene, self._fails = threading.Event(), None, False
-        super().__init__(
-            "make rainy", title, self._held, lambda _: self._scene, ends_with_scene=ends_with_scene, in_thread=True
-        )
+    def __init__(self, title="Make it rainy", **options):
+        self._is_ended, self._scene = threading.Event(), None
+        super().__init__("make rainy", title, self._held, lambda _: self._scene, in_thread=True, **options)
 
     def start(self, editor):
         """Start, and wait until it is at work."""
@@ -69,19 +70,11 @@ class HeldJob(Job):
             editor.jobs.wait(0.01)
             editor.jobs.poll()
 
-    def end(self, scene=None, *, fails=False):
-        """End with a scene or without one, or with an error."""
-        self.let_end(scene, fails=fails)
-        with suppress(JobError):
-            self.wait(60)
-
-    def let_end(self, scene=None, *, fails=False):
-        """The same, without waiting for it; for any thread."""
-        self._scene, self._fails = scene, fails
+    def let_end(self, scene=None):
+        """End with a scene or without one; for any thread."""
+        self._scene = scene
         self._is_ended.set()
 
     def _held(self):
         while not self._is_ended.wait(0.001):
             yield Progress(0.4, "at it")
-        if self._fails:
-            raise ValueError("the third wheel is missing")

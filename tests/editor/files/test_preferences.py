@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import recent_files, update_recent_files
 from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file
 
 
-def test_two_windows_keep_each_others_preferences():
-    first, second = Editor(), Editor()
+def test_two_windows_keep_each_others_preferences(sessions):
+    first, second = sessions(), sessions()
     first.preferences.set(theme="light")
     second.preferences.set(autosave_s=60.0)
     first.close()
@@ -20,21 +19,18 @@ def test_two_windows_keep_each_others_preferences():
 
 
 @pytest.mark.parametrize("text", ["theme: [", "theme: pink", "- 1", "\x00"])
-def test_a_bad_file_is_told_once_and_kept(text):
+def test_a_bad_file_is_reported_once_and_put_aside(sessions, text):
     preferences_file().parent.mkdir(parents=True)
     preferences_file().write_text(text)
-    editor = Editor()
+    editor = sessions()
     assert str(preferences_file()) in editor.status.question.text
     assert editor.preferences.value == Preferences()
     assert preferences_file().with_name("preferences.bad.yaml").read_text() == text
-    editor.close()
-    again = Editor()
-    assert again.status.question is None
-    again.close()
+    assert sessions().status.question is None
 
 
 def test_windows_do_not_lose_each_others_recent_files():
-    def add(first: int) -> None:
+    def add(first):
         for n in range(first, first + 3):
             update_recent_files(Path(f"/scenes/{n}"))
 

@@ -1,29 +1,15 @@
 """Autosaves of unsaved changes, and recovery in the next editor."""
 
-import subprocess
-import sys
-from pathlib import Path
+import multiprocessing
 
 from editor.files.open_document import answer, delete_every_third, keep_now, names_in, settle
 from gsrain_engine.editor.autosave import autosave_folder
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.formats.scene_files import read_scene
 
 
-def test_a_failed_autosave_is_reported_once_and_tried_again(editor, home, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    delete_every_third(editor)
-    with monkeypatch.context() as patched:
-        patched.setattr("gsrain_engine.editor.autosave.write_scene_folder", full)
-        keep_now(editor)
-        assert "autosave can't be written: No space left" in editor.status.problem
-        editor.status.dismiss()
-        keep_now(editor)
-        assert editor.status.problem is None
-    keep_now(editor)
-    assert (autosave_folder(home) / "scene" / "scene.json").exists()
-    editor.files.give_up()
+def deleted_in(scene):
+    return scene.members[0].marks.deleted
 
 
 def test_an_autosave_comes_in_time_and_goes_with_a_save(editor, home):
@@ -37,34 +23,21 @@ def test_an_autosave_comes_in_time_and_goes_with_a_save(editor, home):
     settle(editor)
     assert not autosave_folder(home).exists()  # not yet
     keep_now(editor)
-    kept = autosave_folder(home) / "scene"
-    assert read_scene(kept).members[0].marks.deleted.same_as(deleted)
-    assert read_scene(home).members[0].marks.deleted is None
-    linked = set(names_in(kept).values()) & set(names_in(home).values())
+    saved = autosave_folder(home) / "scene"
+    assert deleted_in(read_scene(saved)).same_as(deleted)
+    assert deleted_in(read_scene(home)) is None
+    linked = set(names_in(saved).values()) & set(names_in(home).values())
     assert len(linked) == 3  # the PLY files have a second name instead of a copy
     editor.files.save()
     settle(editor)
     assert not autosave_folder(home).exists()
-
-
-def test_closing_without_an_answer_loses_nothing(sessions, home, editor):
-    delete_every_third(editor)
+    editor.document.undo()
     keep_now(editor)
-    editor.close()  # the display is gone, say
-    again = sessions()
-    again.files.recovery.look()
-    settle(again)
-    assert "crossing" in again.status.question.text and str(home) in again.status.question.text
-    answer(again, "Recover")
-    assert again.document.scene.members[0].marks.deleted is not None
-    assert again.files.has_changes and again.files.home == home
-    again.files.save()
-    settle(again)
-    assert read_scene(home).members[0].marks.deleted is not None
-    assert not autosave_folder(home).exists()
+    assert autosave_folder(home).exists()  # the document differs from the saved one again
+    editor.files.give_up()
 
 
-def test_discard_and_later(sessions, home, editor):
+def test_an_autosave_can_be_put_off_and_discarded(sessions, home, editor):
     delete_every_third(editor)
     keep_now(editor)
     editor.close()
@@ -72,7 +45,7 @@ def test_discard_and_later(sessions, home, editor):
     later.files.open(str(home))
     settle(later)
     answer(later, "Later")
-    assert later.document.scene.members[0].marks.deleted is None
+    assert deleted_in(later.document.scene) is None
     delete_every_third(later)
     before = names_in(autosave_folder(home))
     keep_now(later)
@@ -88,44 +61,50 @@ def test_discard_and_later(sessions, home, editor):
     assert not autosave_folder(home).exists()
 
 
-def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sessions, home, editor):
+def edit_and_wait(home, pipe):
+    """Change a scene in a process of its own, let the autosave come, and wait to be killed."""
+    editor = Editor()
+    editor.files.open(str(home))
+    settle(editor)
     delete_every_third(editor)
+    editor.document.change_rain("Intensity", intensity_mm_h=8.5)
     keep_now(editor)
+    pipe.send("autosaved")
+    pipe.recv()
+
+
+def test_the_autosave_of_a_living_process_is_untouched_and_that_of_a_killed_one_recovered(sessions, home):
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=edit_and_wait, args=(home, theirs), daemon=True)
+    process.start()
+    assert ours.poll(120) and ours.recv() == "autosaved"
     before = names_in(autosave_folder(home))
-    other = sessions()
-    other.files.recovery.look()
-    other.files.open(str(home))
-    settle(other)
-    assert other.status.question.title == "Open twice"
-    answer(other, "Go on")
-    assert other.status.question is None
-    other.document.change_rain("Intensity", intensity_mm_h=3.0)
-    keep_now(other)
-    assert names_in(autosave_folder(home)) == before
-    other.files.give_up()
-
-
-def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_not(sessions, home):
-    program = Path(__file__).with_name("session_to_be_killed.py")
-    with subprocess.Popen(
-        [sys.executable, program, home], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout.readline() == "kept\n"
-        early = sessions()
+    early = sessions()
+    early.files.recovery.look()
+    for label, scene in (("Close it here", "no scene"), ("Go on", "crossing")):
         early.files.open(str(home))
-        early.files.recovery.look()
         settle(early)
         assert early.status.question.title == "Open twice"
-        answer(early, "Close it here")
-        assert early.status.question is None
-        process.kill()
+        answer(early, label)
+        assert (early.status.question, early.document.scene.name) == (None, scene)
+    early.document.change_rain("Intensity", intensity_mm_h=3.0)
+    keep_now(early)
+    assert names_in(autosave_folder(home)) == before
+    early.files.give_up()
+    early.close()
+    process.kill()
+    process.join()
     late = sessions()
     late.files.recovery.look()
     settle(late)
-    assert late.status.question.title == "Recover unsaved changes"
+    question = late.status.question
+    assert question.title == "Recover unsaved changes" and "crossing" in question.text and str(home) in question.text
     answer(late, "Recover")
-    assert late.document.scene.layers[0].marks.deleted.size == 100
-    assert late.document.rain.intensity_mm_h == 8.5
+    assert (deleted_in(late.document.scene).size, late.document.rain.intensity_mm_h) == (134, 8.5)
     assert late.files.home == home and late.files.has_changes
-    assert read_scene(home).layers[0].marks.deleted is None
-    late.files.give_up()
+    assert deleted_in(read_scene(home)) is None
+    late.files.save()
+    settle(late)
+    assert deleted_in(read_scene(home)).size == 134
+    assert not autosave_folder(home).exists()

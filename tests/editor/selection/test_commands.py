@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.selection.candidates import (
     all_selected,
     combine_selection,
@@ -19,7 +18,7 @@ from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 from .selection_scenes import cloud
 
-N = 50
+N, KEY = 50, "layers/plain"
 PUT_TOGETHER = {
     "set": lambda now, found: found,
     "add": lambda now, found: now | found,
@@ -29,90 +28,64 @@ PUT_TOGETHER = {
 flags = st.lists(st.booleans(), min_size=N, max_size=N).map(np.array)
 
 
-def marked(key="layers/plain", **marks):
-    return cloud(N).with_member(key, marks=SelectionFlags(**{name: BitMask.of(each) for name, each in marks.items()}))
+def marked(**marks):
+    return cloud(N).with_member(KEY, marks=SelectionFlags(**{name: BitMask.of(each) for name, each in marks.items()}))
 
 
 @settings(max_examples=30)
-@given(flags, flags, flags, flags, st.sampled_from(list(PUT_TOGETHER)))
-def test_modes_among_what_is_shown(now, found, hidden, deleted, mode):
-    scene = marked(selected=now, hidden=hidden, deleted=deleted)
-    after = combine_selection(scene, {"layers/plain": BitMask.of(found)}, mode)
-    shown_and_found = found & ~hidden & ~deleted
-    assert np.array_equal(selected(after.member("layers/plain")).flags, PUT_TOGETHER[mode](now, shown_and_found))
-    assert after.member("layers/plain").marks.hidden is scene.member("layers/plain").marks.hidden
+@given(flags, flags, flags, flags)
+def test_modes_and_whole_selections_among_what_can_be_seen(now, found, hidden, deleted):
+    scene, visible = marked(selected=now, hidden=hidden, deleted=deleted), ~hidden & ~deleted
+    results = {mode: combine_selection(scene, {KEY: BitMask.of(found)}, mode) for mode in PUT_TOGETHER}
+    results |= {"all": all_selected(scene), "none": none_selected(scene), "inverted": inverted(scene)}
+    expected = {mode: together(now, found & visible) for mode, together in PUT_TOGETHER.items()}
+    expected |= {"all": visible, "none": np.zeros(N, bool), "inverted": visible & ~now}
+    for name, after in results.items():
+        assert np.array_equal(selected(after.member(KEY)).flags, expected[name])
+        assert after.member(KEY).marks.hidden is scene.member(KEY).marks.hidden
+    assert selectable_count(scene) == selected_count(all_selected(scene)) == N + visible.sum()
 
 
 @pytest.mark.parametrize("fields", [{"locked": True}, {"visible": False}])
 def test_locked_and_hidden_members_are_passed_by(fields):
-    half = np.arange(N) < N // 2
-    scene = marked(selected=half).with_member("layers/plain", **fields)
-    assert selected_count(scene) == 0
-    assert selectable_count(scene) == N
+    scene = marked(selected=np.arange(N) < N // 2).with_member(KEY, **fields)
+    assert (selected_count(scene), selectable_count(scene)) == (0, N)
     for after in (all_selected(scene), none_selected(all_selected(scene)), inverted(scene)):
-        assert after.member("layers/plain") is scene.member("layers/plain")
+        assert after.member(KEY) is scene.member(KEY)
     assert selected_count(all_selected(scene)) == N
 
 
-def test_all_none_invert():
-    deleted = np.arange(N) < 10
-    scene = marked(deleted=deleted)
-    everything = all_selected(scene)
-    assert selected_count(everything) == 2 * N - 10 == selectable_count(scene)
-    assert not (selected(everything.layers[0]).flags & deleted).any()
-    assert selected_count(inverted(everything)) == 0
-    assert none_selected(everything).layers[0].marks.selected is None
-    half = combine_selection(scene, {"layers/plain": BitMask.of(np.arange(N) % 2 == 0)}, "set")
-    assert selected_count(inverted(half)) == selectable_count(scene) - selected_count(half)
-    twice = inverted(inverted(half))
-    assert all(selected(a).same_as(selected(b)) for a, b in zip(twice.layers, half.layers, strict=True))
-
-
-KEY = "layers/plain"
-
-
 @pytest.fixture
-def editor():
-    opened = Editor(cloud())
-    yield opened
-    opened.close()
+def selection(editor):
+    """The commands of an editor, with the first 30 Gaussians of the road selected."""
+    road = BitMask.of(np.arange(len(editor.document.scene.layers[0].gaussians)) < 30)
+    editor.selection.select("set", "lasso", lambda _: {"layers/road": road})
+    return editor.selection
 
 
-def first(count):
-    return {KEY: BitMask.of(np.arange(300) < count)}
-
-
-def choose(editor, mode, by, found):
-    editor.selection.select(mode, by, lambda scene: found)
-
-
-def test_sets_are_saved_recalled_renamed_and_deleted_and_all_is_undone(editor):
-    assert editor.selection.is_empty
-    choose(editor, "set", "lasso", first(30))
-    assert editor.selection.save_set()
+def test_sets_are_saved_recalled_renamed_and_deleted_and_all_is_undone(editor, selection):
+    assert selection.save_set()
     assert list(editor.document.scene.selections) == ["selection 1"]
-    editor.selection.select_none()
-    editor.selection.recall_set("selection 1", "add")
+    selection.select_none()
+    assert selection.is_empty
+    selection.recall_set("selection 1", "add")
     assert editor.document.history.undo_label == "Add 30 by set selection 1"
-    editor.selection.rename_set("selection 1", " heads ")
+    selection.rename_set("selection 1", " heads ")
     assert list(editor.document.scene.selections) == ["heads"]
-    editor.selection.remove_set("heads")
-    assert editor.document.scene.selections == {}
-    assert selected_count(editor.document.scene) == 30
+    selection.remove_set("heads")
+    assert (editor.document.scene.selections, selected_count(editor.document.scene)) == ({}, 30)
     while editor.document.history.undo_label is not None:
         editor.document.undo()
-    assert editor.document.scene.selections == {}
-    assert selected_count(editor.document.scene) == 0
+    assert (editor.document.scene.selections, selected_count(editor.document.scene)) == ({}, 0)
 
 
-def test_sets_need_a_selection_and_a_name_of_their_own(editor):
-    editor.selection.save_set()
-    assert "nothing is selected" in editor.status.problem
-    choose(editor, "set", "lasso", first(3))
-    for editor.selection.set_name in ("a", "b"):
-        assert editor.selection.save_set()
+def test_sets_need_a_selection_and_a_name_of_their_own(editor, selection):
+    for selection.set_name in ("a", "b"):
+        assert selection.save_set()
     before = editor.document.scene
     for other in ("b", "  "):
         editor.status.dismiss()
-        editor.selection.rename_set("a", other)
+        selection.rename_set("a", other)
         assert editor.status.problem and editor.document.scene is before
+    selection.select_none()
+    assert not selection.save_set() and "nothing is selected" in editor.status.problem

@@ -1,6 +1,6 @@
 """Selection in the image: shapes, and the Gaussians in them."""
 
-from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from hypothesis import given, settings
@@ -12,7 +12,6 @@ from gsrain_engine.editor.selection.screen import (
     rectangle,
     select_in_screen_shape,
     stroke,
-    visible_shares,
 )
 
 from .selection_scenes import HEIGHT, WIDTH, cloud, pixels_of, shot_at, two_walls, world_means
@@ -21,33 +20,33 @@ W, H = 40, 30
 places = st.tuples(st.integers(-1300, 3900), st.integers(-1300, 3300)).map(lambda xy: (xy[0] / 65, xy[1] / 65))
 
 
-def centers():
-    return np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
+X, Y = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
+
+
+def distance_to_line(points):
+    """From the centers of pixels."""
+    nearest = np.full((H, W), np.inf)
+    for (x0, y0), (x1, y1) in pairwise(points):
+        length = max((x1 - x0) ** 2 + (y1 - y0) ** 2, 1e-12)
+        t = np.clip(((X - x0) * (x1 - x0) + (Y - y0) * (y1 - y0)) / length, 0, 1)
+        nearest = np.minimum(nearest, np.hypot(X - x0 - t * (x1 - x0), Y - y0 - t * (y1 - y0)))
+    return nearest
 
 
 @given(st.lists(places, min_size=3, max_size=12))
 def test_polygon_is_even_odd_at_the_centers_of_pixels(corners):
-    x, y = centers()
-    inside, distance = np.zeros((H, W), bool), np.full((H, W), np.inf)
-    for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
+    closed, inside = [*corners, corners[0]], np.zeros((H, W), bool)
+    for (x0, y0), (x1, y1) in pairwise(closed):
         if y0 != y1:
-            crosses = (y0 <= y) != (y1 <= y)
-            inside ^= crosses & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
-        length = max((x1 - x0) ** 2 + (y1 - y0) ** 2, 1e-12)
-        t = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length, 0, 1)
-        distance = np.minimum(distance, np.hypot(x - x0 - t * (x1 - x0), y - y0 - t * (y1 - y0)))
-    clear = distance > 1e-6
+            crosses = (y0 <= Y) != (y1 <= Y)
+            inside ^= crosses & (x0 + (Y - y0) / (y1 - y0) * (x1 - x0) > X)
+    clear = distance_to_line(closed) > 1e-6
     assert np.array_equal(polygon(corners, W, H)[clear], inside[clear])
 
 
 @given(st.lists(places, min_size=1, max_size=6), st.floats(2, 15))
 def test_stroke_is_what_is_near_the_line(points, radius):
-    x, y = centers()
-    distance = np.full((H, W), np.inf)
-    for (x0, y0), (x1, y1) in zip(points, points[1:] + points[-1:], strict=True):
-        length = max((x1 - x0) ** 2 + (y1 - y0) ** 2, 1e-12)
-        t = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length, 0, 1)
-        distance = np.minimum(distance, np.hypot(x - x0 - t * (x1 - x0), y - y0 - t * (y1 - y0)))
+    distance = distance_to_line([*points, points[-1]])
     drawn = stroke(points, radius, W, H)
     assert drawn[distance < radius - 1].all()
     assert not drawn[distance > radius + 1].any()
@@ -92,13 +91,3 @@ def test_front_most_leaves_what_is_behind_a_wall_alone():
     assert through["layers/back"].size > 10
     assert front["layers/back"].size == 0
     assert front["layers/front"].size > 0.9 * through["layers/front"].size > 10
-
-
-def test_seen_share_is_what_lies_before_lets_through():
-    scene, shot = two_walls(), shot_at((0.0, -8, 0))
-    glass = replace(scene.layers[0].gaussians, opacities=np.full(len(scene.layers[0].gaussians), 0.02, np.float32))
-    scene = scene.with_member("layers/front", gaussians=glass)
-    shares = visible_shares(scene, shot, (34, 22, 62, 42))["layers/back"]
-    assert 0.3 < np.median(shares[shares > 0]) <= 1
-    opaque = visible_shares(two_walls(), shot, (34, 22, 62, 42))["layers/back"]
-    assert opaque.max() < 0.05

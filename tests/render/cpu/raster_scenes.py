@@ -1,9 +1,14 @@
-"""Small random scenes for the rasterizer's tests."""
+"""Small random scenes for the renderers' tests, and how their pictures are drawn and compared."""
 
+from collections.abc import Callable, Sequence
+
+import numba
 import numpy as np
 
+from gsrain_engine.render.renderer import Frame, Renderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import DrawItem
 
 
 def random_gaussians(
@@ -24,3 +29,34 @@ def random_gaussians(
 def small_camera(width: int = 75, height: int = 53) -> Camera:
     """Look along +z with an off-center principal point; the size is no multiple of a tile."""
     return Camera(width, height, 60.0, 64.0, 0.42 * width, 0.55 * height)
+
+
+def similarity(scale: float, seed: int) -> np.ndarray:
+    """A turn by chance, and a scale."""
+    rotation, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation * np.sign(np.linalg.det(rotation))
+    return matrix
+
+
+def drawn(renderer: Renderer, parts: Sequence[DrawItem] | Gaussians, *arguments, camera=None, **options) -> Frame:
+    """Draw parts, or Gaussians in the world, by the small camera if none is given."""
+    parts = [DrawItem(parts, np.eye(4))] if isinstance(parts, Gaussians) else parts
+    renderer.draw(parts, camera or small_camera(), *arguments, **options)
+    return renderer.read()
+
+
+def psnr_db(a: Frame, b: Frame) -> float:
+    return float(-10 * np.log10(max(np.mean((a.rgba - b.rgba) ** 2), 1e-20)))
+
+
+def at_each_thread_count(work: Callable[[], bytes]) -> set[bytes]:
+    """Results of some work by each number of threads, and once more."""
+    results, before = set[bytes](), numba.get_num_threads()
+    try:
+        for threads in (*range(1, numba.config.NUMBA_NUM_THREADS + 1), before):
+            numba.set_num_threads(threads)
+            results.add(work())
+    finally:
+        numba.set_num_threads(before)
+    return results

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from given_rain import GivenRain, given_rain
+from given_rain import given_rain
 from gsrain_engine.render.cpu.projection import NEAR_M, project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.renderer import Frame, RenderMode
@@ -13,7 +13,7 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_slowly
 
-from .raster_scenes import random_gaussians, small_camera
+from .raster_scenes import drawn, random_gaussians, small_camera
 
 COUNT = 40
 HERE = np.eye(4)
@@ -39,38 +39,29 @@ def changed(gaussians: Gaussians, what: list[tuple[str, int, int, float]]) -> Ga
     return Gaussians(**arrays)
 
 
-def drawn(gaussians: Gaussians, look: RenderMode = "splats", rain: GivenRain | None = None) -> Frame:
-    renderer = CpuRenderer()
-    renderer.draw([DrawItem(gaussians, HERE)], small_camera(), rain, with_depth=True, look=look)
-    return renderer.read()
+def picture(gaussians: Gaussians, *arguments, **options) -> Frame:
+    return drawn(CpuRenderer(), gaussians, *arguments, with_depth=True, **options)
 
 
-def is_sound(frame: Frame) -> bool:
-    assert frame.depth is not None
-    finite = np.isfinite(frame.rgba).all() and np.isfinite(frame.depth).all()
-    return bool(finite and frame.rgba.min() >= 0 and frame.rgba[..., 3].max() <= 1 + 1e-5)
-
-
-@settings(max_examples=60)
-@given(what=changes, look=st.sampled_from(LOOKS))
-@example(what=[("means", 0, 2, just_before), ("means", 1, 2, just_behind)], look="splats")
-def test_pictures_stay_finite_and_repeat_themselves(what, look):
-    gaussians = changed(random_gaussians(COUNT, 1, 1), what)
-    frame = drawn(gaussians, look)
-    assert is_sound(frame)
-    again = drawn(gaussians, look)
+@pytest.mark.parametrize("kind", ["cpu", "opengl"])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(what=changes, look=st.sampled_from(LOOKS), mixing=st.sampled_from([None, "linear", "display"]))
+@example(what=[("means", 0, 2, just_before), ("means", 1, 2, just_behind)], look="splats", mixing=None)
+def test_pictures_stay_finite_and_repeat_themselves(open_kind, kind, what, look, mixing):
+    """Also with strange rain."""
+    renderer = open_kind(kind)
+    gaussians, rain = changed(random_gaussians(COUNT, 1, 1), what), None
+    if mixing is not None:
+        drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
+        rain = given_rain(drops, np.ones(3, np.float32), mixing)
+    with_depth = kind == "cpu" or look == "splats"
+    frame, again = (drawn(renderer, gaussians, rain, look=look, with_depth=with_depth) for _ in range(2))
+    assert np.isfinite(frame.rgba).all()
+    assert not with_depth or np.isfinite(frame.depth).all()
+    assert frame.rgba.min() >= 0
+    assert frame.rgba[..., 3].max() <= 1 + 1e-5
     assert frame.rgba.tobytes() == again.rgba.tobytes()
-    assert frame.depth.tobytes() == again.depth.tobytes()
-
-
-@settings(max_examples=30)
-@given(what=changes, mixing=st.sampled_from(["linear", "display"]))
-def test_strange_rain_stays_finite_and_repeats_itself(what, mixing):
-    drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
-    rain = given_rain(drops, np.ones(3, np.float32), mixing)
-    frame = drawn(random_gaussians(COUNT, 1, 1), rain=rain)
-    assert is_sound(frame)
-    assert frame.rgba.tobytes() == drawn(random_gaussians(COUNT, 1, 1), rain=rain).rgba.tobytes()
+    assert not with_depth or frame.depth.tobytes() == again.depth.tobytes()
 
 
 @settings(max_examples=60)
@@ -79,7 +70,7 @@ def test_what_is_left_out_leaves_the_others_alone(what):
     gaussians = changed(random_gaussians(COUNT, 1, 1), what)
     splats = project([DrawItem(gaussians, HERE)], small_camera())
     seen = np.sort(splats.indices[splats.nearest_first()])
-    np.testing.assert_array_equal(drawn(gaussians).rgba, drawn(gaussians.take(seen)).rgba)
+    np.testing.assert_array_equal(picture(gaussians).rgba, picture(gaussians.take(seen)).rgba)
     touched = {row for _, row, _, _ in what}
     whole = project([DrawItem(random_gaussians(COUNT, 1, 1), HERE)], small_camera())
     visible = set(whole.indices[whole.nearest_first()].tolist())
@@ -91,11 +82,11 @@ def test_what_is_left_out_leaves_the_others_alone(what):
 def test_what_is_not_finite_is_left_out(field, value):
     gaussians = random_gaussians(COUNT, 1, 1)
     for column in range(getattr(gaussians, field).reshape(COUNT, -1).shape[1]):
-        frame = drawn(changed(gaussians, [(field, 7, column, value)]))
+        frame = picture(changed(gaussians, [(field, 7, column, value)]))
         if field == "opacities" and value == np.inf:  # opaque, no more
-            expected = drawn(changed(gaussians, [(field, 7, 0, 1.0)]))
+            expected = picture(changed(gaussians, [(field, 7, 0, 1.0)]))
         else:
-            expected = drawn(gaussians.take(np.delete(np.arange(COUNT), 7)))
+            expected = picture(gaussians.take(np.delete(np.arange(COUNT), 7)))
         np.testing.assert_array_equal(frame.rgba, expected.rgba)
 
 
@@ -110,7 +101,7 @@ def test_needles_and_planes_agree_with_the_reference(seed, longest, opacity):
     thin = np.where(np.arange(COUNT) % 2, 1e-4, 1.0)[:, None] * np.array([[1.0, 1e-4, 0]])
     opacities = np.where(np.arange(COUNT) % 3, g.opacities, opacity).astype(np.float32)
     gaussians = Gaussians(g.means, (longest * thin).astype(np.float32), g.quaternions, opacities, g.sh)
-    frame, slow = drawn(gaussians), rasterize_slowly([DrawItem(gaussians, HERE)], small_camera())
+    frame, slow = picture(gaussians), rasterize_slowly([DrawItem(gaussians, HERE)], small_camera())
     difference = np.abs(frame.rgba - slow[..., :4]).max(axis=-1)
     assert difference.max() < 2e-2
     assert (difference > 3e-4).mean() < 0.01
@@ -121,4 +112,4 @@ def test_the_near_plane_is_exact():
     means = np.array([[0, 0, just_before], [0, 0, just_behind]], np.float32)
     for i, is_seen in ((0, False), (1, True)):
         one = Gaussians(means[i : i + 1], g.scales[:1], g.quaternions[:1], np.ones(1, np.float32), g.sh[:1])
-        assert drawn(one).rgba.any() == is_seen
+        assert picture(one).rgba.any() == is_seen

@@ -13,7 +13,7 @@ from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_slowly
 
-from .raster_scenes import random_gaussians, small_camera
+from .raster_scenes import drawn, random_gaussians, small_camera
 
 HERE = np.eye(4)
 LOOKS: tuple[RenderMode, ...] = get_args(RenderMode)
@@ -28,14 +28,8 @@ def one(
     return Gaussians(means, scale, turn, alpha, sh_from_color(np.array([color], np.float32)))
 
 
-def drawn(gaussians: Gaussians, look: RenderMode, camera: Camera | None = None, **more) -> Frame:
-    return seen([DrawItem(gaussians, HERE)], look, camera, **more)
-
-
 def seen(parts, look: RenderMode, camera: Camera | None = None, **more) -> Frame:
-    renderer = CpuRenderer()
-    renderer.draw(parts, camera or square_camera(), look=look, **more)
-    return renderer.read()
+    return drawn(CpuRenderer(), parts, camera=camera or square_camera(), look=look, **more)
 
 
 def square_camera() -> Camera:
@@ -63,17 +57,17 @@ def test_looks_show_the_scene_without_rain_and_are_finite(look):
 
 def test_points_are_opaque_dots_of_one_pixel():
     gaussians = one(opacity=0.01, scales=(0.9, 1e-4, 0.3))
-    alpha = drawn(gaussians, "points").rgba[..., 3]
+    alpha = seen(gaussians, "points").rgba[..., 3]
     v, u = np.mgrid[:41, :41] - 20
     dot = np.minimum(np.exp(-0.5 * (u**2 + v**2)), 0.999)
     np.testing.assert_allclose(alpha, np.where(dot >= 1 / 255, dot, 0), atol=1e-5)
-    np.testing.assert_allclose(straight(drawn(gaussians, "points")), [0.2, 0.4, 0.9], atol=1e-5)
+    np.testing.assert_allclose(straight(seen(gaussians, "points")), [0.2, 0.4, 0.9], atol=1e-5)
 
 
 @pytest.mark.parametrize("opacity", [0.3, 0.8, 1.0])
 def test_an_ellipsoid_is_where_alpha_is_a_quarter_and_shaded_like_a_ball(opacity):
     gaussians = one(opacity=opacity, scales=(0.7, 0.3, 0.2))
-    rgba = drawn(gaussians, "ellipsoids").rgba
+    rgba = seen(gaussians, "ellipsoids").rgba
     alpha = rasterize_slowly([DrawItem(gaussians, HERE)], square_camera())[..., 3]
     inside = np.abs(alpha - 0.25) > 1e-4
     np.testing.assert_array_equal(rgba[inside, 3], (alpha >= 0.25)[inside])
@@ -88,22 +82,22 @@ def test_an_ellipsoid_is_where_alpha_is_a_quarter_and_shaded_like_a_ball(opacity
 def test_the_nearest_ellipsoid_covers_and_faint_gaussians_have_none():
     red, blue = one(3.0, 0.5, (0.2, 0.2, 0.2), (1, 0, 0)), one(5.0, 1.0, (2, 2, 2), (0, 0, 1))
     veil = one(2.0, 0.24, (3, 3, 3), (1, 1, 1))
-    rgba = drawn(Gaussians.concatenate([blue, veil, red]), "ellipsoids").rgba
+    rgba = seen(Gaussians.concatenate([blue, veil, red]), "ellipsoids").rgba
     assert rgba[20, 20, 0] > 0.9
     assert rgba[20, 20, 2] == 0
     assert rgba[8, 8, 2] > 0.5
-    alone = drawn(Gaussians.concatenate([veil, red]), "ellipsoids").rgba[..., 3]
+    alone = seen(Gaussians.concatenate([veil, red]), "ellipsoids").rgba[..., 3]
     assert set(np.unique(alone)) == {0, 1}
 
 
 def test_normals_are_the_shortest_axes_turned_to_the_camera():
     half = np.sqrt(0.5)
     flat = {"scales": (0.5, 0.5, 0.01)}
-    np.testing.assert_allclose(straight(drawn(one(**flat), "normals")), [0.5, 0.5, 0], atol=1e-5)
+    np.testing.assert_allclose(straight(seen(one(**flat), "normals")), [0.5, 0.5, 0], atol=1e-5)
     # A quarter turn about y, then an eighth: the normal leans by 45 degrees in the x-z plane.
     leaning = one(**flat, quaternion=(np.cos(np.pi / 8), 0, np.sin(np.pi / 8), 0))
     expected = 0.5 + 0.5 * np.array([-half, 0, -half])
-    np.testing.assert_allclose(straight(drawn(leaning, "normals")), expected, atol=1e-5)
+    np.testing.assert_allclose(straight(seen(leaning, "normals")), expected, atol=1e-5)
     # The same in a turned and enlarged part, from another place: normals are those of the world.
     turned = np.array([[0, -2, 0, 0], [2, 0, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]], float)
     camera = replace(
@@ -111,28 +105,28 @@ def test_normals_are_the_shortest_axes_turned_to_the_camera():
     )
     expected = 0.5 + 0.5 * np.array([0, -half, -half])
     np.testing.assert_allclose(straight(seen([DrawItem(leaning, turned)], "normals", camera)), expected, atol=1e-5)
-    splats = drawn(leaning, "splats").rgba[..., 3]
-    np.testing.assert_array_equal(drawn(leaning, "normals").rgba[..., 3], splats)
+    splats = seen(leaning, "splats").rgba[..., 3]
+    np.testing.assert_array_equal(seen(leaning, "normals").rgba[..., 3], splats)
 
 
 @pytest.mark.parametrize("depth", [0.5, 3.0, 200.0, 900.0])
 def test_depth_is_the_heat_of_its_logarithm(depth):
-    frame = drawn(one(depth, 1.0, (depth, depth, 0.1)), "depth")
+    frame = seen(one(depth, 1.0, (depth, depth, 0.1)), "depth")
     t = np.float32(np.clip(np.log(depth / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M), 0, 1))
     np.testing.assert_allclose(frame.rgba[20, 20], [*turbo_colors(np.array([t]))[0], 1], atol=1e-4)
     assert frame.depth is not None
     assert frame.depth[20, 20] == pytest.approx(depth, rel=1e-4)
-    thin = drawn(one(depth, 0.4, (depth, depth, 0.1)), "depth")
+    thin = seen(one(depth, 0.4, (depth, depth, 0.1)), "depth")
     assert not thin.rgba.any()
 
 
 def test_overdraw_counts_fragments_also_behind_what_is_opaque():
     walls = Gaussians.concatenate([one(2.0 + i, 1.0, (9, 9, 9)) for i in range(40)])
     dot = one(1.0, 1.0, (0.02, 0.02, 0.02))
-    rgba = drawn(Gaussians.concatenate([walls, dot]), "overdraw").rgba
+    rgba = seen(Gaussians.concatenate([walls, dot]), "overdraw").rgba
     colors = turbo_colors(np.array([40, 41], np.float32) / np.float32(MAX_FRAGMENTS))
     np.testing.assert_allclose(rgba[0, 0], [*colors[0], 1], atol=1e-6)
     np.testing.assert_allclose(rgba[20, 20], [*colors[1], 1], atol=1e-6)
     alpha = rasterize_slowly([DrawItem(dot, HERE)], square_camera())[..., 3]
-    alone = drawn(dot, "overdraw").rgba[..., 3]
+    alone = seen(dot, "overdraw").rgba[..., 3]
     np.testing.assert_array_equal(alone, alpha > 0)

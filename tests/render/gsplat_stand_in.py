@@ -1,4 +1,4 @@
-"""Stand-in for a differentiable `gsplat.rasterization`, computed densely by torch."""
+"""Stand-in for `gsplat.rasterization`, differentiable, computed densely by torch."""
 
 import torch
 
@@ -7,34 +7,22 @@ from oracles.dense_gradients import alphas_of, display_colors, in_image, weights
 
 
 def rasterization(
-    means,
-    quats,
-    scales,
-    opacities,
-    colors,
-    viewmats,
-    Ks,
-    width,
-    height,
-    near_plane=0.01,
-    far_plane=1e10,
-    eps2d=0.3,
-    sh_degree=None,
-    packed=True,
-    render_mode="RGB",
-):
-    """One camera, unpacked, color and accumulated depth: what we train with of gsplat 1.5."""
+    means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane=0.01, far_plane=1e10, eps2d=0.3,
+    sh_degree=None, packed=True, render_mode="RGB",
+):  # fmt: skip
+    """One camera, colors of any number of channels, accumulated depth: what we use of gsplat 1.5."""
     n = len(means)
     assert n > 0
     assert means.shape == scales.shape == (n, 3)
     assert quats.shape == (n, 4)
     assert opacities.shape == (n,)
-    assert colors.shape == ((n, 3) if sh_degree is None else (n, (sh_degree + 1) ** 2, 3))
+    assert colors.shape[0] == n
+    assert colors.shape[1:] == ((sh_degree + 1) ** 2, 3) if sh_degree is not None else colors.ndim == 2
     assert viewmats.shape == (1, 4, 4)
     assert Ks.shape == (1, 3, 3)
     assert {each.dtype for each in (means, quats, scales, opacities, colors, viewmats, Ks)} == {torch.float32}
     assert all(torch.isfinite(each).all() for each in (means, quats, scales, opacities, colors))
-    assert (near_plane, far_plane, eps2d, packed, render_mode) == (0.2, 1e10, 0.3, False, "RGB+D")
+    assert (near_plane, far_plane, eps2d) == (0.2, 1e10, 0.3)
     (fx, _, cx), (_, fy, cy), _ = Ks[0].tolist()
     camera = Camera(width, height, fx, fy, cx, cy)
     pose = viewmats[0]
@@ -45,7 +33,9 @@ def rasterization(
     means2d = means2d[None] + 0  # a tensor of its own between projection and picture, as in gsplat
     alphas = alphas_of(means2d[0], covariances, opacities, camera) * seen[:, None, None]
     order = torch.argsort(before_camera[:, 2].detach(), stable=True)
-    channels = torch.cat([display_colors(means, colors, pose), before_camera[:, 2:]], dim=1)
+    channels = display_colors(means, colors, pose)
+    if render_mode == "RGB+D":
+        channels = torch.cat([channels, before_camera[:, 2:]], dim=1)
     weights = weights_of(alphas[order])
     image = torch.einsum("nhw,nc->hwc", weights, channels[order])
     drawn = (alphas > 0).any(dim=(1, 2))
@@ -56,4 +46,5 @@ def rasterization(
         "conics": torch.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], dim=1)[None]
         * drawn[None, :, None],
     }
+    assert packed or render_mode == "RGB+D"  # the shapes of `found` are those of unpacked results
     return image[None], weights.sum(dim=0)[None, ..., None], found

@@ -2,18 +2,20 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.editor.jobs import process
-from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, ThreadTasks
-from gsrain_engine.editor.jobs.process import SharedImage, WorkerProcess
+from editor.files.open_document import full_disk
+from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves
+from gsrain_engine.editor.jobs.process import SharedImage
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.threads import WORKER_NICENESS, usable_cores
 
@@ -40,7 +42,7 @@ class Places:
 
     def inputs(self, folder):
         self.folder = folder
-        (folder / "scene").write_text("input")
+        os.mkfifo(folder / "go on")
         return (folder,)
 
     def take(self, result, is_final):
@@ -49,36 +51,34 @@ class Places:
     def job(self, work, read=lambda _: None, **options):
         return Job("recolor", "Recolor", work, read, options.pop("inputs", self.inputs), **options)
 
+    def snapshot(self, folder):
+        """Read a new snapshot, and let the worker go on."""
+        found = (folder / "snapshot").read_text()
+        if (found, False) in self.results:
+            return None
+        (folder / "go on").write_text("")
+        return found
+
 
 # A job that succeeds
 
 
 def painting(folder):
     """Report three steps with snapshots, the last with a warning, a large picture and the settings of its process."""
-    assert (folder / "scene").read_text() == "input"
     for step in (1, 2, 3):
         (folder / "snapshot").write_text(f"snapshot {step}")
         image, metrics = np.full((30, 40, 3), step, np.uint8), {"step": 10 * step, "loss": 1 / step}
         yield Progress(step / 4, "painting", image, metrics)
-        while not (folder / f"read snapshot {step}").exists():
-            time.sleep(0.001)
+        (folder / "go on").read_text()  # ends when the snapshot was read
     threads = os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"]
     (folder / "result").write_text(f"{psutil.Process().nice()} {threads}")
     yield Progress(0.9, "thinking", np.full((3000, 4000, 3), 7, np.uint8), warning="nothing is learned")
 
 
-def read_snapshot(folder):
-    found = (folder / "snapshot").read_text()
-    if (folder / f"read {found}").exists():
-        return None
-    (folder / f"read {found}").touch()
-    return found
-
-
 def test_a_job_reports_snapshots_metrics_a_warning_and_pictures_and_hands_over_its_result(runner, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
     places = Places()
-    job = places.job(painting, lambda folder: (folder / "result").read_text(), snapshot=read_snapshot)
+    job = places.job(painting, lambda folder: (folder / "result").read_text(), snapshot=places.snapshot)
     job.cancel()
     assert job.state == "queued"
     assert runner.start(job, places.take) is job
@@ -97,19 +97,6 @@ def test_a_job_reports_snapshots_metrics_a_warning_and_pictures_and_hands_over_i
     assert runner.all == []
 
 
-def test_a_job_in_a_thread_reports_its_last_message(runner):
-    found = []
-
-    def searching(count):
-        for k in range(count):
-            yield Progress(k / count, "searching")
-            found.append(k)
-
-    job = Job("floaters", "Find floaters", searching, lambda _: found, lambda _: (3,), in_thread=True)
-    assert runner.start(job, lambda result, _: f"Found {len(result)}").wait(60) == [0, 1, 2]
-    assert job.progress.message == "Found 3"
-
-
 # Jobs that fail
 
 
@@ -118,19 +105,9 @@ def failing(_):
     raise ValueError("the third wheel is missing")
 
 
-def failing_unforeseen(_):
-    yield Progress(0.5, "about to fail")
-    raise RuntimeError("the third wheel is missing")
-
-
 def killed(_):
     yield Progress(0.25, "about to die")
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def crashing(_):
-    yield Progress(0.25, "about to crash")
-    os.kill(os.getpid(), signal.SIGSEGV)
 
 
 def leaving(_):
@@ -147,10 +124,6 @@ def succeeding(_):
     yield Progress(1.0, "done")
 
 
-def full_disk(*_):
-    raise OSError(28, "No space left on device")
-
-
 def with_a_function(folder):
     return (lambda: folder,)
 
@@ -160,22 +133,15 @@ def with_a_function(folder):
     [
         ({"work": failing}, "the third wheel is missing", "in failing"),
         ({"work": failing, "in_thread": True}, "the third wheel is missing", "in failing"),
-        ({"work": failing_unforeseen}, "RuntimeError: the third wheel", "in failing_unforeseen"),
         ({"work": killed}, "killed", None),
-        ({"work": crashing}, "SIGSEGV", None),
         ({"work": leaving}, "exit code 3", None),
         ({"work": hungry}, "the machine ran out of memory", "in hungry"),
         ({"inputs": full_disk}, "No space left", "in full_disk"),
         ({"inputs": with_a_function}, "pickle", "with_a_function"),
         ({"read": full_disk}, "No space left", "in full_disk"),
-        ({"snapshot": full_disk, "work": failing_unforeseen}, "", ""),  # either of the two errors comes first
+        ({"snapshot": full_disk, "work": failing}, "", ""),  # either of the two errors comes first
         ({"on_result": full_disk}, "No space left", "in full_disk"),
     ],
-    ids=lambda value: (
-        "-".join(f"{key}={getattr(each, '__name__', each)}" for key, each in value.items())
-        if isinstance(value, dict)
-        else ""
-    ),
 )
 def test_whatever_fails_is_a_failed_job_with_one_line_that_leaves_nothing_behind(
     runner, problems, options, error, traceback
@@ -198,21 +164,6 @@ def assert_nothing_is_left(runner, places):
     assert places.folder is None or not places.folder.exists()
     own = [each.cmdline() for each in psutil.Process().children()]
     assert not [each for each in own if "--multiprocessing-fork" in each]
-
-
-def test_a_worker_that_can_t_be_started_leaves_no_shared_memory(monkeypatch):
-    made = []
-
-    class Recorded(SharedImage):
-        def __init__(self):
-            super().__init__()
-            made.append(self.name)
-
-    monkeypatch.setattr(process, "SharedImage", Recorded)
-    with pytest.raises(AttributeError, match="pickle"):
-        WorkerProcess(succeeding, lambda: None)
-    with pytest.raises(FileNotFoundError):
-        SharedMemory(made[0])
 
 
 # Jobs that are cancelled
@@ -239,22 +190,22 @@ def endless(*_):
         ({"work": endless, "in_thread": True}, "still at it"),
         ({"work": endless}, "Starting"),
         ({"work": endless}, "Saving the scene for the worker"),
-        ({"work": succeeding, "read": lambda _: time.sleep(0.2)}, "Loading the result"),
+        ({"work": succeeding}, "Loading the result"),
     ],
     ids=lambda value: value if isinstance(value, str) else value["work"].__name__,
 )
 def test_cancel_ends_a_job_at_once_wherever_it_is(runner, problems, options, until):
-    cancelled, places = [], Places()
-    job = runner.start(places.job(**options, on_cancel=lambda: cancelled.append(job)), places.take)
+    cancelled, places, may_load = [], Places(), threading.Event()
+    options |= {"read": lambda _: may_load.wait(60), "on_cancel": lambda: cancelled.append(job)}
+    job = runner.start(places.job(**options), places.take)
     while job.progress.message != until:
         runner.wait(0.01)
         runner.poll()
-    started = time.perf_counter()
     job.cancel()
     job.cancel()
     assert (job.state, runner.running, cancelled) == ("cancelled", [], [job])
+    may_load.set()
     assert_nothing_is_left(runner, places)
-    assert time.perf_counter() - started < 4  # a worker that ignored SIGTERM would be killed after 5 s
     with pytest.raises(JobError, match="cancelled"):
         job.wait(0)
     assert places.results == [] and problems == []
@@ -274,6 +225,17 @@ def test_leaving_a_scene_ends_its_jobs_and_closing_ends_all(runner):
     assert [each.state for each in runner.all] == ["finished", "cancelled", "cancelled"]
 
 
+def test_a_program_that_ends_while_a_worker_is_at_it_leaves_no_process_no_file_and_no_warning(tmp_path):
+    program = Path(__file__).with_name("session_that_closes.py")
+    done = subprocess.run(
+        [sys.executable, program], env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True,
+        timeout=120, check=True,
+    )  # fmt: skip
+    assert done.stderr == ""  # such as that of shared memory that was leaked
+    assert not psutil.pid_exists(int(done.stdout))
+    assert not list(tmp_path.iterdir())
+
+
 # Parts
 
 
@@ -281,14 +243,10 @@ def test_curves_are_the_means_of_many_steps_by_metric():
     curves = MetricCurves()
     for step in range(1, 2001):
         curves.add(Progress(0.0, "", metrics={"step": step, "loss": 2 * step}))
-        if step % 500 == 0:
-            curves.add(Progress(0.0, "", metrics={"step": step, "dB": 5.0}))
     curves.add(Progress(0.25, "", metrics={"speed": 3.0}))
     steps, losses = curves.curve("loss")
     assert len(steps) == 400 and steps[0] == 3.0 and np.array_equal(losses, 2 * steps)
-    assert curves.curve("dB").tolist() == [[500, 1000, 1500, 2000], [5] * 4]
-    assert curves.curve("speed").tolist() == [[0.25], [3.0]]
-    assert curves.curve("unknown").shape == (2, 0)
+    assert (curves.curve("speed").tolist(), curves.curve("unknown").shape) == ([[0.25], [3.0]], (2, 0))
 
 
 def test_a_reader_of_shared_images_never_gets_half_an_image():
@@ -315,23 +273,3 @@ def test_a_reader_of_shared_images_never_gets_half_an_image():
     ours.close()
     with pytest.raises(FileNotFoundError):
         SharedMemory(ours.name)
-
-
-def test_calls_in_a_thread_are_processed_in_their_order_on_the_thread_that_polls():
-    seen = []
-    with ThreadPoolExecutor(1) as thread:
-        tasks, may_go_on = ThreadTasks(thread), threading.Event()
-        started = [
-            tasks.start(may_go_on.wait, lambda result: seen.append((threading.current_thread(), result)), pytest.fail),
-            tasks.start(lambda: 1 / 0, pytest.fail, seen.append),
-            tasks.start(lambda: 3, pytest.fail, pytest.fail, "third", "adding"),
-        ]
-        assert started[2].progress.message == "adding"
-        started[2].cancel()
-        tasks.poll()
-        assert seen == []
-        may_go_on.set()
-    tasks.poll()
-    assert seen[0] == (threading.main_thread(), True) and isinstance(seen[1], ZeroDivisionError)
-    assert [each.state for each in started] == ["finished", "failed", "cancelled"]
-    assert (tasks.running, tasks.futures) == ([], [])

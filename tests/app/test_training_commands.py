@@ -1,8 +1,10 @@
-import json
+"""`gsrain recolor` and `gsrain reconstruct`: a scene, a report and numbers out of captures and pictures."""
+
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from app.main import run
 from colmap_files import cut_rows
@@ -10,6 +12,7 @@ from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from small_capture import small_capture
 from tests.recolor.changed_street import street_and_pictures
 
 
@@ -30,14 +33,13 @@ def files(tmp_path_factory) -> Path:
     return folder
 
 
-def test_a_scene_takes_on_the_look_of_a_capture(files, tmp_path, capsys):
-    wet, numbers, report = tmp_path / "wet", tmp_path / "numbers.json", tmp_path / "report.html"
-    command = ["recolor", str(files / "clear"), "--images", str(files / "capture"), "-o", str(wet), "--held-out", "5"]
-    assert run([*command, "--json", str(numbers), "--report", str(report)]) == 0
-    told = json.loads(numbers.read_text())
-    assert {"seconds", "gaussians", "psnr_before_db", "psnr_held_out_db", "views"} <= set(told)
-    assert (told["views"], told["views_held_out"]) == (5, 1)
-    assert told["psnr_held_out_db"] > told["psnr_before_db"] + 3
+def test_a_scene_takes_on_the_look_of_a_capture(files, tmp_path, reported, capsys):
+    wet, report = tmp_path / "wet", tmp_path / "report.html"
+    options = ("--images", files / "capture", "-o", wet, "--held-out", "5", "--report", report)
+    numbers = reported("recolor", files / "clear", *options)
+    assert set(numbers) >= {"seconds", "gaussians", "psnr_before_db", "psnr_held_out_db", "views"}
+    assert (numbers["views"], numbers["views_held_out"]) == (5, 1)
+    assert numbers["psnr_held_out_db"] > numbers["psnr_before_db"] + 3
     clear, scene = read_scene(files / "clear"), read_scene(wet)
     street = scene.member("layers/street")
     np.testing.assert_array_equal(street.gaussians.sh, clear.member("layers/street").gaussians.sh)
@@ -58,48 +60,57 @@ def test_pictures_without_cameras_are_matched_by_name_and_can_replace_the_clear_
     assert np.abs(scene.member("layers/street").gaussians.sh - clear.member("layers/street").gaussians.sh).max() > 0.1
 
 
-def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path):
+def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path, reported):
     """Transfer, recoloring and evaluation of what undistortion by one camera a picture makes of a capture."""
     views = cut_rows(open_capture(files / "capture"))
     list(write_views(tmp_path / "photos", views))
     rainy, photos = str(tmp_path / "rainy"), str(tmp_path / "photos")
     assert run(["transfer", photos, "-o", rainy, "--sheet", str(tmp_path / "sheet.png")]) == 0
     assert [view.camera.height for view in open_capture(rainy)] == [view.camera.height for view in views]
-    wet, numbers = tmp_path / "wet", tmp_path / "numbers.json"
-    assert run(["recolor", str(files / "clear"), "--images", rainy, "-o", str(wet), "--iterations", "2",
-                "--held-out", "5", "--json", str(numbers)]) == 0  # fmt: skip
-    assert json.loads(numbers.read_text())["views"] == len(views) - 1
+    options = ("--images", rainy, "-o", tmp_path / "wet", "--iterations", "2", "--held-out", "5")
+    assert reported("recolor", files / "clear", *options)["views"] == len(views) - 1
     assert run(["evaluate", "images", rainy, photos, "--report", str(tmp_path / "images.html")]) == 0
     assert run(["evaluate", "fid", photos, rainy, "--extractor", "pixels16", "--resamples", "20"]) == 0
     assert run(["info", photos, "--overlay", str(tmp_path / "overlay.png")]) == 0
 
 
-def test_colors_can_be_polished_and_everything_refined(files, tmp_path):
+QUICK = ["--steps", "12", "--gaussians", "1500", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Path:
     pytest.importorskip("torch")
-    from gsrain_engine.datasets.open_capture import open_capture
-    from gsrain_engine.recolor.problem import RecolorSettings
-    from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
+    folder = tmp_path_factory.mktemp("drive")
+    for _ in write_views(folder, small_capture()):
+        pass
+    return folder
 
-    scene, capture = read_scene(files / "clear"), open_capture(files / "capture")
-    solver = RecolorSettings(iterations=4)
 
-    def result(options):
-        work = recolor_to_capture(scene, capture, options)
-        fractions = []
-        while True:
-            try:
-                fractions.append(next(work).fraction)
-            except StopIteration as end:
-                assert fractions == sorted(fractions)
-                return end.value
+def test_a_capture_becomes_a_scene(capture, tmp_path, reported, capsys):
+    scene = tmp_path / "scene"
+    found = reported("reconstruct", capture, "-o", scene, *QUICK, "--held-out", "2")
+    assert found["views"] == 4
+    assert [each["name"] for each in found["held_out"]] == ["1.00m", "3.00m"]
+    assert found["psnr_held_out_db"] > found["psnr_before_db"]
+    assert found["gaussians"] > 0 and found["seconds"] > 0
+    written = read_scene(scene)
+    assert [layer.name for layer in written.layers] == ["background", "sky"]
+    report = (tmp_path / "scene.report.html").read_text()
+    assert "1.00m" in report and "Reconstruction of" in report
+    printed = capsys.readouterr().out
+    assert f"{found['psnr_held_out_db']:.2f} dB" in printed
+    assert str(scene) in printed
 
-    plain = result(RecolorOptions(held_out=5, colors=solver))
-    polished = result(RecolorOptions(held_out=5, colors=solver, polish=15))
-    assert polished.numbers["psnr_db"] != plain.numbers["psnr_db"]
-    assert polished.numbers["psnr_held_out_db"] > plain.numbers["psnr_held_out_db"] - 0.5
-    refined = result(RecolorOptions(held_out=5, colors=solver, refine=3)).scene.member("layers/street")
-    before = scene.member("layers/street")
-    moved = np.abs(refined.gaussians.means - before.gaussians.means).max()
-    assert 0 < moved < 0.05
-    np.testing.assert_array_equal(refined.gaussians.sh, before.gaussians.sh)
-    assert refined.wet_sh is not None
+
+def test_other_pictures_and_a_config_with_options_on_top(capture, tmp_path, reported):
+    images, config = tmp_path / "red", tmp_path / "quick.yaml"
+    images.mkdir()
+    for view in small_capture():
+        Image.fromarray(np.full((32, 48, 3), (200, 30, 30), np.uint8)).save(images / f"{view.name}.png")
+    config.write_text("steps: 5\ngaussians: 1500\nsh_degree: 0\n")
+    options = ("--images", images, "--config", config, "--steps", "12", "--device", "cpu")
+    found = reported("reconstruct", capture, "-o", tmp_path / "scene", *options)
+    assert found["steps"] == 12
+    background = read_scene(tmp_path / "scene").member("layers/background").gaussians
+    assert background.sh_degree == 0
+    assert np.median(background.sh[:, 0, 0]) > np.median(background.sh[:, 0, 1]) + 0.5

@@ -5,8 +5,6 @@ from functools import cache
 
 import msgspec
 
-from gsrain_engine.editor.editor import Editor
-from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.simulation.agents.registry import open_agent
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
@@ -51,10 +49,3 @@ def settled(editor):
         for pending in editor.rollouts.pending:
             pending.exception(timeout=60)
         editor.tick(0.0)
-
-
-def stopped_session(scene, intensity_mm_h=0.0):
-    """A editor in which time stands."""
-    editor = Editor(scene, RainSettings(intensity_mm_h=intensity_mm_h))
-    editor.playback.clock.playing = False
-    return editor

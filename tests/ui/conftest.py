@@ -1,0 +1,12 @@
+"""Fixture of the tests of the window."""
+
+import pytest
+
+
+@pytest.fixture
+def driver(tmp_path):
+    """A window with the small scene; its pictures are saved in a folder of their own."""
+    from window_driver import Driver  # skips where no window can open
+
+    (tmp_path / "shots").mkdir()
+    return Driver(tmp_path / "shots")

@@ -1,0 +1,239 @@
+"""Background jobs in the real window: the wet look, reconstruction and recoloring, recordings."""
+
+import shlex
+
+import av
+import msgspec
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.editor import make_rainy
+from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.training.settings import load_settings
+from small_scene import small_scene
+from training.drive_capture import drive_capture, world_depth
+from ui.commands.keys import chord
+from window_driver import imgui
+
+PANEL = "//Make it rainy/"
+UNDO = chord(imgui.Key.mod_ctrl, imgui.Key.z)
+
+
+def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(driver, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+
+    def script():
+        editor, ctx = driver.editor, driver.ctx
+        rainy = editor.wet_look
+        rainy.preview_width_px = 96
+        rainy.choice = msgspec.structs.replace(rainy.choice, count=2, width_px=64)
+        clear, before = driver.picture(), editor.document.scene
+        driver.click(f"{PANEL}###preview")
+        assert rainy.why_not == "Wait for Preview, or cancel it."
+        driver.until(lambda: not editor.jobs.running, 1_000_000)
+        driver.frames()
+        assert editor.status.problem is None
+        assert rainy.previewed.pixels.shape[1] == 96
+        # It lies over what it is of, right of the line, and only while the view is that one.
+        assert (editor.viewport.options.split, rainy.fits) == ("now | preview", True)
+        assert ctx.item_exists("//View/divider")
+        driver.stroke(driver.at(0.75, 0.5), driver.at(0.75, 0.5) + [60, 0])  # right of the line
+        assert rainy.what_is_stale == "The view has changed since."
+        assert not ctx.item_exists("//View/divider")
+        driver.click(f"{PANEL}Return to it")
+        assert rainy.what_is_stale is None
+        ctx.item_input_value(f"{PANEL}##seed", 3)
+        driver.frames()
+        assert rainy.what_is_stale == "The settings have changed since."
+
+        driver.click(f"{PANEL}###make")
+        driver.until(lambda: editor.jobs.all[0].progress.message == "Starting", 1_000_000)
+        assert not ctx.item_exists(f"{PANEL}###make")  # its progress stands there
+        driver.click(f"{PANEL}Cancel##0")
+        assert (editor.jobs.all[0].state, editor.document.scene) == ("cancelled", before)
+        editor.jobs.clear()
+
+        blue_sky = editor.live_rain.sky
+        driver.click(f"{PANEL}###make")
+        (job,) = editor.jobs.all
+        driver.until(lambda: job in editor.viewport.job_previews or job.state != "running", 1_000_000)
+        driver.until(lambda: job.state != "running" and editor.viewport.staged is None, 1_000_000)
+        assert (job.state, job.error) == ("finished", None)
+        assert job.report.is_file()
+        assert editor.document.history.labels == ["Open", MAKE_RAINY_TITLE]
+        assert all(each.wet_sh is not None for each in editor.document.scene.members)
+
+        # Beside the clear scene, in rain that a step of its own brings.
+        driver.click(f"{PANEL}###compare")
+        assert editor.viewport.options.split == "clear | rainy"
+        assert editor.document.rain.intensity_mm_h == make_rainy.COMPARED_MM_H
+        compared = driver.picture()
+        middle = compared.shape[1] // 2
+        assert np.array_equal(compared[:, : middle - 1], clear[:, : middle - 1])
+        assert np.abs(compared[:, middle:] - clear[:, middle:]).mean() > 3
+        assert editor.live_rain.sky != blue_sky  # drops take the color of the wet one
+        driver.click(f"{PANEL}###compare")
+        assert editor.viewport.options.split == "off"
+        driver.press(UNDO)
+        driver.press(UNDO)
+        assert editor.document.scene is before
+
+    driver.run(script)
+
+
+REDO = chord(imgui.Key.mod_ctrl, imgui.Key.y)
+DIM = 0.45
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Views of a road and a wall, with depth; and the same pictures as they look in bad light."""
+    capture = drive_capture()
+    views = [
+        # The sky has no depth, the rest has.
+        type(view)(
+            f"view{view.name}", view.camera, view.image, view.time_s, "FRONT",
+            depth_source=np.where(np.isfinite(depth := world_depth(view.camera)), depth, 0).astype(np.float32),
+        )
+        for view in capture
+    ]  # fmt: skip
+    for _ in write_views(tmp_path / "drive", views):
+        pass
+    (tmp_path / "dim").mkdir()
+    for view in views:
+        Image.fromarray((DIM * view.image).astype(np.uint8)).save(tmp_path / "dim" / f"{view.name}.png")
+    return tmp_path
+
+
+def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, driver, monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.setenv("XDG_DATA_HOME", str(drive / "data"))
+    settings = load_settings("draft", steps=40, width_px=96, gaussians=3000, measured_every=20)
+    editor = driver.editor
+    editor.training.settings = settings
+
+    def ended(job):
+        return job.state != "running" and editor.viewport.staged is None
+
+    def script():
+        before = editor.document.scene
+        editor.captures.open(drive / "drive")
+        driver.until(lambda: editor.captures.capture is not None)
+        driver.ctx.window_focus("//Capture")
+        driver.ctx.item_open("//Capture/Reconstruct")
+        driver.frames()
+        driver.tap("//Capture/Reconstruct/Reconstruct")
+        (job,) = editor.jobs.all
+        # Where it was started there is how far it is, and nothing else can be started.
+        assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
+        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
+        driver.until(lambda: ended(job), 1_000_000)
+        assert (job.state, job.error) == ("finished", None)
+        assert editor.document.history.labels == ["Open", "Reconstruct drive"]
+        assert {layer.kind for layer in editor.document.scene.layers} == {"background", "sky"}
+        assert job.report.is_file()
+
+        # The picture from a recorded camera is like the photograph, and undo brings the earlier scene back.
+        captures = editor.captures
+        captures.show_picture = captures.show_points = captures.show_frustums = False
+        captures.look_from(2)
+        trained = driver.picture()
+        height, width = trained.shape[:2]
+        road = trained[3 * height // 4 :, width // 3 : 2 * width // 3].mean(axis=(0, 1))
+        assert np.abs(road - captures.view.image[48:, 32:64].mean(axis=(0, 1))).max() < 25
+        driver.press(UNDO)
+        assert editor.document.scene is before
+        driver.press(REDO)
+        assert editor.document.scene is not before
+
+        # Dim pictures of the same views give it wet colors, which come with the rain.
+        driver.click("//Rain/Streaks")
+        driver.click("//Rain/Haze")
+        editor.training.recolor(drive / "dim")
+        driver.until(lambda: ended(editor.jobs.all[-1]), 1_000_000)
+        assert (editor.jobs.all[-1].state, editor.jobs.all[-1].error) == ("finished", None)
+        assert np.array_equal(driver.picture(), trained)  # it does not rain
+        driver.type_in("//Rain/##intensity_mm_h", 12.0)
+        wet = driver.picture()
+        assert 0.35 < wet.mean() / trained.mean() < 0.65
+        driver.press(UNDO)
+        driver.press(UNDO)
+        assert all(member.wet_sh is None for member in editor.document.scene.members)
+        driver.press(REDO)
+        driver.press(REDO)
+        assert np.array_equal(driver.picture(), wet)
+
+    driver.run(script)
+
+
+def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
+    target = tmp_path / "clip.mp4"
+
+    def script():
+        editor = driver.editor
+        driver.click("//Rain/8.5")
+        editor.render_queue.change(size_px=(480, 320), last_s=3.0)
+        driver.ctx.window_focus("//View")
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
+        driver.choose_file("Record the timeline", target)
+        driver.until(lambda: len(editor.jobs.all) == 1)
+        job = editor.jobs.all[0]
+        driver.ctx.window_focus("//Jobs")
+        driver.until(lambda: job in editor.viewport.job_previews or job.state != "running", 100_000)
+        assert editor.viewport.job_previews[job][1:] == (240, 160)  # every second pixel
+        driver.click("//Rain/12.0")  # the recording has the document as it was
+        assert editor.document.rain.intensity_mm_h == 12.0
+        driver.until(lambda: job.state != "running", 100_000)
+        assert (job.state, job.error) == ("finished", None)
+        driver.frames(2)
+        assert editor.viewport.job_previews == {}
+        driver.ctx.window_focus("//View")
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
+        driver.choose_file("Record the timeline", target)
+        assert editor.status.question.text == "clip.mp4 is there already."
+        driver.tap("//Replace?/Cancel")
+        assert (editor.status.question, len(editor.jobs.all)) == (None, 1)
+
+    driver.run(script)
+    with av.open(str(target)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 90
+
+
+def test_steps_and_recordings_are_copied(driver, tmp_path):
+    source = str(tmp_path / "scene")
+    write_scene(small_scene(), source, in_drawing_order=True)
+
+    def copied(button):
+        driver.click(button)
+        return imgui.get_clipboard_text()
+
+    def script():
+        driver.editor.files.open(source)
+        driver.until(lambda: driver.editor.files.source == source)
+        driver.click("//Rain/8.5")
+        words = shlex.split(copied("//History/Copy as command"))
+        assert words[:3] == ["gsrain", "edit", source]
+        assert "intensity_mm_h=8.5" in words[3]
+        assert words[4:] == ["-o", "edited"]
+        edited = copied("//History/Copy as Python")
+        assert edited.splitlines()[2] == f"scene = gr.load({source!r})"
+        render = copied("//Record/Copy as command").partition(" && ")[2]
+        assert shlex.split(render) == [
+            "gsrain",
+            "render",
+            "edited",
+            "-o",
+            "clip.mp4",
+            "--size",
+            "960x640",
+            "--codec",
+            "h264",
+        ]
+        recorded = copied("//Record/Copy as Python").splitlines()
+        assert recorded[:-1] == edited.splitlines()[:-1]
+        assert recorded[-1] == "gr.export(scene, 'clip.mp4', size_px=(960, 640), codec='h264')"
+
+    driver.run(script)
