@@ -8,7 +8,6 @@ from jaxtyping import Float64
 
 from ...scene.camera_path import CameraPath
 from ...scene.scene import Actor, RigCamera, Scene
-from ...simulation.sensors import placed_camera
 from .camera import OrbitCamera, default_path
 
 ChaseMode = Literal["behind", "front camera", "free"]
@@ -53,7 +52,7 @@ class ChaseCamera:
         self.velocity_m_s = vehicle.speed_m_s * pose[:3, 0]
         if self.mode == "front camera":
             if vehicle.front_camera is not None:
-                navigation.look_like(placed_camera(vehicle.front_camera, pose))
+                navigation.look_like(vehicle.front_camera.camera(pose))
         elif self._pose is None:
             _stand_behind(vehicle, navigation)
         elif not np.array_equal(self._pose, pose):
