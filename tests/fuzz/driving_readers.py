@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import yaml
 
 from gsrain_engine.simulation.agents.http import ClientError, read_plan
@@ -19,7 +20,6 @@ from gsrain_engine.sweep.results import columns_of, rows_in, rows_parquet
 from gsrain_engine.sweep.settings import load_sweep
 from small_rollout import approach
 from small_scene import small_scene
-from tests.simulation.interop.test_hugsim_pickle import tensor_pickle
 from tests.simulation.interop.test_openscenario import foreign, scenario
 
 from .mutations import damaged_bytes, damaged_json, damaged_text, damaged_yaml
@@ -105,7 +105,7 @@ def _pickles(protocol: int) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         (folder / "array").write_bytes(pickle.dumps(plan, protocol))
         (folder / "list").write_bytes(pickle.dumps([[np.float32(x), y] for x, y in plan.tolist()], protocol))
-        (folder / "tensor").write_bytes(tensor_pickle())
+        (folder / "tensor").write_bytes(pickle.dumps(torch.from_numpy(plan), protocol))
         (folder / "none").write_bytes(pickle.dumps(None, protocol))
         return folder
 
