@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from jaxtyping import Bool, Float64
 
 from gsrain_engine.appearance import output_folder
-from gsrain_engine.appearance.base import ClearView, RainyView, SkippedCounts, TransferSettings
+from gsrain_engine.appearance.base import ClearView, RainyView, SeesPictures, SkippedCounts, TransferSettings
 from gsrain_engine.appearance.capture_views import CaptureViews
 from gsrain_engine.appearance.finetune.dataset import ImageSettings
 from gsrain_engine.appearance.finetune.settings import (
@@ -123,13 +123,19 @@ def transfer(
     opened = source_views(source, choice, capture)
     model = open_transfer(chosen.method, settings, opened.surroundings)
     values = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice) | {"width_px": opened.width_px}
+    seen: dict[str, Any] = model.seen(opened.views[0]) if isinstance(model, SeesPictures) else {}
+    values |= seen
     record = output_folder.TransferRecord(chosen.method, opened.name, values, opened.to_world)
     rainy = output_folder.write_transferred(output, model.transferred(opened.views), record, opened.mask)
-    numbers = {"method": chosen.method, "width_px": opened.width_px}
+    numbers = {"method": chosen.method, "width_px": opened.width_px, **seen}
     numbers |= _write_views(rainy, len(opened.views), contact_sheet)
     for note in numbers["notes"]:
         print(note)
     made = f"{numbers['views']} rainy views of {opened.name}"
+    if seen:
+        width, height = seen["network_px"]
+        guide = "RGB only" if seen["normals"] == "none" else f"normals from {seen['normals']} as {seen['conditioning']}"
+        print(f"the network saw {width}x{height} px ({seen['framing']}), {guide}")
     print(f"{output}: {made}, {opened.width_px} px wide, in {numbers['seconds']:.1f} s")
     if contact_sheet is not None:
         print(contact_sheet)
@@ -235,8 +241,10 @@ def train_transfer(
             print(f"stopped; go on with: gsrain train-transfer {task.config} -o {output} --resume")
         raise
     _print(result)
-    conditioning = " --conditioning luma" if settings.pictures.guide == "luma" else ""
-    print(f"to use it: gsrain transfer SCENE -o DIR --method cyclegan-turbo --weights {result.weights}{conditioning}")
+    pictures = settings.pictures
+    needed = {"normals-weights": pictures.normals_weights, "normals-checkout": pictures.normals_checkout}
+    words = "".join(f" --{name} {path}" for name, path in needed.items() if path and pictures.guide != "none")
+    print(f"to use it: gsrain transfer SCENE -o DIR --method cyclegan-turbo --weights {result.weights}{words}")
     write_numbers(json, result.numbers)
 
 

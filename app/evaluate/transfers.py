@@ -92,7 +92,8 @@ def transfers(
 
 def _opened(settings: results.TransferComparison) -> tuple[translators.ComparedSource, Capture]:
     if settings.pictures is not None:
-        return translators.held_out_images(settings.pictures, settings.width_px)
+        weights = [each.weights for each in settings.methods if each.weights is not None]
+        return translators.held_out_images(settings.pictures, settings.width_px, weights)
     assert settings.source is not None
     real = translators.real_images(settings.real, settings.width_px)
     choice = msgspec.structs.replace(settings.views, width_px=settings.width_px)

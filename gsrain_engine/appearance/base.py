@@ -4,11 +4,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from ..scene.camera import Camera
 
@@ -107,6 +107,36 @@ class Transfer(Protocol):
         ...
 
 
+@runtime_checkable
+class SeesPictures(Protocol):
+    """Transfer by a network, which tells what it sees."""
+
+    def seen(self, view: ClearView) -> dict[str, Any]:
+        """What the network sees of a view: `network_px` (width, height), `framing`, `normals`, `conditioning`."""
+        ...
+
+
+class TrainingRecord(Struct, frozen=True, kw_only=True):
+    """How weights were trained: what a transfer has to repeat, in the header of their file."""
+
+    conditioning: Literal["up", "luma", "none"]
+    normals: Literal["depth", "dsine", "marigold", "none"]
+    framing: Literal["stretch", "crop"]
+    width_px: int
+    height_px: int
+    seed: int = 0
+    steps: int = 0
+    held_out: str = ""
+    """Identity of the pictures that were held out for testing; empty if unknown."""
+
+    @property
+    def words(self) -> str:
+        """Line that describes the training."""
+        guide = "RGB only" if self.conditioning == "none" else f"normals from {self.normals} as {self.conditioning}"
+        size = f"{self.width_px}x{self.height_px} px ({self.framing})"
+        return ", ".join(filter(None, [guide, size, f"{self.steps:,} steps" if self.steps else ""]))
+
+
 _Side = Annotated[
     int,
     Meta(ge=64, le=4096, title="Side", description="A learned method sees pictures brought to this shorter side.",
@@ -139,18 +169,24 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     base: Annotated[Path | None, Meta(
         title="SD-Turbo", extra={"commands": "transfer"},
         description="Folder of SD-Turbo, the base of cyclegan-turbo; none: see gsrain doctor.")] = None
-    normals: Annotated[Literal["depth", "dsine", "marigold", "none"], Meta(
-        title="Normals", extra={"commands": "transfer"},
-        description="Source of the surface normals for a learned method; none: no normals.")] = "depth"
+    normals: Annotated[Literal["depth", "dsine", "marigold", "none"] | None, Meta(
+        title="Normals", extra={"commands": "transfer", "none": "as trained"},
+        description="Source of the surface normals for a learned method; none: no normals.")] = None
     normals_weights: Annotated[Path | None, Meta(
         title="Weights for normals", extra={"commands": "transfer"},
         description="File of DSINE, or folder of Marigold.")] = None
     normals_checkout: Annotated[Path | None, Meta(
         title="DSINE's program", extra={"commands": "transfer"},
         description="Your own copy of DSINE's program; non-commercial use only.")] = None
-    guide: Annotated[Literal["up", "luma"], Meta(
-        title="Guide", extra={"option": "conditioning", "commands": "transfer"},
-        description="How normals become the fourth channel: their upward component, or luma as in the paper.")] = "up"
+    guide: Annotated[Literal["up", "luma"] | None, Meta(
+        title="Guide", extra={"option": "conditioning", "commands": "transfer", "none": "as trained"},
+        description="How normals become the fourth channel: their upward component, or luma as in the paper.")] = None
+    framing: Annotated[Literal["stretch", "proportions"] | None, Meta(
+        title="Framing", extra={"commands": "transfer", "none": "as trained"},
+        description="stretch: pictures have the size of the training's, whatever their proportions.")] = None
+    override: Annotated[bool, Meta(
+        title="Override", extra={"commands": "transfer"},
+        description="Run weights otherwise than they were trained.")] = False
     mutual_attention: Annotated[bool, Meta(
         title="Mutual attention", extra={"option": "cross-view-attention", "commands": "transfer"},
         description="Let each view attend to its neighbors (eq. 16-19).")] = True
@@ -165,3 +201,26 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         title="Precision", extra={"commands": "transfer"},
         description="Of a learned method's numbers; halves are faster on GPUs, and coarser.")] = "float32"
     # fmt: on
+
+
+def follow_training(settings: TransferSettings, record: TrainingRecord | None, weights: object) -> TransferSettings:
+    """Fill in what is not set as the weights were trained; without a record, normals from depth, up, proportions kept.
+
+    Raises ValueError, which names `weights`, for settings that contradict the training, unless `override` is set.
+    """
+    usual = {"normals": "depth", "guide": "up", "framing": "proportions"}
+    trained: dict[str, str] = usual
+    if record is not None:
+        framing = "stretch" if record.framing == "stretch" else "proportions"
+        normals = "none" if record.conditioning == "none" else record.normals
+        guide = usual["guide"] if record.conditioning == "none" else record.conditioning
+        trained = {"normals": normals, "guide": guide, "framing": framing}
+        if not settings.override:
+            for name, value in trained.items():
+                asked = getattr(settings, name)
+                if asked is not None and asked != value:
+                    option = "conditioning" if name == "guide" else name
+                    raise ValueError(f"{weights}: trained with {option} {value}, not {asked}; --override insists on it")
+    return structs.replace(
+        settings, **{name: value for name, value in trained.items() if getattr(settings, name) is None}
+    )

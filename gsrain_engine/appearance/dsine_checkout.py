@@ -16,7 +16,7 @@ def checkout_code(checkout: Path) -> Code:
     return read_code(checkout, _PACKAGES)
 
 
-def check_checkout(named_by: str | Path, normals: str, checkout: Path | str | None) -> None:
+def check_checkout(named_by: str | Path, normals: str | None, checkout: Path | str | None) -> None:
     """Raise `UntrustedCodeError` if the settings of a file would run code that the user has not allowed."""
     if normals == "dsine" and checkout is not None:
         check_named(named_by, Path(checkout), _PACKAGES)

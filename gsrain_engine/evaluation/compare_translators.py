@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from ..appearance import output_folder
 from ..appearance.base import ClearView, RainyView, Transfer
 from ..appearance.capture_views import CaptureViews
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
-from ..appearance.finetune.dataset import DatasetImage, ImageSettings, open_images
+from ..appearance.finetune.dataset import DatasetImage, ImageSettings, identity_of, open_images
 from ..appearance.normals import WEIGHTS
 from ..appearance.output_folder import TransferRecord, read_transferred, write_transferred
 from ..appearance.registry import find_method, open_transfer
@@ -251,13 +251,25 @@ def capture_source(capture: Capture, width_px: int, source_stamp: str) -> Compar
     )
 
 
-def held_out_images(settings: ImageSettings, width_px: int) -> tuple[ComparedSource, Capture]:
+def held_out_images(
+    settings: ImageSettings, width_px: int, weights: Iterable[Path] = ()
+) -> tuple[ComparedSource, Capture]:
     """Return the clear and the rainy images that a training with these settings holds out.
 
     They are not cropped as in training: extractors resize them without keeping proportions, like the paper. Raises
-    `CaptureError` for an unreadable source, and ValueError if nothing is held out.
+    `CaptureError` for an unreadable source, and ValueError if nothing is held out, or if `weights` were trained with
+    another split, as they may have seen these images.
     """
     split = open_images(msgspec.structs.replace(settings, guide="none"))
+    from ..appearance.cyclegan_turbo.weights import read_record  # torch is an extra
+
+    held_out = identity_of(split.test)
+    for file in weights:
+        if (record := read_record(file)) is not None and record.held_out not in ("", held_out):
+            raise ValueError(
+                f"{file}: trained with other pictures held out ({record.held_out}) than are compared ({held_out}): "
+                "take the `pictures` of the training's config.yaml"
+            )
     if not split.test.source or not split.test.target:
         raise ValueError(f"pictures: test_share {settings.test_share:g} leaves no clear or no rainy picture to test")
     stamps = "-".join(input_fingerprint(Path(each.path)) for each in settings.clear)

@@ -215,8 +215,8 @@ class _Group(NamedTuple):
 
 
 def _group(row: Row) -> _Group:
-    variant = Variant(**{name: row.get(name) for name in Variant.__struct_fields__ if row.get(name) is not None})
-    return _Group(str(row["scene"]), str(row["scenario"]), str(row["agent"]), variant)
+    variant = {name: row.get(name) for name in Variant.__struct_fields__ if row.get(name) is not None}
+    return _Group(str(row["scene"]), str(row["scenario"]), str(row["agent"]), msgspec.convert(variant, Variant))
 
 
 def _place(row: Row) -> tuple[object, ...]:

@@ -12,7 +12,7 @@ from ..backends import Backend
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
-from ..rain.settings import RainSettings, load_preset, preset_names
+from ..rain.settings import RainSettings, load_preset
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked
@@ -224,7 +224,7 @@ def load_sweep(name: str | Path) -> Sweep:
     known = {
         HUGSIM,
         STREET,
-        *preset_names(),
+        *shipped_config_names("rain"),
         *scenario_names(),
         *agent_names(),
         *description_names(),

@@ -55,9 +55,11 @@ def finished(work):
 
 def test_shipped_comparisons_load():
     found = {name: load_comparison(name) for name in shipped_config_names("comparisons")}
-    assert found.keys() == {"paper", "tiny"} and found["tiny"].extractor == "pixels16"
-    _, ours, flat, alone, *_ = found["paper"].methods
-    assert (ours.settings.normals, flat.settings.normals, alone.settings.mutual_attention) == ("dsine", "none", False)
+    assert found.keys() == {"paper", "paper_waymo", "tiny"} and found["tiny"].extractor == "pixels16"
+    _, ours, *_ = found["paper"].methods
+    assert [each.name for each in found["paper_waymo"].methods if not each.mutual_attention] == [
+        "without mutual attention"
+    ]
     assert [each.name for each in found["paper"].only((ours.name,)).methods] == [ours.name]
     with pytest.raises(ValueError, match="'none'"):
         found["paper"].only(("none",))

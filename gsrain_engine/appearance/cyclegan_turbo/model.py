@@ -12,6 +12,7 @@ import numpy as np
 
 from ...safe_io.limits import read_file
 from ...safe_io.text_files import MAX_BYTES
+from ..base import TrainingRecord
 from .lora import LoraRanks, add_adapters
 
 torch: Any = import_module("torch")
@@ -71,6 +72,8 @@ class CycleGanTurbo(torch.nn.Module):
         self.texts: tuple[str, str] = CAPTIONS
         self.seed: int | None = None
         """Seed of the random base weights; None for SD-Turbo's own."""
+        self.record: TrainingRecord | None = None
+        """How the weights were trained, if their file says so."""
 
     @property
     def takes_guides(self) -> bool:

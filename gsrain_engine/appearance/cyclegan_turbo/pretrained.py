@@ -44,6 +44,7 @@ def open_model(
         model = read_base(find_base_model(base), architecture, normals=normals, lora=lora, texts=texts)
     if file is not None:
         apply_adapter_weights(model, file.delta(model))
+        model.record = file.record
     return model
 
 

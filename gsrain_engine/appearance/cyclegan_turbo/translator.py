@@ -12,8 +12,9 @@ import cv2
 import msgspec
 import numpy as np
 from jaxtyping import Float, Float32
+from PIL import Image as PillowImage
 
-from ..base import ClearView, RainyView, TransferSettings
+from ..base import ClearView, RainyView, TransferSettings, follow_training
 from ..correspondence import correspondence
 from ..normals import NormalEstimator, normals_to_gray, open_estimator
 from . import cross_view_attention as attention
@@ -21,10 +22,12 @@ from .cross_view_attention import AttendingView, CrossViewExchange, TileWindow
 from .model import CycleGanTurbo
 from .pretrained import open_model
 from .weight_paths import find_transfer_weights
+from .weights import read_record
 
 torch: Any = import_module("torch")
 Tensor = Any
 _LEVELS = 8  # the UNet halves its latent three times; tiles must start at its coarsest tokens
+_STRETCHED_PX = 512  # side of stretched pictures for weights without a record, as in the paper
 _MIN_MATCHED = 0.02  # least share of a view's pixels that match another view for it to attend to that view
 WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
 NO_OVERLAP = "no attention between views: no other one is known to show the same place"
@@ -49,13 +52,24 @@ class CycleGanTurboTransfer:
         """Take a model with its weights, on its final device and in its final precision.
 
         The estimator is needed if `settings.normals` is neither "depth" nor "none"; `px_per_token` are widths of the
-        tokens that attend to other views.
+        tokens that attend to other views. Raises ValueError if the settings contradict the training of the weights.
         """
-        self.model, self.settings, self.estimator = model, settings or TransferSettings(), estimator
+        self.model, self.estimator = model, estimator
+        self.settings = follow_training(settings or TransferSettings(), model.record, "the weights")
         self._px_per_token = px_per_token
         weight = model.unet.conv_out.weight
         self._device, self._dtype = weight.device, weight.dtype
         self._has_warned = False
+
+    def seen(self, view: ClearView) -> dict[str, Any]:
+        """What the network sees of a view: size (width, height), framing, normals and conditioning, as plain values."""
+        height, width = self._windows(view)[0].frame
+        settings = self.settings
+        guided = self.model.takes_guides and settings.normals != "none"
+        return {
+            "network_px": [width, height], "framing": settings.framing,
+            "normals": settings.normals if guided else "none", "conditioning": settings.guide if guided else "none",
+        }  # fmt: skip
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Yield rainy views in the plan's order; see `Transfer`. Holds only views that later ones attend to."""
@@ -93,7 +107,7 @@ class CycleGanTurboTransfer:
     def _image(self, view: ClearView, attending: AttendingView, exchange: CrossViewExchange | None) -> Image:
         """Translate a view, tile by tile; display color, 0..1."""
         windows = self._windows(view)
-        picture, guide = resized(view.image, *windows[0].frame), self._guide(view, *windows[0].frame)
+        picture, guide = self._resized(view.image, *windows[0].frame), self._guide(view, *windows[0].frame)
         parts: list[Image] = []
         for window in windows:
             pixels = self._tensor(2 * picture[window.slices] - 1)
@@ -102,12 +116,22 @@ class CycleGanTurboTransfer:
             with mutual, torch.inference_mode():
                 found = self.model.translate(pixels, guides, "a2b")[0].float().permute(1, 2, 0).cpu().numpy()
             parts.append(np.clip((found + 1) / 2, 0, 1).astype(np.float32))
-        return restore_size(blend_tiles(parts, windows), picture, view.image)
+        made = blend_tiles(parts, windows)
+        if self.settings.framing == "stretch":
+            return np.clip(stretched(made, *view.image.shape[:2]), 0, 1)
+        return restore_size(made, picture, view.image)
+
+    def _resized(self, image: Image, height: int, width: int) -> Image:
+        return (stretched if self.settings.framing == "stretch" else resized)(image, height, width)
 
     def _windows(self, view: ClearView) -> tuple[TileWindow, ...]:
         """Windows of a clear image for the network: one piece or tiles."""
         settings, multiple = self.settings, self.model.architecture.side_multiple
         height, width = view.camera.height, view.camera.width
+        if settings.framing == "stretch":
+            record, side = self.model.record, settings.side_px or _STRETCHED_PX
+            sides = (side, side) if record is None else (record.height_px, record.width_px)
+            return (TileWindow.whole(*(max(round(each / multiple), 1) * multiple for each in sides)),)
         frame = frame_size(height, width, settings.side_px, multiple)
         if settings.tile_px is None or max(frame) <= settings.tile_px:
             return (TileWindow.whole(*frame),)
@@ -122,7 +146,7 @@ class CycleGanTurboTransfer:
         if not normals.any() and not self._has_warned:
             log.warning("%s: nothing tells its normals; a network can (normals: dsine, marigold)", view.name)
             self._has_warned = True
-        gray = normals_to_gray(normals, view.camera, self.settings.guide)
+        gray = normals_to_gray(normals, view.camera, self.settings.guide or "up")
         return np.clip(resized(gray[..., None], height, width), -1, 1)
 
     def _tensor(self, values: Image) -> Tensor:
@@ -138,17 +162,22 @@ def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
     other.
     """
     weights = settings.weights or find_transfer_weights()
+    if (record := read_record(weights)) is not None:  # a contradiction is told before anything large is read
+        settings = follow_training(settings, record, weights)
+    model = open_model(weights, settings.base, normals=settings.normals != "none")
+    settings = follow_training(settings, model.record, weights)
     uses_normals = settings.normals != "none"
-    model = open_model(weights, settings.base, normals=uses_normals)
     if uses_normals and model.guide == "mask":
         raise ValueError(f"{weights}: its fourth channel takes a mask of classes, not normals: run it without normals")
     if uses_normals and not model.guide:
         log.info("%s: trained without normals, which are left out", weights)
     device, estimator = chosen_device(settings.device), None
+    if model.record is not None:
+        log.info("%s: trained with %s", weights, model.record.words)
     if model.guide and settings.normals in ("dsine", "marigold"):
         estimator = open_estimator(settings.normals, settings.normals_weights, settings.normals_checkout, device)
     if not model.guide:
-        settings = msgspec.structs.replace(settings, normals="none")
+        settings = msgspec.structs.replace(settings, normals="none", override=True)
     return CycleGanTurboTransfer(model.to(device, getattr(torch, settings.precision)), settings, estimator)
 
 
@@ -214,6 +243,15 @@ def resized(image: Image, height: int, width: int) -> Image:
     shrinks = height <= image.shape[0] and width <= image.shape[1]
     found = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
     return found.reshape(height, width, image.shape[2]).astype(np.float32)
+
+
+def stretched(image: Image, height: int, width: int) -> Image:
+    """Resize an image (h, w, 3) as img2img-turbo and the training do: Lanczos, proportions changed."""
+    if image.shape[:2] == (height, width):
+        return image
+    channels = [PillowImage.fromarray(image[..., k]).resize((width, height), PillowImage.Resampling.LANCZOS)
+                for k in range(image.shape[2])]  # fmt: skip
+    return np.stack([np.asarray(each, np.float32) for each in channels], axis=2)
 
 
 def restore_size(made: Image, small: Image, clear: Image) -> Image:

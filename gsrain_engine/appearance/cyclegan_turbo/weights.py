@@ -9,9 +9,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from ...safe_io.limits import check_file, open_file
 from ...safe_io.text_files import printable_line
 from ...scene.files import whole_file
+from ..base import TrainingRecord
 from . import lora
 from .lora import LowRank, adapted_layers, addition_of
 from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widen_kernel
@@ -63,6 +66,13 @@ class WeightsFile:
         """Seed of the random base weights, in tests; None for SD-Turbo."""
         seed = self.metadata.get("random_base_seed")
         return None if seed is None else int(seed)
+
+    @property
+    def record(self) -> TrainingRecord | None:
+        """How the weights were trained; None if that is unknown. Raises ValueError for a damaged record."""
+        if self.is_own:
+            return _record_in(self.metadata, self.path)
+        return PUBLISHED if "sd_encoder" in self.state else None
 
     @property
     def takes_guides(self) -> bool:
@@ -266,14 +276,17 @@ def _into_adapters(model: CycleGanTurbo, delta: AdapterWeights) -> None:
 
 FORMAT = "gsrain-cyclegan-turbo"
 _VERSION = "1"
+_TRAINING = "training"  # header field with the `TrainingRecord`
 _FACTORS = ("lora_A.weight", "lora_B.weight", "alpha")
 _PROBE = "unet.conv_out.bias"
 """Untrained tensor of the base, stored to check that weights are applied to the right base."""
 _PROBE_TOLERANCE = 2e-2  # tolerance relative to the largest value, so that half-precision copies of the base pass
 
 
-def save_weights(model: CycleGanTurbo, path: Path) -> None:
+def save_weights(model: CycleGanTurbo, path: Path, record: TrainingRecord | None = None) -> None:
     """Write all weights that a model adds to SD-Turbo to a .safetensors file: LoRAs, first convolutions, captions.
+
+    `record` is how they were trained; None keeps that of the model.
 
     Raises ValueError for another suffix, and for plain SD-Turbo.
     """
@@ -297,6 +310,8 @@ def save_weights(model: CycleGanTurbo, path: Path) -> None:
     }  # fmt: skip
     if model.seed is not None:
         header["random_base_seed"] = str(model.seed)
+    if (record := record or model.record) is not None:
+        header[_TRAINING] = msgspec.json.encode(record).decode()
     header["tensors"] = json.dumps(sorted(tensors))
     save: Any = import_module("safetensors.torch").save_file
     plain = {name: each.detach().cpu().contiguous() for name, each in tensors.items()}
@@ -304,6 +319,31 @@ def save_weights(model: CycleGanTurbo, path: Path) -> None:
     with whole_file(path) as temporary:
         save(plain, temporary, metadata=header)
         _sort_header(temporary)
+
+
+def read_record(path: Path) -> TrainingRecord | None:
+    """How the weights in a file of ours were trained, from its header alone; None for other files and older ones.
+
+    Raises ValueError for a damaged record.
+    """
+    if path.suffix != ".safetensors":
+        return None
+    safetensors: Any = import_module("safetensors")
+    try:
+        check_file(path)
+        with safetensors.safe_open(path, framework="pt") as file:
+            return _record_in(dict(file.metadata() or {}), path)
+    except (safetensors.SafetensorError, OSError) as error:
+        raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
+
+
+def _record_in(metadata: Mapping[str, str], path: Path) -> TrainingRecord | None:
+    if _TRAINING not in metadata:
+        return None
+    try:
+        return msgspec.json.decode(metadata[_TRAINING], type=TrainingRecord)
+    except msgspec.DecodeError as error:
+        raise ValueError(f"{path}: the record of its training is damaged: {error}") from None
 
 
 def read_own(
@@ -354,6 +394,9 @@ def _check_header(metadata: Mapping[str, str], source: str) -> None:
 
 
 # Published checkpoints of img2img-turbo (clear2rainy.pkl and others) and of WeatherEdit
+
+PUBLISHED = TrainingRecord(conditioning="none", normals="none", framing="stretch", width_px=512, height_px=512)
+"""img2img-turbo's published weights, as its authors run them."""
 
 _UNET_PARTS = {
     "encoder": "l_target_modules_encoder",

@@ -80,6 +80,13 @@ class ImageSplit:
     problems: tuple[str, ...] = ()
 
 
+def identity_of(pictures: UnpairedImages) -> str:
+    """Identify sets of images by their names, in a readable line that is the same on every machine."""
+    names = "\n".join(Path(each.name).name for each in (*pictures.source, *pictures.target))
+    digest = hashlib.sha256(names.encode()).hexdigest()[:16]
+    return f"{len(pictures.source)} clear, {len(pictures.target)} rainy, {digest}"
+
+
 # Image settings, part of the training's YAML file
 
 
@@ -118,11 +125,14 @@ class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     guide: Annotated[Literal["up", "luma", "none"], Meta(
         title="Guide", description="Fourth channel of the encoder: up-ness of surfaces, their luma, or none.")] = "up"
     normals: Annotated[str, Meta(
-        title="Normals", description="Source of normals for pictures without depth: dsine, marigold, none.")] = "none"
+        title="Normals", extra={"commands": "train-transfer"},
+        description="Source of normals for pictures without depth: dsine, marigold, none.")] = "none"
     normals_weights: Annotated[str | None, Meta(
-        title="Weights for normals", description="File or folder that the estimator needs.")] = None
+        title="Weights for normals", extra={"commands": "train-transfer"},
+        description="File or folder that the estimator needs.")] = None
     normals_checkout: Annotated[str | None, Meta(
-        title="Checkout for normals", description="The person's own copy of DSINE's program.")] = None
+        title="Checkout for normals", extra={"commands": "train-transfer"},
+        description="Your own copy of DSINE's program.")] = None
     seed: Annotated[int, Meta(
         ge=0, le=2**31 - 1, title="Seed", description="Seed that draws the test pictures.")] = 0
     # fmt: on

@@ -17,16 +17,18 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...render.images import write_png
+from ...safe_io.errors import convert_checked
 from ...safe_io.limits import check_file
 from ...scene.files import hold_for_writing
 from ...scene.progress import Progress
 from ...training_run import CheckpointError, CheckpointFormat, CheckpointHeader, PeriodicAction, TrainingRun
+from ..base import TrainingRecord
 from ..cyclegan_turbo.lora import LoraRanks
 from ..cyclegan_turbo.model import build_random_model, tiny
 from ..cyclegan_turbo.pretrained import open_model
 from ..cyclegan_turbo.translator import chosen_device
 from ..cyclegan_turbo.weights import save_weights
-from .dataset import DatasetImage, ImageSplit, UnpairedImages, open_images
+from .dataset import DatasetImage, ImageSplit, UnpairedImages, identity_of, open_images
 from .discriminator import ClipFeatures, Discriminator
 from .loss_log import CollapseMonitor, LossLog, color_distance, distance_sample, read_losses
 from .settings import FinetuneResult, FinetuneTask, FinetuningSettings
@@ -167,8 +169,20 @@ class _FinetuneLoop:
     def _save(self, log: LossLog, steps: int) -> Progress:
         log.flush()  # first, so that a resumed training finds the losses before its checkpoint
         CHECKPOINTS.write(self._task.checkpoint, self._header(steps), self._training.state())
-        save_weights(self._training.model, self._task.weights)
+        save_weights(self._training.model, self._task.weights, self._record(steps))
         return self.run.progress(steps, f"Saved {self._task.checkpoint.name}")
+
+    def _record(self, steps: int) -> TrainingRecord:
+        pictures = self._settings.pictures
+        normals = "depth" if pictures.normals == "none" else pictures.normals
+        return convert_checked(
+            {
+                "conditioning": pictures.guide, "normals": "none" if pictures.guide == "none" else normals,
+                "framing": pictures.framing, "width_px": pictures.width_px, "height_px": pictures.height_px,
+                "seed": self._settings.seed, "steps": steps, "held_out": identity_of(self._split.test),
+            },
+            TrainingRecord,
+        )  # fmt: skip
 
     def _header(self, steps: int) -> FinetuneHeader:
         return FinetuneHeader(

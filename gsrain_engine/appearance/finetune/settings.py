@@ -196,6 +196,7 @@ class FinetuneResult:
 # Settings files: shipped ones by name, the user's by path, with changes applied on top
 
 _FOLDER = "finetune"
+_NORMALS = ("normals", "normals_weights", "normals_checkout")
 _FILES = ("path", "normals_weights", "normals_checkout", "base", "clip", "lpips", "start")
 
 
@@ -209,14 +210,23 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
     values = load_values(_FOLDER, name, "settings", _FILES)
     changed = {key: value for key, value in changes.items() if value is not None}
     if isinstance(pictures := values.get("pictures", {}), dict):
-        sources = {look: changed.pop(look) for look in ("clear", "rainy") if look in changed}
-        values["pictures"] = pictures | sources
+        sources = {
+            look: _in_place(pictures.get(look), changed.pop(look)) for look in ("clear", "rainy") if look in changed
+        }
+        own = {name: changed.pop(name) for name in _NORMALS if name in changed}
+        values["pictures"] = pictures | sources | own
     try:
         settings: FinetuningSettings = convert_checked(values | changed, FinetuningSettings)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     check_checkout(name, settings.pictures.normals, settings.pictures.normals_checkout)
     return settings
+
+
+def _in_place(rows: object, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Sources with other places: the first keeps weather and number of the first of the settings, and so on."""
+    kept = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    return [{**(kept[place] if place < len(kept) else {}), **each} for place, each in enumerate(given)]
 
 
 def code_of(settings: FinetuningSettings) -> dict[str, str]:
