@@ -168,7 +168,7 @@ def test_views_are_made_on_demand_and_the_latest_are_cached():
 
     views, last = CachedViews(CACHED_VIEWS + 2, make), str(CACHED_VIEWS + 1)
     assert made == []
-    assert [each.name for each in (views[-1], views[0], views[0], *views[1:3])] == [last, "0", "0", "1", "2"]
+    assert [each.name for each in (views[-1], views[0], views[0], views[1], views[2])] == [last, "0", "0", "1", "2"]
     assert made == [last, "0", "1", "2"]
     assert [each.name for each in views[:CACHED_VIEWS]] == [str(i) for i in range(CACHED_VIEWS)]
     assert views[-1].name == last and len(made) == CACHED_VIEWS + 2  # the last one had been dropped
