@@ -8,7 +8,7 @@ from contextlib import suppress
 from functools import partial, wraps
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
 from .console import print
-from .options import JsonFile, has_display
+from .options import JsonFile, flag, has_display, option
 from .outputs import check_writable, write_numbers
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
@@ -49,9 +49,18 @@ class Finding(NamedTuple):
     """Description of what was found, or how to get it."""
 
 
-def doctor(*, json: JsonFile = None) -> int:
+def doctor(
+    *,
+    self_test: Annotated[bool, flag("Also run published weights on their authors' input, and compare.")] = False,
+    pair: Annotated[
+        tuple[Path, Path] | None, option("Authors' input and output of clear2rainy; default: in GSRAIN_TEST_DATA.")
+    ] = None,
+    json: JsonFile = None,
+) -> int:
     """List what GSRAIN can use on this machine. Exit code 1 if something required is missing or wrong."""
     check_writable(json)
+    if pair is not None and not self_test:
+        raise ValueError("--pair is for --self-test")
     video, threads = _video(), _threads()
     needed = [_opengl(), threads] if is_frozen() else [_opengl(), video, threads]
     tested = find_depth_order()
@@ -64,8 +73,23 @@ def doctor(*, json: JsonFile = None) -> int:
         for each in findings:
             print(f"{'ok     ' if each.found else missing} {each.name}: {each.what}")
     every = [each for findings in marks.values() for each in findings]
-    write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in every})
-    return 0 if all(each.found for each in (*needed, *tested)) else 1
+    numbers: dict[str, Any] = {each.name: {"found": each.found, "what": each.what} for each in every}
+    is_right = all(each.found for each in (*needed, *tested))
+    if self_test:
+        from gsrain_engine.appearance.self_test import self_tests  # loads OpenCV, which the list doesn't need
+
+        results = self_tests(pair)
+        for each in results:
+            print(f"{_MARKS[each.passed]} {each.model}: {each.what}")
+        numbers["self_test"] = [
+            {"model": each.model, "psnr_db": each.psnr_db, "passed": each.passed} for each in results
+        ]
+        is_right = is_right and all(each.passed is not False for each in results)
+    write_numbers(json, numbers)
+    return 0 if is_right else 1
+
+
+_MARKS = {True: "passed ", False: "DIFFERS", None: "untried"}
 
 
 def is_frozen() -> bool:

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from jaxtyping import Bool, Float64
 
 from gsrain_engine.appearance import output_folder
-from gsrain_engine.appearance.base import ClearView, RainyView, SeesPictures, SkippedCounts, TransferSettings
+from gsrain_engine.appearance.base import ClearView, NetworkTransfer, RainyView, SkippedCounts, TransferSettings
 from gsrain_engine.appearance.capture_views import CaptureViews
 from gsrain_engine.appearance.finetune.dataset import ImageSettings
 from gsrain_engine.appearance.finetune.settings import (
@@ -123,7 +123,7 @@ def transfer(
     opened = source_views(source, choice, capture)
     model = open_transfer(chosen.method, settings, opened.surroundings)
     values = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice) | {"width_px": opened.width_px}
-    seen: dict[str, Any] = model.seen(opened.views[0]) if isinstance(model, SeesPictures) else {}
+    seen: dict[str, Any] = model.network_input(opened.views[0]) if isinstance(model, NetworkTransfer) else {}
     values |= seen
     record = output_folder.TransferRecord(chosen.method, opened.name, values, opened.to_world)
     rainy = output_folder.write_transferred(output, model.transferred(opened.views), record, opened.mask)

@@ -108,16 +108,16 @@ class Transfer(Protocol):
 
 
 @runtime_checkable
-class SeesPictures(Protocol):
+class NetworkTransfer(Protocol):
     """Transfer by a network, which tells what it sees."""
 
-    def seen(self, view: ClearView) -> dict[str, Any]:
-        """What the network sees of a view: `network_px` (width, height), `framing`, `normals`, `conditioning`."""
+    def network_input(self, view: ClearView) -> dict[str, Any]:
+        """Describe the network's input: `network_px` (width, height), `framing`, `normals`, `conditioning`."""
         ...
 
 
 class TrainingRecord(Struct, frozen=True, kw_only=True):
-    """How weights were trained: what a transfer has to repeat, in the header of their file."""
+    """Training of weights, as far as a transfer has to repeat it; stored in the header of their file."""
 
     conditioning: Literal["up", "luma", "none"]
     normals: Literal["depth", "dsine", "marigold", "none"]

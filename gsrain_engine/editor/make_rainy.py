@@ -1,13 +1,14 @@
 """Setup of "Make it rainy": method, views, preview and job. Not part of the document."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import get_args
 
 import msgspec
 import numpy as np
 
 from ..appearance.base import TransferSettings
-from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
+from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights, read_record
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
 from .background_edits import apply_wet_look
@@ -58,6 +59,7 @@ class WetLookController:
         self._viewport, self._document, self._live_rain = viewport, viewport.document, live_rain
         self._captures, self._jobs, self._files, self._status = captures, jobs, files, status
         self._starts_soon = False
+        self._training: tuple[tuple[Path, int] | None, str | None] = None, None
 
     @property
     def row(self) -> TransferMethod:
@@ -90,6 +92,21 @@ class WetLookController:
     def why_no_transfer(self) -> str | None:
         """Missing requirements of the method, or None."""
         return missing_requirements(self.row, self.settings)
+
+    @property
+    def training(self) -> str | None:
+        """Line on the training of the chosen weights; None if their file does not have it."""
+        weights = self.settings.weights
+        if self.method != "cyclegan-turbo" or weights is None or not weights.is_file():
+            return None
+        key = weights, weights.stat().st_mtime_ns
+        if key != self._training[0]:
+            try:
+                record = read_record(weights)
+                self._training = key, None if record is None else record.words
+            except (ValueError, ModuleNotFoundError) as error:
+                self._training = key, str(error)
+        return self._training[1]
 
     def why_no_views(self, source: Source) -> str | None:
         """Reason why views of a source are not available, in one sentence, or None."""

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..appearance import output_folder
 from ..appearance.base import ClearView, RainyView, Transfer
 from ..appearance.capture_views import CaptureViews
-from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
+from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights, read_record
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, identity_of, open_images
 from ..appearance.normals import WEIGHTS
 from ..appearance.output_folder import TransferRecord, read_transferred, write_transferred
@@ -261,8 +261,6 @@ def held_out_images(
     another split, as they may have seen these images.
     """
     split = open_images(msgspec.structs.replace(settings, guide="none"))
-    from ..appearance.cyclegan_turbo.weights import read_record  # torch is an extra
-
     held_out = identity_of(split.test)
     for file in weights:
         if (record := read_record(file)) is not None and record.held_out not in ("", held_out):

@@ -16,7 +16,7 @@ from .renderer import Renderer
 from .sequence import FrameSequence
 from .sky_color import SkyColor
 
-SEEN_LEVELS = 4
+VISIBLE_LEVELS = 4
 """A change of a pixel by more gray levels than this counts as seen."""
 
 _CLOSE_UP = 5  # the close-up is a fifth of the image wide and high
@@ -34,11 +34,11 @@ class SheetCell:
     image: UInt8[np.ndarray, "h w 3"]
     mean_change: float
     """Mean absolute difference, in gray levels of 255."""
-    seen_share: float
-    """Fraction of the pixels whose color changes by more than `SEEN_LEVELS`."""
+    visible_share: float
+    """Fraction of the pixels whose color changes by more than `VISIBLE_LEVELS`."""
     streaks_drawn: int
-    streaks_seen: int
-    """Connected regions that the streaks alone change by more than `SEEN_LEVELS`."""
+    visible_streaks: int
+    """Connected regions that the streaks alone change by more than `VISIBLE_LEVELS`."""
 
     @property
     def numbers(self) -> dict[str, str | float | int]:
@@ -47,9 +47,9 @@ class SheetCell:
             "view": self.view,
             "intensity_mm_h": self.intensity_mm_h,
             "mean_change_levels": self.mean_change,
-            "seen_share": self.seen_share,
+            "visible_share": self.visible_share,
             "streaks_drawn": self.streaks_drawn,
-            "streaks_seen": self.streaks_seen,
+            "visible_streaks": self.visible_streaks,
         }
 
     @property
@@ -57,8 +57,8 @@ class SheetCell:
         """Line that states what can be seen."""
         if self.intensity_mm_h == 0:
             return "no rain"
-        streaks = f"{self.streaks_seen:,} of {self.streaks_drawn:,} streaks"
-        return f"change {self.mean_change:.2f} of 255, seen in {self.seen_share:.1%} of pixels, {streaks}"
+        streaks = f"{self.visible_streaks:,} of {self.streaks_drawn:,} streaks"
+        return f"change {self.mean_change:.2f} of 255, seen in {self.visible_share:.1%} of pixels, {streaks}"
 
 
 def sheet_cells(
@@ -98,20 +98,20 @@ def _cell(
 
     image = drawn(rain)
     streaks_drawn = renderer.statistics.drops_drawn if sky is not None else 0
-    streaks = _seen(image, drawn(msgspec.structs.replace(rain, streaks=False))) if sky is not None else None
+    streaks = _visible_change(image, drawn(msgspec.structs.replace(rain, streaks=False))) if sky is not None else None
     return SheetCell(
         view,
         rain.intensity_mm_h,
         image,
         float(np.abs(image.astype(np.int16) - clear).mean()),
-        float(_seen(image, clear).mean()),
+        float(_visible_change(image, clear).mean()),
         streaks_drawn,
         0 if streaks is None else cv2.connectedComponents(streaks.astype(np.uint8), connectivity=8)[0] - 1,
     )
 
 
-def _seen(image: UInt8[np.ndarray, "h w 3"], other: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    return np.abs(image.astype(np.int16) - other).max(axis=2) > SEEN_LEVELS
+def _visible_change(image: UInt8[np.ndarray, "h w 3"], other: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    return np.abs(image.astype(np.int16) - other).max(axis=2) > VISIBLE_LEVELS
 
 
 # Drawing

@@ -28,10 +28,10 @@ def test_harder_rain_changes_more_and_no_rain_nothing():
     assert [(each.view, each.intensity_mm_h) for each in (clear, light, heavy)] == [
         ("front", 0.0), ("front", 2.0), ("front", 50.0)
     ]  # fmt: skip
-    assert (clear.mean_change, clear.seen_share, clear.streaks_drawn, clear.streaks_seen) == (0, 0, 0, 0)
+    assert (clear.mean_change, clear.visible_share, clear.streaks_drawn, clear.visible_streaks) == (0, 0, 0, 0)
     assert 0 < light.mean_change < heavy.mean_change
-    assert light.seen_share < heavy.seen_share <= 1
-    assert light.streaks_drawn < heavy.streaks_drawn and 0 < heavy.streaks_seen <= heavy.streaks_drawn
+    assert light.visible_share < heavy.visible_share <= 1
+    assert light.streaks_drawn < heavy.streaks_drawn and 0 < heavy.visible_streaks <= heavy.streaks_drawn
     for own, other in zip((clear, light, heavy), others, strict=True):
         np.testing.assert_array_equal(own.image, other.image)
 

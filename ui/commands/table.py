@@ -530,11 +530,11 @@ Views are warped onto their neighbors by depth. The error after a transfer shoul
 between views increase it. Reflections in water depend on the view, so errors outside the water film ("dry") are
 reported as well.
 
-The paper's two ablations, without normals and without mutual self-attention:
+The paper's two ablations, without normals (weights of gsrain train-transfer rgb) and without mutual self-attention:
 
 gsrain transfer SCENE -o full --method cyclegan-turbo --weights FILE
 
-gsrain transfer SCENE -o no-normals --method cyclegan-turbo --weights FILE --no-normals
+gsrain transfer SCENE -o no-normals --method cyclegan-turbo --weights RGB_FILE
 
 gsrain transfer SCENE -o no-attention --method cyclegan-turbo --weights FILE --no-cross-view-attention
 

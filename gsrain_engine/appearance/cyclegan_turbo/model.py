@@ -73,7 +73,7 @@ class CycleGanTurbo(torch.nn.Module):
         self.seed: int | None = None
         """Seed of the random base weights; None for SD-Turbo's own."""
         self.record: TrainingRecord | None = None
-        """How the weights were trained, if their file says so."""
+        """Record of the training of the weights, if their file has it."""
 
     @property
     def takes_guides(self) -> bool:

@@ -21,8 +21,7 @@ from . import cross_view_attention as attention
 from .cross_view_attention import AttendingView, CrossViewExchange, TileWindow
 from .model import CycleGanTurbo
 from .pretrained import open_model
-from .weight_paths import find_transfer_weights
-from .weights import read_record
+from .weight_paths import find_transfer_weights, read_record
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -61,8 +60,8 @@ class CycleGanTurboTransfer:
         self._device, self._dtype = weight.device, weight.dtype
         self._has_warned = False
 
-    def seen(self, view: ClearView) -> dict[str, Any]:
-        """What the network sees of a view: size (width, height), framing, normals and conditioning, as plain values."""
+    def network_input(self, view: ClearView) -> dict[str, Any]:
+        """Describe the network's input for a view: size (width, height), framing, normals, conditioning; plain values."""
         height, width = self._windows(view)[0].frame
         settings = self.settings
         guided = self.model.takes_guides and settings.normals != "none"

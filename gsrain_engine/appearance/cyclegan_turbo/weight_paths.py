@@ -1,11 +1,17 @@
-"""Paths of CycleGAN-Turbo's files on the user's machine, and download instructions. Needs no torch."""
+"""CycleGAN-Turbo's files on the user's machine: paths, download instructions, training records. Needs no torch."""
 
 import os
+from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import platformdirs
 
-from ...safe_io.limits import read_file
+from ...safe_io.limits import check_file, read_file
+from ...safe_io.text_files import printable_line
+from ..base import TrainingRecord
 
 BASE_VARIABLE = "GSRAIN_SD_TURBO"
 """Environment variable with a folder of SD-Turbo in diffusers' layout."""
@@ -99,3 +105,35 @@ def hub_snapshots(name: str) -> list[Path]:
 def _hub_cache(name: str) -> Path:
     home = Path(os.environ.get("HF_HOME", Path.home() / ".cache" / "huggingface"))
     return Path(os.environ.get("HF_HUB_CACHE", home / "hub")) / f"models--{name.replace('/', '--')}"
+
+
+# Record of the training, in the header of a weights file
+
+TRAINING = "training"
+"""Header field with the `TrainingRecord`."""
+
+
+def read_record(path: Path) -> TrainingRecord | None:
+    """Read the record of the training from the header of a file of ours; None for other files and older ones.
+
+    Raises ValueError for a damaged record.
+    """
+    if path.suffix != ".safetensors":
+        return None
+    safetensors: Any = import_module("safetensors")
+    try:
+        check_file(path)
+        with safetensors.safe_open(path, framework="np") as file:
+            return record_in(dict(file.metadata() or {}), path)
+    except (safetensors.SafetensorError, OSError) as error:
+        raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
+
+
+def record_in(metadata: Mapping[str, str], path: Path) -> TrainingRecord | None:
+    """Record in the header of a file of ours; None if it has none. Raises ValueError if it is damaged."""
+    if TRAINING not in metadata:
+        return None
+    try:
+        return msgspec.json.decode(metadata[TRAINING], type=TrainingRecord)
+    except msgspec.DecodeError as error:
+        raise ValueError(f"{path}: the record of its training is damaged: {error}") from None

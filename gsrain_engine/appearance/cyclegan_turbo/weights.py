@@ -18,6 +18,7 @@ from ..base import TrainingRecord
 from . import lora
 from .lora import LowRank, adapted_layers, addition_of
 from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widen_kernel
+from .weight_paths import TRAINING, record_in
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -69,9 +70,9 @@ class WeightsFile:
 
     @property
     def record(self) -> TrainingRecord | None:
-        """How the weights were trained; None if that is unknown. Raises ValueError for a damaged record."""
+        """Record of the training; None if it is unknown. Raises ValueError for a damaged record."""
         if self.is_own:
-            return _record_in(self.metadata, self.path)
+            return record_in(self.metadata, self.path)
         return PUBLISHED if "sd_encoder" in self.state else None
 
     @property
@@ -276,7 +277,6 @@ def _into_adapters(model: CycleGanTurbo, delta: AdapterWeights) -> None:
 
 FORMAT = "gsrain-cyclegan-turbo"
 _VERSION = "1"
-_TRAINING = "training"  # header field with the `TrainingRecord`
 _FACTORS = ("lora_A.weight", "lora_B.weight", "alpha")
 _PROBE = "unet.conv_out.bias"
 """Untrained tensor of the base, stored to check that weights are applied to the right base."""
@@ -311,7 +311,7 @@ def save_weights(model: CycleGanTurbo, path: Path, record: TrainingRecord | None
     if model.seed is not None:
         header["random_base_seed"] = str(model.seed)
     if (record := record or model.record) is not None:
-        header[_TRAINING] = msgspec.json.encode(record).decode()
+        header[TRAINING] = msgspec.json.encode(record).decode()
     header["tensors"] = json.dumps(sorted(tensors))
     save: Any = import_module("safetensors.torch").save_file
     plain = {name: each.detach().cpu().contiguous() for name, each in tensors.items()}
@@ -319,31 +319,6 @@ def save_weights(model: CycleGanTurbo, path: Path, record: TrainingRecord | None
     with whole_file(path) as temporary:
         save(plain, temporary, metadata=header)
         _sort_header(temporary)
-
-
-def read_record(path: Path) -> TrainingRecord | None:
-    """How the weights in a file of ours were trained, from its header alone; None for other files and older ones.
-
-    Raises ValueError for a damaged record.
-    """
-    if path.suffix != ".safetensors":
-        return None
-    safetensors: Any = import_module("safetensors")
-    try:
-        check_file(path)
-        with safetensors.safe_open(path, framework="pt") as file:
-            return _record_in(dict(file.metadata() or {}), path)
-    except (safetensors.SafetensorError, OSError) as error:
-        raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
-
-
-def _record_in(metadata: Mapping[str, str], path: Path) -> TrainingRecord | None:
-    if _TRAINING not in metadata:
-        return None
-    try:
-        return msgspec.json.decode(metadata[_TRAINING], type=TrainingRecord)
-    except msgspec.DecodeError as error:
-        raise ValueError(f"{path}: the record of its training is damaged: {error}") from None
 
 
 def read_own(

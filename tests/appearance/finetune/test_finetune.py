@@ -11,6 +11,8 @@ torch = pytest.importorskip("torch")
 
 from appearance.cyclegan_turbo.published_checkpoints import load_weights  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.weight_paths import read_record  # noqa: E402
+from gsrain_engine.appearance.finetune.dataset import identity_of, open_images  # noqa: E402
 from gsrain_engine.appearance.finetune.loss_log import (  # noqa: E402
     CHANCE,
     CollapseMonitor,
@@ -24,7 +26,7 @@ from gsrain_engine.appearance.finetune.step import FinetuneTrainer  # noqa: E402
 from gsrain_engine.scene.progress import run_to_end  # noqa: E402
 from gsrain_engine.training_run import CheckpointError  # noqa: E402
 
-from .small_training import small, small_settings, small_start  # noqa: E402
+from .small_training import SIDE_PX, small, small_settings, small_start  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("small_networks")
 
@@ -49,6 +51,10 @@ def test_a_training_resumed_after_a_kill_ends_in_the_same_bytes(tmp_path: Path) 
 def test_the_weights_that_are_written_are_those_that_were_trained_and_can_be_trained_on(tmp_path: Path) -> None:
     settings = small_settings(tmp_path, steps=1)
     result = run(FinetuneTask(settings=settings, output=tmp_path / "run"))
+    record = read_record(result.weights)
+    split = open_images(settings.pictures)
+    assert record is not None and record.held_out == identity_of(split.test)
+    assert (record.conditioning, record.framing, record.width_px, record.steps) == ("up", "stretch", SIDE_PX, 1)
     training = small_start(settings)
     training.iterate(0)
     used = build_random_model(small(), normals=True, seed=settings.seed)
