@@ -139,7 +139,7 @@ def _column(cells: Sequence[SheetCell]) -> Image.Image:
     font = ImageFont.load_default(text)
     column = Image.new("RGB", (width + 2 * gap, len(cells) * row + gap), _PAPER)
     draw = ImageDraw.Draw(column)
-    region = _most_changed(cells)
+    region = _changed_region(cells)
     for place, cell in enumerate(cells):
         top = gap + place * row
         column.paste(Image.fromarray(_with_close_up(cell.image, region)), (gap, top))
@@ -152,7 +152,7 @@ def _column(cells: Sequence[SheetCell]) -> Image.Image:
     return column
 
 
-def _most_changed(cells: Sequence[SheetCell]) -> tuple[slice, slice]:
+def _changed_region(cells: Sequence[SheetCell]) -> tuple[slice, slice]:
     """Rows and columns of the region that differs most between the lightest and the heaviest rain.
 
     Regions that the enlargement would cover are left out.

@@ -61,7 +61,7 @@ class CycleGanTurboTransfer:
         self._has_warned = False
 
     def network_input(self, view: ClearView) -> dict[str, Any]:
-        """Describe the network's input for a view: size (width, height), framing, normals, conditioning; plain values."""
+        """Describe the network's input for a view: size (width, height), framing, normals, conditioning."""
         height, width = self._windows(view)[0].frame
         settings = self.settings
         guided = self.model.takes_guides and settings.normals != "none"
