@@ -90,7 +90,7 @@ vec3 display_color(uint i, vec3 mean) {
         color = (1.0 - wetness) * color + wetness * soaked;
     }
 #endif
-    return max(color_change * vec4(color, 1.0), 0.0);
+    return color_change * vec4(color, 1.0);
 }
 
 vec3 normal_color(mat3 axes, vec3 s, vec3 p) {
@@ -119,6 +119,7 @@ void main() {
                 else if (look == LOOK_LAYERS) color = layer_color;
                 else color = display_color(i, mean_opacity.xyz);
                 visible = !(any(isnan(color)) || any(isinf(color)));
+                color = max(color, 0.0);  // after the check: some drivers' max turns NaN into 0
                 set_color(splat, mark.y == 0u ? color : tinted(color));
             }
         }

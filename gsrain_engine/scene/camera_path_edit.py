@@ -112,12 +112,13 @@ def reverse_path_time(path: CameraPath) -> CameraPath:
 
 
 def _free_moment(taken: Float64[np.ndarray, " k"], time_s: float) -> float:
-    """Free time nearest to the requested one."""
+    """Free time nearest to the requested one; none before 0 s unless it is requested."""
     gap = 2 * SAME_TIME_S
     candidates = np.concatenate([[float(time_s)], taken - gap, taken + gap])
     fences = np.concatenate([[-np.inf], taken, [np.inf]])
     after = np.searchsorted(fences[:-1], candidates, side="right")
-    free = candidates[np.minimum(candidates - fences[after - 1], fences[after] - candidates) > SAME_TIME_S]
+    is_free = np.minimum(candidates - fences[after - 1], fences[after] - candidates) > SAME_TIME_S
+    free = candidates[is_free & (candidates >= min(time_s, 0.0))]
     return float(free[np.argmin(np.abs(free - time_s))])
 
 

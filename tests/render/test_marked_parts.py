@@ -83,7 +83,7 @@ def test_many_are_projected_in_chunks_to_the_same_bytes(fields):
         assert not part.left_out.flags[project([part], small_camera()).indices].any()  # it takes no memory, either
 
 
-@pytest.mark.parametrize("kind", ["cpu", "cuda"])
+@pytest.mark.parametrize("kind", ["cpu", "cuda", "opengl"])
 def test_what_has_no_finite_wet_color_is_left_out(open_kind, kind):
     renderer = open_kind(kind)
     part, left_out = part_of(300, wetness=0.5), np.zeros(300, bool)

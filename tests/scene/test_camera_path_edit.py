@@ -74,6 +74,7 @@ def test_keys_are_added_moved_copied_and_removed_without_changing_others(
         assert np.array_equal(changed.quaternions_wxyz[place], path.quaternions_wxyz[key])
         assert np.all(np.diff(changed.times_s) > edits.SAME_TIME_S)
     assert abs(moved.times_s[at] - time_s) <= 4 * edits.SAME_TIME_S
+    assert moved.times_s[at] >= min(time_s, 0) and copied.times_s[copy] >= min(time_s, 0)
     assert same_path(edits.without_keyframe(copied, copy), path)
     assert same_path(edits.without_keyframe(moved, at) or path, edits.without_keyframe(path, key) or path)
     if edits.keyframe_at(path, time_s) is None:
