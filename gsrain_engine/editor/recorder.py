@@ -1,6 +1,7 @@
 """Export of the timeline or a still: settings, estimate, and start of the job."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,12 +13,13 @@ from ..render.export import export_command, export_sequences, frame_numbers
 from ..render.export_settings import ExportSettings, export_outputs
 from ..render.sequence import FrameSequence
 from ..scene.camera_path import CameraPath
+from ..scene.formats.scene_folder import FileCache
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Scene
 from .autosave import saved_scene
 from .files import Files
-from .jobs.job import JobRunner
-from .jobs.record import export_job
+from .jobs.job import Job, JobRunner
+from .jobs.record import SHEET_MM_H, export_job, sheet_job
 from .live_rain import LiveRain
 from .status import StatusBus
 from .steps import python_program, shell_command, steps_since
@@ -97,7 +99,15 @@ class RenderQueue:
 
     def record_still_to(self, path: Path) -> None:
         """Record the viewport's present time and view, in the size and with the samples of the settings."""
-        still = msgspec.structs.replace(
+        self._begin(self._still(path), self.still_scene())
+
+    def draw_sheet_to(self, path: Path) -> None:
+        """Draw the viewport's present time and view in several intensities below each other."""
+        still = msgspec.structs.replace(self._still(path), passes=("color",))
+        self._begin(still, self.still_scene(), sheet_job, f" --sheet {','.join(f'{each:g}' for each in SHEET_MM_H)}")
+
+    def _still(self, path: Path) -> ExportSettings:
+        return msgspec.structs.replace(
             self.settings,
             output=str(path if path.suffix else path.with_name(f"{path.name}.png")),
             codec="auto",
@@ -107,7 +117,6 @@ class RenderQueue:
             first_s=self._playback.clock.time_s,
             last_s=None,
         )
-        self._begin(still, self.still_scene())
 
     def still_scene(self) -> Scene:
         """The scene to save, with the viewport's camera as its path, unless that follows the scene's own path."""
@@ -151,7 +160,13 @@ class RenderQueue:
             self.settings, output=self.settings.output or f"clip{self.settings.default_suffix}"
         )
 
-    def _begin(self, recording: ExportSettings, scene: Scene) -> None:
+    def _begin(
+        self,
+        recording: ExportSettings,
+        scene: Scene,
+        job: Callable[[Scene, ExportSettings, FileCache], Job[str]] = export_job,
+        more_options: str = "",
+    ) -> None:
         try:
             recording.check()
             names = list(self._sequences(recording))
@@ -163,7 +178,7 @@ class RenderQueue:
             files, note = self._files, ""
             if scene.path is self._document.scene.path:
                 saved = " once the scene is saved" if files.home is None or files.has_changes else ""
-                command = export_command(recording, str(files.home or "PROJECT"))
+                command = export_command(recording, str(files.home or "PROJECT")) + more_options
                 note = f"The same from the command line{saved}: {command}"
 
             def log_recorded(output: str, _: bool) -> None:
@@ -171,7 +186,7 @@ class RenderQueue:
                 if note:
                     logger.info("%s", note)
 
-            self._jobs.start(export_job(scene, recording, files.known), log_recorded)
+            self._jobs.start(job(scene, recording, files.known), log_recorded)
 
         self._status.ask_before_replacing(export_outputs(recording, names), start)
 

@@ -95,6 +95,14 @@ def test_a_still_has_the_view_of_the_viewport(editor, tmp_path):
     assert editor.render_queue.still_scene().path is editor.document.scene.path
 
 
+def test_a_sheet_has_five_intensities(editor, tmp_path):
+    editor.render_queue.change(size_px=(96, 64), passes=("color", "depth"))
+    editor.render_queue.draw_sheet_to(tmp_path / "sheet.png")
+    editor.jobs.newest("export").wait(60)
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.width >= 96 and 5 * 64 < sheet.height < 5 * 130
+
+
 @pytest.mark.parametrize(
     ("settings", "target", "named"),
     [

@@ -78,6 +78,9 @@ def record_panel(
     help_text = "Render the present view at the present time, in this size and with these samples (Ctrl+Shift+R)."
     if button("Render image...", help_text, width=half, enabled=not render_queue.is_recording):
         ask_where_to_render_image(render_queue)
+    help_text = "Draw the present view in five intensities below each other, with what can be seen of each in numbers."
+    if button("Intensity sheet...", help_text, width=-1, enabled=not render_queue.is_recording):
+        ask_where_to_draw_sheet(render_queue)
     why_not = "The scene is not in a file yet: save it first." if files.source is None else None
     forms = {"command": lambda: render_queue.command, "Python": lambda: render_queue.program}
     copy_buttons("this recording", forms, status, why_not)
@@ -94,6 +97,10 @@ def ask_where_to_record(render_queue: RenderQueue) -> None:
 def ask_where_to_render_image(render_queue: RenderQueue) -> None:
     kinds = "PNG{.png},JPEG{.jpg},EXR{.exr}"
     ask_where_to_save("Render image", kinds, lambda chosen: render_queue.record_still_to(chosen[0]))
+
+
+def ask_where_to_draw_sheet(render_queue: RenderQueue) -> None:
+    ask_where_to_save("Intensity sheet", "PNG{.png}", lambda chosen: render_queue.draw_sheet_to(chosen[0]))
 
 
 def _extent(render_queue: RenderQueue) -> bool:

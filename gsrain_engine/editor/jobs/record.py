@@ -4,12 +4,16 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
+from PIL import Image
+
 from ...backends import open_renderer
 from ...rain.keyframes import keyframes_of, rain_of
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
 from ...render.export import export_frames, export_sequences, frame_numbers
 from ...render.export_settings import DEFAULT_SIZE_PX, ExportSettings
+from ...render.images import write_image
+from ...render.intensity_sheet import SheetCell, intensity_sheet, sheet_cells
 from ...render.renderer import Renderer
 from ...scene.camera_path import CameraPath
 from ...scene.formats.scene_folder import FileCache
@@ -22,6 +26,8 @@ from .job import Job
 from .process import install_sigterm_handler
 
 logger = logging.getLogger("gsrain")
+SHEET_MM_H = 0.0, 1.2, 5.0, 8.5, 12.0
+"""Intensities of a sheet: the quick choices of the Rain panel."""
 
 
 def export_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job[str]:
@@ -60,6 +66,32 @@ def export_scene(renderer: Renderer, scene: Scene, recording: ExportSettings) ->
     path = own_path(scene, *(recording.size_px or DEFAULT_SIZE_PX))
     sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=scene.path is not None)
     yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
+
+
+def sheet_job(scene: Scene, still: ExportSettings, known: FileCache) -> Job[str]:
+    """Create a job that draws a sheet of intensities, as `gsrain render --sheet` does, whose result is the output."""
+    return Job(
+        "export", f"Draw {still.path.name}", sheet_in_worker, lambda _: still.output,
+        lambda folder: (write_copy(scene, folder, known), still), ends_with_scene=False,
+    )  # fmt: skip
+
+
+def sheet_in_worker(folder: Path, still: ExportSettings) -> Iterator[Progress]:
+    """Worker: draw a sheet of `SHEET_MM_H` for the present view of a scene folder."""
+    yield Progress(0.0, "Reading the scene")
+    scene = load_sorted_scene(str(folder))
+    rain = rain_of(scene) or RainSettings()
+    path = own_path(scene, *(still.size_px or DEFAULT_SIZE_PX))
+    is_own = scene.path is not None
+    sequences = export_sequences(still, scene, RainSimulation.start(rain), path, in_scene_time=is_own)
+    cells: list[SheetCell] = []
+    with open_renderer() as renderer:
+        for each in sheet_cells(renderer, sequences, rain, SHEET_MM_H):
+            if isinstance(each, SheetCell):
+                cells.append(each)
+            else:
+                yield each
+    write_image(still.path, Image.fromarray(intensity_sheet(cells)))
 
 
 def own_path(scene: Scene, width: int, height: int) -> CameraPath:
