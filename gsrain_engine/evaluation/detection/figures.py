@@ -19,7 +19,7 @@ from ..report_charts import SeriesStyle, series_styles
 from .drawing import draw_boxes
 from .ground_truth import BoxXYXY
 from .run import EvaluatedImage, ObjectRow
-from .summary import ScoreByIntensity, SeedSpread
+from .summary import ScoreByIntensity, SeedSpread, is_misclassified
 
 MAX_OBJECTS = 8  # maximum number of drawn objects: those with the most frames, ties by distance
 _WIDTH_IN, _HEIGHT_IN, _DPI = 5.4, 3.9, 150
@@ -36,7 +36,7 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
 
     For several object classes, a second block of panels has a curve for each class. A point is the mean over frames and
     seeds, a band spans the lowest to the highest per-seed mean over frames. If both exist, a cross marks the original
-    photograph, and the curve starts at its reconstruction.
+    photograph, and the curve starts at its reconstruction. Triangles mark the confidence of another class than its own.
     """
     objects = plotted_objects(rows)
     classes = {
@@ -59,6 +59,8 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
             for style, name in zip(styles, names, strict=True):
                 curve = [row for row in own if getattr(row, field) == name]
                 _band(panel, *_over_seeds(curve, number), style, names[name])
+                if number == "confidence" and field == "object":
+                    _draw_other_classes(panel, curve, style)
                 originals = [getattr(row, number) for row in curve if row.picture == "original"]
                 if originals and any(row.picture == "clear" for row in curve):
                     panel.plot([0], [float(np.mean(originals))], "x", color=style.color, markersize=7, clip_on=False)
@@ -70,6 +72,27 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
             panel.set_axis_off()
         _legend_at_right(part, grid[0], height)
     return figure
+
+
+def _draw_other_classes(panel: Axes, rows: Sequence[ObjectRow], style: SeriesStyle) -> None:
+    """Mark, by rain rate, the mean confidence with which an object was taken for another class, and that class."""
+    found: dict[tuple[str, float], list[float]] = defaultdict(list)
+    for row in rows:
+        if row.picture != "original" and is_misclassified(row):
+            found[str(row.class_seen), row.intensity_mm_h].append(row.confidence_any_class)
+    for name in sorted({name for name, _ in found}):
+        points = sorted(
+            (intensity, float(np.mean(each))) for (other, intensity), each in found.items() if other == name
+        )
+        panel.plot(*zip(*points, strict=True), "v:", color=style.color, markersize=6, linewidth=1, clip_on=False)
+        panel.annotate(
+            f"as {figure_words(name, 16)}",
+            points[-1],
+            (0, 6),
+            textcoords="offset points",
+            fontsize=7,
+            color=style.color,
+        )
 
 
 def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:

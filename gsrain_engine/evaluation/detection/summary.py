@@ -124,7 +124,7 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
                 recall=SeedSpread.of(
                     float(np.mean([r.confidence >= FOUND_FROM for r in each])) for each in own.values()
                 ),
-                flips=SeedSpread.of(float(np.mean([_is_flip(r) for r in each])) for each in own.values()),
+                flips=SeedSpread.of(float(np.mean([is_misclassified(r) for r in each])) for each in own.values()),
                 map=SeedSpread.of(each.map for each in precision),
                 map50=SeedSpread.of(each.map50 for each in precision),
                 change=change,
@@ -166,7 +166,8 @@ def plain(score: ScoreByIntensity | DistanceScore) -> dict[str, Any]:
     return {name: _finite(value) for name, value in asdict(score).items()}
 
 
-def _is_flip(row: ObjectRow) -> bool:
+def is_misclassified(row: ObjectRow) -> bool:
+    """Return whether an object was found with another class than its own, such as a car as a truck."""
     is_other = row.class_seen is not None and not is_same_class(row.class_seen, row.class_name)
     return is_other and row.confidence_any_class >= FOUND_FROM
 

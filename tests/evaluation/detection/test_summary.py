@@ -186,3 +186,16 @@ def test_detections_have_boxes_and_labels_in_the_color_of_their_class():
 def test_objects_are_red_if_missed_and_white_if_found(detections, has_red, has_white):
     picture = draw_boxes(PICTURE, [Detection("car", 1.0, BOX)], detections)
     assert (_has(picture, (255, 60, 60)), _has(picture, (255, 255, 255))) == (has_red, has_white)
+
+
+def test_a_car_that_is_taken_for_a_truck_is_marked_with_its_confidence():
+    boxes = [Detection("truck", 0.6, FAR.box_xyxy), Detection("car", 0.8, NEAR.box_xyxy)]
+    taken = evaluate_detections("d", FRAME, Condition("rainy", 12.0, (0,)), boxes)
+    rows = [row for each in (found("clear", 0.0, (0,), 0.9, 0.7), taken) for row in object_rows(each)]
+    assert [(row.object, row.class_seen, row.confidence) for row in rows if row.confidence == 0] == [
+        ("far", "truck", 0)
+    ]
+    (panel,) = object_figure(rows, "confidence").axes
+    (mark,) = (line for line in panel.get_lines() if line.get_marker() == "v")
+    assert (mark.get_xdata()[0], mark.get_ydata()[0]) == (12.0, pytest.approx(0.6))
+    assert [text.get_text() for text in panel.texts] == ["as truck"]
