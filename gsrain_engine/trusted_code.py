@@ -78,8 +78,8 @@ class UntrustedCodeError(ValueError):
     def __init__(self, named_by: str | Path, codes: Sequence[Code]) -> None:
         listed = ", ".join(f"{each.path} (SHA-256 {each.digest[:12]})" for each in codes)
         super().__init__(
-            f"{named_by}: names code or a command, which would run with all your rights: {listed}; look at it, then "
-            "give --trust, or run this in a terminal to be asked"
+            f"{named_by}: names Python code or commands, which would run with all your rights: {listed}; look at it, "
+            "then give --trust, or run this in a terminal to be asked"
         )
         self.named_by, self.codes = str(named_by), tuple(codes)
 

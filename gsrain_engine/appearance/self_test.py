@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
-from PIL import Image
 
+from ..datasets.io.images import read_color
 from ..scene.camera import Camera
 from .base import ClearView, TransferSettings
 from .cyclegan_turbo.weight_paths import find_transfer_weights
@@ -74,7 +74,7 @@ def transferred_pair(weights: Path, source: Path, expected: Path) -> tuple[np.nd
     from .cyclegan_turbo.translator import open_cyclegan_turbo  # torch and diffusers are extras
     from .cyclegan_turbo.weights import PUBLISHED
 
-    image, wanted = (_pixels(path) for path in (source, expected))
+    image, wanted = read_color(source), read_color(expected)
     if image.shape != wanted.shape:
         raise ValueError(f"{expected}: is {wanted.shape[1]}x{wanted.shape[0]} px, {source} is another size")
     settings = TransferSettings(weights=weights, mutual_attention=False)
@@ -83,14 +83,6 @@ def transferred_pair(weights: Path, source: Path, expected: Path) -> tuple[np.nd
         raise ValueError(f"{weights}: not img2img-turbo's clear2rainy.pkl, whose authors' result is known")
     (rainy,) = transfer.transferred([_view(image)])
     return np.rint(255 * rainy.image).astype(np.uint8), wanted
-
-
-def _pixels(path: Path) -> np.ndarray:
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
-    except OSError as error:
-        raise ValueError(f"{path}: not a readable image: {error}") from None
 
 
 def _view(image: np.ndarray) -> ClearView:

@@ -19,8 +19,6 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from msgspec import Meta
-from scipy.spatial.transform import Rotation
-from scipy.special import expit
 
 from ...safe_io.errors import convert_checked
 from ...safe_io.limits import check_file, open_file, read_file
@@ -234,6 +232,8 @@ def _actor(
 
 def _unicycle_poses(path: Path) -> dict[float, Float64[np.ndarray, "4 4"]]:
     """Poses by time from (x, z, speed, pitch and roll, yaw, y, times, steps), angles counted from a quarter turn."""
+    from scipy.spatial.transform import Rotation  # loads slowly, and few scenes need it
+
     try:
         x, z, _, pitch_roll, yaw, y, times = (_array(each).astype(np.float64) for each in _checkpoint(path)[:7])
         poses = np.tile(np.eye(4), (len(times), 1, 1))
@@ -303,7 +303,8 @@ def _read_model(path: Path, state: Sequence[Any]) -> _Model:
         if scales.shape[1] == 2:
             scales = np.insert(scales, 1, np.log(_ROAD_THICKNESS_M), axis=1)
         sh = np.concatenate([constant.reshape(count, 1, 3), rest.reshape(count, -1, 3)], axis=1)[:, :coefficients]
-        opacities = expit(opacities.reshape(count))
+        with np.errstate(over="ignore"):
+            opacities = 1 / (1 + np.exp(-opacities.reshape(count)))
         gaussians = checked_gaussians(path, means, np.exp(scales), quaternions, opacities, np.ascontiguousarray(sh))
         return _Model(gaussians, features.reshape(count, -1).argmax(axis=1))
     except SceneFormatError:
