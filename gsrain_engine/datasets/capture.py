@@ -101,10 +101,10 @@ class CaptureFrame:
 
     @property
     def image_file(self) -> Path | None:
-        """File of the image as it is on disk; None if it is no file of its own, or is read turned."""
+        """File of the image; None if it is no file of its own."""
         source = self.image_source
         arguments = source.args if isinstance(source, partial) else ()
-        return arguments[0] if len(arguments) == 1 and isinstance(arguments[0], Path) else None
+        return arguments[0] if arguments and isinstance(arguments[0], Path) else None
 
     def held(self) -> "CaptureFrame":
         """Return the view with its arrays in memory; raises `CaptureError` if reading fails."""

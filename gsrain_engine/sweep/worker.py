@@ -30,7 +30,7 @@ from ..scene.rig import rig_camera_path
 from ..scene.scene import Scene
 from ..simulation.agents.base import Agent
 from ..simulation.agents.registry import AgentOptions, open_agent
-from ..simulation.interop.hugsim_agent import LATER_WAIT_S, HugsimAgent
+from ..simulation.interop.hugsim_agent import LATER_WAIT_S, ClientStartError, HugsimAgent
 from ..simulation.interop.hugsim_protocol import with_hugsim_rig
 from ..simulation.metrics.summary import measure_drive
 from ..simulation.obstacles import drivable_of
@@ -72,7 +72,7 @@ def run_job(job: Job, clips: Path, trusted: Collection[str] = ()) -> JobResult:
             cache.check_files(job.files)
             outcome = run_drive_job(job, cache) if isinstance(job, DriveJob) else run_render_job(job, cache, clips)
         except Exception as error:
-            stops = isinstance(error, MismatchError | UntrustedCodeError) or _is_full(error)
+            stops = isinstance(error, MismatchError | UntrustedCodeError | ClientStartError) or _is_full(error)
             words = " ".join(str(error).split()) or type(error).__name__
             sentence = words if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {words}"
             outcome = JobResult(id=job.id, error=sentence, stops=stops)

@@ -39,6 +39,16 @@ def test_a_rainy_copy_has_rain_in_its_images_and_all_else_as_it_was(recording, t
         assert 1 < np.abs(own.image.astype(int) - other.image).mean() < 80
 
 
+def test_a_plain_folder_of_images_has_a_rainy_copy(recording, tmp_path):
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    for view in open_capture(recording):
+        shutil.copy(view.image_file, plain / f"{view.time_s:.2f}.photo.png")
+    assert run(["export-rain", str(plain), "-o", str(tmp_path / "rainy"), "--rain", "50"]) == 0
+    assert sorted(each.name for each in (tmp_path / "rainy").iterdir()) == sorted(each.name for each in plain.iterdir())
+    assert all((tmp_path / "rainy" / each.name).read_bytes() != each.read_bytes() for each in plain.iterdir())
+
+
 def test_no_rain_is_the_same_images(recording, tmp_path):
     assert run(["export-rain", str(recording), "-o", str(tmp_path / "dry"), "--rain", "0"]) == 0
     for own, other in zip(open_capture(tmp_path / "dry"), open_capture(recording), strict=True):

@@ -107,6 +107,15 @@ def test_hugsim_clients_drive_in_sweeps_and_a_dead_one_is_a_failed_row(tmp_path)
     assert [(each.agent, each.runs) for each in summarized(rows)] == [("brake", 2), ("die", 0)]
 
 
+def test_a_client_that_can_t_be_started_ends_the_sweep(tmp_path):
+    scenario = write_scenario(tmp_path / "short.yaml", write_road(tmp_path / "road"), duration_s=1.0)
+    sweep = sweep_of([scenario], agents=[{"hugsim": {"command": "no-such-program-of-anyone"}}])
+    trust([command_code("no-such-program-of-anyone").digest])
+    with pytest.raises(OSError, match="can't be started"):
+        ended(run_sweep_and_report(sweep, tmp_path / "out", SerialExecutor()))
+    assert SweepFolder(tmp_path / "out").read(jobs_of(sweep)) == {}
+
+
 @pytest.mark.parametrize("values", [{}, {"name": "hugsim"}, {"name": "oracle-idm", "hugsim": {"command": "x"}}])
 def test_an_agent_is_a_name_or_a_client(values):
     with pytest.raises(msgspec.ValidationError, match="hugsim"):

@@ -377,7 +377,8 @@ def _labels_of(labels: Labels, name: str) -> tuple[LabeledObject, ...]:
     file = name.rpartition("/")[2]
     stem = file.rpartition(".")[0] or file
     for known, truths in labels.items():
-        if name == known or stem == (known.rpartition("/")[2].rpartition(".")[0] or known):
+        known_stem = known.rpartition("/")[2].rpartition(".")[0] or known
+        if name == known or known_stem in (file, stem):  # a view's name may have dots, and no suffix
             return truths
     return ()
 

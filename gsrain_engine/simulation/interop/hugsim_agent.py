@@ -24,6 +24,10 @@ _LEAVE_WAIT_S = 100.0  # wait for the client, which writes a video, after "Done"
 _SHORT_S = 2.0  # timeout of "Done" for a client that has failed
 
 
+class ClientStartError(ClientError):
+    """The command of a client can't be run on this machine, for any drive."""
+
+
 class HugsimAgent:
     """Lets an unmodified HUGSIM client (UniAD_SIM, VAD_SIM, NAVSIM's LTF, or a custom one) drive.
 
@@ -199,7 +203,7 @@ class ClientProcess:
                     placed, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
                 )
         except OSError as problem:
-            raise ClientError(f"the client can't be started: {problem}") from None
+            raise ClientStartError(f"the client can't be started: {problem}") from None
 
     @property
     def ended(self) -> str | None:
