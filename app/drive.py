@@ -24,6 +24,7 @@ from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.agents.registry import (
+    HUGSIM,
     SHIPPED_AGENTS,
     AgentOptions,
     agent_file,
@@ -63,9 +64,6 @@ from .render import wet_look
 
 EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
 """Other formats of a run, and the package that writes each."""
-
-HUGSIM = "hugsim"
-"""Agent that isn't in the registry: it needs a folder of pipes, and changes scene and scenario."""
 
 # Agents
 

@@ -212,22 +212,13 @@ def _write_sheet(
     output: Path,
 ) -> dict[str, Any]:
     """Render and write a sheet of intensities; returns its numbers."""
-    from PIL import Image  # loads slowly, as does the OpenCV of the sheet, and few commands need them
-
-    from gsrain_engine.render.images import write_image
-    from gsrain_engine.render.intensity_sheet import SheetCell, intensity_sheet, sheet_cells
+    from gsrain_engine.render.intensity_sheet import write_sheet  # loads OpenCV, which images don't need
 
     lock_outputs(output)
-    cells: list[SheetCell] = []
-    with progress_bar("Rendering", len(sequences) * len(intensities), draws=True) as advance:
-        for each in sheet_cells(renderer, sequences, rain, intensities):
-            if isinstance(each, SheetCell):
-                cells.append(each)
-                advance(1)
+    cells = run_with_progress(write_sheet(renderer, sequences, rain, intensities, output))
     for cell in cells:
         print(f"{f'{cell.view}, ' if cell.view else ''}{cell.intensity_mm_h:g} mm/h: {cell.caption}")
-    write_image(output, Image.fromarray(intensity_sheet(cells)))
-    print(f"{output}: {len(cells)} images, {', '.join(filter(None, [rain.exaggeration]))}".removesuffix(", "))
+    print(", ".join(filter(None, [f"{output}: {len(cells)} images", rain.exaggeration])))
     return {"cells": [cell.numbers for cell in cells], "backend": renderer.name}
 
 

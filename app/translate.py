@@ -12,7 +12,14 @@ from cyclopts import Parameter
 from jaxtyping import Bool, Float64
 
 from gsrain_engine.appearance import output_folder
-from gsrain_engine.appearance.base import ClearView, NetworkTransfer, RainyView, SkippedCounts, TransferSettings
+from gsrain_engine.appearance.base import (
+    ClearView,
+    NetworkTransfer,
+    RainyView,
+    SkippedCounts,
+    TransferSettings,
+    guide_words,
+)
 from gsrain_engine.appearance.capture_views import CaptureViews
 from gsrain_engine.appearance.finetune.dataset import ImageSettings
 from gsrain_engine.appearance.finetune.settings import (
@@ -134,7 +141,7 @@ def transfer(
     made = f"{numbers['views']} rainy views of {opened.name}"
     if seen:
         width, height = seen["network_px"]
-        guide = "RGB only" if seen["normals"] == "none" else f"normals from {seen['normals']} as {seen['conditioning']}"
+        guide = guide_words(seen["normals"], seen["conditioning"])
         print(f"the network saw {width}x{height} px ({seen['framing']}), {guide}")
     print(f"{output}: {made}, {opened.width_px} px wide, in {numbers['seconds']:.1f} s")
     if contact_sheet is not None:

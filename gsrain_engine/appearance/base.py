@@ -107,6 +107,11 @@ class Transfer(Protocol):
         ...
 
 
+def guide_words(normals: str, conditioning: str) -> str:
+    """Describe the fourth channel of a network's input."""
+    return "RGB only" if "none" in (normals, conditioning) else f"normals from {normals} as {conditioning}"
+
+
 @runtime_checkable
 class NetworkTransfer(Protocol):
     """Transfer by a network, which tells what it sees."""
@@ -132,7 +137,7 @@ class TrainingRecord(Struct, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """Line that describes the training."""
-        guide = "RGB only" if self.conditioning == "none" else f"normals from {self.normals} as {self.conditioning}"
+        guide = guide_words(self.normals, self.conditioning)
         size = f"{self.width_px}x{self.height_px} px ({self.framing})"
         return ", ".join(filter(None, [guide, size, f"{self.steps:,} steps" if self.steps else ""]))
 

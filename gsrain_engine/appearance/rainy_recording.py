@@ -76,7 +76,7 @@ def write_rainy_recording(
         for number, (file, view) in enumerate(photos.items()):
             yield Progress(number / len(photos), view.name)
             rainy = rain_on_photo(renderer, world, rainfall, photo_view(world, capture, view), view.image)
-            _write_like(file, folder / file.relative_to(source), rainy)
+            write_image(folder / file.relative_to(source), Image.fromarray(rainy), _JPEG_QUALITY)
         yield Progress(1.0, "Linking all other files")
         for parent, _, names in os.walk(source):
             for file in (Path(parent) / name for name in names):
@@ -94,14 +94,6 @@ def _photos(capture: Capture, source: Path) -> Mapping[Path, CaptureFrame]:
             raise ValueError(f"{capture.name}: the image of {view.name} is no file of its own in {source}")
         photos[file] = view
     return photos
-
-
-def _write_like(original: Path, path: Path, image: UInt8[np.ndarray, "h w 3"]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if original.suffix.lower() in (".jpg", ".jpeg"):
-        Image.fromarray(image).save(path, "JPEG", quality=_JPEG_QUALITY)
-    else:
-        write_image(path, Image.fromarray(image))
 
 
 def _link(file: Path, path: Path) -> None:

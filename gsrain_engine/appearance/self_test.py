@@ -90,5 +90,5 @@ def _view(image: np.ndarray) -> ClearView:
     height, width = image.shape[:2]
     plane = np.zeros((height, width), np.float32)
     camera = Camera(width, height, width, width, width / 2, height / 2, np.eye(4))
-    shown = (image / np.float32(255)).astype(np.float32)
-    return ClearView("input", camera, 0.0, shown, plane, np.zeros_like(shown), plane, plane, has_pose=False)
+    pixels = (image / np.float32(255)).astype(np.float32)
+    return ClearView("input", camera, 0.0, pixels, plane, np.zeros_like(pixels), plane, plane, has_pose=False)

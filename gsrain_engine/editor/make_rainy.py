@@ -103,7 +103,7 @@ class WetLookController:
         if key != self._training[0]:
             try:
                 record = read_record(weights)
-                self._training = key, None if record is None else record.words
+                self._training = key, None if record is None else f"Trained with {record.words}."
             except (ValueError, ModuleNotFoundError) as error:
                 self._training = key, str(error)
         return self._training[1]

@@ -38,10 +38,12 @@ def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w *c"] | UInt16[np.
         Image.fromarray(pixels).save(partial, format="PNG")
 
 
-def write_image(path: Path, image: Image.Image) -> None:
-    """Write an image in the format of its suffix; PNG if the suffix is unknown."""
+def write_image(path: Path, image: Image.Image, jpeg_quality: int | None = None) -> None:
+    """Write an image in the format of its suffix, PNG if it is unknown; `jpeg_quality` is 1..100."""
+    kind = Image.registered_extensions().get(path.suffix.lower(), "PNG")
+    options = {"format": kind} if kind != "JPEG" or jpeg_quality is None else _jpeg_options(jpeg_quality)
     with _new_file(path) as partial:
-        image.save(partial, format=Image.registered_extensions().get(path.suffix.lower(), "PNG"))
+        image.save(partial, **options)
 
 
 def _jpeg_options(quality: int) -> dict[str, Any]:

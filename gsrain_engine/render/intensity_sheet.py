@@ -1,7 +1,8 @@
 """Intensity sheet: the same views in several rains, with what of each can be seen, in numbers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import msgspec
@@ -12,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..scene.progress import Progress
+from .images import write_image
 from .renderer import Renderer
 from .sequence import FrameSequence
 from .sky_color import SkyColor
@@ -61,27 +63,29 @@ class SheetCell:
         return f"change {self.mean_change:.2f} of 255, seen in {self.visible_share:.1%} of pixels, {streaks}"
 
 
-def sheet_cells(
+def write_sheet(
     renderer: Renderer,
     sequences: Mapping[str, FrameSequence],
     rain: RainSettings,
     intensities_mm_h: Sequence[float],
-    number: int = 0,
-) -> Iterator[Progress | SheetCell]:
-    """Render a frame of each view (`sequences` by name) in each intensity; yields progress, and each cell once.
+    path: Path,
+) -> Generator[Progress, None, list[SheetCell]]:
+    """Render the first frame of each view (`sequences` by name) in each intensity, and write the sheet.
 
     Apart from their intensity all have the same rain and seed. The view without rain is the scene as it is, dry.
+    Yields progress before each image, and returns the cells. Raises OSError if the sheet can't be written.
     """
     sky = next(iter(sequences.values())).sky(renderer)
-    done, count = 0, len(sequences) * len(intensities_mm_h)
+    cells: list[SheetCell] = []
+    count = len(sequences) * len(intensities_mm_h)
     for view, sequence in sequences.items():
-        clear = sequence.frame(renderer, number, None).to_uint8()
+        clear = sequence.frame(renderer, 0, None).to_uint8()
         for intensity in intensities_mm_h:
-            yield Progress(done / count, f"{view} {intensity:g} mm/h".lstrip())
+            yield Progress(len(cells) / count, f"{view} {intensity:g} mm/h".lstrip())
             own = msgspec.structs.replace(rain, intensity_mm_h=intensity)
-            yield _cell(renderer, sequence, view, own, number, sky if intensity else None, clear)
-            done += 1
-    yield Progress(1.0, "")
+            cells.append(_cell(renderer, sequence, view, own, sky if intensity else None, clear))
+    write_image(path, Image.fromarray(intensity_sheet(cells)))
+    return cells
 
 
 def _cell(
@@ -89,12 +93,11 @@ def _cell(
     sequence: FrameSequence,
     view: str,
     rain: RainSettings,
-    number: int,
     sky: SkyColor | None,
     clear: UInt8[np.ndarray, "h w 3"],
 ) -> SheetCell:
     def drawn(settings: RainSettings) -> UInt8[np.ndarray, "h w 3"]:
-        return replace(sequence, rainfall=RainSimulation.start(settings)).frame(renderer, number, sky).to_uint8()
+        return replace(sequence, rainfall=RainSimulation.start(settings)).frame(renderer, 0, sky).to_uint8()
 
     image = drawn(rain)
     streaks_drawn = renderer.statistics.drops_drawn if sky is not None else 0

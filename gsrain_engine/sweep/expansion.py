@@ -21,10 +21,10 @@ from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..scene.files import name_problem
 from ..scene.open import file_hash, scene_hash
-from ..simulation.agents.registry import agent_file, agent_names
+from ..simulation.agents.registry import HUGSIM, agent_file, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario
-from .settings import HUGSIM, AgentChoice, DriveSweep, RenderSweep, Sweep, Variant, apply_jitter, seeds_of
+from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, Variant, apply_jitter, seeds_of
 
 # Jobs: everything that a result depends on, and nothing else
 

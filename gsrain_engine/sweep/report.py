@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from msgspec import structs
 from PIL import Image
@@ -120,12 +122,19 @@ def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
         _dress(panel, title, cells, is_lowest=number >= columns)
     runs = sorted({cell.runs for cell in cells})
     seeds = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
-    where = f"{figure_words(cells[0].scenario)} in {figure_words(PurePath(cells[0].scene).name)}"
-    figure.suptitle(f"{where}: {seeds} drives a point", fontsize=11)
+    figure.suptitle(f"{_title(cells)}: {seeds} drives a point", fontsize=11)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=9,
         ncols=min(len(agents), _LEGEND_COLUMNS),
     )  # fmt: skip
+    return _pixels(figure)
+
+
+def _title(cells: Sequence[SummaryCell]) -> str:
+    return f"{figure_words(cells[0].scenario)} in {figure_words(PurePath(cells[0].scene).name)}"
+
+
+def _pixels(figure: Figure) -> UInt8[np.ndarray, "h w 3"]:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
@@ -167,6 +176,7 @@ def _dress(panel: Axes, title: str, cells: Sequence[SummaryCell], *, is_lowest: 
 _GRID_AXES = {"start_speed_m_s": "V0 (m/s)", "gap_m": "d (m)", "exposure_s": "exposure (s)"}
 _MAX_CURVES = 12  # a figure over intensity with more curves shows nothing
 _CELL_IN = (2.6, 2.3)
+_COLLISION_COLORS = "RdYlBu_r"  # red: all collide, blue: none; distinguishable without seeing red and green
 
 
 def grid_axes(cells: Sequence[SummaryCell]) -> list[str]:
@@ -182,7 +192,7 @@ def boundary_figure(cells: Sequence[SummaryCell], axes: Sequence[str]) -> UInt8[
     rest = {cell.title: structs.replace(cell.variant, **dict.fromkeys(axes)) for cell in cells}
     rows = list(dict.fromkeys((cell.agent, rest[cell.title]) for cell in cells))
     intensities = sorted({cell.intensity_mm_h for cell in cells})
-    size = _CELL_IN[0] * len(intensities) + 1.2, _CELL_IN[1] * len(rows) + 0.6
+    size = _CELL_IN[0] * len(intensities) + 2.0, _CELL_IN[1] * len(rows) + 0.9
     figure = Figure(figsize=size, layout="constrained", dpi=_DPI)
     panels = figure.subplots(len(rows), len(intensities), squeeze=False, sharex=True, sharey=True)
     for line, (agent, variant) in enumerate(rows):
@@ -200,9 +210,11 @@ def boundary_figure(cells: Sequence[SummaryCell], axes: Sequence[str]) -> UInt8[
             if column == 0:
                 of = figure_words(", ".join(filter(None, [agent, variant.title])), 28)
                 panel.set_ylabel(f"{of}\n{_GRID_AXES[axes[1]] if len(axes) > 1 else 'collisions'}", fontsize=9)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    if len(axes) > 1:
+        shares = ScalarMappable(Normalize(0, 1), _COLLISION_COLORS)
+        figure.colorbar(shares, ax=panels, label="share of drives with a collision", shrink=0.8)
+    figure.suptitle(_title(cells), fontsize=11)
+    return _pixels(figure)
 
 
 def _draw_boundary(
@@ -219,7 +231,7 @@ def _draw_boundary(
         panel.set_ylim(-0.03, 1.03)
         return
     panel.set_facecolor("0.85")
-    panel.pcolormesh(*values, rates.T, cmap="RdYlGn_r", vmin=0, vmax=1, shading="nearest")
+    panel.pcolormesh(*values, rates.T, cmap=_COLLISION_COLORS, vmin=0, vmax=1, shading="nearest")
     if np.isfinite(rates).all() and rates.min() < 0.5 < rates.max():
         panel.contour(*values, rates.T, levels=[0.5], colors="black", linewidths=1.5)
 

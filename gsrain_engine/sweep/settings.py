@@ -17,12 +17,9 @@ from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked
 from ..scene.open import STREET
-from ..simulation.agents.registry import agent_names
+from ..simulation.agents.registry import HUGSIM, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
-
-HUGSIM = "hugsim"
-"""Name of an agent that is a HUGSIM client."""
 
 _FOLDER = "sweeps"
 _FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration", "preset")

@@ -153,7 +153,7 @@ def test_spectra_of_both_kinds_of_netcdf_have_their_dimensions_in_any_order(chan
     assert reading.skipped == ()
 
 
-def test_missing_counts_skip_their_record_and_an_interval_is_an_hour_at_most(read):
+def test_missing_counts_skip_their_record_and_an_interval_is_limited_to_an_hour(read):
     counts = COUNTS.astype(float)
     counts[1, :2, 0] = np.nan
     dataset = cloudnet(counts)

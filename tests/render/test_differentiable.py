@@ -100,7 +100,7 @@ def test_gradients_are_those_of_the_dense_reference_for_all_colors(degree):
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_gradients_are_the_references_where_pixels_finish_and_alpha_is_at_its_most(dtype):
+def test_gradients_are_the_references_where_pixels_finish_and_alpha_is_limited(dtype):
     values = tensors(80, 5, 1, dtype)
     values = with_values(values, scales=4 * values["scales"], opacities=torch.linspace(0.9, 1, 80).to(dtype))
     assert (rendered(values).alpha > 1 - 1e-4).double().mean() > 0.3  # pixels do finish

@@ -9,22 +9,22 @@ from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.intensity_sheet import SheetCell, intensity_sheet, sheet_cells
+from gsrain_engine.render.intensity_sheet import SheetCell, intensity_sheet, write_sheet
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.scene.progress import run_to_end
 from small_scene import small_scene
 
 SIZE = 160, 120
 
 
-def cells_of(intensities, **fields):
+def cells_of(intensities, path):
     scene, rain = small_scene(), load_preset("8.5")
     sequence = FrameSequence(scene, RainSimulation.start(rain), default_path(scene, *SIZE), *SIZE, start_s=1.0)
-    found = sheet_cells(CpuRenderer(), {"front": sequence, "rear": sequence}, rain, intensities, **fields)
-    return [each for each in found if isinstance(each, SheetCell)]
+    return run_to_end(write_sheet(CpuRenderer(), {"front": sequence, "rear": sequence}, rain, intensities, path))
 
 
-def test_harder_rain_changes_more_and_no_rain_nothing():
-    clear, light, heavy, *others = cells_of([0.0, 2.0, 50.0])
+def test_harder_rain_changes_more_and_no_rain_nothing(tmp_path):
+    clear, light, heavy, *others = cells_of([0.0, 2.0, 50.0], tmp_path / "sheet.png")
     assert [(each.view, each.intensity_mm_h) for each in (clear, light, heavy)] == [
         ("front", 0.0), ("front", 2.0), ("front", 50.0)
     ]  # fmt: skip
@@ -36,7 +36,7 @@ def test_harder_rain_changes_more_and_no_rain_nothing():
         np.testing.assert_array_equal(own.image, other.image)
 
 
-def test_the_close_up_is_where_rain_changes_most():
+def test_the_close_up_has_the_largest_change():
     clear = np.full((100, 150, 3), 90, np.uint8)
     rainy = clear.copy()
     rainy[20:40, 60:90] = 140

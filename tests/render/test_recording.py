@@ -80,7 +80,7 @@ def test_long_names_of_cameras_are_shortened_and_stay_apart():
         ({"output": "still.npy"}, "still.npy", "still.depth.npy", "still.labels.json"),
     ],
 )
-def test_passes_lie_beside_their_frames(fields, color, depth, legend):
+def test_passes_are_stored_next_to_their_frames(fields, color, depth, legend):
     files = export_files(ExportSettings(**fields), None)
     assert [str(each) for each in (files.color(7), files.pass_file(7, "depth"), files.legend)] == [color, depth, legend]
 

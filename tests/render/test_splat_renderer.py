@@ -62,7 +62,7 @@ def test_harmonics_in_fewer_bits_show_nearly_the_same_and_change_their_storage_i
         assert draw(renderer, set_).rgba.tobytes() == exact.tobytes()
 
 
-def test_uploading_in_slices_shows_the_same_and_giving_it_up_keeps_what_is_shown(renderer, context):
+def test_uploading_in_slices_draws_the_same_and_cancelling_it_changes_nothing(renderer, context):
     set_, other = cloud(5000), cloud(300)
     steps = list(renderer.arrays.upload(set_, slice_size=1000))
     assert len(steps) == 20

@@ -21,7 +21,7 @@ HERE = Camera.from_fov(96, 64, 50.0, look_at(np.array([0.0, 0, 1.5]), np.array([
 
 
 @pytest.mark.parametrize("staged", [False, True])
-def test_the_last_scene_is_shown_until_all_of_the_new_one_is_uploaded(context, editor, slow_view, staged):
+def test_the_previous_scene_is_drawn_until_the_next_one_is_uploaded(context, editor, slow_view, staged):
     before, first, frames = picture(editor, slow_view), editor.document.scene, 0
     if staged:
         editor.viewport.staged = PendingScene("Darker", darkened(first))

@@ -74,7 +74,7 @@ def _method(wet_look: WetLookController) -> None:
         imgui.tree_pop()
     if wet_look.training is not None:
         imgui.push_text_wrap_pos()
-        imgui.text_disabled(f"Trained with {wet_look.training}")
+        imgui.text_disabled(wet_look.training)
         imgui.pop_text_wrap_pos()
     warn(wet_look.why_no_transfer)
 

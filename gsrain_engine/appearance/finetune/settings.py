@@ -225,8 +225,8 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
 
 def _in_place(rows: object, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Sources with other places: the first keeps weather and number of the first of the settings, and so on."""
-    kept = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
-    return [{**(kept[place] if place < len(kept) else {}), **each} for place, each in enumerate(given)]
+    own = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    return [{**(own[place] if place < len(own) else {}), **each} for place, each in enumerate(given)]
 
 
 def code_of(settings: FinetuningSettings) -> dict[str, str]:

@@ -4,16 +4,13 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
-from PIL import Image
-
 from ...backends import open_renderer
 from ...rain.keyframes import keyframes_of, rain_of
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
 from ...render.export import export_frames, export_sequences, frame_numbers
 from ...render.export_settings import DEFAULT_SIZE_PX, ExportSettings
-from ...render.images import write_image
-from ...render.intensity_sheet import SheetCell, intensity_sheet, sheet_cells
+from ...render.intensity_sheet import write_sheet
 from ...render.renderer import Renderer
 from ...scene.camera_path import CameraPath
 from ...scene.formats.scene_folder import FileCache
@@ -84,14 +81,8 @@ def sheet_in_worker(folder: Path, still: ExportSettings) -> Iterator[Progress]:
     path = own_path(scene, *(still.size_px or DEFAULT_SIZE_PX))
     is_own = scene.path is not None
     sequences = export_sequences(still, scene, RainSimulation.start(rain), path, in_scene_time=is_own)
-    cells: list[SheetCell] = []
     with open_renderer() as renderer:
-        for each in sheet_cells(renderer, sequences, rain, SHEET_MM_H):
-            if isinstance(each, SheetCell):
-                cells.append(each)
-            else:
-                yield each
-    write_image(still.path, Image.fromarray(intensity_sheet(cells)))
+        yield from write_sheet(renderer, sequences, rain, SHEET_MM_H, still.path)
 
 
 def own_path(scene: Scene, width: int, height: int) -> CameraPath:

@@ -90,7 +90,7 @@ def _draw_other_classes(panel: Axes, rows: Sequence[ObjectRow], style: SeriesSty
             points[-1],
             (0, 6),
             textcoords="offset points",
-            fontsize=7,
+            ha="right",
             color=style.color,
         )
 

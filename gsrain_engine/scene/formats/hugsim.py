@@ -31,7 +31,7 @@ from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
 from ..transforms import FILE_UP, transform_gaussians
 from ._common import check_expansion, checked_gaussians
 
-SCENE_FILE, VEHICLE_FILE = "scene.pth", "gs.pth"
+_SCENE, _VEHICLE = "scene.pth", "gs.pth"
 _CONFIG, _RECORDING, _SIZE, _ROAD = "cfg.yaml", "meta_data.json", "wlh.json", "ground.pth"
 _FRONT_CAMERAS = "CAM_FRONT", "front_camera", "cam_1", "cam_0"
 """Folders of the front camera's images: nuScenes, PandaSet, Waymo, KITTI-360."""
@@ -84,13 +84,13 @@ class _Recording(msgspec.Struct, frozen=True):
 
 def is_hugsim_folder(folder: Path) -> bool:
     """Return whether a folder holds a scene of HUGSIM or a 3DRealCar vehicle, judged by the names of its files."""
-    is_scene = (folder / SCENE_FILE).is_file() and (folder / _CONFIG).is_file()
-    return is_scene or ((folder / VEHICLE_FILE).is_file() and (folder / _SIZE).is_file())
+    is_scene = (folder / _SCENE).is_file() and (folder / _CONFIG).is_file()
+    return is_scene or ((folder / _VEHICLE).is_file() and (folder / _SIZE).is_file())
 
 
 def hugsim_files(folder: Path) -> list[Path]:
     """Return the files of a folder that `read_hugsim` reads, by name."""
-    named = [folder / name for name in (SCENE_FILE, VEHICLE_FILE, _ROAD, _RECORDING, _SIZE)]
+    named = [folder / name for name in (_SCENE, _VEHICLE, _ROAD, _RECORDING, _SIZE)]
     tracked = [*folder.glob("dynamic_*.pth"), *folder.glob("unicycle_*.pth")]
     return sorted(file for file in (*named, *tracked) if file.is_file())
 
@@ -103,7 +103,7 @@ def read_hugsim(folder: Path) -> Scene:
     Raises `SceneFormatError` for files that are missing, damaged, or hold anything but tensors.
     """
     name = folder.resolve().name
-    if not (folder / SCENE_FILE).is_file():
+    if not (folder / _SCENE).is_file():
         return Scene(name, actors=(_vehicle(folder, name),))
     recording: _Recording = _json(folder / _RECORDING, _Recording) if (folder / _RECORDING).is_file() else _Recording()
     layers = _layers(folder)
@@ -125,7 +125,7 @@ def _json(path: Path, kind: Any) -> Any:
 
 
 def _layers(folder: Path) -> tuple[Layer, ...]:
-    path = folder / SCENE_FILE
+    path = folder / _SCENE
     state = _checkpoint(path)
     model = _read_model(path, state)
     is_sky = model.classes == _SKY_CLASS
@@ -195,7 +195,7 @@ def _tracked(path: Path, recording: _Recording) -> Actor:
 
 def _vehicle(folder: Path, name: str) -> Actor:
     """3DRealCar vehicle, at rest: x forward, y down, z left."""
-    path = folder / VEHICLE_FILE
+    path = folder / _VEHICLE
     gaussians = _read_model(path, _checkpoint(path)).gaussians
     width, length, height = _json(folder / _SIZE, _Size)
     low, high = _bounds(gaussians)
@@ -240,8 +240,8 @@ def _unicycle_poses(path: Path) -> dict[float, Float64[np.ndarray, "4 4"]]:
         poses[:, :3, 3] = np.stack([x, y, z], axis=1)
         angles = np.pi / 2 - np.column_stack([pitch_roll, yaw])
         poses[:, :3, :3] = Rotation.from_euler("xzy", angles).as_matrix()
-        if not np.isfinite(poses).all():
-            raise ValueError("a pose is not finite")
+        if not (np.isfinite(poses).all() and np.isfinite(times).all()):
+            raise ValueError("a pose or a time is not finite")
         return dict(zip(times.tolist(), poses, strict=True))
     except _DAMAGED as error:
         raise _damaged(path, error) from None

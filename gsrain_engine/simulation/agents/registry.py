@@ -65,6 +65,9 @@ class ShippedAgent(NamedTuple):
     """Fields of `AgentOptions` that it uses."""
 
 
+HUGSIM = "hugsim"
+"""Agent that is none of the table: it needs a client and its pipes, and changes scene and scenario."""
+
 SHIPPED_AGENTS = {
     "constant-velocity": ShippedAgent(_without_options(ConstantVelocityAgent), "holds its speed"),
     "oracle-idm": ShippedAgent(_without_options(OracleIDMAgent), "uses the true positions of all road users"),

@@ -32,7 +32,7 @@ RECORD = TrainingRecord(
 RGB = msgspec.structs.replace(RECORD, conditioning="none", normals="none")
 
 
-def test_a_record_is_kept_in_the_file_of_the_weights(tmp_path: Path) -> None:
+def test_a_record_is_stored_in_the_file_of_the_weights(tmp_path: Path) -> None:
     save_weights(trained_model(normals=True), tmp_path / "weights.safetensors", RECORD)
     assert read_record(tmp_path / "weights.safetensors") == RECORD
     assert open_weights(tmp_path / "weights.safetensors").record == RECORD

@@ -213,7 +213,7 @@ def test_a_roof_loses_two_votes_for_each_sample_below(roof, height_m):
     assert find_ground(flat_and_round((0.0, 100), (4.0, roof))).point_m[2] == pytest.approx(height_m)
 
 
-def test_ground_slopes_by_almost_60_degrees_at_most():
+def test_ground_slopes_by_less_than_60_degrees():
     slope = turned(57, 0)
     found = find_ground(flat_and_round((0.0, 1000), lumps=9).with_member("layers/all", to_scene=slope))
     assert found.up == pytest.approx(slope[:3, 2], abs=1e-6)

@@ -107,7 +107,7 @@ FOUND_BOX = st.builds(Detection, NAME, st.sampled_from([0.1, 0.4, 0.4, 0.8]), BO
 
 
 @given(st.lists(st.builds(label, BOX, NAME), max_size=5), st.lists(FOUND_BOX, max_size=8))
-def test_matches_of_any_class_are_at_least_as_confident(truths: list[Detection], detections: list[Detection]):
+def test_matches_of_any_class_are_no_less_confident(truths: list[Detection], detections: list[Detection]):
     matches = match_detections(truths, detections)
     for match, truth in zip(matches, truths, strict=True):
         assert match.confidence_any_class >= match.confidence

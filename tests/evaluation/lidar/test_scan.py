@@ -168,7 +168,7 @@ def sweep(points, intensities=None, origin=(0.0, 0.0, 0.4)):
     return LidarSweep(0.0, np.array(points, np.float32), np.array(origin), light)
 
 
-def test_reflectances_are_intensities_of_at_least_the_threshold():
+def test_reflectances_are_intensities_from_the_threshold_on():
     beams = sweep_beams(sweep([[10, 0, 0.4], [90, 0, 0.4]], [0.5, 0.01]), SENSOR)
     assert beams.reflectances == pytest.approx([0.5, SENSOR.detectable(np.array([90.0]))[0]])
     assert full_intensity(sweep([[1, 0, 0]], [0.9])) == 1 and full_intensity(sweep([[1, 0, 0]], [90])) == 100

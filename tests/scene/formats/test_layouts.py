@@ -102,7 +102,7 @@ def test_other_writers_properties_in_any_order_and_type_are_read(ply: bytes, tmp
         assert_equal(read_bytes(tmp_path, "a.ply", variant), sample_gaussians())
 
 
-def test_only_bytes_after_the_rows_of_a_ply_are_told(
+def test_only_bytes_after_the_rows_of_a_ply_are_reported(
     ply: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     read_bytes(tmp_path, "a.ply", ply)

@@ -110,7 +110,7 @@ def test_nuscenes_rig_is_halved_and_moved_back_and_missing_cameras_are_known():
         np.testing.assert_allclose(six[each.name].camera_to_ego, each.camera_to_ego, atol=1e-12)
 
 
-def test_the_rig_with_most_of_the_six_cameras_or_the_named_one_is_taken():
+def test_the_rig_is_the_named_one_or_has_the_largest_share_of_the_six_cameras():
     scene = replace(longer_scene(), rigs={name: street_rigs()[name] for name in ("waymo_front3", "nuscenes")})
     for name, count in ((None, 6), ("waymo_front3", 3)):
         changed, given = protocol.with_hugsim_rig(scenario(rig=name), scene)
