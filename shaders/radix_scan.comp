@@ -1,35 +1,50 @@
 #version 430
-// Converts the counts to offsets: an exclusive scan by one workgroup, each thread over a run of its own.
-// No races: in each step of the scan all threads read `sums` before a barrier and write their own sum after it; no thread
-// touches `counts` outside its run, and there is one workgroup.
+// Converts the counts to offsets: an exclusive scan of each digit's row by one workgroup, each thread over a run of its own.
+// No races: in each step of the scan all threads read `sums` before a barrier and write their own sum after it; no workgroup
+// touches another row of `counts`; of `totals` those of this pass are read and those of the next one cleared.
 
-layout(local_size_x = 1024) in;
+layout(local_size_x = 256) in;
 
 layout(std430, binding = 4) buffer Counts { uint counts[]; };
+layout(std430, binding = 5) buffer Totals { uint totals[]; };
 layout(std430, binding = 7) readonly buffer Work { uint draw_command[5]; uint key_count; uint groups; };
 
-const uint DIGITS = 16u;
+uniform uint turn;
 
-shared uint sums[1024];
+const uint DIGITS = 128u;
+
+shared uint sums[256];
 
 void main() {
-    uint thread = gl_LocalInvocationID.x, entries = DIGITS * groups;
-    uint run = (entries + 1023u) / 1024u;
-    uint first = min(thread * run, entries), last = min(first + run, entries);
+    uint thread = gl_LocalInvocationID.x, digit = gl_WorkGroupID.x, row = digit * groups;
+    uint run = (groups + 255u) / 256u;
+    uint first = min(thread * run, groups), last = min(first + run, groups);
     uint sum = 0u;
-    for (uint k = first; k < last; ++k) sum += counts[k];
+    for (uint k = first; k < last; ++k) sum += counts[row + k];
+    uint before_row = thread < digit ? totals[turn * DIGITS + thread] : 0u;  // keys of a lower digit
+    if (thread == 0u) totals[(1u - turn) * DIGITS + digit] = 0u;
+    sums[thread] = before_row;
+    barrier();
+    for (uint step = 128u; step > 0u; step /= 2u) {
+        uint added = thread < step ? sums[thread + step] : 0u;
+        barrier();
+        sums[thread] += added;
+        barrier();
+    }
+    uint start = sums[0];
+    barrier();
     sums[thread] = sum;
     barrier();
-    for (uint step = 1u; step < 1024u; step *= 2u) {
+    for (uint step = 1u; step < 256u; step *= 2u) {
         uint before = thread >= step ? sums[thread - step] : 0u;
         barrier();
         sums[thread] += before;
         barrier();
     }
-    uint place = sums[thread] - sum;
+    uint place = start + sums[thread] - sum;
     for (uint k = first; k < last; ++k) {
-        uint count = counts[k];
-        counts[k] = place;
+        uint count = counts[row + k];
+        counts[row + k] = place;
         place += count;
     }
 }

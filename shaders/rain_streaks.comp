@@ -22,7 +22,6 @@ uniform float phi, haze_opacity, gain;
 uniform float aperture;       // diameter of the lens opening (m)
 uniform float focus;          // distance that is sharp (m)
 uniform uint max_copies;
-uniform uint max_drops;
 uniform vec3 display_color;
 
 const float PI = 3.14159265358979;
@@ -42,7 +41,7 @@ uint find_class(uint n, out uint i) {
 
 void main() {
     uint n = gl_GlobalInvocationID.x;
-    bool there = n < min(found_count, max_drops);
+    bool there = n < found_count;
     vec3 p = vec3(0.0), direction = vec3(0.0, 0.0, 1.0);
     float opacity = 0.0, across_sigma = 0.0, along_sigma = 0.0, spacing = 0.0;
     uint copies = 0u;

@@ -8,19 +8,21 @@ layout(local_size_x = 1024) in;
 layout(std430, binding = 5) buffer Counts { uint block_counts[]; };  // in: counts, out: first places
 layout(std430, binding = 7) writeonly buffer Work {
     uint draw_command[5];    // of an indirect indexed draw: indices, instances, first index, base vertex, base instance
-    uint visible_count;
-    uint groups[3];          // of an indirect dispatch
+    uint visible_count;      // at most `max_elements`
+    uint groups[3];          // of an indirect dispatch with `by_group` elements per workgroup
+    uint block_groups[3];    // and of one with 256
+    uint all_count;
 };
 
-layout(std430, binding = 6) readonly buffer FoundWork { uint unused[6]; uint found_groups; };
+layout(std430, binding = 6) readonly buffer FoundWork { uint unused[5]; uint found_count; };
 
 uniform uint blocks;
 uniform uint fixed_blocks;   // whose counts have been written
-uniform uint found_copies;   // further blocks for each group of found drops
+uniform uint found_copies;   // further blocks for each 256 found drops
 uniform uint by_group;       // elements per workgroup of the indirect dispatch
-uniform uint max_elements;   // limit of the dispatch
+uniform uint max_elements;   // more than these are only counted
 
-const uint DRAWN_BY_INSTANCE = 128u;
+const uint DRAWN_BY_INSTANCE = 128u, LONGEST_DISPATCH = 32768u;  // half of what OpenGL guarantees along one axis
 
 shared uint sums[1024];
 
@@ -28,7 +30,7 @@ void main() {
     uint thread = gl_LocalInvocationID.x;
     uint run = (blocks + 1023u) / 1024u;
     uint first = thread * run, last = min(first + run, blocks);
-    uint written = fixed_blocks + (found_copies > 0u ? found_copies * found_groups : 0u);
+    uint written = fixed_blocks + (found_copies > 0u ? found_copies * ((found_count + 255u) / 256u) : 0u);
     uint sum = 0u;
     for (uint k = first; k < min(last, written); ++k) sum += block_counts[k];
     sums[thread] = sum;
@@ -46,11 +48,15 @@ void main() {
         place += count;
     }
     if (thread == 1023u) {
-        uint total = sums[1023];
+        uint total = min(sums[1023], max_elements), groups_of_256 = (total + 255u) / 256u;
+        all_count = sums[1023];
         visible_count = total;
-        groups[0] = (min(total, max_elements) + by_group - 1u) / by_group;
+        groups[0] = (total + by_group - 1u) / by_group;
         groups[1] = 1u;
         groups[2] = 1u;
+        block_groups[0] = min(groups_of_256, LONGEST_DISPATCH);
+        block_groups[1] = (groups_of_256 + LONGEST_DISPATCH - 1u) / LONGEST_DISPATCH;
+        block_groups[2] = 1u;
         draw_command[0] = 6u * DRAWN_BY_INSTANCE;
         draw_command[1] = (total + DRAWN_BY_INSTANCE - 1u) / DRAWN_BY_INSTANCE;
         draw_command[2] = 0u;

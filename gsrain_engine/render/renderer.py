@@ -42,6 +42,8 @@ class RenderStatistics:
     """Number of drops drawn as streaks; each is one to `RainSettings.max_copies` Gaussians."""
     haze_drawn: int = 0
     """Number of haze Gaussians passed to the renderer."""
+    pairs_left_out: int = 0
+    """Number of pairs of tile and splat without room, in an image that was shown but not read. The next has room."""
     stages_ms: dict[str, float] = field(default_factory=dict[str, float])
     """Wall time per stage: project, sort, draw (including GPU work, since each stage waits for its result)."""
 

@@ -299,10 +299,14 @@ class GrowableBuffer:
 # Projected splats
 
 SLOTS_BY_BLOCK = 256  # slots that one workgroup of a projection fills, from the front; each dispatch starts a new block
-WORK_BYTES = 4 * 9  # the draw's command (5 numbers), the number of elements, an indirect dispatch (3)
 
-COUNT_OFFSET, GROUPS_OFFSET = 20, 24
-"""Byte offsets of the number of elements and of the dispatch; the draw's command is first."""
+WORK_BYTES = 4 * 13
+"""The draw's command (5 numbers), the number of elements, two indirect dispatches (3 each), and the number of elements
+including those beyond the limit; as in visible_scan.comp.
+"""
+
+COUNT_OFFSET, GROUPS_OFFSET, BLOCK_GROUPS_OFFSET, TOTAL_OFFSET = 20, 24, 36, 48
+"""Byte offsets in it; workgroups of the second dispatch process `SLOTS_BY_BLOCK` elements each."""
 
 _SPLAT_BYTES, _MAX_RECORD_BLOCKS = 32, 4
 _RECORDS, _SPARSE_KEYS, _COUNTS, _WORK = 8, 4, 5, 7
@@ -343,9 +347,12 @@ class ProjectedSplatBuffer:
         self._sparse_keys.reserve(4 * slots)
         self.counts.reserve(4 * (slots // SLOTS_BY_BLOCK))
 
-    def bind(self) -> None:
+    def bind_records(self) -> None:
         for number in range(self._record_blocks):
             self._records[number].bind(_RECORDS + number)
+
+    def bind(self) -> None:
+        self.bind_records()
         self._sparse_keys.bind(_SPARSE_KEYS)
         self.counts.bind(_COUNTS)
         self.work.bind_to_storage_buffer(_WORK)

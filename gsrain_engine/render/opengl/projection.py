@@ -15,7 +15,7 @@ from ..renderer import RenderMode
 from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
 from .shaders import ShaderVariants, load_compute_shader, set_uniforms
-from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, DepthSort, PrefixSum
+from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, RadixSort, PrefixSum
 
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
@@ -84,7 +84,7 @@ class ProjectionPass:
         self._context.memory_barrier()
         return slots
 
-    def compact_visible(self, store: ProjectedSplatBuffer, sort: DepthSort | CpuSort, slots: FrameSlots) -> None:
+    def compact_visible(self, store: ProjectedSplatBuffer, sort: RadixSort | CpuSort, slots: FrameSlots) -> None:
         """Compact the keys of all visible splats for the sort, and write their number for the sort and the draw."""
         blocks = slots.all // SLOTS_BY_BLOCK
         sort.reserve(max(slots.all, 1))

@@ -1,9 +1,10 @@
-"""OpenGL renderer: projects, sorts by depth and blends quads back to front, all on the GPU."""
+"""OpenGL renderer: projects, sorts by depth and blends tiles or quads, all on the GPU."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
+from typing import Literal, NamedTuple
 
 import moderngl
 import numpy as np
@@ -18,10 +19,18 @@ from .buffers import GpuArrays, Harmonics, ProjectedSplatBuffer, check_gpu_memor
 from .context import check_context, is_software
 from .projection import ProjectionPass
 from .shaders import GpuTimers, Switches, load_program
-from .sort import SLOTS, CpuSort, DepthSort, count_in
+from .sort import SLOTS, CpuSort, RadixSort, count_in
+from .tiles import TileRasterizer
 
 _QUADS_BY_INSTANCE = 128
 """Splats per instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
+
+
+Rasterizer = Literal["tiles", "quads"]
+"""Compute shaders that blend tiles front to back, or the rasterizer that blends quads back to front.
+
+GPUs draw tiles many times faster, software rasterizers quads.
+"""
 
 
 class FramebufferLayout(NamedTuple):
@@ -71,18 +80,28 @@ class SplatRenderer:
         context: OpenGL 4.3 or later.
         harmonics: GPU storage of colors.
         activates: Make the context current to draw and read, so that several can be used alternately on one thread.
+        rasterizer: None takes quads on software rasterizers, or else tiles.
     """
 
     name = "opengl"
 
-    def __init__(self, context: moderngl.Context, harmonics: Harmonics = "half", *, activates: bool = False) -> None:
+    def __init__(
+        self,
+        context: moderngl.Context,
+        harmonics: Harmonics = "half",
+        *,
+        activates: bool = False,
+        rasterizer: Rasterizer | None = None,
+    ) -> None:
         self.context = context
         self._active: AbstractContextManager[object] = context if activates else nullcontext()
         self.arrays = GpuArrays(context, harmonics)
         self._projection = ProjectionPass(context, self.arrays)
         self._store = ProjectedSplatBuffer(context)
         self._is_software = is_software(context)
-        self._sort = CpuSort(context) if self._is_software else DepthSort(context)
+        self._sort = CpuSort(context) if self._is_software else RadixSort(context)
+        self.rasterizer: Rasterizer = rasterizer or ("quads" if self._is_software else "tiles")
+        self._tiles = TileRasterizer(context) if self.rasterizer == "tiles" else None
         self._timers = GpuTimers(context)
         quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
         # Two triangles per quad of an instance; both start with the quad's first vertex.
@@ -94,6 +113,8 @@ class SplatRenderer:
         """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
         self._drawn: RenderStatistics | None = None
         self._makes_drops = False
+        self._redraw: Callable[[], None] = lambda: None
+        """Draws the last image once more, if pairs had no room."""
 
     @property
     def picture(self) -> moderngl.Texture:
@@ -129,11 +150,16 @@ class SplatRenderer:
             with self._timers.stage("sort"):
                 self._projection.compact_visible(self._store, self._sort, slots)
                 order = self._sort.sort(self._store.work)
-            with self._timers.stage("draw"):
-                light = falling.light_linear if falling is not None and falling.is_linear else None
-                with_depth = with_depth or look == "depth"
-                self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
-                self._image = self._resolve(look, light)
+            light = falling.light_linear if falling is not None and falling.is_linear else None
+            with_depth = with_depth or look == "depth"
+            size = camera.width, camera.height
+            if self._tiles is not None:
+                self._redraw = partial(self._blend_tiles, order, slots.all, size, look, light, with_depth=with_depth)
+                self._redraw()
+            else:
+                with self._timers.stage("draw"):
+                    self._blend_quads(order, size, look, with_depth=with_depth, linear_rain=light is not None)
+                    self._image = self._resolve(look, light)
             before.use()
             self.arrays.release_unused()
             if self._is_software:
@@ -146,6 +172,9 @@ class SplatRenderer:
         """
         with self._active:
             self._take_stock()
+            while self.statistics.pairs_left_out:
+                self._redraw()
+                self.statistics.pairs_left_out = self._pairs_left_out()
             rgba = self._fetch(self.picture)
             depth = self._targets["splats"].depth
             sums = None if depth is None else self._fetch(depth)
@@ -161,22 +190,44 @@ class SplatRenderer:
         self.statistics, self._drawn = self._drawn, None
         self.statistics.stages_ms |= self._timers.collect()
         self.statistics.splats_drawn = count_in(self._store.work)
+        self.statistics.pairs_left_out = self._pairs_left_out()
         if self._makes_drops:
             self.statistics.drops_drawn = self._projection.drops.found_count()
+
+    def _pairs_left_out(self) -> int:
+        return 0 if self._tiles is None else self._tiles.pairs_left_out()
 
     def _fetch(self, texture: moderngl.Texture) -> Float32[np.ndarray, "h w c"]:
         width, height = texture.size
         return np.frombuffer(texture.read(), np.float32).reshape(height, width, texture.components).copy()
 
-    def _blend(
-        self, order: moderngl.Buffer, camera: Camera, look: RenderMode, *, with_depth: bool, linear_rain: bool
+    def _blend_tiles(
+        self,
+        order: moderngl.Buffer,
+        capacity: int,
+        size: tuple[int, int],
+        look: RenderMode,
+        rain_light: Float32[np.ndarray, "3"] | None,
+        *,
+        with_depth: bool,
+    ) -> None:
+        """Draw the sorted splats, at most `capacity`, tile by tile."""
+        assert self._tiles is not None
+        target = self._target("splats", FramebufferLayout(size, False, with_depth))
+        switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None)
+        self._tiles.draw(
+            self._store, order, capacity, (target.color, target.depth), switches, rain_light, self._timers
+        )  # fmt: skip
+        with self._timers.stage("draw"):
+            self._image = self._resolve(look, None)
+
+    def _blend_quads(
+        self, order: moderngl.Buffer, size: tuple[int, int], look: RenderMode, *, with_depth: bool, linear_rain: bool
     ) -> None:
         """Draw the sorted splats into an empty framebuffer."""
-        size = (camera.width, camera.height)
         target = self._target("splats", FramebufferLayout(size, linear_rain, with_depth))
-        switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
-        switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
-        macros = {name: 1 for name, is_set in switches.items() if is_set} | dict(self._store.switches)
+        switches = _switches(look, with_depth=with_depth, linear_rain=linear_rain)
+        macros = {**switches, **self._store.switches}
         program, vertices = self._program("splat.vert", "splat.frag", macros, self._quads)
         program["image_size"] = size
         target.framebuffer.use()
@@ -231,6 +282,13 @@ class SplatRenderer:
                 held.release()
             self._targets[name] = Framebuffer.make(self.context, layout)
         return self._targets[name]
+
+
+def _switches(look: RenderMode, *, with_depth: bool, linear_rain: bool) -> Switches:
+    """Macros of splat.frag and tile_blend.comp."""
+    switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
+    switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
+    return {name: 1 for name, is_set in switches.items() if is_set}
 
 
 class Screen:

@@ -7,32 +7,45 @@ import numpy as np
 from jaxtyping import UInt32
 
 from ..cpu.projection import NEAR_M
-from .buffers import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, GrowableBuffer
+from .buffers import COUNT_OFFSET, GROUPS_OFFSET, TOTAL_OFFSET, WORK_BYTES, GrowableBuffer
+from .context import is_software
 from .shaders import load_compute_shader, set_uniforms
 
 KEY_BITS = 28
-DIGIT_BITS = 4
+DIGIT_BITS = 7  # as in common_radix.glsl and radix_scan.comp
 KEYS_BY_GROUP = 4096  # keys per workgroup; as in common_radix.glsl
 KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7  # storage bindings of the shaders
+_TOTALS = 5
 
 
-class DepthSort:
+class RadixSort:
     """Stable GPU sort of (key, slot) pairs whose number only the GPU has (Merrill and Grimshaw's reduce-then-scan).
 
-    It uses neither subgroups nor look-back, so it runs on every driver with OpenGL 4.3, including software rasterizers.
+    It needs no look-back, so it runs on every driver with OpenGL 4.3, including software rasterizers; subgroups of 32
+    threads make it faster.
+
+    Args:
+        context: OpenGL 4.3 or later.
+        most_bytes: Limit of a buffer, for the driver's storage blocks.
     """
 
-    def __init__(self, context: moderngl.Context) -> None:
+    def __init__(self, context: moderngl.Context, most_bytes: int | None = None) -> None:
         self._context = context
-        names = "radix_count.comp", "radix_scan.comp", "radix_scatter.comp"
-        self._count, self._scan, self._scatter = (load_compute_shader(context, name) for name in names)
+        self._count, self._scan = (load_compute_shader(context, f"radix_{name}.comp") for name in ("count", "scan"))
+        self._scatter = load_compute_shader(
+            context, "radix_scatter.comp", {"SUBGROUPS": 1} if has_subgroups_of_32(context) else {}
+        )
+        self._most_bytes = most_bytes
         self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
         self._counts = GrowableBuffer(context)
+        self._totals = context.buffer(np.zeros(2 << DIGIT_BITS, np.uint32))
+        self._turn = 0
 
     def reserve(self, capacity: int) -> None:
-        for keys, slots in self._pairs:
-            keys.reserve(4 * capacity)
-            slots.reserve(4 * capacity)
+        """Make room for `capacity` pairs; raises `MemoryError` if the graphics card is full."""
+        for pair in self._pairs:
+            for buffer in pair:
+                buffer.reserve(4 * capacity, at_most=self._most_bytes)
         self._counts.reserve(4 * -(-capacity // KEYS_BY_GROUP) << DIGIT_BITS)
 
     @property
@@ -43,21 +56,56 @@ class DepthSort:
 
     def sort(self, work: moderngl.Buffer) -> moderngl.Buffer:
         """Sort by rising key; `work` contains the number of keys. Returns the sorted slots."""
+        return self.sort_pairs(work, KEY_BITS)[1]
+
+    def sort_pairs(self, work: moderngl.Buffer, key_bits: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
+        """Sort by the lowest bits of each key; returns the sorted keys and slots."""
         here, there = self._pairs
         work.bind_to_storage_buffer(WORK)
         self._counts.bind(COUNTS)
-        for shift in range(0, KEY_BITS, DIGIT_BITS):
+        self._totals.bind_to_storage_buffer(_TOTALS)
+        for shift in range(0, key_bits, DIGIT_BITS):
             for binding, buffer in zip((KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS), (*here, *there), strict=True):
                 buffer.bind(binding)
             self._count["shift"] = self._scatter["shift"] = shift
+            self._count["turn"] = self._scan["turn"] = self._turn
             self._count.run_indirect(work, GROUPS_OFFSET)
             self._context.memory_barrier()
-            self._scan.run()
+            self._scan.run(1 << DIGIT_BITS)
             self._context.memory_barrier()
             self._scatter.run_indirect(work, GROUPS_OFFSET)
             self._context.memory_barrier()
             here, there = there, here
-        return here[1].buffer
+            self._turn = 1 - self._turn
+        return here[0].buffer, here[1].buffer
+
+
+_SUBGROUPS_OF_32 = """#version 430
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+layout(local_size_x = 256) in;
+layout(std430, binding = 0) buffer Result { uint result[]; };
+void main() {
+    uint thread = gl_LocalInvocationIndex, whole = subgroupBallot(true).x;
+    bool fits = gl_SubgroupSize == 32u && gl_SubgroupID == thread / 32u && gl_SubgroupInvocationID == thread % 32u;
+    if (fits && whole == 0xFFFFFFFFu) atomicAdd(result[0], 1u);
+}
+"""
+
+
+def has_subgroups_of_32(context: moderngl.Context) -> bool:
+    """Whether a workgroup's threads run in subgroups of 32, in their order, which can ballot."""
+    if is_software(context) or "GL_KHR_shader_subgroup" not in context.extensions:
+        return False
+    try:
+        probe = context.compute_shader(_SUBGROUPS_OF_32)
+    except moderngl.Error:
+        return False
+    counted = context.buffer(np.zeros(1, np.uint32))
+    counted.bind_to_storage_buffer(0)
+    probe.run()
+    context.memory_barrier()
+    return int(np.frombuffer(counted.read(), np.uint32)[0]) == 256
 
 
 class SortCheck(NamedTuple):
@@ -93,8 +141,9 @@ def check_sort(context: moderngl.Context, count: int) -> SortCheck:
     depths_m[::2] = np.ceil(depths_m[::2])  # makes many keys equal
     keys, slots = depths_m.view(np.uint32) - np.float32(NEAR_M).view(np.uint32), np.arange(count, dtype=np.uint32)
     numbers = np.zeros(WORK_BYTES // 4, np.uint32)
-    numbers[COUNT_OFFSET // 4], numbers[GROUPS_OFFSET // 4 :] = count, (-(-count // KEYS_BY_GROUP), 1, 1)
-    work, sorter = context.buffer(numbers), DepthSort(context)
+    numbers[COUNT_OFFSET // 4], numbers[GROUPS_OFFSET // 4] = count, -(-count // KEYS_BY_GROUP)
+    numbers[GROUPS_OFFSET // 4 + 1 :] = 1
+    work, sorter = context.buffer(numbers), RadixSort(context)
     sorter.reserve(count)
     orders: list[UInt32[np.ndarray, " n"]] = []
     for _ in range(2):
@@ -119,7 +168,7 @@ def sort_faults(
 
 
 class CpuSort:
-    """Sorts on the CPU in the same order as `DepthSort`, bit for bit; faster for software rasterizers."""
+    """Sorts on the CPU in the same order as `RadixSort`, bit for bit; faster for software rasterizers."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._pair = GrowableBuffer(context), GrowableBuffer(context)
@@ -153,6 +202,11 @@ def count_in(work: moderngl.Buffer) -> int:
     return int(np.frombuffer(work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
 
 
+def total_in(work: moderngl.Buffer) -> int:
+    """Read the number of elements including those beyond the limit; waits for the GPU."""
+    return int(np.frombuffer(work.read(4, offset=TOTAL_OFFSET), np.uint32)[0])
+
+
 # Prefix sum
 # Over blocks of 256 counts; it also writes the arguments of the indirect draw and dispatch.
 
@@ -179,9 +233,9 @@ class PrefixSum:
     ) -> None:
         """Scan the counts of blocks in place and fill in `work`.
 
-        Each workgroup of the dispatch processes `by_group` elements, of at most `max_elements`. `found` consists of the
-        work buffer of found drops, the first of their blocks, and the number of blocks per group of drops: all other
-        blocks are empty.
+        Each workgroup of the dispatch processes `by_group` elements, of at most `max_elements`; all others are only
+        counted. `found` consists of the work buffer of other elements, such as found drops, the first of their blocks,
+        and the number of blocks for each 256 of them: all other blocks are empty.
         """
         found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
         set_uniforms(
