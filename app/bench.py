@@ -77,18 +77,18 @@ def render(
     names = split_list("--scenes", scenes)
     rows: list[dict[str, Any]] = []
     with ExitStack() as stack:
-        renderers = [stack.enter_context(open_renderer(each)) for each in _backends(backends)]
-        devices = {renderer.name: device_of(renderer) for renderer in renderers}
+        renderers = {each: stack.enter_context(open_renderer(each)) for each in _backends(backends)}
+        devices = {name: device_of(renderer) for name, renderer in renderers.items()}
         for name in names:
             scene = timed_scene(name)
             with progress_bar(f"Timing {scene.name}", len(renderers) * len(resolutions), draws=True) as advance:
-                for renderer, (width, height) in product(renderers, resolutions):
+                for (backend, renderer), (width, height) in product(renderers.items(), resolutions):
                     view = (random_scene_camera if is_random_scene(scene.name) else default_path)(scene, width, height)
                     sequences = [
                         FrameSequence(scene, simulation, view, width, height, start_s=_START_S)
                         for simulation in simulations
                     ]
-                    rows += time_frames(renderer, sequences, frames)
+                    rows += [{**row, "backend": backend} for row in time_frames(renderer, sequences, frames)]
                     advance()
     random_rows = [row for row in rows if is_random_scene(row["scene"]) and row["intensity_mm_h"] == 0]
     numbers = {"rows": rows, "fits": lines_over_gaussians(random_rows), "rain_costs": rain_costs(rows)}

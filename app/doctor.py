@@ -62,7 +62,7 @@ def doctor(
     if pair is not None and not self_test:
         raise ValueError("--pair is for --self-test")
     video, threads = _video(), _threads()
-    needed = [_opengl(), threads] if is_frozen() else [_opengl(), video, threads]
+    needed = [_opengl(), _fastest(), threads] if is_frozen() else [_opengl(), _fastest(), video, threads]
     tested = find_depth_order()
     weights = (find_lpips, find_inception, find_base_model, find_text_encoder, find_transfer_weights, find_clip_model)
     optional = [each() for each in (_osmesa, _display, _cuda, _gsplat, *weights, find_detector_file)]
@@ -130,6 +130,23 @@ def _describe_context(source: Literal["egl", "osmesa"]) -> str:
     with context:
         kind = "software" if is_software(context) else "GPU"
         return f"{context.info['GL_RENDERER']}, OpenGL {context.version_code / 100:.1f} ({kind})"
+
+
+@finding("fastest back end (--backend auto)")
+def _fastest() -> str:
+    from gsrain_engine.backends import DeviceSpeed, measure_device
+    from gsrain_engine.render.opengl.context import NoOpenGLError, open_context
+
+    try:
+        context = open_context()
+    except NoOpenGLError:
+        return "cpu: there is no OpenGL"
+    try:
+        with context:
+            speed: DeviceSpeed = measure_device(context)
+        return f"{'cpu' if speed.is_cpu_fastest else f'opengl-{speed.rasterizer}'}: {speed.reason}"
+    finally:
+        context.release()
 
 
 def find_depth_order() -> list[Finding]:

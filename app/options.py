@@ -43,7 +43,7 @@ AllowOutside = Annotated[
 ]
 Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")]
 Wet = Annotated[bool, option("Compute wet colors of the scene first, as the wet look of the window does.")]
-BACKEND = option("Renderer; auto is OpenGL on a GPU, else the CPU.")
+BACKEND = option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU.")
 
 
 # Options made from the field table

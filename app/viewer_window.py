@@ -39,7 +39,7 @@ def main() -> None:
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # keep library output out of the replies
-    sys.exit(ViewerWindow(requests, replies).run(cast(Literal["auto", "opengl", "cpu"], sys.argv[1])))
+    sys.exit(ViewerWindow(requests, replies).run(cast(Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"], sys.argv[1])))
 
 
 class ViewerWindow:
@@ -54,7 +54,7 @@ class ViewerWindow:
         self._reading: Future[Scene] | None = None
         self._screenshot: Path | None = None
 
-    def run(self, backend: Literal["auto", "opengl", "cpu"]) -> int:
+    def run(self, backend: Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]) -> int:
         """Run the window until it is closed; returns the exit code after reporting any error to the program."""
         threading.Thread(target=self._listen, name="requests", daemon=True).start()
         try:

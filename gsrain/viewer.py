@@ -47,7 +47,7 @@ class Viewer:
         rain: RainSettings | None = None,
         *,
         camera: Camera | None = None,
-        backend: Literal["auto", "opengl", "cpu"] = "auto",
+        backend: Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"] = "auto",
         timeout: float = REPLY_S,
     ) -> None:
         """Start the window's process.

@@ -102,7 +102,12 @@ void main() {
                 open_scene -= depth_weight;
             }
 #endif
-            done = open < MIN_TRANSMITTANCE;
+            if (open < MIN_TRANSMITTANCE) open = 0.0;
+#ifdef WITH_DEPTH
+            done = open_scene < MIN_TRANSMITTANCE;
+#else
+            done = open == 0.0;
+#endif
         }
     }
     if (!inside) return;

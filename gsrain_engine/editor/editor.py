@@ -223,7 +223,8 @@ class Editor:
             self.status.report(problem)
         if result.drawn is not None:
             viewport.budget.measured(result.drawn.quality, result.drawn.frame_ms)
-            viewport.detail, viewport.backend = result.drawn.quality, result.drawn.backend
+            viewport.detail = result.drawn.quality
+            viewport.backend, viewport.backend_reason = result.drawn.backend, result.drawn.backend_reason
             viewport.statistics = dict(result.drawn.statistics)
         if result.sky is not None:
             self.live_rain.sky_color = result.sky

@@ -66,7 +66,7 @@ class ViewportState:
         """True if the camera has moved since the last frame."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
-        self.backend = ""
+        self.backend = self.backend_reason = ""
         self.is_compiling = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""
         self.is_catching_up = False

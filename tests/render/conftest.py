@@ -45,8 +45,9 @@ def open_kind(request):
     def opened(kind):
         if kind == "cpu":
             return CpuRenderer()
-        if kind == "opengl":
-            return SplatRenderer(request.getfixturevalue("context"), harmonics="single")
+        if kind.startswith("opengl"):
+            way = {"opengl-tiles": "tiles"}.get(kind)
+            return SplatRenderer(request.getfixturevalue("context"), harmonics="single", rasterizer=way)
         pytest.importorskip("torch", reason="torch is not installed: pip install gsrain[jobs]")
         from gsrain_engine.render.cuda import CudaRenderer
         from render.gsplat_stand_in import rasterization
@@ -56,7 +57,7 @@ def open_kind(request):
     return opened
 
 
-@pytest.fixture(params=["cpu", "opengl", "cuda"])
+@pytest.fixture(params=["cpu", "opengl", "opengl-tiles", "cuda"])
 def any_renderer(request, open_kind):
     return open_kind(request.param)
 

@@ -57,16 +57,16 @@ def raining(**changes):
     return msgspec.structs.replace(load_preset("8.5"), **changes)
 
 
-@pytest.fixture(params=["opengl", "cuda"])
+@pytest.fixture(params=["opengl", "opengl-tiles", "cuda"])
 def other(request, open_kind):
     return open_kind(request.param)
 
 
-@pytest.fixture(params=[("opengl", "small"), ("opengl", "golden"), ("cuda", "small")], ids=" ".join)
+@pytest.fixture(params=[("opengl", "small"), ("opengl", "golden"), ("opengl-tiles", "small"), ("opengl-tiles", "golden"), ("cuda", "small")], ids=" ".join)
 def pair(request, open_kind):
     """Two renderers, a scene and its view; the golden street is in meters, z up."""
     kind, place = request.param
-    scene, shot = small_scene(), small_shot() if kind == "opengl" else small_shot(96, 60)
+    scene, shot = small_scene(), small_shot() if kind != "cuda" else small_shot(96, 60)
     if place == "golden":
         golden = request.getfixturevalue("golden")
         scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
@@ -168,12 +168,13 @@ def test_the_sky_has_the_same_color(open_kind):
     np.testing.assert_allclose(cpu, opengl, atol=2e-3)
 
 
+@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles"])
 @pytest.mark.parametrize("look", [each for each in get_args(RenderMode) if each != "splats"])
-def test_every_look_agrees(open_kind, look):
+def test_every_look_agrees(open_kind, kind, look):
     """But for pixels where a threshold falls to one side here and to the other there."""
     first, second = (
         drawn(each, small_scene().parts(), camera=small_shot().camera, look=look).rgba
-        for each in (open_kind("opengl"), CpuRenderer())
+        for each in (open_kind(kind), CpuRenderer())
     )
     assert np.isfinite(first).all()
     assert first.std() > 0.01

@@ -7,13 +7,13 @@ from gsrain_engine.render.opengl.sort import (
     KEY_BITS,
     KEYS_BY_GROUP,
     CpuSort,
-    DepthSort,
+    RadixSort,
     check_sort,
     sort_faults,
 )
 
 
-@pytest.mark.parametrize("sort", [DepthSort, CpuSort])
+@pytest.mark.parametrize("sort", [RadixSort, CpuSort])
 @pytest.mark.parametrize("count", [0, 1, 255, 256, 257, KEYS_BY_GROUP - 1, KEYS_BY_GROUP + 1, 3 * KEYS_BY_GROUP + 77])
 @pytest.mark.parametrize("different", [1, 3, 1 << KEY_BITS])
 def test_sorts_stably(context, sort, count, different):
@@ -54,14 +54,14 @@ def test_the_check_counts_what_is_wrong(order, second, faults):
 
 def test_the_check_finds_a_software_rasterizer_right_and_a_sort_that_loses_splats_wrong(context, monkeypatch):
     assert check_sort(context, 100_000) == (100_000, 0, 0, 0)
-    rng, sort = np.random.default_rng(0), DepthSort.sort
+    rng, sort = np.random.default_rng(0), RadixSort.sort
 
     def losing(self, work):  # some slots overwrite others, elsewhere at each call
         order = sort(self, work)
         order.write(order.read(4 * 100), offset=4 * int(rng.integers(1000, 9000)))
         return order
 
-    monkeypatch.setattr(DepthSort, "sort", losing)
+    monkeypatch.setattr(RadixSort, "sort", losing)
     check = check_sort(context, 10_000)
     assert (check.missing, check.changed) == (100, 200)
     assert 1 <= check.inversions <= 2

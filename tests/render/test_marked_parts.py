@@ -83,7 +83,7 @@ def test_many_are_projected_in_chunks_to_the_same_bytes(fields):
         assert not part.left_out.flags[project([part], small_camera()).indices].any()  # it takes no memory, either
 
 
-@pytest.mark.parametrize("kind", ["cpu", "cuda", "opengl"])
+@pytest.mark.parametrize("kind", ["cpu", "cuda", "opengl", "opengl-tiles"])
 def test_what_has_no_finite_wet_color_is_left_out(open_kind, kind):
     renderer = open_kind(kind)
     part, left_out = part_of(300, wetness=0.5), np.zeros(300, bool)
@@ -145,7 +145,10 @@ def marked_scene():
 
 @pytest.mark.parametrize(
     ("kind", "look"),
-    [("cuda", "splats"), *(("opengl", look) for look in ("splats", "points", "normals", "opacity", "layers"))],
+    [
+        *(("cuda", "splats"), ("opengl-tiles", "splats")),
+        *(("opengl", look) for look in ("splats", "points", "normals", "opacity", "layers")),
+    ],
 )
 def test_back_ends_agree_on_marked_scenes(open_kind, kind, look):
     parts = marked_scene().parts(1.0, selection=True)

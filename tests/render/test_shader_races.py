@@ -18,7 +18,7 @@ from gsrain_engine.render.opengl.buffers import COUNT_OFFSET, GpuArrays, Project
 from gsrain_engine.render.opengl.projection import ProjectionPass
 from gsrain_engine.render.opengl.rain import RainPass, streak_slots
 from gsrain_engine.render.opengl.renderer import SplatRenderer
-from gsrain_engine.render.opengl.sort import DIGIT_BITS, KEYS_BY_GROUP, DepthSort, sort_faults
+from gsrain_engine.render.opengl.sort import DIGIT_BITS, KEYS_BY_GROUP, RadixSort, sort_faults
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
@@ -56,7 +56,7 @@ def keys_of(count, digits=1):
 
 
 def order_of(context, keys):
-    sorter = DepthSort(context)
+    sorter = RadixSort(context)
     sorter.reserve(len(keys))
     for buffer, values in zip(sorter.unsorted, (keys, np.arange(len(keys), dtype=np.uint32)), strict=True):
         buffer.write(values)
@@ -142,7 +142,7 @@ def drops_of(**changes):
 def filled(context, parts, harmonics="half", rain=None, look="splats"):
     """Project, bring together and sort as a frame does; returns keys and slots of what can be seen, and the drops."""
     projection, store = ProjectionPass(context, GpuArrays(context, harmonics)), ProjectedSplatBuffer(context)
-    sorter = DepthSort(context)
+    sorter = RadixSort(context)
     slots = projection.project(store, parts, CAMERA, rain, look)
     projection.compact_visible(store, sorter, slots)
     visible = int(np.frombuffer(store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])

@@ -4,7 +4,7 @@ import pytest
 from gsrain_engine.render.opengl import shaders
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.opengl.shaders import ShaderError, load_compute_shader, load_program
-from gsrain_engine.render.opengl.sort import DepthSort
+from gsrain_engine.render.opengl.sort import RadixSort
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from render.cpu.raster_scenes import drawn
@@ -43,7 +43,7 @@ def test_splats_lie_in_several_blocks_as_far_as_the_driver_allows(context, monke
 def test_sorting_on_the_gpu_draws_the_same(context, monkeypatch):
     """Also where the processor would sort, since OpenGL is software."""
     by_host = draw(SplatRenderer(context), cloud(9000)).rgba
-    monkeypatch.setattr("gsrain_engine.render.opengl.renderer.CpuSort", DepthSort)
+    monkeypatch.setattr("gsrain_engine.render.opengl.renderer.CpuSort", RadixSort)
     by_gpu = SplatRenderer(context)
     assert draw(by_gpu, cloud(9000)).rgba.tobytes() == by_host.tobytes()
     assert by_gpu.statistics.splats_drawn > 3000

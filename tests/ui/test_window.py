@@ -83,7 +83,7 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
         driver.frames(3)
 
     driver.run(script)
-    assert driver.editor.viewport.backend in ("opengl", "cpu")
+    assert driver.editor.viewport.backend in ("opengl-tiles", "opengl-quads", "cpu")
 
 
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):

@@ -24,7 +24,7 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     plain_label("Resolution", "Draw fewer pixels while tuning; the rain has the same drops.")
     view.shrink = combo("##resolution", view.shrink, _SHRINKS)
     plain_label("Colors on the GPU", "Fewer bits take less memory and, in large scenes, less time per frame.")
-    with disabled(viewport.backend != "opengl"):
+    with disabled(not viewport.backend.startswith("opengl")):
         view.harmonics = combo("##harmonics", view.harmonics, _STORAGES)
     plain_label("While moving", "Draw less while the camera moves to hold this frame time; exact when it stops.")
     _, budget.enabled = imgui.checkbox("##budget", budget.enabled)
@@ -49,6 +49,8 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
 
 def statistics_panel(viewport: ViewportState) -> None:
     imgui.text_wrapped(f"{imgui.get_io().framerate:.1f} fps, back end: {viewport.backend}")
+    if viewport.backend_reason:
+        imgui.text_disabled(viewport.backend_reason)
     if viewport.detail.is_exact:
         imgui.text_disabled("full quality")
     else:

@@ -70,6 +70,8 @@ class DrawnImage(NamedTuple):
     quality: QualityLevel
     frame_ms: float
     backend: str
+    backend_reason: str
+    """Times by which the back end was chosen."""
     statistics: Mapping[str, float]
     """Figures by name, in the order of the Statistics panel."""
 

@@ -9,12 +9,13 @@ from typing import Literal
 import moderngl
 import numpy as np
 
+from ...backends import measure_device, rasterizer_for
 from ...compile_cache import has_kernels
 from ...rain.simulation import RainSimulation
 from ...render.draw import LodSubset, RenderView, draw_view
 from ...render.images import write_png
 from ...render.opengl.buffers import GpuArrays
-from ...render.opengl.context import check_context, is_software
+from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.renderer import Color, Renderer
 from ...render.sky_color import SkyColor, sample_sky
@@ -28,7 +29,7 @@ from .frame import DrawnImage, DrawResult, MosaicInput, MosaicResult, RenderInpu
 from .textures import CpuTexture
 
 logger = logging.getLogger("gsrain")
-WindowBackend = Literal["auto", "opengl", "cpu"]
+WindowBackend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]
 _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
 _LOADING_S = 2.0  # time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
@@ -39,15 +40,17 @@ _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; 
 class LiveView:
     """Draws the viewport's panes. Lives in the window's OpenGL context and on its thread.
 
-    OpenGL draws on a GPU. If OpenGL is a software rasterizer, the CPU renderer draws the same image several times
-    faster. OpenGL substitutes until the CPU kernels are compiled; if they are cached, the viewport waits for them
+    The fastest way draws (`measure_device`): tiles on a GPU; if OpenGL is a software rasterizer, the CPU renderer, which
+    draws the same image several times faster. OpenGL substitutes until the CPU kernels are compiled; if they are cached, the viewport waits for them
     instead, because compiling shaders takes longer. `backend` overrides the choice.
     """
 
     def __init__(self, context: moderngl.Context, backend: WindowBackend = "auto") -> None:
         self.context = context
-        self._opengl = SplatRenderer(context)
-        on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
+        self.speed = measure_device(context)
+        """Times by which the back end was chosen."""
+        self._opengl = SplatRenderer(context, rasterizer=rasterizer_for(backend, self.speed))
+        on_cpu = self.speed.is_cpu_fastest if backend == "auto" else backend == "cpu"
         self._cpu = CpuTexture(context) if on_cpu else None
         self._waits_until = 0.0
         if self._cpu is not None and has_kernels():
@@ -224,7 +227,10 @@ class LiveView:
             "drops drawn": statistics.drops_drawn,
             "haze Gaussians": statistics.haze_drawn,
         }
-        return DrawnImage(frame.quality, milliseconds, self._renderer.name, figures)
+        if statistics.pairs_left_out:
+            figures["tile pairs without room"] = statistics.pairs_left_out
+        name = self._renderer.name if self._on_cpu else f"opengl-{self._opengl.rasterizer}"
+        return DrawnImage(frame.quality, milliseconds, name, self.speed.reason, figures)
 
     def _prepare(self, frame: RenderInput) -> None:
         """Continue to prepare the pending scene for its first frame."""
