@@ -68,7 +68,8 @@ def sweep(
             with ExitStack() as stack:
                 engine = _engine(workers, dask, resources, stack)
                 stack.enter_context(_sigterm_as_ctrl_c())
-                run = run_with_progress(stack.enter_context(closing(run_sweep(to_do, engine, folder))))
+                work = stack.enter_context(closing(run_sweep(to_do, engine, folder)))
+                run = run_with_progress(work, line_every_s=0)  # a line for each job
         except KeyboardInterrupt:
             left = counted(len(folder.to_do(share)), "job")
             print(f"stopped with {left} to do; the same command goes on from there", file=sys.stderr)
