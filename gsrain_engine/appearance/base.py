@@ -133,6 +133,8 @@ class TrainingRecord(Struct, frozen=True, kw_only=True):
     steps: int = 0
     held_out: str = ""
     """Identity of the pictures that were held out for testing; empty if unknown."""
+    base: str = ""
+    """Fingerprint of the base weights, `cyclegan_turbo.model.base_fingerprint`; empty if unknown."""
 
     @property
     def words(self) -> str:

@@ -180,6 +180,7 @@ class _FinetuneLoop:
                 "conditioning": pictures.guide, "normals": "none" if pictures.guide == "none" else normals,
                 "framing": pictures.framing, "width_px": pictures.width_px, "height_px": pictures.height_px,
                 "seed": self._settings.seed, "steps": steps, "held_out": identity_of(self._split.test),
+                "base": self._training.model.base,
             },
             TrainingRecord,
         )  # fmt: skip
