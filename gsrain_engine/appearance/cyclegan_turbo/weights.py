@@ -18,7 +18,7 @@ from ..base import TrainingRecord
 from . import lora
 from .lora import LowRank, adapted_layers, addition_of
 from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widen_kernel
-from .weight_paths import TRAINING, record_in
+from .weight_paths import RANDOM_BASE, TRAINING, record_in
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -65,7 +65,7 @@ class WeightsFile:
     @property
     def random_base_seed(self) -> int | None:
         """Seed of the random base weights, in tests; None for SD-Turbo."""
-        seed = self.metadata.get("random_base_seed")
+        seed = self.metadata.get(RANDOM_BASE)
         return None if seed is None else int(seed)
 
     @property
@@ -312,7 +312,7 @@ def save_weights(model: CycleGanTurbo, path: Path, record: TrainingRecord | None
         "caption_a2b": delta.texts[0], "caption_b2a": delta.texts[1],
     }  # fmt: skip
     if model.seed is not None:
-        header["random_base_seed"] = str(model.seed)
+        header[RANDOM_BASE] = str(model.seed)
     if (record := record or model.record) is not None:
         header[TRAINING] = msgspec.json.encode(record).decode()
     header["tensors"] = json.dumps(sorted(tensors))
