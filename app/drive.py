@@ -85,7 +85,8 @@ class DriverOptions(options_of(AgentOptions, "drive")):
         Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
     ] = None
     hugsim_client: Annotated[
-        str | None, flag("Command that starts the client; without one, start it yourself on the folder.")
+        str | None,
+        flag("Command of the client, started before the scene is read; without one, start it yourself on the folder."),
     ] = None
     hugsim_wait: Annotated[
         float, option("Seconds to wait for the client's first plan; at most 60 of them for each later one.")

@@ -44,7 +44,8 @@ def sweep(
 
     Any number of such commands may work on one folder, with --shard on independent machines. Rows contain neither times
     nor machine names; equal jobs give byte-identical rows. The row of a failed job has the error. Agents in Python
-    files run only with --trust, or once you have allowed their content in a terminal.
+    files run only with --trust, or once you have allowed their content in a terminal. Into pipes and files, progress is
+    a line per finished job.
     """
     started = time.perf_counter()
     chosen = (options or SweepOptions()).changes()

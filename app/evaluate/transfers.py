@@ -49,7 +49,8 @@ def transfers(
     """Make the same views rainy by several methods, and compare each with real rainy images.
 
     FID (or the like) and KID with intervals of 95 %, agreement of neighboring views, seconds, and a figure. Methods
-    whose images are in DIR, made with the same settings, are not run again.
+    whose images are in DIR, made with the same settings, are not run again. All missing inputs are named before any
+    work.
     """
     let_names_lead_outside(allow_outside)
     settings = with_trust(lambda: results.load_comparison(comparison), trust)
