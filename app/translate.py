@@ -235,7 +235,10 @@ def train_transfer(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint."""
+    """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint.
+
+    Weights, programs and images that are missing are all named before any work.
+    """
     let_names_lead_outside(allow_outside)
     changes = (options or FinetuneOptions()).changes() | (images or ImageOptions()).changes()
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)

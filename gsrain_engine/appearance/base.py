@@ -133,6 +133,8 @@ class TrainingRecord(Struct, frozen=True, kw_only=True):
     steps: int = 0
     held_out: str = ""
     """Identity of the pictures that were held out for testing; empty if unknown."""
+    base: str = ""
+    """Fingerprint of the base weights, `cyclegan_turbo.model.base_fingerprint`; empty if unknown."""
 
     @property
     def words(self) -> str:
@@ -179,10 +181,10 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         description="Source of the surface normals for a learned method; none: no normals.")] = None
     normals_weights: Annotated[Path | None, Meta(
         title="Weights for normals", extra={"commands": "transfer"},
-        description="File of DSINE, or folder of Marigold.")] = None
+        description="File of DSINE (none: see gsrain doctor), or folder of Marigold.")] = None
     normals_checkout: Annotated[Path | None, Meta(
         title="DSINE's program", extra={"commands": "transfer"},
-        description="Your own copy of DSINE's program; non-commercial use only.")] = None
+        description="Your own copy of DSINE's program; non-commercial use only; none: see gsrain doctor.")] = None
     guide: Annotated[Literal["up", "luma"] | None, Meta(
         title="Guide", extra={"option": "conditioning", "commands": "transfer", "none": "as trained"},
         description="How normals become the fourth channel: their upward component, or luma as in the paper.")] = None

@@ -163,7 +163,7 @@ def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
     weights = settings.weights or find_transfer_weights()
     if (record := read_record(weights)) is not None:  # a contradiction is told before anything large is read
         settings = follow_training(settings, record, weights)
-    model = open_model(weights, settings.base, normals=settings.normals != "none")
+    model = open_model(weights, settings.base, normals=settings.normals != "none", override=settings.override)
     settings = follow_training(settings, model.record, weights)
     uses_normals = settings.normals != "none"
     if uses_normals and model.guide == "mask":
