@@ -103,7 +103,9 @@ def test_the_gamma_law_of_the_counted_drops_is_the_one_that_is_set(reported, cap
     assert (report["requested_shape"], report["requested_scale_mm"]) == (shape, scale_mm)
     assert (report["shape"], report["scale_mm"]) == (pytest.approx(shape, rel=0.05), pytest.approx(scale_mm, rel=0.05))
     printed = capsys.readouterr().out
-    assert f"gamma law of diameters: shape {shape:.4g}, scale {scale_mm:.3g} mm asked; {report['shape']:.4g}, " in printed
+    assert (
+        f"gamma law of diameters: shape {shape:.4g}, scale {scale_mm:.3g} mm asked; {report['shape']:.4g}, " in printed
+    )
 
 
 def test_too_few_drops_have_no_fitted_law(reported, capsys):
