@@ -107,7 +107,7 @@ def run_comparison(
             if isinstance(made, MethodFolder):
                 folders.append(made)
                 if number == 0 and method.method != "images":  # a folder of images may lack views
-                    choose_figure_views(folders, comparison.shown, comparison.columns)
+                    choose_figure_views(folders, comparison.shown, comparison.columns, comparison.views.sensors)
                 continue
             share = (number + made / len(source.views)) / len(comparison.methods)
             yield Progress(_TRANSFERS * share, f"{method.name}: view {made} of {len(source.views)}")
@@ -128,7 +128,7 @@ def run_comparison(
             ComparedRow(name=name, method=each.method.method, distance=distance, pairs=count, everywhere=everywhere,
                         outside_film=dry, seconds=each.seconds)
         )  # fmt: skip
-    names = choose_figure_views(folders, comparison.shown, comparison.columns)
+    names = choose_figure_views(folders, comparison.shown, comparison.columns, comparison.views.sensors)
     figure = comparison_figure(folders, names)
     reused = tuple(each.method.name for each in folders if each.was_reused)
     notes = tuple(f"{each.method.name}, {note}" for each in folders for note in each.notes)
@@ -334,10 +334,21 @@ _CELL_PX, _GAP_PX, _TEXT_PX = 360, 8, 18
 _PAPER, _INK, _FAINT, _EMPTY = (255, 255, 255), (20, 20, 22), (110, 112, 118), (236, 236, 238)
 
 
-def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
-    """The named views, or `columns` even ones of the method with the most; raises ValueError for an unknown name."""
+def choose_figure_views(
+    folders: Sequence[MethodFolder], names: Sequence[str], columns: int, sensors: Sequence[str] = ()
+) -> list[str]:
+    """The named views, or `columns` even ones of the method with the most; raises ValueError for an unknown name.
+
+    If there is a column for each of several cameras, the views are those of one moment in the middle, in the order of
+    `sensors`. Names of recorded views end with their camera.
+    """
     there = max(([view.clear.name for view in read_transferred(each.folder)] for each in folders), key=len)
     if not names:
+        if columns == len(sensors) > 1:
+            first = len(there) // columns // 2 * columns
+            moment = {name.partition("_")[2]: name for name in there[first : first + columns]}
+            if moment.keys() == set(sensors):
+                return [moment[sensor] for sensor in sensors]
         return [there[i] for i in evenly_spaced_indices(len(there), columns)]
     for name in names:
         if name not in there:
