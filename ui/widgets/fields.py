@@ -292,6 +292,14 @@ LOGARITHMIC = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
 _Value = TypeVar("_Value")
 
 
+def faint(text: str | None) -> None:
+    """Draw a wrapped line in the color of disabled text, if there is one."""
+    if text:
+        imgui.push_text_wrap_pos(0.0)
+        imgui.text_disabled(text)
+        imgui.pop_text_wrap_pos()
+
+
 def warn(text: str | None) -> None:
     """Draw a wrapped warning; nothing without a text."""
     if text:
