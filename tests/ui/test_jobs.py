@@ -127,8 +127,7 @@ def test_the_input_of_a_network_is_shown_with_the_preview_and_the_job(driver, tm
     words = "The network saw 64x64 px (stretch), normals from depth as luma."
 
     def script():
-        editor, ctx = driver.editor, driver.ctx
-        rainy = editor.wet_look
+        editor, rainy = driver.editor, driver.editor.wet_look
         rainy.method, rainy.preview_width_px = "cyclegan-turbo", 96
         rainy.choice = msgspec.structs.replace(rainy.choice, count=1, width_px=96)
         assert rainy.training == f"mine.safetensors: trained with {record.words}."
@@ -158,7 +157,6 @@ def test_the_input_of_a_network_is_shown_with_the_preview_and_the_job(driver, tm
         assert "64x64 px (stretch)" in job.report.read_text()
 
     driver.run(script)
-
 
 
 def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, driver, monkeypatch):

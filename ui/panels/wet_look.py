@@ -34,7 +34,7 @@ _MAX_PREVIEW_EM = 7.0  # small, since the viewport shows the preview at full siz
 _ENLARGED_EM = 28.0  # longer side of an image under the mouse
 _PICTURES: dict[PreviewPicture, tuple[str, str]] = {
     "clear": ("before", "The clear view."),
-    "framed": ("network", "The view at the size and proportions in which the network saw it."),
+    "framed": ("input", "The view at the size and proportions in which the network saw it."),
     "guide": ("guide", "The network's fourth channel, from the normals."),
     "rainy": ("after", "The transferred view, soaked."),
 }

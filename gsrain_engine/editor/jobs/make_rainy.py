@@ -92,7 +92,8 @@ class PreviewImages:
             pictures["framed"] = rainy.framed.image
             if rainy.framed.guide is not None:
                 pictures["guide"] = np.repeat(rainy.framed.guide[..., None], 3, axis=2)
-        return cls(pictures | {"rainy": to_display_bytes(rainy.image)}, network_note(rainy))
+        pictures["rainy"] = to_display_bytes(rainy.image)
+        return cls(pictures, network_note(rainy))
 
     def write(self, path: Path) -> None:
         """Write an .npz file."""
