@@ -131,6 +131,14 @@ def test_the_input_of_a_network_is_shown_with_the_preview_and_the_job(driver, tm
         rainy.method, rainy.preview_width_px = "cyclegan-turbo", 96
         rainy.choice = msgspec.structs.replace(rainy.choice, count=1, width_px=96)
         assert rainy.training == f"mine.safetensors: trained with {record.words}."
+        driver.click(f"{PANEL}More settings")
+        for chosen in ("up", "as trained"):  # the settings that may follow the training can be set, and unset again
+            driver.ctx.set_ref(f"{PANEL}More settings")
+            driver.ctx.combo_click(f"##guide/{chosen}")
+            driver.frames()
+            assert rainy.settings.guide == (None if chosen == "as trained" else chosen)
+        driver.ctx.set_ref("")
+        driver.click(f"{PANEL}More settings")
         driver.click(f"{PANEL}###preview")
         driver.until(lambda: not editor.jobs.running, 1_000_000)
         driver.frames()

@@ -121,8 +121,10 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
             if switched or value is None:
                 return msgspec.structs.replace(settings, **{name: value}) if switched else settings
         if info.choices:
-            changed, at = imgui.combo(f"##{name}", info.choices.index(value), list(info.choices))
-            value = info.choices[at]
+            choices = (None, *info.choices) if info.is_optional else info.choices
+            names = [str(info.extra.get("none", "none")) if each is None else each for each in choices]
+            changed, at = imgui.combo(f"##{name}", choices.index(value), names)
+            value = choices[at]
         elif isinstance(value, int):
             step = max(step, info.multiple_of)
             changed, value = imgui.input_int(f"##{name}", value, step, 10 * step)
