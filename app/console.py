@@ -7,6 +7,7 @@ the standard streams anywhere else in the program.
 
 import logging
 import sys
+import time
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any, TypeVar
@@ -125,7 +126,7 @@ class _OneLine(logging.Formatter):
         return "\n".join(map(escape_invisible, lines))
 
 
-# Progress bars with an estimate of the time left; files and pipes get only the final state
+# Progress bars with an estimate of the time left; files and pipes get lines, or only the final state
 
 _Result = TypeVar("_Result")
 _FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: a minute or two."
@@ -148,15 +149,23 @@ def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[
             raise
 
 
-def run_with_progress(work: "Generator[Progress, None, _Result]") -> _Result:
-    """Run a job, show its progress and current step, and return its result."""
+def run_with_progress(work: "Generator[Progress, None, _Result]", line_every_s: float = 60.0) -> _Result:
+    """Run a job, show its progress and current step, and return its result.
+
+    A file or pipe gets lines instead of a bar: a step's message if `line_every_s` seconds have passed since the last.
+    """
     from gsrain_engine.scene.progress import run_to_end  # loads NumPy, which startup avoids
 
     console = Console(stderr=True)
     with _bar(_WarningColumn(), console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("Reading", total=1.0, warning="")
+        printed_s = time.monotonic()
 
         def show(step: "Progress") -> None:
+            nonlocal printed_s
+            if not console.is_terminal and (now_s := time.monotonic()) - printed_s >= line_every_s:
+                print(f"{step.fraction:.0%} {step.message}", file=sys.stderr)
+                printed_s = now_s
             bar.update(task, completed=step.fraction, description=step.message, warning=step.warning or "")
 
         return run_to_end(work, show)

@@ -2,6 +2,7 @@
 
 import importlib.util
 import shlex
+import shutil
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -64,8 +65,11 @@ def doctor(
     video, threads = _video(), _threads()
     needed = [_opengl(), _fastest(), threads] if is_frozen() else [_opengl(), _fastest(), video, threads]
     tested = find_depth_order()
-    weights = (find_lpips, find_inception, find_base_model, find_text_encoder, find_transfer_weights, find_clip_model)
-    optional = [each() for each in (_osmesa, _display, _cuda, _gsplat, *weights, find_detector_file)]
+    weights = (
+        find_lpips, find_inception, find_base_model, find_text_encoder, find_transfer_weights, find_clip_model,
+        find_normals_weights, find_normals_program, find_detector_file,
+    )  # fmt: skip
+    optional = [each() for each in (_osmesa, _display, _cuda, _gsplat, *weights, find_zsh)]
     optional = [*([video] if is_frozen() else []), *optional, *map(_package, _PACKAGES)]
     added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
     marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
@@ -217,9 +221,9 @@ def _package(name: str) -> Finding:
         return Finding(name, False, f"not installed; for {purpose}: {how_to_add(extra)}")
 
 
-def how_to_add(extra: str) -> str:
-    """Return the command that adds an extra to the environment of this program, made by pip, pipx or uv."""
-    requirement, environment = f"'gsrain[{extra}]'", Path(sys.prefix)
+def how_to_add(name: str, *, is_extra: bool = True) -> str:
+    """Return the command that adds an extra, or a package, to the environment of this program (pip, pipx or uv)."""
+    requirement, environment = f"'gsrain[{name}]'" if is_extra else name, Path(sys.prefix)
     if is_frozen():
         return f"needs GSRAIN installed by pip, with {requirement}"
     if (environment / "pipx_metadata.json").is_file():
@@ -332,6 +336,40 @@ def find_clip_model() -> str:
     from gsrain_engine.appearance.finetune.settings import find_clip
 
     return str(find_clip())
+
+
+@finding("DSINE weights (normals of pictures without depth)")
+def find_normals_weights() -> str:
+    """Look for DSINE's weights, which estimate the normals of the paper's fine-tuning."""
+    from gsrain_engine.appearance.dsine_checkout import find_dsine_weights
+
+    return str(find_dsine_weights())
+
+
+@finding("DSINE program (runs DSINE's weights)")
+def find_normals_program() -> str:
+    """Look for the user's copy of DSINE's program, and for the package that it needs. None of its code runs."""
+    from gsrain_engine.appearance.dsine_checkout import find_dsine_checkout, has_geffnet
+
+    found = find_dsine_checkout()
+    if not has_geffnet():
+        raise FileNotFoundError(f"{found}, which needs geffnet: {how_to_add('geffnet', is_extra=False)}")
+    return str(found)
+
+
+_CLIENT = (
+    "name your own copy of the client: gsrain drive --hugsim-dir pipes --hugsim-client "
+    "'zsh /path/UniAD_SIM/tools/e2e.sh 0'"
+)
+
+
+@finding("zsh (for HUGSIM's clients UniAD_SIM and VAD_SIM)")
+def find_zsh() -> str:
+    """Look for the shell of the clients' `tools/e2e.sh`; a client itself may lie anywhere."""
+    found = shutil.which("zsh")
+    if found is None:
+        raise FileNotFoundError(f"not found; on Debian: apt-get install zsh; then {_CLIENT}")
+    return f"{found}; {_CLIENT}"
 
 
 # Extensions of other installed packages

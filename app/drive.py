@@ -85,7 +85,8 @@ class DriverOptions(options_of(AgentOptions, "drive")):
         Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
     ] = None
     hugsim_client: Annotated[
-        str | None, flag("Command that starts the client; without one, start it yourself on the folder.")
+        str | None,
+        flag("Command of the client, started before the scene is read; without one, start it yourself on the folder."),
     ] = None
     hugsim_wait: Annotated[
         float, option("Seconds to wait for the client's first plan; at most 60 of them for each later one.")
@@ -124,20 +125,24 @@ class DriverOptions(options_of(AgentOptions, "drive")):
             if reason is not None:
                 print(reason)
         with ExitStack() as stack:
-            agents = [self._hugsim() if name == HUGSIM else open_agent(name, options) for name in names]
-            for agent in agents:
-                stack.callback(agent.close)
+            agents: list[Agent] = []
+            for name in names:
+                agents.append(self._hugsim() if name == HUGSIM else open_agent(name, options))
+                stack.callback(agents[-1].close)
             yield agents
 
     def _hugsim(self) -> Agent:
+        """Open the agent of HUGSIM's protocol and start its client. Raises ClientError if the client ends at once."""
         if self.hugsim_dir is None:
             raise ValueError("--agent hugsim takes the folder of its pipes: --hugsim-dir DIR")
         from gsrain_engine.simulation.interop.hugsim_agent import LATER_WAIT_S, HugsimAgent
 
-        return HugsimAgent(
+        agent = HugsimAgent(
             self.hugsim_dir, self.hugsim_client, self.channel_order, semantic=self.hugsim_all, depth=self.hugsim_all,
             first_wait_s=self.hugsim_wait, later_wait_s=min(self.hugsim_wait, LATER_WAIT_S),
         )  # fmt: skip
+        agent.start()
+        return agent
 
 
 RunOptions = options_of(Scenario, "drive", "Default: the scenario's.")

@@ -17,6 +17,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
 from gsrain_engine.plugins import find_extensions
+from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.files import sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
@@ -141,7 +142,12 @@ def run(arguments: list[str]) -> int:
         said = " ".join(sentence_of(error).split())
         if isinstance(error, ImportError):
             said = f"a library can't be loaded: {said}; gsrain doctor says what is missing"
-        errors.print(f"gsrain: {said}")
+        if isinstance(error, MissingInputsError) and len(error.missing) > 1:
+            errors.print(f"gsrain: {len(error.missing)} inputs are missing or do not fit:")
+            for each in error.missing:
+                errors.print(f"  {each}")
+        else:
+            errors.print(f"gsrain: {said}")
         return BAD_INPUT
     except KeyboardInterrupt:
         errors.print("gsrain: stopped")

@@ -11,13 +11,14 @@ from jaxtyping import Float64
 
 from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary, open_disdrometer_file
 from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
-from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, FittedRow
+from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, FittedRow, fit_sizes
 from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
 from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.tables import load_columns
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.calibration import save_calibration
+from gsrain_engine.rain.properties import DropSizes
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 
@@ -178,7 +179,7 @@ def disdrometer(
     output: Annotated[Path | None, option("Write the spectra to this netCDF file (.nc).", "--output", "-o")] = None,
     json: JsonFile = None,
 ) -> None:
-    """Count simulated drops through a horizontal area; report their rain rate and sizes.
+    """Count simulated drops through a horizontal area; report rain rate, sizes, and the gamma law, set and fitted.
 
     `gsrain calibrate` reads what -o writes, so that the simulation can be fitted like a measurement.
     """
@@ -213,7 +214,7 @@ def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_o
 
 
 def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
-    state = counted.state
+    state, fitted = counted.state, _fitted_sizes(counted)
     return {
         "requested_mm_h": state.intensity_mm_h,
         "implied_mm_h": state.implied_mm_h,
@@ -225,6 +226,10 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
         "mean_counted_diameter_mm": counted.mean_counted_diameter_mm,
         "density_m3": counted.density_m3,
         "requested_density_m3": state.density_m3,
+        "requested_shape": state.shape,
+        "requested_scale_mm": state.scale_mm,
+        "shape": None if fitted is None else fitted.shape,
+        "scale_mm": None if fitted is None else fitted.scale_mm,
         "area_m2": counted.area_m2,
         "seconds": float(counted.seconds.sum()),
         "records": len(counted.counts),
@@ -232,6 +237,13 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
         "beyond_calibration": state.beyond_calibration,
         "spectrum": _spectrum(counted, counted.spectra.diameter_edges_mm),
     }
+
+
+def _fitted_sizes(counted: DisdrometerMeasurement) -> DropSizes | None:
+    """Return the gamma law of the counted drops; None if they occupy fewer than three classes."""
+    edges_mm = counted.spectra.diameter_edges_mm
+    in_air, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.in_air_m3)
+    return fit_sizes(in_air, edges_mm) if np.count_nonzero(in_air) >= 3 else None
 
 
 def _spectrum(counted: DisdrometerMeasurement, edges_mm: Float64[np.ndarray, " n_and_one"]) -> dict[str, list[float]]:
@@ -260,6 +272,11 @@ def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
         f"in the air {counted.density_m3:,.0f} drops/m³ (asked {state.density_m3:,.0f}), "
         f"mean diameter {counted.mean_diameter_mm:.3f} mm (asked {state.mean_diameter_mm:.3f})"
     )
+    law = f"gamma law of diameters: shape {state.shape:.4g}, scale {state.scale_mm:.3g} mm asked"
+    fitted = _fitted_sizes(counted)
+    if fitted is not None:
+        law += f"; {fitted.shape:.4g}, {fitted.scale_mm:.3g} mm fitted to the counted drops"
+    console.print(law)
     spectrum = _spectrum(counted, _ROWS_MM)
     table = Table("diameter mm", "drops", "N(D) 1/(m³ mm)", box=None)
     for (low, high), drops, density in zip(

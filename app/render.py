@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 from msgspec import structs
 
@@ -16,6 +17,7 @@ from gsrain_engine.rain.keyframes import RainKeyframes
 from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.rain.streaks import visible_distance_m
 from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings, export_outputs
 from gsrain_engine.render.object_labels import LabelFormat
@@ -90,7 +92,10 @@ def render(
     backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
 ) -> int:
-    """Render a scene in the rain: an image, a video, frames, or raw floats (premultiplied, before tone mapping)."""
+    """Render a scene in the rain: an image, a video, frames, or raw floats (premultiplied, before tone mapping).
+
+    Prints the rain rate that is drawn, and the maximum visible distance of streaks, at which a drop covers one pixel.
+    """
     rain_options = rain or RainOptions()
     export = export_settings(recording, with_depth=depth or labels is not None)
     check_within("--duration", duration, 0, 36_000, "s", is_open=True)
@@ -136,10 +141,13 @@ def render(
     sizes = ", ".join(dict.fromkeys(f"{each.width}x{each.height}" for each in sequences.values()))
     count = f"{report['frames']} of {len(numbers)} frames"
     print(f"{_listed(outputs)}: {count}, {sizes}, {_describe(simulation, first_s)}")
+    distances = _visible_distances(simulation.frozen_at(first_s), sequences, numbers[0])
+    for line in dict.fromkeys(map(_visible, distances)):
+        print(line)
     if labeled:
         print(f"{_listed(labeled)}: labels, the same with rain and without")
     speeds = {"speed_m_s": timing.speed_m_s, "speed_is_assumed": timing.is_assumed} if timing is not None else {}
-    write_numbers(json, report | {"backend": renderer.name} | speeds)
+    write_numbers(json, report | {"visible_distance": distances, "backend": renderer.name} | speeds)
     return 0 if report["frames"] == len(numbers) else 130
 
 
@@ -235,6 +243,37 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
     rain = f"{when}{state.intensity_mm_h:g} mm/h asked, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops"
     beyond = "beyond calibration" if state.beyond_calibration else ""
     return ", ".join(filter(None, [rain, beyond, simulation.rain.exaggeration]))
+
+
+def _visible_distances(
+    simulation: RainSimulation, sequences: Mapping[str, FrameSequence], number: int
+) -> list[dict[str, Any]]:
+    """Compute the maximum visible distance of streaks (eq. 6, 7) in a frame of each camera; none without rain."""
+    if simulation.state.intensity_mm_h == 0:
+        return []
+    sizes, haze_coefficient = simulation.state.sizes, simulation.rain.critical_haze_coefficient
+    diameters_mm = np.array([sizes.large_diameter_mm, sizes.median_volume_diameter_mm])
+    found: list[dict[str, Any]] = []
+    for name, sequence in sequences.items():
+        camera = sequence.shot(number).camera
+        focal_px = float(np.sqrt(camera.fx * camera.fy))
+        large_m, middle_m = visible_distance_m(diameters_mm, focal_px).tolist()
+        found.append({
+            "camera": name, "focal_px": focal_px,
+            "large_drop_mm": float(diameters_mm[0]), "large_drop_m": large_m,
+            "large_drop_haze_m": haze_coefficient * large_m,
+            "median_volume_drop_mm": float(diameters_mm[1]), "median_volume_drop_m": middle_m,
+        })  # fmt: skip
+    return found
+
+
+def _visible(distance: Mapping[str, Any]) -> str:
+    """Describe a visible distance in one line."""
+    return (
+        "visible distance f D at f = {focal_px:.0f} px: {large_drop_m:.2f} m for a drop of {large_drop_mm:.2f} mm "
+        "(97.5 % are smaller), haze beyond {large_drop_haze_m:.2f} m; {median_volume_drop_m:.2f} m for the "
+        "median-volume drop of {median_volume_drop_mm:.2f} mm"
+    ).format(**distance)
 
 
 def _check_outputs(

@@ -44,7 +44,8 @@ def sweep(
 
     Any number of such commands may work on one folder, with --shard on independent machines. Rows contain neither times
     nor machine names; equal jobs give byte-identical rows. The row of a failed job has the error. Agents in Python
-    files run only with --trust, or once you have allowed their content in a terminal.
+    files run only with --trust, or once you have allowed their content in a terminal. Into pipes and files, progress is
+    a line per finished job.
     """
     started = time.perf_counter()
     chosen = (options or SweepOptions()).changes()
@@ -68,7 +69,8 @@ def sweep(
             with ExitStack() as stack:
                 engine = _engine(workers, dask, resources, stack)
                 stack.enter_context(_sigterm_as_ctrl_c())
-                run = run_with_progress(stack.enter_context(closing(run_sweep(to_do, engine, folder))))
+                work = stack.enter_context(closing(run_sweep(to_do, engine, folder)))
+                run = run_with_progress(work, line_every_s=0)  # a line for each job
         except KeyboardInterrupt:
             left = counted(len(folder.to_do(share)), "job")
             print(f"stopped with {left} to do; the same command goes on from there", file=sys.stderr)

@@ -18,7 +18,6 @@ from gsrain_engine.appearance.base import (
     RainyView,
     SkippedCounts,
     TransferSettings,
-    guide_words,
 )
 from gsrain_engine.appearance.capture_views import CaptureViews
 from gsrain_engine.appearance.finetune.dataset import ImageSettings
@@ -130,19 +129,18 @@ def transfer(
     opened = source_views(source, choice, capture)
     model = open_transfer(chosen.method, settings, opened.surroundings)
     values = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice) | {"width_px": opened.width_px}
-    seen: dict[str, Any] = model.network_input(opened.views[0]) if isinstance(model, NetworkTransfer) else {}
-    values |= seen
+    network = model.network_input(opened.views[0]) if isinstance(model, NetworkTransfer) else None
+    framing: dict[str, Any] = {} if network is None else msgspec.to_builtins(network)
+    values |= framing
     record = output_folder.TransferRecord(chosen.method, opened.name, values, opened.to_world)
     rainy = output_folder.write_transferred(output, model.transferred(opened.views), record, opened.mask)
-    numbers = {"method": chosen.method, "width_px": opened.width_px, **seen}
+    numbers = {"method": chosen.method, "width_px": opened.width_px, **framing}
     numbers |= _write_views(rainy, len(opened.views), contact_sheet)
     for note in numbers["notes"]:
         print(note)
     made = f"{numbers['views']} rainy views of {opened.name}"
-    if seen:
-        width, height = seen["network_px"]
-        guide = guide_words(seen["normals"], seen["conditioning"])
-        print(f"the network saw {width}x{height} px ({seen['framing']}), {guide}")
+    if network is not None:
+        print(network.words)
     print(f"{output}: {made}, {opened.width_px} px wide, in {numbers['seconds']:.1f} s")
     if contact_sheet is not None:
         print(contact_sheet)
@@ -235,7 +233,10 @@ def train_transfer(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint."""
+    """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint.
+
+    Weights, programs and images that are missing are all named before any work.
+    """
     let_names_lead_outside(allow_outside)
     changes = (options or FinetuneOptions()).changes() | (images or ImageOptions()).changes()
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)

@@ -1,9 +1,11 @@
-"""Renders the pictures of README and guide that need no window: rain at three intensities, and every look."""
+"""Renders the pictures of README and guide that need no window: rain, its two regions, scenarios, and every look."""
 
 import tempfile
+from itertools import islice
 from pathlib import Path
 from typing import get_args
 
+import av
 from PIL import Image, ImageDraw, ImageFont
 
 from app.main import run
@@ -17,6 +19,9 @@ IMAGES = Path(__file__).parent / "images"
 _INTENSITIES_MM_H = ("1.2", "8.5", "12.0")
 _MOMENT_S = "1.6"
 """A lorry stands near, and the car ahead is well in view."""
+_SCENARIOS = ("cut-in", "stationary-lead")
+_SCENARIO_TIMES_S = (0.0, 2.5)
+"""The start, and a moment at which the other car is in the ego vehicle's lane or near."""
 _LOOKS_IN_A_ROW = 4
 _QUALITY = 88
 
@@ -45,6 +50,36 @@ def render_rain(folder: Path) -> None:
         keep(still(str(folder / "wet"), folder, "960x640", "--rain", intensity, "--wetness", "1"), f"rain_{intensity}")
 
 
+def render_regions(folder: Path) -> None:
+    """Streaks near the camera, and haze far from it, each alone: the imaging regions of the paper."""
+    width, height = 720, 480
+    sheet = Image.new("RGB", (2 * width, height))
+    for column, other in enumerate(("--no-haze", "--no-streaks")):
+        options = ("--rain", "12", "--wetness", "1", other)
+        sheet.paste(still(str(folder / "wet"), folder, f"{width}x{height}", *options), (column * width, 0))
+    keep(sheet, "paper_regions")
+
+
+def render_scenarios(folder: Path) -> None:
+    """The paper's two scenarios, by rows at two moments: front camera and top view."""
+    width, height = 500, 441
+    sheet = Image.new("RGB", (width * len(_SCENARIOS), height * len(_SCENARIO_TIMES_S)))
+    for column, scenario in enumerate(_SCENARIOS):
+        out = folder / scenario
+        code = run(["drive", scenario, "--rain", "0", "--agent", "oracle-idm", "--duration", "3", "-o", str(out)])
+        if code != 0:
+            raise SystemExit(code)
+        (file,) = out.glob("*.mp4")
+        with av.open(file) as video:
+            rate = float(video.streams.video[0].average_rate or 1)
+            for row, time_s in enumerate(_SCENARIO_TIMES_S):
+                video.seek(0)
+                frame = next(islice(video.decode(video=0), round(rate * time_s), None))
+                cell = frame.to_image().resize((width, height), Image.Resampling.LANCZOS)
+                sheet.paste(cell, (column * width, row * height))
+    keep(sheet, "paper_scenarios")
+
+
 def render_looks(folder: Path) -> None:
     """All looks of one moment on one sheet, each with its name."""
     looks = get_args(RenderMode)
@@ -65,6 +100,8 @@ def main() -> None:
     """Render all of them."""
     with tempfile.TemporaryDirectory() as folder:
         render_rain(Path(folder))
+        render_regions(Path(folder))
+        render_scenarios(Path(folder))
         render_looks(Path(folder))
 
 

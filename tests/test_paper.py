@@ -6,27 +6,41 @@ import shlex
 import pytest
 
 from app.main import run
+from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.simulation.metrics.comfort import PAPER
+from gsrain_engine.simulation.scenario_io import load_scenario
 from repository import REPOSITORY
 from small_scene import small_scene
 
 PAGE = (REPOSITORY / "docs" / "paper.md").read_text()
 COMMANDS = list(dict.fromkeys(re.findall(r"(?:`|    )(gsrain [^`\n]+)", PAGE)))
 
+_SMALL_STILL = "--size 96x64 --backend cpu"
 IN_SMALL = {
-    "gsrain disdrometer --preset paper --seconds 10": "--area 0.01",
-    "gsrain disdrometer --preset 12.0 --drop-density table --seconds 10": "--area 0.01",
-    "gsrain render street --preset paper -o paper.png": "--size 96x64 --backend cpu",
-    "gsrain render SCENE --sheet 0,1.2,8.5,12 --wet -o sheet.png": "--size 96x64 --backend cpu",
-    "gsrain render SCENE --preset paper --wet -o complete.png": "--size 96x64 --backend cpu",
-    "gsrain render SCENE --wet": "--size 96x64 --backend cpu -o wet.png",
-    "gsrain drive cut-in --rain 0,1.2,8.5,12 -o cut_in": "--agent oracle-idm --duration 1 --no-video",
+    "gsrain disdrometer --preset paper --seconds 60": "--area 0.01",
+    "gsrain disdrometer --preset 1.2 --drop-density table": "--area 0.01",
+    "gsrain disdrometer --preset 8.5 --drop-density table": "--area 0.01",
+    "gsrain disdrometer --preset 12.0 --drop-density table": "--area 0.01",
+    "gsrain render street --preset paper -o paper.png": _SMALL_STILL,
+    "gsrain render street --rain 12 --no-haze -o near.png": _SMALL_STILL,
+    "gsrain render street --rain 12 --no-streaks -o far.png": _SMALL_STILL,
+    "gsrain render SCENE --sheet 0,8.5 --wet -o complete.png": _SMALL_STILL,
+    "gsrain render SCENE --preset paper --wet -o complete_paper.png": _SMALL_STILL,
+    "gsrain render SCENE --sheet 1.2,8.5,12 --wet -o sheet.png": _SMALL_STILL,
+    "gsrain render SCENE --wet": f"{_SMALL_STILL} -o wet.png",
+    "gsrain drive cut-in --rain 0 --agent oracle-idm --video -o cut_in_scene": "--duration 0.5 --fps 2 --backend cpu",
+    "gsrain drive stationary-lead --rain 0 --agent oracle-idm --video -o stationary_scene":
+        "--duration 0.5 --fps 2 --backend cpu",
+    "gsrain drive cut-in --rain 0,1.2,8.5,12 --agent oracle-idm -o cut_in": "--duration 1",
+    "gsrain drive stationary-lead --rain 0,1.2,8.5,12 --agent oracle-idm -o stationary": "--duration 1",
     "gsrain sweep paper -o paper_drives": "--shard 1/160 --workers 0",
-}
+}  # fmt: skip
 """Commands that need nothing, and what makes each take seconds."""
 NEEDS_DATA = (
     "calibrate", "train-transfer", "evaluate transfers", "evaluate consistency", "evaluate detection", "transfer",
     "recolor", "reconstruct", "sweep paper_hugsim", "drive scene-0383", "drive cut-in --scene", "export-rain",
+    "drive cut-in --rain 0,1.2,8.5,12 --agent camera-idm", "render wet_scene",
 )  # fmt: skip
 """Beginnings of commands that need data, weights or a driver; their own tests run them on stand-ins."""
 
@@ -36,7 +50,29 @@ def test_every_command_is_run_here_or_needs_data():
     assert set(COMMANDS) - set(needing) - {"gsrain doctor"} == set(IN_SMALL)
 
 
-@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:gsrain_engine|shaders)/[^`]*)`", PAGE))))
+def test_every_table_and_figure_has_its_row():
+    rows = "\n".join(line for line in PAGE.splitlines() if line.startswith("| "))
+    rows = rows.replace("Fig. 13 and 14", "Fig. 13, Fig. 14").replace("Fig. 9 and 10", "Fig. 9, Fig. 10")
+    rows = rows.replace("Tables VII, VIII", "Table VII, Table VIII")
+    assert {int(number) for number in re.findall(r"Fig\. (\d+)", rows)} == set(range(1, 18))
+    tables = set(re.findall(r"Table ([IV]+)\b", rows))
+    assert tables == {"I", "II", "III", "IV", "V", "VI", "VII", "VIII"}
+
+
+def test_scenarios_thresholds_and_sizes_are_those_of_the_tables():
+    """Tables III to VI of the paper."""
+    for name, ego_m_s, ahead_m, other_m_s in (("cut-in", 5, 10, 5), ("stationary-lead", 10, 40, 0)):
+        scenario = load_scenario(name)
+        (lead,) = scenario.road_users
+        assert (scenario.speed_m_s, lead.ahead_m, lead.speed_m_s) == (ego_m_s, ahead_m, other_m_s)
+    assert PAPER[:6] == (-4.05, 2.40, 8.37, 4.89, 0.95, 1.93)
+    rows = load_calibration("published").rows
+    assert [(row.intensity_mm_h, row.density_m3, row.shape, row.scale_mm) for row in rows] == [
+        (1.2, 271, 9.705, 0.074), (8.5, 1190, 7.132, 0.114), (12.0, 1710, 10.466, 0.085)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:gsrain_engine|shaders|sample_configs)/[^`]*)`", PAGE))))
 def test_every_file_of_the_page_exists(path):
     assert (REPOSITORY / path).exists()
 

@@ -9,6 +9,7 @@ from gsrain_engine.editor.clock import FrameClock
 from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages, WindowBackend
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
@@ -37,7 +38,7 @@ class Workspace:
         self.view = LiveView(context, backend)
         self.tools = tuple(bind_parts(each, editor)() for each in TOOLS)
         self._previews = JobPreviews(context)
-        self._wet_preview = CachedTexture(context)
+        self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
         self._captures = CaptureTextures(context)
         self._mosaic = MosaicImages(context)
         self._palette = CommandPalette()
@@ -68,7 +69,9 @@ class Workspace:
         if editor.is_working:
             time.sleep(_FOR_THREADS_S)
         viewport.job_previews = self._previews.update(editor.jobs.running)
-        wet_look.texture = self._wet_preview.show(None if wet_look.previewed is None else wet_look.previewed.pixels)
+        pictures = {} if wet_look.previewed is None else wet_look.previewed.images.pictures
+        shown = {name: each.show(pictures.get(name)) for name, each in self._wet_preview.items()}
+        wet_look.textures = {name: texture for name, texture in shown.items() if texture is not None}
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.

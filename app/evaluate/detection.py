@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,6 +28,7 @@ from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.evaluation.detection import run as evaluation
 from gsrain_engine.evaluation.detection import summary
 from gsrain_engine.evaluation.detection.detector import Detector, open_detector
+from gsrain_engine.evaluation.detection.drawing import draw_truths
 from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_pixels, object_figure, precision_figure
 from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_VISIBILITY, read_coco
 from gsrain_engine.evaluation.detection.metrics import Robustness
@@ -353,6 +354,16 @@ _BANDS = (
 _Sheet = UInt8[np.ndarray, "h w 3"]
 
 
+class SampleView(NamedTuple):
+    """Pictures of one view for the output folder."""
+
+    name: str
+    sheet: _Sheet
+    """The view in each condition, with the detections."""
+    truth: _Sheet
+    """The view as taken, else without rain, with its ground truth."""
+
+
 class DetectionVideo:
     """Collects detection results and sample views, and writes the video.
 
@@ -362,7 +373,7 @@ class DetectionVideo:
     def __init__(self, file: Path | None, fps: float) -> None:
         """`file` is the video to write, or None."""
         self.results: list[evaluation.DetectionResult] = []
-        self.samples: list[tuple[str, _Sheet]] = []
+        self.samples: list[SampleView] = []
         self.frames = 0
         self._file, self._fps = file, fps
         self._video: VideoWriter | None = None
@@ -383,7 +394,8 @@ class DetectionVideo:
             return
         sheet = detection_sheet(view)
         if len(self.samples) < _SAMPLES:
-            self.samples.append((view[0].frame.name, sheet))
+            truths = next(iter(view[0].judgements.values())).truths
+            self.samples.append(SampleView(view[0].frame.name, sheet, draw_truths(view[0].image, truths)))
         if self._file is not None:
             if self._video is None:
                 self._size = sheet.shape[:2]
@@ -397,7 +409,7 @@ class DetectionVideo:
             self._video.close()
 
 
-def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[tuple[str, _Sheet]]) -> list[str]:
+def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[SampleView]) -> list[str]:
     """Write tables, figures and the report into a folder; returns the names of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = ["rows.csv", "detection.json"]
@@ -411,12 +423,13 @@ def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[tuple[s
         "precision.png": ReportFigure("Average precision", figure_pixels(precision_figure(numbers.scores)), _BANDS),
     }
     caption = "Full lines: found. Dashed: labelled, red where it was missed."
-    for number, (name, sheet) in enumerate(samples):
-        figures[f"view_{number}.png"] = ReportFigure(name, sheet, caption, is_photograph=True)
-    for name, figure in figures.items():
-        write_image(folder / name, Image.fromarray(figure.pixels))
+    for number, sample in enumerate(samples):
+        figures[f"view_{number}.png"] = ReportFigure(sample.name, sample.sheet, caption, is_photograph=True)
+    truths = {f"truth_{number}.png": sample.truth for number, sample in enumerate(samples)}
+    for name, pixels in ({name: figure.pixels for name, figure in figures.items()} | truths).items():
+        write_image(folder / name, Image.fromarray(pixels))
     write_report(folder / "report.html", _report(numbers, list(figures.values())))
-    return [*written, *figures, "report.html"]
+    return [*written, *figures, *truths, "report.html"]
 
 
 def _report(numbers: DetectionNumbers, figures: list[ReportFigure]) -> RunReport:

@@ -8,6 +8,7 @@ from typing import Annotated
 import msgspec
 from PIL import Image
 
+from gsrain_engine.appearance import output_folder
 from gsrain_engine.appearance.registry import find_method
 from gsrain_engine.appearance.scene_views import chosen_views
 from gsrain_engine.datasets.capture import Capture
@@ -20,6 +21,7 @@ from gsrain_engine.evaluation.fid_features import ExtractorChoice
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.render.images import write_image
+from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import scene_hash
 
 from .. import outputs
@@ -47,7 +49,8 @@ def transfers(
     """Make the same views rainy by several methods, and compare each with real rainy images.
 
     FID (or the like) and KID with intervals of 95 %, agreement of neighboring views, seconds, and a figure. Methods
-    whose images are in DIR, made with the same settings, are not run again.
+    whose images are in DIR, made with the same settings, are not run again. All missing inputs are named before any
+    work.
     """
     let_names_lead_outside(allow_outside)
     settings = with_trust(lambda: results.load_comparison(comparison), trust)
@@ -56,9 +59,8 @@ def transfers(
     folders = [output, *(output / each.name for each in settings.methods)]
     outputs.claim_outputs(output / "table.md", json, folders=folders)
     for each in settings.methods:
-        if each.method != results.CLEAR and find_method(each.method).needs_torch:
-            require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)
-    translators.check_methods(settings, output)
+        output_folder.check_transferred_folder(output / each.name)
+    _check_inputs(settings)
     choice = ExtractorChoice(name=settings.extractor, weights=settings.extractor_weights, device=device)
     extractor = extractor_of(choice, "extractor")
     source, real = _opened(settings)
@@ -88,6 +90,21 @@ def transfers(
     print_transfers(result, Console(file=outputs.table_stream(json), width=_COLUMNS))
     print(f"wrote {output}: table.md, table.csv, table.json, figure.png, report.html", file=sys.stderr)
     outputs.write_numbers(json, numbers)
+
+
+def _check_inputs(settings: results.TransferComparison) -> None:
+    """Raise `MissingInputsError` with everything that a comparison lacks on this machine, torch among it."""
+    learned = [each.name for each in settings.methods if each.method != results.CLEAR
+               and find_method(each.method).needs_torch]  # fmt: skip
+    missing: list[str] = []
+    try:
+        if learned:
+            require_torch(f"method {learned[0]!r}", HOW_TO_GET_DIFFUSION)
+    except ValueError as error:
+        missing.append(str(error))
+    missing += translators.missing_inputs(settings)
+    if missing:
+        raise MissingInputsError(missing)
 
 
 def _opened(settings: results.TransferComparison) -> tuple[translators.ComparedSource, Capture]:

@@ -4,10 +4,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 from msgspec import Meta, Struct, structs
 
 from ..scene.camera import Camera
@@ -58,6 +58,39 @@ class ClearView:
                 raise ValueError(f"view {self.name!r}: {name} is {found}, its camera says {size}")
 
 
+class NetworkInput(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Size, framing and guide of a network's input for one view."""
+
+    network_px: tuple[int, int]
+    """Width and height of the whole view."""
+    framing: str
+    """stretch or proportions."""
+    normals: str
+    """Source of the normals; none without a guide."""
+    conditioning: str
+    """Content of the fourth channel: up, luma or none."""
+    tiles: int = 1
+    """Number of overlapping pieces in which the view goes through the network."""
+
+    @property
+    def words(self) -> str:
+        """Sentence without a period."""
+        (width, height), guide = self.network_px, guide_words(self.normals, self.conditioning)
+        tiles = f" in {self.tiles} tiles" if self.tiles > 1 else ""
+        return f"the network saw {width}x{height} px{tiles} ({self.framing}), {guide}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramedView:
+    """Pixels of a view as they went into a network."""
+
+    input: NetworkInput
+    image: UInt8[np.ndarray, "h w 3"]
+    """Display color."""
+    guide: UInt8[np.ndarray, "h w"] | None = None
+    """The fourth channel, 0..255 for -1..1; None without it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RainyView:
     """Result of a transfer for one view."""
@@ -69,6 +102,8 @@ class RainyView:
     """Share of water reflection, 0..1; it depends on the view, so other views need not agree on these pixels."""
     left_out: str = ""
     """Steps the transfer skipped for this view, with the reason, as the end of a sentence; empty if none."""
+    framed: FramedView | None = None
+    """Input of the network; None for transfers without one."""
 
 
 class SkippedCounts:
@@ -114,10 +149,10 @@ def guide_words(normals: str, conditioning: str) -> str:
 
 @runtime_checkable
 class NetworkTransfer(Protocol):
-    """Transfer by a network, which tells what it sees."""
+    """Transfer by a network, which describes its input."""
 
-    def network_input(self, view: ClearView) -> dict[str, Any]:
-        """Describe the network's input: `network_px` (width, height), `framing`, `normals`, `conditioning`."""
+    def network_input(self, view: ClearView) -> NetworkInput:
+        """Describe the network's input for a view."""
         ...
 
 
@@ -133,6 +168,8 @@ class TrainingRecord(Struct, frozen=True, kw_only=True):
     steps: int = 0
     held_out: str = ""
     """Identity of the pictures that were held out for testing; empty if unknown."""
+    base: str = ""
+    """Fingerprint of the base weights, `cyclegan_turbo.model.base_fingerprint`; empty if unknown."""
 
     @property
     def words(self) -> str:
@@ -179,10 +216,10 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         description="Source of the surface normals for a learned method; none: no normals.")] = None
     normals_weights: Annotated[Path | None, Meta(
         title="Weights for normals", extra={"commands": "transfer"},
-        description="File of DSINE, or folder of Marigold.")] = None
+        description="File of DSINE (none: see gsrain doctor), or folder of Marigold.")] = None
     normals_checkout: Annotated[Path | None, Meta(
         title="DSINE's program", extra={"commands": "transfer"},
-        description="Your own copy of DSINE's program; non-commercial use only.")] = None
+        description="Your own copy of DSINE's program; non-commercial use only; none: see gsrain doctor.")] = None
     guide: Annotated[Literal["up", "luma"] | None, Meta(
         title="Guide", extra={"option": "conditioning", "commands": "transfer", "none": "as trained"},
         description="How normals become the fourth channel: their upward component, or luma as in the paper.")] = None

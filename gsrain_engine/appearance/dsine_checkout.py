@@ -1,14 +1,68 @@
-"""DSINE's network, built from a local checkout of its code, on any device and without downloads."""
+"""DSINE's files on the user's machine, and its network, built from a local checkout, without downloads."""
 
+import os
+import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import platformdirs
+
 from ..trusted_code import Code, check_named, check_unchanged, importable, read_code
 
+WEIGHTS_PLACE = "GSRAIN_DSINE_WEIGHTS"
+"""Environment variable with DSINE's file of weights."""
+CHECKOUT_PLACE = "GSRAIN_DSINE"
+"""Environment variable with the folder of DSINE's program."""
+_PROGRAMS = ("dsine.py", "dsine/v02.py")
 _PACKAGES = ("models", "utils")
 """Packages of the checkout; their names are so common that they must not stay importable."""
+
+
+def find_dsine_weights(file: Path | None = None) -> Path:
+    """Find DSINE's weights: `file`, else that of GSRAIN_DSINE_WEIGHTS, else dsine/dsine.pt in the user's data folder.
+
+    Raises FileNotFoundError with the place searched, and how to get them.
+    """
+    named = file or os.environ.get(WEIGHTS_PLACE)
+    place = Path(named) if named else _dsine_folder() / "dsine.pt"
+    if place.is_file():
+        return place
+    raise FileNotFoundError(
+        f"no weights of DSINE at {place}: put dsine.pt (https://huggingface.co/camenduru/DSINE, for non-commercial use "
+        f"only) there, or name a file by --normals-weights FILE (normals_weights) or {WEIGHTS_PLACE}"
+    )
+
+
+def find_dsine_checkout(folder: Path | None = None) -> Path:
+    """Find DSINE's program: `folder`, else that of GSRAIN_DSINE, else dsine/DSINE in the user's data folder.
+
+    Raises FileNotFoundError with the place searched, and how to get it.
+    """
+    named = folder or os.environ.get(CHECKOUT_PLACE)
+    place = Path(named) if named else _dsine_folder() / "DSINE"
+    if is_dsine_checkout(place):
+        return place
+    raise FileNotFoundError(
+        f"no program of DSINE (models/dsine) at {place}: git clone https://github.com/baegwangbin/DSINE (for "
+        f"non-commercial use only) there, or name a copy by --normals-checkout DIR (normals_checkout) or "
+        f"{CHECKOUT_PLACE}"
+    )
+
+
+def is_dsine_checkout(folder: Path) -> bool:
+    return any((folder / "models" / file).is_file() for file in _PROGRAMS)
+
+
+def has_geffnet() -> bool:
+    """True if the package of DSINE's encoder is installed."""
+    return "geffnet" in sys.modules or find_spec("geffnet") is not None
+
+
+def _dsine_folder() -> Path:
+    return platformdirs.user_data_path("gsrain", appauthor=False) / "dsine"
 
 
 def checkout_code(checkout: Path) -> Code:
@@ -28,7 +82,7 @@ def dsine_module(checkout: Path, estimates_uncertainty: bool = False) -> Any:
     Raises ValueError if the folder is not DSINE's code or `geffnet` is not installed, and `UntrustedCodeError` if a
     file named the folder and the user has not allowed its content.
     """
-    if not any((checkout / "models" / file).is_file() for file in ("dsine.py", "dsine/v02.py")):
+    if not is_dsine_checkout(checkout):
         raise ValueError(f"{checkout}: not DSINE's program: it has neither models/dsine/v02.py nor models/dsine.py")
     code = checkout_code(checkout)
     check_unchanged(code)

@@ -10,8 +10,10 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
+from ..safe_io.errors import MissingInputsError, not_found
 from ..scene.camera import Camera
 from .base import Image, Plane
+from .dsine_checkout import find_dsine_checkout, find_dsine_weights
 
 _SMOOTHING_PX = 2.0  # scale at which slopes are averaged, because the expected depth of splats is bumpy
 _EDGE_RATIO, _NOISE_SHARE = 3.0, 0.01
@@ -115,31 +117,36 @@ class NormalEstimator(Protocol):
         ...
 
 
-WEIGHTS = {
-    "dsine": "dsine.pt (https://huggingface.co/camenduru/DSINE), for non-commercial use only",
-    "marigold": "a folder with the model (hf download prs-eth/marigold-normals-v1-1 --local-dir FOLDER)",
-}
-"""Weights of each estimator, and their source."""
+ESTIMATORS = ("dsine", "marigold")
+_MARIGOLD = "a folder with the model (hf download prs-eth/marigold-normals-v1-1 --local-dir FOLDER)"
+
+
+def missing_estimator_files(name: str, weights: Path | str | None, checkout: Path | str | None = None) -> list[str]:
+    """Name the missing files of an estimator of `ESTIMATORS`, each with how to get it and the option that names it."""
+    weights, checkout = (None if each is None else Path(each) for each in (weights, checkout))
+    if name == "marigold":
+        if weights is None:
+            return [f"marigold needs weights, --normals-weights DIR (normals_weights): {_MARIGOLD}"]
+        return [] if weights.exists() else [f"{weights}: no such file or folder; marigold needs {_MARIGOLD}"]
+    return [*not_found(find_dsine_weights, weights), *not_found(find_dsine_checkout, checkout)]
 
 
 def open_estimator(
     name: str, weights: Path | str | None, checkout: Path | str | None = None, device: str = "cpu"
 ) -> NormalEstimator:
-    """Open an estimator by its name in `WEIGHTS`, with weights from disk.
+    """Open an estimator by its name in `ESTIMATORS`, with weights from disk.
 
-    Raises ValueError for an unknown name, a missing path or a file that the estimator can't read.
+    Without paths, DSINE's files are those of `find_dsine_weights` and `find_dsine_checkout`. Raises ValueError for an
+    unknown name and a file that the estimator can't read, `MissingInputsError` for missing files.
     """
-    if name not in WEIGHTS:
-        raise ValueError(f"no normal estimator {name!r}; there are {', '.join(WEIGHTS)}")
-    if weights is None:
-        raise ValueError(f"{name} needs weights: {WEIGHTS[name]}")
-    for path in (weights, checkout):
-        if path is not None and not Path(path).exists():
-            raise ValueError(f"{path}: no such file or folder; {name} needs {WEIGHTS[name]}")
+    if name not in ESTIMATORS:
+        raise ValueError(f"no normal estimator {name!r}; there are {', '.join(ESTIMATORS)}")
+    if missing := missing_estimator_files(name, weights, checkout):
+        raise MissingInputsError(missing)
     from .normal_models import open_dsine, open_marigold  # loads torch
 
+    weights, checkout = (None if each is None else Path(each) for each in (weights, checkout))
     if name == "marigold":
-        return open_marigold(Path(weights), device)
-    if checkout is None:
-        raise ValueError("dsine needs a folder with its program: git clone https://github.com/baegwangbin/DSINE")
-    return open_dsine(Path(checkout), Path(weights), device)
+        assert weights is not None
+        return open_marigold(weights, device)
+    return open_dsine(find_dsine_checkout(checkout), find_dsine_weights(weights), device)

@@ -113,8 +113,8 @@ METHODS = (
     TransferMethod(
         "cyclegan-turbo", "CycleGAN-Turbo", "The paper's diffusion model; needs its weights and torch.",
         _cyclegan_turbo, needs_torch=True,
-        uses=("weights", "base", "normals", "normals_weights", "normals_checkout", "guide", "mutual_attention",
-              "neighbours", "side_px", "tile_px", "precision", "device"),
+        uses=("weights", "base", "normals", "normals_weights", "normals_checkout", "guide", "framing", "override",
+              "mutual_attention", "neighbours", "side_px", "tile_px", "precision", "device"),
     ),
     TransferMethod(
         "images", "Pictures", "Pictures that another program has made of the same views.", _images, needs="images",

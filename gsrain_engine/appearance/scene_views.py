@@ -173,11 +173,23 @@ def chosen_cameras(
 
 
 def chosen_views(capture: Capture, choice: ViewChoice) -> Capture:
-    """Return a capture with only the chosen views; raises ValueError if it has no such camera."""
+    """Return a capture with only the chosen views; raises ValueError if it has no such camera.
+
+    If several cameras are chosen and the recording lists all of them at each moment, whole moments are chosen.
+    """
     views = [view for view in capture if not choice.sensors or view.sensor in choice.sensors]
     if not views:
         there = ", ".join(filter(None, capture.sensors)) or "one without a name"
         raise ValueError(f"{capture.name}: has no camera {', '.join(choice.sensors)}, only {there}")
+    at_once = len(choice.sensors)
+    moments = [views[i : i + at_once] for i in range(0, len(views), at_once)] if at_once else []
+    if (
+        choice.count is not None
+        and choice.count >= at_once > 1
+        and all({view.sensor for view in each} == set(choice.sensors) for each in moments)
+    ):
+        indices = evenly_spaced_indices(len(moments), choice.count // at_once)
+        return replace(capture, views=tuple(view for i in indices for view in moments[i]))
     return replace(capture, views=tuple(views[i] for i in evenly_spaced_indices(len(views), choice.count)))
 
 

@@ -78,6 +78,15 @@ def fit_by_likelihood(
     return GammaLaws(shape, scale)
 
 
+def fit_sizes(density: Float64[np.ndarray, " classes"], edges_mm: Float64[np.ndarray, " classes_and_one"]) -> DropSizes:
+    """Fit the gamma law of one histogram of drops in the air, in any unit, by `fit_by_likelihood`.
+
+    Raises `ValueError` for a histogram with fewer than three occupied classes.
+    """
+    law = fit_by_likelihood(density[None], edges_mm)
+    return DropSizes(float(law.shape[0]), float(law.scale_mm[0]))
+
+
 def fit_by_moments(
     density: Float64[np.ndarray, "fits classes"], edges_mm: Float64[np.ndarray, " classes_and_one"]
 ) -> GammaLaws:

@@ -110,10 +110,10 @@ class History:
     def record(self, step: Step) -> None:
         """Append a step and drop the redo steps. A continuing gesture replaces its own last step."""
         if self.continues(step.gesture):
-            self.steps[self.cursor] = replace(step, label=self.step.label)
+            step = replace(step, label=self.step.label)
         else:
-            self.steps[self.cursor + 1 :] = [step]
             self.cursor += 1
+        self.steps[self.cursor :] = [step]
 
     def end_gesture(self) -> None:
         """End the gesture, so that the next change is a step of its own."""

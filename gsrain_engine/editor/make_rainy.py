@@ -1,16 +1,15 @@
 """Setup of "Make it rainy": method, views, preview and job. Not part of the document."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import msgspec
-import numpy as np
 
 from ..appearance.base import TransferSettings
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights, read_record
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
+from ..safe_io.text_files import printable_line
 from .background_edits import apply_wet_look
 from .capture_view import CaptureController
 from .document import Recipe
@@ -20,6 +19,8 @@ from .jobs.job import JobRunner
 from .jobs.make_rainy import (
     MAKE_RAINY_TITLE,
     PreviewedView,
+    PreviewImages,
+    PreviewPicture,
     PreviewSettings,
     TransferRequest,
     make_rainy_job,
@@ -53,7 +54,8 @@ class WetLookController:
         self.choice = ViewChoice(count=8, width_px=480)
         self.preview_width_px = 640
         self.previewed: PreviewedView | None = None
-        self.texture: Texture | None = None
+        self.textures: dict[PreviewPicture, Texture] = {}
+        """Images of the preview, in the order of the transfer."""
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
         self._viewport, self._document, self._live_rain = viewport, viewport.document, live_rain
@@ -95,15 +97,21 @@ class WetLookController:
 
     @property
     def training(self) -> str | None:
-        """Line on the training of the chosen weights; None if their file does not have it."""
-        weights = self.settings.weights
-        if self.method != "cyclegan-turbo" or weights is None or not weights.is_file():
+        """Line on the training of the weights in use, chosen or found; None without weights."""
+        if self.method != "cyclegan-turbo":
+            return None
+        try:
+            weights = self.settings.weights or find_transfer_weights()
+        except FileNotFoundError:
+            return None
+        if not weights.is_file():
             return None
         key = weights, weights.stat().st_mtime_ns
         if key != self._training[0]:
             try:
                 record = read_record(weights)
-                self._training = key, None if record is None else f"Trained with {record.words}."
+                words = "no record of the training in the file" if record is None else f"trained with {record.words}"
+                self._training = key, f"{printable_line(weights.name)}: {words}."
             except (ValueError, ModuleNotFoundError) as error:
                 self._training = key, str(error)
         return self._training[1]
@@ -132,17 +140,15 @@ class WetLookController:
         """Start to transfer the viewport's view; the result appears next to the live image."""
         if self.why_no_preview is not None:
             return
-        shot, no_pixels = self._viewport.shot(*self.viewport_px), np.zeros((1, 1, 3), np.uint8)
-        view = PreviewedView(no_pixels, shot.camera, shot.time_s, self._document.scene, self.recipe)
+        shot, scene, recipe = self._viewport.shot(*self.viewport_px), self._document.scene, self.recipe
 
-        def take(*_: object) -> None:
-            if job.progress.preview is None:
-                raise ValueError("the transfer has made no picture")
-            self.previewed = replace(view, pixels=job.progress.preview)
+        def take(images: PreviewImages, _: bool) -> None:
+            self.previewed = PreviewedView(images, shot.camera, shot.time_s, scene, recipe)
             self._viewport.options.split = "now | preview"
             self._jobs.forget(job)  # the image replaces the entry
 
-        job = self._jobs.start(preview_job(view, self.preview_width_px, self._files.known), take)
+        work = preview_job(scene, shot.camera, shot.time_s, recipe, self.preview_width_px, self._files.known)
+        job = self._jobs.start(work, take)
 
     @property
     def fits(self) -> bool:

@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,17 @@ from jaxtyping import Bool, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from ..appearance import output_folder
-from ..appearance.base import ClearView, RainyView, Transfer
+from ..appearance.base import ClearView, RainyView, Transfer, follow_training
 from ..appearance.capture_views import CaptureViews
-from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights, read_record
+from ..appearance.cyclegan_turbo.weight_paths import (
+    find_transfer_weights,
+    find_whole_base_model,
+    has_random_base,
+    read_record,
+)
+from ..appearance.dsine_checkout import find_dsine_checkout, find_dsine_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, identity_of, open_images
-from ..appearance.normals import WEIGHTS
+from ..appearance.normals import ESTIMATORS, missing_estimator_files
 from ..appearance.output_folder import TransferRecord, read_transferred, write_transferred
 from ..appearance.registry import find_method, open_transfer
 from ..appearance.scene_views import evenly_spaced_indices
@@ -27,8 +34,10 @@ from ..datasets.capture import Capture, CaptureError
 from ..datasets.image_override import flat_name
 from ..datasets.open_capture import open_capture
 from ..datasets.undistort import undistort_frame
+from ..safe_io.errors import not_found
 from ..safe_io.limits import read_file
 from ..scene.files import whole_file
+from ..scene.open import STREET
 from ..scene.progress import Progress
 from .compare_results import CLEAR, ComparedMethod, ComparedRow, ComparisonPairs, TransferComparison
 from .fid import MIN_IMAGES, FeatureCache, ImageSetFeatures, distribution_distance, extract_features
@@ -84,7 +93,7 @@ def run_comparison(
 ) -> Generator[Progress, None, ComparisonResult]:
     """Create missing results and compare. A stopped run resumes with the next method.
 
-    `comparison` has passed `check_methods`, `source` has the clear views, `real` the rainy photographs; `output` gets
+    `comparison` has no `missing_inputs`, `source` has the clear views, `real` the rainy photographs; `output` gets
     one subfolder per method. Raises ValueError if a transfer or an image fails, with the method's row; immediately for
     too few views.
     """
@@ -98,7 +107,7 @@ def run_comparison(
             if isinstance(made, MethodFolder):
                 folders.append(made)
                 if number == 0 and method.method != "images":  # a folder of images may lack views
-                    choose_figure_views(folders, comparison.shown, comparison.columns)
+                    choose_figure_views(folders, comparison.shown, comparison.columns, comparison.views.sensors)
                 continue
             share = (number + made / len(source.views)) / len(comparison.methods)
             yield Progress(_TRANSFERS * share, f"{method.name}: view {made} of {len(source.views)}")
@@ -119,7 +128,7 @@ def run_comparison(
             ComparedRow(name=name, method=each.method.method, distance=distance, pairs=count, everywhere=everywhere,
                         outside_film=dry, seconds=each.seconds)
         )  # fmt: skip
-    names = choose_figure_views(folders, comparison.shown, comparison.columns)
+    names = choose_figure_views(folders, comparison.shown, comparison.columns, comparison.views.sensors)
     figure = comparison_figure(folders, names)
     reused = tuple(each.method.name for each in folders if each.was_reused)
     notes = tuple(f"{each.method.name}, {note}" for each in folders for note in each.notes)
@@ -157,41 +166,61 @@ class IdentityTransfer:
             yield RainyView(view, view.image)
 
 
-def check_methods(comparison: TransferComparison, output: Path) -> None:
-    """Check inputs early; raises ValueError with the method's row. Learned methods need torch."""
+def missing_inputs(comparison: TransferComparison) -> list[str]:
+    """Name every file, folder and setting that a comparison lacks, with how to get it; a line each.
+
+    Weights count as missing too if their record contradicts the settings. Loads torch only for Inception's weights.
+    """
+    lines: dict[str, list[str]] = {}
     for each in comparison.methods:
-        row = f"method {each.name!r}"
-        output_folder.check_transferred_folder(output / each.name)
-        if each.method == CLEAR:
-            continue
-        needs = find_method(each.method).needs
-        if needs is not None and getattr(each, needs) is None:
-            raise ValueError(f"{row}: needs {needs}")
-        for field in _FILES:
-            path: Path | None = getattr(each, field)
-            if path is not None and not path.exists():
-                raise ValueError(f"{row}: {field} {path}: no such file or folder")
-        if each.method == "cyclegan-turbo":
-            try:
-                _check_learned(each)
-            except (ValueError, FileNotFoundError) as error:
-                raise ValueError(f"{row}: {error}") from None
+        for line in _missing_of(each):
+            lines.setdefault(line, []).append(repr(each.name))
+    missing = [f"method{'s' * (len(names) > 1)} {', '.join(names)}: {line}" for line, names in lines.items()]
+    places = [("source", comparison.source), ("capture", comparison.capture)]
+    places += [("real", each) for each in comparison.real]
+    if comparison.pictures is not None:
+        places += [("pictures.clear", each.path) for each in comparison.pictures.clear]
+        places += [("pictures.rainy", each.path) for each in comparison.pictures.rainy]
+    places.append(("extractor_weights", comparison.extractor_weights))
+    missing += [
+        f"{field} {path}: no such file or folder"
+        for field, path in places
+        if path is not None and path != STREET and not Path(path).exists()
+    ]
+    if comparison.extractor == "inception" and comparison.extractor_weights is None and find_spec("torch") is not None:
+        from .fid_torch_features import inception_weights_file
+
+        missing += not_found(inception_weights_file)
+    return missing
 
 
-def _check_learned(method: ComparedMethod) -> None:
-    """Check files that are otherwise only opened with the model."""
-    weights = method.weights or find_transfer_weights()
-    if method.normals in WEIGHTS and method.normals_weights is None:
-        raise ValueError(f"normals {method.normals} need normals_weights: {WEIGHTS[method.normals]}")
-    if method.normals == "dsine" and method.normals_checkout is None:
-        raise ValueError("normals dsine need normals_checkout: git clone https://github.com/baegwangbin/DSINE")
-    try:
-        find_base_model(method.base)
-    except FileNotFoundError:
-        from ..appearance.cyclegan_turbo.weights import open_weights  # torch is an extra
-
-        if open_weights(weights).random_base_seed is None:  # test weights need no SD-Turbo
-            raise
+def _missing_of(method: ComparedMethod) -> list[str]:
+    """Missing inputs of one method."""
+    if method.method == CLEAR:
+        return []
+    settings, missing = method.settings, list[str]()
+    needs = find_method(method.method).needs
+    if needs is not None and getattr(method, needs) is None:
+        missing.append(f"needs {needs}")
+    is_learned, needs_base = method.method == "cyclegan-turbo", True
+    if is_learned and method.weights is None:
+        missing += not_found(find_transfer_weights)
+    elif is_learned and method.weights is not None and method.weights.exists():
+        try:
+            settings = follow_training(settings, read_record(method.weights), method.weights)
+            needs_base = not has_random_base(method.weights)
+        except ValueError as error:
+            missing.append(str(error))
+    is_estimated = is_learned and settings.normals in ESTIMATORS
+    for field in _FILES:
+        path: Path | None = getattr(method, field)
+        if path is not None and not path.exists() and not (is_estimated and field.startswith("normals")):
+            missing.append(f"{field} {path}: no such file or folder")
+    if is_estimated and settings.normals is not None:
+        missing += missing_estimator_files(settings.normals, settings.normals_weights, settings.normals_checkout)
+    if is_learned and needs_base and (method.base is None or method.base.exists()):
+        missing += not_found(find_whole_base_model, method.base)
+    return missing
 
 
 def record_of(method: ComparedMethod, source: ComparedSource, comparison: TransferComparison) -> TransferRecord:
@@ -200,8 +229,11 @@ def record_of(method: ComparedMethod, source: ComparedSource, comparison: Transf
     whole = msgspec.to_builtins(comparison, enc_hook=str)
     settings |= {part: whole[part] for part in ("source", "capture", "pictures", "views")} | {"stamp": source.stamp}
     files: dict[str, Path | None] = {field: getattr(method, field) for field in _FILES}
-    if method.method == "cyclegan-turbo" and method.weights is None:
-        files["weights"] = find_transfer_weights()
+    if method.method == "cyclegan-turbo":
+        weights = files["weights"] = method.weights or find_transfer_weights()
+        if follow_training(method.settings, read_record(weights), weights).normals == "dsine":
+            files["normals_weights"] = find_dsine_weights(method.normals_weights)
+            files["normals_checkout"] = find_dsine_checkout(method.normals_checkout)
     settings["files"] = {field: input_fingerprint(path) for field, path in files.items() if path is not None}
     return TransferRecord(method.method, source.name, json.loads(json.dumps(settings)), source.to_world)
 
@@ -302,10 +334,21 @@ _CELL_PX, _GAP_PX, _TEXT_PX = 360, 8, 18
 _PAPER, _INK, _FAINT, _EMPTY = (255, 255, 255), (20, 20, 22), (110, 112, 118), (236, 236, 238)
 
 
-def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
-    """The named views, or `columns` even ones of the method with the most; raises ValueError for an unknown name."""
+def choose_figure_views(
+    folders: Sequence[MethodFolder], names: Sequence[str], columns: int, sensors: Sequence[str] = ()
+) -> list[str]:
+    """The named views, or `columns` even ones of the method with the most; raises ValueError for an unknown name.
+
+    If there is a column for each of several cameras, the views are those of one moment in the middle, in the order of
+    `sensors`. Names of recorded views end with their camera.
+    """
     there = max(([view.clear.name for view in read_transferred(each.folder)] for each in folders), key=len)
     if not names:
+        if columns == len(sensors) > 1:
+            first = len(there) // columns // 2 * columns
+            moment = {name.partition("_")[2]: name for name in there[first : first + columns]}
+            if moment.keys() == set(sensors):
+                return [moment[sensor] for sensor in sensors]
         return [there[i] for i in evenly_spaced_indices(len(there), columns)]
     for name in names:
         if name not in there:

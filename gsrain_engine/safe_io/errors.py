@@ -1,8 +1,8 @@
-"""Validation errors of msgspec, extended by the allowed types, values and fields."""
+"""Validation errors of msgspec, extended by the allowed types, values and fields, and errors of missing inputs."""
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -20,6 +20,24 @@ _PLACE = re.compile(r" - at `\$(.*)`$")
 _STEP = re.compile(r"\.([^.\[]+)|\[[^\]]*\]")
 _WRONG_WORD = re.compile(r"Invalid (?:enum )?value ")
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
+
+
+class MissingInputsError(ValueError):
+    """Error that lists every missing input of a command, so that one attempt names all."""
+
+    def __init__(self, missing: Sequence[str]) -> None:
+        """Take a line for each missing input, with how to get it; equal ones count once."""
+        self.missing = tuple(dict.fromkeys(missing))
+        super().__init__("; ".join(self.missing))
+
+
+def not_found(find: Callable[..., object], *arguments: object) -> list[str]:
+    """Return why a function that looks for a file does not find it, as a list of one line; empty if it does."""
+    try:
+        find(*arguments)
+    except FileNotFoundError as error:
+        return [str(error)]
+    return []
 
 
 def readable_validation_error(error: Exception, kind: Any, values: Any = None) -> str:

@@ -22,6 +22,8 @@ class Progress(NamedTuple):
     """Figures at this step by name with unit, such as `loss`; `step` is the abscissa of their curves."""
     warning: str | None = None
     """One sentence about the work so far, such as that a training goes wrong."""
+    note: str = ""
+    """Line about the input or settings of the work that its result depends on."""
 
 
 def run_to_end(

@@ -31,7 +31,8 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Meta(
             title="Model",
             description="What it looks like: hatchback, saloon, estate, van or truck, with a paint if wanted "
-            "(van/red); actor:ID (one of the scene); or a file of Gaussians (meters, x forward, y left, z up).",
+            "(van/red); actor:ID (one of the scene); a file of Gaussians (meters, x forward, y left, z up); or the "
+            "folder of a 3DRealCar vehicle (gs.pth, wlh.json).",
         ),
     ] = "saloon"
     class_name: Annotated[str, Meta(title="Class")] = "car"

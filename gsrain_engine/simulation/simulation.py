@@ -246,10 +246,11 @@ def _plain(value: object) -> dict[str, Any]:
 def drive(simulation: Simulation, agent: Agent) -> Iterator[Observation]:
     """Run an agent; yields each observation after the agent has planned on it.
 
-    Closing the iterator stops the drive. Exceptions of the agent propagate. `simulation.rollout` returns the record.
+    The agent is reset before the first images are drawn, so that a client that can't start costs none. Closing the
+    iterator stops the drive. Exceptions of the agent propagate. `simulation.rollout` returns the record.
     """
-    observation = simulation.reset()
     agent.reset(simulation.seed, simulation.rig)
+    observation = simulation.reset()
     while simulation.end is None:
         plan = agent.plan(observation)
         yield observation

@@ -20,6 +20,7 @@ from ..rain.settings import RainSettings
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..scene.files import name_problem
+from ..scene.formats.hugsim import is_vehicle_folder
 from ..scene.open import file_hash, scene_hash
 from ..simulation.agents.registry import HUGSIM, agent_file, agent_names
 from ..simulation.scenario import Scenario
@@ -240,7 +241,9 @@ class _Hashes:
     def files(self, names: list[str | None]) -> dict[str, str]:
         """Hash existing files; shipped calibrations, models and descriptions are covered by the program version."""
         paths = {name: Path(name) for name in names if name and name not in calibration_names()}
-        return {name: self._file(path) for name, path in sorted(paths.items()) if path.is_file()}
+        files = {name: self._file(path) for name, path in paths.items() if path.is_file()}
+        vehicles = {name: self.scene(name) for name, path in paths.items() if is_vehicle_folder(path)}
+        return dict(sorted((files | vehicles).items()))
 
 
 def _check(agents: list[AgentChoice]) -> None:

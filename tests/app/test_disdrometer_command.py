@@ -94,6 +94,25 @@ def test_reports_what_was_asked_for_and_what_fell(reported, capsys):
     assert reported(*command) == report != reported(*command, "--seed", "1")
 
 
+@pytest.mark.parametrize(
+    ("rate", "shape", "scale_mm"), [("1.2", 9.705, 0.074), ("8.5", 7.132, 0.114), ("12.0", 10.466, 0.085)]
+)
+def test_the_gamma_law_of_the_counted_drops_is_the_one_that_is_set(reported, capsys, rate, shape, scale_mm):
+    """Table III of the paper. With some 30,000 drops or more, shape and scale have standard errors of about 1 %."""
+    report = reported("disdrometer", "--preset", rate, "--drop-density", "table", "--seconds", "60", "--area", "1")
+    assert (report["requested_shape"], report["requested_scale_mm"]) == (shape, scale_mm)
+    assert (report["shape"], report["scale_mm"]) == (pytest.approx(shape, rel=0.05), pytest.approx(scale_mm, rel=0.05))
+    printed = capsys.readouterr().out
+    assert (
+        f"gamma law of diameters: shape {shape:.4g}, scale {scale_mm:.3g} mm asked; {report['shape']:.4g}, " in printed
+    )
+
+
+def test_too_few_drops_have_no_fitted_law(reported, capsys):
+    report = reported("disdrometer", "--rain", "0.1", "--area", "0.0001", "--seconds", "1")
+    assert report["shape"] is report["scale_mm"] is None and "fitted" not in capsys.readouterr().out
+
+
 def test_writes_spectra_that_read_back(reported, tmp_path, capsys):
     file = tmp_path / "new" / "rain.nc"
     reported("disdrometer", "--rain", "20", "--seconds", "25", "--record", "10", "--seed", "2", "-o", file)

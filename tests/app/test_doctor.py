@@ -11,6 +11,8 @@ import pytest
 from app import doctor
 from app.main import run
 from gsrain_engine.appearance.cyclegan_turbo import weight_paths
+from gsrain_engine.appearance.dsine_checkout import CHECKOUT_PLACE, WEIGHTS_PLACE
+from gsrain_engine.appearance.finetune.settings import PLACE as CLIP_PLACE
 from gsrain_engine.evaluation.detection.detector import PLACE
 from gsrain_engine.evaluation.fid_torch_features import INCEPTION_PLACE
 from gsrain_engine.render.opengl import sort
@@ -88,7 +90,8 @@ def test_a_missing_libgomp_and_a_wrong_order_of_splats(tmp_path, monkeypatch, ca
 FILES = {
     doctor.find_lpips: "LPIPS (vgg)", doctor.find_inception: "pt_inception", doctor.find_detector_file: "https://",
     doctor.find_base_model: "hf download", doctor.find_transfer_weights: weight_paths.PUBLISHED_URL,
-    doctor.find_text_encoder: "SD-Turbo",
+    doctor.find_text_encoder: "SD-Turbo", doctor.find_clip_model: "--clip",
+    doctor.find_normals_weights: "--normals-weights FILE", doctor.find_normals_program: "--normals-checkout DIR",
 }  # fmt: skip
 """Functions that look for them, and what they print of one that is missing: where to get it."""
 
@@ -99,7 +102,8 @@ def home(tmp_path, monkeypatch):
     folders = {"XDG_DATA_HOME": "data", "XDG_CACHE_HOME": "cache", "HF_HOME": "hub", "GSRAIN_LPIPS_WEIGHTS": "lpips"}
     for variable, folder in (folders | {INCEPTION_PLACE: "inception.npz"}).items():
         monkeypatch.setenv(variable, str(tmp_path / folder))
-    for variable in (weight_paths.BASE_VARIABLE, weight_paths.WEIGHTS_VARIABLE, "HF_HUB_CACHE", PLACE):
+    places = (weight_paths.BASE_VARIABLE, weight_paths.WEIGHTS_VARIABLE, WEIGHTS_PLACE, CHECKOUT_PLACE, CLIP_PLACE)
+    for variable in (*places, "HF_HUB_CACHE", PLACE):
         monkeypatch.delenv(variable, raising=False)
     return tmp_path
 
@@ -108,6 +112,42 @@ def home(tmp_path, monkeypatch):
 def test_what_is_missing_comes_with_how_to_get_it(find, home):
     finding = find()
     assert not finding.found and FILES[find] in finding.what
+
+
+PAPER = ("SD-Turbo", "CLIP ViT-B/32", "LPIPS", "DSINE weights", "DSINE program", "Inception", "transfer weights", "zsh")
+"""Files and programs that the rows of docs/paper.md need, besides data."""
+
+
+def test_everything_that_the_paper_needs_has_a_row(home, reported):
+    found = reported("doctor")
+    for name in PAPER:
+        (row,) = (key for key in found if key.startswith(name))
+        assert found[row]["what"] and (found[row]["found"] is False or name == "zsh")
+
+
+def test_dsine_is_found_where_it_is_looked_for(home, monkeypatch):
+    weights, program = home / "data" / "gsrain" / "dsine" / "dsine.pt", home / "DSINE"
+    (program / "models").mkdir(parents=True)
+    (program / "models" / "dsine.py").write_text("raise SystemExit('code must not run')\n")
+    weights.parent.mkdir(parents=True)
+    weights.touch()
+    assert doctor.find_normals_weights()[1:] == (True, str(weights))
+    monkeypatch.setenv(WEIGHTS_PLACE, str(home / "elsewhere.pt"))
+    assert not doctor.find_normals_weights().found and "elsewhere.pt" in doctor.find_normals_weights().what
+    monkeypatch.setenv(CHECKOUT_PLACE, str(program))
+    monkeypatch.setattr("gsrain_engine.appearance.dsine_checkout.has_geffnet", lambda: False)
+    finding = doctor.find_normals_program()
+    assert not finding.found and finding.what.endswith("install geffnet") and str(program) in finding.what
+    monkeypatch.setattr("gsrain_engine.appearance.dsine_checkout.has_geffnet", lambda: True)
+    assert doctor.find_normals_program()[1:] == (True, str(program))
+
+
+def test_zsh_comes_with_the_option_that_names_the_client(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not doctor.find_zsh().found and "apt-get install zsh" in doctor.find_zsh().what
+    (tmp_path / "zsh").touch(0o755)
+    assert doctor.find_zsh().found and doctor.find_zsh().what.startswith(str(tmp_path / "zsh"))
+    assert "--hugsim-client" in doctor.find_zsh().what
 
 
 def test_weights_of_measures_are_read(home):

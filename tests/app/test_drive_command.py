@@ -10,6 +10,7 @@ import pytest
 from app.main import BAD_INPUT, run
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Layer
+from gsrain_engine.simulation.interop import hugsim_agent
 from gsrain_engine.simulation.rollout_io import read_rollout
 from small_scene import patch, small_scene
 
@@ -72,6 +73,19 @@ def test_an_oracle_stops_at_every_intensity(scenario, tmp_path, reported):
         assert (tmp_path / f"standing_oracle-idm_12mm_seed0.{ending}").stat().st_size > 1000
     assert not list(tmp_path.glob("*.mp4"))
     assert "| standing | oracle-idm | Clear | No |" in (tmp_path / "table.md").read_text()
+
+
+@pytest.mark.parametrize(("client", "words"), [("no-such-program", "no-such-program"), ("false", "exit code 1")])
+def test_a_client_that_can_not_start_is_refused_before_the_scene_is_read(
+    client, words, scenario, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr("app.drive.load_sorted_scene", lambda scene: pytest.fail("the scene was read"))
+    monkeypatch.setattr("app.drive.scene_hash", lambda scene: pytest.fail("the scene was read"))
+    monkeypatch.setattr(hugsim_agent, "_START_S", 60.0)  # a slow machine
+    folders = ("-o", tmp_path / "out", "--hugsim-dir", tmp_path / "pipes")
+    assert drive(scenario, *folders, "--hugsim-client", client) == BAD_INPUT
+    (error,) = capsys.readouterr().err.strip().splitlines()
+    assert words in error and "client" in error and not (tmp_path / "out").exists()
 
 
 def test_scenes_without_cameras_and_starts_in_an_obstacle(scenario, tmp_path, capsys):

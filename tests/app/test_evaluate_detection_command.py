@@ -72,8 +72,9 @@ def test_rows_scores_figures_report_and_video(project, detector, tmp_path, repor
     with (out / "rows.csv").open() as stream:
         assert len(list(csv.DictReader(stream))) == len(rows)
     assert json.loads((out / "detection.json").read_text()) == report
-    for name in ("confidence.png", "iou.png", "precision.png", "view_0.png", "view_1.png"):
-        assert np.asarray(Image.open(out / name)).shape[1] > 64
+    pictures = ("view_0.png", "view_1.png", "truth_0.png", "truth_1.png")
+    for name in ("confidence.png", "iou.png", "precision.png", *pictures):
+        assert np.asarray(Image.open(out / name)).shape[1] >= 64
     page, settings = (out / "report.html").read_text(), report["settings"]
     assert settings["seeds"] == [0, 1] and settings["versions"]["gsrain"]
     assert settings["detectors"]["red"]["file"] == "red.onnx"
@@ -115,7 +116,7 @@ def test_a_stopped_sweep_resumes_to_the_same_bytes_and_only_new_views_are_evalua
     asked = counted(monkeypatch)
     assert evaluate("stopped") == 0
     assert len(asked) == 2 * (1 + 3) - 4
-    for name in ("rows.csv", "rows.parquet", "finished.jsonl", "confidence.png", "view_0.png", "view_1.png"):
+    for name in ("rows.csv", "rows.parquet", "finished.jsonl", "confidence.png", "view_0.png", "truth_1.png"):
         assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
     asked.clear()
     assert evaluate("whole", seeds=4, rain="12,50") == 0

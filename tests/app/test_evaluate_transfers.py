@@ -43,6 +43,52 @@ def transfers(tmp_path, *options, **changes):
     return run(["evaluate", "transfers", str(file), "-o", str(tmp_path / "out"), *map(str, options)])
 
 
+def test_all_missing_inputs_are_named_before_any_work(tmp_path, capsys, monkeypatch):
+    """Weights, folders and data in one error, each with the methods that need it; nothing is written."""
+    pytest.importorskip("torch")
+    for place in ("GSRAIN_DSINE", "GSRAIN_DSINE_WEIGHTS", "GSRAIN_INCEPTION_WEIGHTS"):
+        monkeypatch.setenv(place, str(tmp_path / place))
+    pictures = {"clear": [{"path": "no clear"}], "rainy": [{"path": "real"}, {"path": "no rainy"}]}
+    methods = [
+        *METHODS, {"name": "a", "method": "cyclegan-turbo", "weights": "no.pkl", "normals": "dsine"},
+        {"name": "b", "method": "cyclegan-turbo"}, {"name": "c", "method": "images"},
+        {"name": "d", "method": "images", "images": "no images"},
+    ]  # fmt: skip
+    changes = {"source": None, "real": None, "pictures": pictures, "methods": methods, "extractor": "inception"}
+    assert transfers(tmp_path, **changes) == BAD_INPUT
+    first, *lines = capsys.readouterr().err.strip().splitlines()
+    assert first == "gsrain: 10 inputs are missing or do not fit:" and len(lines) == 10
+    beginnings = [
+        "method 'a': weights no.pkl: no such file or folder", "method 'a': no weights of DSINE",
+        "method 'a': no program of DSINE", "methods 'a', 'b': no SD-Turbo", "method 'b': no transfer weights",
+        "method 'c': needs images", "method 'd': images no images", "pictures.clear no clear",
+        "pictures.rainy no rainy", "no weights of Inception",
+    ]  # fmt: skip
+    assert all(any(line.startswith(f"  {each}") for line in lines) for each in beginnings)
+    assert "--normals-weights FILE" in "".join(lines) and "--normals-checkout DIR" in "".join(lines)
+    assert not (tmp_path / "out").exists()
+
+
+def test_normals_of_the_training_need_their_estimator(tmp_path, capsys, monkeypatch):
+    """A row that names no normals takes those of its weights' record."""
+    pytest.importorskip("diffusers")
+    from gsrain_engine.appearance.base import TrainingRecord
+    from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
+    from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny
+    from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
+
+    monkeypatch.setenv("GSRAIN_DSINE", str(tmp_path / "no program"))
+    record = TrainingRecord(conditioning="up", normals="dsine", framing="stretch", width_px=64, height_px=64)
+    save_weights(build_random_model(tiny(), True, LoraRanks(2, 2)), tmp_path / "tiny.safetensors", record)
+    (tmp_path / "dsine.pt").touch()
+    row = {"name": "ours", "method": "cyclegan-turbo", "weights": "tiny.safetensors", "normals_weights": "dsine.pt"}
+    assert transfers(tmp_path, methods=[row]) == BAD_INPUT
+    (error,) = capsys.readouterr().err.strip().splitlines()
+    assert error.startswith("gsrain: method 'ours': no program of DSINE") and "no program" in error
+    assert transfers(tmp_path, methods=[row | {"normals": "depth"}]) == BAD_INPUT
+    assert "trained with normals dsine, not depth; --override" in capsys.readouterr().err
+
+
 def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys):
     pytest.importorskip("diffusers")
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
@@ -106,7 +152,7 @@ def test_only_changed_methods_run_again(tmp_path, capsys):
         ({"real": []}, "$.real"),
         ({"methods": [{"name": "a", "method": "wet"}, {"name": "A", "method": "wet"}]}, "'A'"),
         ({"methods": [{"name": "../a", "method": "wet"}]}, "$.methods[0].name"),
-        ({"methods": [{"name": "a", "method": "wet"}, {"name": "b", "method": "cyclegan-turbo"}]}, "method 'b'"),
+        ({"methods": [{"name": "a", "method": "wet"}, {"name": "b", "method": "images"}]}, "method 'b'"),
     ],
 )
 def test_bad_input_is_refused_before_anything_starts(tmp_path, capsys, changes, place):

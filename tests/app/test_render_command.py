@@ -238,6 +238,24 @@ def test_the_weather_of_a_scene_and_what_replaces_it(tmp_path, reported, capsys)
         assert frame(1, *options)[1]["intensity_mm_h"] == pytest.approx(expected)
 
 
+def test_the_visible_distance_grows_with_the_focal_length_and_needs_rain(tmp_path, reported, capsys):
+    """Equation 6: 1.5 mm at 2000 px are the paper's 3 m."""
+    write_scene(small_scene(), tmp_path / "scene")
+    words = ("render", tmp_path / "scene", "-o", tmp_path / "still.png", "--backend", "cpu")
+    (small,), (large,) = (
+        reported(*words, "--preset", "paper", "--size", size)["visible_distance"] for size in ("96x64", "192x128")
+    )
+    for each in (small, large):
+        assert each["large_drop_m"] == pytest.approx(each["focal_px"] * 1.5e-3, rel=0.01)
+        assert each["large_drop_haze_m"] == pytest.approx(2 * each["large_drop_m"])
+        assert each["median_volume_drop_m"] == pytest.approx(each["focal_px"] * 1.117e-3, rel=0.01)
+    assert large["focal_px"] == pytest.approx(2 * small["focal_px"])
+    printed = capsys.readouterr().out
+    assert f"visible distance f D at f = {small['focal_px']:.0f} px: {small['large_drop_m']:.2f} m" in printed
+    assert reported(*words, "--rain", "0", "--size", "96x64")["visible_distance"] == []
+    assert "visible distance" not in capsys.readouterr().out
+
+
 def test_a_scene_gets_as_wet_as_it_rains_or_as_wet_as_asked(tmp_path):
     scene = small_scene()
     for each in scene.layers[:2]:

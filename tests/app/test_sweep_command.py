@@ -28,7 +28,7 @@ def table(folder):
 
 
 def test_tables_a_second_run_and_ctrl_c(sweep, tmp_path, reported, capsys, monkeypatch):
-    def stopped(work):
+    def stopped(work, line_every_s):
         for _ in range(4):
             next(work)
         raise KeyboardInterrupt
@@ -50,6 +50,14 @@ def test_tables_a_second_run_and_ctrl_c(sweep, tmp_path, reported, capsys, monke
     report = reported(*command)
     assert (report["done"], report["kept"]) == (0, 8)
     assert {name: (out / name).read_bytes() for name in before} == before
+
+
+def test_a_pipe_gets_a_line_for_each_drive(sweep, capsys):
+    assert run(["sweep", str(sweep), "--workers", "0"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if " of 8: " in line]
+    assert len(lines) == 8
+    for number, line in enumerate(lines, start=1):
+        assert line.startswith(f"{number / 8:.0%} {number} of 8: ") and "short, " in line
 
 
 def test_shares_make_one_table(sweep, tmp_path, capsys):

@@ -140,3 +140,51 @@ def test_a_training_from_start_to_weights(tmp_path, reported, capsys, monkeypatc
     for options, words in (((), "holds a training already"), (("--resume",), "1 iterations are done")):
         assert run([*command, *options]) == BAD_INPUT
         assert words in capsys.readouterr().err
+
+
+@pytest.fixture
+def bare_machine(tmp_path, monkeypatch):
+    """A machine without any weights, and a working folder without data."""
+    for variable, folder in {"XDG_DATA_HOME": "data", "HF_HOME": "hub", "GSRAIN_LPIPS_WEIGHTS": "lpips"}.items():
+        monkeypatch.setenv(variable, str(tmp_path / folder))
+    for variable in ("GSRAIN_DSINE", "GSRAIN_DSINE_WEIGHTS", "GSRAIN_SD_TURBO", "GSRAIN_CLIP", "HF_HUB_CACHE"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_training_names_everything_that_is_missing(bare_machine, capsys):
+    pytest.importorskip("torch")
+    write_pictures(Path("clear"), 2, 0)
+    command = ["train-transfer", "paper", "-o", "run", "--clear", "clear", "--rainy", "no rainy"]
+    assert run(command) == BAD_INPUT
+    first, *lines = capsys.readouterr().err.strip().splitlines()
+    data = bare_machine / "data" / "gsrain"
+    expected = {
+        "no rainy: no such file or folder": "--rainy",
+        f"no weights of DSINE at {data / 'dsine' / 'dsine.pt'}": "--normals-weights FILE",
+        f"no program of DSINE (models/dsine) at {data / 'dsine' / 'DSINE'}": "--normals-checkout DIR",
+        f"no SD-Turbo (unet/config.json, vae/config.json) at {data / 'sd-turbo'}": "--base",
+        f"no CLIP ViT-B/32 (config.json) at {data / 'clip-vit-base-patch32'}": "--clip",
+        f"no weights of LPIPS (vgg) at {bare_machine / 'lpips'}": "GSRAIN_LPIPS_WEIGHTS",
+    }
+    assert first == "gsrain: 6 inputs are missing or do not fit:"
+    for line, (words, remedy) in zip(lines, expected.items(), strict=True):
+        assert line.startswith(f"  {words}") and remedy in line
+    assert not Path("run").exists()
+
+
+def test_a_training_without_dsine_ends_in_one_sentence(bare_machine, capsys):
+    pytest.importorskip("torch")
+    for seed, look in enumerate(("clear", "rainy")):
+        write_pictures(Path(look), 2, seed)
+    Path("own.yaml").write_text(
+        _CONFIG.replace("lora:", "  guide: luma\n  normals: dsine\nlora:").replace("nothing", "clear")
+    )
+    Path("dsine.pt").touch()
+    options = ("-o", "run", "--normals-weights", "dsine.pt", "--lpips", "vgg.npz")
+    Path("vgg.npz").touch()
+    assert run(["train-transfer", "own.yaml", *options]) == BAD_INPUT
+    (error,) = capsys.readouterr().err.strip().splitlines()
+    assert error.startswith("gsrain: no program of DSINE") and "--normals-checkout DIR" in error
+    assert not Path("run").exists()

@@ -128,8 +128,13 @@ KAPPA = {"kappa_head.weight": torch.zeros(1, 1, 1, 1), "kappa_head.bias": torch.
 def test_normals_along_its_rays_come_back_along_ours(tmp_path, encoder, is_old, extra, monkeypatch):
     program, own = write_program(tmp_path / "DSINE", is_old), SimpleNamespace()
     monkeypatch.setitem(sys.modules, "utils", own)
-    estimator = open_estimator("dsine", weights(tmp_path, **extra), program)
+    file = weights(tmp_path, **extra)
+    estimator = open_estimator("dsine", file, program)
     assert isinstance(estimator, NormalEstimator) and encoder == [("tf_efficientnet_b5_ap", False)]
+    monkeypatch.setenv("GSRAIN_DSINE_WEIGHTS", str(file))
+    monkeypatch.setenv("GSRAIN_DSINE", str(program))
+    placed = open_estimator("dsine", None)
+    assert placed.normals(PICTURE, TURNED).tobytes() == estimator.normals(PICTURE, TURNED).tobytes()
     rays = view_rays(TURNED)
     found = estimator.normals(PICTURE, TURNED)
     np.testing.assert_allclose(found, -rays / np.linalg.norm(rays, axis=-1, keepdims=True), atol=1e-6)

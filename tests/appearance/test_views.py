@@ -101,6 +101,17 @@ def test_recorded_and_rig_cameras_can_be_chosen_by_sensor_and_are_spread():
         assert list(evenly_spaced_indices(there, count)) == expected
 
 
+def test_several_cameras_of_a_recording_are_chosen_at_the_same_moments():
+    capture = recording(*("front", "left", "back") * 6)
+    names = [view.sensor for view in chosen_views(capture, ViewChoice(sensors=("left", "front"), count=5))]
+    assert names == ["front", "left"] * 2
+    views = chosen_views(capture, ViewChoice(sensors=("left", "front"), count=5)).views
+    assert [view.name for view in views] == ["v3", "v4", "v12", "v13"]
+    one_is_missing = recording("front", "left", "left", "front", "left")
+    views = chosen_views(one_is_missing, ViewChoice(sensors=("left", "front"), count=2)).views
+    assert [view.name for view in views] == ["v1", "v3"]
+
+
 def test_views_on_a_path_are_even_in_time():
     times, straight = np.array([0.0, 3.0]), np.tile([1.0, 0, 0, 0], (2, 1))
     path = CameraPath(times, np.array([[0.0, 0, 1], [3.0, 0, 1]]), straight, np.array([50.0, 50.0]))

@@ -269,6 +269,16 @@ def test_a_drag_is_one_step_from_where_it_began(editor):
     assert document.keyframes.times_s[-1] == 200.0 and len(document.keyframes.keys) == 8  # one key, not two
 
 
+def test_a_drag_after_an_undo_drops_the_redo_steps(editor):
+    document = editor.document
+    document.change_rain("Rain", "drag", intensity_mm_h=1.0)
+    document.edit_keyframes("Keys", rain_keyframes.add_shower, 0.0)
+    document.undo()
+    document.change_rain("Rain", "drag", intensity_mm_h=3.0)
+    assert [each.label for each in document.history.steps] == ["Open", "Rain"]
+    assert document.rain.intensity_mm_h == 3.0 and document.history.redo_label is None
+
+
 def test_what_a_change_refuses_is_reported_and_what_changes_nothing_is_no_step(editor):
     document, status = editor.document, editor.status
     document.edit("Save set", commands.save_set, "a")

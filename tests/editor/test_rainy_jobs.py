@@ -12,7 +12,7 @@ from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.jobs import training
-from gsrain_engine.editor.jobs.make_rainy import TransferRequest, make_rainy, preview_view
+from gsrain_engine.editor.jobs.make_rainy import PreviewImages, TransferRequest, make_rainy, preview_view
 from gsrain_engine.recolor.result import read_recolored
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
@@ -44,10 +44,15 @@ def test_the_work_writes_wet_colors_of_every_member_and_a_report(saved, tmp_path
 
 def test_a_preview_is_the_view_that_the_job_would_make(saved):
     placed = chosen_cameras(small_scene(), CHOICE)[0]
-    *_, clear, rainy = list(preview_view(saved, "wet", TransferSettings(), placed))
+    file = saved.parent / "images.npz"
+    *_, clear, rainy = list(preview_view(saved, "wet", TransferSettings(), placed, file))
     assert rainy.preview.shape == (placed.camera.height, 64, 3)
     assert np.abs(rainy.preview.astype(int) - clear.preview).mean() > 3
-    *_, dry = preview_view(saved, "wet", TransferSettings(wetness=0.0), placed)
+    images = PreviewImages.read(file)
+    assert (list(images.pictures), images.note) == (["clear", "rainy"], "")  # there is no network
+    assert np.array_equal(images.pictures["clear"], clear.preview)
+    assert np.array_equal(images.pictures["rainy"], rainy.preview)
+    *_, dry = preview_view(saved, "wet", TransferSettings(wetness=0.0), placed, file)
     assert np.array_equal(dry.preview, clear.preview)
 
 

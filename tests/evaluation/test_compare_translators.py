@@ -3,6 +3,8 @@
 import csv
 import io
 import os
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,6 +106,16 @@ def test_missing_views_are_omitted(started, tmp_path):
     assert np.ptp(figure[height // 2 + 60 : height - 20, 20:300]) > 30
     with pytest.raises(ValueError, match="'7'"):
         choose_figure_views([clear], ("7",), 4)
+
+
+def test_a_figure_with_a_column_for_each_camera_shows_one_moment(monkeypatch):
+    moments = [f"{moment:04}_{camera}" for moment in range(5) for camera in ("FRONT", "FRONT_LEFT", "FRONT_RIGHT")]
+    views = [SimpleNamespace(clear=SimpleNamespace(name=name)) for name in moments]
+    monkeypatch.setattr("gsrain_engine.evaluation.compare_translators.read_transferred", lambda folder: views)
+    folders, sensors = [MethodFolder(CLEAR, Path(), None, False)], ("FRONT_LEFT", "FRONT", "FRONT_RIGHT")
+    chosen = choose_figure_views(folders, (), 3, sensors)
+    assert chosen == ["0002_FRONT_LEFT", "0002_FRONT", "0002_FRONT_RIGHT"]
+    assert choose_figure_views(folders, (), 3, sensors[:2]) == choose_figure_views(folders, (), 3)
 
 
 def test_fingerprint_changes_with_files_and_their_times(tmp_path):

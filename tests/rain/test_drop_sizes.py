@@ -30,6 +30,18 @@ def test_quantiles_and_density_are_those_of_the_truncated_gamma(sizes, probabili
     assert sizes.probability_per_mm(diameter) == pytest.approx(expected, rel=1e-9, abs=1e-300)
 
 
+@given(laws)
+@settings(max_examples=25, deadline=None)
+def test_half_of_the_water_is_in_drops_smaller_than_the_median_volume_drop(sizes):
+    diameters = np.linspace(0.1, 8.0, 400_001)
+    water = np.cumsum(sizes.probability_per_mm(diameters) * diameters**3)
+    assert np.interp(sizes.median_volume_diameter_mm, diameters, water / water[-1]) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_nearly_all_drops_of_the_paper_are_smaller_than_its_large_drop():
+    assert DropSizes(7.132, 0.114).large_diameter_mm == pytest.approx(1.5, abs=0.02)  # "generally below 1.5 mm"
+
+
 @given(laws, st.integers(1, 6))
 @settings(max_examples=50, deadline=None)
 def test_moments_are_those_of_the_truncated_gamma(sizes, power):

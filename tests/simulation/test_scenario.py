@@ -7,13 +7,15 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from curved_scene import RADIUS_M, curved_scene
 from gsrain_engine.simulation.ground import recorded_route
-from gsrain_engine.simulation.interop.hugsim_scenario import is_hugsim_scenario
+from gsrain_engine.simulation.interop.hugsim_scenario import VEHICLES_VARIABLE, is_hugsim_scenario
 from gsrain_engine.simulation.scenario import Scenario, start_place, start_state
 from gsrain_engine.simulation.scenario_io import load_scenario, save_scenario
 from gsrain_engine.simulation.simulation import Simulation
+from gsrain_engine.simulation.traffic.appearance import vehicle_model
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, Control
 from simulation.small_drive import lead, scenario
 from small_scene import small_scene
@@ -130,6 +132,93 @@ def test_a_turned_start_turns_everything_and_planners_become_behaviors(written):
     followed, recorded = (each.behaviour for each in others)
     assert (followed.desired_speed_m_s, followed.least_gap_m, followed.headway_s) == (30, 5, 2)
     assert (recorded.actor, recorded.pace) == ("6e29", 0.6)
+
+
+SIZE_WLH = 1.8, 4.0, 1.5
+
+
+@pytest.fixture
+def cars(tmp_path, monkeypatch):
+    """A made-up 3DRealCar folder with the vehicle of `CAR`: a bar along the roof's middle, from its middle forward."""
+    pytest.importorskip("torch")
+    from realcar_vehicle import write_vehicle
+
+    monkeypatch.delenv(VEHICLES_VARIABLE, raising=False)
+    x, left = np.linspace(0, 1.9, 200), np.linspace(-0.05, 0.05, 200)
+    body = np.random.default_rng(4).uniform(-0.5, 0.5, (2000, 3)) * (4.0, 1.5, 1.8)  # x forward, y down, z left
+    bar = np.stack([x, np.full(200, -0.76), left], axis=1)
+    write_vehicle(tmp_path / "release" / "3DRealCar" / CAR[5], np.concatenate([body, bar]), SIZE_WLH)
+    return tmp_path / "release" / "3DRealCar"
+
+
+@pytest.mark.parametrize("named", ["by the variable", "by realcar_path", "next to the file"])
+def test_hugsims_vehicles_are_those_of_3drealcar_in_place_size_and_direction(named, cars, written, monkeypatch, caplog):
+    folder = cars
+    file = written([*CAR[:3], 0.3, *CAR[4:]])
+    if named == "by the variable":
+        monkeypatch.setenv(VEHICLES_VARIABLE, str(folder))
+    elif named == "next to the file":
+        folder = cars.rename(file.parent / "3DRealCar")
+    else:
+        (file.parent / "hugsim" / "configs" / "benchmark" / "nuscenes").mkdir(parents=True)
+        (file.parent / "hugsim" / "configs" / "sim").mkdir()
+        base = f"realcar_path: {folder}\nmodel_base: /nowhere\nHD_map: {{path: /nowhere}}\n"
+        (file.parent / "hugsim" / "configs" / "sim" / "nuscenes_base.yaml").write_text(base)
+        file = file.rename(file.parent / "hugsim" / "configs" / "benchmark" / "nuscenes" / file.name)
+    test = load_scenario(file)
+    (car,) = test.road_users
+    assert Path(car.model) == folder / CAR[5] and not caplog.records
+
+    look = vehicle_model(car.model, small_scene())
+    width, length, height = SIZE_WLH
+    assert look.size_lwh_m == pytest.approx((length, width, height))
+    body, bar = look.gaussians.means[-2200:-200], look.gaussians.means[-200:]
+    np.testing.assert_allclose(body.min(axis=0), (-length / 2, -width / 2, 0), atol=0.05)
+    np.testing.assert_allclose(body.max(axis=0), (length / 2, width / 2, height), atol=0.05)
+    np.testing.assert_allclose(bar[-1], (1.9, 0.05, height), atol=0.05)  # forward and to its left, on the roof
+
+    simulation = Simulation(test, small_scene())
+    simulation.reset()
+    (there,) = simulation.observation().road_users
+    assert there.size_lwh == pytest.approx((length, width, height))
+    # Where HUGSIM's matrix puts it: turned by -yaw - 90 degrees about its y axis, at (2, 13) right and forward.
+    turn = Rotation.from_euler("y", -0.3 - np.pi / 2).as_matrix()
+    right, _, forward = turn @ [1.9, -0.76, 0.05] + [2.0, 0.0, 13.0]
+    actor = next(each for each in simulation.scene_now.actors if each.id == there.id)
+    drawn = (simulation.scene.scene_to_world @ actor.pose_at(0.0))[:3] @ [*actor.gaussians.means[-1], 1.0]
+    assert drawn[:2] == pytest.approx((forward, -right), abs=1e-3)
+
+
+def test_saloons_replace_vehicles_that_are_not_there_and_one_line_says_so(cars, written, monkeypatch, caplog):
+    file = written(CAR, [*CAR[:5], "2024_01_01_00_00_00", *CAR[6:]], [*CAR[:5], "../../etc", *CAR[6:]])
+    monkeypatch.setenv(VEHICLES_VARIABLE, str(cars))
+    first, *others = load_scenario(file).road_users
+    assert Path(first.model) == cars / CAR[5] and [each.model for each in others] == ["saloon", "saloon"]
+    (record,) = caplog.records
+    assert record.message == (
+        f"{file}: saloons replace 2 of 3 vehicles, whose folders (2024_01_01_00_00_00, ../../etc) are not in {cars}; "
+        "set GSRAIN_3DREALCAR to the folder of 3DRealCar"
+    )
+
+
+def test_a_vehicle_whose_checkpoint_holds_anything_but_tensors_is_refused(cars, written, monkeypatch, capsys):
+    import torch
+
+    class Malicious:
+        def __reduce__(self):
+            return print, ("this ran",)
+
+    torch.save(Malicious(), cars / CAR[5] / "gs.pth")
+    monkeypatch.setenv(VEHICLES_VARIABLE, str(cars))
+    with pytest.raises(ValueError, match=r"gs\.pth: not a checkpoint of plain tensors"):
+        Simulation(load_scenario(written(CAR)), small_scene())
+    assert "this ran" not in capsys.readouterr().out
+
+
+def test_a_vehicle_of_an_odd_size_is_refused(cars):
+    (cars / CAR[5] / "wlh.json").write_text("[1.8, 400.0, 1.5]")
+    with pytest.raises(ValueError, match=f"{CAR[5]}: 400 x 1.8 x 1.5 m"):
+        vehicle_model(str(cars / CAR[5]), small_scene())
 
 
 @pytest.mark.parametrize(

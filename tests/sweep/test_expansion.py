@@ -55,6 +55,19 @@ def test_an_id_follows_the_bytes_of_scene_detector_and_driver(short, tmp_path, m
     assert set(found[0][0].files) == (set() if "road" in file else {file})
 
 
+def test_an_id_follows_the_bytes_of_a_vehicles_folder(short, tmp_path):
+    car = tmp_path / "car"
+    car.mkdir()
+    for name in ("gs.pth", "wlh.json"):
+        (car / name).write_text("[1.8, 4.0, 1.5]")
+    user = {"id": "lead", "model": str(car), "ahead_m": 15.0, "behaviour": {"kind": "stationary"}}
+    sweep = sweep_of([write_scenario(tmp_path / "own.yaml", tmp_path / "road", road_users=[user])])
+    first = jobs_of(sweep)
+    assert set(first[0].files) == {str(car)}
+    (car / "wlh.json").write_text("[1.8, 4.1, 1.5]")
+    assert ids(first).isdisjoint(ids(jobs_of(sweep)))
+
+
 def test_an_id_follows_the_version_of_a_package_that_is_used(short, tmp_path):
     (tmp_path / "car.blob").touch()
     user = {"id": "lead", "model": str(tmp_path / "car.blob"), "ahead_m": 15.0, "behaviour": {"kind": "stationary"}}

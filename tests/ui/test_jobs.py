@@ -36,7 +36,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         driver.until(lambda: not editor.jobs.running, 1_000_000)
         driver.frames()
         assert editor.status.problem is None
-        assert rainy.previewed.pixels.shape[1] == 96
+        assert rainy.previewed.images.pictures["rainy"].shape[1] == 96
         # It lies over what it is of, right of the line, and only while the view is that one.
         assert (editor.viewport.options.split, rainy.fits) == ("now | preview", True)
         assert ctx.item_exists("//View/divider")
@@ -106,6 +106,65 @@ def drive(tmp_path):
     for view in views:
         Image.fromarray((DIM * view.image).astype(np.uint8)).save(tmp_path / "dim" / f"{view.name}.png")
     return tmp_path
+
+
+def test_the_input_of_a_network_is_shown_with_the_preview_and_the_job(driver, tmp_path, monkeypatch):
+    pytest.importorskip("diffusers")
+    from appearance.cyclegan_turbo.published_checkpoints import trained_model
+    from gsrain_engine.appearance.base import TrainingRecord
+    from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
+
+    data = tmp_path / "data" / "gsrain"
+    monkeypatch.setenv("XDG_DATA_HOME", str(data.parent))
+    for part in ("unet", "vae"):  # the weights lie upon random ones, but the panel looks for a base
+        (data / "sd-turbo" / part).mkdir(parents=True)
+        (data / "sd-turbo" / part / "config.json").write_text("{}")
+    (data / "transfer").mkdir()
+    record = TrainingRecord(
+        conditioning="luma", normals="depth", framing="stretch", width_px=64, height_px=64, steps=200
+    )
+    save_weights(trained_model(normals=True), data / "transfer" / "mine.safetensors", record)
+    words = "The network saw 64x64 px (stretch), normals from depth as luma."
+
+    def script():
+        editor, rainy = driver.editor, driver.editor.wet_look
+        rainy.method, rainy.preview_width_px = "cyclegan-turbo", 96
+        rainy.choice = msgspec.structs.replace(rainy.choice, count=1, width_px=96)
+        assert rainy.training == f"mine.safetensors: trained with {record.words}."
+        driver.click(f"{PANEL}More settings")
+        for chosen in ("up", "as trained"):  # the settings that may follow the training can be set, and unset again
+            driver.ctx.set_ref(f"{PANEL}More settings")
+            driver.ctx.combo_click(f"##guide/{chosen}")
+            driver.frames()
+            assert rainy.settings.guide == (None if chosen == "as trained" else chosen)
+        driver.ctx.set_ref("")
+        driver.click(f"{PANEL}More settings")
+        driver.click(f"{PANEL}###preview")
+        driver.until(lambda: not editor.jobs.running, 1_000_000)
+        driver.frames()
+        assert editor.status.problem is None
+        images = rainy.previewed.images
+        assert images.note == words
+        assert list(images.pictures) == list(rainy.textures) == ["clear", "framed", "guide", "rainy"]
+        height, width = images.pictures["clear"].shape[:2]
+        assert width == 96 and height < width
+        sizes = [(each.width, each.height) for each in rainy.textures.values()]
+        assert sizes == [(width, height), (64, 64), (64, 64), (width, height)]
+        with_pictures, previewed = driver.screen(), rainy.previewed
+        rainy.previewed = None
+        corner, size = driver.area()
+        differing = np.argwhere((driver.screen() != with_pictures).any(axis=2))  # rows, columns
+        rainy.previewed = previewed
+        beside = (differing[:, 1] < corner[0]) | (differing[:, 1] > corner[0] + size[0])
+        assert np.ptp(differing[beside], axis=0).min() > 40  # the pictures in the panel
+
+        driver.click(f"{PANEL}###make")
+        (job,) = editor.jobs.all
+        driver.until(lambda: job.state != "running" and editor.viewport.staged is None, 1_000_000)
+        assert (job.state, job.error, job.progress.note) == ("finished", None, words)
+        assert "64x64 px (stretch)" in job.report.read_text()
+
+    driver.run(script)
 
 
 def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, driver, monkeypatch):

@@ -289,8 +289,9 @@ def _scenario_fields(setup: DriveSetup) -> None:
 
 
 def _user(user: ScenarioUser) -> ScenarioUser:
-    imgui.text_disabled(f"{user.model}, {user.class_name}")
-    imgui.set_item_tooltip("Its model and class; set in the scenario's file.")
+    name = Path(user.model).name if Path(user.model).is_absolute() else user.model
+    imgui.text_disabled(f"{name}, {user.class_name}")
+    imgui.set_item_tooltip(f"Its model ({user.model}) and class; set in the scenario's file.")
     for name in _USER:
         user = _field(user, name)
     if user.behaviour.__struct_fields__:

@@ -11,7 +11,7 @@ from gsrain_engine.editor.status import LogLine, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.draw import line, plot
-from ..widgets.fields import WARNING, button, combo, warn
+from ..widgets.fields import WARNING, button, combo, faint, warn
 
 
 def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
@@ -35,6 +35,7 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
     if job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
         imgui.text_wrapped(job.progress.message)
+        faint(job.progress.note)
         _metrics(job)
         warn(job.progress.warning)
         if (preview := viewport.job_previews.get(job)) is not None:
@@ -53,6 +54,7 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
             imgui.tree_pop()
     else:
         imgui.text_wrapped(job.progress.message if job.state == "finished" else "Canceled")
+        faint(job.progress.note)
         _metrics(job)
         warn(job.progress.warning)
         if job.state == "finished" and job.report is not None:

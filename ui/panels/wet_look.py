@@ -1,5 +1,6 @@
 """Wet look panel: method, views, preview, job and result."""
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -10,14 +11,15 @@ from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import JobRunner
-from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
+from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE, PreviewPicture
 from gsrain_engine.editor.live_rain import LiveRain
 from gsrain_engine.editor.make_rainy import SOURCES, TITLES, WetLookController
+from gsrain_engine.editor.viewport.options import Texture
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
 from ..widgets import fields
-from ..widgets.fields import ALL_FILES, button, combo, edit_choice, edit_field, path_field, warn
+from ..widgets.fields import ALL_FILES, button, combo, edit_choice, edit_field, faint, path_field, warn
 from .jobs import job_fields
 from .rain import wetness_fields
 from .training import transfer_training_fields
@@ -29,6 +31,14 @@ _PATHS = {"weights": _WEIGHTS, "images": "", "base": "", "normals_weights": _WEI
 
 _LABELS = {"normals_weights": "Normals weights", "normals_checkout": "DSINE code"}
 _MAX_PREVIEW_EM = 7.0  # small, since the viewport shows the preview at full size
+_ENLARGED_EM = 28.0  # longer side of an image under the mouse
+_PICTURES: dict[PreviewPicture, tuple[str, str]] = {
+    "clear": ("before", "The clear view."),
+    "framed": ("input", "The view at the size and proportions in which the network saw it."),
+    "guide": ("guide", "The network's fourth channel, from the normals."),
+    "rainy": ("after", "The transferred view, soaked."),
+}
+"""Caption and help of the images of a preview."""
 _SOURCE_HELP = (
     "Views to transfer. The best are those of the rig if the scene has a recorded drive,\n"
     "else those of its camera path, else views around its middle."
@@ -72,10 +82,7 @@ def _method(wet_look: WetLookController) -> None:
         for name in names[1:]:
             _setting(wet_look, name)
         imgui.tree_pop()
-    if wet_look.training is not None:
-        imgui.push_text_wrap_pos()
-        imgui.text_disabled(wet_look.training)
-        imgui.pop_text_wrap_pos()
+    faint(wet_look.training)
     warn(wet_look.why_no_transfer)
 
 
@@ -111,14 +118,11 @@ def _preview(wet_look: WetLookController, jobs: JobRunner) -> None:
     title = f"{_ICONS.ICON_FA_EYE}  Preview this view###preview"
     if button(title, _PREVIEW_HELP, width=-1, why_not=wet_look.why_no_preview):
         wet_look.preview()
-    texture, stale = wet_look.texture, wet_look.what_is_stale
-    if texture is None or jobs.running:
+    previewed, stale = wet_look.previewed, wet_look.what_is_stale
+    if previewed is None or not wet_look.textures or jobs.running:
         return  # a running job shows its own previews
-    aspect = texture.width / texture.height
-    width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
-    tint = (1.0, 1.0, 1.0, 1.0 if stale is None else 0.5)
-    imgui.image_with_bg(imgui.ImTextureRef(texture.name), ImVec2(width, width / aspect), tint_col=tint)
-    imgui.set_item_tooltip("The transferred view, soaked.")
+    _pictures(wet_look.textures, 1.0 if stale is None else 0.5)
+    faint(previewed.images.note)
     if stale is not None:
         imgui.align_text_to_frame_padding()
         imgui.text_disabled(stale)
@@ -127,6 +131,30 @@ def _preview(wet_look: WetLookController, jobs: JobRunner) -> None:
             if imgui.small_button("Return to it"):
                 wet_look.look_from_preview()
             imgui.set_item_tooltip("Look from the camera of the preview.")
+
+
+def _pictures(textures: Mapping[PreviewPicture, Texture], opacity: float) -> None:
+    """Draw the images in a row of equal heights, each above its name, and the one under the mouse enlarged."""
+    em, gap = imgui.get_font_size(), imgui.get_style().item_spacing.x
+    aspects = {name: each.width / each.height for name, each in textures.items()}
+    free = imgui.get_content_region_avail().x - gap * (len(textures) - 1)
+    height = min(free / sum(aspects.values()), _MAX_PREVIEW_EM * em)
+    for number, (name, texture) in enumerate(textures.items()):
+        if number:
+            imgui.same_line()
+        caption, help_text = _PICTURES[name]
+        width = height * aspects[name]
+        imgui.begin_group()
+        tint = (1.0, 1.0, 1.0, opacity)
+        imgui.image_with_bg(imgui.ImTextureRef(texture.name), ImVec2(width, height), tint_col=tint)
+        imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(0.0, (width - imgui.calc_text_size(caption).x) / 2))
+        imgui.text_disabled(caption)
+        imgui.end_group()
+        if imgui.begin_item_tooltip():
+            imgui.text_unformatted(f"{help_text}\n{texture.width} x {texture.height} px")
+            size = _ENLARGED_EM * em / max(texture.width, texture.height)
+            imgui.image(imgui.ImTextureRef(texture.name), ImVec2(size * texture.width, size * texture.height))
+            imgui.end_tooltip()
 
 
 def _make(viewport: ViewportState, wet_look: WetLookController, jobs: JobRunner) -> None:

@@ -422,9 +422,10 @@ def preview_side(
 ) -> tuple[str, str] | None:
     """Draw the preview over the right part of the viewport; returns the labels of both images, or None."""
     wet_look.viewport_px = width, height
-    if viewport.options.split != "now | preview" or wet_look.texture is None or not wet_look.fits:
+    texture = wet_look.textures.get("rainy")
+    if viewport.options.split != "now | preview" or texture is None or not wet_look.fits:
         return None
     at = viewport.options.divider
     low, high = ImVec2(corner.x + at * width, corner.y), ImVec2(corner.x + width, corner.y + height)
-    imgui.get_window_draw_list().add_image(imgui.ImTextureRef(wet_look.texture.name), low, high, ImVec2(at, 0))
+    imgui.get_window_draw_list().add_image(imgui.ImTextureRef(texture.name), low, high, ImVec2(at, 0))
     return "now", "preview, soaked"

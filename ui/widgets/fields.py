@@ -121,8 +121,10 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
             if switched or value is None:
                 return msgspec.structs.replace(settings, **{name: value}) if switched else settings
         if info.choices:
-            changed, at = imgui.combo(f"##{name}", info.choices.index(value), list(info.choices))
-            value = info.choices[at]
+            choices = (None, *info.choices) if info.is_optional else info.choices
+            names = [str(info.extra.get("none", "none")) if each is None else each for each in choices]
+            changed, at = imgui.combo(f"##{name}", choices.index(value), names)
+            value = choices[at]
         elif isinstance(value, int):
             step = max(step, info.multiple_of)
             changed, value = imgui.input_int(f"##{name}", value, step, 10 * step)
@@ -290,6 +292,14 @@ WARNING = ImVec4(1.0, 0.72, 0.3, 1.0)
 CLAMPED = imgui.SliderFlags_.always_clamp
 LOGARITHMIC = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
 _Value = TypeVar("_Value")
+
+
+def faint(text: str | None) -> None:
+    """Draw a wrapped line in the color of disabled text, if there is one."""
+    if text:
+        imgui.push_text_wrap_pos(0.0)
+        imgui.text_disabled(text)
+        imgui.pop_text_wrap_pos()
 
 
 def warn(text: str | None) -> None:

@@ -1,6 +1,7 @@
 """CycleGAN-Turbo (Parmar et al. 2024): architecture, one-step diffusion by SD-Turbo, and autoencoders with skips."""
 
 import copy
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -74,6 +75,8 @@ class CycleGanTurbo(torch.nn.Module):
         """Seed of the random base weights; None for SD-Turbo's own."""
         self.record: TrainingRecord | None = None
         """Record of the training of the weights, if their file has it."""
+        self.base: str = ""
+        """`base_fingerprint` of SD-Turbo's weights; empty for random ones."""
 
     @property
     def takes_guides(self) -> bool:
@@ -137,6 +140,22 @@ class CycleGanTurbo(torch.nn.Module):
 
     def autoencoder(self, direction: Direction) -> Any:
         return self.vae if direction == "a2b" else self.vae_b2a
+
+
+_SAMPLES = 64
+
+
+def base_fingerprint(unet: Any, vae: Any) -> str:
+    """Hash (16 hex digits) of a base's names, shapes and some 64 evenly spaced values of each tensor, before training.
+
+    Values count as float16, so that half-precision copies of the same weights have the same fingerprint.
+    """
+    found = hashlib.sha256()
+    for name, tensor in (*unet.state_dict().items(), *vae.state_dict().items()):
+        flat = tensor.detach().reshape(-1)
+        found.update(f"{name} {tuple(tensor.shape)}\n".encode())
+        found.update(flat[:: max(1, len(flat) // _SAMPLES)].cpu().half().numpy().tobytes())
+    return found.hexdigest()[:16]
 
 
 def build_random_model(

@@ -20,7 +20,12 @@ log = logging.getLogger(__name__)
 
 
 def open_model(
-    weights: Path | None, base: Path | None = None, *, normals: bool = True, lora: LoraRanks | None = None
+    weights: Path | None,
+    base: Path | None = None,
+    *,
+    normals: bool = True,
+    lora: LoraRanks | None = None,
+    override: bool = False,
 ) -> CycleGanTurbo:
     """Load SD-Turbo with transfer weights, in float32 on the CPU; nothing is downloaded.
 
@@ -30,6 +35,7 @@ def open_model(
         normals: Add a fourth channel to the encoders; without trained weights it has no effect. Weights trained with
             one always get it, with zeros for missing guides.
         lora: Ranks of separate peft adapters, for training.
+        override: Accept another base than that of the weights' training.
 
     Raises FileNotFoundError with download instructions, and ValueError for files that don't fit.
     """
@@ -41,9 +47,15 @@ def open_model(
     else:
         architecture = sd_turbo() if file is None else ARCHITECTURES[file.architecture]()
         texts = CAPTIONS if file is None else file.texts
-        model = read_base(find_base_model(base), architecture, normals=normals, lora=lora, texts=texts)
+        folder = find_base_model(base)
+        model = read_base(folder, architecture, normals=normals, lora=lora, texts=texts)
+        if file is not None and file.record is not None and not override and file.record.base not in ("", model.base):
+            raise ValueError(
+                f"{weights}: trained upon another SD-Turbo ({file.record.base}) than {folder} ({model.base}); "
+                "gsrain transfer --override insists on it"
+            )
     if file is not None:
-        apply_adapter_weights(model, file.delta(model))
+        apply_adapter_weights(model, file.delta(model, override=override))
         model.record = file.record
     return model
 
@@ -69,7 +81,9 @@ def read_base(
         captions = torch.zeros(2, *architecture.caption_shape)
     else:
         captions = torch.stack(caption_embeddings(texts, folder, architecture))
+    fingerprint = turbo.base_fingerprint(unet, vae)  # assembling changes them
     model = turbo.assemble_model(architecture, unet, vae, captions, normals=normals, lora=lora)
+    model.base = fingerprint
     model.texts = CAPTIONS if texts is None else texts
     return model
 

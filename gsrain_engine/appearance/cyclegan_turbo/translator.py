@@ -11,10 +11,10 @@ from typing import Any
 import cv2
 import msgspec
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, UInt8
 from PIL import Image as PillowImage
 
-from ..base import ClearView, RainyView, TransferSettings, follow_training
+from ..base import ClearView, FramedView, NetworkInput, RainyView, TransferSettings, follow_training
 from ..correspondence import correspondence
 from ..normals import NormalEstimator, normals_to_gray, open_estimator
 from . import cross_view_attention as attention
@@ -60,15 +60,16 @@ class CycleGanTurboTransfer:
         self._device, self._dtype = weight.device, weight.dtype
         self._has_warned = False
 
-    def network_input(self, view: ClearView) -> dict[str, Any]:
-        """Describe the network's input for a view: size (width, height), framing, normals, conditioning."""
-        height, width = self._windows(view)[0].frame
-        settings = self.settings
+    def network_input(self, view: ClearView) -> NetworkInput:
+        """Describe the network's input for a view."""
+        windows, settings = self._windows(view), self.settings
+        height, width = windows[0].frame
         guided = self.model.takes_guides and settings.normals != "none"
-        return {
-            "network_px": [width, height], "framing": settings.framing,
-            "normals": settings.normals if guided else "none", "conditioning": settings.guide if guided else "none",
-        }  # fmt: skip
+        return NetworkInput(
+            network_px=(width, height), framing=settings.framing or "", tiles=len(windows),
+            normals=settings.normals or "" if guided else "none",
+            conditioning=settings.guide or "" if guided else "none",
+        )  # fmt: skip
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Yield rainy views in the plan's order; see `Transfer`. Holds only views that later ones attend to."""
@@ -88,7 +89,8 @@ class CycleGanTurboTransfer:
                 left_out = ""
                 if neighbours and len(views) > 1 and not sources and not attending.is_source:
                     left_out = NO_OVERLAP if view.has_pose else WITHOUT_POSE
-                yield RainyView(view, self._image(view, attending, exchange), left_out=left_out)
+                image, framed = self._image(view, attending, exchange)
+                yield RainyView(view, image, left_out=left_out, framed=framed)
                 over = {index for index in held if last_use.get(index, -1) <= number}
                 for index in over:
                     del held[index]
@@ -103,8 +105,10 @@ class CycleGanTurboTransfer:
         seconds = count * len(windows) * one
         log.info("%s: %d views will take about %.0f s on %s", self.name, count, seconds, self._device)
 
-    def _image(self, view: ClearView, attending: AttendingView, exchange: CrossViewExchange | None) -> Image:
-        """Translate a view, tile by tile; display color, 0..1."""
+    def _image(
+        self, view: ClearView, attending: AttendingView, exchange: CrossViewExchange | None
+    ) -> tuple[Image, FramedView]:
+        """Translate a view, tile by tile; returns display color, 0..1, and the network's input."""
         windows = self._windows(view)
         picture, guide = self._resized(view.image, *windows[0].frame), self._guide(view, *windows[0].frame)
         parts: list[Image] = []
@@ -116,9 +120,11 @@ class CycleGanTurboTransfer:
                 found = self.model.translate(pixels, guides, "a2b")[0].float().permute(1, 2, 0).cpu().numpy()
             parts.append(np.clip((found + 1) / 2, 0, 1).astype(np.float32))
         made = blend_tiles(parts, windows)
+        gray = None if guide is None else _bytes((guide[..., 0] + 1) / 2)
+        framed = FramedView(self.network_input(view), _bytes(picture), gray)
         if self.settings.framing == "stretch":
-            return np.clip(stretched(made, *view.image.shape[:2]), 0, 1)
-        return restore_size(made, picture, view.image)
+            return np.clip(stretched(made, *view.image.shape[:2]), 0, 1), framed
+        return restore_size(made, picture, view.image), framed
 
     def _resized(self, image: Image, height: int, width: int) -> Image:
         return (stretched if self.settings.framing == "stretch" else resized)(image, height, width)
@@ -154,6 +160,10 @@ class CycleGanTurboTransfer:
         return channels[None].to(self._device, self._dtype)
 
 
+def _bytes(values: Float32[np.ndarray, "h w ..."]) -> UInt8[np.ndarray, "h w ..."]:
+    return np.rint(np.clip(values, 0, 1) * np.float32(255)).astype(np.uint8)
+
+
 def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
     """Load SD-Turbo with transfer weights from disk, and the normal estimator if one is needed.
 
@@ -163,7 +173,7 @@ def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
     weights = settings.weights or find_transfer_weights()
     if (record := read_record(weights)) is not None:  # a contradiction is told before anything large is read
         settings = follow_training(settings, record, weights)
-    model = open_model(weights, settings.base, normals=settings.normals != "none")
+    model = open_model(weights, settings.base, normals=settings.normals != "none", override=settings.override)
     settings = follow_training(settings, model.record, weights)
     uses_normals = settings.normals != "none"
     if uses_normals and model.guide == "mask":

@@ -52,6 +52,13 @@ def find_base_model(folder: Path | None = None) -> Path:
     raise FileNotFoundError(f"no SD-Turbo (unet/config.json, vae/config.json) at {where}: {base_model_instructions()}")
 
 
+def find_whole_base_model(folder: Path | None = None) -> Path:
+    """Find SD-Turbo's folder as `find_base_model` does; raises FileNotFoundError if a part lacks its weights too."""
+    found = find_base_model(folder)
+    check_base_complete(found)
+    return found
+
+
 def check_base_complete(base: Path) -> None:
     """Raise FileNotFoundError if a part of SD-Turbo has a configuration but no weights, naming the folder."""
     for part in _PARTS:
@@ -64,7 +71,8 @@ def base_model_instructions() -> str:
     kinds = " ".join(f"--include '{kind}'" for kind in ("*.json", "*.txt", "*model.safetensors"))
     return (
         f"hf download {_HUB_NAME} {kinds} --local-dir {data_folder() / 'sd-turbo'} (5 GB, under the license of "
-        f"Stability AI; older versions of the tool are called huggingface-cli), or set {BASE_VARIABLE} to its folder"
+        f"Stability AI; older versions of the tool are called huggingface-cli), or name its folder by --base or "
+        f"{BASE_VARIABLE}"
     )
 
 
@@ -111,6 +119,8 @@ def _hub_cache(name: str) -> Path:
 
 TRAINING = "training"
 """Header field with the `TrainingRecord`."""
+RANDOM_BASE = "random_base_seed"
+"""Header field with the seed of random base weights, in tests."""
 
 
 def read_record(path: Path) -> TrainingRecord | None:
@@ -118,13 +128,22 @@ def read_record(path: Path) -> TrainingRecord | None:
 
     Raises ValueError for a damaged record.
     """
+    return record_in(_header(path), path)
+
+
+def has_random_base(path: Path) -> bool:
+    """True for a file of weights upon random ones, for a test, which needs no SD-Turbo. Raises as `read_record`."""
+    return RANDOM_BASE in _header(path)
+
+
+def _header(path: Path) -> dict[str, str]:
     if path.suffix != ".safetensors":
-        return None
+        return {}
     safetensors: Any = import_module("safetensors")
     try:
         check_file(path)
         with safetensors.safe_open(path, framework="np") as file:
-            return record_in(dict(file.metadata() or {}), path)
+            return dict(file.metadata() or {})
     except (safetensors.SafetensorError, OSError) as error:
         raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
 

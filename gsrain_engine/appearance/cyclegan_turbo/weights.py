@@ -18,7 +18,7 @@ from ..base import TrainingRecord
 from . import lora
 from .lora import LowRank, adapted_layers, addition_of
 from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widen_kernel
-from .weight_paths import TRAINING, record_in
+from .weight_paths import RANDOM_BASE, TRAINING, record_in
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -65,7 +65,7 @@ class WeightsFile:
     @property
     def random_base_seed(self) -> int | None:
         """Seed of the random base weights, in tests; None for SD-Turbo."""
-        seed = self.metadata.get("random_base_seed")
+        seed = self.metadata.get(RANDOM_BASE)
         return None if seed is None else int(seed)
 
     @property
@@ -93,12 +93,15 @@ class WeightsFile:
         """Captions for a2b and b2a that the text encoder has to encode; None if the file has their embeddings."""
         return None if self.is_own else published_texts(self.state)
 
-    def delta(self, model: CycleGanTurbo) -> AdapterWeights:
-        """Weights relative to SD-Turbo; raises ValueError with the first bad key if they don't fit this model."""
+    def delta(self, model: CycleGanTurbo, *, override: bool = False) -> AdapterWeights:
+        """Weights relative to SD-Turbo; raises ValueError with the first bad key if they don't fit this model.
+
+        `override` accepts another base than that of the training.
+        """
         source = str(self.path)
         try:
             if self.is_own:
-                return read_own(self.state, self.metadata, model, source)
+                return read_own(self.state, self.metadata, model, source, override=override)
             if "sd_vae_enc" in self.state or "rank_unet" in self.state:
                 return read_published(self.state, model, source)
             if any(name.startswith((_PREFIX, _FLAT_PREFIX)) and _ENDING.search(name) for name in self.state):
@@ -309,7 +312,7 @@ def save_weights(model: CycleGanTurbo, path: Path, record: TrainingRecord | None
         "caption_a2b": delta.texts[0], "caption_b2a": delta.texts[1],
     }  # fmt: skip
     if model.seed is not None:
-        header["random_base_seed"] = str(model.seed)
+        header[RANDOM_BASE] = str(model.seed)
     if (record := record or model.record) is not None:
         header[TRAINING] = msgspec.json.encode(record).decode()
     header["tensors"] = json.dumps(sorted(tensors))
@@ -322,9 +325,17 @@ def save_weights(model: CycleGanTurbo, path: Path, record: TrainingRecord | None
 
 
 def read_own(
-    tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
+    tensors: Mapping[str, Tensor],
+    metadata: Mapping[str, str],
+    model: CycleGanTurbo,
+    source: str,
+    *,
+    override: bool = False,
 ) -> AdapterWeights:
-    """Read our format; raises ValueError for another version, architecture or base, and for unknown keys."""
+    """Read our format; raises ValueError for another version, architecture or base, and for unknown keys.
+
+    `override` accepts another base of the same shapes.
+    """
     _check_header(metadata, source)
     if metadata["architecture"] != model.architecture.name:
         raise ValueError(f"{source}: made for {metadata['architecture']}, not for {model.architecture.name}")
@@ -332,7 +343,7 @@ def read_own(
     own = plain_tensors(model)[_PROBE].float().cpu()
     if probe is None or probe.shape != own.shape:
         raise ValueError(f"{source}: 'base.{_PROBE}' is missing or of another shape")
-    if float((probe.float() - own).abs().max()) > _PROBE_TOLERANCE * float(own.abs().max()):
+    if not override and float((probe.float() - own).abs().max()) > _PROBE_TOLERANCE * float(own.abs().max()):
         raise ValueError(f"{source}: made upon another base than this one; SD-Turbo of Stability AI is wanted")
     ends = tuple(f".{factor}" for factor in _FACTORS)
     layers = {name.removesuffix(end) for name in tensors for end in ends if name.endswith(end)}

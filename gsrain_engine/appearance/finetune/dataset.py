@@ -129,10 +129,10 @@ class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         description="Source of normals for pictures without depth: dsine, marigold, none.")] = "none"
     normals_weights: Annotated[str | None, Meta(
         title="Weights for normals", extra={"commands": "train-transfer"},
-        description="File or folder that the estimator needs.")] = None
+        description="File of DSINE (none: see gsrain doctor), or folder of Marigold.")] = None
     normals_checkout: Annotated[str | None, Meta(
         title="Checkout for normals", extra={"commands": "train-transfer"},
-        description="Your own copy of DSINE's program.")] = None
+        description="Your own copy of DSINE's program; none: see gsrain doctor.")] = None
     seed: Annotated[int, Meta(
         ge=0, le=2**31 - 1, title="Seed", description="Seed that draws the test pictures.")] = 0
     # fmt: on

@@ -180,6 +180,7 @@ class _FinetuneLoop:
                 "conditioning": pictures.guide, "normals": "none" if pictures.guide == "none" else normals,
                 "framing": pictures.framing, "width_px": pictures.width_px, "height_px": pictures.height_px,
                 "seed": self._settings.seed, "steps": steps, "held_out": identity_of(self._split.test),
+                "base": self._training.model.base,
             },
             TrainingRecord,
         )  # fmt: skip
@@ -252,7 +253,7 @@ def start_finetuning(
     if perceptual is None and (settings.losses.cycle_lpips or settings.losses.identity_lpips):
         logger.warning(
             "LPIPS has no weights here: its losses, most of the recipe, are OFF, and what comes out will be blurred; "
-            "`gsrain doctor` says how to get them"
+            "name a file of VGG16's by --lpips or GSRAIN_LPIPS_WEIGHTS (`gsrain doctor` says how to get it)"
         )
     order = PairSampler(pictures, settings.seed, guided, device)
     return FinetuneTrainer(model, (judges[0], judges[1]), order, settings, perceptual)

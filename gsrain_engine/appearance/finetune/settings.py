@@ -263,5 +263,5 @@ def find_clip(folder: Path | None = None) -> Path:
     looked = " and ".join(map(str, places))
     raise FileNotFoundError(
         f"no CLIP ViT-B/32 (config.json) at {looked}: hf download {_HUB_NAME} --local-dir {data_folder() / _OWN} "
-        f"(600 MB; huggingface-cli download in older versions), or set {PLACE}"
+        f"(600 MB; huggingface-cli download in older versions), or name its folder by --clip or {PLACE}"
     )

@@ -1,10 +1,10 @@
 """Jobs "Make it rainy" (transfer views, then solve for wet colors) and "Preview" (transfer the current view)."""
 
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -19,13 +19,14 @@ from ...recolor.problem import RecolorSettings
 from ...recolor.recolor import QUICK, rainy_scene
 from ...recolor.result import read_recolored, with_colors
 from ...render.cpu.renderer import CpuRenderer
+from ...safe_io.numpy_files import read_archive
 from ...scene.camera import Camera
 from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from .folder import new_report, write_copy
-from .job import Job, no_result
+from .job import Job
 from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, SOLVER_PLOTS, require_torch, write_colors
 
 MAKE_RAINY_TITLE = "Apply wet look"
@@ -61,6 +62,11 @@ def make_rainy_job(scene: Scene, known: FileCache, order: TransferRequest) -> Jo
 
 # Preview job
 
+PreviewPicture = Literal["clear", "framed", "guide", "rainy"]
+PREVIEW_PICTURES: tuple[PreviewPicture, ...] = get_args(PreviewPicture)
+
+_IMAGES_FILE = "images.npz"
+
 
 class PreviewSettings(NamedTuple):
     """A method and its settings."""
@@ -70,11 +76,45 @@ class PreviewSettings(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PreviewedView:
-    """A transferred image, its view, and its settings."""
+class PreviewImages:
+    """Images of a transferred view: before and after, and the input of a network."""
 
-    pixels: UInt8[np.ndarray, "h w 3"]
-    """Display color."""
+    pictures: Mapping[PreviewPicture, UInt8[np.ndarray, "h w 3"]]
+    """Display color, in the order of the transfer; only clear and rainy for methods without a network."""
+    note: str = ""
+    """Sentence about the network's input; empty for methods without a network."""
+
+    @classmethod
+    def of(cls, rainy: RainyView) -> "PreviewImages":
+        """Collect the images of a transfer's result."""
+        pictures: dict[PreviewPicture, UInt8[np.ndarray, "h w 3"]] = {"clear": to_display_bytes(rainy.clear.image)}
+        if rainy.framed is not None:
+            pictures["framed"] = rainy.framed.image
+            if rainy.framed.guide is not None:
+                pictures["guide"] = np.repeat(rainy.framed.guide[..., None], 3, axis=2)
+        pictures["rainy"] = to_display_bytes(rainy.image)
+        return cls(pictures, network_note(rainy))
+
+    def write(self, path: Path) -> None:
+        """Write an .npz file."""
+        with path.open("wb") as stream:
+            np.savez(stream, note=np.array(self.note), **self.pictures)
+
+    @classmethod
+    def read(cls, path: Path) -> "PreviewImages":
+        """Read the file of `write`."""
+        arrays = read_archive(path)
+        pictures: dict[PreviewPicture, UInt8[np.ndarray, "h w 3"]] = {
+            name: arrays[name] for name in PREVIEW_PICTURES if name in arrays
+        }
+        return cls(pictures, str(arrays["note"]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreviewedView:
+    """A transferred view with its images and settings."""
+
+    images: PreviewImages
     camera: Camera
     """In the world, of the viewport's size at the time of the request."""
     time_s: float
@@ -104,14 +144,19 @@ def _dry(scene: Scene) -> Scene:
     return scene
 
 
-def preview_job(view: PreviewedView, width_px: int, known: FileCache) -> Job[None]:
-    """Create a job that transfers a view, whose pixels are placeholders; the image is the last preview."""
-    placed = PlacedCamera("Preview", view.camera, view.time_s).at_width(min(width_px, view.camera.width))
+def preview_job(
+    scene: Scene, camera: Camera, time_s: float, recipe: PreviewSettings, width_px: int, known: FileCache
+) -> Job[PreviewImages]:
+    """Create a job that transfers a view in the world, at most `width_px` wide; `known` are the scene's files."""
+    placed = PlacedCamera("Preview", camera, time_s).at_width(min(width_px, camera.width))
 
     def inputs(folder: Path) -> tuple[object, ...]:
-        return write_copy(view.scene, folder, known), *view.recipe, placed
+        return write_copy(scene, folder, known), *recipe, placed, folder / _IMAGES_FILE
 
-    return Job("preview", "Preview", preview_view, no_result, inputs)
+    def read(folder: Path) -> PreviewImages:
+        return PreviewImages.read(folder / _IMAGES_FILE)
+
+    return Job("preview", "Preview", preview_view, read, inputs)
 
 
 # Workers
@@ -124,7 +169,14 @@ def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path) -
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
     compared = ComparisonReport(_opened(order.method, order.settings, scene))
-    rainy = yield from rainy_by(scene, order, compared)
+    steps = rainy_by(scene, order, compared)
+    while True:
+        try:
+            step = next(steps)
+        except StopIteration as end:
+            rainy = end.value
+            break
+        yield step._replace(note=compared.note)
     write_report(report, compared.report(rainy, order.method))
     write_colors(output, rainy)
 
@@ -141,16 +193,26 @@ def rainy_by(
     return (yield from rainy_scene(scene, views, transfer, settings))
 
 
-def preview_view(copy: Path, method: str, settings: TransferSettings, placed: PlacedCamera) -> Iterator[Progress]:
-    """Worker of a preview: transfer one view of a saved scene; the image comes with the last step."""
+def preview_view(
+    copy: Path, method: str, settings: TransferSettings, placed: PlacedCamera, output: Path
+) -> Iterator[Progress]:
+    """Worker of a preview: transfer one view of a saved scene and write its images.
+
+    Raises ValueError if the method makes no image of it.
+    """
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
     transfer = _opened(method, settings, scene)
     yield Progress(_READ, "Rendering the view")
     views = scene_views(scene, [placed])
-    yield Progress(_RENDERED, "Making it rainy", to_display_bytes(views[0].image))
-    for rainy in transfer.transferred(views):
-        yield Progress(1.0, "Done", to_display_bytes(rainy.image))
+    clear = to_display_bytes(views[0].image)
+    yield Progress(_RENDERED, "Making it rainy", clear)
+    rainy = next(iter(transfer.transferred(views)), None)
+    if rainy is None:
+        raise ValueError("the transfer has made no picture")
+    images = PreviewImages.of(rainy)
+    images.write(output)
+    yield Progress(1.0, "Done", images.pictures["rainy"], note=images.note)
 
 
 def to_display_bytes(image: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
@@ -174,12 +236,16 @@ _SOLID = 0.3  # minimum alpha of compared pixels
 
 
 class ComparisonReport:
-    """Transfer that forwards another one and keeps some of its views, evenly spaced."""
+    """Transfer that forwards another one and keeps some of its views, evenly spaced.
+
+    `note` describes the network's input, from the first view on; empty for methods without a network.
+    """
 
     def __init__(self, transfer: Transfer) -> None:
         self._transfer, self.name = transfer, transfer.name
         self._views: list[RainyView] = []
         self._count, self._seconds = 0, 0.0
+        self.note = ""
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         every = max(1, -(-len(views) // _COMPARED))
@@ -189,17 +255,24 @@ class ComparisonReport:
             if number % every == 0:
                 self._views.append(rainy)
             self._count += 1
+            self.note = self.note or network_note(rainy)
             yield rainy
             started = time.perf_counter()
 
     def report(self, scene: Scene, method: str) -> RunReport:
         return RunReport(
             f"{scene.name} made rainy",
-            {"method": method},
+            {"method": method} | ({"network": self.note} if self.note else {}),
             comparisons=tuple(_compared(scene, each) for each in self._views),
             timings={"Views and their transfer": self._seconds},
             headlines={"Gaussians": f"{scene.gaussian_count:,}", "Views": f"{self._count:,}"},
         )
+
+
+def network_note(rainy: RainyView) -> str:
+    """Sentence about the input of the network that made a view rainy; empty for methods without a network."""
+    words = "" if rainy.framed is None else rainy.framed.input.words
+    return f"{words[:1].upper()}{words[1:]}{'.' if words else ''}"
 
 
 def _compared(scene: Scene, rainy: RainyView) -> ImageComparison:

@@ -59,6 +59,19 @@ def draw_boxes(
     return picture
 
 
+def draw_truths(image: UInt8[np.ndarray, "h w 3"], truths: Sequence[LabeledBox]) -> UInt8[np.ndarray, "h w 3"]:
+    """Return a copy with the boxes and classes of ground-truth objects, as full lines in their class colors."""
+    picture = np.ascontiguousarray(image).copy()
+    unit = max(_MIN_UNIT, picture.shape[0] / 720, picture.shape[1] / 1280)
+    for each in truths:
+        corners = (each.box_xyxy[:2], each.box_xyxy[2:])
+        _outlined(cv2.rectangle, picture, corners, class_color(each.class_name), unit)
+    plates: list[Plate] = []
+    for each in truths:
+        _written(picture, each.class_name, each.box_xyxy, class_color(each.class_name), unit, plates)
+    return picture
+
+
 def class_color(class_name: str) -> Color:
     """Fixed color of a class (RGB)."""
     known = tuple(_COLORS.values())

@@ -11,6 +11,7 @@ A 3DRealCar folder holds `gs.pth` and `wlh.json`. Axes are those of the first fr
 in meters. The network that adapts a view's colors to each camera's exposure is not applied.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, NamedTuple
@@ -86,6 +87,12 @@ def is_hugsim_folder(folder: Path) -> bool:
     """Return whether a folder holds a scene of HUGSIM or a 3DRealCar vehicle, judged by the names of its files."""
     is_scene = (folder / _SCENE).is_file() and (folder / _CONFIG).is_file()
     return is_scene or ((folder / _VEHICLE).is_file() and (folder / _SIZE).is_file())
+
+
+def is_vehicle_folder(folder: Path | str) -> bool:
+    """Return whether a folder holds a 3DRealCar vehicle and no scene, judged by the names of its files."""
+    found = [os.path.isfile(os.path.join(folder, name)) for name in (_VEHICLE, _SIZE, _SCENE)]  # noqa: PTH113, PTH118  those of Path raise where a name is too long
+    return found == [True, True, False]
 
 
 def hugsim_files(folder: Path) -> list[Path]:
@@ -194,14 +201,12 @@ def _tracked(path: Path, recording: _Recording) -> Actor:
 
 
 def _vehicle(folder: Path, name: str) -> Actor:
-    """3DRealCar vehicle, at rest: x forward, y down, z left."""
+    """3DRealCar vehicle, at rest: x forward, y down, z left. Its box is centered at the origin, as HUGSIM's is."""
     path = folder / _VEHICLE
     gaussians = _read_model(path, _checkpoint(path)).gaussians
     width, length, height = _json(folder / _SIZE, _Size)
-    low, high = _bounds(gaussians)
-    middle = (low + high) / 2
     reach = np.array([length, height, width]) / 2
-    middle[1] = high[1] - reach[1]  # it stands on its wheels
+    middle = np.array([0.0, _bounds(gaussians)[1, 1] - reach[1], 0.0])  # it stands on its wheels
     corners = np.stack([middle - reach, middle + reach])
     front, up = np.array([1.0, 0, 0]), np.array(FILE_UP)
     to_scene = np.eye(4)

@@ -22,6 +22,7 @@ FIRST_WAIT_S, LATER_WAIT_S = 120.0, 60.0
 
 _LEAVE_WAIT_S = 100.0  # wait for the client, which writes a video, after "Done"; same as in HUGSIM
 _SHORT_S = 2.0  # timeout of "Done" for a client that has failed
+_START_S = 1.0  # time in which a command that can't work, such as a shell without its script, ends
 
 
 class ClientStartError(ClientError):
@@ -68,11 +69,29 @@ class HugsimAgent:
         """All cameras of the rig and the optional outputs."""
         return SensorRequirements(("all",), self._depth, self._semantic)
 
+    def start(self) -> None:
+        """Start the client of the first drive early, so that it loads its model while the scene is read.
+
+        Raises ClientError if the command can't be run, or ends at once.
+        """
+        if self._command is None or self._client is not None:
+            return
+        self._client = ClientProcess(self._command, self.folder)
+        if self._client.wait(_START_S):
+            raise ClientError(f"the client {self._client.ended} as soon as it was started")
+
     def reset(self, seed: int, rig: Rig) -> None:
-        """Start a drive with a new client. Raises ValueError for another rig, ClientError if the client can't start."""
-        self.close()
+        """Begin a drive with a new client, or with that of `start`.
+
+        Raises ValueError for another rig, ClientError if the client can't start or has ended.
+        """
+        if self._drive is not None:
+            self.close()
         self._drive = _HugsimDrive(rig)
-        if self._command is not None:
+        if self._client is not None:
+            if (ended := self._client.ended) is not None:
+                raise ClientError(f"the client {ended} before the drive began")
+        elif self._command is not None:
             self._client = ClientProcess(self._command, self.folder)
         else:
             names = f"{protocol.OBSERVATIONS}, {protocol.PLANS}"
@@ -203,7 +222,8 @@ class ClientProcess:
                     placed, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
                 )
         except OSError as problem:
-            raise ClientStartError(f"the client can't be started: {problem}") from None
+            reason = problem.strerror or problem
+            raise ClientStartError(f"the client can't be started: {placed[0]}: {reason}") from None
 
     @property
     def ended(self) -> str | None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...scene.formats.hugsim import hugsim_files, is_vehicle_folder, read_hugsim
 from ...scene.formats.registry import read_gaussians
 from ...scene.gaussians import Gaussians
 from ...scene.scene import Scene, robust_bounds
@@ -35,7 +36,9 @@ ACTOR = "actor:"  # prefix of models that are actors of the scene; the actor id 
 
 
 def vehicle_model(model: str, scene: Scene) -> VehicleModel:
-    """Create a model: built-in vehicle, optionally with a paint (saloon, van/red, truck); actor:ID; or file.
+    """Create a model: built-in vehicle, optionally with a paint (saloon, van/red, truck); actor:ID; file; or folder.
+
+    A folder is one of a 3DRealCar vehicle, as HUGSIM releases them.
 
     Raises ValueError, with the model's name, if it does not exist.
     """
@@ -49,6 +52,8 @@ def vehicle_model(model: str, scene: Scene) -> VehicleModel:
         length, width, height = (scene.metres_per_unit * side for side in actor.size_lwh)
         return VehicleModel(scale_gaussians(actor.gaussians, scene.metres_per_unit), (length, width, height))
     path = Path(model)
+    if is_vehicle_folder(path):
+        return model_of_folder(path)
     if not path.is_file():
         known = ", ".join([*vehicle_names(), *(f"{ACTOR}{each.id}" for each in scene.actors)])
         raise ValueError(f"model {model}: no such file, and none of {known} (a paint may follow: /{', '.join(PAINTS)})")
@@ -78,15 +83,36 @@ def _read(path: Path, changed_ns: int, size: int) -> VehicleModel:
         raise ValueError(f"{path}: nothing in it can be seen, so it can't be a road user")
     low, high = robust_bounds(opaque, share=_SHARE)
     length, width, height = (float(side) for side in high - low)
-    if not all(_MIN_M <= side <= _MAX_M for side in (length, width, height)):
+    foot = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], np.float32)
+    return _in_shadow(path, replace(gaussians, means=gaussians.means - foot), (length, width, height))
+
+
+def model_of_folder(folder: Path) -> VehicleModel:
+    """Read a 3DRealCar vehicle, whose box is that of its wlh.json, and give it a soft shadow on the ground.
+
+    The last few folders are cached until their files change. Raises ValueError for unsuitable files, which include
+    checkpoints that hold anything but tensors.
+    """
+    return _read_folder(folder, tuple((each.stat().st_mtime_ns, each.stat().st_size) for each in hugsim_files(folder)))
+
+
+@lru_cache(maxsize=16)
+def _read_folder(folder: Path, versions: tuple[tuple[int, int], ...]) -> VehicleModel:
+    (vehicle,) = read_hugsim(folder).actors
+    length, width, height = vehicle.size_lwh
+    return _in_shadow(folder, vehicle.gaussians, (length, width, height))
+
+
+def _in_shadow(path: Path, standing: Gaussians, size_lwh_m: tuple[float, float, float]) -> VehicleModel:
+    """Add a shadow to a model in its object frame; raises ValueError, which names `path`, for an odd size."""
+    length, width, height = size_lwh_m
+    if not all(_MIN_M <= side <= _MAX_M for side in size_lwh_m):
         raise ValueError(
             f"{path}: {length:.3g} x {width:.3g} x {height:.3g} m is no road user's size; a model is in meters, each "
             f"side {_MIN_M:g} to {_MAX_M:g} m"
         )
-    foot = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], np.float32)
-    standing = replace(gaussians, means=gaussians.means - foot)
     shadow = quads_to_gaussians(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
-    return VehicleModel(Gaussians.concatenate([shadow, standing]), (length, width, height))
+    return VehicleModel(Gaussians.concatenate([shadow, standing]), size_lwh_m)
 
 
 # Built-in vehicles

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
@@ -15,8 +16,9 @@ pytest.importorskip("peft")
 
 from safetensors.torch import load_file, save_file  # noqa: E402
 
-from gsrain_engine.appearance.base import TransferSettings  # noqa: E402
+from gsrain_engine.appearance.base import TrainingRecord, TransferSettings  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo import weight_paths  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import ARCHITECTURES, CAPTIONS, sd_turbo, tiny  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import (  # noqa: E402
     caption_embeddings,
@@ -169,6 +171,39 @@ def test_a_published_checkpoint_upon_a_base(base: Path, tmp_path: Path, monkeypa
     weight_paths.captions_file().unlink()
     copy = open_model(tmp_path / "own.safetensors", base)
     assert torch.equal(out(copy, PICTURES), out(model, PICTURES)) and copy.texts == CAPTIONS
+
+
+def _changed(name: str, to: Any):
+    def change(file: Path) -> None:
+        save_file(
+            {key: to(each) if key.endswith(name) else each for key, each in load_file(file).items()},
+            file,
+            metadata={"format": "pt"},
+        )
+
+    return change
+
+
+@pytest.mark.parametrize("tensor", ["mid_block.resnets.0.conv1.weight", "conv_out.bias"])
+def test_another_base_than_that_of_the_training_is_refused(base: Path, tmp_path: Path, monkeypatch, tensor) -> None:
+    monkeypatch.setattr("gsrain_engine.appearance.cyclegan_turbo.pretrained.sd_turbo", tiny)
+    trained = open_model(None, base, normals=False, lora=LoraRanks(2, 2))
+    record = TrainingRecord(
+        conditioning="none", normals="none", framing="stretch", width_px=64, height_px=48, base=trained.base
+    )
+    file, older = tmp_path / "own.safetensors", tmp_path / "older.safetensors"
+    save_weights(trained, file, record)
+    save_weights(trained, older, structs.replace(record, base=""))
+    _changed("", lambda values: values.half())(base / _UNET)  # a copy in half precision is the same base
+    assert open_model(file, base).record == record and open_model(older, base).record is not None
+    _changed(tensor, lambda values: values + 0.1)(base / _UNET)
+    settings = TransferSettings(weights=file, base=base)
+    words = rf"own\.safetensors: trained upon another SD-Turbo \({record.base}\).*--override"
+    with pytest.raises(ValueError, match=words):
+        open_cyclegan_turbo(settings)
+    assert open_cyclegan_turbo(structs.replace(settings, override=True)).model.record == record
+    if tensor != "conv_out.bias":  # all that files without the fingerprint can tell
+        assert open_model(older, base).base not in ("", record.base)
 
 
 # Transfers

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("diffusers")
 pytest.importorskip("peft")
 
-from gsrain_engine.appearance.base import TrainingRecord, TransferSettings, follow_training  # noqa: E402
+from gsrain_engine.appearance.base import NetworkInput, TrainingRecord, TransferSettings, follow_training  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer, open_cyclegan_turbo  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.weight_paths import read_record  # noqa: E402
@@ -85,12 +85,27 @@ def test_the_network_sees_pictures_as_in_its_training(framing, size) -> None:
     view = wall("a", 0.0)
     (rainy,) = transfer.transferred([view])
     assert shapes == [(1, 3, *size)] and rainy.image.shape == view.image.shape
-    assert transfer.network_input(view) == {
-        "network_px": [size[1], size[0]],
-        "framing": framing or "stretch",
-        "normals": "none",
-        "conditioning": "none",
-    }
+    seen = NetworkInput(network_px=size[::-1], framing=framing or "stretch", normals="none", conditioning="none")
+    assert transfer.network_input(view) == rainy.framed.input == seen
+    assert rainy.framed.image.shape == (*size, 3) and rainy.framed.guide is None
+    assert seen.words == f"the network saw {size[1]}x{size[0]} px ({seen.framing}), RGB only"
+
+
+@pytest.mark.parametrize("tile_px", [None, 64])
+def test_the_framed_view_is_the_tensor_that_went_into_the_network(tile_px) -> None:
+    model = build_random_model(tiny(), normals=True, seed=1)
+    tensors = []
+    translate = model.translate
+    model.translate = lambda *given: tensors.append(given[:2]) or translate(*given)
+    transfer = CycleGanTurboTransfer(model, TransferSettings(guide="luma", tile_px=tile_px))
+    (rainy,) = transfer.transferred([wall("a", 0.0)])
+    framed, (pictures, guides) = rainy.framed, tensors[0]
+    for found, tensor in ((framed.image, pictures[0].permute(1, 2, 0)), (framed.guide, guides[0, 0])):
+        expected = (tensor.numpy() + 1) * 127.5
+        assert np.abs(found[: tensor.shape[0], : tensor.shape[1]] - expected).max() <= 0.51
+    assert np.ptp(framed.image) > 20
+    assert framed.input.tiles == len(tensors) and ("tiles" in framed.input.words) == (tile_px is not None)
+    assert framed.image.shape[1::-1] == framed.input.network_px
 
 
 def test_weights_that_may_have_seen_the_compared_pictures_are_refused(tmp_path: Path) -> None:

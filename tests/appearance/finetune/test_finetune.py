@@ -12,6 +12,7 @@ torch = pytest.importorskip("torch")
 from appearance.cyclegan_turbo.published_checkpoints import load_weights  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.weight_paths import read_record  # noqa: E402
+from gsrain_engine.appearance.finetune import run as training_run  # noqa: E402
 from gsrain_engine.appearance.finetune.dataset import identity_of, open_images  # noqa: E402
 from gsrain_engine.appearance.finetune.loss_log import (  # noqa: E402
     CHANCE,
@@ -48,12 +49,23 @@ def test_a_training_resumed_after_a_kill_ends_in_the_same_bytes(tmp_path: Path) 
     assert half.losses.read_text() == whole.losses.read_text() and len(read_losses(half.losses)) == 4
 
 
-def test_the_weights_that_are_written_are_those_that_were_trained_and_can_be_trained_on(tmp_path: Path) -> None:
+def test_the_weights_that_are_written_are_those_that_were_trained_and_can_be_trained_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def model_with_base(*arguments):
+        model = build(*arguments)
+        model.base = "0123456789abcdef"
+        return model
+
+    build = training_run._model
     settings = small_settings(tmp_path, steps=1)
-    result = run(FinetuneTask(settings=settings, output=tmp_path / "run"))
+    with monkeypatch.context() as patch:
+        patch.setattr(training_run, "_model", model_with_base)
+        result = run(FinetuneTask(settings=settings, output=tmp_path / "run"))
     record = read_record(result.weights)
     split = open_images(settings.pictures)
     assert record is not None and record.held_out == identity_of(split.test)
+    assert record.base == "0123456789abcdef"
     assert (record.conditioning, record.framing, record.width_px, record.steps) == ("up", "stretch", SIDE_PX, 1)
     training = small_start(settings)
     training.iterate(0)

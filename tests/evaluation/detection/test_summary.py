@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluation.detection.detector import Detection
-from gsrain_engine.evaluation.detection.drawing import class_color, draw_boxes
+from gsrain_engine.evaluation.detection.drawing import class_color, draw_boxes, draw_truths
 from gsrain_engine.evaluation.detection.figures import (
     detection_sheet,
     object_figure,
@@ -186,6 +186,12 @@ def test_detections_have_boxes_and_labels_in_the_color_of_their_class():
 def test_objects_are_red_if_missed_and_white_if_found(detections, has_red, has_white):
     picture = draw_boxes(PICTURE, [Detection("car", 1.0, BOX)], detections)
     assert (_has(picture, (255, 60, 60)), _has(picture, (255, 255, 255))) == (has_red, has_white)
+
+
+def test_ground_truth_has_boxes_and_names_in_the_color_of_their_class():
+    picture = draw_truths(PICTURE, [Detection("car", 1.0, BOX)])
+    assert tuple(picture[200, 200]) == tuple(picture[116, 201]) == class_color("car")
+    assert not _has(picture, RED) and not _has(PICTURE, class_color("car"))
 
 
 def test_a_car_that_is_taken_for_a_truck_is_marked_with_its_confidence():

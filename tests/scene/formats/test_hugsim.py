@@ -11,28 +11,12 @@ from scipy.spatial.transform import Rotation
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.open import load_scene, scene_hash
+from realcar_vehicle import state, write_vehicle
 
 SKY, BUILDING = 10, 2
 TIMES = 0.0, 0.5, 1.0
 CAR = "a1b2c3"
 LENGTH, WIDTH, HEIGHT = 4.0, 1.8, 1.5
-
-
-def state(means, classes, generator, *, scale_columns=3, sh_degree=1, extra=(1.0,)):
-    """Values that `capture` of a model returns, as parameters on the CPU."""
-    count = len(means)
-    features = torch.full((count, 20), -3.0)
-    features[torch.arange(count), torch.as_tensor(classes)] = 3.0
-    arrays = (
-        torch.as_tensor(np.asarray(means), dtype=torch.float32),
-        torch.randn(count, 1, 3, generator=generator),
-        torch.randn(count, 15, 3, generator=generator),
-        features,
-        torch.full((count, scale_columns), -2.0),
-        torch.randn(count, 4, generator=generator),
-        torch.linspace(-2, 2, count)[:, None],
-    )
-    return (sh_degree, *(torch.nn.Parameter(each) for each in arrays), *extra)
 
 
 def box_to_scene(time_s):
@@ -132,15 +116,14 @@ def test_a_fitted_motion_replaces_the_annotated_one(folder):
 
 
 def test_a_3drealcar_vehicle_opens_as_an_actor(tmp_path):
-    generator = torch.Generator().manual_seed(2)
     own = np.random.default_rng(3).uniform(-0.5, 0.5, (2000, 3)) * (LENGTH, HEIGHT, WIDTH)  # x forward, y down, z left
-    torch.save((state(own, [13] * 2000, generator), 30_000), tmp_path / "gs.pth")
-    (tmp_path / "wlh.json").write_text(json.dumps([WIDTH, LENGTH, HEIGHT]))
+    own += [0.3, 0.0, -0.1]  # its origin is the center of its box in HUGSIM, wherever its Gaussians are
+    write_vehicle(tmp_path, own, (WIDTH, LENGTH, HEIGHT))
     (car,) = read_scene(tmp_path).actors
     assert car.size_lwh == pytest.approx((LENGTH, WIDTH, HEIGHT))
     means = car.pose_at(0)[:3, :3] @ car.gaussians.means.T
-    np.testing.assert_allclose(means[0], own[:, 0], atol=0.05)
-    np.testing.assert_allclose(means[1], own[:, 2], atol=0.05)
+    np.testing.assert_allclose(means[0], own[:, 0], atol=1e-5)
+    np.testing.assert_allclose(means[1], own[:, 2], atol=1e-5)
     np.testing.assert_allclose(means[2], HEIGHT / 2 - own[:, 1], atol=0.05)
 
 

@@ -11,6 +11,7 @@ import pytest
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.simulation.agents.base import SensorRequirements
 from gsrain_engine.simulation.agents.http import ClientError
+from gsrain_engine.simulation.interop import hugsim_agent
 from gsrain_engine.simulation.interop.hugsim_agent import HugsimAgent
 from gsrain_engine.simulation.interop.hugsim_protocol import with_hugsim_rig
 from gsrain_engine.simulation.simulation import Simulation, run_drive
@@ -106,6 +107,36 @@ def test_a_failing_client_is_an_error(mode, word, moment, tmp_path):
     for broken in ("no-such-program-anywhere", "", "zsh 'open"):
         with pytest.raises(ClientError, match="client"):
             HugsimAgent(tmp_path, broken).reset(0, moment[0])
+
+
+def test_a_client_started_early_drives_the_first_drive(moment, tmp_path):
+    agent = HugsimAgent(tmp_path, command("keep"))
+    agent.start()
+    early = agent._client
+    agent.start()
+    agent.reset(0, moment[0])
+    assert agent._client is early and len(agent.plan(moment[1]).points) == 6
+    agent.reset(0, moment[0])  # each drive needs a client of its own
+    assert agent._client is not early and len(agent.plan(moment[1]).points) == 6
+    agent.close()
+
+
+def test_a_client_that_ends_before_the_drive_is_an_error(moment, tmp_path, monkeypatch):
+    monkeypatch.setattr(hugsim_agent, "_START_S", 60.0)  # a slow machine
+    agent = HugsimAgent(tmp_path, f"{sys.executable} {tmp_path}/no_script.py")
+    with pytest.raises(ClientError, match=r"ended with exit code 2.*no_script\.py.* as soon as it was started"):
+        agent.start()
+    with pytest.raises(ClientError, match=r"ended with exit code 2.* before the drive began"):
+        agent.reset(0, moment[0])
+    agent.close()
+
+
+def test_a_failing_client_costs_no_images(renderer, tmp_path, monkeypatch):
+    agent = HugsimAgent(tmp_path, "no-such-program-anywhere")
+    simulated = simulation(renderer, agent.needs)
+    monkeypatch.setattr(simulated, "render_cameras", lambda pictures: pytest.fail("an image was drawn"))
+    with pytest.raises(ClientError, match="no-such-program-anywhere"):
+        run_drive(simulated, agent)
 
 
 def test_a_client_that_a_person_starts_and_that_hangs_at_the_end_is_logged(moment, tmp_path, caplog):
