@@ -61,7 +61,8 @@ def view(
     preset: Preset = None,
     wet: Annotated[bool, flag("Start with the wet look, as its panel does.")] = False,
     backend: Annotated[
-        Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"], option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU.")
+        Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"],
+        option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU."),
     ] = "auto",
 ) -> None:
     """Open a scene in the window."""

@@ -39,7 +39,11 @@ def main() -> None:
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # keep library output out of the replies
-    sys.exit(ViewerWindow(requests, replies).run(cast(Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"], sys.argv[1])))
+    sys.exit(
+        ViewerWindow(requests, replies).run(
+            cast(Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"], sys.argv[1])
+        )
+    )
 
 
 class ViewerWindow:

@@ -100,7 +100,7 @@ class DeviceSpeed(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_cpu_fastest(self) -> bool:
-        """Whether `auto` takes the CPU."""
+        """True if `auto` takes the CPU."""
         return not self.frame_ms or self._ms("cpu") < self._ms(f"opengl-{self.rasterizer}")
 
     @property

@@ -22,10 +22,11 @@ import random
 import moderngl
 import numpy as np
 
-from .translation import ATOMIC, BARRIER, INVOCATION, LOAD, STORE, translate
+from .translation import ATOMIC, BALLOT, BARRIER, INVOCATION, LOAD, STORE, SUBGROUP_BARRIER, translate
 from .values import CODECS, RUNTIME, UNDEFINED, Vec, constructed
 
 _MAX_STEPS = 20_000_000
+_SUBGROUP = 32
 
 
 class Memory:
@@ -43,6 +44,8 @@ class _Thread:
         self.machine, self.who = machine, who
         for name, values in zip(INVOCATION, invocation, strict=True):
             setattr(self, name, Vec("u", values))
+        local, size = invocation[0], invocation[4]
+        self.index_in_group = local[0] + size[0] * (local[1] + size[1] * local[2])
         self.running, self.request = None, None
 
     def load(self, memory, at, place, codec):
@@ -65,7 +68,7 @@ class InterpretedContext(moderngl.Context):
 
     def __init__(self, seed=0, *, warps=False):
         self.chance, self.warps = random.Random(seed), warps
-        self.bindings, self.buffers, self.faults, self.shaders_run = {}, [], {}, set()
+        self.bindings, self.images, self.buffers, self.faults, self.shaders_run = {}, {}, [], {}, set()
         self.commands, self.steps = itertools.count(1), 0
 
     def __del__(self):
@@ -73,7 +76,7 @@ class InterpretedContext(moderngl.Context):
 
     @property
     def info(self):
-        return {"GL_MAX_SHADER_STORAGE_BLOCK_SIZE": 1 << 27, "GL_RENDERER": "interpreted"}
+        return {"GL_MAX_SHADER_STORAGE_BLOCK_SIZE": 1 << 27, "GL_RENDERER": "interpreted software"}
 
     @property
     def error(self):
@@ -85,8 +88,14 @@ class InterpretedContext(moderngl.Context):
             made.write(data)
         return made
 
+    def texture(self, size, components, dtype="f4"):
+        return InterpretedTexture(self, size, components)
+
     def compute_shader(self, source):
         return InterpretedShader(self, source)
+
+    def finish(self):
+        pass
 
     def memory_barrier(self, barriers=0xFFFFFFFF, by_region=False):
         assert barriers == 0xFFFFFFFF, "all kinds of accesses are put in order, or this does not know which"
@@ -144,6 +153,9 @@ class InterpretedContext(moderngl.Context):
         for name, (binding, _) in program.blocks.items():
             names[name] = self.bindings[binding].memory if binding in self.bindings else Memory(name[2:], 0)
             names[name].name = name[2:]
+        for name, binding in program.images.items():
+            texture = self.images[binding]
+            names[f"i_{name}"], names[f"{name}_at"] = texture.memory, texture.word
         self.check_bindings(program)
         self.shaders_run.add(program.name)
         exec(program.code, names)
@@ -172,7 +184,7 @@ class InterpretedContext(moderngl.Context):
         ready = [thread for thread in threads if self.advance(thread, None)]
         ended = len(threads) - len(ready)
         while ready:
-            waiting = self.to_barrier(ready)
+            waiting = self.to_barrier(ready, shared)
             ended += len(ready) - len(waiting)
             if len({thread.request[3] for thread in waiting}) > 1 or (waiting and ended):
                 self.report(f"not all threads come to the barrier of {waiting[0].request[3]}")
@@ -181,11 +193,11 @@ class InterpretedContext(moderngl.Context):
             ready = [thread for thread in waiting if self.advance(thread, None)]
             ended += len(waiting) - len(ready)
 
-    def to_barrier(self, threads):
+    def to_barrier(self, threads, shared):
         """Let threads take turns until each has ended or waits; returns those that wait."""
-        width, waiting, units = 32 if self.warps else 1, [], []
+        waiting, units, meeting = [], [], {}
         if self.warps:
-            for _, warp in itertools.groupby(threads, key=lambda thread: thread.who // width):
+            for _, warp in itertools.groupby(threads, key=lambda thread: thread.who // _SUBGROUP):
                 units.append(list(warp))
         else:
             units = [[thread] for thread in threads]
@@ -197,6 +209,11 @@ class InterpretedContext(moderngl.Context):
                 for thread in unit:
                     if thread.request[0] == BARRIER:
                         waiting.append(thread)
+                    elif thread.request[0] in (BALLOT, SUBGROUP_BARRIER):
+                        there = meeting.setdefault(thread.who // _SUBGROUP, [])
+                        there.append(thread)
+                        if len(there) == _SUBGROUP:
+                            units.append(self.met(meeting.pop(thread.who // _SUBGROUP), shared))
                     elif self.advance(thread, self.access(thread.who, thread.request)):
                         left.append(thread)
                 unit = left
@@ -206,7 +223,24 @@ class InterpretedContext(moderngl.Context):
             if not unit:
                 units[at] = units[-1]
                 units.pop()
+        for there in meeting.values():
+            self.report(f"not all threads of a subgroup come to {there[0].request[3]}")
         return waiting
+
+    def met(self, threads, shared):
+        """Let the threads of a subgroup go on from where all have come; returns those that have not ended."""
+        threads.sort(key=lambda thread: thread.who)
+        if len({thread.request[3] for thread in threads}) > 1:
+            self.report(f"not all threads of a subgroup come to {threads[0].request[3]}")
+        value = None
+        if threads[0].request[0] == BALLOT:
+            value = Vec("u", (sum(bool(thread.request[4]) << k for k, thread in enumerate(threads)), 0, 0, 0))
+        else:
+            here = {thread.who for thread in threads}
+            for memory in shared:
+                for kinds in memory.touched.values():
+                    kinds[:] = [[each for each in kind if each[0] not in here] for kind in kinds]
+        return [thread for thread in threads if self.advance(thread, value)]
 
     def advance(self, thread, value):
         """Run a thread as far as its next access; False where it ends instead."""
@@ -254,6 +288,34 @@ class InterpretedBuffer(moderngl.Buffer):
     def release(self):
         if self in self.owner.buffers:
             self.owner.buffers.remove(self)
+
+
+class InterpretedTexture(moderngl.Texture):
+    """Four floats a pixel, of which `read` returns the first ones."""
+
+    def __init__(self, context, size, components):
+        self.owner, self.shape, self.memory = context, (size[1], size[0], components), Memory("an image", 0)
+        self.memory.words = [None] * (4 * size[0] * size[1])
+        context.buffers.append(self)
+
+    def __del__(self):
+        pass
+
+    @property
+    def size(self):
+        return self.shape[1], self.shape[0]
+
+    def word(self, pixel):
+        x, y = pixel.parts
+        return 4 * (x + y * self.shape[1]) if 0 <= x < self.shape[1] else -1
+
+    def bind_to_image(self, unit, read=True, write=True, level=0, format=0):
+        self.owner.images[unit] = self
+
+    def read(self):
+        height, width, components = self.shape
+        words = np.array([UNDEFINED if word is None else word for word in self.memory.words], np.uint32)
+        return words.view(np.float32).reshape(height, width, 4)[..., :components].tobytes()
 
 
 class InterpretedShader(moderngl.ComputeShader):

@@ -27,7 +27,7 @@ from .values import (
     vector_type,
 )
 
-LOAD, STORE, ATOMIC, BARRIER = range(4)
+LOAD, STORE, ATOMIC, BARRIER, BALLOT, SUBGROUP_BARRIER = range(6)
 
 INVOCATION = ("gl_LocalInvocationID", "gl_WorkGroupID", "gl_GlobalInvocationID", "gl_NumWorkGroups", "gl_WorkGroupSize")
 
@@ -82,7 +82,9 @@ class _Symbol:
 
 @dataclass(frozen=True)
 class Program:
-    """A translated shader. `blocks`: binding and access of each storage block; `shared`: words of each variable."""
+    """A translated shader. `blocks`: binding and access of each storage block; `shared`: words of each variable;
+    `images`: binding of each image.
+    """
 
     name: str
     code: object
@@ -90,6 +92,7 @@ class Program:
     uniforms: dict
     blocks: dict
     shared: dict
+    images: dict
     size: tuple
 
 
@@ -127,7 +130,7 @@ def _tokens(text, places):
             active[-1] = not active[-1][1], True
         elif word == "#endif":
             active.pop()
-        elif not all(each for each, _ in active) or word == "#version":
+        elif not all(each for each, _ in active) or word in ("#version", "#extension"):
             continue
         elif word == "#define":
             name, _, value = rest.partition(" ")
@@ -168,15 +171,17 @@ class _Translator:
         self.tokens, self.at = _tokens(text, places), 0
         self.lines, self.depth, self.numbers = [], 0, itertools.count()
         self.codecs, self.functions = dict(CODECS), {}
-        self.constants, self.uniforms, self.blocks, self.shared, self.size = {}, {}, {}, {}, (1, 1, 1)
+        self.constants, self.uniforms, self.blocks, self.shared, self.images = {}, {}, {}, {}, {}
+        self.size, self.steps = (1, 1, 1), []
         self.scopes = [{name: _Symbol(f"_t.{name}", "uvec3", "local") for name in INVOCATION}]
+        self.scopes[0]["gl_LocalInvocationIndex"] = _Symbol("_t.index_in_group", "uint", "local")
         self.function = None
 
     def program(self):
         while self.at < len(self.tokens):
             self.declaration()
         code = compile("\n".join(self.lines), "translated shader", "exec")
-        return Program(self.name, code, self.constants, self.uniforms, self.blocks, self.shared, self.size)
+        return Program(self.name, code, self.constants, self.uniforms, self.blocks, self.shared, self.images, self.size)
 
     # Tokens.
 
@@ -260,6 +265,13 @@ class _Translator:
             self.take(";")
             return
         access = self.take() if self.next in ("readonly", "writeonly") else "any"
+        if self.takes("uniform"):
+            self.take("image2D")
+            name = self.take()
+            self.images[name] = int(values["binding"])
+            self.scopes[0][name] = _Symbol(name, "image2D", "local")
+            self.take(";")
+            return
         self.take("buffer")
         name = self.take()
         self.take("{")
@@ -359,6 +371,14 @@ class _Translator:
             self.loop([])
         elif self.takes("switch"):
             self.switch()
+        elif self.takes("break"):
+            self.emit("break")
+            self.take(";")
+        elif self.takes("continue"):
+            for line in self.steps[-1]:
+                self.emit(line)
+            self.emit("continue")
+            self.take(";")
         elif self.takes("return"):
             self.return_value(None if self.next == ";" else self.value())
             self.take(";")
@@ -372,6 +392,13 @@ class _Translator:
     def local(self):
         kind = self.take()
         for name in self.separated():
+            if self.takes("["):
+                count = eval(self.expression().code, self.constant_names())
+                self.take("]")
+                symbol = _Symbol(f"v{next(self.numbers)}_{name}", ("local array", kind), "local")
+                self.emit(f"{symbol.name} = [None] * {count}")
+                self.scopes[-1][name] = symbol
+                continue
             # An initializer may call a function that writes a variable declared just before it.
             if self.takes("="):
                 value = self.converted(self.expression(), kind)
@@ -398,7 +425,9 @@ class _Translator:
         self.scopes.pop()
 
     def loop(self, step):
+        self.steps.append(step)
         self.block()
+        self.steps.pop()
         self.lines += ["    " * (self.depth + 1) + line for line in step]
 
     def switch(self):
@@ -504,11 +533,13 @@ class _Translator:
         return left
 
     def unary(self):
-        if self.next not in ("-", "+", "!"):
+        if self.next not in ("-", "+", "!", "~"):
             return self.postfix()
         sign, value = self.take(), self.loaded(self.unary())
         if sign == "!":
             return _Operand("bool", f"(not {value.code})")
+        if sign == "~":
+            return _Operand("uint", f"({value.code} ^ {ALL})")
         wrapped = f"(-{value.code} & {ALL})" if value.type == "uint" else f"(-{value.code})"
         return value if sign == "+" else _Operand(value.type, wrapped)
 
@@ -572,8 +603,8 @@ class _Translator:
         if not operand.memory:
             return operand
         kind = operand.type.type
-        if kind not in SCALARS and kind not in VECTORS:
-            self.refuse("an array or a struct as a whole")
+        if isinstance(kind, tuple):
+            self.refuse("an array as a whole")
         request = f"{operand.memory}, {operand.offset}, {operand.place!r}, {self.codec(kind)}"
         if operand.code == "constant":
             return _Operand(kind, f"_t.load({request})")
@@ -599,6 +630,9 @@ class _Translator:
             operand.offset, operand.type = f"{operand.offset} + {at} * {stride}", operand.type.members[0]
             return operand
         value = self.loaded(operand)
+        if isinstance(value.type, tuple):
+            part = f"{value.code}[{index.code}]"
+            return _Operand(value.type[1], part, name=part)
         if value.type not in MATRICES:
             return self.refuse(f"an index of {value.type}")
         kind = vector_type("f", MATRICES[value.type][1])
@@ -659,12 +693,29 @@ class _Translator:
         if name == "barrier":
             self.function.pauses = True
             return _Operand("void", f"(yield ({BARRIER}, None, 0, {place!r}))")
+        if name == "subgroupBallot":
+            self.function.pauses = True
+            return _Operand("uvec4", f"(yield ({BALLOT}, None, 0, {place!r}, {self.loaded(arguments[0]).code}))")
+        if name == "subgroupBarrier":
+            self.function.pauses = True
+            return _Operand("void", f"(yield ({SUBGROUP_BARRIER}, None, 0, {place!r}, False))")
+        if name == "subgroupMemoryBarrierShared":
+            return _Operand("void", "None")
         if name in ("atomicAdd", "atomicOr"):
             target, kind = arguments[0], arguments[0].type.type
             self.function.pauses = True
             request = f"{target.memory}, {target.offset}, {place!r}, {self.codec(kind)}"
             changed = f"atomic_{name[6:].lower()}, {self.converted(arguments[1], kind)}"
             return _Operand(kind, f"(yield ({ATOMIC}, {request}, {changed}))")
+        if name == "imageStore":
+            self.function.pauses = True
+            image, pixel = arguments[0].code, self.loaded(arguments[1]).code
+            value = f"{self.codec('vec4')}, {self.converted(arguments[2], 'vec4')}"
+            return _Operand("void", f"(yield ({STORE}, i_{image}, {image}_at({pixel}), {place!r}, {value}))")
+        if name in self.codecs and name not in SCALARS and name not in VECTORS:
+            pairs = zip(self.codecs[name].members, arguments, strict=True)
+            fields = ", ".join(f"{field!r}: {self.converted(each, codec.type)}" for (field, _, codec), each in pairs)
+            return _Operand(name, f"{{{fields}}}")
         values = None if name in self.functions else [self.loaded(each) for each in arguments]
         if values is None:
             return self.own_call(self.functions[name], arguments)

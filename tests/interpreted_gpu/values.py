@@ -157,14 +157,17 @@ def _bits(value, offset, count):
 
 
 SAME = {  # the result has the type of the first argument, or of those that are combined
-    "abs": _by_parts(abs), "floor": _by_parts(math.floor), "sqrt": _by_parts(_or_nan(math.sqrt)),
+    "abs": _by_parts(abs), "floor": _by_parts(_or_nan(math.floor)),
+    "ceil": _by_parts(_or_nan(math.ceil)), "sqrt": _by_parts(_or_nan(math.sqrt)),
     "exp": _by_parts(_or_nan(math.exp)), "exp2": _by_parts(_or_nan(lambda a: 2.0**a)),
     "log": _by_parts(_or_nan(lambda a: math.log(a) if a else -math.inf)),
     "log2": _by_parts(_or_nan(lambda a: math.log2(a) if a else -math.inf)),
     "inversesqrt": _by_parts(_or_nan(lambda a: 1 / math.sqrt(a) if a else math.inf)), "roundEven": _by_parts(round),
     "pow": _by_parts(_or_nan(math.pow)), "min": _by_parts(lambda a, b: b if b < a else a),
     "max": _by_parts(lambda a, b: b if a < b else a), "clamp": _by_parts(lambda a, low, high: min(max(a, low), high)),
-    "mix": _by_parts(lambda a, b, share: a * (1 - share) + b * share),
+    "mix": _by_parts(
+        lambda a, b, share: (b if share else a) if isinstance(share, bool) else a * (1 - share) + b * share
+    ),
     "normalize": lambda a: a / _length(a), "cross": _cross, "bitfieldExtract": _bits,
 }  # fmt: skip
 OF_TYPE = {
@@ -241,6 +244,8 @@ class Codec:
         if self.type in SCALARS:
             word = words[at]
             return word if self.type == "uint" else _number(word) if self.type == "float" else signed(word)
+        if self.type not in VECTORS:
+            return {name: codec.decode(words, at + offset) for name, offset, codec in self.members}
         kind, size = VECTORS[self.type]
         return Vec(kind, [CODECS[SCALAR_OF[kind]].decode(words, at + k) for k in range(size)])
 

@@ -62,7 +62,16 @@ def other(request, open_kind):
     return open_kind(request.param)
 
 
-@pytest.fixture(params=[("opengl", "small"), ("opengl", "golden"), ("opengl-tiles", "small"), ("opengl-tiles", "golden"), ("cuda", "small")], ids=" ".join)
+@pytest.fixture(
+    params=[
+        ("opengl", "small"),
+        ("opengl", "golden"),
+        ("opengl-tiles", "small"),
+        ("opengl-tiles", "golden"),
+        ("cuda", "small"),
+    ],
+    ids=" ".join,
+)
 def pair(request, open_kind):
     """Two renderers, a scene and its view; the golden street is in meters, z up."""
     kind, place = request.param

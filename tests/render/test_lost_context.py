@@ -88,9 +88,10 @@ def test_contexts_take_turns_and_close_in_any_order(own_context):
     assert own_context.buffer(b"outer").read() == b"outer"
 
 
-def test_no_picture_comes_from_a_lost_context_and_its_loss_is_remembered(lost_after):
+@pytest.mark.parametrize("backend", ["opengl-tiles", "opengl-quads"])
+def test_no_picture_comes_from_a_lost_context_and_its_loss_is_remembered(lost_after, backend):
     lost_after(1)
-    with pytest.raises(DeviceLostError), open_renderer("opengl") as renderer:
+    with pytest.raises(DeviceLostError), open_renderer(backend) as renderer:
         monitor = context_monitor(renderer.context)
         assert picture(renderer).any()
         with pytest.raises(DeviceLostError):

@@ -13,12 +13,14 @@ from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.shelter_map import ShelterMap
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.opengl import shaders, sort
+from gsrain_engine.render.opengl import projection, shaders, sort, tiles
 from gsrain_engine.render.opengl.buffers import COUNT_OFFSET, GpuArrays, ProjectedSplatBuffer
 from gsrain_engine.render.opengl.projection import ProjectionPass
 from gsrain_engine.render.opengl.rain import RainPass, streak_slots
 from gsrain_engine.render.opengl.renderer import SplatRenderer
-from gsrain_engine.render.opengl.sort import DIGIT_BITS, KEYS_BY_GROUP, RadixSort, sort_faults
+from gsrain_engine.render.opengl.shaders import GpuTimers
+from gsrain_engine.render.opengl.sort import DIGIT_BITS, CpuSort, RadixSort, sort_faults
+from gsrain_engine.render.opengl.tiles import TileRasterizer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
@@ -45,10 +47,36 @@ def without_barrier(monkeypatch):
     return change
 
 
+FEWER_ROUNDS = 2
+KEYS_BY_GROUP = 256 * FEWER_ROUNDS
+
+
+@pytest.fixture(autouse=True)
+def fewer_rounds(monkeypatch):
+    """Let a workgroup sort fewer keys, since an interpreted one takes its time."""
+    read = shaders.read_shader
+    change = f"ROUNDS = {sort.KEYS_BY_GROUP // 256}u", f"ROUNDS = {FEWER_ROUNDS}u"
+    assert any(change[0] in line for line in read("common_radix.glsl"))
+    monkeypatch.setattr(shaders, "read_shader", lambda name: [line.replace(*change) for line in read(name)])
+    for module in (sort, projection, tiles):
+        monkeypatch.setattr(module, "KEYS_BY_GROUP", KEYS_BY_GROUP)
+
+
 @pytest.fixture
 def one_digit(monkeypatch):
     """Sort by the lowest digit of keys alone."""
     monkeypatch.setattr(sort, "KEY_BITS", DIGIT_BITS)
+
+
+@pytest.fixture(params=[False, True], ids=["plain", "subgroups"])
+def subgroups(request, monkeypatch):
+    """Sort without subgroups, or with those that the interpreted GPU has."""
+    use_subgroups(monkeypatch, request.param)
+
+
+def use_subgroups(monkeypatch, uses):
+    found = (lambda context: isinstance(context, InterpretedContext)) if uses else (lambda context: False)
+    monkeypatch.setattr(sort, "has_subgroups_of_32", found)
 
 
 def keys_of(count, digits=1):
@@ -66,7 +94,7 @@ def order_of(context, keys):
 
 @pytest.mark.parametrize("warps", [False, True])
 @pytest.mark.parametrize(("count", "digits"), [(700, 1), (KEYS_BY_GROUP + 300, 1), (300, 2)])
-def test_the_sort_has_no_race_in_any_order_of_threads(monkeypatch, count, digits, warps):
+def test_the_sort_has_no_race_in_any_order_of_threads(monkeypatch, subgroups, count, digits, warps):
     monkeypatch.setattr(sort, "KEY_BITS", digits * DIGIT_BITS)
     context, keys = InterpretedContext(count, warps=warps), keys_of(count, digits)
     np.testing.assert_array_equal(order_of(context, keys), np.argsort(keys, kind="stable"))
@@ -84,17 +112,29 @@ def test_finds_the_round_that_began_before_the_last_one_was_over(without_barrier
     assert min(check.missing, check.inversions, check.changed) > 0
 
 
-BARRIERS = {"radix_count.comp": 2, "radix_scan.comp": 3, "radix_scatter.comp": 4, "common_projection.glsl": 3}
+BARRIERS = {
+    "radix_count.comp": 2,
+    "radix_scan.comp": 7,
+    "radix_scatter.comp": 4,
+    "radix_scatter_subgroups.comp": 3,
+    "common_projection.glsl": 3,
+    "tile_count.comp": 2,
+    "tile_emit.comp": 3,
+    "tile_blend.comp": 3,
+}
 
 
 @pytest.mark.parametrize(
     ("name", "number"), [(name, number) for name, count in BARRIERS.items() for number in range(1, count + 1)]
 )
-def test_misses_each_barrier(without_barrier, one_digit, name, number):
+def test_misses_each_barrier(monkeypatch, without_barrier, one_digit, name, number):
     """Not one of them could go, and none that goes is overlooked. Streaks of several copies run one turn by turn."""
+    use_subgroups(monkeypatch, "subgroups" in name)
     without_barrier(name, number, BARRIERS[name])
     context = InterpretedContext(number)
-    if name.endswith(".comp"):
+    if name.startswith("tile"):
+        tiles_of(context, [DrawItem(scene(300, 1), np.eye(4))])
+    elif name.endswith(".comp"):
         order_of(context, keys_of(700))
     else:
         field, drops, store = drops_of(), RainPass(context), ProjectedSplatBuffer(context)
@@ -102,6 +142,24 @@ def test_misses_each_barrier(without_barrier, one_digit, name, number):
         drops.find(field)
         drops.project(store, field, 0)
     assert any(name in fault for fault in context.faults)
+
+
+def test_misses_each_barrier_of_a_subgroup(monkeypatch, one_digit):
+    use_subgroups(monkeypatch, True)
+    read = shaders.read_shader
+    for number in (0, 1):
+        parts = "\n".join(read("radix_scatter_subgroups.comp")).split("subgroupBarrier();")
+        text = ("subgroupBarrier();".join(parts[: number + 1]) + "subgroupBarrier();".join(parts[number + 1 :])).split(
+            "\n"
+        )
+        monkeypatch.setattr(
+            shaders,
+            "read_shader",
+            lambda name, text=text: text if name == "radix_scatter_subgroups.comp" else read(name),
+        )
+        context = InterpretedContext(number)
+        order_of(context, keys_of(700))
+        assert any("subgroups" in fault for fault in context.faults)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
@@ -141,16 +199,44 @@ def drops_of(**changes):
 
 def filled(context, parts, harmonics="half", rain=None, look="splats"):
     """Project, bring together and sort as a frame does; returns keys and slots of what can be seen, and the drops."""
-    projection, store = ProjectionPass(context, GpuArrays(context, harmonics)), ProjectedSplatBuffer(context)
+    project, store = ProjectionPass(context, GpuArrays(context, harmonics)), ProjectedSplatBuffer(context)
     sorter = RadixSort(context)
-    slots = projection.project(store, parts, CAMERA, rain, look)
-    projection.compact_visible(store, sorter, slots)
+    slots = project.project(store, parts, CAMERA, rain, look)
+    project.compact_visible(store, sorter, slots)
     visible = int(np.frombuffer(store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
     keys, order = (np.frombuffer(each.read(4 * visible), np.uint32) for each in sorter.unsorted)
     if rain is None:
         return keys, order, []
     sorter.sort(store.work)
-    return keys, order, projection.drops.found().tolist()
+    return keys, order, project.drops.found().tolist()
+
+
+def tiles_of(context, parts, rain=None, look="splats", **limits):
+    """Draw a frame by tiles; returns the picture, and depths."""
+    project, store = ProjectionPass(context, GpuArrays(context)), ProjectedSplatBuffer(context)
+    sorter, rasterizer = CpuSort(context), TileRasterizer(context, **limits)
+    slots = project.project(store, parts, CAMERA, rain, look)
+    project.compact_visible(store, sorter, slots)
+    size, linear = (CAMERA.width, CAMERA.height), rain is not None
+    images = context.texture(size, 4, dtype="f4"), context.texture(size, 2, dtype="f4")
+    rasterizer.draw(
+        store, sorter.sort(store.work), slots.all, images, {"WITH_DEPTH": 1, **({"LINEAR_RAIN": 1} if linear else {})},
+        np.array([0.4, 0.5, 0.6], np.float32) if linear else None, GpuTimers(context),
+    )  # fmt: skip
+    return [np.frombuffer(each.read(), np.float32).reshape(CAMERA.height, CAMERA.width, -1) for each in images]
+
+
+@pytest.mark.parametrize(("rainy", "has_subgroups", "limits"), [(False, True, {}), (True, False, {"max_pairs": 250})])
+def test_draws_tiles_without_a_race_as_a_driver_draws_them(context, monkeypatch, rainy, has_subgroups, limits):
+    """At once, and in strips."""
+    use_subgroups(monkeypatch, has_subgroups)
+    parts, rain = [DrawItem(scene(300, 1), np.eye(4))], drops_of() if rainy else None
+    interpreted = InterpretedContext(11, warps=rainy)
+    pictures = [tiles_of(each, parts, rain, **limits) for each in (interpreted, context)]
+    assert list(interpreted.faults) == []
+    for ours, driver, most in zip(*pictures, (1.0, 50.0), strict=True):
+        assert driver.max() > 0.1
+        np.testing.assert_allclose(ours, driver, atol=2e-3 * most)
 
 
 @pytest.mark.parametrize(
@@ -185,8 +271,9 @@ def test_a_frame_in_rain_runs_every_shader_without_a_race(context, one_digit, ha
     assert [slots.tolist(), drops] == [expected[0].tolist(), expected[1]]
     assert (len(drops) < 120) == has_roofs
     assert len(drops) > 30
+    tiles_of(interpreted, parts, rain)
     files = {each.name: each for each in shipped_folder("shaders").iterdir() if each.name.endswith(".comp")}
-    assert interpreted.shaders_run == set(files)
+    assert interpreted.shaders_run == set(files) - {"radix_scatter_subgroups.comp"}
     assert all("// No races: " in each.read_text() for each in files.values())
 
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from gsrain_engine.render.opengl.shaders import ShaderError, load_compute_shader
 from gsrain_engine.render.opengl.sort import RadixSort
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import DrawItem
 from render.cpu.raster_scenes import drawn
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
@@ -47,6 +50,48 @@ def test_sorting_on_the_gpu_draws_the_same(context, monkeypatch):
     by_gpu = SplatRenderer(context)
     assert draw(by_gpu, cloud(9000)).rgba.tobytes() == by_host.tobytes()
     assert by_gpu.statistics.splats_drawn > 3000
+
+
+@pytest.fixture
+def tiles(context):
+    return SplatRenderer(context, rasterizer="tiles")
+
+
+def test_tiles_in_strips_are_the_same_bytes_and_a_row_without_room_is_an_error(context, tiles, monkeypatch):
+    some, most = larger(cloud(1000), 4), larger(cloud(1000), 40)
+    whole = draw(tiles, some, with_depth=True)
+    monkeypatch.setitem(context.info, "GL_MAX_SHADER_STORAGE_BLOCK_SIZE", 4 * 2900)
+    strips = SplatRenderer(context, rasterizer="tiles")
+    for _ in range(2):
+        found = draw(strips, some, with_depth=True)
+        assert (found.rgba.tobytes(), found.depth.tobytes()) == (whole.rgba.tobytes(), whole.depth.tobytes())
+    with pytest.raises(MemoryError, match="a row of 4 tiles"):
+        draw(strips, most)
+    assert draw(strips, some).rgba.tobytes() == whole.rgba.tobytes()
+
+
+def larger(set_, factor):
+    return replace(set_, scales=np.float32(factor) * set_.scales)
+
+
+def test_pairs_that_find_no_room_are_counted_and_drawn_when_the_image_is_read(context, tiles, monkeypatch):
+    monkeypatch.setattr("gsrain_engine.render.opengl.tiles._FIRST_PAIRS", 1)
+    few, many = cloud(50), larger(cloud(400), 20)
+    expected = draw(SplatRenderer(context, rasterizer="tiles"), many).rgba
+    draw(tiles, few)
+    tiles.draw([DrawItem(many, np.eye(4))], CAMERA)
+    assert tiles.statistics.pairs_left_out > 1000
+    assert tiles.read().rgba.tobytes() == expected.tobytes()
+    assert tiles.statistics.pairs_left_out == 0
+    tiles.draw([DrawItem(many, np.eye(4))], CAMERA)
+    assert tiles.statistics.pairs_left_out == 0
+
+
+def test_many_tiles_need_a_third_digit(context, tiles):
+    """16,640 of them, numbered by 15 bits."""
+    camera = Camera(2080, 2048, 1700.0, 1700.0, 1040.0, 1024.0)
+    found, expected = (drawn(each, cloud(200), camera=camera).rgba for each in (tiles, SplatRenderer(context)))
+    assert np.abs(found - expected).max() < 5e-3 < expected.max()  # a fragment at the cut
 
 
 def test_harmonics_in_fewer_bits_show_nearly_the_same_and_change_their_storage_in_place(context):

@@ -40,9 +40,9 @@ _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; 
 class LiveView:
     """Draws the viewport's panes. Lives in the window's OpenGL context and on its thread.
 
-    The fastest way draws (`measure_device`): tiles on a GPU; if OpenGL is a software rasterizer, the CPU renderer, which
-    draws the same image several times faster. OpenGL substitutes until the CPU kernels are compiled; if they are cached, the viewport waits for them
-    instead, because compiling shaders takes longer. `backend` overrides the choice.
+    The fastest way draws (`measure_device`): tiles on a GPU; if OpenGL is a software rasterizer, the CPU renderer,
+    which draws the same image several times faster. OpenGL substitutes until the CPU kernels are compiled; if they are
+    cached, the viewport waits for them instead, because compiling shaders takes longer. `backend` overrides the choice.
     """
 
     def __init__(self, context: moderngl.Context, backend: WindowBackend = "auto") -> None:

@@ -15,7 +15,7 @@ from ..renderer import RenderMode
 from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
 from .shaders import ShaderVariants, load_compute_shader, set_uniforms
-from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, RadixSort, PrefixSum
+from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, PrefixSum, RadixSort
 
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""

@@ -32,9 +32,8 @@ class RadixSort:
     def __init__(self, context: moderngl.Context, most_bytes: int | None = None) -> None:
         self._context = context
         self._count, self._scan = (load_compute_shader(context, f"radix_{name}.comp") for name in ("count", "scan"))
-        self._scatter = load_compute_shader(
-            context, "radix_scatter.comp", {"SUBGROUPS": 1} if has_subgroups_of_32(context) else {}
-        )
+        scatter = "radix_scatter_subgroups.comp" if has_subgroups_of_32(context) else "radix_scatter.comp"
+        self._scatter = load_compute_shader(context, scatter)
         self._most_bytes = most_bytes
         self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
         self._counts = GrowableBuffer(context)
@@ -94,7 +93,7 @@ void main() {
 
 
 def has_subgroups_of_32(context: moderngl.Context) -> bool:
-    """Whether a workgroup's threads run in subgroups of 32, in their order, which can ballot."""
+    """Return whether a workgroup's threads run in subgroups of 32, in their order, which can ballot."""
     if is_software(context) or "GL_KHR_shader_subgroup" not in context.extensions:
         return False
     try:
