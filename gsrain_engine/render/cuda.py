@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32, Int64, UInt8
 
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
@@ -21,7 +21,7 @@ from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import DrawItem
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
 from .cpu.tiles import MAX_ALPHA
-from .renderer import MIN_WEIGHT, Frame, RenderMode, RenderStatistics, timed
+from .renderer import MIN_WEIGHT, Color, Frame, RenderMode, RenderStatistics, timed
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -96,6 +96,9 @@ class CudaRenderer:
         assert self._frame is not None, "draw before reading the picture"
         rgba, depth = self._frame
         return Frame(rgba.cpu().numpy(), depth.cpu().numpy() if depth is not None else None)
+
+    def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
+        return self.read().to_uint8(background)
 
     def _composited(self, scene: "CameraSpace", camera: Camera, slabs: "DepthSlabs | None") -> tuple[Tensor, Tensor]:
         """Blend color, depth and, for rain, one channel per slab edge: (h, w, 4 + edges) and alpha (h, w, 1)."""

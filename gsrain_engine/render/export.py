@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import UInt8
 
 from ..fields import option_words
 from ..rain.settings import RainSettings
@@ -63,7 +64,10 @@ def export_frames(
                         labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
                     if passes - {"labels"}:  # last, so that the renderer's image is the color pass
                         rain_sky, with_depth = None if is_clear else sky, "depth" in passes
-                        frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
+                        if writer.takes_bytes:
+                            frame = sequence.image(renderer, number, rain_sky, look=look)
+                        else:
+                            frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
                     writer.write(number, frame, labels)
             except OSError as error:
                 reason, done = error.strerror or str(error), estimator.done
@@ -103,13 +107,16 @@ class EtaEstimator:
         self.done = 0
         self._frames, self._began, self._previewed = frames, -np.inf, -np.inf
 
-    def step(self, frame: Frame | None) -> Progress:
+    def step(self, frame: Frame | UInt8[np.ndarray, "h w 3"] | None) -> Progress:
         """Count a frame; attach a preview at intervals."""
         self.done += 1
         now, preview = time.perf_counter(), None
         if frame is not None and now - self._previewed >= _PREVIEW_EVERY_S:
-            step = -(-frame.rgba.shape[1] // _PREVIEW_PX)
-            preview, self._previewed = np.ascontiguousarray(Frame(frame.rgba[::step, ::step]).to_uint8()), now
+            pixels = frame if isinstance(frame, np.ndarray) else frame.rgba
+            step = -(-pixels.shape[1] // _PREVIEW_PX)
+            small = pixels[::step, ::step]
+            preview = np.ascontiguousarray(small if isinstance(frame, np.ndarray) else Frame(small).to_uint8())
+            self._previewed = now
         message = f"Frame {self.done:,} of {self._frames:,}"
         if self.done == 1:  # excluded from the estimate: it loads data and compiles kernels
             self._began = now

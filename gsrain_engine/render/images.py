@@ -145,19 +145,29 @@ class FrameWriter:
         self._image_options = _jpeg_options(DEFAULT_JPEG_QUALITY if quality is None else quality) if is_jpeg else _PNG
         self._has_legend = False
 
-    def write(self, number: int, frame: Frame | None, labels: UInt16[np.ndarray, "h w"] | None = None) -> None:
+    @property
+    def takes_bytes(self) -> bool:
+        """True if bytes of the color are all that is written."""
+        is_bytes = self._video is not None or self._files.format in ("png", "jpeg")
+        return is_bytes and self._files.passes <= {"color", "labels"}
+
+    def write(
+        self,
+        number: int,
+        frame: Frame | UInt8[np.ndarray, "h w 3"] | None,
+        labels: UInt16[np.ndarray, "h w"] | None = None,
+    ) -> None:
         """Write a frame of a sequence: depth as 16-bit PNG in cm (0 is empty, at most 655.35 m), alpha as gray PNG.
 
         Raises `OSError` if it can't be written.
         """
-        if frame is not None and self._files.format == "exr":
+        if isinstance(frame, np.ndarray):
+            self._write_bytes(number, frame)
+        elif frame is not None and self._files.format == "exr":
             write_exr(self._files.color(number), frame, self._files.passes)
         elif frame is not None:
-            if self._video is not None:
-                self._video.write(frame.to_uint8())
-            elif "color" in self._files.passes and self._files.format in ("png", "jpeg"):
-                with _new_file(self._files.color(number)) as partial:
-                    Image.fromarray(frame.to_uint8()).save(partial, **self._image_options)
+            if self._video is not None or ("color" in self._files.passes and self._files.format in ("png", "jpeg")):
+                self._write_bytes(number, frame.to_uint8())
             elif "color" in self._files.passes:
                 _write_array(self._files.color(number), frame.rgba)
             self._write_passes(number, frame)
@@ -167,6 +177,13 @@ class FrameWriter:
                 with _new_file(self._files.legend) as partial:
                     partial.write_text(json.dumps(self._legend, indent=1) + "\n", encoding="utf-8")
                 self._has_legend = True
+
+    def _write_bytes(self, number: int, image: UInt8[np.ndarray, "h w 3"]) -> None:
+        if self._video is not None:
+            self._video.write(image)
+        else:
+            with _new_file(self._files.color(number)) as partial:
+                Image.fromarray(image).save(partial, **self._image_options)
 
     def _write_passes(self, number: int, frame: Frame) -> None:
         """Write depth and alpha."""

@@ -102,6 +102,10 @@ class Renderer(Protocol):
 
     def read(self) -> Frame: ...
 
+    def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
+        """Return what `read().to_uint8(background)` would; on a GPU the image is converted before it is read back."""
+        ...
+
 
 NEAREST_M, FARTHEST_M = 0.5, 200.0
 """Range of the depth colors: each octave is distinct for small captures and for streets."""

@@ -4,7 +4,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
@@ -150,6 +150,17 @@ class FrameSequence:
             draw_view(renderer, self.scene, None, color, self.shot(number), with_depth=True)
             frame = replace(frame, depth=renderer.read().depth)
         return frame
+
+    def image(
+        self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """Render a frame as bytes, those of `frame(...).to_uint8()`; one sample is converted before it is read back."""
+        if self.motion_blur > 1 or self.supersampling > 1:
+            return self.frame(renderer, number, sky, look=look).to_uint8()
+        rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
+        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(shot.time_s))
+        draw_view(renderer, self.scene, rainfall, color, shot, look=look)
+        return renderer.read_uint8()
 
     def shots(self, number: int) -> list[RenderView]:
         """Views of the sub-frames, evenly spaced over the exposure around the frame's time."""

@@ -48,9 +48,10 @@ class RigRenderer:
                 instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
             color, view = self._sky.at(self._rainfall.wetness_at(time_s)), RenderView(camera, time_s, velocity)
             draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
-            frame = self._renderer.read()
-            depth = None if frame.depth is None else frame.depth.copy()
-            views[mounted.name] = CameraView(frame.to_uint8(), camera, depth, semantic, instances)
+            depth = self._renderer.read().depth if self._needs.depth else None
+            views[mounted.name] = CameraView(
+                self._renderer.read_uint8(), camera, None if depth is None else depth.copy(), semantic, instances
+            )
         return views
 
 

@@ -87,7 +87,7 @@ class RolloutVideo:
         color = self._sky.at(self._rainfall.wetness_at(scene_s))
         draw_view(self._renderer, played.scene(time_s), self._rainfall, color, RenderView(camera, scene_s, velocity))
         step = played.step(time_s)
-        picture = draw_boxes(self._renderer.read().to_uint8(), (), _noted(step), _SURE)
+        picture = draw_boxes(self._renderer.read_uint8(), (), _noted(step), _SURE)
         if step.plan:
             points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
             ahead = points[state.from_world(points)[:, 0] > 0]

@@ -94,6 +94,16 @@ def test_many_tiles_need_a_third_digit(context, tiles):
     assert np.abs(found - expected).max() < 5e-3 < expected.max()  # a fragment at the cut
 
 
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (61, 7)])
+def test_bytes_made_on_the_gpu_are_those_of_the_floats(context, renderer, width, height):
+    camera = CAMERA.resized(width, height)
+    for background in ((0.0, 0.0, 0.0), (0.25, 0.5, 1.0)):
+        renderer.draw([DrawItem(cloud(500), np.eye(4))], camera)
+        image, expected = renderer.read_uint8(background), renderer.read().to_uint8(background)
+        assert np.abs(image.astype(int) - expected).max() <= (1 if any(background) else 0)
+        assert expected.std() > 10
+
+
 def test_harmonics_in_fewer_bits_show_nearly_the_same_and_change_their_storage_in_place(context):
     renderer = SplatRenderer(context)
     for coefficients in (1, 4, 9, 16):

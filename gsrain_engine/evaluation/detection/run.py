@@ -142,7 +142,7 @@ class ConditionRenderer:
     def _drawn(self, frame: EvaluatedFrame, rainfall: RainSimulation | None) -> UInt8[np.ndarray, "h w 3"]:
         wetness = 0.0 if rainfall is None else rainfall.wetness_at(frame.shot.time_s)
         draw_view(self.renderer, self.scene, rainfall, self.sky.at(wetness), frame.shot)
-        return self.renderer.read().to_uint8()
+        return self.renderer.read_uint8()
 
 
 def evaluate_images(

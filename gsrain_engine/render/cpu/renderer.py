@@ -6,14 +6,24 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, UInt8
 
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
-from ..renderer import FARTHEST_M, MAX_FRAGMENTS, MIN_WEIGHT, NEAREST_M, Frame, RenderMode, RenderStatistics, timed
+from ..renderer import (
+    FARTHEST_M,
+    MAX_FRAGMENTS,
+    MIN_WEIGHT,
+    NEAREST_M,
+    Color,
+    Frame,
+    RenderMode,
+    RenderStatistics,
+    timed,
+)
 from .compositing import composite, composite_in_rain, expected
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
@@ -65,6 +75,9 @@ class CpuRenderer:
     def read(self) -> Frame:
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
+
+    def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
+        return self.read().to_uint8(background)
 
 
 # Drawing

@@ -12,6 +12,7 @@ from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from .shaders import Switches
 
+LONGEST_DISPATCH = 1 << 15  # workgroups along one axis, half of the limit guaranteed by OpenGL
 CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
 
 RESTING_BYTES = 1 << 29

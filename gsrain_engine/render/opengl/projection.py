@@ -12,7 +12,7 @@ from ...scene.scene import DrawItem
 from ..cpu.projection import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
-from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
+from .buffers import CHUNK, LONGEST_DISPATCH, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
 from .shaders import ShaderVariants, load_compute_shader, set_uniforms
 from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, PrefixSum, RadixSort
@@ -20,7 +20,6 @@ from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, PrefixSum, RadixSort
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
 
-_LONGEST_DISPATCH = 1 << 15  # workgroups along one axis, half of the limit guaranteed by OpenGL
 _MARKS = 6  # binding of the masks: the last of the eight guaranteed storage bindings
 _WET = 12
 """Binding of the wet colors, after all blocks of records. Only the shader that blends them uses this ninth block."""
@@ -94,7 +93,7 @@ class ProjectionPass:
         for binding, buffer in zip((KEYS, SLOTS), sort.unsorted, strict=True):
             buffer.bind_to_storage_buffer(binding)
         self._gather["blocks"] = blocks
-        self._gather.run(min(blocks, _LONGEST_DISPATCH), -(-blocks // _LONGEST_DISPATCH))
+        self._gather.run(min(blocks, LONGEST_DISPATCH), -(-blocks // LONGEST_DISPATCH))
         self._context.memory_barrier()
 
     def _dispatch(self, shader: moderngl.ComputeShader, part: DrawItem, camera: Camera, first: int) -> None:

@@ -8,17 +8,17 @@ from typing import Literal, NamedTuple
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from ...rain.frame import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..cpu.compositing import expected
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, MIN_WEIGHT, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
-from .buffers import GpuArrays, Harmonics, ProjectedSplatBuffer, check_gpu_memory
+from .buffers import LONGEST_DISPATCH, GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
 from .projection import ProjectionPass
-from .shaders import GpuTimers, Switches, load_program
+from .shaders import GpuTimers, Switches, load_compute_shader, load_program, set_uniforms
 from .sort import SLOTS, CpuSort, RadixSort, count_in
 from .tiles import TileRasterizer
 
@@ -108,6 +108,7 @@ class SplatRenderer:
         self._quads = context.buffer((quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).tobytes())
         self._programs: dict[tuple[object, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._targets: dict[str, Framebuffer] = {}
+        self._bytes = _ByteReader(context)
         self._image: moderngl.Texture | None = None
         self.statistics = RenderStatistics()
         """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
@@ -171,10 +172,7 @@ class SplatRenderer:
         Raises `DeviceLostError` if the GPU was reset meanwhile: the data would be invalid.
         """
         with self._active:
-            self._take_stock()
-            while self.statistics.pairs_left_out:
-                self._redraw()
-                self.statistics.pairs_left_out = self._pairs_left_out()
+            self._complete()
             rgba = self._fetch(self.picture)
             depth = self._targets["splats"].depth
             sums = None if depth is None else self._fetch(depth)
@@ -182,6 +180,21 @@ class SplatRenderer:
             if sums is None:
                 return Frame(rgba)
             return Frame(rgba, expected(sums[..., 0], sums[..., 1], MIN_WEIGHT))
+
+    def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
+        """Fetch the last image as bytes over a background; raises as `read` does."""
+        with self._active:
+            self._complete()
+            image = self._bytes.read(self.picture, background)
+            check_context(self.context)
+            return image
+
+    def _complete(self) -> None:
+        """Read the statistics of the last image, and draw it once more if pairs had no room."""
+        self._take_stock()
+        while self.statistics.pairs_left_out:
+            self._redraw()
+            self.statistics.pairs_left_out = self._pairs_left_out()
 
     def _take_stock(self) -> None:
         """Read the statistics of the last image from the GPU."""
@@ -289,6 +302,28 @@ def _switches(look: RenderMode, *, with_depth: bool, linear_rain: bool) -> Switc
     switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
     switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
     return {name: 1 for name, is_set in switches.items() if is_set}
+
+
+class _ByteReader:
+    """Converts images to bytes on the GPU and reads them back."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._shader = load_compute_shader(context, "picture_bytes.comp")
+        self._words = GrowableBuffer(context)
+
+    def read(self, picture: moderngl.Texture, background: Color) -> UInt8[np.ndarray, "h w 3"]:
+        width, height = picture.size
+        fours = -(-width * height // 4)
+        self._words.reserve(12 * fours)
+        self._words.bind(0)
+        picture.use(0)
+        set_uniforms(self._shader, picture=0, size=picture.size, background=background)
+        groups = -(-fours // 256)
+        self._shader.run(min(groups, LONGEST_DISPATCH), -(-groups // LONGEST_DISPATCH))
+        self._context.memory_barrier()
+        image = np.frombuffer(self._words.buffer.read(3 * width * height), np.uint8)
+        return image.reshape(height, width, 3)
 
 
 class Screen:
