@@ -19,7 +19,7 @@ from gsrain_engine.render.opengl.projection import ProjectionPass
 from gsrain_engine.render.opengl.rain import RainPass, streak_slots
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.opengl.shaders import GpuTimers
-from gsrain_engine.render.opengl.sort import DIGIT_BITS, CpuSort, RadixSort, sort_faults
+from gsrain_engine.render.opengl.sort import CpuSort, RadixSort, sort_faults
 from gsrain_engine.render.opengl.tiles import TileRasterizer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
@@ -47,17 +47,30 @@ def without_barrier(monkeypatch):
     return change
 
 
-FEWER_ROUNDS = 2
-KEYS_BY_GROUP = 256 * FEWER_ROUNDS
+DIGIT_BITS, ROUNDS = 4, 2
+KEYS_BY_GROUP = 256 * ROUNDS
 
 
 @pytest.fixture(autouse=True)
-def fewer_rounds(monkeypatch):
-    """Let a workgroup sort fewer keys, since an interpreted one takes its time."""
-    read = shaders.read_shader
-    change = f"ROUNDS = {sort.KEYS_BY_GROUP // 256}u", f"ROUNDS = {FEWER_ROUNDS}u"
-    assert any(change[0] in line for line in read("common_radix.glsl"))
-    monkeypatch.setattr(shaders, "read_shader", lambda name: [line.replace(*change) for line in read(name)])
+def small_sort(monkeypatch):
+    """Sort fewer keys by shorter digits, since interpreted threads take their time."""
+    read, bits = shaders.read_shader, sort.DIGIT_BITS
+    changes = {
+        f"ROUNDS = {sort.KEYS_BY_GROUP // 256}u": f"ROUNDS = {ROUNDS}u",
+        f"DIGIT_BITS = {bits}u": f"DIGIT_BITS = {DIGIT_BITS}u",
+        f"DIGITS = {1 << bits}u": f"DIGITS = {1 << DIGIT_BITS}u",
+    }
+    texts = {name: "\n".join(read(name)) for name in ("common_radix.glsl", "radix_scan.comp")}
+    assert [sum(old in text for text in texts.values()) for old in changes] == [1, 1, 1]
+
+    def changed(name):
+        text = "\n".join(read(name))
+        for old, new in changes.items():
+            text = text.replace(old, new)
+        return text.split("\n")
+
+    monkeypatch.setattr(shaders, "read_shader", changed)
+    monkeypatch.setattr(sort, "DIGIT_BITS", DIGIT_BITS)
     for module in (sort, projection, tiles):
         monkeypatch.setattr(module, "KEYS_BY_GROUP", KEYS_BY_GROUP)
 
@@ -133,7 +146,7 @@ def test_misses_each_barrier(monkeypatch, without_barrier, one_digit, name, numb
     without_barrier(name, number, BARRIERS[name])
     context = InterpretedContext(number)
     if name.startswith("tile"):
-        tiles_of(context, [DrawItem(scene(300, 1), np.eye(4))])
+        tiles_of(context, [DrawItem(scene(100, 1), np.eye(4))])
     elif name.endswith(".comp"):
         order_of(context, keys_of(700))
     else:
