@@ -1,4 +1,5 @@
 # make demo: set everything up and show rain in a street.  make test: set everything up and run all checks.
+# make gpu: measure and test on an NVIDIA GPU, without network.
 # Works on a fresh Debian machine with Python 3.11, pip, make and git.
 
 PYTHON ?= python3
@@ -6,7 +7,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo docs pictures test tests kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs gpu pictures test tests kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -44,6 +45,18 @@ coverage: setup $(VENV)/.installed-jobs
 	$(RUN)/python -m coverage combine --quiet
 	$(RUN)/python -m coverage html --quiet --directory $(COVERAGE)
 	$(RUN)/python -m coverage report
+
+# Figures and tests on an NVIDIA GPU, at most 9 minutes; needs no network and no installed gsrain, whose metadata is
+# written here. docs/gpu.md says what the machine needs, and gets the figures.
+GPU_PYTHON ?= $(or $(wildcard $(RUN)/python),$(PYTHON))
+GPU_PAGE ?= docs/gpu.md
+GPU_METADATA = $(abspath $(OUT))/gpu/metadata
+VERSION = $(shell sed -n 's/^version = "\(.*\)"$$/\1/p' pyproject.toml)
+
+gpu:
+	mkdir -p $(GPU_METADATA)/gsrain-$(VERSION).dist-info
+	printf 'Metadata-Version: 2.1\nName: gsrain\nVersion: $(VERSION)\n' > $(GPU_METADATA)/gsrain-$(VERSION).dist-info/METADATA
+	PYTHONPATH=$(GPU_METADATA):$$PYTHONPATH $(GPU_PYTHON) -m benchmarks.gpu --output $(OUT)/gpu --page $(GPU_PAGE) $(GPU_OPTIONS)
 
 lint: setup $(VENV)/.installed-jobs
 	$(RUN)/ruff check .

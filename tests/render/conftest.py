@@ -11,6 +11,13 @@ from gsrain_engine.render.opengl.renderer import SplatRenderer
 from small_scene import small_scene
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if "gpu_context" in getattr(item, "fixturenames", ()):
+            item.add_marker("gpu")
+
+
 @pytest.fixture(scope="session")
 def shared_context():
     try:

@@ -46,5 +46,4 @@ def rasterization(
         "conics": torch.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], dim=1)[None]
         * drawn[None, :, None],
     }
-    assert packed or render_mode == "RGB+D"  # the shapes of `found` are those of unpacked results
     return image[None], weights.sum(dim=0)[None, ..., None], found

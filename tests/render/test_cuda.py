@@ -53,6 +53,7 @@ def test_what_is_missing_is_named(missing, monkeypatch):
         pass
 
 
+@pytest.mark.gpu
 @pytest.mark.skipif(importlib.util.find_spec("gsplat") is None, reason="gsplat is not installed: gsrain[cuda]")
 def test_gsplat_draws_the_same():
     torch = pytest.importorskip("torch")

@@ -311,6 +311,7 @@ def test_both_back_ends_give_one_picture_one_gradient_and_one_footprint(degree):
     assert_back_ends_agree(by_gsplat, values, values, SINGLE)
 
 
+@pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs an NVIDIA GPU with gsplat")
 def test_gsplat_itself_agrees_with_the_kernels():
     pytest.importorskip("gsplat")

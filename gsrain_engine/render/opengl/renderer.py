@@ -81,6 +81,7 @@ class SplatRenderer:
         harmonics: GPU storage of colors.
         activates: Make the context current to draw and read, so that several can be used alternately on one thread.
         rasterizer: None takes quads on software rasterizers, or else tiles.
+        timers: Measure the stages of a frame; pass them to measure whole frames instead, in a stage around `draw`.
     """
 
     name = "opengl"
@@ -92,6 +93,7 @@ class SplatRenderer:
         *,
         activates: bool = False,
         rasterizer: Rasterizer | None = None,
+        timers: GpuTimers | None = None,
     ) -> None:
         self.context = context
         self._active: AbstractContextManager[object] = context if activates else nullcontext()
@@ -102,7 +104,7 @@ class SplatRenderer:
         self._sort = CpuSort(context) if self._is_software else RadixSort(context)
         self.rasterizer: Rasterizer = rasterizer or ("quads" if self._is_software else "tiles")
         self._tiles = TileRasterizer(context) if self.rasterizer == "tiles" else None
-        self._timers = GpuTimers(context)
+        self._timers = timers or GpuTimers(context)
         quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
         # Two triangles per quad of an instance; both start with the quad's first vertex.
         self._quads = context.buffer((quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).tobytes())
@@ -195,6 +197,11 @@ class SplatRenderer:
         while self.statistics.pairs_left_out:
             self._redraw()
             self.statistics.pairs_left_out = self._pairs_left_out()
+
+    def finish(self) -> None:
+        """Wait for the last image without reading it, and bring `statistics` up to date."""
+        with self._active:
+            self._take_stock()
 
     def _take_stock(self) -> None:
         """Read the statistics of the last image from the GPU."""

@@ -116,10 +116,26 @@ class GpuTimers:
         self._free: list[moderngl.Query] = []
         self._running: list[tuple[str, moderngl.Query]] = []
         self._stages_ms: dict[str, float] = defaultdict(float)
+        self._is_inside = False
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:
-        """Measure the OpenGL work issued within the block. Stages don't nest; times of the same name are summed."""
+        """Measure the OpenGL work issued within the block; times of the same name are summed.
+
+        OpenGL runs one timer query at a time: within a stage, other stages are part of it and not measured themselves.
+        """
+        if self._is_inside:
+            yield
+            return
+        self._is_inside = True
+        try:
+            with self._measured(name):
+                yield
+        finally:
+            self._is_inside = False
+
+    @contextmanager
+    def _measured(self, name: str) -> Generator[None]:
         if self._is_software:
             start = time.perf_counter()
             yield
