@@ -12,6 +12,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.geometry import srgb_to_linear
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, mark_drops, place_drops
 from .haze import make_haze
+from .medium import RainMedium, medium_of
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
@@ -64,6 +65,8 @@ class RainFrame:
     """Display color of a drop."""
     haze_count: int
     """M: number of haze Gaussians at full opacity within the haze region."""
+    extinction_per_m: float
+    """beta: extinction coefficient of all drops, times the haze gain."""
     count: int
     """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
     where: DropPhases
@@ -146,12 +149,17 @@ class RainFrame:
     @cached_property
     def haze(self) -> Gaussians:
         """Haze Gaussians in the open."""
-        if not self.rain.haze:
+        if self.rain.haze != "gaussians":
             return Gaussians.empty()
         view = self.view
         return make_haze(
             self.rain, self.haze_count, self.time_s, view.anchor_to_world, view.camera.position, self.color, view.roofs
         )
+
+    @cached_property
+    def medium(self) -> RainMedium | None:
+        """Medium of the drops that are not drawn one by one; None without it."""
+        return medium_of(self)
 
     @property
     def gaussians(self) -> Gaussians:

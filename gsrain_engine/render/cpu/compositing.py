@@ -8,7 +8,9 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
+from ...rain.medium import RainMedium, optical_depth
 from ...scene.camera import Camera
+from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
 from .fast_math import FAST, power
 from .projection import MIN_SCENE_CUT, Splats, project
@@ -42,16 +44,19 @@ def composite_in_rain(
     channels: Float32[np.ndarray, "m 4"],
     light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
+    sky: Float32[np.ndarray, "h w 4"] | None = None,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
-    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone.
+    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
+    premultiplied layer behind the scene and before the background.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
-    _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear))
+    behind = np.empty((0, 0, 4), np.float32) if sky is None else sky
+    _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear, behind))
     return rgba, fourth, alpha
 
 
@@ -176,11 +181,17 @@ def _store(state, x0, y0, images):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _store_rain(state, x0, y0, images):
-    clear_alpha, light_linear = images[2], images[3]
+    clear_alpha, light_linear, sky = images[2], images[3], images[4]
     height, width = clear_alpha.shape
     for u in range(min(TILE, width - x0)):
         for v in range(min(TILE, height - y0)):
+            open_share = np.float32(1) - state[u, 5 * TILE + v]
             clear_alpha[y0 + v, x0 + u] = state[u, 5 * TILE + v]
+            if len(sky) > 0:
+                state[u, TILE + v] += open_share * sky[y0 + v, x0 + u, 0]
+                state[u, 2 * TILE + v] += open_share * sky[y0 + v, x0 + u, 1]
+                state[u, 3 * TILE + v] += open_share * sky[y0 + v, x0 + u, 2]
+                state[u, 5 * TILE + v] += open_share * sky[y0 + v, x0 + u, 3]
         add_rain_light(state[u], light_linear)
     _store(state, x0, y0, images)
 
@@ -254,6 +265,45 @@ def _to_display(linear):
     knee = np.float32(0.0031308)
     curve = np.float32(1.055) * power(max(linear, knee), np.float32(1 / 2.4)) - np.float32(0.055)
     return curve if linear > knee else np.float32(12.92) * linear
+
+
+# Medium
+
+
+def dim_by_medium(splats: Splats, camera: Camera, medium: RainMedium, *, is_linear: bool) -> None:
+    """Change the scene's colors in place to those that arrive through a medium, in linear light or in display values.
+
+    A splat keeps its share t of light, and takes in 1 - t of the airlight. Rain keeps its color.
+    """
+    light = medium.airlight_linear if is_linear else linear_to_srgb(medium.airlight_linear).astype(np.float32)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    _dim_by_medium(splats.shapes, splats.colors, intrinsics, medium.numbers, medium.drawn, light, is_linear)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear):
+    fx, fy, cx, cy = intrinsics
+    for i in numba.prange(len(colors)):
+        z = colors[i, 3]
+        if shapes[i, 6] < MIN_SCENE_CUT or not z > 0:
+            continue
+        depth = optical_depth((shapes[i, 0] - cx) / fx * z, (shapes[i, 1] - cy) / fy * z, z, numbers, drawn)
+        kept = np.exp(-depth)
+        for channel in range(3):
+            gained = (np.float32(1) - kept) * light[channel]
+            if is_linear:
+                colors[i, channel] = _to_display(kept * _to_linear(colors[i, channel]) + gained)
+            else:
+                colors[i, channel] = kept * colors[i, channel] + gained
+
+
+def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
+    """Airlight of the medium behind the scene, as a premultiplied display color with alpha."""
+    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
+    alpha = 1 - medium.sky_transmittance(camera.width, camera.height, intrinsics)
+    color = np.append(linear_to_srgb(medium.airlight_linear), 1).astype(np.float32)
+    return alpha[..., None] * color
 
 
 # Transpose of compositing
