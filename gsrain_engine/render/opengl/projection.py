@@ -65,7 +65,14 @@ class ProjectionPass:
             self.drops.find(field)
         is_wet = any(part.is_wet for part, _ in rows)
         wet = {"WET": 1} if is_wet else {}
-        shader = self._projector({**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet})
+        medium = rain.medium if rain is not None else None
+        dims = {"MEDIUM": 1} if medium is not None else {}
+        shader = self._projector({**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims})
+        if rain is not None and medium is not None:
+            set_uniforms(
+                shader, medium_numbers=medium.numbers.tolist(), medium_drawn=medium.drawn.tolist(),
+                airlight=tuple(medium.airlight_linear), is_linear=rain.is_linear,
+            )  # fmt: skip
         set_uniforms(
             shader, intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
             near=NEAR_M, camera_to_world=tuple(camera.camera_to_world[:3, :3].T.ravel()), look=_LOOKS.get(look, 0),
