@@ -269,14 +269,18 @@ def _ground(layout: StreetLayout) -> Quads:
     """Fields around the street, without the rectangle of houses and roads."""
     p = layout.parameters
     half_x = 0.5 * p.length_m + CROSS_ROAD_M + 2 * CROSS_SIDEWALK_M + HOUSE_DEPTH_M
-    angle = np.linspace(0, 2 * np.pi, 97)
+    longer_m = longer_by_m(layout)
+    angle = np.linspace(0, 2 * np.pi, 97 if longer_m == 0 else 385)
     radius = np.concatenate([np.linspace(0, 160, 33), np.geomspace(172, _GROUND_RADIUS_M, 10)])
-    stretch = 1 + longer_by_m(layout) / _GROUND_RADIUS_M
+    stretch = 1 + longer_m / _GROUND_RADIUS_M
     x, y = stretch * radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
     ground = surface(x, y, -0.3, (0.10, 0.115, 0.06), Label.TERRAIN)
     center = ground.centers[:, :2]
     ground = ground.tinted((0.7 + 0.6 * layered_noise(center, 26.0, p.seed + 71))[:, None])
     built = (np.abs(center[:, 0]) < half_x - 3) & (np.abs(center[:, 1]) < p.front_y_m + HOUSE_DEPTH_M - 3)
+    if longer_m > 0:  # wide cells next to the houses would reach into the street
+        aside = np.abs(ground.corners[:, :, 1]).min(axis=1)
+        built |= (np.abs(center[:, 0]) < half_x) & (aside < p.front_y_m + 2 * HOUSE_DEPTH_M)
     return ground.take(~built)
 
 
