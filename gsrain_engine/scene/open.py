@@ -22,12 +22,14 @@ from .formats.scene_files import INNER_SCENE, is_foreign_scene_folder, read_scen
 from .formats.scene_folder import SCENE_FILE, FileCache, is_in_drawing_order, scene_folder_files
 from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .lod_order import sort_into_lod_order
+from .lod_tree import MIN_GAUSSIANS, build_lod_tree
 from .scene import Layer, Scene, take_gaussians
 from .street import build
 from .street.layout import STREETS
 
 logger = logging.getLogger("gsrain")
 STREET = "street"
+_MIN_FOR_TREE = 4096  # number of Gaussians of a member below which a tree saves nothing
 
 
 def load_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
@@ -78,6 +80,8 @@ def load_street(name: Path | str = STREET) -> Scene:
             logger.warning("The cached street is damaged and is built again: %s", error)
             shutil.rmtree(folder, ignore_errors=True)
     scene = _put_into_order(build.build_street(STREETS[str(name)]))
+    if scene.gaussian_count >= MIN_GAUSSIANS:
+        scene = with_lod_trees(scene)
     try:
         write_scene(scene, folder, in_drawing_order=True)
     except (SceneFormatError, OSError) as error:
@@ -109,11 +113,24 @@ def _put_into_order(scene: Scene) -> Scene:
             flags = member.marks
             masks = (mask and mask.take(order) for mask in (flags.selected, flags.hidden, flags.deleted))
             gaussians, wet_sh = take_gaussians(member, order)
-            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=SelectionFlags(*masks))
+            marks = SelectionFlags(*masks)
+            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=marks, tree=None)
     selections = {
         name: {key: mask.take(orders[key]) for key, mask in masks.items()} for name, masks in scene.selections.items()
     }
     return replace(scene, selections=selections)
+
+
+def with_lod_trees(scene: Scene) -> Scene:
+    """Scene with a level-of-detail tree for each member of more than a few thousand Gaussians without marks.
+
+    Trees that fit are not built again; 5 million Gaussians take a few seconds.
+    """
+    for member in scene.members:
+        is_large = len(member.gaussians) >= _MIN_FOR_TREE and member.visible and not member.marks.left_out
+        if is_large and (member.tree is None or not member.tree.fits(member.gaussians)):
+            scene = scene.with_member(member.key, tree=build_lod_tree(member.gaussians))
+    return scene
 
 
 def street_fingerprint(name: Path | str = STREET) -> str:
