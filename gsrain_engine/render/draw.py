@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -114,6 +114,7 @@ def leveled_frame(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray,
 # Level of detail
 
 
+@runtime_checkable
 class Thinning(Protocol):
     """Replacement of parts by fewer Gaussians."""
 
@@ -130,16 +131,17 @@ def subset_items(parts: Sequence[DrawItem], thinning: Thinning | None, camera: C
 class LodCut:
     """Draws, for each part with a tree, the coarsest nodes with errors under a number of pixels.
 
-    Parts with marked Gaussians and those without a tree are drawn in full.
+    Parts with marked Gaussians and those without a tree are left to `others`, or drawn in full.
     """
 
     pixel: float = PIXEL
+    others: "LodSubset | None" = None
 
     def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
         """Items for the Gaussians of a part's cut, and for its nodes."""
         tree = part.tree
         if tree is None or part.left_out or part.selected is not None:
-            return [part]
+            return [part] if self.others is None else self.others.items(part, camera)
         found = cut_lod_tree(tree, camera, part.to_world, self.pixel)
         wet_sh = merged_harmonics(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None
         own = part._replace(members=found.leaves, tree=None)

@@ -71,7 +71,8 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     lod: Annotated[Lod | None, Meta(
         title="Level of detail", extra={"commands": "render"},
         description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
-        "Gaussian. None takes pixel from a million Gaussians on, except for NPY. Depth and labels are always exact.")] = None
+        "Gaussian. None takes pixel from a million Gaussians on, except for NPY. Depth and labels are always exact.",
+    )] = None
     codec: Annotated[Codec, Meta(
         title="Codec", extra={"commands": "render"},
         description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames.")] = "auto"

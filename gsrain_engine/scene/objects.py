@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float64, Int64
 
 from .gaussians import Gaussians
 from .scene import Actor, Layer, PoseTrack, Scene
-from .street.layout import STREETS
 from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
+from .street.layout import STREETS
 
 _MARGIN_M = 0.2  # includes mirrors and Gaussians that protrude from a box
 _SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9  # lower and less opaque Gaussians are the object's baked shadow

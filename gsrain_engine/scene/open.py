@@ -55,6 +55,19 @@ def load_sorted_scene(name: Path | str | None, known: FileCache | None = None) -
     return _put_into_order(scene)
 
 
+def load_drawable_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
+    """Load a scene as `load_sorted_scene` does; a large one gets a level-of-detail tree, unless its folder has one."""
+    scene = load_sorted_scene(name, known)
+    return with_lod_trees(scene) if scene.gaussian_count >= MIN_GAUSSIANS else scene
+
+
+def sorted_with_trees(scene: Scene) -> Scene:
+    """Sort newly loaded Gaussians into LOD order and build their trees; unchanged if they have trees."""
+    if any(each.tree is not None and each.tree.fits(each.gaussians) for each in scene.members):
+        return with_lod_trees(scene)
+    return with_lod_trees(_put_into_order(scene))
+
+
 def scene_folder_of(path: Path) -> Path | None:
     """Scene folder that a path names, directly or by its `scene.json`; None for anything else."""
     folder = path.parent if path.name == SCENE_FILE else path

@@ -14,8 +14,8 @@ from .camera import Camera
 from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
-from .lod_tree import LodTree
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
+from .lod_tree import LodTree
 
 _ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
 _SAMPLES = 1_000_000

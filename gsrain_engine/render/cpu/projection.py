@@ -52,7 +52,10 @@ class Splats:
     invisible; they are not drawn.
     """
     indices: Int64[np.ndarray, " m"]
-    """Index of the Gaussian, counted through all parts in order, rising in each as its `members` do; those beyond a part's limit count too."""
+    """Index of the Gaussian, counted through all parts in order; those beyond a part's limit count too.
+
+    Rising from part to part, and inside a part, unless its `members` are in another order.
+    """
 
     def __len__(self) -> int:
         return len(self.indices)

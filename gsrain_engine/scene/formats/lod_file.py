@@ -75,9 +75,7 @@ def lod_file_bytes(tree: LodTree) -> int:
 
 
 def _header(gaussians: Gaussians) -> _Header:
-    return _Header(
-        _VERSION, len(gaussians), gaussians.sh.shape[1], FAN_OUT, MAX_ROOTS, _fingerprint(gaussians)
-    )
+    return _Header(_VERSION, len(gaussians), gaussians.sh.shape[1], FAN_OUT, MAX_ROOTS, _fingerprint(gaussians))
 
 
 def _fingerprint(gaussians: Gaussians) -> str:
@@ -86,7 +84,9 @@ def _fingerprint(gaussians: Gaussians) -> str:
     return hashlib.blake2b(sample.data, digest_size=8).hexdigest()
 
 
-def _layout(count: int, coefficients: int) -> list[tuple[tuple[int, ...], "np.dtype[np.float32] | np.dtype[np.uint32]"]]:
+def _layout(
+    count: int, coefficients: int
+) -> list[tuple[tuple[int, ...], "np.dtype[np.float32] | np.dtype[np.uint32]"]]:
     """Shapes and types of the arrays."""
     assert coefficients in COEFFICIENTS_OF_DEGREE
     m, real = int(level_starts(count)[-1]), np.dtype("<f4")

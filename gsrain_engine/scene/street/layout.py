@@ -247,7 +247,12 @@ def plan_street(parameters: StreetParameters) -> StreetLayout:
 
 
 def _house(
-    p: StreetParameters, rng: np.random.Generator, origin: tuple[float, float, float], turn: float, width: float, kind: int
+    p: StreetParameters,
+    rng: np.random.Generator,
+    origin: tuple[float, float, float],
+    turn: float,
+    width: float,
+    kind: int,
 ) -> House:
     """Choose the appearance of one house at random; `kind` steps through the palette so that neighbors differ."""
     wall, color = _WALLS[kind % len(_WALLS)]
