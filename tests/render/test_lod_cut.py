@@ -34,7 +34,7 @@ def far_scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
 def test_each_back_end_draws_the_same_cut(monkeypatch: pytest.MonkeyPatch, any_renderer) -> None:
     items = subset_items(far_scene(monkeypatch).parts(), LodCut(), CAMERA)
     assert len(items) == 6 and all(each.members is not None for each in items)
-    assert sum(each.drawn_count for each in items) < 300
+    assert sum(each.drawn_count for each in items) < 400
     cpu, images = CpuRenderer(), []
     for renderer in (cpu, any_renderer):
         renderer.draw(items, CAMERA)
@@ -57,7 +57,7 @@ def test_an_export_draws_a_cut_except_with_depth(monkeypatch: pytest.MonkeyPatch
             sequence.frame(renderer, 0, None, with_depth=with_depth, look=mode)
             counts.append(renderer.statistics.gaussians)
     assert drawn["off"] == [scene.gaussian_count] * 3
-    assert drawn["pixel"][0] < 300 and drawn["pixel"][1:] == drawn["off"][1:]
+    assert drawn["pixel"][0] < 400 and drawn["pixel"][1:] == drawn["off"][1:]
 
 
 def test_the_window_draws_a_coarser_cut_of_a_large_scene_in_less_time(
