@@ -114,7 +114,8 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
             below, order = nodes.take(lower), np.zeros(0, np.uint32)
             attributes = radii[lower], errors[lower], contrasts[lower]
         above = (*nodes.take(own).arrays, radii[own], errors[own], contrasts[own])
-        _merge(*below.arrays, order, *attributes, *above)
+        merging: list[np.ndarray] = [*below.arrays, order, *attributes, *above]
+        _merge(*merging)
     return LodTree(gaussians, leaves, nodes, radii, errors)
 
 
