@@ -318,13 +318,13 @@ def tree_file(file: Path) -> Path:
 
 def _with_trees(scene: Scene, files: list[Path]) -> Scene:
     """Scene with those trees of its folder that are whole; the first other one is reported."""
-    damages: list[SceneFormatError] = []
+    damages: list[Exception] = []
     for member, file in zip(scene.members, files, strict=True):
         path = tree_file(file)
         if path.is_file():
             try:
                 scene = scene.with_member(member.key, tree=read_lod_tree(path, member.gaussians))
-            except SceneFormatError as error:
+            except (SceneFormatError, OSError) as error:  # the scene opens without it
                 damages.append(error)
     if damages:
         logger.warning("Level-of-detail trees are not used (%d): %s", len(damages), damages[0])
