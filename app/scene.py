@@ -28,7 +28,8 @@ from gsrain_engine.scene.formats.scene_files import (
     names_scene_folder,
     write_scene,
 )
-from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street, scene_folder_of
+from gsrain_engine.scene.lod_tree import MIN_GAUSSIANS
+from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street, scene_folder_of, sorted_with_trees
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
@@ -321,7 +322,7 @@ def convert(
     speed: Annotated[float | None, option("Speed of --drive in m/s; default: its own times, or walking pace.")] = None,
     json: JsonFile = None,
 ) -> None:
-    """Convert a scene. A scene folder stores orientation and unit.
+    """Convert a scene. A scene folder stores orientation and unit, and a large one a level-of-detail tree.
 
     A single file gets all visible layers, and actors at their place at time 0, in meters with -y up.
     """
@@ -345,7 +346,8 @@ def convert(
         if all(each.wet_sh is None for each in scene.members):
             raise ValueError(f"--wetness {wetness:g}: {source} has no wet colors; gsrain recolor makes them")
         scene = with_wetness_baked(scene, wetness)
-    write_scene(scene, target)
+    is_large = names_scene_folder(target) and scene.gaussian_count >= MIN_GAUSSIANS
+    write_scene(sorted_with_trees(scene) if is_large else scene, target, in_drawing_order=is_large)
     if names_scene_folder(target):
         count, left_out = scene.gaussian_count, 0
         print(f"{target}: {count:,} Gaussians{flagged_text(count_flagged(scene.members))}")

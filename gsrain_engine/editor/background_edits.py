@@ -5,7 +5,7 @@ from tempfile import TemporaryDirectory
 
 from ..appearance.base import TransferSettings
 from ..appearance.scene_views import ViewChoice
-from ..scene.open import load_sorted_scene
+from ..scene.open import load_drawable_scene, load_sorted_scene
 from ..scene.progress import run_to_end
 from ..scene.scene import Scene
 from ..training.settings import TrainingSettings
@@ -15,7 +15,7 @@ from .edits.layers import import_scene
 
 def import_file(scene: Scene, path: str) -> Scene:
     """Add the layers and actors of a scene (file, folder or "street"); the world frames agree, names are unique."""
-    return import_scene(scene, load_sorted_scene(path))
+    return import_scene(scene, load_drawable_scene(path))
 
 
 def find_floaters(scene: Scene, rules: FloaterRules) -> Scene:

@@ -20,7 +20,7 @@ from ..scene.files import SceneFormatError, lock_path, whole_file
 from ..scene.formats.registry import format_of, writable_suffixes
 from ..scene.formats.scene_files import names_scene_folder, write_scene
 from ..scene.formats.scene_folder import SCENE_FILE, FileCache
-from ..scene.open import folder_to_read, is_built_in_street, load_sorted_scene, scene_folder_of
+from ..scene.open import folder_to_read, is_built_in_street, load_drawable_scene, scene_folder_of
 from ..scene.scene import Scene
 from ..scene.transforms import lost_when_flattened
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
@@ -404,7 +404,7 @@ class Files:
 
 
 def load_document(path: str) -> LoadedDocument:
-    """Read a scene as `load_sorted_scene` does, and raise what that raises.
+    """Read a scene as `load_drawable_scene` does, and raise what that raises.
 
     Raises `NotASceneError` if the path is a capture.
     """
@@ -413,7 +413,7 @@ def load_document(path: str) -> LoadedDocument:
         home = folder_to_read(Path(path)) if not is_built_in_street(path) else None
         stamp = fingerprint_of(home) if home is not None else None  # before reading, to detect a change meanwhile
         source = path if is_built_in_street(path) else str(home or Path(path).absolute())
-        return LoadedDocument(load_sorted_scene(path, known), source, home, stamp, known)
+        return LoadedDocument(load_drawable_scene(path, known), source, home, stamp, known)
     except SceneFormatError:
         kind = capture_format(path) if scene_folder_of(Path(path)) is None else None
         if kind is None:
@@ -422,9 +422,9 @@ def load_document(path: str) -> LoadedDocument:
 
 
 def load_autosave(autosaved: RecoveryCandidate) -> LoadedDocument:
-    """Read an autosave; raises what `load_sorted_scene` raises."""
+    """Read an autosave; raises what `load_drawable_scene` raises."""
     known, about = FileCache(), autosaved.about
-    scene = load_sorted_scene(str(autosaved.scene), known)
+    scene = load_drawable_scene(str(autosaved.scene), known)
     home = about.folder
     return LoadedDocument(scene, str(home or ""), home, about.stamp, known, autosaved)
 

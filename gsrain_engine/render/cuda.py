@@ -204,7 +204,9 @@ class CudaArrays:
 
 
 def _rows(part: DrawItem) -> Any:
-    """Drawn Gaussians of a part: a slice without a mask, or else their indices."""
+    """Drawn Gaussians of a part: a slice without a mask or members, or else their indices."""
+    if part.members is not None:
+        return torch.from_numpy(part.members if part.opacity > 0 else part.members[:0])
     count = part.drawn_count if part.opacity > 0 else 0
     if part.left_out is None:
         return slice(0, count)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -13,6 +14,7 @@ from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
+from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from .renderer import Color, Renderer, RenderMode
 
@@ -53,7 +55,7 @@ def draw_view(
     *,
     with_depth: bool = False,
     look: RenderMode = "splats",
-    thinning: "LodSubset | None" = None,
+    thinning: "Thinning | None" = None,
     selection: bool = False,
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
@@ -66,7 +68,7 @@ def draw_view(
         wetness = rainfall.wetness_at(shot.time_s)
         if look == "splats" and rainfall.state_at(shot.time_s).intensity_mm_h > 0:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky)
-    parts = subset_items(scene.parts(shot.time_s, selection=selection, wetness=wetness), thinning)
+    parts = subset_items(scene.parts(shot.time_s, selection=selection, wetness=wetness), thinning, shot.camera)
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)
 
 
@@ -112,8 +114,38 @@ def leveled_frame(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray,
 # Level of detail
 
 
-def subset_items(parts: Sequence[DrawItem], thinning: "LodSubset | None") -> Sequence[DrawItem]:
-    return parts if thinning is None else [thinning(part) for part in parts]
+@runtime_checkable
+class Thinning(Protocol):
+    """Replacement of parts by fewer Gaussians."""
+
+    def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
+        """Items that are drawn for a part."""
+        ...
+
+
+def subset_items(parts: Sequence[DrawItem], thinning: Thinning | None, camera: Camera) -> Sequence[DrawItem]:
+    return parts if thinning is None else [item for part in parts for item in thinning.items(part, camera)]
+
+
+@dataclass(frozen=True, slots=True)
+class LodCut:
+    """Draws, for each part with a tree, the coarsest nodes with errors under a number of pixels.
+
+    Parts with marked Gaussians and those without a tree are left to `others`, or drawn in full.
+    """
+
+    pixel: float = PIXEL
+    others: "LodSubset | None" = None
+
+    def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
+        """Items for the Gaussians of a part's cut, and for its nodes."""
+        tree = part.tree
+        if tree is None or part.left_out or part.selected is not None:
+            return [part] if self.others is None else self.others.items(part, camera)
+        found = cut_lod_tree(tree, camera, part.to_world, self.pixel)
+        wet_sh = merged_harmonics(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None
+        own = part._replace(members=found.leaves, tree=None)
+        return [own, own._replace(gaussians=tree.nodes, members=found.nodes, wet_sh=wet_sh)]
 
 
 @dataclass(slots=True)
@@ -129,9 +161,10 @@ class LodSubset:
         default_factory=dict[tuple[int, int], "tuple[Gaussians, float]"]  # a reference keeps the identity unique
     )
 
-    def __call__(self, part: DrawItem) -> DrawItem:
+    def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
         """Limit a part to its most important Gaussians."""
-        return part._replace(limit=math.ceil(self.share * len(part.gaussians)), growth=self.growth(part.gaussians))
+        limit = math.ceil(self.share * len(part.gaussians))
+        return [part._replace(limit=limit, growth=self.growth(part.gaussians))]
 
     def growth(self, gaussians: Gaussians) -> float:
         """Scale factor of the remaining Gaussians; cached for all colors of the same Gaussians."""

@@ -15,6 +15,8 @@ from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.files import hold_for_writing
+from ..scene.lod_tree import MIN_GAUSSIANS
+from ..scene.open import with_lod_trees
 from ..scene.progress import Progress
 from ..scene.scene import Scene
 from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
@@ -188,6 +190,8 @@ def export_sequences(
     camera at rest. Raises `ValueError` for contradictory settings.
     """
     recording.check()
+    lod = merges_details(recording, scene)
+    scene = with_lod_trees(scene) if lod else scene
     views: dict[str, Camera | CameraPath | RigCameraView] = {"": viewpoint}
     if recording.cameras:  # named as their files; prefixed with the rig if there are several rigs
         found = find_rig_cameras(scene, recording.cameras)
@@ -203,9 +207,16 @@ def export_sequences(
         sequences[name] = FrameSequence(
             scene, rainfall, view, *size_px, fps=recording.fps, start_s=recording.first_s,
             in_scene_time=in_scene_time and isinstance(view, CameraPath), supersampling=recording.supersampling,
-            motion_blur=recording.motion_blur, at_rest=recording.is_still and is_untimed,
+            motion_blur=recording.motion_blur, at_rest=recording.is_still and is_untimed, lod=lod,
         )  # fmt: skip
     return sequences
+
+
+def merges_details(recording: ExportSettings, scene: Scene) -> bool:
+    """Return whether images of a scene are drawn with a level-of-detail cut, see `ExportSettings.lod`."""
+    if recording.lod is None:
+        return scene.gaussian_count >= MIN_GAUSSIANS and recording.format != "npy"
+    return recording.lod == "pixel"
 
 
 def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequence]) -> range:

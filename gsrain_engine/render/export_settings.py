@@ -13,6 +13,7 @@ from ..scene.files import shortened
 
 Pass = Literal["color", "depth", "alpha", "labels"]
 Codec = Literal["auto", "h264", "vp9", "av1", "png", "jpeg", "exr"]
+Lod = Literal["off", "pixel"]
 LARGEST_PX = 16384
 Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
 DEFAULT_SIZE_PX = (960, 640)
@@ -67,6 +68,11 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     twin: Annotated[bool, Meta(
         title="Also render without rain", extra={"option": "clear-pair", "commands": "render"},
         description="The same at 0 mm/h, as NAME.clear, for paired tests.")] = False
+    lod: Annotated[Lod | None, Meta(
+        title="Level of detail", extra={"commands": "render"},
+        description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
+        "Gaussian. None takes pixel from a million Gaussians on, except for NPY. Depth and labels are always exact.",
+    )] = None
     codec: Annotated[Codec, Meta(
         title="Codec", extra={"commands": "render"},
         description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames.")] = "auto"

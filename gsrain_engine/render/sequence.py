@@ -12,7 +12,7 @@ from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
-from .draw import RenderView, draw_view
+from .draw import LodCut, RenderView, draw_view
 from .images import to_display, to_linear_light
 from .renderer import Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
@@ -65,6 +65,8 @@ class FrameSequence:
     """Number of sub-frames over the exposure."""
     at_rest: bool = False
     """True if the camera is at rest during the exposure, for paths without times."""
+    lod: bool = False
+    """True if images without depth merge details smaller than a pixel, in members that have a tree."""
 
     def time_s(self, number: int) -> float:
         """Time of a frame, the middle of its exposure."""
@@ -108,7 +110,7 @@ class FrameSequence:
                 assert ego is not None
                 front = max(self.scene.rigs[rig], key=lambda each: each.camera_to_ego[0, 2])
                 place = rig_camera(self.scene, rig, front.name, float(ego.times[int(np.argmax(ego.valid))]))
-        return sky_color(renderer, self.scene, place)
+        return sky_color(renderer, self.scene, place, thinning=LodCut() if self.lod else None)
 
     def frame(
         self,
@@ -128,6 +130,7 @@ class FrameSequence:
         color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(self.time_s(number)))
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
+        thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
         frame: Frame | None = None
         total: Float32[np.ndarray, "h w 4"] | None = None
         for shot in shots:
@@ -135,7 +138,9 @@ class FrameSequence:
                 camera = shot.camera
                 finer = camera.resized(side * camera.width, side * camera.height)
                 shot = replace(shot, camera=finer, focal_px=shot.focal_px or float(np.sqrt(camera.fx * camera.fy)))
-            draw_view(renderer, self.scene, rainfall, color, shot, with_depth=has_own_depth, look=look)
+            draw_view(
+                renderer, self.scene, rainfall, color, shot, with_depth=has_own_depth, look=look, thinning=thinning
+            )
             frame = renderer.read()
             if side > 1:
                 blocks = frame.rgba.reshape(frame.rgba.shape[0] // side, side, frame.rgba.shape[1] // side, side, 4)

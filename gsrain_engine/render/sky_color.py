@@ -9,7 +9,7 @@ import numpy as np
 from ..rain.simulation import OVERCAST, mean_linear_color
 from ..scene.camera import Camera, look_at
 from ..scene.scene import Scene
-from .draw import LodSubset, subset_items
+from .draw import Thinning, subset_items
 from .renderer import Color, Renderer
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
@@ -34,13 +34,15 @@ class SkyColor(NamedTuple):
         return red, green, blue
 
 
-def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0) -> SkyColor:
+def sky_color(
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: Thinning | None = None
+) -> SkyColor:
     """Render around a camera's position and average the sky in linear light.
 
     Sky is the visible part of a sky layer; in a scene without one, distant pixels above the horizon. If there is
     neither, drops have the color of an overcast sky.
     """
-    steps = sample_sky(renderer, scene, place, time_s)
+    steps = sample_sky(renderer, scene, place, time_s, thinning)
     while True:
         try:
             next(steps)
@@ -49,7 +51,7 @@ def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0
 
 
 def sample_sky(
-    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: LodSubset | None = None
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: Thinning | None = None
 ) -> Generator[None, None, SkyColor]:
     """Compute `sky_color` in steps of one image, so that frames can be drawn in between; returns the sky.
 
@@ -62,7 +64,7 @@ def sample_sky(
 
 
 def _mean_visible_sky(
-    renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: LodSubset | None, *, wetness: float
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: Thinning | None, *, wetness: float
 ) -> Generator[None, None, Color | None]:
     """Mean color of the sky around a position; None if hardly any is visible."""
     found: list[np.ndarray] = []
@@ -75,13 +77,13 @@ def _mean_visible_sky(
         target = place.position + [np.cos(angle), np.sin(angle), np.tan(np.radians(20.0))]
         pose = look_at(place.position, target, np.array([0.0, 0.0, 1.0]))
         camera = Camera.from_fov(_WIDTH, _HEIGHT, _FOV_DEG, pose)
-        renderer.draw(subset_items(scene.parts(time_s, wetness=wetness), thinning), camera, with_depth=True)
+        renderer.draw(subset_items(scene.parts(time_s, wetness=wetness), thinning, camera), camera, with_depth=True)
         frame = renderer.read()
         assert frame.depth is not None
         alpha = frame.rgba[..., 3]
         yield
         if sky:
-            renderer.draw(subset_items(without_sky.parts(time_s), thinning), camera)
+            renderer.draw(subset_items(without_sky.parts(time_s), thinning, camera), camera)
             mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
             yield
         else:  # above points straight ahead at the camera's own height, and five degrees more

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float64, Int64
 from .gaussians import Gaussians
 from .scene import Actor, Layer, PoseTrack, Scene
 from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
+from .street.layout import STREETS
 
 _MARGIN_M = 0.2  # includes mirrors and Gaussians that protrude from a box
 _SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9  # lower and less opaque Gaussians are the object's baked shadow
@@ -36,9 +37,9 @@ def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
     """Objects with a class and a box, of visible members: actors first, then the built-in street's parked vehicles."""
     actors = [_of_actor(actor) for actor in scene.actors if actor.visible]
     parked = [layer for layer in scene.layers if layer.name in (PARKED_CARS, PARKED_TRUCKS) and layer.visible]
-    if scene.name != "street" or not parked:
+    if scene.name not in STREETS or not parked:
         return tuple(actors)
-    boxes = parked_boxes()
+    boxes = parked_boxes(STREETS[scene.name])
     for layer in parked:
         actors += _parked(layer, [box for box in boxes if box.layer == layer.name])
     return tuple(actors)

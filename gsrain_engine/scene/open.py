@@ -22,20 +22,24 @@ from .formats.scene_files import INNER_SCENE, is_foreign_scene_folder, read_scen
 from .formats.scene_folder import SCENE_FILE, FileCache, is_in_drawing_order, scene_folder_files
 from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .lod_order import sort_into_lod_order
+from .lod_tree import MIN_GAUSSIANS, build_lod_tree
 from .scene import Layer, Scene, take_gaussians
 from .street import build
-from .street.layout import StreetParameters
+from .street.layout import STREETS
 
 logger = logging.getLogger("gsrain")
 STREET = "street"
+_MIN_FOR_TREE = 4096  # number of Gaussians of a member below which a tree saves nothing
 
 
 def load_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
     """Load a scene. None loads the built-in street, as does "street" unless a scene of that name exists.
 
+    "street:long" is a street of 1.2 km with about 5 million Gaussians.
+
     Records in `known` which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for unreadable files.
     """
-    return load_street() if is_built_in_street(name) else read_scene(Path(str(name)), known)
+    return load_street(name or STREET) if is_built_in_street(name) else read_scene(Path(str(name)), known)
 
 
 def load_sorted_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
@@ -49,6 +53,19 @@ def load_sorted_scene(name: Path | str | None, known: FileCache | None = None) -
     if folder is not None and known is not None:
         known.forget(folder)
     return _put_into_order(scene)
+
+
+def load_drawable_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
+    """Load a scene as `load_sorted_scene` does; a large one gets a level-of-detail tree, unless its folder has one."""
+    scene = load_sorted_scene(name, known)
+    return with_lod_trees(scene) if scene.gaussian_count >= MIN_GAUSSIANS else scene
+
+
+def sorted_with_trees(scene: Scene) -> Scene:
+    """Sort newly loaded Gaussians into LOD order and build their trees; unchanged if they have trees."""
+    if any(each.tree is not None and each.tree.fits(each.gaussians) for each in scene.members):
+        return with_lod_trees(scene)
+    return with_lod_trees(_put_into_order(scene))
 
 
 def scene_folder_of(path: Path) -> Path | None:
@@ -65,16 +82,19 @@ def folder_to_read(path: Path) -> Path | None:
     return scene_folder_of(path) or scene_folder_of(path / INNER_SCENE)
 
 
-def load_street() -> Scene:
-    """Load the built-in street, which is built once and then read from the cache folder."""
-    folder = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / f"street-{street_fingerprint()}"
+def load_street(name: Path | str = STREET) -> Scene:
+    """Load a built-in street, which is built once and then read from the cache folder."""
+    cache = Path(platformdirs.user_cache_dir("gsrain", appauthor=False))
+    folder = cache / f"{str(name).replace(':', '-')}-{street_fingerprint(name)}"
     if folder.is_dir():
         try:
             return read_scene(folder)
         except SceneFormatError as error:
             logger.warning("The cached street is damaged and is built again: %s", error)
             shutil.rmtree(folder, ignore_errors=True)
-    scene = _put_into_order(build.build_street())
+    scene = _put_into_order(build.build_street(STREETS[str(name)]))
+    if scene.gaussian_count >= MIN_GAUSSIANS:
+        scene = with_lod_trees(scene)
     try:
         write_scene(scene, folder, in_drawing_order=True)
     except (SceneFormatError, OSError) as error:
@@ -88,9 +108,9 @@ def is_built_in_street(name: Path | str | None) -> bool:
 
     A folder of that name that is no scene, such as the output of `gsrain street street`, does not override it.
     """
-    if name != STREET:
+    if name is None or str(name) not in STREETS:
         return name is None
-    path = Path(STREET)
+    path = Path(name)
     return not (path.is_file() or scene_folder_of(path) is not None or is_foreign_scene_folder(path))
 
 
@@ -106,16 +126,29 @@ def _put_into_order(scene: Scene) -> Scene:
             flags = member.marks
             masks = (mask and mask.take(order) for mask in (flags.selected, flags.hidden, flags.deleted))
             gaussians, wet_sh = take_gaussians(member, order)
-            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=SelectionFlags(*masks))
+            marks = SelectionFlags(*masks)
+            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=marks, tree=None)
     selections = {
         name: {key: mask.take(orders[key]) for key, mask in masks.items()} for name, masks in scene.selections.items()
     }
     return replace(scene, selections=selections)
 
 
-def street_fingerprint() -> str:
-    """Hash of the built-in street's parameters and source, which identifies its version."""
-    digest = hashlib.sha256(msgspec.json.encode(StreetParameters()))
+def with_lod_trees(scene: Scene) -> Scene:
+    """Scene with a level-of-detail tree for each member of more than a few thousand Gaussians without marks.
+
+    Trees that fit are not built again; 5 million Gaussians take a few seconds.
+    """
+    for member in scene.members:
+        is_large = len(member.gaussians) >= _MIN_FOR_TREE and member.visible and not member.marks.left_out
+        if is_large and (member.tree is None or not member.tree.fits(member.gaussians)):
+            scene = scene.with_member(member.key, tree=build_lod_tree(member.gaussians))
+    return scene
+
+
+def street_fingerprint(name: Path | str = STREET) -> str:
+    """Hash of a built-in street's parameters and source, which identifies its version."""
+    digest = hashlib.sha256(msgspec.json.encode(STREETS[str(name)]))
     for source in (Path(lod_order.__file__), *sorted(Path(build.__file__).parent.glob("*.py"))):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:_HASH_DIGITS]
@@ -134,7 +167,7 @@ def scene_hash(name: str | None) -> str:
     exist.
     """
     if is_built_in_street(name):
-        return street_fingerprint()
+        return street_fingerprint(name or STREET)
     path = Path(str(name))
     folder = folder_to_read(path) or (path if is_hugsim_folder(path) else None)
     if folder is None:

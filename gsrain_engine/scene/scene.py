@@ -15,6 +15,7 @@ from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
+from .lod_tree import LodTree
 
 _ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
 _SAMPLES = 1_000_000
@@ -65,6 +66,10 @@ class DrawItem(NamedTuple):
     """Harmonics of the Gaussians when fully wet; None without wet colors."""
     wetness: float = 0.0
     """0..1: colors are (1 - wetness) of the clear ones and wetness of the wet ones."""
+    members: Int64[np.ndarray, " m"] | None = None
+    """Indices of the Gaussians that are drawn, instead of `limit` and `left_out`; None draws all."""
+    tree: LodTree | None = None
+    """Tree of the Gaussians for a cut; renderers ignore it."""
 
     @property
     def is_wet(self) -> bool:
@@ -73,7 +78,9 @@ class DrawItem(NamedTuple):
 
     @property
     def drawn_count(self) -> int:
-        """Number of Gaussians within the limit, including those in `left_out`."""
+        """Number of Gaussians within the limit, including those in `left_out`, or of `members`."""
+        if self.members is not None:
+            return len(self.members)
         return len(self.gaussians) if self.limit is None else min(self.limit, len(self.gaussians))
 
     @property
@@ -368,6 +375,8 @@ class SceneNode:
 
     Treat the array as immutable, and as one with `gaussians`: reorder or rotate both together.
     """
+    tree: LodTree | None = None
+    """Level-of-detail tree of its Gaussians; after an edit of them it does not fit any more, and is ignored."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -526,6 +535,7 @@ class Scene:
             colors=None if member.grading == UNCHANGED else member.grading.matrix,
             wet_sh=member.wet_sh,
             wetness=0.0 if member.wet_sh is None else wetness,
+            tree=member.tree if member.tree is not None and member.tree.fits(member.gaussians) else None,
         )
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:

@@ -1,27 +1,30 @@
 """Live view: panes, camera mosaic and screenshots, uploads of scenes in slices, and sampling of the sky color."""
 
 import logging
+import math
 import time
-from collections.abc import Generator, Hashable, Iterator
+from collections.abc import Generator, Hashable, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
 import moderngl
 import numpy as np
+from jaxtyping import Float32
 
 from ...backends import measure_device, rasterizer_for
 from ...compile_cache import has_kernels
 from ...rain.simulation import RainSimulation
-from ...render.draw import LodSubset, RenderView, draw_view
+from ...render.draw import LodCut, LodSubset, RenderView, Thinning, draw_view
 from ...render.images import write_png
 from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
-from ...render.renderer import Color, Renderer
+from ...render.renderer import Color, Renderer, RenderMode
 from ...render.sky_color import SkyColor, sample_sky
 from ...scene.camera import Camera
-from ...scene.gaussians import IdentityKey
-from ...scene.scene import Scene
+from ...scene.gaussians import Gaussians, IdentityKey
+from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
+from ...scene.scene import Actor, Layer, Scene
 from ..viewport.options import Texture
 from ..viewport.picking import mean_color_in_rectangle
 from ..viewport_state import PendingScene
@@ -142,7 +145,7 @@ class LiveView:
         if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
         share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
-        thinning = self._thinning(share)
+        thinning = self._thinning(share, images.scene)
         draw_view(self._renderer, images.scene, images.rainfall, images.sky, camera, thinning=thinning)
         return screen.show(self._picture(), images.background, 2.0**images.gain_ev)
 
@@ -194,7 +197,8 @@ class LiveView:
         if state == pane.state or not self._can_draw:
             return False
         rainfall = side.rainfall if scene.members else None  # the rain has nothing to fall on yet
-        selection, thinning = frame.selection and frame.screenshot is None, self._thinning(frame.quality.gaussians)
+        selection = frame.selection and frame.screenshot is None
+        thinning = self._thinning(frame.quality.gaussians, scene, frame.mode, exact=frame.screenshot is not None)
         draw_view(
             self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning, selection=selection
         )
@@ -213,8 +217,15 @@ class LiveView:
         self._is_uploading = True
         return pane.scene
 
-    def _thinning(self, share: float) -> LodSubset | None:
-        return None if share == 1 else self._thinnings.setdefault(share, LodSubset(share))
+    def _thinning(
+        self, share: float, scene: Scene, mode: RenderMode = "splats", *, exact: bool = False
+    ) -> Thinning | None:
+        """Choose the drawn Gaussians: of a large scene a cut, whose number falls with the square of its error."""
+        subset = None if share == 1 else self._thinnings.setdefault(share, LodSubset(share))
+        is_large = mode == "splats" and not exact and scene.gaussian_count >= MIN_GAUSSIANS
+        if is_large and any(each.tree is not None for each in scene.members):
+            return LodCut(PIXEL / math.sqrt(share), subset)
+        return subset
 
     def _measured(self, frame: RenderInput, milliseconds: float) -> DrawnImage:
         statistics, camera = self._renderer.statistics, frame.view.camera
@@ -239,7 +250,7 @@ class LiveView:
                 self._upload.give_up()
             elif self._pending is not None and self._pending.is_opened:
                 self._sky.forget()
-                self._opengl.arrays.release_all_but((each.gaussians, each.wet_sh) for each in frame.scene.members)
+                self._opengl.arrays.release_all_but(_uploads(frame.scene.members))
             self._pending, self._is_pending_ready = frame.pending, False
             self._preparing = iter(()) if frame.pending is None else self._preparations(frame.pending.scene)
         while self._pending is not None and not self._is_pending_ready:
@@ -314,12 +325,12 @@ class SceneUpload:
     def missing(self, scene: Scene) -> int:
         """Number of Gaussians a frame would have to upload to draw a scene."""
         arrays = self._renderer.arrays
-        return sum(arrays.missing(each.gaussians, each.wet_sh) for each in scene.members if each.visible)
+        return sum(arrays.missing(*each) for each in _uploads(each for each in scene.members if each.visible))
 
     def go_on(self, scene: Scene, until_s: float) -> bool:
         """Upload missing slices of a scene until a time of `time.perf_counter`; return whether all are uploaded."""
         if scene is not self._scene:
-            parts = [(each.gaussians, each.wet_sh) for each in scene.members if each.visible]
+            parts = list(_uploads(each for each in scene.members if each.visible))
             self._scene = scene
             self._slices = (
                 slice_
@@ -336,6 +347,14 @@ class SceneUpload:
         """Release the slices uploaded for a scene that will not be shown."""
         self._scene, self._slices = None, iter(())
         self._renderer.arrays.release_awaited()
+
+
+def _uploads(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]]:
+    """Gaussians and wet colors of members, and of their trees."""
+    for each in members:
+        yield each.gaussians, each.wet_sh
+        if each.tree is not None and each.tree.fits(each.gaussians):
+            yield each.tree.nodes, None if each.wet_sh is None else merged_harmonics(each.tree, each.wet_sh)
 
 
 # Sky color, sampled after each change of the scene, one image a frame, so that no frame stalls

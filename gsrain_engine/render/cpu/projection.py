@@ -52,7 +52,10 @@ class Splats:
     invisible; they are not drawn.
     """
     indices: Int64[np.ndarray, " m"]
-    """Index of the Gaussian, counted through all parts in order, rising; those beyond a part's limit count too."""
+    """Index of the Gaussian, counted through all parts in order; those beyond a part's limit count too.
+
+    Rising from part to part, and inside a part, unless its `members` are in another order.
+    """
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -143,6 +146,8 @@ def _candidates(
     part: DrawItem, object_to_camera: Float64[np.ndarray, "4 4"], intrinsics: tuple[float, ...], as_points: bool
 ) -> Int64[np.ndarray, " m"]:
     """Indices of a part's possibly visible Gaussians: all visible ones, and few others."""
+    if part.members is not None:
+        return part.members if part.opacity > 0 else part.members[:0]
     g, n = part.gaussians, part.drawn_count if part.opacity > 0 else 0
     flags = np.empty(n, np.bool_)
     largest = part.growth * np.cbrt(abs(np.linalg.det(object_to_camera[:3, :3])))

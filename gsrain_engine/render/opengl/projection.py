@@ -8,6 +8,7 @@ import numpy as np
 
 from ...rain.frame import RainFrame
 from ...scene.camera import Camera
+from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
 from ..cpu.projection import NEAR_M
 from ..images import layer_color
@@ -54,7 +55,7 @@ class ProjectionPass:
         rain: RainFrame | None,
         look: RenderMode,
     ) -> FrameSlots:
-        rows = [(part if part.opacity > 0 else part._replace(limit=0), False) for part in parts]
+        rows = [(_masked(part) if part.opacity > 0 else part._replace(limit=0, members=None), False) for part in parts]
         field = rain if rain is not None and rain.rain.streaks else None
         if rain is not None:
             rows.append((DrawItem(rain.haze, np.eye(4)), True))
@@ -129,6 +130,15 @@ class ProjectionPass:
                 buffers.wet_sh[index].bind_to_storage_buffer(_WET)
             set_uniforms(shader, count=count, first_slot=first + index * CHUNK)
             shader.run(-(-count // SLOTS_BY_BLOCK))
+
+
+def _masked(part: DrawItem) -> DrawItem:
+    """Turn a part's list of members into a mask of the other Gaussians: one bit each, to upload."""
+    if part.members is None:
+        return part
+    others = np.ones(len(part.gaussians), np.bool_)
+    others[part.members] = False
+    return part._replace(members=None, limit=None, left_out=BitMask.of(others))
 
 
 def _slots(count: int) -> int:

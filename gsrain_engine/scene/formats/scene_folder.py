@@ -1,6 +1,7 @@
 """Scene folders: `scene.json`, one 3DGS PLY per layer and actor, and files of their wet colors."""
 
 import hashlib
+import logging
 import os
 import re
 import shutil
@@ -21,17 +22,20 @@ from ...safe_io.numpy_files import read_array_header
 from ...safe_io.text_files import check_finite as check_finite_values
 from ..files import SceneFormatError, hold_for_writing, lock_path, naming_path, sync, whole_file, whole_folder
 from ..gaussians import Gaussians
+from ..lod_tree import LodTree
 from ..scene import Actor, Layer, Scene
 from ._common import check_finite
+from .lod_file import lod_file_bytes, read_lod_tree, write_lod_tree
 from .ply import write_ply
 from .registry import check_writable, read_gaussians
 from .scene_json import SCENE_VERSION, SceneRecord, record_of, scene_of
 
+logger = logging.getLogger("gsrain")
 SCENE_FILE = "scene.json"
 _LARGEST_SCENE_FILE = 1 << 26
 """Bytes; an hour's track at 10 Hz takes 5 MB; a mask of a million Gaussians at most 0.17 MB."""
 
-_OURS = re.compile(r"\d{3}-.+-([0-9a-f]{12})\.(?:ply|wet\.npy)|\.\d{3}-.+\.part|\.scene\.json\.[0-9a-f]{8}\.part")
+_OURS = re.compile(r"\d{3}-.+-([0-9a-f]{12})\.(?:ply|wet\.npy|lod)|\.\d{3}-.+\.part|\.scene\.json\.[0-9a-f]{8}\.part")
 """Names that only this program uses, also for the remains of killed writers. The group is the hash of the contents."""
 
 
@@ -115,7 +119,7 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
         read = [*gaussians, *(each for each in wet if each is not None)]
         known.remember(folder, list(zip(read, places.values(), strict=True)))
     try:
-        return scene_of(record, gaussians, wet)
+        return _with_trees(scene_of(record, gaussians, wet), [places[file] for file in record.files])
     except ValueError as error:
         raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
 
@@ -170,7 +174,8 @@ def write_scene_folder(
         with hold_for_writing(folder), lock_path(folder), naming_path(folder, folder):
             old = _replaceable_files(folder)
             placed = writer.write(folder, old)
-            for file in (old | _leftovers(folder)) - {file for _, file in placed}:
+            used = {file for _, file in placed}
+            for file in (old | _leftovers(folder)) - used - {tree_file(file) for file in used}:
                 if _is_own(folder, file):  # removes only a link itself, never its target
                     file.unlink(missing_ok=True)
     writer.known.remember(folder, placed)
@@ -244,6 +249,9 @@ class _Writer:
             wet_names = [
                 None if each.wet_sh is None else placed_at(each, index, each.wet_sh) for index, each in members
             ]
+            for each, (_, file) in zip(self.scene.members, placed, strict=False):
+                if self.in_drawing_order and each.tree is not None and each.tree.fits(each.gaussians):
+                    written |= self._tree_written(each.tree, file)
             for kind in {file.parent for file in written}:
                 sync(kind)
             record = record_of(self.scene, names, wet_names, in_drawing_order=self.in_drawing_order)
@@ -275,6 +283,15 @@ class _Writer:
         finally:
             beside.unlink(missing_ok=True)
 
+    def _tree_written(self, tree: LodTree, file: Path) -> set[Path]:
+        """Write a tree next to the file of its Gaussians, unless it is there."""
+        path = tree_file(file)
+        if path.is_file() and path.stat().st_size == lod_file_bytes(tree):
+            return set()
+        with whole_file(path) as beside:
+            write_lod_tree(tree, beside)
+        return {path}
+
     def _linked(self, contents: Contents, target: Path) -> str | None:
         """Hard-link a known file with these values to `target`; returns the hash in the known file's name.
 
@@ -292,6 +309,26 @@ class _Writer:
             shutil.copyfile(source, target)
             sync(target)
         return ours[1]
+
+
+def tree_file(file: Path) -> Path:
+    """Path of the tree of the Gaussians in a file."""
+    return file.with_suffix(".lod")
+
+
+def _with_trees(scene: Scene, files: list[Path]) -> Scene:
+    """Scene with those trees of its folder that are whole; the first other one is reported."""
+    damages: list[Exception] = []
+    for member, file in zip(scene.members, files, strict=True):
+        path = tree_file(file)
+        if path.is_file():
+            try:
+                scene = scene.with_member(member.key, tree=read_lod_tree(path, member.gaussians))
+            except (SceneFormatError, OSError) as error:  # the scene opens without it
+                damages.append(error)
+    if damages:
+        logger.warning("Level-of-detail trees are not used (%d): %s", len(damages), damages[0])
+    return scene
 
 
 def _kind(member: Layer | Actor) -> str:

@@ -1,7 +1,7 @@
 """Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
 from .buildings import build_houses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
-from .layout import CarShape, Label, StreetLayout, StreetParameters, plan_street
+from .layout import STREETS, CarShape, Label, StreetLayout, StreetParameters, plan_street
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .shadows import ground_occlusion, sun_visibility
 from .trucks import build_parked_trucks
@@ -45,7 +45,29 @@ class Daylight:
         return cls(sun, layout, parameters.seed)
 
     def display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners)."""
+        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners).
+
+        A long street is lit in sections, each with the trees and vehicles that can shade it.
+        """
+        if self.layout is not None and self.layout.parameters.length_m > _SECTION_M:
+            colors = np.empty((len(quads), 3), np.float32)
+            section = np.floor(points[:, 0] / _SECTION_M).astype(np.int64)
+            for number in np.unique(section).tolist():
+                own, around = np.flatnonzero(section == number), self._lighting(number * _SECTION_M)
+                colors[own] = around._display_colors(quads.take(own), points[own])
+            return colors
+        return self._display_colors(quads, points)
+
+    def _lighting(self, start_m: float) -> "Daylight":
+        """Light on the section of a long street that begins at x = `start_m`."""
+        assert self.layout is not None
+        low, high = start_m - _SHADE_M, start_m + _SECTION_M + _SHADE_M
+        trees = tuple(each for each in self.layout.trees if low < each.x < high)
+        cars = tuple(each for each in self.layout.cars if low < each.x < high)
+        trucks = tuple(each for each in self.layout.trucks if low < each.x < high)
+        return replace(self, layout=replace(self.layout, trees=trees, cars=cars, trucks=trucks))
+
+    def _display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
         if len(quads) and quads.labels[0] == Label.SKY:
             return self._sky(points)
         normals = quads.normals.astype(np.float64)
@@ -77,7 +99,7 @@ class Daylight:
         return _MIRRORED, flip[:, :, 2:] * _MIRRORED_UP + (flip @ self.sun)[:, :, None] * _MIRRORED_SUN
 
     def _sky(self, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        p = self.layout.parameters if self.layout is not None else None
+        p = None if self.layout is None else self.layout.parameters
         away = points - np.array([0.0 if p is None else 0.5 * (p.start_x_m + p.end_x_m), 0, 0])
         away = away / np.linalg.norm(away, axis=1, keepdims=True)
         return sky_display(away, self.sun, self.seed).astype(np.float32)
@@ -135,6 +157,11 @@ def build_street(parameters: StreetParameters | None = None) -> Scene:
     return scene_of(street_surfaces(parameters))
 
 
+def street_name(parameters: StreetParameters) -> str:
+    """Name of the built-in street with these parameters; "street" for any other."""
+    return next((name for name, each in STREETS.items() if each == parameters), "street")
+
+
 def scene_of(surfaces: StreetSurfaces) -> Scene:
     light = surfaces.light
     layers = tuple(
@@ -145,7 +172,7 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     p = surfaces.layout.parameters
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light)
     lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p))
-    return Scene(name="street", layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p))
+    return Scene(name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p))
 
 
 def ego_track(p: StreetParameters) -> PoseTrack:
@@ -174,6 +201,8 @@ def _straight(times: np.ndarray, x: np.ndarray, y: float, z: float) -> PoseTrack
 
 # Quads to Gaussians
 
+_CHUNK = 1 << 19  # maximum number of quads converted at a time
+
 SH_C1 = 0.4886025119029199
 """Spherical harmonics of degree 1, sqrt(3/(4 pi)), in the sign of 3DGS: -y, z, -x."""
 
@@ -182,6 +211,9 @@ _THICKNESS = 0.02  # standard deviation across a surface, as a fraction of the s
 
 def quads_to_gaussians(quads: Quads, light: Daylight) -> Gaussians:
     """Convert quads to Gaussians, in order. Glossy sets get spherical harmonics of degree 1, matte ones degree 0."""
+    if len(quads) > _CHUNK:  # in float64, millions take gigabytes
+        chunks = (slice(first, first + _CHUNK) for first in range(0, len(quads), _CHUNK))
+        return Gaussians.concatenate([quads_to_gaussians(quads.take(chunk), light) for chunk in chunks])
     scales, quaternions = _ellipses(quads)
     colors = light.display_colors(quads, quads.centers)
     return Gaussians(quads.centers, scales, quaternions, quads.opacity, _harmonics(quads, colors, light))
@@ -227,6 +259,8 @@ def _harmonics(quads: Quads, colors: Float32[np.ndarray, "n 3"], light: Daylight
     return sh.astype(np.float32)
 
 
+_SECTION_M = 260.0  # maximum length of a street that is lit in one piece
+_SHADE_M = 30.0  # maximum distance of a shadow from the tree or vehicle that casts it
 _SUN_LIGHT = np.array([3.05, 2.72, 2.18])
 _SKY_LIGHT = np.array([0.50, 0.62, 0.82])
 _GROUND_LIGHT = np.array([0.30, 0.27, 0.22])

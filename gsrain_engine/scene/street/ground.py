@@ -133,7 +133,7 @@ def _repairs(center: Float64[np.ndarray, "n 2"], layout: StreetLayout) -> Float6
     p = layout.parameters
     rng = np.random.default_rng([p.seed, 12])
     inside = np.zeros(len(center))
-    for _ in range(14):
+    for _ in range(14 * max(1, int(p.length_m / 180.0))):
         x = np.round(rng.uniform(p.start_x_m, p.end_x_m) / _STEP_M) * _STEP_M
         y = rng.uniform(-p.lane_width_m, p.lane_width_m - 1.0)
         length, width = _STEP_M * rng.integers(5, 26), rng.uniform(0.7, 1.6)
@@ -250,12 +250,18 @@ def _yard(layout: StreetLayout, end: int, side: int) -> Quads:
 
 _GROUND_RADIUS_M = 420.0
 _HILLS_AT_M = (260.0, 380.0)
+_ROUND_LENGTH_M = 260.0  # maximum length of a street with round surroundings
+
+
+def longer_by_m(layout: StreetLayout) -> float:
+    """Distance by which the surroundings of a long street reach farther along it than those of a short one."""
+    return 0.5 * max(0.0, layout.parameters.length_m - _ROUND_LENGTH_M)
 
 
 def build_surroundings(layout: StreetLayout) -> Quads:
     """Build the ground around the street and two ranges of hills, in the world."""
     p = layout.parameters
-    hills = (_hills(radius, k, p.seed) for k, radius in enumerate(_HILLS_AT_M))
+    hills = (_hills(radius, k, p.seed, longer_by_m(layout)) for k, radius in enumerate(_HILLS_AT_M))
     return Quads.joined([_ground(layout), *hills]).placed((0.5 * (p.start_x_m + p.end_x_m), 0.0, 0.0))
 
 
@@ -263,17 +269,22 @@ def _ground(layout: StreetLayout) -> Quads:
     """Fields around the street, without the rectangle of houses and roads."""
     p = layout.parameters
     half_x = 0.5 * p.length_m + CROSS_ROAD_M + 2 * CROSS_SIDEWALK_M + HOUSE_DEPTH_M
-    angle = np.linspace(0, 2 * np.pi, 97)
+    longer_m = longer_by_m(layout)
+    angle = np.linspace(0, 2 * np.pi, 97 if longer_m == 0 else 385)
     radius = np.concatenate([np.linspace(0, 160, 33), np.geomspace(172, _GROUND_RADIUS_M, 10)])
-    x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
+    stretch = 1 + longer_m / _GROUND_RADIUS_M
+    x, y = stretch * radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
     ground = surface(x, y, -0.3, (0.10, 0.115, 0.06), Label.TERRAIN)
     center = ground.centers[:, :2]
     ground = ground.tinted((0.7 + 0.6 * layered_noise(center, 26.0, p.seed + 71))[:, None])
     built = (np.abs(center[:, 0]) < half_x - 3) & (np.abs(center[:, 1]) < p.front_y_m + HOUSE_DEPTH_M - 3)
+    if longer_m > 0:  # wide cells next to the houses would reach into the street
+        aside = np.abs(ground.corners[:, :, 1]).min(axis=1)
+        built |= (np.abs(center[:, 0]) < half_x) & (aside < p.front_y_m + 2 * HOUSE_DEPTH_M)
     return ground.take(~built)
 
 
-def _hills(radius: float, k: int, seed: int) -> Quads:
+def _hills(radius: float, k: int, seed: int, longer_m: float) -> Quads:
     """A ring of woods, hazier with distance."""
     angle = np.linspace(0, 2 * np.pi, 181)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -282,7 +293,7 @@ def _hills(radius: float, k: int, seed: int) -> Quads:
     crest[-1] = crest[0]
     rows = np.array([0.0, 0.3, 0.55, 0.75, 0.9, 1.0])
     away = radius + 30 * rows
-    x, y, z = away * ring[:, :1], away * ring[:, 1:], crest[:, None] * rows - 1.0
+    x, y, z = (away + longer_m) * ring[:, :1], away * ring[:, 1:], crest[:, None] * rows - 1.0
     woods = (np.array([0.075, 0.11, 0.05]), np.array([0.13, 0.17, 0.16]))[k]
     hills = surface(x, y, z, woods, Label.VEGETATION, flipped=True, closed=True)
     return hills.tinted((0.75 + 0.5 * layered_noise(hills.centers, 12.0, seed + 95))[:, None])

@@ -15,10 +15,12 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed")] = 7
     """Random seed of the street: the same seed gives the same bytes."""
-    length_m: Annotated[float, Meta(ge=120, le=260, title="Length", extra={"unit": "m"})] = 180.0
+    length_m: Annotated[float, Meta(ge=120, le=1200, title="Length", extra={"unit": "m"})] = 180.0
     """From the cross street behind the start to the one ahead."""
     behind_m: Annotated[float, Meta(ge=20, le=60, title="Behind the start", extra={"unit": "m"})] = 30.0
     """Part of the length behind x = 0."""
+    detail: Annotated[float, Meta(ge=0.4, le=1, title="Detail")] = 1.0
+    """Factor on the size of the cells of houses and on that of leaves, which become more as they become smaller."""
     lane_width_m: Annotated[float, Meta(ge=2.8, le=4.0, title="Lane width", extra={"unit": "m"})] = 3.4
     """One lane each way."""
     parking_width_m: Annotated[float, Meta(ge=2.0, le=2.6, title="Parking lane width", extra={"unit": "m"})] = 2.2
@@ -64,6 +66,12 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             return 15.0
         return min(60.0, (self.end_x_m - 30.0) / self.ego_speed_m_s)
 
+
+STREETS = {
+    "street": StreetParameters(),
+    "street:long": StreetParameters(length_m=1200.0, detail=0.4, ego_speed_m_s=20.0),
+}
+"""Built-in streets by name; the long one, of 1.2 km and about 5 million Gaussians, tests large scenes."""
 
 # Semantic classes
 
@@ -162,6 +170,8 @@ class Tree:
     crown_base: float
     height: float
     radius: float
+    detail: float
+    """Factor on the size of its leaves."""
     seed: int
 
 
@@ -215,7 +225,7 @@ class StreetLayout:
 def plan_street(parameters: StreetParameters) -> StreetLayout:
     """Create the layout; the same parameters give the same layout."""
     p = parameters
-    crossings = tuple(float(x) for x in (34.0, 106.0) if x + 12.0 < p.end_x_m)
+    crossings = tuple(float(x) for x in np.arange(34.0, p.end_x_m, 72.0) if x + 12.0 < p.end_x_m)
     left, right = (_row(p, side, np.random.default_rng([p.seed, 1, side])) for side in (0, 1))
     trees = _trees(p, crossings, np.random.default_rng([p.seed, 2]))
     cars = plan_cars(p, crossings, np.random.default_rng([p.seed, 4]))
@@ -236,7 +246,14 @@ def plan_street(parameters: StreetParameters) -> StreetLayout:
     )
 
 
-def _house(rng: np.random.Generator, origin: tuple[float, float, float], turn: float, width: float, kind: int) -> House:
+def _house(
+    p: StreetParameters,
+    rng: np.random.Generator,
+    origin: tuple[float, float, float],
+    turn: float,
+    width: float,
+    kind: int,
+) -> House:
     """Choose the appearance of one house at random; `kind` steps through the palette so that neighbors differ."""
     wall, color = _WALLS[kind % len(_WALLS)]
     vary = rng.uniform(0.9, 1.08)
@@ -256,7 +273,7 @@ def _house(rng: np.random.Generator, origin: tuple[float, float, float], turn: f
         dormers=bool(rng.random() < 0.5),
         balconies=bool(rng.random() < 0.4),
         pitch_deg=float(rng.uniform(36, 46)),
-        detail=1.0,
+        detail=p.detail,
         seed=int(rng.integers(2**31)),
     )
 
@@ -274,10 +291,10 @@ def _row(p: StreetParameters, side: int, rng: np.random.Generator) -> tuple[Hous
     for width in _widths(rng, p.length_m):
         front = p.front_y_m
         origin = (x, front, CURB_HEIGHT_M) if side == 0 else (x + width, -front, CURB_HEIGHT_M)
-        house = _house(rng, origin, 0.0 if side == 0 else 180.0, width, kind)
+        house = _house(p, rng, origin, 0.0 if side == 0 else 180.0, width, kind)
         # The left row is farther from the ego lane.
         far = x + width < -6 or x > p.end_x_m - 25
-        houses.append(replace(house, detail=1.5 if far else (1.3 if side == 0 else 1.0)))
+        houses.append(replace(house, detail=p.detail * (1.5 if far else (1.3 if side == 0 else 1.0))))
         x += width
         kind += int(rng.choice([1, 3, 7]))
     return tuple(houses)
@@ -292,7 +309,7 @@ def _ends(p: StreetParameters, rng: np.random.Generator) -> tuple[House, ...]:
         for width in _widths(rng, 2 * CROSS_LENGTH_M):
             origin = (at, y + width if turn < 0 else y, CURB_HEIGHT_M)
             away = abs(y + width / 2) > 16
-            houses.append(replace(_house(rng, origin, turn, width, kind), detail=2.4 if away else detail))
+            houses.append(replace(_house(p, rng, origin, turn, width, kind), detail=2.4 if away else detail))
             y += width
             kind += int(rng.choice([1, 3, 7]))
     return tuple(houses)
@@ -309,7 +326,7 @@ def _trees(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Gen
                 continue
             height = 6.6 + 2.0 * draws[0]
             trees.append(
-                Tree(x, side * (p.curb_y_m + 0.15 + 0.75), 2.5 + 0.5 * draws[1], height, 1.9 + 0.5 * draws[2],
+                Tree(x, side * (p.curb_y_m + 0.15 + 0.75), 2.5 + 0.5 * draws[1], height, 1.9 + 0.5 * draws[2], p.detail,
                      int(rng.integers(2**31)))
             )  # fmt: skip
     return tuple(trees)
@@ -336,6 +353,8 @@ _TRUCKS: tuple[tuple[int, float, Color, Color, Color], ...] = (
     (-1, 97.5, (0.62, 0.62, 0.61), (0.035, 0.11, 0.26), (0.62, 0.62, 0.60)),
 )
 """Side of the street (1: left), approximate x in m, colors of cab, box and sign."""
+
+_TRUCKS_PERIOD_M = 180.0  # a longer street repeats them
 
 _CAR_LENGTH_M, _GAP_M = 4.7, 0.5
 _MAX_SHIFT_M = 5.0  # maximum shift of a truck to a free position; without one it is omitted
@@ -367,7 +386,10 @@ def plan_trucks(
 ) -> tuple[ParkedTruck, ...]:
     """Place trucks close to the curb, clear of crowns (x, y, radius) and crossings; empty without parking lanes."""
     trucks: list[ParkedTruck] = []
-    for side, x, cab, body, sign in _TRUCKS if cars else ():
+    rounds = range(int(p.length_m / _TRUCKS_PERIOD_M) + 1) if cars else ()
+    for side, x, cab, body, sign in (
+        (side, x + k * _TRUCKS_PERIOD_M, *colors) for k in rounds for side, x, *colors in _TRUCKS
+    ):
         taken = [(at - radius, at + radius) for at, y, radius in crowns if y * side > 0]
         taken += [(c - 5.0, c + CROSSING_LENGTH_M + 5.0) for c in crossings]
         taken += [(-np.inf, p.start_x_m + 2.0), (p.end_x_m - 2.0, np.inf)]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Float64
 
+from .ground import longer_by_m
 from .layout import CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
 from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, surface, tube
 
@@ -72,8 +73,9 @@ def _leaves(
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     reach = lobes[of_lobe, 3] * rng.uniform(0.62, 1.02, _TWIGS)
     twigs = lobes[of_lobe, :3] + reach[:, None] * outward
-    n = _TWIGS * _LEAVES_A_TWIG
-    twig = np.repeat(np.arange(_TWIGS), _LEAVES_A_TWIG)
+    each = round(_LEAVES_A_TWIG / tree.detail**2)
+    n = _TWIGS * each
+    twig = np.repeat(np.arange(_TWIGS), each)
     center = twigs[twig] + rng.normal(size=(n, 3)) * [0.23, 0.23, 0.17]
     center[:, 2] = np.maximum(center[:, 2], CURB_HEIGHT_M + tree.crown_base - 0.35)
     lobe = lobes[of_lobe[twig]]
@@ -86,14 +88,14 @@ def _leaves(
     first = np.cross(facing, rng.normal(size=(n, 3)))
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(facing, first)
-    length = rng.uniform(0.075, 0.125, n)[:, None]
+    length = tree.detail * rng.uniform(0.075, 0.125, n)[:, None]
     width = length * rng.uniform(0.55, 0.8, n)[:, None]
     corners = np.stack(
         [center - length * first, center - width * second, center + length * first, center + width * second], axis=1
     )
     lit = np.exp(-1.15 * _depth_inside(center, lobes, sun))
     open_sky = np.exp(-0.8 * _depth_inside(center, lobes, np.array([0.0, 0.0, 1.0])))
-    tint = rng.uniform(0.72, 1.28, n) * np.repeat(rng.uniform(0.85, 1.15, _TWIGS), _LEAVES_A_TWIG)
+    tint = rng.uniform(0.72, 1.28, n) * np.repeat(rng.uniform(0.85, 1.15, _TWIGS), each)
     yellow = rng.uniform(0.0, 1.0, n)[:, None] ** 2 * np.array([0.045, 0.03, 0.0])
     # The diagonals of these quads are the leaf's axes, so cell widths are 0.71 of them.
     return Quads.of(
@@ -230,7 +232,7 @@ def build_sky(layout: StreetLayout) -> Quads:
     elevation = np.radians(np.concatenate([np.arange(-8, 27, 1.3), np.linspace(28, 56, 12), np.linspace(60, 90, 8)]))
     level = np.cos(elevation)
     x, y = level * np.cos(azimuth)[:, None], level * np.sin(azimuth)[:, None]
-    points = RADIUS_M * np.stack(np.broadcast_arrays(x, y, np.sin(elevation)), axis=2)
+    points = (RADIUS_M + longer_by_m(layout)) * np.stack(np.broadcast_arrays(x, y, np.sin(elevation)), axis=2)
     dome = patch(points[::-1], 1.0, Label.SKY, closed=True)
     middle = (0.5 * (p.start_x_m + p.end_x_m), 0.0, 0.0)
     return Quads.of(dome.corners, 1.0, Label.SKY, normals=dome.normals, opacity=0.995, spread=SKY_SPREAD).placed(middle)

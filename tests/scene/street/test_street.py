@@ -11,6 +11,8 @@ from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street.build import (
+    PARKED_CARS,
+    Daylight,
     StreetSurfaces,
     build_street,
     displayed_colors,
@@ -20,7 +22,8 @@ from gsrain_engine.scene.street.build import (
     street_surfaces,
 )
 from gsrain_engine.scene.street.cars import TRUCK_FORM
-from gsrain_engine.scene.street.layout import CURB_HEIGHT_M, Label, StreetParameters, plan_street
+from gsrain_engine.scene.street.ground import build_road
+from gsrain_engine.scene.street.layout import CURB_HEIGHT_M, STREETS, Label, StreetParameters, plan_street
 from gsrain_engine.scene.street.mesh import Quads, box, even_lines, graded_lines, panel
 from gsrain_engine.scene.street.trucks import build_truck
 
@@ -152,6 +155,28 @@ def test_another_street_can_be_built() -> None:
     assert scene.layers[1].gaussians.means[:, 2].max() == pytest.approx(CURB_HEIGHT_M)
     widths = [[house.width for house in plan_street(StreetParameters(seed=seed)).left] for seed in (7, 8)]
     assert widths[0] != widths[1]
+
+
+def test_a_long_street_is_lit_in_sections_as_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    layout = plan_street(STREETS["street:long"])
+    assert len(layout.crossings) >= 16 and len(layout.trucks) >= 20 and len(layout.trees) > 130
+    assert layout.right[-1].origin[0] == pytest.approx(1170) and layout.parameters.drive_seconds == 57
+    quads = build_road(layout)
+    chosen = quads.take((quads.centers[:, 0] > 400) & (quads.centers[:, 0] < 640))
+    light = Daylight.over(layout.parameters, layout)
+    in_sections = light.display_colors(chosen, chosen.centers)
+    monkeypatch.setattr("gsrain_engine.scene.street.build._SECTION_M", 2000.0)
+    np.testing.assert_array_equal(in_sections, light.display_colors(chosen, chosen.centers))
+
+
+def test_chunks_of_quads_become_the_same_gaussians(
+    surfaces: StreetSurfaces, street: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gsrain_engine.scene.street.build._CHUNK", 1000)
+    (expected,) = (layer.gaussians for layer in street.layers if layer.name == PARKED_CARS)
+    found = quads_to_gaussians(surfaces.layers[PARKED_CARS], surfaces.light)
+    for array, same in zip(found.arrays, expected.arrays, strict=True):
+        np.testing.assert_allclose(array, same, atol=1e-6)
 
 
 # Meshes

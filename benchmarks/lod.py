@@ -1,0 +1,120 @@
+"""Time, exactness and memory of the level-of-detail cut of a large scene."""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.render.draw import LodCut, RenderView, draw_view
+from gsrain_engine.render.renderer import Frame, describe_machine
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.open import load_scene, with_lod_trees
+from gsrain_engine.scene.rig import rig_camera
+from gsrain_engine.scene.scene import Scene
+
+WIDTH, HEIGHT = 960, 640
+BLACK = (0.0, 0.0, 0.0)
+
+
+def camera_at(scene: Scene, time_s: float) -> Camera:
+    rig, cameras = next(iter(scene.rigs.items()))
+    return rig_camera(scene, rig, cameras[0].name, time_s).resized(WIDTH, HEIGHT)
+
+
+def psnr_db(a: Frame, b: Frame) -> float:
+    difference = np.clip(a.over(), 0, 1) - np.clip(b.over(), 0, 1)
+    return float(-10 * np.log10(max(np.mean(difference**2), 1e-12)))
+
+
+def resident_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def measured(name: str, times_s: list[float], backend: str, frames: int, pixel: float) -> dict[str, object]:
+    """Times of frames with the cut and without, at several times of the drive; peak memory before the latter."""
+    empty_mb = resident_mb()
+    started = time.perf_counter()
+    scene = with_lod_trees(load_scene(name))
+    loaded_s = time.perf_counter() - started
+    rows: list[dict[str, object]] = []
+    with open_renderer(backend) as renderer:
+
+        def frame_ms(camera: Camera, time_s: float, cut: LodCut | None, repeats: int) -> list[float]:
+            taken: list[float] = []
+            for _ in range(repeats):
+                start = time.perf_counter()
+                draw_view(renderer, scene, None, BLACK, RenderView(camera, time_s), thinning=cut)
+                renderer.read()
+                taken.append(1000 * (time.perf_counter() - start))
+            return taken
+
+        cameras = [camera_at(scene, time_s) for time_s in times_s]
+        cuts: list[Frame] = []
+        for camera, time_s in zip(cameras, times_s, strict=True):
+            taken = frame_ms(camera, time_s, LodCut(pixel), frames + 2)[2:]
+            cuts.append(renderer.read())
+            rows.append(
+                {
+                    "time_s": time_s,
+                    "frame_ms_median": float(np.median(taken)),
+                    "frame_ms_min": min(taken),
+                    "splats": renderer.statistics.splats_drawn,
+                    "stages_ms": dict(renderer.statistics.stages_ms),
+                }
+            )
+        peak_mb = resident_mb()
+        for camera, time_s, row, image in zip(cameras, times_s, rows, cuts, strict=True):
+            taken = frame_ms(camera, time_s, None, 2)
+            row |= {"all_ms": min(taken), "all_splats": renderer.statistics.splats_drawn}
+            row["psnr_db"] = psnr_db(image, renderer.read())
+    count = scene.gaussian_count
+    return {
+        "gaussians": count,
+        "loaded_s": loaded_s,
+        "imports_mb": empty_mb,
+        "peak_mb": peak_mb,
+        "pixel": pixel,
+        "rows": rows,
+    }
+
+
+def ply_mb(name: str) -> float:
+    """Size of a scene as one PLY of float32; also fills the cache of built-in streets."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.ply"
+        write_scene(load_scene(name), path)
+        return path.stat().st_size / 2**20
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="street:long")
+    parser.add_argument("--times", default="5,15,25,35,45", help="times of the drive in s")
+    parser.add_argument("--backend", default="cpu")
+    parser.add_argument("--frames", type=int, default=20)
+    parser.add_argument("--pixel", type=float, default=1.0, help="error of the cut in pixels")
+    parser.add_argument("--ply-only", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.ply_only:
+        print(ply_mb(arguments.scene))
+        return
+    command = [sys.executable, __file__, "--scene", arguments.scene, "--ply-only"]
+    size_mb = float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    times_s = [float(each) for each in arguments.times.split(",")]
+    result = measured(arguments.scene, times_s, arguments.backend, arguments.frames, arguments.pixel)
+    peak = result["peak_mb"]
+    assert isinstance(peak, float)
+    result |= {"ply_mb": size_mb, "peak_over_ply": peak / size_mb, "machine": describe_machine()}
+    print(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()
