@@ -109,7 +109,9 @@ def optical_depth(x, y, z, numbers, drawn):
     first, last = max(first, enters), min(last, leaves)
     if last > first and z > 0:
         slope = z / length
-        depth -= (_drawn_up_to(last * slope, numbers[1], drawn) - _drawn_up_to(first * slope, numbers[1], drawn)) / slope
+        depth -= (
+            _drawn_up_to(last * slope, numbers[1], drawn) - _drawn_up_to(first * slope, numbers[1], drawn)
+        ) / slope
     return max(depth, np.float32(0))
 
 
