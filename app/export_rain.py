@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
+
 from gsrain_engine.appearance.rainy_recording import write_rainy_recording
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.open_capture import open_capture
@@ -42,7 +44,7 @@ def export_rain(
     """Write rain for other programs.
 
     Of a scene: the rain's Gaussians at a moment, in meters with -y upwards, as `gsrain convert` writes scenes. They are
-    made for one camera: what it does not see is left out. Of a recording: a copy in its own format whose images are
+    made for one camera: what it does not see is left out; haze is the paper's Gaussians. Of a recording: a copy in its own format whose images are
     rainy; lidar, calibration and boxes stay as they are.
     """
     if names_scene(source):
@@ -66,7 +68,10 @@ def _export_gaussians(
     size_px: tuple[int, int],
     with_scene: bool,
 ) -> dict[str, Any]:
-    simulation = RainSimulation.start(rain.for_scene(scene))
+    settings = rain.for_scene(scene)
+    if settings.haze == "medium":  # a file has Gaussians only
+        settings = msgspec.structs.replace(settings, haze="gaussians")
+    simulation = RainSimulation.start(settings)
     still = ExportSettings(output="rain.png", first_s=time_s, size_px=size_px)
     viewpoint = viewpoint_of(scene, camera, None, still, is_frame=False)
     (sequence,) = export_sequences(still, scene, simulation, viewpoint, in_scene_time=scene.path is not None).values()

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ..rain.settings import RegionBox
+from ..rain.settings import RainSettings, RegionBox
 from ..rain.simulation import RainSimulation
 from ..render.draw import RenderView, rain_anchor
 from ..scene.camera import Camera, look_at
@@ -186,6 +186,11 @@ def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3
 
 
 # Outlines
+
+
+def region_box(rain: RainSettings, name: RegionName) -> RegionBox:
+    """Return a region; for haze without one, the box of the paper's Gaussians."""
+    return rain.streak_region if name == "streak_region" else rain.haze_box
 
 
 def region_outlines(

@@ -31,9 +31,9 @@ def extinction_per_m(rain: RainSettings, density_m3: float, mean_square_m2: floa
 def haze_count(rain: RainSettings, extinction: float) -> int:
     """Number M of haze Gaussians in the haze region: M = beta V_f / (2 pi s_h^2 alpha_m), unless the settings fix it.
 
-    The extinction along a ray then equals that of the drops, `extinction` per m.
+    The extinction along a ray then equals that of the drops, `extinction` per m. 0 if haze is not of Gaussians.
     """
-    if extinction <= 0:
+    if extinction <= 0 or rain.haze != "gaussians":
         return 0
     if rain.haze_count is not None:
         return rain.haze_count
