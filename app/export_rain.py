@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
-
 from gsrain_engine.appearance.rainy_recording import write_rainy_recording
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.open_capture import open_capture
@@ -68,10 +66,7 @@ def _export_gaussians(
     size_px: tuple[int, int],
     with_scene: bool,
 ) -> dict[str, Any]:
-    settings = rain.for_scene(scene)
-    if settings.haze == "medium":  # a file has Gaussians only
-        settings = msgspec.structs.replace(settings, haze="gaussians")
-    simulation = RainSimulation.start(settings)
+    simulation = RainSimulation.start(rain.for_scene(scene).without_medium)  # a file has Gaussians only
     still = ExportSettings(output="rain.png", first_s=time_s, size_px=size_px)
     viewpoint = viewpoint_of(scene, camera, None, still, is_frame=False)
     (sequence,) = export_sequences(still, scene, simulation, viewpoint, in_scene_time=scene.path is not None).values()

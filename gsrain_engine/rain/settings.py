@@ -64,7 +64,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     streaks: Annotated[bool, Meta(
         title="Streaks", extra={"commands": "render"}, description="Draw near drops as streaks (eq. 10-12).")] = True
     haze: Annotated[bool | Literal["medium", "gaussians", "none"], Meta(
-        title="Haze", extra={"commands": "render"},
+        title="Haze", extra={"commands": "render", "negative": "none"},
         description="Far drops. medium: extinction and airlight along each ray. "
         "gaussians: the paper's (eq. 6, 7). none: not drawn.")] = "medium"
     roofs: Annotated[bool, Meta(
@@ -172,6 +172,11 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def without_rain(self) -> "RainSettings":
         """The same settings at 0 mm/h and dry, for the clear image of a rainy/clear pair."""
         return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None)
+
+    @property
+    def without_medium(self) -> "RainSettings":
+        """The same settings with the paper's Gaussians in place of a medium, for output without distances."""
+        return msgspec.structs.replace(self, haze="gaussians") if self.haze == "medium" else self
 
     @property
     def haze_box(self) -> RegionBox:

@@ -85,7 +85,7 @@ def test_a_still_and_its_numbers(wall, tmp_path, reported, capsys):
     assert set(report) >= CONTRACT
     assert (report["frames"], report["intensity_mm_h"], report["implied_mm_h"]) == (1, 8.5, 8.5)
     assert report["drops"] == 331_752
-    assert report["haze_gaussians"] == 713  # beta V_f / (2 pi s_h^2 alpha_m)
+    assert report["haze_gaussians"] == 0  # haze is a medium
     assert str(out) in capsys.readouterr().out
     without, zero, some = (
         render(wall, tmp_path / f"{name}.npy", *options).read_bytes()

@@ -92,7 +92,7 @@ def test_no_drop_jumps_at_a_key_or_between():
 
 
 def test_haze_and_numbers_follow_the_intensity():
-    rain = RainSettings(seed=1, roofs=False)
+    rain = RainSettings(seed=1, roofs=False, haze="gaussians")
     rainfall = RainSimulation.start(rain, weather=TRIANGLE)
     for at, rate in ((10.5, 6.0), (18.0, 12.0)):
         state = rain_properties(msgspec.structs.replace(rain, intensity_mm_h=rate), rainfall.calibration)
@@ -139,7 +139,7 @@ def test_changing_the_weather_moves_no_drop():
         assert np.allclose(displacement(following.frozen_at(12.0).motion, 12.0), expected, atol=1e-9)
         rainfall = following
     unmoved = rainfall.changed(msgspec.structs.replace(rainfall.rain, haze=False), 15.0)
-    assert not unmoved.frozen_at(15.0).rain.haze
+    assert unmoved.frozen_at(15.0).rain.haze == "none"
     assert np.array_equal(unmoved.frozen_at(20.0).motion.fallen(20.0), rainfall.frozen_at(20.0).motion.fallen(20.0))
 
 
