@@ -42,8 +42,8 @@ def export_rain(
     """Write rain for other programs.
 
     Of a scene: the rain's Gaussians at a moment, in meters with -y upwards, as `gsrain convert` writes scenes. They are
-    made for one camera: what it does not see is left out; haze is the paper's Gaussians. Of a recording: a copy in its own format whose images are
-    rainy; lidar, calibration and boxes stay as they are.
+    made for one camera: what it does not see is left out. Of a recording: a copy in its own format whose images are
+    rainy; lidar, calibration and boxes stay as they are. In both, haze is of the paper's Gaussians.
     """
     if names_scene(source):
         check_writable(output, json)

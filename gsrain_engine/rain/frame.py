@@ -12,7 +12,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.geometry import srgb_to_linear
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, mark_drops, place_drops
 from .haze import make_haze
-from .medium import RainMedium, medium_of
+from .medium import RainMedium, make_medium, streak_depths
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
@@ -159,7 +159,14 @@ class RainFrame:
     @cached_property
     def medium(self) -> RainMedium | None:
         """Medium of the drops that are not drawn one by one; None without it."""
-        return medium_of(self)
+        if self.rain.haze != "medium" or self.extinction_per_m <= 0:
+            return None
+        per_m3 = self.count / float(np.prod(self.period_m))
+        streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
+        view = self.view
+        return make_medium(
+            self.rain, self.extinction_per_m, view.camera, view.anchor_to_world, streaks, self.light_linear
+        )
 
     @property
     def gaussians(self) -> Gaussians:

@@ -6,14 +6,14 @@ the ray, so that the medium is thinner where they are: both together extinguish 
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, no_type_check
+from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-if TYPE_CHECKING:
-    from .frame import RainFrame
+from ..scene.camera import Camera
+from .settings import RainSettings
 
 NEAREST_STREAK_M = 0.2  # nearer drops are not drawn
 STEPS = 64  # of the table of the streaks' extinction over depth
@@ -59,39 +59,44 @@ class RainMedium:
         return bool(self.numbers[-1])
 
 
-def medium_of(frame: "RainFrame") -> RainMedium | None:
-    """Return the medium of a rain frame; None if its far drops are drawn in another way, or not at all."""
-    rain = frame.rain
-    if rain.haze != "medium" or frame.extinction_per_m <= 0:
-        return None
-    camera, turn, origin = frame.view.camera, frame.view.anchor_to_world[:3, :3], frame.view.anchor_to_world[:3, 3]
-    step_m, drawn = _extinction_of_streaks(frame)
-    numbers = [frame.extinction_per_m, step_m]
+def make_medium(
+    rain: RainSettings,
+    extinction_per_m: float,
+    camera: Camera,
+    anchor_to_world: Float64[np.ndarray, "4 4"],
+    streaks: tuple[float, Float64[np.ndarray, " steps"]],
+    airlight_linear: Float32[np.ndarray, "3"],
+) -> RainMedium:
+    """Make the medium of a camera; `streaks` is what `streak_depths` returns."""
+    turn, origin = anchor_to_world[:3, :3], anchor_to_world[:3, 3]
+    step_m, drawn = streaks
+    numbers = [extinction_per_m, step_m]
     for box in (rain.streak_region, rain.haze_region):
         region = box or rain.streak_region
         center = turn @ np.array(region.center_m) + origin
         numbers += [*(turn.T @ camera.world_to_camera[:3, :3].T).ravel(), *(turn.T @ (camera.position - center))]
         numbers += [each / 2 for each in region.size_m]
     numbers.append(float(rain.haze_region is not None))
-    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), frame.light_linear)
+    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear)
 
 
-def _extinction_of_streaks(frame: "RainFrame") -> tuple[float, Float64[np.ndarray, " steps"]]:
+def streak_depths(
+    rain: RainSettings,
+    drops_per_m3: float,
+    diameters_mm: Float64[np.ndarray, " classes"],
+    class_far_m: Float64[np.ndarray, " classes"],
+) -> tuple[float, Float64[np.ndarray, " steps"]]:
     """Step of depth in m, and the optical depth of streaks along the view axis up to each of `STEPS` steps."""
-    if not frame.rain.streaks:
+    if not rain.streaks:
         return 1.0, np.zeros(STEPS)
-    sides = np.array(frame.rain.streak_region.size_m)
-    reach_m = float(min(np.linalg.norm(sides), frame.culling.class_far_m.max()))
+    reach_m = float(min(np.linalg.norm(rain.streak_region.size_m), class_far_m.max()))
     depths = np.linspace(0.0, reach_m, STEPS)
     # A drop takes its own cross-section from the image, half of what it extinguishes.
-    areas_m2 = np.pi / 4 * (1e-3 * frame.diameters_mm) ** 2
-    density_m3 = frame.count / float(np.prod(frame.period_m)) / len(areas_m2)
-    order = np.argsort(frame.culling.class_far_m)
-    far_m, area = frame.culling.class_far_m[order], np.append(np.cumsum(areas_m2[order][::-1])[::-1], 0.0)
+    areas_m2 = np.pi / 4 * (1e-3 * diameters_mm) ** 2
+    order = np.argsort(class_far_m, kind="stable")  # nearly sorted
+    far_m, area = class_far_m[order], np.append(np.cumsum(areas_m2[order][::-1])[::-1], 0.0) / len(areas_m2)
     fine = np.linspace(0.0, reach_m, 16 * STEPS + 1)
-    per_m = np.where(
-        fine >= NEAREST_STREAK_M, frame.rain.haze_gain * density_m3 * area[np.searchsorted(far_m, fine)], 0.0
-    )
+    per_m = rain.haze_gain * drops_per_m3 * area[np.searchsorted(far_m, fine)] * (fine >= NEAREST_STREAK_M)
     total = np.concatenate([[0.0], np.cumsum(0.5 * (per_m[1:] + per_m[:-1]) * np.diff(fine))])
     return reach_m / (STEPS - 1), np.interp(depths, fine, total)
 

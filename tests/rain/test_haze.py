@@ -83,7 +83,9 @@ def test_haze_stays_in_its_places_while_the_car_drives_on_but_the_paper_resets_e
 
 def haze_at(intensity_mm_h, **fields):
     """Haze of an intensity, M and beta as they follow from it."""
-    state = rain_properties(RainSettings(intensity_mm_h=intensity_mm_h, haze="gaussians"), load_calibration("published"))
+    state = rain_properties(
+        RainSettings(intensity_mm_h=intensity_mm_h, haze="gaussians"), load_calibration("published")
+    )
     return haze(count=state.haze_gaussians, **fields), state
 
 

@@ -46,7 +46,7 @@ def test_a_frame_alone_is_the_frame_among_others():
         g = gaussians_of(rainfall.frame(time_s, HERE))
         return b"".join(each.tobytes() for each in (g.means, g.scales, g.quaternions, g.opacities, g.sh))
 
-    rain = RainSettings(seed=5, gust_m_s=2.0, streak_region=SMALL)
+    rain = RainSettings(seed=5, gust_m_s=2.0, streak_region=SMALL, haze="gaussians")
     film = RainSimulation.start(rain, weather=GUSTY)
     forward = [frame(film, time_s) for time_s in times]
     backward = [frame(film, time_s) for time_s in reversed(times)][::-1]
