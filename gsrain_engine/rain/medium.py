@@ -112,12 +112,10 @@ def optical_depth(x, y, z, numbers, drawn):
     depth = numbers[0] * (leaves - enters)
     first, last = _within(x, y, z, length, numbers, 2)
     first, last = max(first, enters), min(last, leaves)
-    if last > first and z > 0:
-        slope = z / length
-        depth -= (
-            _drawn_up_to(last * slope, numbers[1], drawn) - _drawn_up_to(first * slope, numbers[1], drawn)
-        ) / slope
-    return max(depth, np.float32(0))
+    slope = z / length
+    # Without a branch, so that LLVM vectorizes.
+    taken = _drawn_up_to(last * slope, numbers[1], drawn) - _drawn_up_to(first * slope, numbers[1], drawn)
+    return max(depth - (taken / slope if last > first and z > 0 else np.float32(0)), np.float32(0))
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -127,10 +125,10 @@ def _within(x, y, z, length, numbers, at):
     enters, leaves = np.float32(0), length
     for row in range(3):
         k = at + 3 * row
-        along = (numbers[k] * x + numbers[k + 1] * y + numbers[k + 2] * z) / length
+        along = numbers[k] * x + numbers[k + 1] * y + numbers[k + 2] * z
         start, half = numbers[at + 9 + row], numbers[at + 12 + row]
-        along = along if abs(along) > np.float32(1e-9) else np.float32(1e-9)
-        near, far = (-half - start) / along, (half - start) / along
+        inverse = length / (along if abs(along) > np.float32(1e-9) else np.float32(1e-9))
+        near, far = (-half - start) * inverse, (half - start) * inverse
         enters, leaves = max(enters, min(near, far)), min(leaves, max(near, far))
     return enters, max(leaves, enters)
 
@@ -139,8 +137,8 @@ def _within(x, y, z, length, numbers, at):
 @no_type_check
 def _drawn_up_to(depth_m, step_m, drawn):
     at = min(max(depth_m / step_m, np.float32(0)), np.float32(len(drawn) - 1))
-    k = min(int(at), len(drawn) - 2)
-    return drawn[k] + (at - k) * (drawn[k + 1] - drawn[k])
+    k = max(min(np.int32(at), np.int32(len(drawn) - 2)), np.int32(0))  # NaN has no row
+    return drawn[k] + (at - np.float32(k)) * (drawn[k + 1] - drawn[k])
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

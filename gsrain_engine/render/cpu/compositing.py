@@ -12,7 +12,7 @@ from ...rain.medium import RainMedium, optical_depth
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
-from .fast_math import FAST, power
+from .fast_math import FAST, exponential, power
 from .projection import MIN_SCENE_CUT, Splats, project
 from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, nothing, walk_pixels, walk_tiles
 
@@ -280,22 +280,52 @@ def dim_by_medium(splats: Splats, camera: Camera, medium: RainMedium, *, is_line
     _dim_by_medium(splats.shapes, splats.colors, intrinsics, medium.numbers, medium.drawn, light, is_linear)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+_BLOCK = 1024  # splats that are copied to contiguous numbers, which LLVM vectorizes
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear):
-    fx, fy, cx, cy = intrinsics
-    for i in numba.prange(len(colors)):
-        z = colors[i, 3]
-        if shapes[i, 6] < MIN_SCENE_CUT or not z > 0:
-            continue
-        depth = optical_depth((shapes[i, 0] - cx) / fx * z, (shapes[i, 1] - cy) / fy * z, z, numbers, drawn)
-        kept = np.exp(-depth)
+    for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
+        lines = np.empty((5, _BLOCK), np.float32)
+        start = block * _BLOCK
+        count = min(_BLOCK, len(colors) - start)
+        for i in range(count):
+            for channel in range(3):
+                lines[channel, i] = shapes[start + i, channel]
+            lines[2, i] = colors[start + i, 3] if shapes[start + i, 6] >= MIN_SCENE_CUT else np.float32(0)
+        _shares(lines, intrinsics, numbers, drawn)
         for channel in range(3):
-            gained = (np.float32(1) - kept) * light[channel]
-            if is_linear:
-                colors[i, channel] = _to_display(kept * _to_linear(colors[i, channel]) + gained)
-            else:
-                colors[i, channel] = kept * colors[i, channel] + gained
+            for i in range(count):
+                lines[0, i] = colors[start + i, channel]
+            _mix_airlight(lines[0], lines[3], light[channel], is_linear)
+            for i in range(count):
+                colors[start + i, channel] = lines[0, i]
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _shares(lines, intrinsics, numbers, drawn):
+    """Share of light that arrives from pixels x and y (lines 0 and 1) at the depth z (line 2), to line 3."""
+    one = np.float32(1)
+    fx, fy, cx, cy = one / intrinsics[0], one / intrinsics[1], intrinsics[2], intrinsics[3]
+    for i in range(_BLOCK):
+        z = lines[2, i]
+        depth = optical_depth((lines[0, i] - cx) * fx * z, (lines[1, i] - cy) * fy * z, z, numbers, drawn)
+        lines[3, i] = exponential(-depth) if z > 0 else one
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _mix_airlight(line, shares, light, is_linear):
+    one = np.float32(1)
+    if is_linear:
+        for i in range(_BLOCK):
+            mixed = _to_display(shares[i] * _to_linear(line[i]) + (one - shares[i]) * light)
+            line[i] = mixed if shares[i] < one else line[i]
+    else:
+        for i in range(_BLOCK):
+            line[i] = shares[i] * line[i] + (one - shares[i]) * light
 
 
 def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
