@@ -13,13 +13,13 @@ from gsrain_engine.training.model import TrainingRender  # noqa: E402
 from gsrain_engine.training.settings import TrainingSettings  # noqa: E402
 from gsrain_engine.training.step import (  # noqa: E402
     OpenCVBlur,
-    TrainingTarget,
     convolved,
     d_ssim,
     l1,
     robust_mask,
     view_loss,
 )
+from gsrain_engine.training.targets import TrainingTarget  # noqa: E402
 
 
 def pictures(height: int = 17, width: int = 23):
