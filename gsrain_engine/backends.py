@@ -1,6 +1,7 @@
 """Choice of the renderer: OpenGL on a GPU, the CPU elsewhere, gsplat (CUDA) on request."""
 
 import importlib.util
+import logging
 from collections.abc import Generator
 from contextlib import contextmanager
 from importlib import import_module
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .render.cpu.renderer import CpuRenderer
+from .render.gsplat_build import ANNOUNCEMENT, gsplat_is_built
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
 from .render.opengl.renderer import SplatRenderer
 from .render.renderer import Renderer, processor_name
@@ -19,6 +21,7 @@ from .scene.scene import DrawItem
 if TYPE_CHECKING:
     from .render.cuda import CudaRenderer
 
+logger = logging.getLogger("gsrain")
 Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
 
@@ -85,6 +88,8 @@ def open_cuda_renderer() -> "CudaRenderer":
     if not torch.cuda.is_available():
         raise NoCudaError("the cuda back end needs an NVIDIA GPU, and torch sees none: use --backend cpu or opengl")
     try:
+        if not gsplat_is_built():
+            logger.warning(ANNOUNCEMENT)
         gsplat: Any = import_module("gsplat")
         from .render.cuda import CudaRenderer
 

@@ -173,7 +173,7 @@ def learned(splats: SplatModel, seed: int) -> SplatModel:
     return splats
 
 
-def test_a_model_restored_from_its_state_goes_on_to_the_bit_actors_too() -> None:
+def test_a_model_restored_from_its_state_goes_on_to_the_bit_on_the_cpu_actors_too() -> None:
     straight, resumed = learned(model(), 0), model()
     resumed.restore(straight.state())
     mine, other = learned(straight, 1).state(), learned(resumed, 1).state()
