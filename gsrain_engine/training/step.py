@@ -280,12 +280,14 @@ def _blurred(values: Tensor) -> Tensor:
 
 def convolved(values: Tensor) -> Tensor:
     """(h - 10, w - 10, c) Gaussian window means by torch, on any device: along y, then along x."""
-    channels = values.shape[2]
-    taps = uploaded(window(), values.device).to(values.dtype)
-    planes = values.permute(2, 0, 1)[None]
-    rows = torch.nn.functional.conv2d(planes, taps.view(1, 1, -1, 1).expand(channels, 1, -1, 1), groups=channels)
-    both = torch.nn.functional.conv2d(rows, taps.view(1, 1, 1, -1).expand(channels, 1, 1, -1), groups=channels)
-    return both[0].permute(1, 2, 0)
+    # Torch's own float32 kernel takes contiguous planes in at least two groups; cuDNN, which takes the rest, would
+    # round to TF32, too coarse for variances.
+    channels, groups = values.shape[2], max(values.shape[2], 2)
+    taps = uploaded(window(), values.device).to(values.dtype).repeat(groups, 1)
+    planes = values.permute(2, 0, 1).contiguous()[None].expand(-1, groups if channels == 1 else -1, -1, -1)
+    rows = torch.nn.functional.conv2d(planes.contiguous(), taps.view(groups, 1, -1, 1), groups=groups)
+    both = torch.nn.functional.conv2d(rows, taps.view(groups, 1, 1, -1), groups=groups)
+    return both[0, :channels].permute(1, 2, 0)
 
 
 class OpenCVBlur(torch.autograd.Function):
