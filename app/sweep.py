@@ -1,5 +1,6 @@
 """`gsrain sweep SWEEP.yaml`: many drives or renders, locally, in shards, or on a cluster."""
 
+import shlex
 import signal
 import sys
 import time
@@ -78,7 +79,8 @@ def sweep(
     numbers: dict[str, Any] = {"done": run.done, "kept": len(share) - len(to_do)}
     failed = run.failed
     if shard is not None and folder.to_do(jobs):
-        print(f"share {shard} is done; when all are: gsrain sweep {sweep} --summarize-only")
+        summarize = shlex.join(["gsrain", "sweep", sweep, "-o", str(folder.path), "--summarize-only"])
+        print(f"share {shard} is done; when all are: {summarize}")
     else:
         numbers |= write_tables(folder, settings, jobs)
         failed = numbers["failed"]

@@ -63,7 +63,8 @@ def test_a_pipe_gets_a_line_for_each_drive(sweep, capsys):
 def test_shares_make_one_table(sweep, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(["sweep", str(sweep), "--workers", "0", "--shard", "1/2"]) == 0
-    assert "share 1/2 is done" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"share 1/2 is done; when all are: gsrain sweep {sweep} -o {out} --summarize-only\n" in printed
     assert not (out / "table.csv").exists() and len(list((out / "rows").iterdir())) == 4
     assert run(["sweep", str(sweep), "--summarize-only"]) == 0 and len(table(out)) == 4
     assert run(["sweep", str(sweep), "--workers", "0", "--shard", "2/2"]) == 0  # the last one makes it
