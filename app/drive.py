@@ -212,10 +212,14 @@ def drive(
             simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer)
             problem = _drive(simulation, agent)
             rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
+            if problem is not None and rollout.steps[-1].step == 0:  # no step was driven: nothing to score or to draw
+                break
             drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
             runs.append(ScoredRun.of(rollout, simulation.occupied, drivable))
             if problem is not None:  # results so far are written anyway
                 break
+        if not runs:
+            raise ValueError(problem)
         facts = run_provenance({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts))
     print_lines(results_table(compare_drives(runs)).text)

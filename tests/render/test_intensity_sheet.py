@@ -51,7 +51,7 @@ def test_the_close_up_has_the_largest_change():
 @pytest.mark.parametrize("width", [480, 640, 960])
 def test_words_are_wrapped_to_the_width_of_the_image(width):
     image = np.full((width // 2, width, 3), 90, np.uint8)
-    cells = [SheetCell(view, 12.0, image, 12.34, 0.567, 123_456, 12_345) for view in ("FRONT", "REAR")]
+    cells = [SheetCell(view, 12.0, image, 1.23, 0.567, 1_234, 567) for view in ("FRONT", "REAR")]
     found = intensity_sheet(cells)
     one = intensity_sheet([SheetCell("", 0.0, image, 0, 0, 0, 0)])
     gap = (one.shape[1] - width) // 2
