@@ -31,9 +31,7 @@ _IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
 CAMERA_HEIGHT_M = 1.5
 """Assumed height of a sensor on a car, as in the paper; the files don't contain it."""
 
-SEPARATE_SEQUENCES = (
-    "Its sequences of several places share no world; open one of their folders for lidar and boxes."
-)
+SEPARATE_SEQUENCES = "Its sequences of several places share no world; open one of their folders for lidar and boxes."
 """Note on a capture of all images, which matters only to those who look for lidar or boxes."""
 
 RAIN = "rain_mm_h"

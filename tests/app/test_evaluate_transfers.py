@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import pytest
 import yaml
@@ -61,11 +62,14 @@ def test_all_missing_inputs_are_named_before_any_work(tmp_path, capsys, monkeypa
     beginnings = [
         "method 'a': weights no.pkl: no such file or folder", "method 'a': no weights of DSINE",
         "method 'a': no program of DSINE", "methods 'a', 'b': no SD-Turbo", "method 'b': no transfer weights",
-        "method 'c': needs images", "method 'd': images no images", "pictures.clear no clear",
+        "method 'c': method images needs images", "method 'd': images no images", "pictures.clear no clear",
         "pictures.rainy no rainy", "no weights of Inception",
     ]  # fmt: skip
     assert all(any(line.startswith(f"  {each}") for line in lines) for each in beginnings)
-    assert "--normals-weights FILE" in "".join(lines) and "--normals-checkout DIR" in "".join(lines)
+    words = "".join(lines)
+    for field in ("normals_weights: FILE or", "normals_checkout: DIR or", "extractor: pixels16,", "by weights or"):
+        assert f" {field} " in words
+    assert set(re.findall(r"--[a-z-]+", words)) == {"--include", "--local-dir"}  # those of hf, no options of ours
     assert not (tmp_path / "out").exists()
 
 

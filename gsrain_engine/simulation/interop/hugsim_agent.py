@@ -56,8 +56,9 @@ class HugsimAgent:
     ) -> None:
         """Use the pipes in `folder`; without a command the user starts the client.
 
-        The client's output goes to the file `output`, by default output.txt in the folder of the pipes. `semantic` and `depth` are optional: no known client reads them, and labels take several times as long to render
-        as images. Raises ClientError if the pipes can't be created.
+        The client's output goes to the file `output`, by default output.txt in the folder of the pipes. `semantic` and
+        `depth` are optional: no known client reads them, and labels take several times as long to render as images.
+        Raises ClientError if the pipes can't be created.
         """
         self.folder = folder.absolute()
         self._command, self._semantic, self._depth = client_command, semantic, depth
