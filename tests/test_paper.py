@@ -50,6 +50,19 @@ def test_every_command_is_run_here_or_needs_data():
     assert set(COMMANDS) - set(needing) - {"gsrain doctor"} == set(IN_SMALL)
 
 
+def test_no_command_writes_over_the_output_of_another_or_over_data():
+    compared = [each for each in COMMANDS if "evaluate transfers" in each]  # of which a second one goes on in a folder
+    outputs = [name for each in COMMANDS if each not in compared for name in re.findall(r" -o (\S+)", each)]
+    outputs += {name for each in compared for name in re.findall(r" -o (\S+)", each)}
+    assert len(outputs) > 20 and sorted(set(outputs)) == sorted(outputs)
+    data = {
+        name.split("/")[0]
+        for row in PAGE.split("## The data")[1].splitlines()
+        for name in re.findall(r"`([^`]*)`", row)
+    }
+    assert {"rainy", "bdd100k", "scene-0383"} <= data and not data - {"table", "waymo_table"} & set(outputs)
+
+
 def test_every_table_and_figure_has_its_row():
     rows = "\n".join(line for line in PAGE.splitlines() if line.startswith("| "))
     rows = rows.replace("Fig. 13 and 14", "Fig. 13, Fig. 14").replace("Fig. 9 and 10", "Fig. 9, Fig. 10")

@@ -41,7 +41,9 @@ def transfers(
     /,
     *,
     output: Annotated[Path, option("Folder for images, table, figure; a second run resumes.", "--output", "-o")],
-    only: Annotated[str, option("Run only these methods, by name, with commas.")] = "",
+    only: Annotated[
+        str, option("Run only these methods, by name, with commas; table and figure have this order.")
+    ] = "",
     device: FeatureDevice = "cpu",
     trust: Trust = False,
     allow_outside: AllowOutside = False,
