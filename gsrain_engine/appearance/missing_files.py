@@ -21,13 +21,13 @@ def missing_for_transfer(method: str, settings: TransferSettings) -> list[str]:
     needs = find_method(method).needs
     if needs is not None and getattr(settings, needs) is None:
         missing.append(f"--method {method} needs --{needs}")
-    is_learned, needs_base = method == "cyclegan-turbo", True
-    if is_learned and settings.weights is None:
+    is_learned, needs_base, weights = method == "cyclegan-turbo", True, settings.weights
+    if is_learned and weights is None:
         missing += not_found(find_transfer_weights)
-    elif is_learned and settings.weights is not None and settings.weights.exists():
+    elif is_learned and weights is not None and weights.exists():
         try:
-            settings = follow_training(settings, read_record(settings.weights), settings.weights)
-            needs_base = not has_random_base(settings.weights)
+            settings = follow_training(settings, read_record(weights), weights)
+            needs_base = not has_random_base(weights)
         except ValueError as error:
             missing.append(str(error))
     is_estimated = is_learned and settings.normals in ESTIMATORS

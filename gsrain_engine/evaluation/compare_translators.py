@@ -198,6 +198,7 @@ _OPTIONS = re.compile(
 
 def _in_fields(line: str) -> str:
     """Name the fields of a comparison in place of the options of other commands."""
+    line = line.replace("by --", "by the field --")
     return _OPTIONS.sub(lambda found: found[1].replace("-", "_") + (f": {found[2]}" if found[2] else ""), line)
 
 

@@ -67,7 +67,12 @@ def test_all_missing_inputs_are_named_before_any_work(tmp_path, capsys, monkeypa
     ]  # fmt: skip
     assert all(any(line.startswith(f"  {each}") for line in lines) for each in beginnings)
     words = "".join(lines)
-    for field in ("normals_weights: FILE or", "normals_checkout: DIR or", "extractor: pixels16,", "by weights or"):
+    for field in (
+        "normals_weights: FILE or",
+        "normals_checkout: DIR or",
+        "extractor: pixels16,",
+        "by the field weights or",
+    ):
         assert f" {field} " in words
     assert set(re.findall(r"--[a-z-]+", words)) == {"--include", "--local-dir"}  # those of hf, no options of ours
     assert not (tmp_path / "out").exists()
