@@ -124,8 +124,8 @@ def detection(
         raise ValueError(f"--from {first:g} --to {last:g}: the second must be later")
     check_ending("--video", video, VIDEO_SUFFIXES)
     texts = _descriptions(description, len(detector))
-    _check_inputs(detector, truth, (source, capture))
     claim_outputs(video, json, folders=[output], locked=[video])
+    _check_inputs(detector, truth, (source, capture))
     detectors = _detectors(detector, texts)
     chosen = DetectionSource(
         source, capture, truth, frames, first, last, view_choice.sensors, view_choice.width_px, wet
