@@ -206,7 +206,8 @@ def print_transfers(result: translators.ComparisonResult, console: Console) -> N
 
 def _without_film(result: translators.ComparisonResult) -> list[str]:
     """Return a sentence that explains empty numbers outside the water film, if there are any."""
-    names = [row.name for row in result.rows if row.pairs and row.outside_film is None]
+    rows = [row for row in result.rows if row.pairs and row.outside_film is None and row.method != results.CLEAR]
+    names = [row.name for row in rows]
     return [film_note(names)] if names else []
 
 

@@ -119,6 +119,7 @@ def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys):
     assert [row["name"] for row in rows] == names and all(name in printed for name in names)
     assert [(row["real_pictures"], row["fake_pictures"], row["metric"]) for row in rows] == [(6, 4, "FD-pixels16")] * 5
     assert "FID" not in printed  # only Inception's features give it
+    assert f"since their water film is unknown: {', '.join(names[2:])};" in printed
     assert all(row["frechet_interval"][0] <= row["frechet"] <= row["frechet_interval"][1] for row in rows)
     assert all(row["seconds"] > 0 for row in rows)
     clear, wet, ours, flat, alone = rows
@@ -151,6 +152,9 @@ def test_only_changed_methods_run_again(tmp_path, capsys):
     again = compared()
     assert "clear, wet." in capsys.readouterr().out and again["kept"] == ["clear", "wet"]
     assert again["rows"] == first["rows"]  # with the seconds of the run that took them
+    assert transfers(tmp_path, "--only", "wet,clear") == 0
+    table = (tmp_path / "out" / "table.md").read_text()
+    assert 0 < table.index("| wet |") < table.index("| clear |")  # in the order of the names
     assert compared(methods=[METHODS[0], METHODS[1] | {"seed": 5}])["kept"] == ["clear"]
 
 
