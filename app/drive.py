@@ -18,7 +18,7 @@ from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word, shortened
-from gsrain_engine.scene.open import load_sorted_scene, scene_hash
+from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
@@ -182,7 +182,10 @@ def drive(
     and a video. Without SCENARIO.yaml a car is stationary in the lane of the built-in street.
     """
     options = driver or DriverOptions()
-    test: Scenario = (run or RunOptions()).settings(load_scenario(scenario or "stationary-lead"))
+    loaded = load_scenario(scenario or "stationary-lead")
+    test: Scenario = (run or RunOptions()).settings(loaded)
+    if test.scene == loaded.scene:
+        _check_scene(test.scene, scenario)
     rains = _rains(test.rain, rain, preset, weather or WeatherOptions())
     folder = output or Path(f"drive-{file_word(test.name)}")
     files = DriveFiles(folder, frozenset(split_words(export)), fps)
@@ -212,10 +215,14 @@ def drive(
             simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer)
             problem = _drive(simulation, agent)
             rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
+            if problem is not None and rollout.steps[-1].step == 0:  # no step was driven: nothing to score or to draw
+                break
             drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
             runs.append(ScoredRun.of(rollout, simulation.occupied, drivable))
             if problem is not None:  # results so far are written anyway
                 break
+        if not runs:
+            raise ValueError(problem)
         facts = run_provenance({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts))
     print_lines(results_table(compare_drives(runs)).text)
@@ -234,6 +241,18 @@ def drive(
     write_numbers(json, {**rows[0], "rows": rows} if len(rows) == 1 else {"rows": rows})
     if problem is not None:
         raise ValueError(problem)
+
+
+def _check_scene(scene: str, scenario: str | None) -> None:
+    """Raise ValueError with the folders searched if the scene of a scenario file is not there."""
+    if scenario is None or scene == STREET or Path(scene).exists() or not Path(scenario).is_file():
+        return
+    folders = dict.fromkeys([Path(scenario).absolute().parent, Path.cwd()])
+    places = " nor at ".join(str(folder / scene) for folder in folders)
+    raise ValueError(
+        f"{scenario}: its scene {scene} is {'neither' if len(folders) > 1 else 'not'} at {places}; put it there, or "
+        "name it by --scene SCENE"
+    )
 
 
 def _drive(simulation: Simulation, agent: Agent) -> str | None:

@@ -69,6 +69,17 @@ def names_scene(name: str) -> bool:
     return is_built_in_street(name) or is_file or is_foreign_scene_folder(path)
 
 
+def missing_source(source: Path | str | None) -> list[str]:
+    """Return the reason if a scene or capture is not there, as a list of one line; empty if it is, or for None."""
+    if source is None or is_built_in_street(source) or Path(source).exists() or capture_format(source) is not None:
+        return []
+    try:
+        load_scene(source) if names_scene(str(source)) else open_capture(source)
+    except ValueError as error:
+        return [str(error)]
+    return []
+
+
 # gsrain info
 
 

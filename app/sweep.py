@@ -1,5 +1,6 @@
 """`gsrain sweep SWEEP.yaml`: many drives or renders, locally, in shards, or on a cluster."""
 
+import shlex
 import signal
 import sys
 import time
@@ -10,11 +11,12 @@ from typing import Annotated, Any
 
 import msgspec
 
+from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
 from gsrain_engine.sweep.expansion import Shard, jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
-from gsrain_engine.sweep.run import SweepRun, agent_codes, run_sweep
+from gsrain_engine.sweep.run import SweepRun, agent_codes, missing_clients, run_sweep
 from gsrain_engine.sweep.settings import DriveSweep, Variant, load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
@@ -62,6 +64,8 @@ def sweep(
     run = SweepRun(0, 0)
     lock_outputs(folder.path, shared=True)
     if not summarize_only:
+        if dask is None and (missing := missing_clients(to_do)):  # the workers of a cluster have files of their own
+            raise MissingInputsError(missing)
         with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
         folder.describe(settings, jobs)
         print(f"{folder.path}: {counted(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
@@ -78,7 +82,8 @@ def sweep(
     numbers: dict[str, Any] = {"done": run.done, "kept": len(share) - len(to_do)}
     failed = run.failed
     if shard is not None and folder.to_do(jobs):
-        print(f"share {shard} is done; when all are: gsrain sweep {sweep} --summarize-only")
+        summarize = shlex.join(["gsrain", "sweep", sweep, "-o", str(folder.path), "--summarize-only"])
+        print(f"share {shard} is done; when all are: {summarize}")
     else:
         numbers |= write_tables(folder, settings, jobs)
         failed = numbers["failed"]
@@ -127,6 +132,8 @@ def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
     print(f"{folder.path}: {done} of {counted(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
     for error, count in numbers["errors"].items():
         print(f"  {count} x {error}")
+    if numbers["failed"] and folder.clients.is_dir():
+        print(f"{folder.clients}: the output of each client, a file named by its job")
     print("wrote table.parquet, table.csv, summary.json, report.html" + (", figures" if numbers["cells"] else ""))
 
 

@@ -28,6 +28,7 @@ from gsrain_engine.appearance.finetune.settings import (
     finetuning_names,
     load_finetuning,
 )
+from gsrain_engine.appearance.missing_files import missing_for_transfer
 from gsrain_engine.appearance.registry import find_method, open_transfer
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
@@ -36,6 +37,7 @@ from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_tor
 from gsrain_engine.editor.jobs.training import train_transfer as work
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.images import write_image
+from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import load_scene
 
 from .console import Console, Table, print, progress_bar, run_with_progress
@@ -51,7 +53,7 @@ from .options import (
     with_trust,
 )
 from .outputs import check_image, check_writable, claim_outputs, lock_outputs, write_numbers
-from .scene import names_scene
+from .scene import missing_source, names_scene
 
 ViewChoiceOptions = options_of(
     ViewChoice, "transfer", defaults={"count": "24, of a recording all", "width_px": "their own, at most 960"}
@@ -89,17 +91,18 @@ class MethodOptions(options_of(TransferSettings, "transfer")):
             values["wetness"] = wetness(self.rain)
         return self.settings(**values)
 
-    def check(self) -> None:
-        """Raise ValueError early if a file or torch is missing."""
-        method = find_method(self.method)
-        if method.needs is not None and getattr(self, method.needs) is None:
-            raise ValueError(f"--method {self.method} needs --{method.needs}")
-        for name in ("weights", "base", "images", "normals_weights", "normals_checkout"):
-            path: Path | None = getattr(self, name)
-            if path is not None and not path.exists():
-                raise ValueError(f"--{name.replace('_', '-')} {path}: no such file or folder")
-        if method.needs_torch:
-            require_torch(f"--method {self.method}", HOW_TO_GET_DIFFUSION)
+    def check(self, settings: TransferSettings, sources: Sequence[Path | str | None]) -> None:
+        """Raise `MissingInputsError` early with all files, packages, scenes and captures that are missing."""
+        missing: list[str] = []
+        try:
+            if find_method(self.method).needs_torch:
+                require_torch(f"--method {self.method}", HOW_TO_GET_DIFFUSION)
+        except ValueError as error:
+            missing.append(str(error))
+        missing += missing_for_transfer(self.method, settings)
+        missing += [line for source in sources for line in missing_source(source)]
+        if missing:
+            raise MissingInputsError(missing)
 
 
 def transfer(
@@ -121,10 +124,10 @@ def transfer(
     let_names_lead_outside(allow_outside)
     chosen = method or MethodOptions()
     settings, choice = chosen.checked(), (views or ViewChoiceOptions()).settings()
-    chosen.check()
     check_image("--contact-sheet", contact_sheet)
     check_writable(contact_sheet, json, folders=[output])
     output_folder.check_transferred_folder(output)
+    chosen.check(settings, (source, capture))
     lock_outputs(output)
     opened = source_views(source, choice, capture)
     model = open_transfer(chosen.method, settings, opened.surroundings)

@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.util
+import logging
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -16,6 +17,7 @@ import platformdirs
 
 from .compile_cache import has_kernels
 from .render.cpu.renderer import CpuRenderer
+from .render.gsplat_build import ANNOUNCEMENT, gsplat_is_built
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
 from .render.opengl.renderer import Rasterizer, SplatRenderer
 from .render.renderer import Renderer, processor_name
@@ -29,6 +31,7 @@ from .scene.scene import DrawItem
 if TYPE_CHECKING:
     from .render.cuda import CudaRenderer
 
+logger = logging.getLogger("gsrain")
 Backend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu", "cuda"]
 """Renderers: `opengl` is the faster one of its two ways on this device, `auto` the fastest of those and `cpu`."""
 
@@ -182,6 +185,8 @@ def open_cuda_renderer() -> "CudaRenderer":
     if not torch.cuda.is_available():
         raise NoCudaError("the cuda back end needs an NVIDIA GPU, and torch sees none: use --backend cpu or opengl")
     try:
+        if not gsplat_is_built():
+            logger.warning(ANNOUNCEMENT)
         gsplat: Any = import_module("gsplat")
         from .render.cuda import CudaRenderer
 

@@ -20,6 +20,7 @@ from .scene.progress import Progress
 
 logger = logging.getLogger("gsrain")
 _PREVIEW_INTERVAL_S = 2.0
+_FIGURES_INTERVAL_S = 0.25
 
 
 class PeriodicAction(NamedTuple):
@@ -44,7 +45,7 @@ class TrainingRun:
         self.first = 0
         self.warning: str | None = None
         self._steps, self._shares = steps, shares
-        self._began, self._previewed_at = time.perf_counter(), -np.inf
+        self._began, self._previewed_at, self._read_at = time.perf_counter(), -np.inf, -np.inf
 
     @property
     def seconds(self) -> float:
@@ -81,6 +82,14 @@ class TrainingRun:
         if now - self._previewed_at <= _PREVIEW_INTERVAL_S:
             return False
         self._previewed_at = now
+        return True
+
+    def figures_are_due(self) -> bool:
+        """True four times a second; reading figures of a GPU more often would only keep it waiting."""
+        now = time.perf_counter()
+        if now - self._read_at <= _FIGURES_INTERVAL_S:
+            return False
+        self._read_at = now
         return True
 
     def warn(self, warning: str | None) -> None:

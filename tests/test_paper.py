@@ -6,7 +6,9 @@ import shlex
 import pytest
 
 from app.main import run
+from gsrain_engine.appearance import dsine_checkout
 from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.safe_io.errors import not_found
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.simulation.metrics.comfort import PAPER
 from gsrain_engine.simulation.scenario_io import load_scenario
@@ -48,6 +50,31 @@ NEEDS_DATA = (
 def test_every_command_is_run_here_or_needs_data():
     needing = [each for each in COMMANDS if each.removeprefix("gsrain ").startswith(NEEDS_DATA)]
     assert set(COMMANDS) - set(needing) - {"gsrain doctor"} == set(IN_SMALL)
+
+
+def test_no_command_writes_over_the_output_of_another_or_over_data():
+    compared = [each for each in COMMANDS if "evaluate transfers" in each]  # of which a second one goes on in a folder
+    outputs = [name for each in COMMANDS if each not in compared for name in re.findall(r" -o (\S+)", each)]
+    outputs += {name for each in compared for name in re.findall(r" -o (\S+)", each)}
+    assert len(outputs) > 20 and sorted(set(outputs)) == sorted(outputs)
+    data = {
+        name.split("/")[0]
+        for row in PAGE.split("## The data")[1].splitlines()
+        for name in re.findall(r"`([^`]*)`", row)
+    }
+    assert {"rainy", "bdd100k", "scene-0383"} <= data and not data - {"table", "waymo_table"} & set(outputs)
+
+
+def test_the_page_names_the_places_where_dsine_is_looked_for(tmp_path, monkeypatch):
+    for variable in (dsine_checkout.WEIGHTS_PLACE, dsine_checkout.CHECKOUT_PLACE):
+        monkeypatch.delenv(variable, raising=False)
+        assert f"`{variable}`" in PAGE
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    for find in (dsine_checkout.find_dsine_weights, dsine_checkout.find_dsine_checkout):
+        (error,) = not_found(find)
+        place = re.search(rf" at {re.escape(str(tmp_path))}/(\S+):", error)
+        assert place is not None and f"`~/.local/share/{place[1]}" in PAGE
+    assert not [each for each in COMMANDS if "--normals-weights" in each or "--normals-checkout" in each]
 
 
 def test_every_table_and_figure_has_its_row():

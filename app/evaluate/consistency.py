@@ -25,6 +25,7 @@ from gsrain_engine.evaluation.consistency import (
 from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint
 from gsrain_engine.render.images import write_image
+from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import file_hash
 
 from ..console import Console, bold, print, progress_bar, table_of
@@ -39,6 +40,7 @@ from ..outputs import (
     write_numbers,
     write_page,
 )
+from ..scene import missing_source
 from .images import LpipsChoice, Report, open_lpips
 
 _COLUMNS = 150
@@ -72,6 +74,8 @@ def consistency(
     check_within("--contact-sheet-pairs", contact_sheet_pairs, 1, 40)
     check_image("--contact-sheet", contact_sheet)
     check_page(report, json, contact_sheet)
+    if missing := [line for folder in folders for line in missing_source(folder)]:
+        raise MissingInputsError(missing)
     compared = [open_view_folder(folder, width) for folder in folders]
     pairs = compared[0].chosen(neighbors)
     if not pairs and not compared[0].has_poses:
@@ -190,6 +194,22 @@ def print_agreements(numbers: Mapping[str, Any], titles: Sequence[str], console:
         "Errors of the neighbor warped onto the view, in levels of 255; dry: share of the matched pixels that lies "
         "outside the water film, and the errors there."
     )
+    if note := _without_film(numbers, titles):
+        console.print(note, soft_wrap=True)
+
+
+def _without_film(numbers: Mapping[str, Any], titles: Sequence[str]) -> str:
+    means = zip(titles, numbers["means"], strict=True)
+    names = [title for title, mean in means if not mean["outside_film"]["pixels"]]
+    return film_note(names) if names else ""
+
+
+def film_note(names: Sequence[str]) -> str:
+    """Return a sentence that explains the empty numbers of these folders or methods outside the water film."""
+    return (
+        f"Empty under dry, since their water film is unknown: {', '.join(names)}; of the built-in methods, only wet "
+        "writes a mask of the film."
+    )
 
 
 def _cells(row: Mapping[str, Any], with_lpips: bool) -> list[str]:
@@ -232,6 +252,7 @@ def consistency_page(
         settings={"film share": numbers["film_share"], **settings, **made_by, **provenance_lines(numbers)},
         headlines={f"error after, {_name(each)}": f"{_LEVELS * each['rmse_after']:.2f}" for each in means},
         figures=(ReportFigure("Pairs, warped", sheet, is_photograph=True),),
+        notes=tuple(filter(None, [_without_film(numbers, [_name(each) for each in means])])),
         tables=(
             ReportTable("Means", ("folder", "pairs", *_PAGE_COLUMNS), folders, caption=_CAPTION),
             ReportTable("Pairs", ("folder", "view", "neighbour", "matched", *_PAGE_COLUMNS), pairs, caption=_CAPTION),

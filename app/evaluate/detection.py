@@ -41,6 +41,7 @@ from gsrain_engine.render.sequence import find_rig_cameras
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.render.video import VideoWriter
+from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.safe_io.limits import file_sha256
 from gsrain_engine.scene.open import file_hash, load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
@@ -62,7 +63,7 @@ from ..options import (
 )
 from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
 from ..render import wet_look
-from ..scene import names_scene
+from ..scene import missing_source, names_scene
 
 _COLUMNS = 150
 ViewOptions = options_of(
@@ -114,9 +115,6 @@ def detection(
     intensities or detectors are only added.
     """
     let_names_lead_outside(allow_outside)
-    # Average precision, which needs one of these packages, is computed last.
-    if missing := [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]:
-        raise ValueError(f"gsrain evaluate detection needs {' and '.join(missing)}: pip install 'gsrain[evaluate]'")
     view_choice = (views or ViewOptions()).settings(ViewChoice(width_px=960))
     check_within("--width", view_choice.width_px, 64, 16384, "px")
     intensities = parse_intensities(rain)
@@ -125,8 +123,10 @@ def detection(
     if first is not None and last is not None and not first < last:
         raise ValueError(f"--from {first:g} --to {last:g}: the second must be later")
     check_ending("--video", video, VIDEO_SUFFIXES)
+    texts = _descriptions(description, len(detector))
     claim_outputs(video, json, folders=[output], locked=[video])
-    detectors = _detectors(detector, description)
+    _check_inputs(detector, truth, (source, capture))
+    detectors = _detectors(detector, texts)
     chosen = DetectionSource(
         source, capture, truth, frames, first, last, view_choice.sensors, view_choice.width_px, wet
     )
@@ -164,15 +164,31 @@ def detection(
     write_numbers(json, numbers.plain)
 
 
+def _check_inputs(detectors: Sequence[Path], truth: Path | None, sources: Sequence[Path | str | None]) -> None:
+    """Raise `MissingInputsError` with all packages, files, scenes and captures that are missing."""
+    # Average precision, which needs one of these packages, is computed last.
+    packages = [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]
+    missing = [f"gsrain evaluate detection needs {each}: pip install 'gsrain[evaluate]'" for each in packages]
+    files = [*(("--detector", file) for file in detectors), *([] if truth is None else [("--truth", truth)])]
+    missing += [f"{option} {file}: no such file" for option, file in files if not file.exists()]
+    missing += [line for source in sources for line in missing_source(source)]
+    if missing:
+        raise MissingInputsError(missing)
+
+
 _Detectors = dict[Path, Detector]
 """Detectors by their files."""
 
 
-def _detectors(files: Sequence[Path], descriptions: Sequence[str] | None) -> _Detectors:
+def _descriptions(descriptions: Sequence[str] | None, count: int) -> list[str | None]:
+    """Return the description of each detector; raises ValueError for a wrong number of them."""
     texts: list[str | None] = list(descriptions or [None])
-    if len(texts) not in (1, len(files)):
-        raise ValueError(f"--description: {len(texts)} for {len(files)} detectors; give one for all, or one each")
-    texts = texts if len(texts) == len(files) else texts * len(files)
+    if len(texts) not in (1, count):
+        raise ValueError(f"--description: {len(texts)} for {count} detectors; give one for all, or one each")
+    return texts if len(texts) == count else texts * count
+
+
+def _detectors(files: Sequence[Path], texts: Sequence[str | None]) -> _Detectors:
     detectors = [open_detector(file, text) for file, text in zip(files, texts, strict=True)]
     names = [detector.name for detector in detectors]
     doubled = next((name for name in names if names.count(name) > 1), None)

@@ -28,6 +28,7 @@ from .. import outputs
 from ..console import Console, bold, print, run_with_progress, table_of
 from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outside, option, split_words, with_trust
 from ..scene import names_scene
+from .consistency import film_note
 from .images import FeatureDevice, extractor_of
 
 _COLUMNS = 160
@@ -40,7 +41,9 @@ def transfers(
     /,
     *,
     output: Annotated[Path, option("Folder for images, table, figure; a second run resumes.", "--output", "-o")],
-    only: Annotated[str, option("Run only these methods, by name, with commas.")] = "",
+    only: Annotated[
+        str, option("Run only these methods, by name, with commas; table and figure have this order.")
+    ] = "",
     device: FeatureDevice = "cpu",
     trust: Trust = False,
     allow_outside: AllowOutside = False,
@@ -156,7 +159,7 @@ def transfers_page(
     notes = [f"{row.name}: {warning}." for row in rows for warning in row.distance.warnings]
     if not result.has_cameras:
         notes.append(_WITHOUT_CAMERAS)
-    notes += result.notes
+    notes += [*_without_film(result), *result.notes]
     methods = {f"method {each.name}": _changed(each) for each in settings.methods}
     about = {"extractor": distance.extractor, "resamples": settings.resamples, "seed": settings.seed}
     values = tuple(tuple(row.values.values()) for row in rows)
@@ -192,13 +195,20 @@ def print_transfers(result: translators.ComparisonResult, console: Console) -> N
     )
     if not result.has_cameras:
         console.print(_WITHOUT_CAMERAS, soft_wrap=True)
-    for note in result.notes:
+    for note in (*_without_film(result), *result.notes):
         console.print(note, soft_wrap=True)
     if result.reused:
         console.print(f"Not run again, for their pictures stand: {', '.join(result.reused)}.", soft_wrap=True)
     for row in result.rows:
         for warning in row.distance.warnings:
             console.print(f"{row.name}, {distance.metric}: {warning}.", soft_wrap=True)
+
+
+def _without_film(result: translators.ComparisonResult) -> list[str]:
+    """Return a sentence that explains empty numbers outside the water film, if there are any."""
+    rows = [row for row in result.rows if row.pairs and row.outside_film is None and row.method != results.CLEAR]
+    names = [row.name for row in rows]
+    return [film_note(names)] if names else []
 
 
 def _changed(method: results.ComparedMethod) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
 from ..safe_io.limits import kind_of_file
+from ..scene.files import visible_siblings
 from ..scene.formats.registry import format_of
 from .bdd100k import read_bdd100k, recognizes_bdd100k
 from .capture import Capture, CaptureError, OutsideError, abbreviated_names, outside_allowed
@@ -93,8 +94,7 @@ def _why_not(path: Path) -> str:
     if path == Path("street") and not path.exists():
         return "no such file or folder; gsrain street DIR writes pictures of the built-in street, and DIR is a capture"
     if not path.exists():
-        siblings = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
-        close = difflib.get_close_matches(path.name, siblings, n=1)
+        close = difflib.get_close_matches(path.name, visible_siblings(path), n=1)
         return "no such file or folder" + (f"; did you mean {close[0]}?" if close else "")
     kind = kind_of_file(path) if path.is_file() else None
     if path.is_file() and format_of(path) is not None:

@@ -31,6 +31,9 @@ _IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
 CAMERA_HEIGHT_M = 1.5
 """Assumed height of a sensor on a car, as in the paper; the files don't contain it."""
 
+SEPARATE_SEQUENCES = "Its sequences of several places share no world; open one of their folders for lidar and boxes."
+"""Note on a capture of all images, which matters only to those who look for lidar or boxes."""
+
 RAIN = "rain_mm_h"
 """Attribute of each view with the rain intensity."""
 
@@ -117,10 +120,7 @@ def _data_set(path: Path, sequences: Sequence[RainSequence]) -> Capture:
         for sequence in sequences
         for view in sequence.capture()
     ]
-    note = (
-        f"{len(sequences)} sequences of several places share no world; open one of their folders for lidar and boxes."
-    )
-    return Capture(path.resolve().name, tuple(views), has_poses=False, problems=(note,))
+    return Capture(path.resolve().name, tuple(views), has_poses=False, problems=(SEPARATE_SEQUENCES,))
 
 
 def _sweeps(

@@ -263,12 +263,12 @@ class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_field
         return self.views.width_px or 512
 
     def only(self, names: tuple[str, ...]) -> "TransferComparison":
-        """Keep the methods of these names; raises ValueError for an unknown name."""
+        """Keep the methods of these names, in this order, each once; raises ValueError for an unknown name."""
         there = {each.name: each for each in self.methods}
         for name in names:
             if name not in there:
                 raise ValueError(f"no method {name!r}, only {', '.join(there)}")
-        return msgspec.structs.replace(self, methods=tuple(each for each in self.methods if each.name in names))
+        return msgspec.structs.replace(self, methods=tuple(there[name] for name in dict.fromkeys(names)))
 
 
 def load_comparison(name: str | Path) -> TransferComparison:

@@ -1,6 +1,7 @@
 """Run of a comparison of rain translators: transfers, features, distances, view agreement and figure."""
 
 import json
+import re
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,22 +18,17 @@ from PIL import Image, ImageDraw, ImageFont
 from ..appearance import output_folder
 from ..appearance.base import ClearView, RainyView, Transfer, follow_training
 from ..appearance.capture_views import CaptureViews
-from ..appearance.cyclegan_turbo.weight_paths import (
-    find_transfer_weights,
-    find_whole_base_model,
-    has_random_base,
-    read_record,
-)
+from ..appearance.cyclegan_turbo.weight_paths import find_transfer_weights, read_record
 from ..appearance.dsine_checkout import find_dsine_checkout, find_dsine_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, identity_of, open_images
-from ..appearance.normals import ESTIMATORS, missing_estimator_files
+from ..appearance.missing_files import TRANSFER_FILES, missing_for_transfer
 from ..appearance.output_folder import TransferRecord, read_transferred, write_transferred
-from ..appearance.registry import find_method, open_transfer
+from ..appearance.registry import open_transfer
 from ..appearance.scene_views import evenly_spaced_indices
 from ..appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment
 from ..datasets.capture import Capture, CaptureError
 from ..datasets.image_override import flat_name
-from ..datasets.open_capture import open_capture
+from ..datasets.open_capture import capture_format, open_capture
 from ..datasets.undistort import undistort_frame
 from ..safe_io.errors import not_found
 from ..safe_io.limits import read_file
@@ -153,7 +149,6 @@ class MethodFolder:
 
 
 _SECONDS = "seconds.json"
-_FILES = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 
 class IdentityTransfer:
@@ -173,8 +168,8 @@ def missing_inputs(comparison: TransferComparison) -> list[str]:
     """
     lines: dict[str, list[str]] = {}
     for each in comparison.methods:
-        for line in _missing_of(each):
-            lines.setdefault(line, []).append(repr(each.name))
+        for line in [] if each.method == CLEAR else missing_for_transfer(each.method, each.settings):
+            lines.setdefault(_in_fields(line), []).append(repr(each.name))
     missing = [f"method{'s' * (len(names) > 1)} {', '.join(names)}: {line}" for line, names in lines.items()]
     places = [("source", comparison.source), ("capture", comparison.capture)]
     places += [("real", each) for each in comparison.real]
@@ -185,42 +180,26 @@ def missing_inputs(comparison: TransferComparison) -> list[str]:
     missing += [
         f"{field} {path}: no such file or folder"
         for field, path in places
-        if path is not None and path != STREET and not Path(path).exists()
+        if path is not None and path != STREET and not Path(path).exists() and capture_format(path) is None
     ]
     if comparison.extractor == "inception" and comparison.extractor_weights is None and find_spec("torch") is not None:
         from .fid_torch_features import inception_weights_file
 
-        missing += not_found(inception_weights_file)
+        missing += map(_in_fields, not_found(inception_weights_file))
     return missing
 
 
-def _missing_of(method: ComparedMethod) -> list[str]:
-    """Missing inputs of one method."""
-    if method.method == CLEAR:
-        return []
-    settings, missing = method.settings, list[str]()
-    needs = find_method(method.method).needs
-    if needs is not None and getattr(method, needs) is None:
-        missing.append(f"needs {needs}")
-    is_learned, needs_base = method.method == "cyclegan-turbo", True
-    if is_learned and method.weights is None:
-        missing += not_found(find_transfer_weights)
-    elif is_learned and method.weights is not None and method.weights.exists():
-        try:
-            settings = follow_training(settings, read_record(method.weights), method.weights)
-            needs_base = not has_random_base(method.weights)
-        except ValueError as error:
-            missing.append(str(error))
-    is_estimated = is_learned and settings.normals in ESTIMATORS
-    for field in _FILES:
-        path: Path | None = getattr(method, field)
-        if path is not None and not path.exists() and not (is_estimated and field.startswith("normals")):
-            missing.append(f"{field} {path}: no such file or folder")
-    if is_estimated and settings.normals is not None:
-        missing += missing_estimator_files(settings.normals, settings.normals_weights, settings.normals_checkout)
-    if is_learned and needs_base and (method.base is None or method.base.exists()):
-        missing += not_found(find_whole_base_model, method.base)
-    return missing
+_OPTIONS = re.compile(
+    r"--(method|base|weights|images|normals-weights|normals-checkout|extractor)(?![-\w])"
+    r"(?: (FILE|DIR|pixels16))?(?: \(\w+\))?"
+)
+"""Options of other commands, which are fields of a comparison."""
+
+
+def _in_fields(line: str) -> str:
+    """Name the fields of a comparison in place of the options of other commands."""
+    line = line.replace("by --", "by the field --")
+    return _OPTIONS.sub(lambda found: found[1].replace("-", "_") + (f": {found[2]}" if found[2] else ""), line)
 
 
 def record_of(method: ComparedMethod, source: ComparedSource, comparison: TransferComparison) -> TransferRecord:
@@ -228,7 +207,7 @@ def record_of(method: ComparedMethod, source: ComparedSource, comparison: Transf
     settings: dict[str, Any] = msgspec.to_builtins(method.settings, enc_hook=str)
     whole = msgspec.to_builtins(comparison, enc_hook=str)
     settings |= {part: whole[part] for part in ("source", "capture", "pictures", "views")} | {"stamp": source.stamp}
-    files: dict[str, Path | None] = {field: getattr(method, field) for field in _FILES}
+    files: dict[str, Path | None] = {field: getattr(method, field) for field in TRANSFER_FILES}
     if method.method == "cyclegan-turbo":
         weights = files["weights"] = method.weights or find_transfer_weights()
         if follow_training(method.settings, read_record(weights), weights).normals == "dsine":

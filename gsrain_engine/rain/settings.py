@@ -91,8 +91,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Closure", extra={
             "option": "drop-density", "commands": "render, disdrometer", "group": "Physics",
             "spelling": {"flux": "density", "table": "published"}},
-        description="density, or flux: as many drops as the intensity needs. "
-        "published, or table: those of the calibration's table.")] = "density"
+        description="flux (density): as many drops as the intensity needs. "
+        "table (published): those of the calibration's table.")] = "density"
     velocity: Annotated[Literal["calibration", "atlas"], Meta(
         title="Fall speed", extra={"group": "Physics"},
         description="V(D) (eq. 9): the calibration's fit, or Atlas 1973.")] = "calibration"

@@ -126,7 +126,8 @@ def intensity_sheet(cells: Sequence[SheetCell]) -> UInt8[np.ndarray, "h w 3"]:
     The lower right corner of each image enlarges a marked region: where the view's heaviest rain changes it most.
     """
     views = list(dict.fromkeys(cell.view for cell in cells))
-    columns = [_column([cell for cell in cells if cell.view == view]) for view in views]
+    lines = max(len(_caption_lines(cell)) for cell in cells)  # the same in all columns, whose rows are side by side
+    columns = [_column([cell for cell in cells if cell.view == view], lines) for view in views]
     sheet = Image.new("RGB", (sum(each.width for each in columns), max(each.height for each in columns)), _PAPER)
     left = 0
     for column in columns:
@@ -135,10 +136,33 @@ def intensity_sheet(cells: Sequence[SheetCell]) -> UInt8[np.ndarray, "h w 3"]:
     return np.asarray(sheet)
 
 
-def _column(cells: Sequence[SheetCell]) -> Image.Image:
+def _caption_lines(cell: SheetCell) -> list[str]:
+    """Wrap the words below an image to its width; the first line begins with the title."""
+    width, font = cell.image.shape[1], ImageFont.load_default(_text_px(cell))
+    lines = [_title(cell)]
+    for word in cell.caption.split():
+        longer = f"{lines[-1]} {word}".lstrip() if len(lines) > 1 or lines[0] != _title(cell) else lines[0] + word
+        if font.getlength(longer) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def _title(cell: SheetCell) -> str:
+    return f"{f'{cell.view}, ' if cell.view else ''}{cell.intensity_mm_h:g} mm/h  "
+
+
+def _text_px(cell: SheetCell) -> int:
+    return max(round(_TEXT_SHARE * cell.image.shape[1]), _TEXT_PX)
+
+
+def _column(cells: Sequence[SheetCell], lines: int) -> Image.Image:
+    """Draw the cells of one view below each other, with room for so many lines of text below each."""
     height, width = cells[0].image.shape[:2]
-    text = max(round(_TEXT_SHARE * width), _TEXT_PX)
-    gap, row = text // 2, height + 3 * text
+    text = _text_px(cells[0])
+    line = text + text // 4
+    gap, row = text // 2, height + 3 * text + (lines - 1) * line
     font = ImageFont.load_default(text)
     column = Image.new("RGB", (width + 2 * gap, len(cells) * row + gap), _PAPER)
     draw = ImageDraw.Draw(column)
@@ -146,12 +170,12 @@ def _column(cells: Sequence[SheetCell]) -> Image.Image:
     for place, cell in enumerate(cells):
         top = gap + place * row
         column.paste(Image.fromarray(_with_close_up(cell.image, region)), (gap, top))
-        title = f"{cell.intensity_mm_h:g} mm/h  "
-        if cell.view:
-            title = f"{cell.view}, {title}"
-        below = top + height + gap
+        title, below = _title(cell), top + height + gap
+        first, *others = _caption_lines(cell)
         draw.text((gap, below), title, _INK, font)
-        draw.text((gap + draw.textlength(title, font), below), cell.caption, _FAINT, font)
+        draw.text((gap + font.getlength(title), below), first.removeprefix(title), _FAINT, font)
+        for number, words in enumerate(others, start=1):
+            draw.text((gap, below + number * line), words, _FAINT, font)
     return column
 
 

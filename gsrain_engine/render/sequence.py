@@ -192,7 +192,9 @@ _STEP_S = 0.005  # half the time span for velocities: tracks are linear between 
 
 
 def find_rig_cameras(scene: Scene, names: tuple[str, ...]) -> list[RigCameraView]:
-    """Find rig cameras by RIG (all of a rig), RIG/NAME, NAME, or "all"; each once, in the order of the rigs.
+    """Find rig cameras by RIG (all of a rig), RIG/NAME, NAME, or "all"; each once, in the order of the names.
+
+    Cameras that one name finds are in the order of the rigs.
 
     Raises `ValueError` for an unmatched name, or a scene without an ego vehicle.
     """
@@ -207,8 +209,8 @@ def find_rig_cameras(scene: Scene, names: tuple[str, ...]) -> list[RigCameraView
         if not any(fits(name, rig, camera) for rig, camera in every):
             known = ", ".join(f"{rig}/{camera.name}" for rig, camera in every)
             raise ValueError(f"scene {scene.name!r} has no camera {name!r}, only {known}")
-    chosen = [(rig, camera) for rig, camera in every if any(fits(name, rig, camera) for name in names)]
-    return [RigCameraView(scene, rig, camera.name) for rig, camera in chosen]
+    found = [(rig, camera.name) for name in names for rig, camera in every if fits(name, rig, camera)]
+    return [RigCameraView(scene, rig, name) for rig, name in dict.fromkeys(found)]
 
 
 # Single image

@@ -406,6 +406,14 @@ _HASH_DIGITS = 8
 _IMPOSSIBLE = re.compile(r'[\\/:*?"<>|\x00-\x1f\x7f]+')
 
 
+def visible_siblings(path: Path) -> list[str]:
+    """Names in the folder of a path that a user may have meant: neither hidden nor locks. Empty without a folder."""
+    if not path.parent.is_dir():
+        return []
+    names = (each.name for each in path.parent.iterdir())
+    return [name for name in names if not name.startswith(".") and not name.endswith(".lock")]
+
+
 def file_word(name: str, max_bytes: int = _STEM_BYTES) -> str:
     """Return a name as part of a file name: separators and other unsafe characters become dashes.
 

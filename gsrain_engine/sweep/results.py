@@ -247,6 +247,8 @@ class SweepFolder:
         """Use a folder, which is created on the first write."""
         self.path, self.log = path, path / "log.jsonl"
         self.rows, self.rollouts, self.clips = (path / name for name in ("rows", "rollouts", "clips"))
+        self.clients = path / "clients"
+        """Output of HUGSIM clients, a file for each job."""
 
     def describe(self, sweep: Sweep, jobs: Iterable[Job]) -> None:
         """Write sweep.json, and jobs.jsonl with the job of each id.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, cast
 
 from ..scene.progress import Progress
 from ..simulation.agents.registry import agent_code, agent_file
+from ..simulation.interop.hugsim_agent import missing_client_files
 from ..trusted_code import Code, check_trusted, command_code
 from .executors import Executor, LocalPool
 from .expansion import DriveJob, Job, jobs_of
@@ -40,7 +41,10 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
     codes = agent_codes(jobs)
     check_trusted(folder.path, codes)
     yield Progress(0.0, "Starting workers")
-    work = partial(run_job, clips=folder.clips.absolute(), trusted=tuple(each.digest for each in codes))
+    work = partial(
+        run_job, clips=folder.clips.absolute(), trusted=tuple(each.digest for each in codes),
+        clients=folder.clients.absolute(),
+    )  # fmt: skip
     outcomes = cast(Generator[JobResult], engine.outcomes(work, jobs))
     with closing(outcomes):
         for outcome in outcomes:
@@ -64,6 +68,16 @@ def agent_codes(jobs: Sequence[Job]) -> list[Code]:
     files = {path for agent in agents if (path := agent_file(agent.name)) is not None}
     commands = {agent.hugsim.command for agent in agents if agent.hugsim is not None}
     return [*map(agent_code, sorted(files, key=str)), *map(command_code, sorted(commands))]
+
+
+def missing_clients(jobs: Sequence[Job]) -> list[str]:
+    """Name the programs and scripts of HUGSIM clients that this machine lacks; a line each.
+
+    Raises ClientError for a command that can't be read.
+    """
+    agents = [job.agent.hugsim for job in jobs if isinstance(job, DriveJob)]
+    commands = dict.fromkeys(each.command for each in agents if each is not None)
+    return [line for command in commands for line in missing_client_files(command)]
 
 
 def _stopped(folder: SweepFolder, reason: str, done: int) -> str:

@@ -59,8 +59,11 @@ class JobResult(Struct, frozen=True, kw_only=True):
     worker: str = ""  # host and process id, for the log
 
 
-def run_job(job: Job, clips: Path, trusted: Collection[str] = ()) -> JobResult:
-    """Run a job; exceptions become the error of the result. `trusted` holds digests of trusted agent code."""
+def run_job(job: Job, clips: Path, trusted: Collection[str] = (), clients: Path | None = None) -> JobResult:
+    """Run a job; exceptions become the error of the result. `trusted` holds digests of trusted agent code.
+
+    The output of a HUGSIM client goes to a file of the folder `clients`, named by the job's id, if the folder is given.
+    """
     started = time.perf_counter()
     with _ONE_AT_A_TIME:
         try:
@@ -70,10 +73,15 @@ def run_job(job: Job, clips: Path, trusted: Collection[str] = ()) -> JobResult:
                 raise MismatchError(f"a worker runs gsrain {here}, the sweep was made by gsrain {job.program}")
             cache = worker_cache()
             cache.check_files(job.files)
-            outcome = run_drive_job(job, cache) if isinstance(job, DriveJob) else run_render_job(job, cache, clips)
+            if isinstance(job, DriveJob):
+                outcome = run_drive_job(job, cache, None if clients is None else clients / f"{job.id}.txt")
+            else:
+                outcome = run_render_job(job, cache, clips)
         except Exception as error:
             stops = isinstance(error, MismatchError | UntrustedCodeError | ClientStartError) or _is_full(error)
             words = " ".join(str(error).split()) or type(error).__name__
+            if clients is not None:  # a row depends on the job alone, and equal errors are counted together
+                words = words.replace(str(clients / f"{job.id}.txt"), f"the job's file in {clients.name}")
             sentence = words if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {words}"
             outcome = JobResult(id=job.id, error=sentence, stops=stops)
     values = {**outcome.values, "software": ", ".join(f"{name} {each}" for name, each in software().items())}
@@ -151,10 +159,10 @@ def worker_cache() -> WorkerCache:
     return _THREAD.cache
 
 
-def run_drive_job(job: DriveJob, cache: WorkerCache) -> JobResult:
+def run_drive_job(job: DriveJob, cache: WorkerCache, client_output: Path | None = None) -> JobResult:
     """Run a closed-loop drive and measure it. Raises errors of the scenario, the scene or the agent."""
     with ExitStack() as stack:
-        agent, scenario = _opened_agent(job.agent, stack), job.scenario
+        agent, scenario = _opened_agent(job.agent, stack, client_output), job.scenario
         sees = bool(agent.needs.cameras)
         scene = cache.scene(job.scene, job.scene_hash, wet=job.variant.wet and sees)
         if job.agent.hugsim is not None:
@@ -170,7 +178,7 @@ def run_drive_job(job: DriveJob, cache: WorkerCache) -> JobResult:
     return JobResult(id=job.id, values=msgspec.to_builtins(metrics), rollout=rollout)
 
 
-def _opened_agent(choice: AgentChoice, stack: ExitStack) -> Agent:
+def _opened_agent(choice: AgentChoice, stack: ExitStack, client_output: Path | None) -> Agent:
     """Open an agent, which `stack` closes. A HUGSIM client is started at its drive, and ends with it."""
     if choice.hugsim is None:
         detector = None if choice.detector is None else Path(choice.detector)
@@ -179,10 +187,12 @@ def _opened_agent(choice: AgentChoice, stack: ExitStack) -> Agent:
     else:
         client = choice.hugsim
         check_trusted(choice.title, [command_code(client.command)])
+        if client_output is not None:
+            client_output.parent.mkdir(parents=True, exist_ok=True)
         pipes = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gsrain-hugsim-")))
         agent = HugsimAgent(
             pipes, client.command, client.channel_order, first_wait_s=client.wait_s,
-            later_wait_s=min(client.wait_s, LATER_WAIT_S),
+            later_wait_s=min(client.wait_s, LATER_WAIT_S), output=client_output,
         )  # fmt: skip
     stack.callback(agent.close)
     return agent

@@ -11,8 +11,9 @@ from numba import njit, prange
 from scipy.ndimage import minimum_filter
 from scipy.spatial import KDTree
 
+from ..render.cuda import uploaded
 from ..scene.camera import Camera
-from .parameters import SplatParameters
+from .parameters import SplatParameters, Tensor, indices_of
 from .surfels import LONGEST, Depths
 
 torch: Any = import_module("torch")
@@ -25,6 +26,9 @@ _NEAR_SHARE = 0.03
 
 _LEEWAY = 3.0
 """Factor by which Gaussians may exceed the initial length limit: large Gaussians suit distant uniform areas."""
+
+_CHUNK = 1 << 24
+"""Pairs of point and camera, or of point and position, that a GPU handles at once, in some 500 MB of memory."""
 
 _EVERY = 25  # steps between two clearances; shorter than the interval of any density control, and a divisor of it
 
@@ -80,7 +84,40 @@ class FreeSpaceCarving:
         return KDTree(self.trajectory).query(means)[0].astype(np.float32)
 
 
-def clear_free_space(step: int, steps: int, parameters: SplatParameters, free: FreeSpaceCarving) -> str | None:
+class DeviceFreeSpace:
+    """The same free space on a GPU, by torch; agrees with `FreeSpaceCarving` to float32 rounding."""
+
+    def __init__(self, free: FreeSpaceCarving, device: str) -> None:
+        self.near = free.near
+        self._trajectory = uploaded(free.trajectory, device)
+        self._rotations, self._shifts = uploaded(free.poses[:, :, :3], device), uploaded(free.poses[:, :, 3:], device)
+        self._lenses, self._limits = uploaded(free.lenses, device), uploaded(free.limits, device)
+
+    def holds(self, means: Tensor) -> Tensor:
+        """Mask (n,) of the points (n, 3) in free space."""
+        found = self.distances(means) < self.near
+        views, rows, columns = self._limits.shape
+        chunk = max(_CHUNK // max(len(means), 1), 1)
+        for first in range(0, views, chunk):
+            own = slice(first, first + chunk)
+            x, y, z = (self._rotations[own] @ means.T + self._shifts[own]).unbind(1)
+            fx, fy, cx, cy = self._lenses[own, :, None].unbind(1)
+            column, row = torch.floor(x / z * fx + cx), torch.floor(y / z * fy + cy)
+            inside = (z > 0) & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+            cell = torch.where(inside, row * columns + column, 0).long()
+            found |= (inside & (z < self._limits[own].reshape(len(cell), -1).gather(1, cell))).any(dim=0)
+        return found
+
+    def distances(self, means: Tensor) -> Tensor:
+        """Distance (n,) of each point (n, 3) to the camera trajectory."""
+        pieces = means.split(max(_CHUNK // len(self._trajectory), 1))
+        mode = "donot_use_mm_for_euclid_dist"  # the faster mode is off by 1e-3 of the distance to the origin
+        return torch.cat([torch.cdist(each, self._trajectory, compute_mode=mode).amin(dim=1) for each in pieces])
+
+
+def clear_free_space(
+    step: int, steps: int, parameters: SplatParameters, free: FreeSpaceCarving | DeviceFreeSpace
+) -> str | None:
     """Clear free space periodically and at the last of `steps`; returns a short summary, or None."""
     if step % _EVERY and step != steps - 1:
         return None
@@ -89,17 +126,27 @@ def clear_free_space(step: int, steps: int, parameters: SplatParameters, free: F
     return f"{count} cleared away" if count else None
 
 
-def prune_free_space(parameters: SplatParameters, free: FreeSpaceCarving) -> int:
+def prune_free_space(parameters: SplatParameters, free: FreeSpaceCarving | DeviceFreeSpace) -> int:
     """Remove the Gaussians whose mean is in free space; returns their number."""
+    if isinstance(free, DeviceFreeSpace):
+        count = len(parameters)
+        (outside,) = indices_of(~free.holds(parameters.tensors["means"].detach()))
+        if len(outside) < count:
+            parameters.keep(outside)
+        return count - len(outside)
     is_inside = free.holds(parameters.to_means())
     if is_inside.any():
         parameters.keep(torch.as_tensor(~is_inside, device=parameters.device))
     return int(is_inside.sum())
 
 
-def clip_long_gaussians(parameters: SplatParameters, free: FreeSpaceCarving) -> None:
+def clip_long_gaussians(parameters: SplatParameters, free: FreeSpaceCarving | DeviceFreeSpace) -> None:
     """Limit each Gaussian's length to a share of its distance to the camera trajectory, see `LONGEST`."""
-    limits = torch.as_tensor(np.log(np.maximum(_LEEWAY * LONGEST * free.distances(parameters.to_means()), 1e-9)))
+    if isinstance(free, DeviceFreeSpace):
+        distances = free.distances(parameters.tensors["means"].detach())
+        limits = (_LEEWAY * LONGEST * distances).clamp_min(1e-9).log()
+    else:
+        limits = torch.as_tensor(np.log(np.maximum(_LEEWAY * LONGEST * free.distances(parameters.to_means()), 1e-9)))
     with torch.no_grad():
         sizes = parameters.tensors["log_scales"]
         sizes.copy_(torch.minimum(sizes, limits.to(sizes)[:, None]))

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.special import comb
 
-from .parameters import SplatParameters, Tensor
+from ..render.cuda import uploaded
+from .parameters import SplatParameters, Tensor, indices_of
 from .strategy import Strategy, rotate_vectors
 
 torch: Any = import_module("torch")
@@ -74,11 +75,11 @@ class MCMCStrategy(Strategy):
 
     def _relocate(self, parameters: SplatParameters, generator: Tensor) -> int:
         """Move dead Gaussians onto live ones drawn by opacity, preserving the rendered image (eq. 9)."""
-        dead = torch.nonzero(parameters.opacities <= self._settings.dead_below)[:, 0]
-        alive = torch.nonzero(parameters.opacities > self._settings.dead_below)[:, 0]
+        opacities = parameters.opacities
+        dead, alive = indices_of(opacities <= self._settings.dead_below, opacities > self._settings.dead_below)
         if not len(dead) or not len(alive):
             return 0
-        sources = alive[_drawn_by_opacity(parameters.opacities[alive], len(dead), generator)]
+        sources = alive[_drawn_by_opacity(opacities[alive], len(dead), generator)]
         for name, values in self._shared_out(parameters, sources).items():
             parameters.put(name, dead, values)
         return len(dead)
@@ -93,8 +94,9 @@ class MCMCStrategy(Strategy):
 
     def _shared_out(self, parameters: SplatParameters, sources: Tensor) -> dict[str, Tensor]:
         """Shrink each source for its new copies, clear its moments, and return the copies' rows."""
-        copies = torch.bincount(sources, minlength=len(parameters)) + 1
-        touched = torch.nonzero(copies > 1)[:, 0]
+        copies = torch.ones(len(parameters), dtype=torch.int64, device=sources.device)
+        copies.index_add_(0, sources, torch.ones_like(sources))
+        (touched,) = indices_of(copies > 1)
         opacities, shrink = relocation_factors(parameters.opacities[touched], copies[touched])
         opacities = opacities.clamp(min=self._settings.dead_below)
         scales = parameters.scales[touched] * shrink[:, None]
@@ -105,24 +107,29 @@ class MCMCStrategy(Strategy):
 
     def _shake(self, parameters: SplatParameters, strength: float, generator: Tensor) -> None:
         """Add Langevin noise to the means, shaped by each covariance, where opacity is small (eq. 8)."""
-        opacities = parameters.opacities
-        rows = torch.nonzero(opacities < _STILL)[:, 0]
-        if not strength or not len(rows):
+        if not strength:
             return
-        size = (len(rows), 3)
-        noise = torch.randn(size, generator=generator, device=generator.device, dtype=opacities.dtype)
-        factor = torch.sigmoid(_STEEPNESS * (1 - opacities[rows] - _MIDDLE))[:, None] * strength
+        opacities = parameters.opacities
+        faint = opacities < _STILL
+        # The processor skips opaque rows; on a GPU all are drawn, since counting them would wait for it.
+        rows = torch.nonzero(faint)[:, 0] if opacities.device.type == "cpu" else slice(None)
+        chosen = opacities[rows]
+        if not len(chosen):
+            return
+        noise = torch.randn((len(chosen), 3), generator=generator, device=chosen.device, dtype=chosen.dtype)
+        factor = torch.sigmoid(_STEEPNESS * (1 - chosen - _MIDDLE))[:, None] * strength
         turn = parameters.tensors["quaternions"][rows]
         back = torch.cat([turn[:, :1], -turn[:, 1:]], dim=1)
-        inside = rotate_vectors(back, noise.to(opacities.device)) * parameters.scales[rows] ** 2
-        parameters.tensors["means"][rows] += factor * rotate_vectors(turn, inside)
+        inside = rotate_vectors(back, noise) * parameters.scales[rows] ** 2
+        moves = factor * rotate_vectors(turn, inside)
+        parameters.tensors["means"][rows] += torch.where(faint[rows][:, None], moves, 0)
 
 
 def _drawn_by_opacity(opacities: Tensor, count: int, generator: Tensor) -> Tensor:
     """(count,) indices drawn with replacement, with probability proportional to opacity."""
-    ends = torch.cumsum(opacities.double(), 0).to(generator.device)
-    at = torch.rand(count, generator=generator, device=generator.device, dtype=torch.float64) * ends[-1]
-    return torch.searchsorted(ends, at, right=True).clamp(max=len(opacities) - 1).to(opacities.device)
+    ends = torch.cumsum(opacities.double(), 0)
+    at = torch.rand(count, generator=generator, device=ends.device, dtype=torch.float64) * ends[-1]
+    return torch.searchsorted(ends, at, right=True).clamp(max=len(opacities) - 1)
 
 
 # Relocation factors
@@ -142,7 +149,7 @@ def relocation_factors(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tenso
     count = copies.clamp(max=MAX_COPIES)
     old = opacities.double()
     new = 1 - (1 - old) ** (1 / count.double())
-    terms = torch.as_tensor(_TERMS, device=old.device)[count]
+    terms = uploaded(_TERMS, old.device)[count]
     powers = new[:, None] ** torch.arange(1, MAX_COPIES + 1, device=old.device)
     factor = old / (terms * powers).sum(dim=1)
     return new.to(opacities.dtype), factor.to(opacities.dtype)

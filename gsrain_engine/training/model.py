@@ -10,6 +10,7 @@ from jaxtyping import Float64, Shaped
 
 from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
 from ..render.autodiff.differentiable import Rendered, render_gaussians
+from ..render.cuda import uploaded
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.camera_path_edit import WALKING_M_S, with_constant_speed
@@ -112,7 +113,7 @@ class _ActivatedPart(NamedTuple):
 
     def moved(self, pose: Float64[np.ndarray, "4 4"]) -> "_ActivatedPart":
         """Transform from an object's frame to the world; colors are unchanged."""
-        matrix = torch.as_tensor(pose, dtype=self.means.dtype, device=self.means.device)
+        matrix = uploaded(pose, self.means.device).to(self.means.dtype)
         quaternions = rotate_quaternions(quaternions_from_matrices(pose[:3, :3]), self.quaternions)
         return self._replace(means=self.means @ matrix[:3, :3].T + matrix[:3, 3], quaternions=quaternions)
 

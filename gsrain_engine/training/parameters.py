@@ -1,13 +1,14 @@
-"""Trainable Gaussians: unconstrained torch tensors with their Adam moments, and the fused CPU Adam step."""
+"""Trainable Gaussians: unconstrained torch tensors with their Adam moments, and the fused Adam step of each device."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any, no_type_check
+from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, Shaped
 from numba import njit, prange
 
+from ..render.cuda import uploaded
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
 torch: Any = import_module("torch")
@@ -104,20 +105,25 @@ class SplatParameters:
         Tensors without a rate by name, or with 0, keep their values and moments. Only `rows` ((n,) bool) move, and only
         their moments change; None moves all: invisible rows then continue along their moments, as in 3DGS.
         """
-        for name, rate in learning_rates.items():
-            values = self.tensors[name]
-            if not rate or values.grad is None or not values.numel():
-                continue
+        moving = [
+            name
+            for name, rate in learning_rates.items()
+            if rate and self.tensors[name].grad is not None and self.tensors[name].numel()
+        ]
+        for name in moving:
             self._steps[name] += 1
-            shares = 1 - FIRST_DECAY ** self._steps[name], 1 - SECOND_DECAY ** self._steps[name]
-            first, second = self._first[name], self._second[name]
-            if values.device.type == "cpu":
-                four = (values.detach(), values.grad, first, second)
-                value, slope, mean, square = (each.contiguous().numpy().reshape(len(self), -1) for each in four)
-                mask = np.zeros(0, np.bool_) if rows is None else rows.numpy()
-                adam_step(value, slope, mean, square, mask, rate, *shares)
-            else:
-                torch_adam_step(values.detach(), values.grad, first, second, rows, rate, *shares)
+        steps = [AdamStep.of(learning_rates[name], self._steps[name]) for name in moving]
+        fours = [
+            (self.tensors[name].detach(), self.tensors[name].grad, self._first[name], self._second[name])
+            for name in moving
+        ]
+        if self.device.type != "cpu":
+            foreach_adam_step(fours, rows, steps)
+            return
+        mask = np.zeros(0, np.bool_) if rows is None else rows.numpy()
+        for four, step in zip(fours, steps, strict=True):
+            value, slope, mean, square = (each.contiguous().numpy().reshape(len(self), -1) for each in four)
+            adam_step(value, slope, mean, square, mask, *step)
 
     def keep(self, rows: Tensor) -> None:
         """Keep these rows ((n,) bool, or indices in a new order) with their moments; gradients are cleared."""
@@ -185,7 +191,7 @@ def rotate_quaternions(turn: Float64[np.ndarray, "4"], quaternions: Tensor) -> T
     """(n, 4) products of a quaternion and others, wxyz."""
     w, x, y, z = turn.tolist()
     rows = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
-    return quaternions @ torch.tensor(rows, dtype=quaternions.dtype, device=quaternions.device).T
+    return quaternions @ uploaded(np.array(rows), quaternions.device).to(quaternions.dtype).T
 
 
 # Adam step on the CPU
@@ -224,15 +230,63 @@ def adam_step(values, gradients, first, second, rows, rate, first_share, second_
                     values[i, c] -= pace * mean / (np.sqrt(square) * spread + epsilon)
 
 
-def torch_adam_step(
-    values: Tensor, gradients: Tensor, first: Tensor, second: Tensor, rows: Tensor | None, rate: float,
-    first_share: float, second_share: float,
-) -> None:  # fmt: skip
-    """Do the same on any device; without `rows` all are updated."""
-    parts = [each if rows is None else each[rows] for each in (values, gradients, first, second)]
-    value, slope, mean, square = parts
-    mean.mul_(FIRST_DECAY).add_(slope, alpha=1 - FIRST_DECAY)
-    square.mul_(SECOND_DECAY).addcmul_(slope, slope, value=1 - SECOND_DECAY)
-    value.addcdiv_(mean, square.sqrt().div_(second_share**0.5).add_(EPSILON), value=-rate / first_share)
-    if rows is not None:
-        values[rows], first[rows], second[rows] = value, mean, square
+# Adam step on a GPU
+# Few kernels for all tensors, since starting one takes longer than its work.
+
+
+class AdamStep(NamedTuple):
+    """Learning rate of one step, and the bias corrections of both moments."""
+
+    rate: float
+    first_share: float
+    second_share: float
+
+    @classmethod
+    def of(cls, rate: float, steps: int) -> "AdamStep":
+        """Values of the step with this number, counted from 1."""
+        return cls(rate, 1 - FIRST_DECAY**steps, 1 - SECOND_DECAY**steps)
+
+
+def foreach_adam_step(
+    fours: Sequence[tuple[Tensor, Tensor, Tensor, Tensor]], rows: Tensor | None, steps: Sequence[AdamStep]
+) -> None:
+    """Do the same on any device for several tensors at once, without waiting for it.
+
+    Each of `fours` has values, gradients, first and second moments with n rows; only `rows` ((n,) bool) change, all for
+    None.
+    """
+    if not fours:
+        return
+    with torch.no_grad():
+        values, gradients, first, second = (list(each) for each in zip(*fours, strict=True))
+        moved = first
+        if rows is None:
+            torch._foreach_lerp_(first, gradients, 1 - FIRST_DECAY)
+            torch._foreach_mul_(second, SECOND_DECAY)
+            torch._foreach_addcmul_(second, gradients, gradients, 1 - SECOND_DECAY)
+        else:
+            flags = rows.to(values[0].dtype)
+            first_weights, second_weights = (1 - FIRST_DECAY) * flags, (1 - SECOND_DECAY) * flags
+            squares = torch._foreach_mul(gradients, gradients)
+            for mean, slope, square, new in zip(first, gradients, second, squares, strict=True):
+                shape = (-1, *[1] * (mean.ndim - 1))
+                mean.lerp_(slope, first_weights.view(shape))
+                square.lerp_(new, second_weights.view(shape))
+            moved = [mean * flags.view(-1, *[1] * (mean.ndim - 1)) for mean in first]
+        spreads = [step.second_share**0.5 for step in steps]
+        scale = torch._foreach_sqrt(second)
+        torch._foreach_add_(scale, [EPSILON * spread for spread in spreads])
+        paces = [-step.rate * spread / step.first_share for step, spread in zip(steps, spreads, strict=True)]
+        torch._foreach_addcdiv_(values, moved, scale, paces)
+
+
+# Selection of rows
+
+
+def indices_of(*masks: Tensor) -> list[Tensor]:
+    """(m,) rising indices of the set elements of each (n,) bool mask; waits for their device once, to count them."""
+    if masks[0].device.type == "cpu":
+        return [torch.nonzero(mask)[:, 0] for mask in masks]
+    counts = torch.stack([mask.sum() for mask in masks]).tolist()
+    orders = (torch.argsort(mask.to(torch.uint8), descending=True, stable=True) for mask in masks)
+    return [order[:count] for order, count in zip(orders, counts, strict=True)]

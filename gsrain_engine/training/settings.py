@@ -61,7 +61,8 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         title="Held-out views", extra={"option": "held-out", "commands": "reconstruct"},
         description="Or these views, by name.")] = ()
     seed: Annotated[int, Meta(
-        ge=0, le=2**31 - 1, title="Seed", extra={"commands": "reconstruct"}, description="Same seed, same bytes.")] = 0
+        ge=0, le=2**31 - 1, title="Seed", extra={"commands": "reconstruct"},
+        description="Same seed, same bytes (on the CPU).")] = 0
     rates: Annotated[LearningRates, Meta(title="Learning rates")] = LearningRates()
     haste: Annotated[float, Meta(
         ge=0.1, le=20, title="Haste", description="Multiplies the learning rates of a run that is short.")] = 3.0

@@ -1,8 +1,13 @@
-"""One training step: render, loss, backward pass, optimizers and density control."""
+"""One training step: render, loss, backward pass, optimizers and density control.
+
+On CUDA a step only queues work: nothing in it waits for the GPU but gsplat itself, and a change of the number of
+Gaussians, which the processor has to know.
+"""
 
 import time
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import cv2
@@ -10,13 +15,15 @@ import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
 from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, ImageDistance, check_pair, window
+from ..render.cuda import uploaded
 from ..training_run import arrays_of
-from .data import PyramidLevel, TrainingView
+from .data import TrainingView
 from .evaluation import RenderScore, score
-from .free_space import FreeSpaceCarving, clear_free_space
+from .free_space import DeviceFreeSpace, FreeSpaceCarving, clear_free_space
 from .model import SplatModel, TrainingRender
 from .settings import TrainingSchedule, TrainingSettings, view_order
 from .strategy import Strategy
+from .targets import TargetCache, TrainingTarget
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -26,7 +33,8 @@ Render = Float32[np.ndarray, "h w 3"]
 class TrainingStepResult(NamedTuple):
     """Result of one training step."""
 
-    loss: float
+    loss: Tensor
+    """() on the device; `Trainer.losses` reads it."""
     change: str | None
     exposed: Tensor
     """(h, w, 3) render with the image's own exposure applied."""
@@ -49,20 +57,26 @@ class Trainer:
         self.seconds_by_stage: dict[str, float] = dict.fromkeys(
             ("reading", "forward", "backward", "optimizer", "density"), 0.0
         )
-        self._control, self._device, self._free = control, device, free
+        self.is_asynchronous = device != "cpu"
+        """True if steps are queued on a GPU, where reading a loss waits for all of them."""
+        self._clock = (_EventClock if self.is_asynchronous else _StageClock)(self.seconds_by_stage)
+        self._control, self._device = control, device
+        self._free = DeviceFreeSpace(free, device) if free is not None and self.is_asynchronous else free
+        self._targets = TargetCache(views, device)
         settings = schedule.settings
         self._exposures = ExposureAffine(len(views), device) if settings.exposure else None
         self._order = view_order(len(views), settings.steps, settings.seed)
 
     def step(self, number: int) -> TrainingStepResult:
-        clock = _StageClock(self.seconds_by_stage)
+        clock = self._clock
+        clock.begin()
         settings, index = self.schedule.settings, self._order[number]
         view = self.views[index]
-        level = view.levels[self.schedule.level(number)]
-        truth = TrainingTarget.of(level, self._device)
+        level = self.schedule.level(number)
+        truth = self._targets.target(index, level)
         clock.stop("reading")
         self.model.zero_grad()
-        picture = self.model.render(level.camera, view.time_s, self.schedule.sh_degree(number))
+        picture = self.model.render(view.levels[level].camera, view.time_s, self.schedule.sh_degree(number))
         exposed = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
         if self.schedule.leaves_out(number):
             truth = truth._replace(mask=robust_mask(exposed, truth.image, truth.mask, settings.transients))
@@ -78,13 +92,19 @@ class Trainer:
         self._control.observe(number, picture.front, picture.background_rows)
         self._move(number, picture, everything=regularization is not None)
         clock.stop("optimizer")
-        generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + number)
+        generator = torch.Generator(device=self._device).manual_seed(settings.seed * 1_000_003 + number)
         change = self._control.adapt(number, self.model.background, generator)
         if self._free is not None:
             cleared = clear_free_space(number, settings.steps, self.model.background, self._free)
             change = ", ".join(filter(None, (change, cleared))) or None
         clock.stop("density")
-        return TrainingStepResult(float(loss.detach()), change, exposed.detach(), truth.image)
+        return TrainingStepResult(loss.detach(), change, exposed.detach(), truth.image)
+
+    def losses(self, results: Sequence[Tensor]) -> list[float]:
+        """Read the losses of the steps since the last call at once; waits until those steps are done."""
+        values: list[float] = torch.stack(list(results)).tolist() if results else []
+        self._clock.settle()
+        return values
 
     def render(self, view: TrainingView) -> Render:
         """Render the whole model for a view at full size, without gradients."""
@@ -140,44 +160,48 @@ class _StageClock:
     """Adds the time since the last stop to a stage."""
 
     def __init__(self, seconds: dict[str, float]) -> None:
-        self._seconds, self._last = seconds, time.perf_counter()
+        self._seconds, self._last = seconds, 0.0
+
+    def begin(self) -> None:
+        self._last = time.perf_counter()
 
     def stop(self, stage: str) -> None:
         now = time.perf_counter()
         self._seconds[stage] += now - self._last
         self._last = now
 
+    def settle(self) -> None:
+        """Add what is still open; here nothing is."""
+
+
+class _EventClock:
+    """The same for work queued on a GPU, by events between its kernels."""
+
+    def __init__(self, seconds: dict[str, float]) -> None:
+        self._seconds = seconds
+        self._events: list[tuple[str | None, Any]] = []
+
+    def begin(self) -> None:
+        self.stop(None)
+
+    def stop(self, stage: str | None) -> None:
+        event = torch.cuda.Event(enable_timing=True)
+        event.record()
+        self._events.append((stage, event))
+
+    def settle(self) -> None:
+        """Add the time between events; the steps that recorded them are done."""
+        if self._events:
+            self._events[-1][1].synchronize()
+        for (_, before), (stage, event) in pairwise(self._events):
+            if stage is not None:
+                self._seconds[stage] += before.elapsed_time(event) / 1000
+        self._events.clear()
+
 
 # Loss of one view
 
 _MIN_ALPHA = 0.05  # alpha below which depth is undefined
-
-
-class TrainingTarget(NamedTuple):
-    """One level of a view as tensors."""
-
-    image: Tensor
-    """(h, w, 3) of 0..1."""
-    mask: Tensor | None
-    """(h, w) bool: training pixels."""
-    hits: Tensor
-    """(m,) flat indices of pixels with measured depth."""
-    depths: Tensor
-    """(m,) along the view axis."""
-    sky: Tensor | None
-    """(h, w) bool."""
-
-    @classmethod
-    def of(cls, level: PyramidLevel, device: str) -> "TrainingTarget":
-        mask = None if level.mask is None else torch.as_tensor(level.mask, device=device)
-        hits, depths = torch.zeros(0, dtype=torch.int64, device=device), torch.zeros(0, device=device)
-        if level.depth is not None:
-            measured = level.depth > 0 if level.mask is None else (level.depth > 0) & level.mask
-            rows = measured.ravel().nonzero()[0]
-            hits = torch.as_tensor(rows, device=device)
-            depths = torch.as_tensor(level.depth.ravel()[rows], device=device)
-        sky = None if level.sky is None else torch.as_tensor(level.sky, device=device)
-        return cls(torch.as_tensor(level.image, device=device).to(torch.float32) / 255, mask, hits, depths, sky)
 
 
 def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Tensor:
@@ -194,8 +218,8 @@ def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, s
     nothing = color.new_zeros(())
     depth, cover = nothing, nothing
     if len(truth.hits) and (settings.depth or settings.cover):
-        alpha = picture.front.alpha.reshape(-1)[truth.hits]
-        weighted = picture.front.depth.reshape(-1)[truth.hits]
+        alpha = picture.front.alpha.reshape(-1).index_select(0, truth.hits)
+        weighted = picture.front.depth.reshape(-1).index_select(0, truth.hits)
         mean = weighted / alpha.clamp_min(_MIN_ALPHA)
         error = (mean - truth.depths).abs() / (mean + truth.depths)
         depth = settings.depth * (error * (alpha.detach() > _MIN_ALPHA)).mean()
@@ -255,11 +279,15 @@ def _blurred(values: Tensor) -> Tensor:
 
 
 def convolved(values: Tensor) -> Tensor:
-    """(h - 10, w - 10, c) Gaussian window means by torch, on any device."""
-    taps = torch.as_tensor(window(), dtype=values.dtype, device=values.device)
-    planes = values.permute(2, 0, 1)[:, None]
-    rows = torch.nn.functional.conv2d(planes, taps.view(1, 1, -1, 1))
-    return torch.nn.functional.conv2d(rows, taps.view(1, 1, 1, -1))[:, 0].permute(1, 2, 0)
+    """(h - 10, w - 10, c) Gaussian window means by torch, on any device: along y, then along x."""
+    # Torch's own float32 kernel takes contiguous planes in at least two groups; cuDNN, which takes the rest, would
+    # round to TF32, too coarse for variances.
+    channels, groups = values.shape[2], max(values.shape[2], 2)
+    taps = uploaded(window(), values.device).to(values.dtype).repeat(groups, 1)
+    planes = values.permute(2, 0, 1).contiguous()[None].expand(-1, groups if channels == 1 else -1, -1, -1)
+    rows = torch.nn.functional.conv2d(planes.contiguous(), taps.view(groups, 1, -1, 1), groups=groups)
+    both = torch.nn.functional.conv2d(rows, taps.view(groups, 1, 1, -1), groups=groups)
+    return both[0, :channels].permute(1, 2, 0)
 
 
 class OpenCVBlur(torch.autograd.Function):
@@ -299,16 +327,17 @@ def robust_mask(exposed: Tensor, truth: Tensor, mask: Tensor | None, max_share: 
     """
     with torch.no_grad():
         counts = torch.ones(truth.shape[:2], dtype=torch.bool, device=truth.device) if mask is None else mask
-        if not counts.any():
-            return counts
         difference = torch.where(counts, (exposed - truth).abs().mean(dim=2), 0)
         reach = max(round(_WINDOW * truth.shape[1] / 2), 1)
         both = torch.stack([difference, counts.to(difference.dtype)])[None]
         mean, part = torch.nn.functional.avg_pool2d(both, 2 * reach + 1, 1, reach)[0]
         mean = mean / part.clamp_min(1e-6)
-        ordered = mean[counts].sort().values
-        bound = ordered[min(int((1 - max_share) * len(ordered)), len(ordered) - 1)]
-        limit = torch.maximum(bound, (_TIMES * ordered[len(ordered) // 2]).clamp_min(_THRESHOLDS))
+        # Pixels that don't count come last: the number of those that do stays on the device.
+        ordered = torch.where(counts, mean, torch.inf).reshape(-1).sort().values
+        number = counts.sum()
+        ranks = torch.stack([((1 - max_share) * number.double()).long().minimum(number - 1), number // 2])
+        bound, median = ordered.index_select(0, ranks.clamp_min(0)).unbind()
+        limit = torch.maximum(bound, (_TIMES * median).clamp_min(_THRESHOLDS))
         return counts & (mean <= limit)
 
 

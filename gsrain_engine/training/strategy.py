@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from .parameters import SplatParameters, Tensor
+from .parameters import SplatParameters, Tensor, indices_of
 
 torch: Any = import_module("torch")
 
@@ -17,7 +17,7 @@ class Strategy:
     """Changes the number of Gaussians during training; this base class changes none.
 
     The training calls `observe` after each backward pass and `adapt` after each step of the optimizer, with the same
-    step number (from 0). All randomness comes from the generator.
+    step number (from 0). All randomness comes from the generator, which is on the Gaussians' device.
     """
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
@@ -100,7 +100,8 @@ class DefaultStrategy(Strategy):
         height, width = rendered.alpha.shape
         drawn = rendered.footprint.drawn[rows]
         if len(self._notes.get("count", ())) != len(drawn):
-            self._notes = {name: torch.zeros(len(drawn)) for name in ("pull", "count", "radius")}
+            zeros = torch.zeros((3, len(drawn)), device=drawn.device)
+            self._notes = dict(zip(("pull", "count", "radius"), zeros.unbind(), strict=True))
         self._notes = {name: each.to(drawn.device) for name, each in self._notes.items()}
         half = 0.5 * float(np.sqrt(width * height))
         self._notes["pull"] += torch.where(drawn, rendered.footprint.screen_gradients[rows] * half, 0).float()
@@ -138,32 +139,30 @@ class DefaultStrategy(Strategy):
         gone = parameters.opacities < s.min_opacity
         if s.reset_every and step > s.reset_every:
             gone |= (size > s.largest * s.extent) | (self._notes["radius"] > s.largest_on_screen)
-        room = max(s.max_count - len(parameters) + int(gone.sum()), 0)
+        room = s.max_count - len(parameters) + gone.sum()
         wide = self._notes["radius"] > s.split_on_screen
-        growing = _highest(((gradients >= s.gradient) | wide) & ~gone, gradients + wide * float(gradients.max()), room)
+        growing = _highest(((gradients >= s.gradient) | wide) & ~gone, gradients + wide * gradients.max(), room)
         large = (size > s.split_from * s.extent) | wide
-        split, cloned = growing & large, growing & ~large
-        more = [parameters.rows(cloned), _children(parameters.rows(split), generator)]
-        parameters.keep(~(gone | split))
+        split = growing & large
+        cloned, parents, kept, pruned = indices_of(growing & ~large, split, ~(gone | split), gone)
+        more = [parameters.rows(cloned), _children(parameters.rows(parents), generator)]
+        parameters.keep(kept)
         parameters.extend({name: torch.cat([each[name] for each in more]) for name in more[0]})
-        return f"{int(cloned.sum())} cloned, {int(split.sum())} split, {int(gone.sum())} pruned"
+        return f"{len(cloned)} cloned, {len(parents)} split, {len(pruned)} pruned"
 
 
-def _highest(candidates: Tensor, gradients: Tensor, room: int) -> Tensor:
+def _highest(candidates: Tensor, gradients: Tensor, room: Tensor) -> Tensor:
     """The `room` candidates with the highest gradients (each adds one); ties by index."""
-    if int(candidates.sum()) <= room:
-        return candidates
     order = torch.argsort(torch.where(candidates, gradients, -1), descending=True, stable=True)
-    chosen = torch.zeros_like(candidates)
-    chosen[order[:room]] = True
-    return chosen
+    fits = torch.arange(len(candidates), device=candidates.device) < room
+    return candidates & torch.zeros_like(candidates).scatter_(0, order, fits)
 
 
 def _children(parents: dict[str, Tensor], generator: Tensor) -> dict[str, Tensor]:
     """Two children per parent, drawn from its own distribution, smaller by 1.6."""
     rows = {name: each.repeat((_CHILDREN,) + (1,) * (each.dim() - 1)) for name, each in parents.items()}
     means = rows["means"]
-    noise = torch.randn(means.shape, generator=generator, device=generator.device, dtype=means.dtype).to(means.device)
+    noise = torch.randn(means.shape, generator=generator, device=means.device, dtype=means.dtype)
     rows["means"] = means + rotate_vectors(rows["quaternions"], noise * torch.exp(rows["log_scales"]))
     rows["log_scales"] = rows["log_scales"] - float(np.log(_SHRINK))
     return rows

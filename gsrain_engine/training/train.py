@@ -20,10 +20,11 @@ from ..evaluation.lpips import Lpips
 from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
 from ..evaluation.report import ReportCurve, RunReport, write_report
 from ..evaluation.report_charts import ImageComparison
+from ..render.gsplat_build import GsplatBuildError, build_gsplat
 from ..safe_io.numpy_files import read_archive
 from ..scene.formats.scene_files import write_scene
 from ..scene.gaussians import Gaussians
-from ..scene.progress import Progress
+from ..scene.progress import Progress, subprogress
 from ..training_run import CheckpointFormat, CheckpointHeader, PeriodicAction, TrainingRun
 from .data import ReconstructionTask, TrainingView, training_views
 from .ego_mask import mask_ego_vehicle
@@ -201,6 +202,8 @@ class _Reconstruction:
         self._held, self._perceived, self._own_body = started.held_out, started.perceived, started.own_body
         self._curves = TrainingCurves()
         self._before: tuple[RenderScore, ...] = ()
+        self._unread: list[tuple[Any, int, float]] = []
+        """Loss (on the device), number of Gaussians and time of each step that the curves lack."""
 
     def look_before(self) -> Generator[Progress]:
         yield Progress(_STARTED, "Measuring what it starts from")
@@ -220,15 +223,27 @@ class _Reconstruction:
     def _step(self, number: int) -> Progress:
         done = self._training.step(number)
         count = self._training.model.count
-        self._curves.add(done.loss, count, self._run.seconds)
+        self._unread.append((done.loss, count, self._run.seconds))
+        metrics: dict[str, float] = {"gaussians": count}
+        if not self._training.is_asynchronous or self._run.figures_are_due():
+            self._read_losses()
+            metrics = {"loss": self._curves.recent_loss(), **metrics}
         loss = self._curves.recent_loss()
         preview = comparison_image(done.exposed, done.truth) if self._run.preview_is_due() else None
         message = f"Step {number + 1:,} of {self._settings.steps:,}: loss {loss:.4f}, {count:,} Gaussians"
         message = f"{message} ({done.change})" if done.change else message
-        return self._run.progress(number + 1, message, preview, {"loss": loss, "gaussians": count})
+        return self._run.progress(number + 1, message, preview, metrics)
+
+    def _read_losses(self) -> None:
+        """Move the losses of all steps so far to the curves, which waits for the device."""
+        losses = self._training.losses([loss for loss, _, _ in self._unread])
+        for loss, (_, count, seconds) in zip(losses, self._unread, strict=True):
+            self._curves.add(loss, count, seconds)
+        self._unread.clear()
 
     def _look(self, steps: int) -> Progress:
         """Write the snapshot scene if requested, and evaluate some held-out views."""
+        self._read_losses()
         if self._task.snapshot is not None:
             write_scene(scene_of(self._training.model, self._capture), self._task.snapshot)
         if not self._held:
@@ -240,6 +255,7 @@ class _Reconstruction:
         return self._run.progress(steps, message, metrics={"psnr_held_out_db": psnr_db})
 
     def _save(self, steps: int) -> Progress:
+        self._read_losses()
         before = np.array([[each.psnr_db, each.ssim, each.psnr_exposed_db] for each in self._before]).reshape(-1, 3)
         arrays = self._training.state() | self._curves.state() | {"before": before}
         CHECKPOINTS.write(self._task.checkpoint, self._header(steps), arrays)
@@ -257,6 +273,7 @@ class _Reconstruction:
 
     def measure(self) -> Generator[Progress, None, TrainingReport]:
         """Evaluate all held-out views and some training views."""
+        self._read_losses()
         seconds = self._run.seconds
         views = self._training.views
         spread = np.linspace(0, len(views) - 1, min(_LEARNED_VIEWS, len(views))).round().astype(int)
@@ -285,6 +302,7 @@ class _Reconstruction:
 
 # Preparation
 
+_KERNELS = 0.004  # share of the total progress at which gsplat's kernels are ready
 _INITIAL_SHARE = 0.7  # initial share of the allowed Gaussians; the rest is left to density control
 
 
@@ -296,7 +314,15 @@ def start_training(
     if settings.device == "cuda" and not can_use_cuda:
         raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
     device = "cuda" if can_use_cuda and settings.device != "cpu" else "cpu"
-    yield Progress(0.0, f"Reading {len(capture)} pictures")
+    if device == "cuda":
+        try:
+            yield from subprogress(build_gsplat(), 0.0, _KERNELS)
+        except GsplatBuildError as error:
+            if settings.device == "cuda":
+                raise ValueError(f"--device cuda: {error}") from None
+            logger.warning("%s; training on the processor", error)
+            device = "cpu"
+    yield Progress(_KERNELS, f"Reading {len(capture)} pictures")
     views = training_views(capture, settings.width_px)
     yield Progress(0.005, "Looking for surfaces and sky")
     known = depth_priors(capture, views)

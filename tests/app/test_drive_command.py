@@ -88,6 +88,28 @@ def test_a_client_that_can_not_start_is_refused_before_the_scene_is_read(
     assert words in error and "client" in error and not (tmp_path / "out").exists()
 
 
+def test_a_drive_without_a_step_writes_nothing_but_its_reason(scenario, tmp_path, capsys):
+    out, pipes = tmp_path / "out", tmp_path / "pipes"
+    options = ("-o", out, "--hugsim-dir", pipes, "--hugsim-wait", 0.1, "--rain", "0,8.5", "--backend", "cpu")
+    assert drive(scenario, *options) == BAD_INPUT
+    printed = capsys.readouterr()
+    assert printed.out == "" and not out.exists()
+    (error,) = [line for line in printed.err.splitlines() if line.startswith("gsrain: ")]
+    assert "0.1 s" in error
+
+
+def test_a_missing_scene_of_hugsim_names_the_places_searched(tmp_path, capsys, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    file = tmp_path / "scene-0383-easy-00.yaml"
+    file.write_text("{mode: easy_00, plan_list: [], scene_name: scene-0383, start_velo: 1}")
+    assert drive(file, "--agent", "oracle-idm") == BAD_INPUT
+    error = capsys.readouterr().err
+    assert f"neither at {tmp_path / 'scene-0383'} nor at {tmp_path / 'here' / 'scene-0383'};" in error
+    assert drive(file, "--agent", "oracle-idm", "--scene", "other") == BAD_INPUT
+    assert capsys.readouterr().err.startswith("gsrain: other: no such scene")
+
+
 def test_scenes_without_cameras_and_starts_in_an_obstacle(scenario, tmp_path, capsys):
     scene, asked = small_scene("boxed"), (scenario, "--agent", "oracle-idm", "-o", tmp_path / "out", "--scene")
     write_scene(replace(scene, rigs={}), tmp_path / "blind")

@@ -145,6 +145,17 @@ def test_pictures_of_a_folder_by_a_coco_file(detector, tmp_path, reported, capsy
     assert "red has no word for sign (1)" in capsys.readouterr().err
 
 
+def test_all_missing_files_are_named_before_any_work(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ["evaluate", "detection", "street", "--detector", "a.onnx", "--detector", "b.onnx", "--capture", "drive"]
+    assert run([*command, "--truth", "coco.json", "-o", "out"]) == BAD_INPUT
+    first, *lines = capsys.readouterr().err.strip().splitlines()
+    assert first == "gsrain: 4 inputs are missing or do not fit:"
+    beginnings = ("  --detector a.onnx", "  --detector b.onnx", "  --truth coco.json", "  drive: no such")
+    assert all(line.startswith(each) for line, each in zip(lines, beginnings, strict=True))
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("source", "error"),
     [("empty", "has no actors"), ("far", "an object of 16 px or more"), ("photos", "its unit of length is unknown")],

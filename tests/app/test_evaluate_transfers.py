@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import pytest
 import yaml
@@ -61,11 +62,19 @@ def test_all_missing_inputs_are_named_before_any_work(tmp_path, capsys, monkeypa
     beginnings = [
         "method 'a': weights no.pkl: no such file or folder", "method 'a': no weights of DSINE",
         "method 'a': no program of DSINE", "methods 'a', 'b': no SD-Turbo", "method 'b': no transfer weights",
-        "method 'c': needs images", "method 'd': images no images", "pictures.clear no clear",
+        "method 'c': method images needs images", "method 'd': images no images", "pictures.clear no clear",
         "pictures.rainy no rainy", "no weights of Inception",
     ]  # fmt: skip
     assert all(any(line.startswith(f"  {each}") for line in lines) for each in beginnings)
-    assert "--normals-weights FILE" in "".join(lines) and "--normals-checkout DIR" in "".join(lines)
+    words = "".join(lines)
+    for field in (
+        "normals_weights: FILE or",
+        "normals_checkout: DIR or",
+        "extractor: pixels16,",
+        "by the field weights or",
+    ):
+        assert f" {field} " in words
+    assert set(re.findall(r"--[a-z-]+", words)) == {"--include", "--local-dir"}  # those of hf, no options of ours
     assert not (tmp_path / "out").exists()
 
 
@@ -110,6 +119,7 @@ def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys):
     assert [row["name"] for row in rows] == names and all(name in printed for name in names)
     assert [(row["real_pictures"], row["fake_pictures"], row["metric"]) for row in rows] == [(6, 4, "FD-pixels16")] * 5
     assert "FID" not in printed  # only Inception's features give it
+    assert f"since their water film is unknown: {', '.join(names[2:])};" in printed
     assert all(row["frechet_interval"][0] <= row["frechet"] <= row["frechet_interval"][1] for row in rows)
     assert all(row["seconds"] > 0 for row in rows)
     clear, wet, ours, flat, alone = rows
@@ -142,6 +152,9 @@ def test_only_changed_methods_run_again(tmp_path, capsys):
     again = compared()
     assert "clear, wet." in capsys.readouterr().out and again["kept"] == ["clear", "wet"]
     assert again["rows"] == first["rows"]  # with the seconds of the run that took them
+    assert transfers(tmp_path, "--only", "wet,clear") == 0
+    table = (tmp_path / "out" / "table.md").read_text()
+    assert 0 < table.index("| wet |") < table.index("| clear |")  # in the order of the names
     assert compared(methods=[METHODS[0], METHODS[1] | {"seed": 5}])["kept"] == ["clear"]
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import sys
 
 import pytest
 
@@ -63,11 +64,29 @@ def test_a_pipe_gets_a_line_for_each_drive(sweep, capsys):
 def test_shares_make_one_table(sweep, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(["sweep", str(sweep), "--workers", "0", "--shard", "1/2"]) == 0
-    assert "share 1/2 is done" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"share 1/2 is done; when all are: gsrain sweep {sweep} -o {out} --summarize-only\n" in printed
     assert not (out / "table.csv").exists() and len(list((out / "rows").iterdir())) == 4
     assert run(["sweep", str(sweep), "--summarize-only"]) == 0 and len(table(out)) == 4
     assert run(["sweep", str(sweep), "--workers", "0", "--shard", "2/2"]) == 0  # the last one makes it
     assert len(table(out)) == 8
+
+
+def test_programs_and_scripts_of_clients_are_missed_before_the_first_drive(sweep, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("app.sweep._engine", lambda *_: pytest.fail("workers were started"))
+    commands = ["no-such-shell tools/e2e.sh 0", f"{sys.executable} tools/drive.py 0"]
+    agents = "".join(f"  - {{hugsim: {{command: '{each}'}}, label: a{i}}}\n" for i, each in enumerate(commands))
+    text = sweep.read_text()
+    start, end = text.index("agents:"), text.index("agents:") + len(text[text.index("agents:") :].splitlines()[0])
+    (tmp_path / "clients.yaml").write_text(f"{text[:start]}agents:\n{agents}{text[end:]}")
+    assert run(["sweep", "clients.yaml", "--trust", "-o", "out", "--workers", "0"]) == BAD_INPUT
+    printed = capsys.readouterr().err
+    assert "there is no program no-such-shell" in printed and "there is no script tools/drive.py" in printed
+    (tmp_path / "tools").mkdir()
+    (tmp_path / "tools" / "drive.py").touch()
+    assert run(["sweep", "clients.yaml", "--trust", "-o", "out", "--workers", "0"]) == BAD_INPUT
+    assert "drive.py" not in capsys.readouterr().err
 
 
 def test_failures_are_rows_and_run_again_when_asked(sweep, tmp_path, capsys):

@@ -174,6 +174,30 @@ def test_a_training_names_everything_that_is_missing(bare_machine, capsys):
     assert not Path("run").exists()
 
 
+def test_a_transfer_names_everything_that_is_missing(bare_machine, capsys, monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.delenv("GSRAIN_TRANSFER_WEIGHTS", raising=False)
+    command = ["transfer", "no scene.ply", "-o", "views", "--method", "cyclegan-turbo", "--normals", "dsine"]
+    assert run([*command, "--capture", "no drive"]) == BAD_INPUT
+    first, *lines = capsys.readouterr().err.strip().splitlines()
+    expected = (
+        "no transfer weights",
+        "no weights of DSINE",
+        "no program of DSINE",
+        "no SD-Turbo",
+        "no scene.ply: ",
+        "no drive: ",
+    )
+    assert first == "gsrain: 6 inputs are missing or do not fit:"
+    for line, words in zip(lines, expected, strict=True):
+        assert line.startswith(f"  {words}")
+    assert run(["evaluate", "consistency", "ours", "other"]) == BAD_INPUT
+    first, *lines = capsys.readouterr().err.strip().splitlines()
+    assert first == "gsrain: 2 inputs are missing or do not fit:"
+    assert [line.split(":")[0] for line in lines] == ["  ours", "  other"]
+    assert list(bare_machine.iterdir()) == []
+
+
 def test_a_training_without_dsine_ends_in_one_sentence(bare_machine, capsys):
     pytest.importorskip("torch")
     for seed, look in enumerate(("clear", "rainy")):

@@ -69,9 +69,12 @@ def test_paths_that_are_near_to_nothing_are_refused(tmp_path: Path, monkeypatch:
     write_pictures(tmp_path / "garden")
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "notes.txt").write_text("no capture")
+    for hidden in (".rainy views.lock", "rainy views.lock", ".rainy_views"):
+        (tmp_path / hidden).touch()
     assert nearest_layout(tmp_path / "notes") is None and nearest_layout(tmp_path / "notes" / "notes.txt") is None
     for path, message in (
         (tmp_path / "gardem", "gardem: no such file or folder; did you mean garden?"),
+        (tmp_path / "rainy views", "rainy views: no such file or folder$"),
         (Path("street"), "street: no such file or folder; gsrain street DIR writes pictures"),
         (tmp_path / "notes", "notes: not a capture that is known; expected one of capture folder, "),
         (tmp_path / "garden" / "a.png", "a.png: not a capture"),

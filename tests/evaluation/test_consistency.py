@@ -126,6 +126,12 @@ def _means(folder, *arguments):
     return json.loads((folder / "c.json").read_text())["means"]
 
 
+def test_empty_numbers_outside_the_film_are_explained(written, capsys):
+    for folder, is_explained in (("mirroring", False), ("alike", True)):
+        _means(written, str(written / folder))
+        assert ("Empty under dry, since their water film is unknown: " in capsys.readouterr().out) == is_explained
+
+
 def test_folders_are_compared_with_each_other(written):
     folders = [str(written / "alike"), str(written / "mirroring")]
     page, sheet = written / "c.html", written / "c.png"

@@ -48,6 +48,21 @@ def test_the_close_up_has_the_largest_change():
     assert red[gap + 20, gap + 60 : gap + 90].all() and red[gap + 20 : gap + 40, gap + 60].all()
 
 
+@pytest.mark.parametrize("width", [480, 640, 960])
+def test_words_are_wrapped_to_the_width_of_the_image(width):
+    image = np.full((width // 2, width, 3), 90, np.uint8)
+    cells = [SheetCell(view, 12.0, image, 1.23, 0.567, 1_234, 567) for view in ("FRONT", "REAR")]
+    found = intensity_sheet(cells)
+    one = intensity_sheet([SheetCell("", 0.0, image, 0, 0, 0, 0)])
+    gap = (one.shape[1] - width) // 2
+    paper = found[0, 0]
+    for column in (slice(0, gap), slice(gap + width, 3 * gap + width), slice(-gap, None)):  # no ink on the margins
+        assert (found[:, column] == paper).all()
+    below = (found[gap + width // 2 :] != paper).any(axis=(1, 2))
+    assert below.any() and not below[-gap // 2 :].any()  # the last line is whole
+    assert (found.shape[0] > one.shape[0]) == (width == 480)  # more lines only where they are needed
+
+
 def test_the_command_writes_the_sheet_and_its_numbers(tmp_path, capsys):
     from gsrain_engine.scene.formats.scene_files import write_scene
 

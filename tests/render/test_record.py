@@ -177,6 +177,9 @@ def test_rig_cameras_are_recorded_together(scene, rainfall, path, tmp_path):
     assert left.length_s == 5.0
     assert left.shot_at(1.0).velocity_m_s == pytest.approx([2, 0, 0], abs=1e-6)
     assert left.shot_at(9.0).velocity_m_s == pytest.approx([0, 0, 0])
+    for names in (("LEFT", "FRONT"), ("FRONT", "one/LEFT"), ("LEFT", "all")):
+        found = [each.name for each in find_rig_cameras(scene, names)]
+        assert found == [name.rpartition("/")[2].replace("all", "FRONT") for name in names]
     with pytest.raises(ValueError, match="no camera 'TOP', only one/FRONT, one/LEFT"):
         find_rig_cameras(scene, ("TOP",))
     with pytest.raises(ValueError, match="no vehicle with cameras"):

@@ -105,6 +105,11 @@ def test_hugsim_clients_drive_in_sweeps_and_a_dead_one_is_a_failed_row(tmp_path)
     runs = {each["agent"]: (each["runs"], each["failed"]) for each in numbers["cells"]}
     assert runs == {"brake": (2, 0), "die": (0, 2)}
     assert [(each.agent, each.runs) for each in summarized(rows)] == [("brake", 2), ("die", 0)]
+    ((error, count),) = numbers["errors"].items()  # of both seeds, since it names no file of one job
+    assert count == 2 and "its last words in the job's file in clients: " in error
+    failed = next(row["id"] for row in rows if row["agent"] == "die")
+    printed = (tmp_path / "out" / "clients" / f"{failed}.txt").read_text()
+    assert printed.split("\n")[-2] in error
 
 
 def test_a_client_that_can_t_be_started_ends_the_sweep(tmp_path):

@@ -16,7 +16,13 @@ from .random_splats import random_splats
 torch = pytest.importorskip("torch")
 from gsrain_engine.render.autodiff.differentiable import render_gaussians  # noqa: E402
 from gsrain_engine.training.model import SplatModel  # noqa: E402
-from gsrain_engine.training.parameters import NAMES, SplatParameters, adam_step, torch_adam_step  # noqa: E402
+from gsrain_engine.training.parameters import (  # noqa: E402
+    NAMES,
+    AdamStep,
+    SplatParameters,
+    adam_step,
+    foreach_adam_step,
+)
 
 RATES = {"means": 1e-2, "log_scales": 5e-3, "quaternions": 1e-3, "opacity_logits": 5e-2, "sh_dc": 2e-3, "sh_rest": 1e-4}
 
@@ -69,7 +75,7 @@ def test_the_step_of_other_devices_is_that_of_the_kernel() -> None:
     there = [torch.tensor(each) for each in here]
     for rows in (np.zeros(0, bool), np.arange(40) % 3 == 0):
         adam_step(*here, rows, 1e-2, 0.3, 0.02)
-        torch_adam_step(*there, torch.tensor(rows) if len(rows) else None, 1e-2, 0.3, 0.02)
+        foreach_adam_step([tuple(there)], torch.tensor(rows) if len(rows) else None, [AdamStep(1e-2, 0.3, 0.02)])
         for mine, theirs in zip(here, there, strict=True):
             np.testing.assert_allclose(theirs, mine, rtol=1e-4, atol=1e-6)
 
@@ -167,7 +173,7 @@ def learned(splats: SplatModel, seed: int) -> SplatModel:
     return splats
 
 
-def test_a_model_restored_from_its_state_goes_on_to_the_bit_actors_too() -> None:
+def test_a_model_restored_from_its_state_goes_on_to_the_bit_on_the_cpu_actors_too() -> None:
     straight, resumed = learned(model(), 0), model()
     resumed.restore(straight.state())
     mine, other = learned(straight, 1).state(), learned(resumed, 1).state()

@@ -13,13 +13,13 @@ from gsrain_engine.training.model import TrainingRender  # noqa: E402
 from gsrain_engine.training.settings import TrainingSettings  # noqa: E402
 from gsrain_engine.training.step import (  # noqa: E402
     OpenCVBlur,
-    TrainingTarget,
     convolved,
     d_ssim,
     l1,
     robust_mask,
     view_loss,
 )
+from gsrain_engine.training.targets import TrainingTarget  # noqa: E402
 
 
 def pictures(height: int = 17, width: int = 23):
@@ -54,6 +54,8 @@ def test_gradients_are_those_of_finite_differences_and_none_comes_from_beyond_th
 def test_window_means_of_the_gpu_are_those_of_the_processor():
     values = pictures()[0]
     assert torch.allclose(OpenCVBlur.apply(values), convolved(values), atol=1e-14)
+    one = values[..., :1].clone()  # the weights of a mask
+    assert torch.allclose(OpenCVBlur.apply(one), convolved(one), atol=1e-14)
     taps = torch.tensor(np.outer(window(), window()))
     assert float(convolved(values)[2, 3, 1]) == pytest.approx(float((values[2:13, 3:14, 1] * taps).sum()))
 

@@ -113,7 +113,7 @@ def test_wide_ones_and_then_the_highest_gradients_win_the_room_that_is_left() ->
 
 
 @pytest.mark.parametrize("make", [adaptive, lambda: monte_carlo(means_rate=lambda step: 1e-4)])
-def test_a_strategy_restored_from_its_state_changes_the_same_bytes(make) -> None:
+def test_a_strategy_restored_from_its_state_changes_the_same_bytes_on_the_cpu(make) -> None:
     first, second = make(), make()
     first.observe(8, picture([5e-6, 1e-6, 5e-6, 0]))
     second.restore(first.state())

@@ -1,4 +1,5 @@
-"""Training as a whole: it learns, is repeatable to the byte, and goes on from a checkpoint as if never stopped."""
+"""Training as a whole: it learns, is repeatable to the byte on the CPU, and goes on from a checkpoint as if never
+stopped. On CUDA: test_cuda_training.py, within tolerances."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -90,7 +91,7 @@ def test_the_scene_has_what_the_capture_had(whole: Whole) -> None:
     assert not (whole.folder / "scene.checkpoint.npz").exists()
 
 
-def test_a_stopped_training_goes_on_as_if_it_never_was(whole: Whole, tmp_path: Path) -> None:
+def test_a_stopped_training_goes_on_to_the_byte_on_the_cpu(whole: Whole, tmp_path: Path) -> None:
     stopped(task_of(tmp_path, snapshot=tmp_path / "snapshot"), "Step 37")
     assert (tmp_path / "scene.checkpoint.npz").is_file() and not (tmp_path / "scene").exists()
     assert len(read_scene(tmp_path / "snapshot").layers) == 2  # can be looked at meanwhile

@@ -15,7 +15,7 @@ from PIL import Image
 from ...datasets.capture import CaptureError, CaptureFrame, readable_images
 from ...datasets.capture_folder import NO_POSES
 from ...datasets.open_capture import open_capture
-from ...datasets.rainsense import RAIN
+from ...datasets.rainsense import RAIN, SEPARATE_SEQUENCES
 from ...datasets.undistort import undistort_frame
 from ...safe_io.limits import open_file
 from ...scene.files import whole_file
@@ -142,7 +142,7 @@ def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSpli
     """Open all sources; estimated guides are cached in the folder `cache`.
 
     Each source is split separately, so that training and test have the same mix. Broken images are skipped and listed.
-    Raises `CaptureError` if a source can't be read, or has no or too few images of the requested weather.
+    Raises `CaptureError`, which names all of them, if sources can't be read, or have too few images of their weather.
     """
     guide = None
     if settings.guide != "none":
@@ -152,10 +152,11 @@ def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSpli
     rows: list[tuple[str, str, int, int]] = []
     problems: list[str] = []
     parts: dict[str, tuple[list[DatasetImage], list[DatasetImage]]] = {}
+    chosen = _all_chosen(settings, problems)
     for look, sources in (("clear", settings.clear), ("rainy", settings.rainy)):
         train, test = parts.setdefault(look, ([], []))
         for number, source in enumerate(sources):
-            views = _chosen(source, problems)
+            views = chosen[look][number]
             tested = round(settings.test_share * len(views))
             order = np.random.default_rng((settings.seed, look == "rainy", number)).permutation(len(views))
             held = set(order[:tested].tolist())
@@ -171,6 +172,21 @@ def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSpli
     return ImageSplit(train, test, tuple(rows), tuple(problems))
 
 
+def _all_chosen(settings: ImageSettings, problems: list[str]) -> dict[str, list[list[CaptureFrame]]]:
+    """Images of each source by look. Raises `CaptureError` with the reasons of all unusable sources."""
+    chosen: dict[str, list[list[CaptureFrame]]] = {"clear": [], "rainy": []}
+    reasons: list[str] = []
+    for look, sources in (("clear", settings.clear), ("rainy", settings.rainy)):
+        for source in sources:
+            try:
+                chosen[look].append(_chosen(source, problems))
+            except CaptureError as error:
+                reasons.append(str(error))
+    if reasons:
+        raise CaptureError("; ".join(dict.fromkeys(reasons)))
+    return chosen
+
+
 def _chosen(source: ImageSource, problems: list[str]) -> list[CaptureFrame]:
     capture = open_capture(source.path)
     if source.weather != "any" and not any(weather_of(view.attributes) for view in capture):
@@ -184,15 +200,17 @@ def _chosen(source: ImageSource, problems: list[str]) -> list[CaptureFrame]:
         if source.weather in ("any", weather_of(view.attributes))
         and (is_daylight(view.attributes) or not source.daytime)
     ]
+    kind = "" if source.weather == "any" else f"{source.weather} "
+    by_day = " by day" if source.daytime else ""
     if not views:
-        kind = "" if source.weather == "any" else f"{source.weather} "
-        raise CaptureError(f"{source.path}: has no {kind}picture{' by day' if source.daytime else ''}")
+        raise CaptureError(f"{source.path}: has no {kind}picture{by_day}")
     if source.count is not None:
         if source.count > len(views):
-            raise CaptureError(f"{source.path}: count {source.count} is more than the {len(views)} pictures there are")
+            pictures = f"{len(views)} {kind}picture{'s' * (len(views) > 1)}{by_day}"
+            raise CaptureError(f"{source.path}: count {source.count} is more than its {pictures}")
         views = _spread(views, source.count)
     readable = readable_images(replace(capture, views=tuple(views)))
-    problems.extend(problem for problem in readable.problems if problem != NO_POSES)
+    problems.extend(each for each in readable.problems if each not in (NO_POSES, SEPARATE_SEQUENCES))
     return list(readable.views)
 
 

@@ -106,7 +106,7 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
         "changes are smaller than its steps.")] = "float32"
     seed: Annotated[int, Meta(
         ge=0, le=2**31 - 1, title="Seed", extra={"commands": "train-transfer"},
-        description="Same seed, same bytes.")] = 0
+        description="Same seed, same bytes (on the CPU).")] = 0
     device: Annotated[Literal["auto", "cpu", "cuda"], Meta(
         title="Device", extra={"commands": "train-transfer"}, description="auto: CUDA where it is there.")] = "auto"
     samples: Annotated[int, Meta(

@@ -1,6 +1,7 @@
 """Ground-truth objects and detections drawn over an image, for figures and videos."""
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 from zlib import crc32
 
 import cv2
@@ -48,14 +49,15 @@ def draw_boxes(
     for each in reversed(drawn):
         corners = (each.box_xyxy[:2], each.box_xyxy[2:])
         _outlined(cv2.rectangle, picture, corners, class_color(each.class_name), unit)
-    plates: list[Plate] = []
-    for each in drawn:
-        text = f"{each.class_name} {each.confidence:.2f}"
-        _written(picture, text, each.box_xyxy, class_color(each.class_name), unit, plates)
+    labels = [
+        _Label(f"{each.class_name} {each.confidence:.2f}", each.box_xyxy, class_color(each.class_name))
+        for each in drawn
+    ]
     for truth, match in looked_for:
         if match.confidence == 0:
             text = f"{truth.class_name} " + (f"taken for {match.flipped_to}" if match.flipped_to else "missed")
-            _written(picture, text, truth.box_xyxy, _MISSED, unit, plates)
+            labels.append(_Label(text, truth.box_xyxy, _MISSED))
+    _draw_labels(picture, labels, unit)
     return picture
 
 
@@ -66,9 +68,8 @@ def draw_truths(image: UInt8[np.ndarray, "h w 3"], truths: Sequence[LabeledBox])
     for each in truths:
         corners = (each.box_xyxy[:2], each.box_xyxy[2:])
         _outlined(cv2.rectangle, picture, corners, class_color(each.class_name), unit)
-    plates: list[Plate] = []
-    for each in truths:
-        _written(picture, each.class_name, each.box_xyxy, class_color(each.class_name), unit, plates)
+    labels = [_Label(each.class_name, each.box_xyxy, class_color(each.class_name)) for each in truths]
+    _draw_labels(picture, labels, unit)
     return picture
 
 
@@ -99,32 +100,78 @@ def _outlined(
         draw(picture, *fixed, shade, max(1, round(2 * unit)) + extra, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _written(
-    picture: np.ndarray, text: str, box: Sequence[float], color: Color, unit: float, plates: list[Plate]
-) -> None:
-    """Write a label above the box, else below or inside, to stay in the image and clear of other labels."""
+# Labels
+
+
+class _Label(NamedTuple):
+    """Words about a box."""
+
+    text: str
+    box_xyxy: Sequence[float]
+    color: Color
+
+
+def _draw_labels(picture: np.ndarray, labels: Sequence[_Label], unit: float) -> None:
+    """Write labels near their boxes, none over another; a line leads from a distant one to its box.
+
+    If the image has no free place left, a label is left out.
+    """
     scale, thickness, pad = 0.5 * unit, max(1, round(unit)), max(2, round(4 * unit))
-    (width, height), base = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
-    plate_width, plate_height = width + 2 * pad, height + base // 2 + 2 * pad
-    left = int(np.clip(round(box[0]), 0, max(0, picture.shape[1] - plate_width)))
-    tops = [round(box[1]) - plate_height, round(box[3]), round(box[1])]
-    tops = [top for top in tops if 0 <= top <= picture.shape[0] - plate_height] or [max(0, round(box[1]))]
-    places = [(left, top, left + plate_width, top + plate_height) for top in tops]
-    plate = next((each for each in places if not any(_overlap(each, other) for other in plates)), places[0])
-    plates.append(plate)
-    cv2.rectangle(picture, plate[:2], (plate[2] - 1, plate[3] - 1), color, cv2.FILLED)
-    ink = (0, 0, 0) if np.dot(color, (0.299, 0.587, 0.114)) > 110 else (255, 255, 255)
-    cv2.putText(
-        picture,
-        text,
-        (left + pad, plate[1] + pad + height),
-        cv2.FONT_HERSHEY_SIMPLEX,
-        scale,
-        ink,
-        thickness,
-        cv2.LINE_AA,
-    )
+    placed: list[tuple[_Label, Plate, int]] = []
+    for label in labels:
+        (width, height), base = cv2.getTextSize(label.text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
+        size = width + 2 * pad, height + base // 2 + 2 * pad
+        plate = free_plate(label.box_xyxy, size, [each for _, each, _ in placed], picture.shape)
+        if plate is not None:
+            placed.append((label, plate, plate[1] + pad + height))
+    for label, plate, _ in placed:
+        if not _overlap(plate, [round(each) for each in label.box_xyxy], margin=1):
+            _outlined(cv2.line, picture, _shortest(plate, label.box_xyxy), label.color, unit / 2)
+    for label, plate, bottom in placed:
+        cv2.rectangle(picture, plate[:2], (plate[2] - 1, plate[3] - 1), label.color, cv2.FILLED)
+        ink = (0, 0, 0) if np.dot(label.color, (0.299, 0.587, 0.114)) > 110 else (255, 255, 255)
+        place = plate[0] + pad, bottom
+        cv2.putText(picture, label.text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, thickness, cv2.LINE_AA)
 
 
-def _overlap(first: Plate, second: Plate) -> bool:
-    return first[0] < second[2] and second[0] < first[2] and first[1] < second[3] and second[1] < first[3]
+def free_plate(
+    box: Sequence[float], size: tuple[int, int], others: Sequence[Plate], shape: Sequence[int]
+) -> Plate | None:
+    """Return the place of a label of a size: above its box, else below or inside, else the nearest free one.
+
+    `size` is width and height, `others` are places of labels, `shape` is that of the image. None if nothing is free.
+    """
+    width, height = size
+    last_left, last_top = shape[1] - width, shape[0] - height
+    left = int(np.clip(round(box[0]), 0, max(0, last_left)))
+    tops = [round(box[1]) - height, round(box[3]), round(box[1])]
+    places = [(left, top) for top in tops if 0 <= top <= last_top] or [(left, max(0, round(box[1])))]
+    first = places[0]
+    steps = range(0, last_top + 1, max(1, height // 4)), range(0, last_left + 1, max(1, height))
+    grid = [(column, top) for top in steps[0] for column in (*steps[1], left)]
+    grid.sort(key=lambda place: np.hypot(place[0] - first[0], place[1] - first[1]))
+    for at in (*places, *grid):
+        plate = at[0], at[1], at[0] + width, at[1] + height
+        if not any(_overlap(plate, other) for other in others):
+            return plate
+    return None
+
+
+def _overlap(first: Sequence[int], second: Sequence[int], margin: int = 0) -> bool:
+    return (
+        first[0] < second[2] + margin and second[0] < first[2] + margin
+        and first[1] < second[3] + margin and second[1] < first[3] + margin
+    )  # fmt: skip
+
+
+def _shortest(plate: Plate, box: Sequence[float]) -> list[tuple[float, float]]:
+    """Ends of the shortest line from a plate to a box."""
+    ends: list[tuple[float, float]] = []
+    for low, high, other_low, other_high in (
+        (plate[0], plate[2], box[0], box[2]),
+        (plate[1], plate[3], box[1], box[3]),
+    ):
+        middle = (max(low, other_low) + min(high, other_high)) / 2
+        ends.append((float(np.clip(middle, low, high)), float(np.clip(middle, other_low, other_high))))
+    (x, other_x), (y, other_y) = ends
+    return [(x, y), (other_x, other_y)]

@@ -16,7 +16,7 @@ from ...scene.camera import Camera
 from ..cpu.compositing import color_operator_transpose
 from ..cpu.projection import nearest_first
 from ..cpu.tiles import bin_into_tiles
-from ..cuda import view_arguments
+from ..cuda import uploaded, view_arguments
 from .blend import BlendedImage, blend, blend_backward
 from .project import TrainedGaussians, project_backward, project_trained, sh_backward
 
@@ -215,7 +215,7 @@ def render_with_gsplat(
     world_to_camera: Tensor | None,
     rasterize: Callable[..., tuple[Tensor, Tensor, dict[str, Any]]] | None = None,
 ) -> Rendered:
-    """Render the arguments of `render_gaussians` in float32 on one device.
+    """Render the arguments of `render_gaussians` in float32 on one device, without waiting for it.
 
     `rasterize` is `gsplat.rasterization`, or a function with the same signature; None imports gsplat. Raises
     `ValueError` for float64, or if gsplat is not installed.
@@ -235,13 +235,15 @@ def render_with_gsplat(
         return Rendered(blank[..., None].expand(-1, -1, 3), blank, blank, footprint)
     values = _without_what_is_not_finite([means, scales, quaternions, opacities, colors])
     means, scales, quaternions, opacities, colors = values
-    pose = torch.as_tensor(camera.world_to_camera) if world_to_camera is None else world_to_camera
+    pose = world_to_camera
+    if pose is None:
+        pose = uploaded(camera.world_to_camera.astype(np.float32), means.device)
     has_harmonics = colors.ndim == 3
     images, alphas, found = kernel(
         means=means, quats=quaternions, scales=scales, opacities=torch.clamp(opacities, max=1),
         colors=colors if has_harmonics else torch.clamp(colors, min=0),
         sh_degree=_DEGREES[colors.shape[1]] if has_harmonics else None,
-        viewmats=pose.to(means)[None], packed=False, render_mode="RGB+D", **view_arguments(camera, means.device),
+        viewmats=pose[None], packed=False, render_mode="RGB+D", **view_arguments(camera, means.device),
     )  # fmt: skip
     centers = found["means2d"]
     if centers.requires_grad:
@@ -254,16 +256,21 @@ def _radii(found: dict[str, Any]) -> Tensor:
     a, b, c = found["conics"].detach()[0].unbind(-1)
     drawn = (found["radii"][0].reshape(len(a), -1) > 0).all(dim=1)
     largest = (a + c) / 2 + torch.hypot((a - c) / 2, b)
-    smallest = torch.where(drawn, (a * c - b * b) / largest, torch.ones_like(a))
-    return torch.where(drawn, 3 / torch.sqrt(smallest), torch.zeros_like(a))
+    smallest = torch.where(drawn, (a * c - b * b) / largest, 1.0)
+    return torch.where(drawn, 3 / torch.sqrt(smallest), 0.0)
 
 
 def _without_what_is_not_finite(values: list[Tensor]) -> list[Tensor]:
-    """Make Gaussians with NaN or infinity transparent and detach them, since gsplat doesn't check them."""
-    good = torch.stack([torch.isfinite(each.detach()).reshape(len(each), -1).all(dim=1) for each in values]).all(dim=0)
-    good = good & (values[2].detach().norm(dim=1) > 0)
-    if bool(good.all()):
-        return values
-    values = [torch.where(good.reshape(-1, *[1] * (each.ndim - 1)), each, torch.zeros_like(each)) for each in values]
-    values[2] = torch.where(good[:, None], values[2], torch.tensor([1.0, 0.0, 0.0, 0.0], device=values[2].device))
-    return values
+    """Make Gaussians with NaN or infinity transparent and detach them, since gsplat doesn't check them.
+
+    All are selected, even if none is bad: a condition on the result would wait for the device.
+    """
+    flat = [each.detach().reshape(len(each), -1) for each in values]
+    largest = torch.stack([torch.linalg.vector_norm(each, torch.inf, dim=1) for each in flat], dim=1)  # NaN stays NaN
+    good = torch.isfinite(largest).all(dim=1) & (flat[2].norm(dim=1) > 0)
+    unit = torch.eye(1, 4, dtype=flat[2].dtype, device=flat[2].device)
+    replaced = [0.0, 0.0, unit, 0.0, 0.0]
+    return [
+        torch.where(good.reshape(-1, *[1] * (each.ndim - 1)), each, other)
+        for each, other in zip(values, replaced, strict=True)
+    ]

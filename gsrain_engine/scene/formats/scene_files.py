@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from ..files import SceneFormatError
+from ..files import SceneFormatError, visible_siblings
 from ..gaussians import Gaussians
 from ..scene import Layer, Scene
 from ..transforms import FILE_UP, flatten_scene
@@ -112,7 +112,7 @@ def scene_files_in(folder: Path) -> list[str]:
 def _sibling_file(path: Path) -> str:
     """Suggest a file in the same folder with a similar name, if there is one."""
     try:
-        return close_match(path.name, [each.name for each in path.parent.iterdir()])
+        return close_match(path.name, visible_siblings(path))
     except OSError:
         return ""
 

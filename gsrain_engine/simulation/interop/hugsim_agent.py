@@ -2,7 +2,9 @@
 
 import logging
 import os
+import re
 import shlex
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -50,14 +52,17 @@ class HugsimAgent:
         depth: bool = False,
         first_wait_s: float = FIRST_WAIT_S,
         later_wait_s: float = LATER_WAIT_S,
+        output: Path | None = None,
     ) -> None:
         """Use the pipes in `folder`; without a command the user starts the client.
 
-        `semantic` and `depth` are optional: no known client reads them, and labels take several times as long to render
-        as images. Raises ClientError if the pipes can't be created.
+        The client's output goes to the file `output`, by default output.txt in the folder of the pipes. `semantic` and
+        `depth` are optional: no known client reads them, and labels take several times as long to render as images.
+        Raises ClientError if the pipes can't be created.
         """
         self.folder = folder.absolute()
         self._command, self._semantic, self._depth = client_command, semantic, depth
+        self._output = output or self.folder / OUTPUT
         self._channels: protocol.ChannelOrder = channel_order
         self._first_wait_s, self._later_wait_s = first_wait_s, later_wait_s
         self._pipes = protocol.Pipes(self.folder)
@@ -76,7 +81,7 @@ class HugsimAgent:
         """
         if self._command is None or self._client is not None:
             return
-        self._client = ClientProcess(self._command, self.folder)
+        self._client = ClientProcess(self._command, self.folder, self._output)
         if self._client.wait(_START_S):
             raise ClientError(f"the client {self._client.ended} as soon as it was started")
 
@@ -92,7 +97,7 @@ class HugsimAgent:
             if (ended := self._client.ended) is not None:
                 raise ClientError(f"the client {ended} before the drive began")
         elif self._command is not None:
-            self._client = ClientProcess(self._command, self.folder)
+            self._client = ClientProcess(self._command, self.folder, self._output)
         else:
             names = f"{protocol.OBSERVATIONS}, {protocol.PLANS}"
             _log.info("waiting for a HUGSIM client at %s (%s)", self.folder, names)
@@ -195,6 +200,36 @@ def to_vehicle_frame(plan: Float64[np.ndarray, "n 2"], front_m: tuple[float, flo
     return np.array(rear)
 
 
+def client_words(command: str) -> list[str]:
+    """Split the command line of a client. Raises ClientError if it is empty or has an open quote."""
+    try:
+        words = shlex.split(command)
+    except ValueError as problem:
+        raise ClientError(f"the client's command {command!r} can't be read: {problem}") from None
+    if not words:
+        raise ClientError("the client's command is empty")
+    return words
+
+
+def missing_client_files(command: str) -> list[str]:
+    """Name the program of a client's command, and the script that a shell or Python runs, if they are not there.
+
+    Raises ClientError if the command can't be read.
+    """
+    program, *arguments = client_words(command)
+    missing: list[str] = []
+    if shutil.which(program) is None:
+        missing.append(f"client {command!r}: there is no program {program}")
+    if _INTERPRETER.fullmatch(Path(program).name):
+        script = next((each for each in arguments if not each.startswith("-")), None)
+        if script is not None and Path(script).suffix in _SCRIPTS and not Path(script).is_file():
+            missing.append(f"client {command!r}: there is no script {script} in {Path.cwd()}")
+    return missing
+
+
+_INTERPRETER = re.compile(r"(ba|da|z|k)?sh|python[\d.]*")
+_SCRIPTS = (".sh", ".zsh", ".bash", ".py")
+
 OUTPUT = "output.txt"  # output file of the client, in the folder of the pipes as in HUGSIM
 _TAIL_BYTES = 2000
 
@@ -205,21 +240,16 @@ class ClientProcess:
     HUGSIM's `zsh SCRIPT CUDA_ID OUTPUT_DIR` is written "zsh SCRIPT CUDA_ID".
     """
 
-    def __init__(self, command: str, folder: Path) -> None:
-        """Start the client in its own session. Raises ClientError on failure."""
-        try:
-            words = shlex.split(command)
-        except ValueError as problem:
-            raise ClientError(f"the client's command {command!r} can't be read: {problem}") from None
-        if not words:
-            raise ClientError("the client's command is empty")
+    def __init__(self, command: str, folder: Path, output: Path) -> None:
+        """Start the client in its own session, with a file for its output. Raises ClientError on failure."""
+        words = client_words(command)
         placed = [word.replace("{folder}", str(folder)) for word in words]
         placed += [] if any("{folder}" in word for word in words) else [str(folder)]
-        self._output = folder / OUTPUT
+        self._output = output
         try:
-            with self._output.open("wb") as output:
+            with output.open("wb") as stream:
                 self._process = subprocess.Popen(
-                    placed, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+                    placed, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, start_new_session=True
                 )
         except OSError as problem:
             reason = problem.strerror or problem

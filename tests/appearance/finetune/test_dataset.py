@@ -64,6 +64,7 @@ def test_the_papers_table_is_composed_and_split_by_the_seed_alone(bdd100k, rains
     split, same, other = (open_images(settings([(rainsense, 22), (bdd100k, 139)], seed=seed)) for seed in (3, 3, 4))
     counts = [(look, count) for _, look, count, _ in split.table]
     assert counts == [("clear", 22), ("clear", 139), ("rainy", 22), ("rainy", 139)]
+    assert split.problems == ()  # not even that RainSense's sequences share no world
     for train, test in ((split.train.source, split.test.source), (split.train.target, split.test.target)):
         assert (len(train), len(test)) == (129, 32) and len({picture.name for picture in train + test}) == 161
     tested = [{picture.name for picture in each.test.source} for each in (split, same, other)]
@@ -75,7 +76,9 @@ def test_night_and_other_weather_are_left_out_and_missing_pictures_are_named(bdd
     assert (len(split.train.source), len(split.train.target)) == (146, 145)
     save(tmp_path / "plain" / "0.png")
     for sources, changes, name in (
-        ([(bdd100k, 147)], {}, "count 147"), ([(tmp_path / "plain", 1)], {}, "weather"),
+        ([(bdd100k, 147)], {}, "147 is more than its 146 clear pictures by day; .*: count 147 .* 145 rainy pictures"),
+        ([(bdd100k, 146)], {}, "^[^;]*: count 146 is more than its 145 rainy pictures by day$"),
+        ([(tmp_path / "plain", 1)], {}, "weather"),
         ([(bdd100k, 1)], {"test_share": 0.9}, "test_share"),
     ):  # fmt: skip
         with pytest.raises(CaptureError, match=name):

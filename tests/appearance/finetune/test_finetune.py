@@ -1,4 +1,4 @@
-"""Fine-tuning as a whole: it learns, it resumes bit for bit, and what it writes is what was trained."""
+"""Fine-tuning as a whole: it learns, on the CPU it resumes bit for bit, and what it writes is what was trained."""
 
 import shutil
 from pathlib import Path
@@ -36,7 +36,7 @@ def run(task: FinetuneTask) -> FinetuneResult:
     return run_to_end(finetune(task))
 
 
-def test_a_training_resumed_after_a_kill_ends_in_the_same_bytes(tmp_path: Path) -> None:
+def test_a_training_resumed_after_a_kill_ends_in_the_same_bytes_on_the_cpu(tmp_path: Path) -> None:
     whole = FinetuneTask(settings=small_settings(tmp_path, steps=4), output=tmp_path / "whole")
     half = FinetuneTask(settings=small_settings(tmp_path, steps=4, saved_every=2), output=tmp_path / "half")
     run(whole)

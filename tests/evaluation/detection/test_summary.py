@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluation.detection.detector import Detection
-from gsrain_engine.evaluation.detection.drawing import class_color, draw_boxes, draw_truths
+from gsrain_engine.evaluation.detection.drawing import class_color, draw_boxes, draw_truths, free_plate
 from gsrain_engine.evaluation.detection.figures import (
     detection_sheet,
     object_figure,
@@ -173,6 +173,20 @@ def test_detections_have_boxes_and_labels_in_the_color_of_their_class():
     assert not _has(picture, class_color("person"))
     both = draw_boxes(PICTURE, [], found)  # labels do not overlap
     assert np.array_equal(picture[105:118], both[105:118]) and _has(both[283:], class_color("truck"))
+
+
+def test_labels_do_not_cover_each_other_and_stay_in_the_image():
+    plates = []
+    for number in range(40):  # as many boxes at nearly one place
+        plate = free_plate((200.0 + number % 3, 5.0, 230.0, 40.0), (90, 18), plates, PICTURE.shape)
+        assert plate is not None and plate[0] >= 0 and plate[2] <= 640 and plate[1] >= 0 and plate[3] <= 360
+        plates.append(plate)
+    covered = np.zeros(PICTURE.shape[:2], int)
+    for left, top, right, bottom in plates:
+        covered[top:bottom, left:right] += 1
+    assert covered.max() == 1 and covered.sum() == 40 * 90 * 18
+    assert plates[0][1] == 40 and abs(plates[4][1] - 40) <= 60  # below the box, and others near it
+    assert free_plate(BOX, (90, 18), [(0, 0, 640, 360)], PICTURE.shape) is None
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,7 @@ def test_formats_that_are_not_written_are_named(name: str, tmp_path: Path) -> No
         ("street.pyl", r"must end in .*\(did you mean \.ply\?\)$"),
         ("a.obj", r"must end in \.compressed\.ply, \.ply, .*\.sog or meta\.json"),
         ("none", "no such file or folder$"),
+        ("rainy.splat", "no such file or folder$"),
         ("none/scene.json", "no such file or folder$"),
         ("pipe.ply", "not a file"),
         ("photos", r"scene\.json .* \(its meta\.json is none of SOG.*\); give one of the files in it: a\.ply$"),
@@ -101,7 +102,7 @@ def test_formats_that_are_not_written_are_named(name: str, tmp_path: Path) -> No
 )
 def test_names_of_no_scene_are_refused(name: str, problem: str, tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
-    for file in ("street.ply", "street.pyl", "a.obj", "photos/a.ply", "photos/meta.json"):
+    for file in ("street.ply", "street.pyl", "a.obj", "photos/a.ply", "photos/meta.json", ".rainy.splat.lock"):
         (tmp_path / file).write_bytes(b"v 0 0 0")
     os.mkfifo(tmp_path / "pipe.ply")
     with pytest.raises(SceneFormatError, match=rf"{name}: .*{problem}"):
