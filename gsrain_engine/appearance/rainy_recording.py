@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from ..datasets.capture import Capture, CaptureFrame
+from ..datasets.kitti import calibration_of_day
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..render.draw import RenderView, ego_view, rain_camera
@@ -65,7 +66,8 @@ def write_rainy_recording(
     """Copy the folder of a recording, with rain in front of the capture's images; yields progress after each.
 
     Images keep their names, sizes and formats. All other files, and images of other recordings in the folder, are the
-    same files (hard links where the disk allows it, else copies). The copy appears when it is complete.
+    same files (hard links where the disk allows it, else copies). A raw drive of KITTI is copied into a folder of its
+    day, with the calibration. The copy appears when it is complete.
 
     Raises:
         ValueError: If images are no files of their own inside the folder, or the unit of the capture is unknown.
@@ -73,7 +75,9 @@ def write_rainy_recording(
     """
     photos = _photos(capture, source)
     world, rainfall = Scene(capture.name, up=capture.up, ego=capture.ego), RainSimulation.start(rain.without_medium)
-    with whole_folder(target) as folder:
+    calibration = calibration_of_day(source.resolve())
+    with whole_folder(target) as whole:
+        folder = whole / source.resolve().name if calibration else whole
         for number, (file, view) in enumerate(photos.items()):
             yield Progress(number / len(photos), view.name)
             rainy = rain_on_photo(renderer, world, rainfall, photo_view(world, capture, view), view.image)
@@ -83,6 +87,8 @@ def write_rainy_recording(
             for file in (Path(parent) / name for name in names):
                 if file not in photos:
                     _link(file, folder / file.relative_to(source))
+        for file in calibration:
+            _link(file, whole / file.name)
 
 
 def _photos(capture: Capture, source: Path) -> Mapping[Path, CaptureFrame]:

@@ -241,6 +241,12 @@ def read_kitti_raw(path: Path) -> Capture:
     return _read_drive(path, problems)
 
 
+def calibration_of_day(drive: Path) -> list[Path]:
+    """Calibration files of a raw drive, which lie in the folder of its day; none for any other folder."""
+    files = [drive.parent / name for name in _CALIBRATIONS]
+    return [each for each in files if each.is_file()] if _is_drive(drive) else []
+
+
 def _is_drive(path: Path) -> bool:
     return (path / "oxts" / "data").is_dir() and any((path / name).is_dir() for name in _CAMERAS)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from app.main import run
+from datasets.sample_drives import write_kitti
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -37,6 +38,21 @@ def test_a_rainy_copy_has_rain_in_its_images_and_all_else_as_it_was(recording, t
         assert own.name == other.name and own.image.shape == other.image.shape
         np.testing.assert_array_equal(own.camera.world_to_camera, other.camera.world_to_camera)
         assert 1 < np.abs(own.image.astype(int) - other.image).mean() < 80
+
+
+def test_a_drive_of_kitti_is_copied_with_the_calibration_of_its_day(tmp_path):
+    day = tmp_path / "2011_09_26"
+    drive = write_kitti(day)
+    copy = tmp_path / "rainy"
+    assert run(["export-rain", str(drive), "-o", str(copy), "--rain", "50"]) == 0
+    assert relative_files(copy) == relative_files(day)
+    for own, other in zip(open_capture(copy), open_capture(drive), strict=True):
+        np.testing.assert_array_equal(own.camera.world_to_camera, other.camera.world_to_camera)
+        assert not np.array_equal(own.image, other.image)
+
+
+def relative_files(folder):
+    return sorted(each.relative_to(folder) for each in folder.rglob("*") if each.is_file())
 
 
 def test_a_plain_folder_of_images_has_a_rainy_copy(recording, tmp_path):
