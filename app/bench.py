@@ -146,6 +146,7 @@ class _Run:
             "width": sequence.width,
             "height": sequence.height,
             "intensity_mm_h": sequence.rainfall.state.intensity_mm_h,
+            "extinction_per_m": sequence.rainfall.state.extinction_per_m,
             "sh_degree": _sh_degree(scene),
             "gaussians": sum(part.drawn_count for part in scene.parts(sequence.time_s(frames - 1))),
             "splats": splats,

@@ -43,7 +43,7 @@ def export_rain(
 
     Of a scene: the rain's Gaussians at a moment, in meters with -y upwards, as `gsrain convert` writes scenes. They are
     made for one camera: what it does not see is left out. Of a recording: a copy in its own format whose images are
-    rainy; lidar, calibration and boxes stay as they are.
+    rainy; lidar, calibration and boxes stay as they are. In both, haze is of the paper's Gaussians.
     """
     if names_scene(source):
         check_writable(output, json)
@@ -66,7 +66,7 @@ def _export_gaussians(
     size_px: tuple[int, int],
     with_scene: bool,
 ) -> dict[str, Any]:
-    simulation = RainSimulation.start(rain.for_scene(scene))
+    simulation = RainSimulation.start(rain.for_scene(scene).without_medium)  # a file has Gaussians only
     still = ExportSettings(output="rain.png", first_s=time_s, size_px=size_px)
     viewpoint = viewpoint_of(scene, camera, None, still, is_frame=False)
     (sequence,) = export_sequences(still, scene, simulation, viewpoint, in_scene_time=scene.path is not None).values()

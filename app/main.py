@@ -44,6 +44,8 @@ OLD_OPTIONS = {
 }
 """Options of version 0.1 and their names of today, by command."""
 
+_HAZES = ["medium"], ["gaussians"], ["none"]  # words after --haze; alone it is the medium
+
 app = App(
     name="gsrain",
     help="Calibrated rain in captured 3D Gaussian Splatting scenes. Without a command: open the window.",
@@ -195,6 +197,9 @@ def renamed_options(arguments: Sequence[str]) -> Iterator[str]:
         if argument == "--":
             yield from arguments[number:]
             return
+        if argument == "--no-haze" or (argument == "--haze" and arguments[number + 1 : number + 2] not in _HAZES):
+            yield f"--haze={'none' if argument == '--no-haze' else 'medium'}"
+            continue
         option = re.fullmatch(r"--(no-)?([\w-]+)(=.*)?", argument, re.DOTALL)
         name = names.get(option[2]) if option else None
         yield f"--{option[1] or ''}{name}{option[3] or ''}" if option and name else argument

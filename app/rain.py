@@ -234,6 +234,8 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
         "seconds": float(counted.seconds.sum()),
         "records": len(counted.counts),
         "record_mm_h": counted.record_rates_mm_h.tolist(),
+        "extinction_per_m": state.extinction_per_m,
+        "meteorological_range_m": state.visibility_m if state.extinction_per_m > 0 else None,
         "beyond_calibration": state.beyond_calibration,
         "spectrum": _spectrum(counted, counted.spectra.diameter_edges_mm),
     }

@@ -27,6 +27,7 @@ from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
+from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.progress import Progress
@@ -131,6 +132,8 @@ def render(
     with open_renderer(backend) as renderer:
         frames = export_frames(renderer, export, sequences, numbers, look=mode)
         report = _record(frames, renderer, simulation.state_at(first_s), len(numbers))
+        if json is not None:
+            report |= _extinction(renderer, next(iter(sequences.values())), first_s)
         labeled: list[Path] = []
         if labels is not None and (done := numbers[: report["frames"]]):
             from gsrain_engine.render.label_export import write_object_labels  # loads OpenCV, which images don't need
@@ -243,6 +246,21 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
     rain = f"{when}{state.intensity_mm_h:g} mm/h asked, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops"
     beyond = "beyond calibration" if state.beyond_calibration else ""
     return ", ".join(filter(None, [rain, beyond, simulation.rain.exaggeration]))
+
+
+def _extinction(renderer: Renderer, sequence: FrameSequence, time_s: float) -> dict[str, float | list[float] | None]:
+    """Extinction of the rain at a time, and the light that replaces what is lost; None for what does not exist."""
+    simulation = sequence.rainfall.frozen_at(time_s)
+    beta, rain = simulation.state.extinction_per_m, simulation.rain
+    airlight: list[float] | None = None
+    if beta > 0 and rain.haze == "medium":
+        sky = rain.drop_color or sequence.sky(renderer).at(sequence.rainfall.wetness_at(time_s))
+        airlight = srgb_to_linear(np.array(sky)).tolist()
+    return {
+        "extinction_per_m": beta,
+        "meteorological_range_m": simulation.state.visibility_m if beta > 0 else None,
+        "airlight_linear": airlight,
+    }
 
 
 def _visible_distances(

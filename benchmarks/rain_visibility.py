@@ -1,7 +1,7 @@
 """Visibility of rain: fractions of changed pixels and optical depths by intensity and seed, on the built-in street.
 
 Prints JSON. A pixel counts as changed when a channel differs by more than 4/255 from the same still without rain.
-Optical depth is the mean of -ln(1 - alpha) of the haze alone, drawn over nothing.
+Optical depth is the mean of -ln(1 - alpha) of the paper's haze Gaussians alone, drawn over nothing.
 """
 
 import json
@@ -89,7 +89,7 @@ def measure(street: Scene, rain: RainSettings, seed: int) -> dict[str, float]:
         return renderer.read().rgba
 
     clear, streaked, hazed, both = (still(street, **fields) for fields in ({"intensity_mm_h": 0.0}, STREAKS, HAZE, {}))
-    veil = still(replace(street, layers=(), actors=()), **HAZE)[..., 3].astype(np.float64)
+    veil = still(replace(street, layers=(), actors=()), haze="gaussians", streaks=False)[..., 3].astype(np.float64)
     return {
         "intensity_mm_h": rain.intensity_mm_h,
         "seed": seed,

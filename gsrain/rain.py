@@ -46,7 +46,7 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
             gusts: Amplitude of the wind's slow variation in m/s.
             exposure: Shutter time in s; None takes the camera's own (4 ms by day).
             seed: Seed of the drops, 0..2^32 - 1.
-            settings: Further fields of `RainSettings` by their names, such as `wetness=1.0` or `haze=False`.
+            settings: Further fields of `RainSettings` by their names, such as `wetness=1.0` or `haze="none"`.
 
         Raises:
             ValueError: For an unknown or wrong setting, with what is allowed.

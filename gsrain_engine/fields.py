@@ -8,7 +8,7 @@ A setting is one field of a `msgspec.Struct`, and `Meta` has its title, descript
 * `commands`: commands, separated by commas, of which it is an option; `option`: names of the option separated by
   spaces, if it is not named like the field without its unit
 * `spelling`: words of the option for the values of a choice; `on`: value that an option without a value sets;
-  `path`: the text is a path
+  `path`: the text is a path; `negative`: value that the option sets with --no- before its name
 """
 
 import re
@@ -123,6 +123,8 @@ class Field:
         """Help text with bounds and unit, or with the value that an option without one sets."""
         if "on" in self.extra:
             return f"{self.help} Sets {self.extra['on']}."
+        if "negative" in self.extra:
+            return f"{self.help} --no-{self.options[0][2:]} sets {self.extra['negative']}."
         if self.range:
             return f"{self.help} Range {self.range}.".lstrip()
         return f"{self.help} In {self.unit}.".lstrip() if self.unit else self.help
@@ -247,6 +249,8 @@ def _unwrapped(hint: Any) -> tuple[Any, list["msgspec.Meta"]]:
             hint = hint.__origin__
         elif get_origin(hint) in (Union, UnionType) and NoneType in get_args(hint):
             hint = Union[tuple(each for each in get_args(hint) if each is not NoneType)]  # noqa: UP007
+        elif get_origin(hint) in (Union, UnionType) and bool in get_args(hint):  # on and off of earlier files
+            hint = Union[tuple(each for each in get_args(hint) if each is not bool)]  # noqa: UP007
         else:
             return hint, metas
 

@@ -8,6 +8,11 @@ layout(local_size_x = 256) in;
 #include "common_spherical_harmonics.glsl"
 #include "common_heat.glsl"
 #include "common_tint.glsl"
+#ifdef MEDIUM
+#include "common_srgb.glsl"
+#include "common_medium.glsl"
+uniform bool is_linear;           // the medium changes linear light, else display values
+#endif
 
 layout(std430, binding = 0) readonly buffer Means { vec4 means_opacities[]; };
 layout(std430, binding = 1) readonly buffer Scales { float scales[]; };         // 3 a Gaussian
@@ -120,6 +125,13 @@ void main() {
                 else color = display_color(i, mean_opacity.xyz);
                 visible = !(any(isnan(color)) || any(isinf(color)));
                 color = max(color, 0.0);  // after the check: some drivers' max turns NaN into 0
+#ifdef MEDIUM
+                if (!is_rain) {
+                    float kept = medium_transmittance(p);
+                    if (is_linear) color = linear_to_srgb(kept * srgb_to_linear(color) + (1.0 - kept) * airlight);
+                    else color = kept * color + (1.0 - kept) * linear_to_srgb(airlight);
+                }
+#endif
                 set_color(splat, mark.y == 0u ? color : tinted(color));
             }
         }

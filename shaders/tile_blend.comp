@@ -21,6 +21,10 @@ uniform uvec2 image_size;  // px
 #ifdef LINEAR_RAIN
 uniform vec3 rain_light;   // a drop's color in linear light
 #endif
+#ifdef MEDIUM
+#include "common_medium.glsl"
+uniform vec4 intrinsics;   // fx fy cx cy (px)
+#endif
 
 const float MIN_TRANSMITTANCE = 1e-4;
 const float TO_OFFSET = sqrt(0.5 / log(2.0));  // offsets are scaled so that alpha falls by 2^-(offset^2)
@@ -113,6 +117,12 @@ void main() {
     if (!inside) return;
 #ifdef OVERDRAW
     scene = vec4(fragments);
+#endif
+#ifdef MEDIUM
+    // Airlight of the medium behind the scene.
+    vec3 ray = vec3((middle - intrinsics.zw) / intrinsics.xy, 1.0);
+    float added = (1.0 - scene.a) * (1.0 - medium_transmittance(1e9 / length(ray) * ray));
+    scene += added * vec4(linear_to_srgb(airlight), 1.0);
 #endif
 #ifdef LINEAR_RAIN
     // As in rain_resolve.frag.

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
-from app.main import app, benchmarks, evaluations
+from app.main import app, benchmarks, evaluations, renamed_options
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
 from repository import REPOSITORY
 from ui.commands.keys import chord_name
@@ -107,7 +107,7 @@ def test_commands_of_the_documentation_are_those_of_the_program(name):
         if (words[0] if words else "") != name or words[:2] in OF_EXTENSIONS or "--help" in words:
             continue
         try:
-            app.parse_args(list(words), exit_on_error=False, print_error=False)
+            app.parse_args(list(renamed_options(words)), exit_on_error=False, print_error=False)
         except CycloptsError as error:
             if not command.is_whole and not isinstance(error, UnknownOptionError | UnknownCommandError):
                 continue

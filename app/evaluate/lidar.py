@@ -80,9 +80,9 @@ def lidar(
 ) -> None:
     """Rain on a lidar: returns kept, lost and made up, by range, over intensities and seeds.
 
-    Rain attenuates light in both directions (beta(R) of the haze), nearby drops of the same field return echoes, and a
-    wet road mirrors. A capture's own sweeps count as those of clear weather. In a scene a virtual sensor is on the
-    ego's roof.
+    Rain attenuates light in both directions (the same beta(R) as haze in images), nearby drops of the same field return
+    echoes, and a wet road mirrors. A capture's own sweeps count as those of clear weather. In a scene a virtual sensor
+    is on the ego's roof.
     """
     let_names_lead_outside(allow_outside)
     intensities = parse_intensities(rain)

@@ -37,7 +37,8 @@ def rain_on_photo(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Composite rain over the photograph B, W its share of a pixel and S its light: enc((1-W) dec(B) + W S).
 
-    Rain falls as if everything in the photograph were far behind it. `world` tells the vehicle's motion.
+    Rain falls as if everything in the photograph were far behind it; haze is the paper's Gaussians, since a medium has
+    no distances here. `world` tells the vehicle's motion.
     """
     if rainfall.state_at(shot.time_s).intensity_mm_h == 0:
         return photo
@@ -73,7 +74,7 @@ def write_rainy_recording(
         OSError: If the copy can't be written.
     """
     photos = _photos(capture, source)
-    world, rainfall = Scene(capture.name, up=capture.up, ego=capture.ego), RainSimulation.start(rain)
+    world, rainfall = Scene(capture.name, up=capture.up, ego=capture.ego), RainSimulation.start(rain.without_medium)
     calibration = calibration_of_day(source.resolve())
     with whole_folder(target) as whole:
         folder = whole / source.resolve().name if calibration else whole

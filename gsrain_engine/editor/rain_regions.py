@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ..rain.settings import RegionBox
+from ..rain.settings import RainSettings, RegionBox
 from ..rain.simulation import RainSimulation
 from ..render.draw import RenderView, rain_anchor
 from ..scene.camera import Camera, look_at
@@ -188,6 +188,11 @@ def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3
 # Outlines
 
 
+def region_box(rain: RainSettings, name: RegionName) -> RegionBox:
+    """Return a region; for haze without one, the box of the paper's Gaussians."""
+    return rain.streak_region if name == "streak_region" else rain.haze_box
+
+
 def region_outlines(
     viewport: ViewportState, scene: Scene, rainfall: RainSimulation, width: int, height: int
 ) -> dict[str, Float64[np.ndarray, "m 2 2"]]:
@@ -196,7 +201,7 @@ def region_outlines(
     if viewport.options.show_streak_region:
         boxes["streak region"] = viewport.document.rain.streak_region
     if viewport.options.show_haze_region:
-        boxes["haze region"] = viewport.document.rain.haze_region
+        boxes["haze region"] = viewport.document.rain.haze_box
     shot = viewport.shot(width, height)
     anchor = rain_anchor(scene, rainfall, shot)
     return {name: project_edges(box, anchor, shot.camera) for name, box in boxes.items()}

@@ -422,7 +422,7 @@ def compare_with_real_rain(
     sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
     ours: list[FrameStatistics] = []
     for exposure in exposures_s:
-        falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze=False))
+        falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze="none"))
         times = [sequence.times_s[k] for k in numbers]
         frames = render_rain_frames(real.median, real.sigma, cropped_camera(camera, window), falling, times, sky)
         ours.append(_measured(replace(median_residuals(np.stack(list(frames))), still=real.still), sky, exposure))

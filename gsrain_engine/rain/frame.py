@@ -12,6 +12,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.geometry import srgb_to_linear
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, mark_drops, place_drops
 from .haze import make_haze
+from .medium import RainMedium, make_medium, streak_depths
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
@@ -64,6 +65,8 @@ class RainFrame:
     """Display color of a drop."""
     haze_count: int
     """M: number of haze Gaussians at full opacity within the haze region."""
+    extinction_per_m: float
+    """beta: extinction coefficient of all drops, times the haze gain."""
     count: int
     """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
     where: DropPhases
@@ -146,11 +149,23 @@ class RainFrame:
     @cached_property
     def haze(self) -> Gaussians:
         """Haze Gaussians in the open."""
-        if not self.rain.haze:
+        if self.rain.haze != "gaussians":
             return Gaussians.empty()
         view = self.view
         return make_haze(
             self.rain, self.haze_count, self.time_s, view.anchor_to_world, view.camera.position, self.color, view.roofs
+        )
+
+    @cached_property
+    def medium(self) -> RainMedium | None:
+        """Medium of the drops that are not drawn one by one; None without it."""
+        if self.rain.haze != "medium" or self.extinction_per_m <= 0:
+            return None
+        per_m3 = self.count / float(np.prod(self.period_m))
+        streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
+        view = self.view
+        return make_medium(
+            self.rain, self.extinction_per_m, view.camera, view.anchor_to_world, streaks, self.light_linear
         )
 
     @property

@@ -31,14 +31,14 @@ def extinction_per_m(rain: RainSettings, density_m3: float, mean_square_m2: floa
 def haze_count(rain: RainSettings, extinction: float) -> int:
     """Number M of haze Gaussians in the haze region: M = beta V_f / (2 pi s_h^2 alpha_m), unless the settings fix it.
 
-    The extinction along a ray then equals that of the drops, `extinction` per m.
+    The extinction along a ray then equals that of the drops, `extinction` per m. 0 if haze is not of Gaussians.
     """
-    if extinction <= 0:
+    if extinction <= 0 or rain.haze != "gaussians":
         return 0
     if rain.haze_count is not None:
         return rain.haze_count
     shadow_m2 = 2 * np.pi * rain.haze_sigma_m**2 * rain.haze_opacity
-    return round(extinction * rain.haze_region.volume_m3 / shadow_m2)
+    return round(extinction * rain.haze_box.volume_m3 / shadow_m2)
 
 
 def make_haze(
@@ -76,16 +76,16 @@ def _fading(
     rain: RainSettings, count: float, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
     """World-fixed Gaussians on a lattice around the region: each lives at one position, then reappears elsewhere."""
-    size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m  # 3 sigma beyond each face
+    size = np.array(rain.haze_box.size_m) + 6 * rain.haze_sigma_m  # 3 sigma beyond each face
     horizontal = np.hypot(size[0], size[1])  # covers the region at any yaw
     period = np.array([horizontal, horizontal, size[2]])
-    density = count / rain.haze_region.volume_m3 / _FADE_MEAN
+    density = count / rain.haze_box.volume_m3 / _FADE_MEAN
     index = np.arange(round(density * np.prod(period)), dtype=np.uint32)
     phase = _hash(rain.seed, index, np.zeros_like(index))[3] * 2.0**-32
     age = time_s / LIFETIME_S + phase
     life = np.floor(age)
     birthplace = np.stack(_hash(rain.seed, index, (life.astype(np.int64) + 1).astype(np.uint32))[:3], axis=1) * 2.0**-32
-    center = anchor_to_world[:3, :3] @ np.array(rain.haze_region.center_m) + anchor_to_world[:3, 3]
+    center = anchor_to_world[:3, :3] @ np.array(rain.haze_box.center_m) + anchor_to_world[:3, 3]
     # The copy of the lattice point that lies in the cell around the region's center.
     local = ((birthplace - center / period + 0.5) % 1.0 - 0.5) * period
     inside = np.all(np.abs(local @ anchor_to_world[:3, :3]) <= size / 2, axis=1)
@@ -98,11 +98,11 @@ def _jumping(
     rain: RainSettings, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
     """Positions drawn independently at every time (paper, Algorithm 1)."""
-    size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m
-    index = np.arange(round(count * np.prod(size) / rain.haze_region.volume_m3), dtype=np.uint32)
+    size = np.array(rain.haze_box.size_m) + 6 * rain.haze_sigma_m
+    index = np.arange(round(count * np.prod(size) / rain.haze_box.volume_m3), dtype=np.uint32)
     moment = np.full_like(index, round(time_s * 1e6) & 0xFFFFFFFF)
     fractions = np.stack(_hash(rain.seed, index, moment)[:3], axis=1) * 2.0**-32
-    local = (fractions - 0.5) * size + rain.haze_region.center_m
+    local = (fractions - 0.5) * size + rain.haze_box.center_m
     return local @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3], np.ones(len(local))
 
 

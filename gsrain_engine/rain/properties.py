@@ -106,7 +106,7 @@ class RainProperties:
     drops: int
     """Drops in the streak region: density times volume."""
     haze_gaussians: int
-    """M: haze Gaussians of full opacity in the haze region; `make_haze` splits them."""
+    """M: haze Gaussians of full opacity in the haze region, with `haze: gaussians`; `make_haze` splits them."""
 
     @property
     def beyond_calibration(self) -> bool:

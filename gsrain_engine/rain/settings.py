@@ -63,17 +63,19 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     streaks: Annotated[bool, Meta(
         title="Streaks", extra={"commands": "render"}, description="Draw near drops as streaks (eq. 10-12).")] = True
-    haze: Annotated[bool, Meta(
-        title="Haze", extra={"commands": "render"}, description="Draw far drops as haze (eq. 6, 7).")] = True
+    haze: Annotated[bool | Literal["medium", "gaussians", "none"], Meta(
+        title="Haze", extra={"commands": "render", "negative": "none"},
+        description="Far drops. medium: extinction and airlight along each ray. "
+        "gaussians: the paper's (eq. 6, 7). none: not drawn.")] = "medium"
     roofs: Annotated[bool, Meta(
         title="Shelter under roofs", extra={"commands": "render"},
         description="No rain under bridges, canopies and trees.")] = False
     streak_region: Annotated[RegionBox, Meta(
         title="Streak region", extra={"group": "Regions"},
         description="Region in which drops are simulated one by one.")] = STREAK_REGION
-    haze_region: Annotated[RegionBox, Meta(
+    haze_region: Annotated[RegionBox | None, Meta(
         title="Haze region", extra={"group": "Regions"},
-        description="Region in which drops are haze Gaussians.")] = HAZE_REGION
+        description="Region of the haze; none is everywhere, or a box of 70 m for the paper's Gaussians.")] = None
 
     wind_m_s: Annotated[tuple[float, float], Meta(
         title="Wind", extra={"unit": "m/s", "ge": -40.0, "le": 40.0, "group": "Wind and seed"},
@@ -153,6 +155,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     # fmt: on
 
     def __post_init__(self) -> None:
+        if isinstance(self.haze, bool):  # as in files of version 0.1
+            msgspec.structs.force_setattr(self, "haze", "medium" if self.haze else "none")
         if self.wetness is not None and not 0 <= self.wetness <= 1:
             raise ValueError(f"wetness must be within 0..1, got {self.wetness}")
         if self.exposure_s is not None and not 1e-5 <= self.exposure_s <= 1:
@@ -168,6 +172,16 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def without_rain(self) -> "RainSettings":
         """The same settings at 0 mm/h and dry, for the clear image of a rainy/clear pair."""
         return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None)
+
+    @property
+    def without_medium(self) -> "RainSettings":
+        """The same settings with the paper's Gaussians in place of a medium, for output without distances."""
+        return msgspec.structs.replace(self, haze="gaussians") if self.haze == "medium" else self
+
+    @property
+    def haze_box(self) -> RegionBox:
+        """Region of the paper's haze Gaussians."""
+        return self.haze_region or HAZE_REGION
 
     @property
     def exaggeration(self) -> str:

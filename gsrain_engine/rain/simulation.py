@@ -122,6 +122,7 @@ class RainSimulation:
             view=view,
             color=np.array(rain.drop_color or sky),
             haze_count=now.state.haze_gaussians,
+            extinction_per_m=now.state.extinction_per_m,
             count=round(now.state.density_m3 * float(np.prod(period))),
             where=where,
             period_m=period,

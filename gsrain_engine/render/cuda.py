@@ -15,10 +15,12 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
 from ..rain.frame import RainFrame
+from ..rain.medium import RainMedium
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import DrawItem
+from .cpu.compositing import sky_layer
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
 from .cpu.tiles import MAX_ALPHA
 from .renderer import MIN_WEIGHT, Color, Frame, RenderMode, RenderStatistics, timed
@@ -72,6 +74,9 @@ class CudaRenderer:
             self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
         with self._timed("project"):
             scene = self._arrays.before_camera(parts, camera)
+            medium = rain.medium if rain is not None else None
+            if rain is not None and medium is not None:
+                scene = scene._replace(colors=_dimmed(scene, medium, is_linear=rain.is_linear))
         slabs: DepthSlabs | None = None
         if len(falling):
             with self._timed("rain"):
@@ -80,13 +85,18 @@ class CudaRenderer:
         with self._timed("draw"):
             image, alpha = self._composited(scene, camera, slabs)
             rgba, depth, weight = torch.cat([image[..., :3], alpha], dim=-1), None, alpha[..., 0]
+            edges = image[..., 4:]
+            if medium is not None:  # a layer behind the scene
+                sky = (1 - alpha) * torch.as_tensor(sky_layer(medium, camera), device=self._device)
+                rgba = rgba + sky
+                edges = torch.cat([edges[..., :-1], edges[..., -1:] + sky[..., 3:]], dim=-1) if slabs else edges
             if with_depth:
                 mean = image[..., 3] / torch.clamp(weight, min=float(MIN_WEIGHT))
                 depth = torch.where(weight > float(MIN_WEIGHT), mean, 0.0)
         self.statistics.gaussians = sum(part.drawn_count for part in parts)
         if rain is not None and slabs is not None:
             with self._timed("rain"):
-                rgba = composite_rain_slabs(rgba, image[..., 4:], slabs, rain)
+                rgba = composite_rain_slabs(rgba, edges, slabs, rain)
             self.statistics.splats_drawn += len(slabs.shapes)
             self.statistics.gaussians += len(falling)
         self._frame = rgba, depth
@@ -213,6 +223,47 @@ class CudaArrays:
 
     def _uploaded(self, values: np.ndarray) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(values, np.float32), device=self._device)
+
+
+def _dimmed(scene: CameraSpace, medium: RainMedium, *, is_linear: bool) -> Tensor:
+    """Colors that arrive through a medium, as `dim_by_medium` computes them."""
+    kept, device = medium_transmittance(scene.means, medium)[:, None], scene.means.device
+    light = torch.as_tensor(medium.airlight_linear, device=device)
+    if is_linear:
+        return _to_display(kept * _to_linear(scene.colors) + (1 - kept) * light)
+    return kept * scene.colors + (1 - kept) * _to_display(light)
+
+
+def medium_transmittance(points: Tensor, medium: RainMedium) -> Tensor:
+    """Share of light from points in the camera's frame (n, 3), as `RainMedium.transmittance`, on the device."""
+    numbers, drawn = (torch.as_tensor(each, device=points.device) for each in (medium.numbers, medium.drawn))
+    length = torch.clamp(torch.linalg.norm(points, dim=1), min=1e-9)
+    enters, leaves = torch.zeros_like(length), length
+    if medium.has_region:
+        enters, leaves = _within(points, length, numbers[17:32])
+    first, last = _within(points, length, numbers[2:17])
+    first, last = torch.maximum(first, enters), torch.minimum(last, leaves)
+    slope = torch.clamp(points[:, 2] / length, min=1e-9)
+
+    def drawn_up_to(depth: Tensor) -> Tensor:
+        at = torch.clamp(depth / numbers[1], 0, len(drawn) - 1)
+        k = torch.clamp(at.long(), max=len(drawn) - 2)
+        return torch.lerp(drawn[k], drawn[k + 1], at - k)
+
+    streaks = (drawn_up_to(last * slope) - drawn_up_to(first * slope)) / slope
+    depth = numbers[0] * (leaves - enters) - torch.where((last > first) & (points[:, 2] > 0), streaks, 0.0)
+    return torch.exp(-torch.clamp(depth, min=0))
+
+
+def _within(points: Tensor, length: Tensor, box: Tensor) -> tuple[Tensor, Tensor]:
+    """Distances at which rays to points enter and leave a box, between 0 and their lengths."""
+    along = points @ box[:9].reshape(3, 3).T / length[:, None]
+    along = torch.where(along.abs() > 1e-9, along, 1e-9)
+    start, half = box[9:12], box[12:15]
+    ends = torch.stack([(-half - start) / along, (half - start) / along])
+    enters = torch.clamp(ends.amin(dim=0).amax(dim=1), min=0)
+    leaves = torch.minimum(ends.amax(dim=0).amin(dim=1), length)
+    return enters, torch.maximum(enters, leaves)
 
 
 def _rows(part: DrawItem) -> Any:

@@ -69,10 +69,15 @@ def test_values_of_the_drop_density_have_old_names_too(words):
         ("render -o a.png --size 96x64", {"recording": {"output": "a.png", "size_px": (96, 64)}}),
         ("train-transfer tiny -o a --clear b --clear c", {"images": {"clear": [{"path": "b"}, {"path": "c"}]}}),
         ("evaluate lidar -o a --range-10 50", {"detection": {"range_m": 50.0}}),
+        ("render -o a.png --haze", {"rain": {"haze": "medium"}}),
+        ("render --haze -o a.png", {"rain": {"haze": "medium"}}),
+        ("render -o a.png --haze gaussians", {"rain": {"haze": "gaussians"}}),
+        ("render -o a.png --haze=none", {"rain": {"haze": "none"}}),
+        ("render -o a.png --no-haze --no-streaks", {"rain": {"haze": "none", "streaks": False}}),
     ],
 )
 def test_options_set_fields(line, changes):
-    _, bound, _ = app.parse_args(line.split(), exit_on_error=False, print_error=False)
+    _, bound, _ = app.parse_args(list(renamed_options(line.split())), exit_on_error=False, print_error=False)
     assert {name: bound.arguments[name].changes() for name in changes} == changes
 
 

@@ -24,6 +24,7 @@ from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import patch, small_scene
 
+EXTINCTION = "extinction_per_m", "meteorological_range_m", "airlight_linear"
 CONTRACT = {
     "frames", "seconds", "splats", "drops", "drops_drawn", "haze_gaussians", "backend", "intensity_mm_h",
     "implied_mm_h",
@@ -85,7 +86,14 @@ def test_a_still_and_its_numbers(wall, tmp_path, reported, capsys):
     assert set(report) >= CONTRACT
     assert (report["frames"], report["intensity_mm_h"], report["implied_mm_h"]) == (1, 8.5, 8.5)
     assert report["drops"] == 331_752
-    assert report["haze_gaussians"] == 713  # beta V_f / (2 pi s_h^2 alpha_m)
+    assert report["haze_gaussians"] == 0  # haze is a medium
+    assert report["extinction_per_m"] == pytest.approx(1.82e-3, rel=0.01)
+    assert report["meteorological_range_m"] == pytest.approx(np.log(20) / report["extinction_per_m"])
+    assert len(report["airlight_linear"]) == 3 and all(0 < each < 1 for each in report["airlight_linear"])
+    paper = reported(*words(wall, out, "--preset", "paper"))
+    assert (paper["haze_gaussians"], paper["airlight_linear"]) == (553, None)  # beta V_f / (2 pi s_h^2 alpha_m)
+    dry = reported(*words(wall, out))
+    assert [dry[name] for name in EXTINCTION] == [0, None, None]
     assert str(out) in capsys.readouterr().out
     without, zero, some = (
         render(wall, tmp_path / f"{name}.npy", *options).read_bytes()

@@ -37,7 +37,7 @@ def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(editor):
     editor.document.end_gesture()
     assert key_times() == [0.0, 4.0, 10.0]
     assert editor.document.keyframes.key_at(4.0).intensity_mm_h == 8.0
-    assert not editor.document.rain.haze
+    assert editor.document.rain.haze == "none"
     editor.document.change_rain("Intensity", "drag", intensity_mm_h=1.0)
     assert key_times() == [0.0, 4.0, 4.5, 10.0]
     editor.document.undo()

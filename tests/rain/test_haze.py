@@ -25,8 +25,8 @@ def test_haze_fills_the_region_of_a_car_that_has_turned_and_driven_on(reset, tim
     cosine, sine = np.cos(0.7), np.sin(0.7)
     anchor[:2, :2], anchor[:3, 3] = [[cosine, -sine], [sine, cosine]], (300.0, -20.0, 2.0)
     made = haze(time_s, anchor=anchor, haze_reset=reset)
-    local = (made.means - anchor[:3, 3]) @ anchor[:3, :3] - rain.haze_region.center_m
-    half = np.array(rain.haze_region.size_m) / 2
+    local = (made.means - anchor[:3, 3]) @ anchor[:3, :3] - rain.haze_box.center_m
+    half = np.array(rain.haze_box.size_m) / 2
     assert np.all(np.abs(local) <= half + 3 * rain.haze_sigma_m + 1e-3)
     inside = np.all(np.abs(local) <= half, axis=1)
     eighths = np.bincount((local[inside] > 0) @ [1, 2, 4], made.opacities[inside], minlength=8)
@@ -41,7 +41,7 @@ def test_few_gaussians_are_split_up_into_the_geometric_mean_with_16000(count, sh
     made = haze(count=count)
     assert made.opacities.max() == pytest.approx(RainSettings().haze_opacity / shares, rel=1e-3)
     rain = RainSettings()
-    inside = np.all(np.abs(made.means - rain.haze_region.center_m) <= np.array(rain.haze_region.size_m) / 2, axis=1)
+    inside = np.all(np.abs(made.means - rain.haze_box.center_m) <= np.array(rain.haze_box.size_m) / 2, axis=1)
     assert made.opacities[inside].sum() == pytest.approx(count * rain.haze_opacity, rel=0.5)
     assert len(haze(count=0).means) == 0
     assert haze(count=count, haze_count=count).opacities.max() == np.float32(rain.haze_opacity)  # as a person set it
@@ -83,7 +83,9 @@ def test_haze_stays_in_its_places_while_the_car_drives_on_but_the_paper_resets_e
 
 def haze_at(intensity_mm_h, **fields):
     """Haze of an intensity, M and beta as they follow from it."""
-    state = rain_properties(RainSettings(intensity_mm_h=intensity_mm_h), load_calibration("published"))
+    state = rain_properties(
+        RainSettings(intensity_mm_h=intensity_mm_h, haze="gaussians"), load_calibration("published")
+    )
     return haze(count=state.haze_gaussians, **fields), state
 
 

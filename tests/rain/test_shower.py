@@ -46,7 +46,7 @@ def test_a_frame_alone_is_the_frame_among_others():
         g = gaussians_of(rainfall.frame(time_s, HERE))
         return b"".join(each.tobytes() for each in (g.means, g.scales, g.quaternions, g.opacities, g.sh))
 
-    rain = RainSettings(seed=5, gust_m_s=2.0, streak_region=SMALL)
+    rain = RainSettings(seed=5, gust_m_s=2.0, streak_region=SMALL, haze="gaussians")
     film = RainSimulation.start(rain, weather=GUSTY)
     forward = [frame(film, time_s) for time_s in times]
     backward = [frame(film, time_s) for time_s in reversed(times)][::-1]
@@ -92,7 +92,7 @@ def test_no_drop_jumps_at_a_key_or_between():
 
 
 def test_haze_and_numbers_follow_the_intensity():
-    rain = RainSettings(seed=1, roofs=False)
+    rain = RainSettings(seed=1, roofs=False, haze="gaussians")
     rainfall = RainSimulation.start(rain, weather=TRIANGLE)
     for at, rate in ((10.5, 6.0), (18.0, 12.0)):
         state = rain_properties(msgspec.structs.replace(rain, intensity_mm_h=rate), rainfall.calibration)
@@ -139,7 +139,7 @@ def test_changing_the_weather_moves_no_drop():
         assert np.allclose(displacement(following.frozen_at(12.0).motion, 12.0), expected, atol=1e-9)
         rainfall = following
     unmoved = rainfall.changed(msgspec.structs.replace(rainfall.rain, haze=False), 15.0)
-    assert not unmoved.frozen_at(15.0).rain.haze
+    assert unmoved.frozen_at(15.0).rain.haze == "none"
     assert np.array_equal(unmoved.frozen_at(20.0).motion.fallen(20.0), rainfall.frozen_at(20.0).motion.fallen(20.0))
 
 

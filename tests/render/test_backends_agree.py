@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, draw_view
@@ -90,6 +90,12 @@ def pair(request, open_kind):
         {"rain_light": "display", "exposure_s": 0.05},
         {"rain_light": "linear", "exposure_s": 0.05, "haze": False},
         {"rain_light": "display", "exposure_s": 0.003, "haze": False},
+        {"rain_light": "linear", "exposure_s": 0.003, "haze": "gaussians"},
+        {
+            "rain_light": "linear",
+            "intensity_mm_h": 80.0,
+            "haze_region": RegionBox(minimum_m=(-9, -9, -1), maximum_m=(30, 9, 20)),
+        },
     ],
 )
 def test_scenes_and_the_rains_own_light_agree(pair, changes):
@@ -114,7 +120,7 @@ def test_both_count_the_same(pair):
     renderers, scene, shot = pair
     statistics = []
     for renderer in renderers:
-        frame_of(renderer, scene, shot, raining())
+        frame_of(renderer, scene, shot, raining(haze="gaussians"))
         statistics.append(renderer.statistics)
     ours, cpu = statistics
     assert ours.haze_drawn == cpu.haze_drawn > 0

@@ -34,7 +34,8 @@ SHOWER = RainKeyframes(
 
 
 def falling(time_s=12.3, travelled=(0.0, 0.0, 0.0), weather=None, anchor=ANCHOR, focal_px=None, roofs=None, **changes):
-    rain = msgspec.structs.replace(load_preset("8.5"), wind_m_s=(2.0, -1.0), seed=3, **changes)
+    changes = {"wind_m_s": (2.0, -1.0), "seed": 3, "haze": "gaussians"} | changes
+    rain = msgspec.structs.replace(load_preset("8.5"), **changes)
     anchor = anchor.copy()
     anchor[:3, 3] += travelled
     view = RainCamera(CAMERA, anchor, np.array([9.0, 1.0, 0.0]), focal_px, roofs)

@@ -40,7 +40,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def rainfall() -> RainSimulation:
-    return RainSimulation.start(RainSettings(intensity_mm_h=12.0, exposure_s=0.02, drop_color=GRAY))
+    return RainSimulation.start(RainSettings(intensity_mm_h=12.0, exposure_s=0.02, haze="gaussians", drop_color=GRAY))
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,12 @@ from imgui_bundle import implot
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.editor.overlays import path_overlay_of
 from gsrain_engine.editor.rain_regions import face_handles, inset_view
+from gsrain_engine.editor.steps import steps_since
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.settings import HAZE_REGION
 from gsrain_engine.render.draw import rain_anchor
 from ui.commands.keys import chord
+from ui.commands.table import COMMANDS
 from ui.panels import rain_keyframes
 from window_driver import imgui
 
@@ -210,6 +213,50 @@ def test_a_face_of_the_region_is_dragged_from_outside(driver):
         assert editor.document.history.cursor == steps + 1
         editor.document.undo()
         assert editor.document.rain.streak_region == box
+
+    driver.run(script)
+
+
+def test_haze_has_a_form_and_maybe_a_region(driver):
+    """In the panel and by the command; the steps are those of a command line."""
+    editor = driver.editor
+
+    def script():
+        document, saved = editor.document, editor.document.state
+        (command,) = [each for each in COMMANDS if each.name == "Draw haze"]
+        assert document.rain.haze == "medium" and command.is_on(document)
+        document.change_rain("Intensity", intensity_mm_h=80.0)
+        driver.until(lambda: "drops drawn" in editor.viewport.statistics)
+        everywhere = driver.picture()
+        driver.click("//Rain/Regions")
+        driver.click("//Rain/Limit haze to a region")
+        assert document.rain.haze_region == HAZE_REGION
+        driver.click("//Rain/Show haze region")
+        editor.viewport.options.tool = "Rain regions"
+        tool = driver.tool("Rain regions")
+        driver.ctx.window_focus("//View")
+        driver.frames(4)
+        driver.tap("//View/**/Haze region")
+        assert tool._region == "haze_region"
+        driver.tap("//View/**/Reset##region")
+        assert document.rain.haze_region is None
+        driver.frames(4)
+        editor.viewport.options.tool, editor.viewport.options.show_haze_region = "", False
+        assert np.array_equal(driver.picture(), everywhere)
+        driver.click("//Rain/Regions")
+        driver.ctx.set_ref("//Rain")
+        driver.ctx.combo_click("##haze/gaussians")
+        driver.frames()
+        assert document.rain.haze == "gaussians" and command.is_on(document)
+        driver.ctx.window_focus("//Read-out")
+        driver.until(lambda: editor.viewport.statistics["haze Gaussians"] > 0)
+        command.run(document)
+        assert document.rain.haze == "none" and not command.is_on(document)
+        driver.frames(3)
+        command.run(document)
+        assert document.rain.haze == "medium"
+        texts = [each.text for each in steps_since(document.history, saved)]
+        assert texts[-2:] == ["change-rain haze=none", "change-rain haze=medium"]
 
     driver.run(script)
 

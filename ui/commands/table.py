@@ -111,6 +111,11 @@ def _toggle_rain(field: str, title: str) -> Function:
     return run
 
 
+def _toggle_haze(document: Any) -> None:
+    haze = "medium" if document.rain.haze == "none" else "none"
+    document.change_rain(f"Haze {'off' if haze == 'none' else 'on'}", haze=haze)
+
+
 def _toggle_tool(tool: str) -> Function:
     return lambda viewport: setattr(viewport.options, "tool", "" if viewport.options.tool == tool else tool)
 
@@ -307,8 +312,8 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     (
         Command("Draw streaks", _toggle_rain("streaks", "Streaks"), "Rain", "", "Draw near drops as streaks.",
                 is_on=_is("document.rain.streaks"), edit="change-rain"),
-        Command("Draw haze", _toggle_rain("haze", "Haze"), "Rain", "", "Draw far drops as haze.",
-                is_on=_is("document.rain.haze"), edit="change-rain"),
+        Command("Draw haze", _toggle_haze, "Rain", "", "Draw far drops as a medium that extinguishes light.",
+                is_on=lambda document: document.rain.haze != "none", edit="change-rain"),
         Command("Shelter under roofs", _toggle_rain("roofs", "Shelter under roofs"), "Rain", "",
                 "No rain under bridges, canopies and trees; they are searched for once.",
                 is_on=_is("document.rain.roofs"), edit="change-rain"),

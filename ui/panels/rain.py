@@ -51,10 +51,10 @@ def rain_panel(document: Document, viewport: ViewportState, playback: Playback, 
     _presets(document)
     _intensity(document, viewport, playback)
     _exposure(document, viewport, playback)
-    for name in ("streaks", "haze", "roofs"):
-        fields.toggle(document, name)
-        if name != "roofs":
-            imgui.same_line()
+    fields.toggle(document, "streaks")
+    imgui.same_line()
+    fields.toggle(document, "roofs")
+    fields.choice(document, "haze")
     _drop_color(document, viewport, live_rain)
     wetness_fields(document, live_rain)
     if document.rain.exaggeration:
@@ -166,7 +166,14 @@ def _region(document: Document, viewport: ViewportState, name: str) -> None:
     title = f"Show {field_of(RainSettings, name).title.lower()}"
     is_shown = checkbox(title, getattr(viewport.options, shows), "Draw the region's edges in the viewport.")
     setattr(viewport.options, shows, is_shown)
-    fields.box(document, name)
+    if name == "haze_region":
+        own = document.rain.haze_region is not None
+        limited = checkbox("Limit haze to a region", own, field_of(RainSettings, name).help)
+        if limited != own:
+            region = document.rain.haze_box if limited else None
+            document.change_rain("Limit haze to a region" if limited else "Haze everywhere", haze_region=region)
+    if getattr(document.rain, name) is not None:
+        fields.box(document, name)
 
 
 def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain) -> None:
@@ -198,7 +205,7 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
         imgui.text_wrapped("No rain at this time." if document.keyframes.keys else "No rain.")
         return
     drawn, haze = (int(viewport.statistics.get(name, 0)) for name in ("drops drawn", "haze Gaussians"))
-    rows = (
+    rows = [
         ("Set rain rate", f"{state.intensity_mm_h:.2f} mm/h", "Rainfall intensity R."),
         ("Simulated rain rate", f"{state.implied_mm_h:.2f} mm/h", "6e-4 pi N E[V D^3] of the simulated drops."),
         ("Rain rate of the table", f"{state.table_implied_mm_h:.2f} mm/h", "The same for the calibration's density."),
@@ -212,10 +219,12 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
         ("Mean fall speed", f"{state.mean_fall_speed_m_s:.2f} m/s", "Of all drops in the air."),
         ("Drops in region", f"{state.drops:,}", "Density times the streak region's volume."),
         ("Drops drawn", f"{drawn:,}", "Visible in this camera, nearer than phi f D."),
-        ("Haze Gaussians", f"{haze:,}", f"Around the camera; {state.haze_gaussians:,} at full opacity in the region."),
         ("Extinction", f"{1000 * state.extinction_per_m:.3f} /km", "beta = (pi/4) Q N E[D^2], times the haze gain."),
         ("Visibility", f"{state.visibility_m / 1000:.2f} km", "Distance at which 5 % of the contrast is left."),
-    )  # fmt: skip
+    ]  # fmt: skip
+    if document.rain.haze == "gaussians":
+        help_text = f"Around the camera; {state.haze_gaussians:,} at full opacity in the region."
+        rows.insert(-2, ("Haze Gaussians", f"{haze:,}", help_text))
     readings("readout", rows)
     if state.beyond_calibration:
         imgui.text_colored(WARNING, "beyond calibration (13 mm/h)")

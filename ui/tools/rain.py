@@ -14,7 +14,7 @@ from gsrain_engine.editor.live_rain import LiveRain
 from gsrain_engine.editor.rain_regions import FaceHandle, RegionName
 from gsrain_engine.editor.viewport.picking import SkyColorPick
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, RegionBox
+from gsrain_engine.rain.settings import STREAK_REGION, RegionBox
 from gsrain_engine.render.draw import RenderView, rain_anchor
 
 from ..panels.rain import PICK_TOOL
@@ -25,8 +25,8 @@ from .base import DragTool, Tool, draw_rectangle
 
 _COLORS = {"streak_region": (0.45, 0.85, 1.0, 1.0), "haze_region": (1.0, 0.8, 0.45, 1.0)}
 _LABELS: dict[RegionName, str] = {"streak_region": "Streak region", "haze_region": "Haze region"}
-_HELP = {"streak_region": "Where drops are simulated one by one.", "haze_region": "Where far drops are haze."}
-_WHOLE = {"streak_region": STREAK_REGION, "haze_region": HAZE_REGION}
+_HELP = {"streak_region": "Where drops are simulated one by one.", "haze_region": "Region that haze is limited to."}
+_WHOLE: dict[RegionName, RegionBox | None] = {"streak_region": STREAK_REGION, "haze_region": None}
 _GRIP_PX = 11.0
 _CAMERA = (0.62, 0.62, 0.66, 0.9)
 
@@ -46,7 +46,7 @@ class RegionTool(Tool):
 
     def draw(self, canvas: Canvas) -> bool:
         """Draw the region with a dot on each visible face, and an outside view; handle the mouse."""
-        box = getattr(self._document.rain, self._region)
+        box = regions.region_box(self._document.rain, self._region)
         anchor = rain_anchor(self._rollouts.displayed_scene, self._live_rain.displayed, canvas.shot)
         color, edges = _COLORS[self._region], partial(regions.project_edges, box, anchor)
         draw_lines(canvas, edges(canvas.shot.camera).tolist(), color, 2.0)
@@ -97,12 +97,14 @@ class RegionTool(Tool):
                 self._region, self._drag = region, None
             imgui.set_item_tooltip(_HELP[region])
             imgui.same_line()
-        x, y, z = getattr(self._document.rain, self._region).size_m
+        x, y, z = regions.region_box(self._document.rain, self._region).size_m
         imgui.align_text_to_frame_padding()
-        imgui.text_disabled(f"{x:.1f} x {y:.1f} x {z:.1f} m")
+        is_limited = getattr(self._document.rain, self._region) is not None
+        imgui.text_disabled(f"{x:.1f} x {y:.1f} x {z:.1f} m" if is_limited else "everywhere; drag a dot to limit it")
         imgui.set_item_tooltip("Ahead, across, upward; numbers of both corners are in the Rain panel under Regions.")
         imgui.same_line()
-        if button("Reset##region", "The region of the paper's setup."):
+        help_text = "The region of the paper's setup." if self._region == "streak_region" else "Haze everywhere."
+        if button("Reset##region", help_text):
             label = f"Reset the {_LABELS[self._region].lower()}"
             self._document.change_rain(label, None, **{self._region: _WHOLE[self._region]})
 

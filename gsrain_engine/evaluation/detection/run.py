@@ -132,7 +132,7 @@ class ConditionRenderer:
         key = trial.intensity_mm_h, trial.seeds[0]
         if key not in self._rains:
             rain = structs.replace(self.rain, intensity_mm_h=key[0], seed=key[1])
-            self._rains[key] = RainSimulation.start(rain)
+            self._rains[key] = RainSimulation.start(rain.without_medium if self.is_in_front else rain)
         rainfall = self._rains[key]
         if not self.is_in_front:
             return self._drawn(frame, rainfall)

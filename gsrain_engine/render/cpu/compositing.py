@@ -8,9 +8,11 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
+from ...rain.medium import RainMedium, optical_depth
 from ...scene.camera import Camera
+from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
-from .fast_math import FAST, power
+from .fast_math import FAST, exponential, power
 from .projection import MIN_SCENE_CUT, Splats, project
 from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, nothing, walk_pixels, walk_tiles
 
@@ -42,16 +44,19 @@ def composite_in_rain(
     channels: Float32[np.ndarray, "m 4"],
     light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
+    sky: Float32[np.ndarray, "h w 4"] | None = None,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
-    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone.
+    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
+    premultiplied layer behind the scene and before the background.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
-    _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear))
+    behind = np.empty((0, 0, 4), np.float32) if sky is None else sky
+    _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear, behind))
     return rgba, fourth, alpha
 
 
@@ -176,11 +181,17 @@ def _store(state, x0, y0, images):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _store_rain(state, x0, y0, images):
-    clear_alpha, light_linear = images[2], images[3]
+    clear_alpha, light_linear, sky = images[2], images[3], images[4]
     height, width = clear_alpha.shape
     for u in range(min(TILE, width - x0)):
         for v in range(min(TILE, height - y0)):
+            open_share = np.float32(1) - state[u, 5 * TILE + v]
             clear_alpha[y0 + v, x0 + u] = state[u, 5 * TILE + v]
+            if len(sky) > 0:
+                state[u, TILE + v] += open_share * sky[y0 + v, x0 + u, 0]
+                state[u, 2 * TILE + v] += open_share * sky[y0 + v, x0 + u, 1]
+                state[u, 3 * TILE + v] += open_share * sky[y0 + v, x0 + u, 2]
+                state[u, 5 * TILE + v] += open_share * sky[y0 + v, x0 + u, 3]
         add_rain_light(state[u], light_linear)
     _store(state, x0, y0, images)
 
@@ -254,6 +265,75 @@ def _to_display(linear):
     knee = np.float32(0.0031308)
     curve = np.float32(1.055) * power(max(linear, knee), np.float32(1 / 2.4)) - np.float32(0.055)
     return curve if linear > knee else np.float32(12.92) * linear
+
+
+# Medium
+
+
+def dim_by_medium(splats: Splats, camera: Camera, medium: RainMedium, *, is_linear: bool) -> None:
+    """Change the scene's colors in place to those that arrive through a medium, in linear light or in display values.
+
+    A splat keeps its share t of light, and takes in 1 - t of the airlight. Rain keeps its color.
+    """
+    light = medium.airlight_linear if is_linear else linear_to_srgb(medium.airlight_linear).astype(np.float32)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    _dim_by_medium(splats.shapes, splats.colors, intrinsics, medium.numbers, medium.drawn, light, is_linear)
+
+
+_BLOCK = 1024  # splats that are copied to contiguous numbers, which LLVM vectorizes
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear):
+    for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
+        lines = np.empty((5, _BLOCK), np.float32)
+        start = block * _BLOCK
+        count = min(_BLOCK, len(colors) - start)
+        for i in range(count):
+            for channel in range(3):
+                lines[channel, i] = shapes[start + i, channel]
+            lines[2, i] = colors[start + i, 3] if shapes[start + i, 6] >= MIN_SCENE_CUT else np.float32(0)
+        _shares(lines, intrinsics, numbers, drawn)
+        for channel in range(3):
+            for i in range(count):
+                lines[0, i] = colors[start + i, channel]
+            _mix_airlight(lines[0], lines[3], light[channel], is_linear)
+            for i in range(count):
+                colors[start + i, channel] = lines[0, i]
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _shares(lines, intrinsics, numbers, drawn):
+    """Share of light that arrives from pixels x and y (lines 0 and 1) at the depth z (line 2), to line 3."""
+    one = np.float32(1)
+    fx, fy, cx, cy = one / intrinsics[0], one / intrinsics[1], intrinsics[2], intrinsics[3]
+    for i in range(_BLOCK):
+        z = lines[2, i]
+        depth = optical_depth((lines[0, i] - cx) * fx * z, (lines[1, i] - cy) * fy * z, z, numbers, drawn)
+        lines[3, i] = exponential(-depth) if z > 0 else one
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _mix_airlight(line, shares, light, is_linear):
+    one = np.float32(1)
+    if is_linear:
+        for i in range(_BLOCK):
+            mixed = _to_display(shares[i] * _to_linear(line[i]) + (one - shares[i]) * light)
+            line[i] = mixed if shares[i] < one else line[i]
+    else:
+        for i in range(_BLOCK):
+            line[i] = shares[i] * line[i] + (one - shares[i]) * light
+
+
+def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
+    """Airlight of the medium behind the scene, as a premultiplied display color with alpha."""
+    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
+    alpha = 1 - medium.sky_transmittance(camera.width, camera.height, intrinsics)
+    color = np.append(linear_to_srgb(medium.airlight_linear), 1).astype(np.float32)
+    return alpha[..., None] * color
 
 
 # Transpose of compositing

@@ -24,7 +24,7 @@ from ..renderer import (
     RenderStatistics,
     timed,
 )
-from .compositing import composite, composite_in_rain, expected
+from .compositing import composite, composite_in_rain, dim_by_medium, expected, sky_layer
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
 from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
@@ -59,17 +59,25 @@ class CpuRenderer:
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
             splats = project([*parts, *falling], camera, flags, as_points=look == "points")
             splats = _color_by_mode(look, splats, parts, camera)
+            medium = rain.medium if rain is not None and look == "splats" else None
+            if rain is not None and medium is not None:
+                dim_by_medium(splats, camera, medium, is_linear=rain.is_linear)
         with timed(stages, "sort"):
             order = splats.nearest_first()
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
         with timed(stages, "draw"):
-            if rain is None or not falling:
-                self._frame = _draw_mode(look, splats, tiles, with_depth=with_depth)
-            elif rain.is_linear:
-                rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
+            sky = sky_layer(medium, camera) if medium is not None else None
+            if rain is not None and falling and rain.is_linear:
+                rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles, sky)
                 self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
             else:
-                self._frame = _draw_behind_veil(splats, order, tiles, rain, with_depth=with_depth)
+                if rain is None or not falling:
+                    self._frame = _draw_mode(look, splats, tiles, with_depth=with_depth)
+                else:
+                    self._frame = _draw_behind_veil(splats, order, tiles, rain, with_depth=with_depth)
+                if sky is not None:
+                    rgba = self._frame.rgba
+                    rgba += (1 - rgba[..., 3:]) * sky
         self.statistics.splats_drawn = len(order)
 
     def read(self) -> Frame:

@@ -1,12 +1,13 @@
 """Projection on the GPU: Gaussians and drops to splats, and compaction of the visible ones."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
 
 from ...rain.frame import RainFrame
+from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
@@ -66,7 +67,11 @@ class ProjectionPass:
             self.drops.find(field)
         is_wet = any(part.is_wet for part, _ in rows)
         wet = {"WET": 1} if is_wet else {}
-        shader = self._projector({**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet})
+        medium = rain.medium if rain is not None else None
+        dims = {"MEDIUM": 1} if medium is not None else {}
+        shader = self._projector({**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims})
+        if rain is not None and medium is not None:
+            set_uniforms(shader, is_linear=rain.is_linear, **medium_uniforms(medium))
         set_uniforms(
             shader, intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
             near=NEAR_M, camera_to_world=tuple(camera.camera_to_world[:3, :3].T.ravel()), look=_LOOKS.get(look, 0),
@@ -132,6 +137,12 @@ def _masked(part: DrawItem) -> DrawItem:
     others = np.ones(len(part.gaussians), np.bool_)
     others[part.members] = False
     return part._replace(members=None, limit=None, left_out=BitMask.of(others))
+
+
+def medium_uniforms(medium: RainMedium) -> dict[str, Any]:
+    """Uniforms of common_medium.glsl."""
+    numbers, drawn = medium.numbers.tolist(), medium.drawn.tolist()
+    return {"medium_numbers": numbers, "medium_drawn": drawn, "airlight": tuple(medium.airlight_linear.tolist())}
 
 
 def _slots(count: int) -> int:

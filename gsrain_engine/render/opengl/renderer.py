@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...rain.frame import RainFrame
+from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..cpu.compositing import expected
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, MIN_WEIGHT, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
 from .buffers import LONGEST_DISPATCH, GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
-from .projection import ProjectionPass
+from .projection import ProjectionPass, medium_uniforms
 from .shaders import GpuTimers, Switches, load_compute_shader, load_program, set_uniforms
 from .sort import SLOTS, CpuSort, RadixSort, count_in
 from .tiles import TileRasterizer
@@ -155,13 +156,15 @@ class SplatRenderer:
                 order = self._sort.sort(self._store.work)
             light = falling.light_linear if falling is not None and falling.is_linear else None
             with_depth = with_depth or look == "depth"
-            size = camera.width, camera.height
+            medium = falling.medium if falling is not None else None
             if self._tiles is not None:
-                self._redraw = partial(self._blend_tiles, order, slots.all, size, look, light, with_depth=with_depth)
+                self._redraw = partial(
+                    self._blend_tiles, order, slots.all, camera, look, light, medium, with_depth=with_depth
+                )
                 self._redraw()
             else:
                 with self._timers.stage("draw"):
-                    self._blend_quads(order, size, look, with_depth=with_depth, linear_rain=light is not None)
+                    self._blend_quads(order, camera, look, medium, with_depth=with_depth, linear_rain=light is not None)
                     self._image = self._resolve(look, light)
             before.use()
             self.arrays.release_unused()
@@ -225,26 +228,38 @@ class SplatRenderer:
         self,
         order: moderngl.Buffer,
         capacity: int,
-        size: tuple[int, int],
+        camera: Camera,
         look: RenderMode,
         rain_light: Float32[np.ndarray, "3"] | None,
+        medium: RainMedium | None,
         *,
         with_depth: bool,
     ) -> None:
         """Draw the sorted splats, at most `capacity`, tile by tile."""
         assert self._tiles is not None
-        target = self._target("splats", FramebufferLayout(size, False, with_depth))
-        switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None)
+        target = self._target("splats", FramebufferLayout((camera.width, camera.height), False, with_depth))
+        switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium)
+        lights = {} if rain_light is None else {"rain_light": tuple(rain_light)}
+        if medium is not None:
+            lights |= medium_uniforms(medium) | {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy)}
         self._tiles.draw(
-            self._store, order, capacity, (target.color, target.depth), switches, rain_light, self._timers
+            self._store, order, capacity, (target.color, target.depth), switches, lights, self._timers
         )  # fmt: skip
         with self._timers.stage("draw"):
             self._image = self._resolve(look, None)
 
     def _blend_quads(
-        self, order: moderngl.Buffer, size: tuple[int, int], look: RenderMode, *, with_depth: bool, linear_rain: bool
+        self,
+        order: moderngl.Buffer,
+        camera: Camera,
+        look: RenderMode,
+        medium: RainMedium | None,
+        *,
+        with_depth: bool,
+        linear_rain: bool,
     ) -> None:
-        """Draw the sorted splats into an empty framebuffer."""
+        """Draw the sorted splats into an empty framebuffer, or upon the medium's airlight."""
+        size = camera.width, camera.height
         target = self._target("splats", FramebufferLayout(size, linear_rain, with_depth))
         switches = _switches(look, with_depth=with_depth, linear_rain=linear_rain)
         macros = {**switches, **self._store.switches}
@@ -252,6 +267,12 @@ class SplatRenderer:
         program["image_size"] = size
         target.framebuffer.use()
         target.framebuffer.clear()
+        if medium is not None:
+            sky, corners = self._program("screen.vert", "medium_sky.frag", switches)
+            for name, value in medium_uniforms(medium).items():
+                sky[name] = value
+            sky["intrinsics"] = camera.fx, camera.fy, camera.cx, camera.cy
+            corners.render(moderngl.TRIANGLES, vertices=3)
         self._store.bind()
         order.bind_to_storage_buffer(SLOTS)
         context = self.context
@@ -304,9 +325,9 @@ class SplatRenderer:
         return self._targets[name]
 
 
-def _switches(look: RenderMode, *, with_depth: bool, linear_rain: bool) -> Switches:
-    """Macros of splat.frag and tile_blend.comp."""
-    switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
+def _switches(look: RenderMode, *, with_depth: bool, linear_rain: bool, medium: RainMedium | None = None) -> Switches:
+    """Macros of splat.frag, medium_sky.frag and tile_blend.comp."""
+    switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth, "MEDIUM": medium is not None}
     switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
     return {name: 1 for name, is_set in switches.items() if is_set}
 

@@ -4,11 +4,11 @@ The splats are sorted by depth once; their pairs are then sorted by tile alone, 
 nearest first. The image is drawn in strips of tile rows if all its pairs don't fit into the buffers.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32
 
 from ..cpu.tiles import TILE
 from .buffers import (
@@ -60,7 +60,7 @@ class TileRasterizer:
         capacity: int,
         image: tuple[moderngl.Texture, moderngl.Texture | None],
         switches: Switches,
-        rain_light: Float32[np.ndarray, "3"] | None,
+        lights: Mapping[str, Any],
         timers: GpuTimers,
     ) -> None:
         """Draw splats into a texture of four floats and, with WITH_DEPTH, one of two (weighted depth and weight).
@@ -70,8 +70,8 @@ class TileRasterizer:
             order: Slots, nearest first; their number is in the store's work.
             capacity: Largest number of visible splats.
             image: Textures of the same size.
-            switches: LINEAR_RAIN, WITH_DEPTH, ELLIPSOIDS, OVERDRAW: macros of tile_blend.comp.
-            rain_light: Color of a drop in linear light, with LINEAR_RAIN.
+            switches: LINEAR_RAIN, WITH_DEPTH, MEDIUM, ELLIPSOIDS, OVERDRAW: macros of tile_blend.comp.
+            lights: Uniforms of tile_blend.comp for LINEAR_RAIN and MEDIUM.
             timers: For the stages `sort` and `draw`.
         """
         blocks = -(-capacity // SLOTS_BY_BLOCK)
@@ -85,7 +85,7 @@ class TileRasterizer:
             with timers.stage("sort"):
                 self._bin(store, order, strip, switches)
             with timers.stage("draw"):
-                self._blend_strip(store, strip, image, switches, rain_light)
+                self._blend_strip(store, strip, image, switches, lights)
 
     def pairs_left_out(self) -> int:
         """Number of pairs of the last image that had no room; waits for the GPU. The next image has room for them."""
@@ -189,12 +189,11 @@ class TileRasterizer:
         strip: range,
         image: tuple[moderngl.Texture, moderngl.Texture | None],
         switches: Switches,
-        rain_light: Float32[np.ndarray, "3"] | None,
+        lights: Mapping[str, Any],
     ) -> None:
         shader = self._with_tiles(self._blend(switches), strip)
         shader["image_size"] = self._size
-        if rain_light is not None:
-            shader["rain_light"] = tuple(rain_light)
+        set_uniforms(shader, **lights)
         store.bind_records()
         self._starts.bind(_COUNTS)
         picture, depths = image

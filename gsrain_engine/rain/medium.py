@@ -1,0 +1,148 @@
+"""Rain as a medium: drops that are not drawn one by one extinguish light and scatter that of the sky.
+
+A ray of length r through drops with the extinction coefficient beta keeps exp(-beta r) of its light; in exchange it
+takes in as much of the airlight (Koschmieder 1924). Drops that are drawn as streaks take their own cross-section from
+the ray, so that the medium is thinner where they are: both together extinguish exactly beta.
+"""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from ..scene.camera import Camera
+from .settings import RainSettings
+
+NEAREST_STREAK_M = 0.2  # nearer drops are not drawn
+STEPS = 64  # of the table of the streaks' extinction over depth
+_FAR_M = 1e9  # length of a ray to the sky
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RainMedium:
+    """Extinction along the rays of one camera, and the light that takes the place of what is lost."""
+
+    numbers: Float32[np.ndarray, "33"]
+    """Extinction per m; step of the table in m; then, for the region of streaks and that of the medium, rotation from
+    the camera's frame (rows), the camera's position in it, and half its edges; 1 if the medium has a region at the end.
+    """
+    drawn: Float32[np.ndarray, " steps"]
+    """Optical depth that streaks take from the medium along the view axis, up to each step of depth."""
+    airlight_linear: Float32[np.ndarray, "3"]
+
+    @property
+    def extinction_per_m(self) -> float:
+        return float(self.numbers[0])
+
+    def transmittance(self, points_m: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
+        """Share of light that arrives from points in the camera's frame (meters)."""
+        kept = np.empty(len(points_m), np.float32)
+        _transmittances(np.ascontiguousarray(points_m, np.float32), self.numbers, self.drawn, kept)
+        return kept
+
+    def sky_transmittance(
+        self, width: int, height: int, intrinsics: tuple[float, float, float, float]
+    ) -> Float32[np.ndarray, "h w"]:
+        """Share of light from infinity that arrives at each pixel; 0 unless the medium has a region."""
+        if not self.has_region:
+            return np.zeros((height, width), np.float32)
+        fx, fy, cx, cy = intrinsics
+        x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy)
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+        return self.transmittance(rays * (_FAR_M / np.linalg.norm(rays, axis=1, keepdims=True))).reshape(height, width)
+
+    @property
+    def has_region(self) -> bool:
+        """True if the medium is limited to a box."""
+        return bool(self.numbers[-1])
+
+
+def make_medium(
+    rain: RainSettings,
+    extinction_per_m: float,
+    camera: Camera,
+    anchor_to_world: Float64[np.ndarray, "4 4"],
+    streaks: tuple[float, Float64[np.ndarray, " steps"]],
+    airlight_linear: Float32[np.ndarray, "3"],
+) -> RainMedium:
+    """Make the medium of a camera; `streaks` is what `streak_depths` returns."""
+    turn, origin = anchor_to_world[:3, :3], anchor_to_world[:3, 3]
+    step_m, drawn = streaks
+    numbers = [extinction_per_m, step_m]
+    for box in (rain.streak_region, rain.haze_region):
+        region = box or rain.streak_region
+        center = turn @ np.array(region.center_m) + origin
+        numbers += [*(turn.T @ camera.world_to_camera[:3, :3].T).ravel(), *(turn.T @ (camera.position - center))]
+        numbers += [each / 2 for each in region.size_m]
+    numbers.append(float(rain.haze_region is not None))
+    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear)
+
+
+def streak_depths(
+    rain: RainSettings,
+    drops_per_m3: float,
+    diameters_mm: Float64[np.ndarray, " classes"],
+    class_far_m: Float64[np.ndarray, " classes"],
+) -> tuple[float, Float64[np.ndarray, " steps"]]:
+    """Step of depth in m, and the optical depth of streaks along the view axis up to each of `STEPS` steps."""
+    if not rain.streaks:
+        return 1.0, np.zeros(STEPS)
+    reach_m = float(min(np.linalg.norm(rain.streak_region.size_m), class_far_m.max()))
+    depths = np.linspace(0.0, reach_m, STEPS)
+    # A drop takes its own cross-section from the image, half of what it extinguishes.
+    areas_m2 = np.pi / 4 * (1e-3 * diameters_mm) ** 2
+    order = np.argsort(class_far_m, kind="stable")  # nearly sorted
+    far_m, area = class_far_m[order], np.append(np.cumsum(areas_m2[order][::-1])[::-1], 0.0) / len(areas_m2)
+    fine = np.linspace(0.0, reach_m, 16 * STEPS + 1)
+    per_m = rain.haze_gain * drops_per_m3 * area[np.searchsorted(far_m, fine)] * (fine >= NEAREST_STREAK_M)
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (per_m[1:] + per_m[:-1]) * np.diff(fine))])
+    return reach_m / (STEPS - 1), np.interp(depths, fine, total)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def optical_depth(x, y, z, numbers, drawn):
+    """Optical depth of the medium up to a point in the camera's frame (meters)."""
+    length = np.sqrt(x * x + y * y + z * z)
+    enters, leaves = np.float32(0), length
+    if numbers[32] > 0:
+        enters, leaves = _within(x, y, z, length, numbers, 17)
+    depth = numbers[0] * (leaves - enters)
+    first, last = _within(x, y, z, length, numbers, 2)
+    first, last = max(first, enters), min(last, leaves)
+    slope = z / length
+    # Without a branch, so that LLVM vectorizes.
+    taken = _drawn_up_to(last * slope, numbers[1], drawn) - _drawn_up_to(first * slope, numbers[1], drawn)
+    return max(depth - (taken / slope if last > first and z > 0 else np.float32(0)), np.float32(0))
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _within(x, y, z, length, numbers, at):
+    """Distances in m at which a ray to a point enters and leaves a box, between 0 and its length."""
+    enters, leaves = np.float32(0), length
+    for row in range(3):
+        k = at + 3 * row
+        along = numbers[k] * x + numbers[k + 1] * y + numbers[k + 2] * z
+        start, half = numbers[at + 9 + row], numbers[at + 12 + row]
+        inverse = length / (along if abs(along) > np.float32(1e-9) else np.float32(1e-9))
+        near, far = (-half - start) * inverse, (half - start) * inverse
+        enters, leaves = max(enters, min(near, far)), min(leaves, max(near, far))
+    return enters, max(leaves, enters)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _drawn_up_to(depth_m, step_m, drawn):
+    at = min(max(depth_m / step_m, np.float32(0)), np.float32(len(drawn) - 1))
+    k = max(min(np.int32(at), np.int32(len(drawn) - 2)), np.int32(0))  # NaN has no row
+    return drawn[k] + (at - np.float32(k)) * (drawn[k + 1] - drawn[k])
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _transmittances(points, numbers, drawn, kept):
+    for i in numba.prange(len(points)):
+        kept[i] = np.exp(-optical_depth(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))

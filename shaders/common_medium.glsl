@@ -1,0 +1,39 @@
+// Rain as a medium: the share of light that arrives from a point in the camera's frame; gsrain_engine/rain/medium.py is the
+// readable form, with the meaning of the numbers.
+
+uniform float medium_numbers[33];
+uniform float medium_drawn[64];   // optical depth that streaks take, by depth along the view axis
+uniform vec3 airlight;            // in linear light
+
+// Distances at which the ray to a point enters and leaves a box, between 0 and its length.
+vec2 medium_within(vec3 p, float length_m, int at) {
+    vec2 part = vec2(0.0, length_m);
+    for (int row = 0; row < 3; ++row) {
+        int k = at + 3 * row;
+        float along = dot(vec3(medium_numbers[k], medium_numbers[k + 1], medium_numbers[k + 2]), p) / length_m;
+        float start = medium_numbers[at + 9 + row], extent = medium_numbers[at + 12 + row];
+        along = abs(along) > 1e-9 ? along : 1e-9;
+        float first = (-extent - start) / along, second = (extent - start) / along;
+        part = vec2(max(part.x, min(first, second)), min(part.y, max(first, second)));
+    }
+    return vec2(part.x, max(part.x, part.y));
+}
+
+float medium_drawn_up_to(float depth) {
+    float at = clamp(depth / medium_numbers[1], 0.0, 63.0);
+    int k = min(int(at), 62);
+    return mix(medium_drawn[k], medium_drawn[k + 1], at - float(k));
+}
+
+float medium_transmittance(vec3 p) {
+    float length_m = length(p);
+    vec2 all = medium_numbers[32] > 0.0 ? medium_within(p, length_m, 17) : vec2(0.0, length_m);
+    float depth = medium_numbers[0] * (all.y - all.x);
+    vec2 part = medium_within(p, length_m, 2);
+    part = vec2(max(part.x, all.x), min(part.y, all.y));
+    if (part.y > part.x && p.z > 0.0) {
+        float slope = p.z / length_m;
+        depth -= (medium_drawn_up_to(part.y * slope) - medium_drawn_up_to(part.x * slope)) / slope;
+    }
+    return exp(-max(depth, 0.0));
+}

@@ -1,0 +1,27 @@
+#version 430
+// Airlight of the medium behind the scene, the layer on which splat.frag blends.
+
+#include "common_srgb.glsl"
+#include "common_medium.glsl"
+
+uniform vec4 intrinsics;  // fx fy cx cy (px)
+
+layout(location = 0) out vec4 fragment;
+#ifdef LINEAR_RAIN
+layout(location = 1) out vec4 shares;
+#endif
+#ifdef WITH_DEPTH
+layout(location = 2) out vec4 weighted_depth;
+#endif
+
+void main() {
+    vec3 ray = vec3((gl_FragCoord.xy - intrinsics.zw) / intrinsics.xy, 1.0);
+    float alpha = 1.0 - medium_transmittance(1e9 / length(ray) * ray);
+    fragment = alpha * vec4(linear_to_srgb(airlight), 1.0);
+#ifdef LINEAR_RAIN
+    shares = vec4(0.0, alpha, 0.0, 0.0);
+#endif
+#ifdef WITH_DEPTH
+    weighted_depth = vec4(0.0);
+#endif
+}
