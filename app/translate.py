@@ -28,8 +28,7 @@ from gsrain_engine.appearance.finetune.settings import (
     finetuning_names,
     load_finetuning,
 )
-from gsrain_engine.appearance.missing_files import missing_for_transfer
-from gsrain_engine.appearance.registry import find_method, open_transfer
+from gsrain_engine.appearance.registry import find_method, missing_for_transfer, open_transfer
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
 from gsrain_engine.datasets.open_capture import open_capture

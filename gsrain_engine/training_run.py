@@ -19,6 +19,7 @@ from .scene.files import whole_file
 from .scene.progress import Progress
 
 logger = logging.getLogger("gsrain")
+
 _PREVIEW_INTERVAL_S = 2.0
 _FIGURES_INTERVAL_S = 0.25
 
@@ -45,7 +46,8 @@ class TrainingRun:
         self.first = 0
         self.warning: str | None = None
         self._steps, self._shares = steps, shares
-        self._began, self._previewed_at, self._read_at = time.perf_counter(), -np.inf, -np.inf
+        self._began = time.perf_counter()
+        self._made_at: dict[str, float] = {}
 
     @property
     def seconds(self) -> float:
@@ -78,18 +80,17 @@ class TrainingRun:
 
     def preview_is_due(self) -> bool:
         """True once every two seconds."""
-        now = time.perf_counter()
-        if now - self._previewed_at <= _PREVIEW_INTERVAL_S:
-            return False
-        self._previewed_at = now
-        return True
+        return self._is_due("preview", _PREVIEW_INTERVAL_S)
 
     def figures_are_due(self) -> bool:
         """True four times a second; reading figures of a GPU more often would only keep it waiting."""
+        return self._is_due("figures", _FIGURES_INTERVAL_S)
+
+    def _is_due(self, name: str, interval_s: float) -> bool:
         now = time.perf_counter()
-        if now - self._read_at <= _FIGURES_INTERVAL_S:
+        if now - self._made_at.get(name, -np.inf) <= interval_s:
             return False
-        self._read_at = now
+        self._made_at[name] = now
         return True
 
     def warn(self, warning: str | None) -> None:

@@ -37,3 +37,9 @@ float medium_transmittance(vec3 p) {
     }
     return exp(-max(depth, 0.0));
 }
+
+// Airlight behind the scene at a point of the image (px), premultiplied; `intrinsics` are fx fy cx cy (px).
+vec4 medium_sky(vec2 point, vec4 intrinsics) {
+    vec3 ray = vec3((point - intrinsics.zw) / intrinsics.xy, 1.0);
+    return (1.0 - medium_transmittance(1e9 / length(ray) * ray)) * vec4(linear_to_srgb(airlight), 1.0);
+}

@@ -19,3 +19,21 @@ layout(std430, binding = 10) SPLAT_ACCESS buffer Splats2 { Splat splats2[]; };
 #if SPLAT_BLOCKS > 3
 layout(std430, binding = 11) SPLAT_ACCESS buffer Splats3 { Splat splats3[]; };
 #endif
+
+#ifdef LOADS_SPLATS
+Splat load_splat(uint slot) {
+    uint place = slot & ((1u << BLOCK_SHIFT) - 1u);
+    switch (slot >> BLOCK_SHIFT) {
+#if SPLAT_BLOCKS > 1
+        case 1u: return splats1[place];
+#endif
+#if SPLAT_BLOCKS > 2
+        case 2u: return splats2[place];
+#endif
+#if SPLAT_BLOCKS > 3
+        case 3u: return splats3[place];
+#endif
+        default: return splats0[place];
+    }
+}
+#endif

@@ -2,6 +2,7 @@
 // row (the idea of Speedy-Splat, Hanson et al. 2025), as in gsrain_engine/render/cpu/tiles.py column by column.
 
 #define SPLAT_ACCESS readonly
+#define LOADS_SPLATS
 #include "common_alpha.glsl"
 #include "common_splat.glsl"
 
@@ -10,22 +11,6 @@ const float SLACK = 1e-2;  // px; margin for rounding
 
 uniform uvec2 tiles;      // columns and rows of tiles that are drawn
 uniform uint first_row;   // of tiles
-
-Splat load_splat(uint slot) {
-    uint place = slot & ((1u << BLOCK_SHIFT) - 1u);
-    switch (slot >> BLOCK_SHIFT) {
-#if SPLAT_BLOCKS > 1
-        case 1u: return splats1[place];
-#endif
-#if SPLAT_BLOCKS > 2
-        case 2u: return splats2[place];
-#endif
-#if SPLAT_BLOCKS > 3
-        case 3u: return splats3[place];
-#endif
-        default: return splats0[place];
-    }
-}
 
 float alpha_cut(bool is_rain) {
 #ifdef ELLIPSOIDS

@@ -15,11 +15,9 @@ layout(location = 2) out vec4 weighted_depth;
 #endif
 
 void main() {
-    vec3 ray = vec3((gl_FragCoord.xy - intrinsics.zw) / intrinsics.xy, 1.0);
-    float alpha = 1.0 - medium_transmittance(1e9 / length(ray) * ray);
-    fragment = alpha * vec4(linear_to_srgb(airlight), 1.0);
+    fragment = medium_sky(gl_FragCoord.xy, intrinsics);
 #ifdef LINEAR_RAIN
-    shares = vec4(0.0, alpha, 0.0, 0.0);
+    shares = vec4(0.0, fragment.a, 0.0, 0.0);
 #endif
 #ifdef WITH_DEPTH
     weighted_depth = vec4(0.0);

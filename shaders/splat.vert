@@ -3,6 +3,7 @@
 // No races: buffers are only read, behind a memory barrier after the sort; the next frame writes them behind another one.
 
 #define SPLAT_ACCESS readonly
+#define LOADS_SPLATS
 #include "common_alpha.glsl"
 #include "common_splat.glsl"
 
@@ -17,22 +18,6 @@ flat out float view_depth;      // m
 flat out int is_rain;
 
 const float STANDARD_DEVIATIONS = sqrt(2.0 * log(2.0));  // of offset 1
-
-Splat load_splat(uint slot) {
-    uint place = slot & ((1u << BLOCK_SHIFT) - 1u);
-    switch (slot >> BLOCK_SHIFT) {
-#if SPLAT_BLOCKS > 1
-        case 1u: return splats1[place];
-#endif
-#if SPLAT_BLOCKS > 2
-        case 2u: return splats2[place];
-#endif
-#if SPLAT_BLOCKS > 3
-        case 3u: return splats3[place];
-#endif
-        default: return splats0[place];
-    }
-}
 
 void main() {
     uint number = uint(gl_InstanceID) * 128u + uint(gl_VertexID >> 2);

@@ -8,6 +8,7 @@ layout(local_size_x = 16, local_size_y = 16) in;
 
 #include "common_tile.glsl"
 #include "common_srgb.glsl"
+#include "common_rain_light.glsl"
 
 layout(std430, binding = 2) readonly buffer Slots { uint slots[]; };    // of the splats of each tile, nearest first
 layout(std430, binding = 4) readonly buffer Starts { uint starts[]; };  // of each tile's slots
@@ -119,19 +120,10 @@ void main() {
     scene = vec4(fragments);
 #endif
 #ifdef MEDIUM
-    // Airlight of the medium behind the scene.
-    vec3 ray = vec3((middle - intrinsics.zw) / intrinsics.xy, 1.0);
-    float added = (1.0 - scene.a) * (1.0 - medium_transmittance(1e9 / length(ray) * ray));
-    scene += added * vec4(linear_to_srgb(airlight), 1.0);
+    scene += (1.0 - scene.a) * medium_sky(middle, intrinsics);
 #endif
 #ifdef LINEAR_RAIN
-    // As in rain_resolve.frag.
-    if (shares.x > 0.0) {
-        float visible = shares.y + open_rain * scene.a;
-        float transmittance = scene.a > 0.0 ? min(visible / scene.a, 1.0) : 1.0;
-        vec3 light = transmittance * srgb_to_linear(scene.rgb) + shares.x * rain_light;
-        scene = vec4(linear_to_srgb(light), shares.x + visible);
-    }
+    scene = with_rain(scene, shares.x, shares.y + open_rain * scene.a, rain_light);
 #endif
     imageStore(picture, ivec2(pixel), scene);
 #ifdef WITH_DEPTH

@@ -21,9 +21,8 @@ from ..appearance.capture_views import CaptureViews
 from ..appearance.cyclegan_turbo.weight_paths import find_transfer_weights, read_record
 from ..appearance.dsine_checkout import find_dsine_checkout, find_dsine_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, identity_of, open_images
-from ..appearance.missing_files import TRANSFER_FILES, missing_for_transfer
 from ..appearance.output_folder import TransferRecord, read_transferred, write_transferred
-from ..appearance.registry import open_transfer
+from ..appearance.registry import TRANSFER_FILES, missing_for_transfer, open_transfer
 from ..appearance.scene_views import evenly_spaced_indices
 from ..appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment
 from ..datasets.capture import Capture, CaptureError

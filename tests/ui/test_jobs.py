@@ -108,7 +108,7 @@ def drive(tmp_path):
     return tmp_path
 
 
-def test_the_input_of_a_network_is_shown_with_the_preview_and_the_job(driver, tmp_path, monkeypatch):
+def test_the_input_of_a_network_appears_with_the_preview_and_the_job(driver, tmp_path, monkeypatch):
     pytest.importorskip("diffusers")
     from appearance.cyclegan_turbo.published_checkpoints import trained_model
     from gsrain_engine.appearance.base import TrainingRecord

@@ -30,14 +30,11 @@ def open_context(source: ContextSource = "auto") -> moderngl.Context:
         except Exception as error:  # drivers raise all kinds of errors; the message lists them
             tried.append(f"{name}: {error}")
     packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
-    in_container = (
-        ""
-        if not Path("/dev/nvidiactl").exists()
-        else ("; a container needs NVIDIA_DRIVER_CAPABILITIES=graphics (or all) for the GPU's OpenGL")
-    )
+    if Path("/dev/nvidiactl").exists():
+        packages += "; a container needs NVIDIA_DRIVER_CAPABILITIES=graphics (or all) for the GPU's OpenGL"
     raise NoOpenGLError(
         "no OpenGL 4.3 without a window (" + "; ".join(tried) + "). On Debian: "
-        f"apt-get install --no-install-recommends {packages}{in_container}"
+        f"apt-get install --no-install-recommends {packages}"
     )
 
 

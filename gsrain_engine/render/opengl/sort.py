@@ -26,15 +26,15 @@ class RadixSort:
 
     Args:
         context: OpenGL 4.3 or later.
-        most_bytes: Limit of a buffer, for the driver's storage blocks.
+        max_bytes: Limit of a buffer, for the driver's storage blocks.
     """
 
-    def __init__(self, context: moderngl.Context, most_bytes: int | None = None) -> None:
+    def __init__(self, context: moderngl.Context, max_bytes: int | None = None) -> None:
         self._context = context
         self._count, self._scan = (load_compute_shader(context, f"radix_{name}.comp") for name in ("count", "scan"))
         scatter = "radix_scatter_subgroups.comp" if has_subgroups_of_32(context) else "radix_scatter.comp"
         self._scatter = load_compute_shader(context, scatter)
-        self._most_bytes = most_bytes
+        self._max_bytes = max_bytes
         self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
         self._counts = GrowableBuffer(context)
         self._totals = context.buffer(np.zeros(2 << DIGIT_BITS, np.uint32))
@@ -44,7 +44,7 @@ class RadixSort:
         """Make room for `capacity` pairs; raises `MemoryError` if the graphics card is full."""
         for pair in self._pairs:
             for buffer in pair:
-                buffer.reserve(4 * capacity, at_most=self._most_bytes)
+                buffer.reserve(4 * capacity, at_most=self._max_bytes)
         self._counts.reserve(4 * -(-capacity // KEYS_BY_GROUP) << DIGIT_BITS)
 
     @property
