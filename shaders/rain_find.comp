@@ -32,7 +32,7 @@ uniform vec3 region_half;     // m
 uniform vec4 slopes;          // edges of the view: lowest and highest x/z, lowest and highest y/z
 
 bool is_seen(uint i, uint c) {
-    vec3 p = in_cell(place(i, c));
+    vec3 p = in_cell(place(i, c).at);
     if (abs(p.z) > region_half.z || any(greaterThan(abs(cell_to_region * p.xy), region_half.xy))) return false;
     vec3 q = cell_to_camera * (p - camera_in_cell);
     if (q.z < 0.0 || q.z > drop_classes[c].far) return false;

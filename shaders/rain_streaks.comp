@@ -16,6 +16,7 @@ layout(std430, binding = 6) readonly buffer FoundWork { uint unused[5]; uint fou
 uniform uint first_of_class;  // class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on
 uniform uint masks_by_class;
 uniform float exposure;       // s
+uniform vec3 shutter_velocity;  // of the camera along the axes of the cell (m/s); 0 for the paper's form
 uniform bool still_camera;    // opacity by the speed itself, not by that across the line of sight
 uniform float focal;          // px, of the output image
 uniform float phi, haze_opacity, gain;
@@ -47,9 +48,10 @@ void main() {
     uint copies = 0u;
     if (there) {
         uint i, c = find_class(n, i);
-        p = cell_to_camera * (in_cell(place(i, c)) - camera_in_cell);
+        PlacedDrop drop = place(i, c);
+        p = cell_to_camera * (in_cell(drop.at) - camera_in_cell);
         float diameter = drop_classes[c].diameter;
-        vec3 velocity = vec3(drop_classes[c].velocity[0], drop_classes[c].velocity[1], drop_classes[c].velocity[2]);
+        vec3 velocity = cell_to_camera * (velocity_of(drop, c) - shutter_velocity);
         vec3 sight = p / max(length(p), 1e-9);
         float across = length(velocity - dot(velocity, sight) * sight), speed = length(velocity), limit = focal * diameter;
         float smeared = (still_camera ? speed : across) * exposure;

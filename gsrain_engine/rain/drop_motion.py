@@ -1,4 +1,4 @@
-"""Drop motion: fall, wind and gusts of each diameter class, integrated over time in float64."""
+"""Drop motion: fall and drift of each diameter class, integrated over time in float64."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -6,37 +6,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
+from .air import AirScales, Wind, blended
 from .calibration import Calibration
 from .keyframes import KeyframeCurve, RainKeyframes
 from .properties import DropClassTable
 from .settings import RainSettings
-
-GUST_PERIODS_S = (7.0, 11.3, 18.1)  # periods of a gust's sines: no common multiple within hours
-
-
-@dataclass(frozen=True, eq=False)
-class Wind:
-    """Mean wind and its slow variation, as a smooth function of (seed, t)."""
-
-    mean_m_s: tuple[float, float] = (0.0, 0.0)
-    gust_m_s: float = 0.0
-    seed: int = 0
-
-    def velocity(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        """Wind along world x and y in m/s."""
-        amplitude, rate, phase = self._sines
-        return np.asarray(self.mean_m_s) + np.sum(amplitude * np.sin(rate * time_s + phase), axis=1)
-
-    def displacement(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        """Integral of the velocity from 0 to t, in meters."""
-        amplitude, rate, phase = self._sines
-        swing = np.sum(amplitude / rate * (np.cos(phase) - np.cos(rate * time_s + phase)), axis=1)
-        return np.asarray(self.mean_m_s) * time_s + swing
-
-    @cached_property
-    def _sines(self) -> tuple[Float64[np.ndarray, "2 3"], Float64[np.ndarray, "3"], Float64[np.ndarray, "2 3"]]:
-        phase = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, (2, 3))
-        return np.full((2, 3), self.gust_m_s / 3), 2 * np.pi / np.array(GUST_PERIODS_S), phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,21 +29,28 @@ class DropMotion:
     """Drift of all drops up to `since_s`."""
     fallen_m: Float64[np.ndarray, " classes"] | float = 0.0
     """Fall of each class up to `since_s`."""
+    before: AirScales | None = None
+    """Scales of the drops' offsets up to `since_s`; None if they are those of the wind from the start."""
 
     def without_drift(self) -> "DropMotion":
-        return replace(self, wind=Wind(), drifted_m=0.0)
+        return replace(self, wind=Wind(), drifted_m=0.0, before=None)
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
         """Drift of all drops by the wind along x and y, in meters."""
-        return self.wind.displacement(time_s) - self.wind.displacement(self.since_s) + self.drifted_m
+        return self.wind.drift_m_s * (time_s - self.since_s) + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
         """Fall of each class in meters."""
         return self.fall_speed_m_s * (time_s - self.since_s) + self.fallen_m
 
+    def scales(self, time_s: float) -> AirScales:
+        """Scales of the drops' offsets at a time."""
+        return blended(self.before, self.since_s, self.wind.scales(self.fall_speed_m_s), time_s)
+
     def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
         """Continue from the displacement at a time with another wind and other speeds."""
-        return DropMotion(wind, fall_speed_m_s, time_s, self.drift(time_s), self.fallen(time_s))
+        drifted, fallen = self.drift(time_s), self.fallen(time_s)
+        return DropMotion(wind, fall_speed_m_s, time_s, drifted, fallen, self.scales(time_s))
 
 
 # Drop motion with keyframes
@@ -85,8 +66,8 @@ class KeyframedDropMotion:
 
     intensity: KeyframeCurve
     mean_wind: KeyframeCurve
-    gusts: Wind
-    """Gusts with zero mean."""
+    air: Wind
+    """Gusts and turbulence, without a mean."""
     table: DropClassTable
     weights_s: Float64[np.ndarray, "n nodes"]
     """W_j from the first knot of the intensity to each knot."""
@@ -94,6 +75,9 @@ class KeyframedDropMotion:
     """Offset added to the drift. It makes drops continue from their positions when settings change."""
     fallen_m: Float64[np.ndarray, " classes"] | float = 0.0
     """Offset added to the fall of each class."""
+    changed_s: float = 0.0
+    before: AirScales | None = None
+    """Scales of the drops' offsets up to `changed_s`; None if they are those of the keyframes from the start."""
     _base: dict[tuple[int, int], Float64[np.ndarray, " classes"]] = field(default_factory=dict, init=False)
     """Cache of the fall up to the latest (knot, interval): consecutive frames usually share it."""
 
@@ -102,27 +86,28 @@ class KeyframedDropMotion:
         """Precompute the motion of a rain and its keyframes."""
         curves, paper = weather.curves, rain.streak_reset == "paper"  # the paper's drops fall straight down
         intensity = curves.get("intensity_mm_h") or _still(rain.intensity_mm_h)
-        wind = curves.get("wind_m_s") or _still(*rain.wind_m_s)
+        wind = curves.get("wind_m_s") or _still(*rain.wind_vector_m_s)
         table = DropClassTable.between(float(intensity.values.min()), float(intensity.values.max()), rain, calibration)
-        mean_wind, gusts = (_still(0.0, 0.0), Wind()) if paper else (wind, Wind((0.0, 0.0), rain.gust_m_s, rain.seed))
+        mean_wind, air = (_still(0.0, 0.0), Wind()) if paper else (wind, replace(wind_of(rain), mean_m_s=(0.0, 0.0)))
         rates = intensity.values[:, 0]
         steps = table.mean_shares(rates[:-1], rates[1:])
         steps *= np.diff(intensity.times_s)[:, None]
         weights = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
-        return cls(intensity, mean_wind, gusts, table, weights)
+        return cls(intensity, mean_wind, air, table, weights)
 
     def diameters_mm(self, time_s: float) -> Float64[np.ndarray, " classes"]:
         return self.table.at(self.table.diameters_mm, self._rate(time_s))
 
     def motion(self, time_s: float) -> DropMotion:
         """Motion and displacement of drops at a time."""
-        (x, y), gusts = self.mean_wind.at(time_s), self.gusts
+        x, y = self.mean_wind.at(time_s)
         speeds = self.table.at(self.table.fall_speed_m_s, self._rate(time_s))
-        wind = Wind((float(x), float(y)), gusts.gust_m_s, gusts.seed)
-        return DropMotion(wind, speeds, time_s, self.drift(time_s), self.fallen(time_s))
+        wind = replace(self.air, mean_m_s=(float(x), float(y)))
+        scales = blended(self.before, self.changed_s, wind.scales(speeds), time_s)
+        return DropMotion(wind, speeds, time_s, self.drift(time_s), self.fallen(time_s), scales)
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        return self.mean_wind.integral(time_s) + self.gusts.displacement(time_s) + self.drifted_m
+        return self.air.drift_share * self.mean_wind.integral(time_s) + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
         return self._since_first_knot(time_s) - self._since_first_knot_at_zero + self.fallen_m
@@ -132,7 +117,8 @@ class KeyframedDropMotion:
         time_s = motion.since_s
         bare = replace(self, drifted_m=0.0, fallen_m=0.0)
         drifted, fallen = motion.drift(time_s) - bare.drift(time_s), motion.fallen(time_s) - bare.fallen(time_s)
-        return replace(bare, drifted_m=drifted, fallen_m=fallen)
+        scales = motion.scales(time_s)
+        return replace(bare, drifted_m=drifted, fallen_m=fallen, changed_s=time_s, before=scales)
 
     def _rate(self, time_s: float) -> float:
         return float(self.intensity.at(time_s)[0])
@@ -160,6 +146,11 @@ class KeyframedDropMotion:
             self._base[knot, interval] = base
         # Between two nodes the speed is linear in R: its mean is the speed at the mean R.
         return base + table.at(table.fall_speed_m_s, 0.5 * (start + rate)) * (time_s - start_s)
+
+
+def wind_of(rain: RainSettings) -> Wind:
+    """Wind of a rain without keyframes."""
+    return Wind(rain.wind_vector_m_s, rain.gust_m_s, rain.turbulence_m_s, rain.roughness_m, rain.seed)
 
 
 def _still(*values: float) -> KeyframeCurve:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import srgb_to_linear
-from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, mark_drops, place_drops
+from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, air_velocities, mark_drops, place_drops
 from .haze import make_haze
 from .medium import RainMedium, make_medium, streak_depths
 from .properties import CLASSES
@@ -33,6 +33,8 @@ class RainCamera:
     """Map of sheltered areas; None if rain reaches everything."""
     exposure_share: float = 1.0
     """Fraction of the shutter time, for one of several sub-frames that share it."""
+    ground_m: float | None = None
+    """Height of the ground in the world, above which the wind grows; None if it is the streak region's lower face."""
 
 
 class FallingDrops(NamedTuple):
@@ -78,8 +80,6 @@ class RainFrame:
     """Center of the cell, and of the streak region, in the world."""
     culling: DropCulling
     diameters_mm: Float64[np.ndarray, " classes"]
-    wind_m_s: Float64[np.ndarray, "2"]
-    """Along world x and y."""
     fall_speed_m_s: Float64[np.ndarray, " classes"]
     shutter: ShutterModel
     roofs: ShelterMap | None = None
@@ -104,7 +104,7 @@ class RainFrame:
         geometry = np.concatenate([np.ravel(each) for each in (self.period_m, *culling[:5])])
         mark_drops(
             np.uint32(self.rain.seed), np.uint32(count), where.wraps, where.fractions, geometry,
-            culling.class_margin_m, culling.class_far_m, not in_view, found,
+            culling.class_margin_m, culling.class_far_m, not in_view, found, *where.air,
         )  # fmt: skip
         class_index, turn = np.divmod(np.flatnonzero(found), turns)
         numbers = np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
@@ -115,14 +115,10 @@ class RainFrame:
         """Positions, sizes and velocities of drops in the world."""
         c = drops.class_index
         positions = drops.positions(self.period_m) @ self.axes.T + self.center_m
-        return FallingDrops(drops.numbers, c, positions, self.diameters_mm[c], self.velocities(c))
-
-    def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
-        """World velocities of drops of some classes in m/s."""
-        velocities = np.empty((len(class_index), 3))
-        velocities[:, :2] = self.wind_m_s
-        velocities[:, 2] = -self.fall_speed_m_s[class_index]
-        return velocities
+        velocities = np.empty((len(c), 3))
+        velocities[:, :2] = air_velocities(self.where.air, drops)
+        velocities[:, 2] = -self.fall_speed_m_s[c]
+        return FallingDrops(drops.numbers, c, positions, self.diameters_mm[c], velocities)
 
     @property
     def max_drops(self) -> int:

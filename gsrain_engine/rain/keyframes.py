@@ -18,11 +18,10 @@ from msgspec import Meta
 
 from ..safe_io.errors import convert_checked
 from ..scene.scene import Scene
-from .settings import RainSettings
+from .settings import HEAVIEST_MM_H, RainSettings
 
 Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
 KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")  # fields of the rain that can have keyframes
-HEAVIEST_MM_H = 100.0  # maximum intensity of a keyframe; measured series are clipped to it
 LONGEST_S = 1e7  # maximum absolute time of a keyframe
 _PIECES = 16  # number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height
 _MAX_KNOTS = 200_000
@@ -42,7 +41,7 @@ class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         if not -LONGEST_S <= self.time_s <= LONGEST_S:
             raise ValueError(f"time_s must be within -1e7..1e7 s, got {self.time_s}")
         if intensity is not None and not 0 <= intensity <= HEAVIEST_MM_H:
-            raise ValueError(f"intensity_mm_h must be within 0..100 mm/h, got {intensity}")
+            raise ValueError(f"intensity_mm_h must be within 0..149 mm/h, got {intensity}")
         if wind is not None and not (-40 <= wind[0] <= 40 and -40 <= wind[1] <= 40):
             raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {wind}")
         if exposure is not None and not 1e-5 <= exposure <= 1:
@@ -212,7 +211,7 @@ NO_KEYFRAMES = RainKeyframes()  # no keyframes: the rain is constant
 
 
 def keyframes_from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarray, " n"]) -> RainKeyframes:
-    """Return the keyframes of a series of rain rates, clipped to 100 mm/h.
+    """Return the keyframes of a series of rain rates, clipped to 149 mm/h.
 
     Raises `ValueError` for times that don't rise, or negative or non-finite rates.
     """

@@ -1,5 +1,6 @@
 """Rain settings: every parameter with bounds, unit and help text, and the presets."""
 
+import math
 from typing import Annotated, Literal
 
 import msgspec
@@ -11,6 +12,9 @@ from .calibration import calibration_names
 Vector = tuple[float, float, float]
 CALIBRATED_UP_TO_MM_H = 13.0
 """Upper end of the published calibration; higher intensities are marked as extrapolated in window and reports."""
+
+HEAVIEST_MM_H = 149.0
+"""Highest intensity: the upper end of very heavy rain (ASAM OSI)."""
 
 
 class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -49,7 +53,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     # fmt: off
     intensity_mm_h: Annotated[float, Meta(
-        ge=0, le=100, title="Intensity", extra={
+        ge=0, le=HEAVIEST_MM_H, title="Intensity", extra={
             "unit": "mm/h", "option": "rain intensity", "commands": "render, disdrometer, evaluate streaks"},
         description="Rainfall intensity R (eq. 8). Calibrated up to 13 mm/h.")] = 0.0
     exposure_s: Annotated[float | None, Meta(
@@ -77,12 +81,30 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Haze region", extra={"group": "Regions"},
         description="Region of the haze; none is everywhere, or a box of 70 m for the paper's Gaussians.")] = None
 
-    wind_m_s: Annotated[tuple[float, float], Meta(
+    wind_speed_m_s: Annotated[float, Meta(
+        ge=0, le=60, title="Wind speed", extra={
+            "unit": "m/s", "group": "Wind and seed", "slider_to": 20.0,
+            "commands": "render, disdrometer, drive, evaluate streaks"},
+        description="Mean wind at 10 m above the ground; less below (roughness length).")] = 3.0
+    wind_from_deg: Annotated[float, Meta(
+        ge=0, le=360, title="Wind from", extra={
+            "unit": "degrees", "option": "wind-from", "group": "Wind and seed",
+            "commands": "render, disdrometer, drive, evaluate streaks"},
+        description="Direction the wind blows from: 0 north (world y), 90 east (world x).")] = 240.0
+    wind_m_s: Annotated[tuple[float, float] | None, Meta(
         title="Wind", extra={"unit": "m/s", "ge": -40.0, "le": 40.0, "group": "Wind and seed"},
-        description="Horizontal wind along world x and y.")] = (0.0, 0.0)
+        description="Horizontal wind at 10 m along world x and y; sets speed and direction.")] = None
     gust_m_s: Annotated[float, Meta(
-        ge=0, le=20, title="Gusts", extra={"unit": "m/s", "group": "Wind and seed"},
-        description="Amplitude of the wind's slow variation.")] = 0.0
+        ge=0, le=20, title="Gusts", extra={
+            "unit": "m/s", "group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
+        description="Amplitude of the wind's variation over seconds and meters.")] = 0.4
+    turbulence_m_s: Annotated[float, Meta(
+        ge=0, le=5, title="Turbulence", extra={
+            "unit": "m/s", "group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
+        description="RMS of the air's velocity, along each axis, in eddies that move drops one by one.")] = 0.6
+    roughness_m: Annotated[float, Meta(
+        ge=0.001, le=2, title="Roughness length", extra={"unit": "m", "group": "Wind and seed", "scale": "log"},
+        description="z_0 of the wind's logarithmic profile: 0.03 grass, 0.1 open land with hedges, 1 town.")] = 0.1
 
     calibration: Annotated[str, Meta(
         title="Calibration", extra={"commands": "render, disdrometer"},
@@ -163,10 +185,23 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(f"exposure_s must be within 0.00001..1 s, got {self.exposure_s}")
         if self.haze_count is not None and not 0 <= self.haze_count <= 200_000:
             raise ValueError(f"haze_count must be within 0..200000, got {self.haze_count}")
-        if any(not -40 <= component <= 40 for component in self.wind_m_s):
-            raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {self.wind_m_s}")
+        if self.wind_m_s is not None:
+            if any(not -40 <= component <= 40 for component in self.wind_m_s):
+                raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {self.wind_m_s}")
+            speed_m_s, from_deg = wind_on_compass(*self.wind_m_s)
+            msgspec.structs.force_setattr(self, "wind_m_s", None)
+            msgspec.structs.force_setattr(self, "wind_speed_m_s", speed_m_s)
+            if speed_m_s > 0:
+                msgspec.structs.force_setattr(self, "wind_from_deg", from_deg)
         if self.drop_color is not None and any(not 0 <= channel <= 1 for channel in self.drop_color):
             raise ValueError(f"drop_color must be within 0..1 a channel, got {self.drop_color}")
+
+    @property
+    def wind_vector_m_s(self) -> tuple[float, float]:
+        """Mean wind at 10 m along world x (east) and y (north)."""
+        turn = math.radians(self.wind_from_deg)
+        x, y = (-self.wind_speed_m_s * each(turn) for each in (math.sin, math.cos))
+        return round(x, 12) + 0.0, round(y, 12) + 0.0
 
     @property
     def without_rain(self) -> "RainSettings":
@@ -188,6 +223,11 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         """Text that lists gains other than 1; empty if all gains are physical."""
         gains = {"streaks": self.streak_gain, "haze": self.haze_gain}
         return ", ".join(f"{name} x{gain:g} exaggerated" for name, gain in gains.items() if gain != 1)
+
+
+def wind_on_compass(x_m_s: float, y_m_s: float) -> tuple[float, float]:
+    """Speed in m/s, and the direction in degrees that a wind along world x (east) and y (north) blows from."""
+    return math.hypot(x_m_s, y_m_s), math.degrees(math.atan2(-x_m_s, -y_m_s)) % 360
 
 
 # Presets

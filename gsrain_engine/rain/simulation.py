@@ -8,9 +8,10 @@ from jaxtyping import Float64
 
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from .air import Wind, follows
 from .calibration import Calibration, load_calibration
 from .drop_field import DropCulling, drop_phases
-from .drop_motion import DropMotion, KeyframedDropMotion, Wind
+from .drop_motion import DropMotion, KeyframedDropMotion, wind_of
 from .frame import RainCamera, RainFrame
 from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
@@ -112,10 +113,11 @@ class RainSimulation:
         else:
             # World axes; a horizontal period of the region's diagonal covers the region at any yaw.
             period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
-            where = drop_phases(motion, time_s, center, period)
+            ground_m = float(view.anchor_to_world[2, 3]) + rain.streak_region.minimum_m[2]
+            where = drop_phases(motion, time_s, center, period, ground_m if view.ground_m is None else view.ground_m)
         focal_px = view.focal_px or float(np.sqrt(camera.fx * camera.fy))
         shutter = ShutterModel(camera, view.velocity_m_s, now.exposure_s(camera) * view.exposure_share, focal_px)
-        wind, reach = motion.wind.velocity(time_s), float(np.hypot(period[0], period[1])) / 2
+        reach = float(np.hypot(period[0], period[1])) / 2
         return RainFrame(
             rain=rain,
             time_s=time_s,
@@ -128,9 +130,8 @@ class RainSimulation:
             period_m=period,
             axes=axes,
             center_m=center,
-            culling=now._culling(turn, axes, center, shutter, wind),
+            culling=now._culling(turn, axes, center, shutter, where.air.fastest_m_s),
             diameters_mm=now.diameters_mm,
-            wind_m_s=wind,
             fall_speed_m_s=motion.fall_speed_m_s,
             shutter=shutter,
             roofs=None if view.roofs is None else view.roofs.around(float(center[0]), float(center[1]), reach),
@@ -142,7 +143,7 @@ class RainSimulation:
         axes: Float64[np.ndarray, "3 3"],
         center_m: Float64[np.ndarray, "3"],
         shutter: ShutterModel,
-        wind_m_s: Float64[np.ndarray, "2"],
+        fastest_m_s: float,
     ) -> DropCulling:
         """Visibility tests of drops in a cell with these axes and center; `turn` is the region's rotation."""
         rain, camera, size = self.rain, shutter.camera, np.array(self.rain.streak_region.size_m)
@@ -150,7 +151,9 @@ class RainSimulation:
         if rain.far_drops == "haze":
             far = rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, shutter.focal_px)
         eye = shutter.velocity_m_s if rain.streak_frame == "camera" else np.zeros(3)
-        speeds = np.sqrt(float(np.sum((wind_m_s - eye[:2]) ** 2)) + (self.motion.fall_speed_m_s + eye[2]) ** 2)
+        fall = self.motion.fall_speed_m_s
+        own = 5 * self.motion.wind.turbulence_m_s * follows(fall)  # 3.45 standard deviations on two axes
+        speeds = np.hypot(fastest_m_s + own + float(np.hypot(eye[0], eye[1])), fall + eye[2])
         blur = np.zeros(len(far))
         if rain.aperture_mm != 0:  # five standard deviations of the largest circle of confusion up to that depth
             farthest = float(np.linalg.norm(camera.position - center_m) + np.linalg.norm(size) / 2)
@@ -166,7 +169,10 @@ class RainSimulation:
         )
 
 
-_MOVING = "intensity_mm_h", "wind_m_s", "gust_m_s", "seed", "velocity", "calibration", "streak_reset"
+_MOVING = (
+    "intensity_mm_h", "wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s", "roughness_m", "seed",
+    "velocity", "calibration", "streak_reset",
+)  # fmt: skip
 """Fields of the rain that determine the fall and drift of drops under keyframes."""
 
 
@@ -176,7 +182,7 @@ def _drops(
     """Properties, diameters (mm), wind and fall speeds (m/s); the paper's drops fall straight down."""
     state = rain_properties(rain, calibration)
     diameters = state.sizes.class_diameters_mm
-    wind = Wind() if rain.streak_reset == "paper" else Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
+    wind = Wind() if rain.streak_reset == "paper" else wind_of(rain)
     return state, diameters, wind, fall_speed(rain, calibration)(diameters)
 
 

@@ -74,13 +74,15 @@ def draw_view(
 
 def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
     """Camera and surroundings of the rain for a view."""
+    mounted = _ego_anchor(scene, rainfall, shot)
     return RainCamera(
         shot.camera,
-        rain_anchor(scene, rainfall, shot),
+        rain_anchor(scene, rainfall, shot) if mounted is None else mounted,
         shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3),
         shot.focal_px,
         shelter_map_of(scene) if rainfall.rain.roofs else None,
         shot.exposure_share,
+        scene.ground_m if mounted is None else None,
     )
 
 
@@ -90,15 +92,19 @@ def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Flo
     For a camera on the ego vehicle it is the vehicle's frame, leveled, so that all cameras of a rig show the same
     drops. Any other camera carries the regions along: they are at its position and turn with its heading.
     """
+    mounted = _ego_anchor(scene, rainfall, shot)
+    return leveled_frame(shot.camera.world_to_camera[2, :3], shot.camera.position) if mounted is None else mounted
+
+
+def _ego_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Float64[np.ndarray, "4 4"] | None:
+    """Leveled frame of the ego vehicle if the camera is mounted on it; else None."""
     ego = scene.ego_to_world(shot.time_s)
-    position = shot.camera.position
-    if ego is not None:
-        level = leveled_frame(ego[:3, 0], ego[:3, 3])
-        local = level[:3, :3].T @ (position - level[:3, 3])
-        region = rainfall.rain.streak_region
-        if np.all(local >= region.minimum_m) and np.all(local <= region.maximum_m):
-            return level
-    return leveled_frame(shot.camera.world_to_camera[2, :3], position)
+    if ego is None:
+        return None
+    level = leveled_frame(ego[:3, 0], ego[:3, 3])
+    local = level[:3, :3].T @ (shot.camera.position - level[:3, 3])
+    region = rainfall.rain.streak_region
+    return level if np.all(local >= region.minimum_m) and np.all(local <= region.maximum_m) else None
 
 
 def leveled_frame(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:

@@ -34,7 +34,8 @@ class RainPass:
         """Find the drops that may be visible to the camera."""
         self._masks_by_class = max(1, -(-field.count // (CLASSES * 32)))
         masks = self._masks_by_class * CLASSES
-        self._classes.reserve(4 * 12 * CLASSES).write(class_rows(field))
+        words = field_words(field)
+        self._classes.reserve(words.nbytes).write(words)
         self._found.reserve(4 * masks)
         self._counts.reserve(4 * masks)
         shader, culling = self._find({} if field.roofs is None else {"ROOFS": 1}), field.culling
@@ -54,9 +55,10 @@ class RainPass:
         """Turn the found drops into streaks and write the visible ones."""
         shader, shutter, rain = self._streaks(store.switches), field.shutter, field.rain
         camera = shutter.camera
+        seen_from = np.zeros(3) if rain.streak_frame == "world" else field.axes.T @ shutter.velocity_m_s
         self._set_field(shader, field)
         set_uniforms(
-            shader, exposure=shutter.exposure_s, still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
+            shader, exposure=shutter.exposure_s, shutter_velocity=tuple(seen_from), still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
             phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
             aperture=1e-3 * rain.aperture_mm, focus=rain.focus_distance_m, max_copies=rain.max_copies,
             display_color=tuple(field.color), near=NEAR_M, first_slot=first_slot,
@@ -107,20 +109,18 @@ def streak_slots(field: RainFrame) -> int:
     return -(-field.max_drops // SLOTS_BY_BLOCK) * SLOTS_BY_BLOCK * field.rain.max_copies
 
 
-def class_rows(field: RainFrame) -> UInt32[np.ndarray, "classes 12"]:
-    """Rows in the layout of common_drop_field.glsl."""
-    velocities = field.velocities(np.arange(CLASSES))
-    if field.rain.streak_frame == "camera":
-        velocities = velocities - field.shutter.velocity_m_s
-    rows = np.empty((CLASSES, 12), np.uint32)
+def field_words(field: RainFrame) -> UInt32[np.ndarray, " words"]:
+    """The air and a row for each diameter class, in the layout of common_drop_field.glsl."""
+    rows = np.empty((CLASSES, 13), np.uint32)
     rows[:, 0:3] = field.where.wraps.view(np.uint32)
     rows[:, 3:6] = field.where.fractions
-    numbers = rows.view(np.float32)
+    numbers, air = rows.view(np.float32), field.where.air
     numbers[:, 6] = field.culling.class_far_m
     numbers[:, 7] = field.culling.class_margin_m
     numbers[:, 8] = 1e-3 * field.diameters_mm
-    numbers[:, 9:12] = velocities @ field.shutter.camera.world_to_camera[:3, :3].T
-    return rows
+    numbers[:, 9] = field.fall_speed_m_s
+    numbers[:, 10:13] = air.by_class
+    return np.concatenate([air.numbers.view(np.uint32), air.rows.view(np.uint32).ravel(), rows.ravel()])
 
 
 def _columns(matrix: Float64[np.ndarray, "n n"]) -> tuple[float, ...]:

@@ -287,7 +287,7 @@ def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
         cloud = words.FractionalCloudCover.eightOktas
         visibility = rain_properties(rain, load_calibration(rain.calibration)).visibility_m
         fog = None if np.isinf(visibility) else words.Fog(round(visibility, 1))
-    x, y = rain.wind_m_s
+    x, y = rain.wind_vector_m_s
     if x or y:
         wind = xosc.Wind(float(np.arctan2(y, x)) % (2 * np.pi), float(np.hypot(x, y)))
     weather = xosc.Weather(cloud, fog=fog, precipitation=xosc.Precipitation(kind, intensity), wind=wind)
