@@ -238,8 +238,8 @@ def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
 def parse_intensities(text: str, option: str = "--rain") -> list[float]:
     """Turn "8.5,0" into [0.0, 8.5], in mm/h."""
     words = split_words(text)
-    if not words or not all(re.fullmatch(r"\d*\.?\d+", word) and float(word) <= 100 for word in words):
-        raise ValueError(f"{option} {text}: expected mm/h within 0..100 with commas between, such as 0,1.2,8.5,12")
+    if not words or not all(re.fullmatch(r"\d*\.?\d+", word) and float(word) <= 149 for word in words):
+        raise ValueError(f"{option} {text}: expected mm/h within 0..149 with commas between, such as 0,1.2,8.5,12")
     return sorted({float(word) for word in words})
 
 

@@ -217,6 +217,7 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
     state, fitted = counted.state, _fitted_sizes(counted)
     return {
         "requested_mm_h": state.intensity_mm_h,
+        "rain_class": state.rain_class,
         "implied_mm_h": state.implied_mm_h,
         "measured_mm_h": counted.rate_mm_h,
         "standard_error_mm_h": counted.standard_error_mm_h,
@@ -237,6 +238,7 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
         "extinction_per_m": state.extinction_per_m,
         "meteorological_range_m": state.visibility_m if state.extinction_per_m > 0 else None,
         "beyond_calibration": state.beyond_calibration,
+        "calibrated_up_to_mm_h": state.calibrated_up_to_mm_h,
         "spectrum": _spectrum(counted, counted.spectra.diameter_edges_mm),
     }
 
@@ -261,6 +263,8 @@ def _spectrum(counted: DisdrometerMeasurement, edges_mm: Float64[np.ndarray, " n
 def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
     console, state = Console(highlight=False, soft_wrap=True), counted.state
     asked = f"{state.intensity_mm_h:g} mm/h asked"
+    if state.rain_class:
+        asked += f" ({state.rain_class})"
     if f"{state.implied_mm_h:.3g}" != f"{state.intensity_mm_h:.3g}":
         asked += f", {state.implied_mm_h:.3g} mm/h drawn"
     if state.beyond_calibration:

@@ -13,7 +13,7 @@ from msgspec import structs
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
-from gsrain_engine.rain.keyframes import RainKeyframes
+from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
 from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
@@ -161,16 +161,23 @@ def wet_look(scene: Scene) -> Scene:
     return run_with_progress(wet_scene(scene))
 
 
+_KEYED_OPTIONS: dict[Keyed, tuple[str, ...]] = {
+    "intensity_mm_h": ("intensity_mm_h",), "exposure_s": ("exposure_s",),
+    "wind_m_s": ("wind_speed_m_s", "wind_from_deg"),
+}  # fmt: skip
+
+
 def rendered_weather(options: RainOptions, scene: Scene) -> RainKeyframes | None:
-    """Return the rain keyframes saved with a scene, without those that --rain, --exposure or --preset replace.
+    """Return the rain keyframes saved with a scene, without those that options of the rain replace.
 
     Raises `msgspec.ValidationError` if the saved keyframes are invalid.
     """
     if scene.weather is None or options.preset is not None:
         return None
     weather = convert_checked(scene.weather, RainKeyframes)
-    for field in ("intensity_mm_h", "exposure_s"):
-        weather = weather if field not in options.changes() else weather.without(field)
+    changed = options.changes()
+    for field, options_of_it in _KEYED_OPTIONS.items():
+        weather = weather if changed.keys().isdisjoint(options_of_it) else weather.without(field)
     return weather
 
 
@@ -201,6 +208,7 @@ def _record(frames: Iterator[Progress], renderer: Renderer, state: RainPropertie
         "haze_gaussians": state.haze_gaussians,
         "haze_drawn": renderer.statistics.haze_drawn,
         "intensity_mm_h": state.intensity_mm_h,
+        "rain_class": state.rain_class,
         "implied_mm_h": state.implied_mm_h,
         "table_implied_mm_h": state.table_implied_mm_h,
     }
@@ -243,7 +251,9 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
     when = f"first of a weather with {len(keys):,} keys: " if keys else ""
     if state.intensity_mm_h == 0:
         return f"{when}clear"
-    rain = f"{when}{state.intensity_mm_h:g} mm/h asked, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops"
+    classed = f" ({state.rain_class})" if state.rain_class else ""
+    asked = f"{when}{state.intensity_mm_h:g} mm/h asked{classed}"
+    rain = f"{asked}, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops"
     beyond = "beyond calibration" if state.beyond_calibration else ""
     return ", ".join(filter(None, [rain, beyond, simulation.rain.exaggeration]))
 

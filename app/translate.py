@@ -34,6 +34,7 @@ from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, Refl
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.editor.jobs.training import train_transfer as work
+from gsrain_engine.rain.settings import HEAVIEST_MM_H
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.images import write_image
 from gsrain_engine.safe_io.errors import MissingInputsError
@@ -86,7 +87,7 @@ class MethodOptions(options_of(TransferSettings, "transfer")):
         if self.rain is not None:
             if self.wetness is not None:
                 raise ValueError("--rain and --wetness exclude each other")
-            check_within("--rain", self.rain, 0, 100, "mm/h")
+            check_within("--rain", self.rain, 0, HEAVIEST_MM_H, "mm/h")
             values["wetness"] = wetness(self.rain)
         return self.settings(**values)
 

@@ -17,7 +17,13 @@ if TYPE_CHECKING:
     from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 
 Settings = TypeVar("Settings")
-_FIELDS = {"intensity": "intensity_mm_h", "wind": "wind_m_s", "exposure": "exposure_s", "gusts": "gust_m_s"}
+_FIELDS = {
+    "intensity": "intensity_mm_h",
+    "wind": "wind_m_s",
+    "exposure": "exposure_s",
+    "gusts": "gust_m_s",
+    "turbulence": "turbulence_m_s",
+}
 """Short argument names, whose units are in the docstring, and the fields that they set."""
 
 
@@ -25,15 +31,16 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
     """Makes rain settings: `gr.Rain(intensity=8.5, wind=(2, 0), seed=1)`.
 
     What it returns is a `RainSettings` value, which counts as an instance of `Rain`. It has units in the names of its
-    fields: `rain.intensity_mm_h`, `rain.wind_m_s`. The same settings and time give the same drops.
+    fields: `rain.intensity_mm_h`, `rain.wind_speed_m_s`. The same settings and time give the same drops.
     """
 
     def __new__(
         cls,
         intensity: float = 0.0,
         *,
-        wind: tuple[float, float] = (0.0, 0.0),
-        gusts: float = 0.0,
+        wind: tuple[float, float] | None = None,
+        gusts: float | None = None,
+        turbulence: float | None = None,
         exposure: float | None = None,
         seed: int = 0,
         **settings: Any,
@@ -41,9 +48,11 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
         """Return settings, checked.
 
         Args:
-            intensity: Rainfall intensity R in mm/h, 0..100; calibrated up to 13.
-            wind: Horizontal wind along the world's x and y in m/s.
-            gusts: Amplitude of the wind's slow variation in m/s.
+            intensity: Rainfall intensity R in mm/h, 0..149; calibrated up to 13.
+            wind: Wind at 10 m above the ground, along the world's x (east) and y (north) in m/s; None is a light breeze
+                from west-southwest. `wind_speed_m_s` and `wind_from_deg` set the same.
+            gusts: Amplitude of the wind's variation over seconds and meters, in m/s.
+            turbulence: RMS velocity in m/s of eddies that move drops one by one.
             exposure: Shutter time in s; None takes the camera's own (4 ms by day).
             seed: Seed of the drops, 0..2^32 - 1.
             settings: Further fields of `RainSettings` by their names, such as `wetness=1.0` or `haze="none"`.
@@ -53,11 +62,11 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
         """
         values = {
             "intensity_mm_h": intensity,
-            "wind_m_s": wind,
-            "gust_m_s": gusts,
             "exposure_s": exposure,
             "seed": seed,
         }
+        air = {"wind_m_s": wind, "gust_m_s": gusts, "turbulence_m_s": turbulence}
+        values |= {name: value for name, value in air.items() if value is not None}
         return checked_settings(msgspec.to_builtins(RainSettings()) | values | settings, RainSettings, _FIELDS)
 
     @classmethod

@@ -106,7 +106,11 @@ def status_bar(editor: Editor) -> None:
     selected = sum(
         each.marks.selected.size for each in editor.document.scene.members if each.marks.selected is not None
     )
-    words = [editor.document.scene.name, f"{editor.playback.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
+    words = [
+        editor.document.scene.name,
+        f"{editor.playback.clock.time_s:.1f} s",
+        f"{state.intensity_mm_h:.1f} mm/h {state.rain_class}".rstrip(),
+    ]
     if selected:
         words.append(f"{selected:,} selected")
     imgui.text("   ".join(words))

@@ -240,6 +240,7 @@ def _provenance(files: Sequence[MeasuredFile], fitted: FittedCalibration, option
         last=str(times.max().astype("datetime64[s]")) if times.size else None,
         records=fitted.records,
         records_used=fitted.records_used,
+        highest_minute_mm_h=round(float(fitted.minute_rate_mm_h.max()), 1),
         method=(
             f"minutes within {100 * options.half_width:g} % of each intensity; maximum likelihood on counts / "
             f"(area x class velocity) from {low:g} to {high:g} mm; "

@@ -517,6 +517,7 @@ def _fit_bin(
         density_m3=round_significant(number[0]),
         shape=round_significant(laws.shape[0]),
         scale_mm=round_significant(laws.scale_mm[0]),
+        minutes=int(picked.sum()),
         confidence=confidence,
     )
     by_moments = fit_by_moments(density[None, classes], edges)

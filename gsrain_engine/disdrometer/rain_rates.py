@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from ..rain.keyframes import HEAVIEST_MM_H, LONGEST_S, RainKeyframes, keyframes_from_series
+from ..rain.keyframes import LONGEST_S, RainKeyframes, keyframes_from_series
+from ..rain.settings import HEAVIEST_MM_H
 from .spectra import DisdrometerReading
 
 
@@ -19,7 +20,7 @@ class MeasuredKeyframes:
     left_out: int
     """Number of records without a time or a rate."""
     cut_off: int
-    """Number of records above 100 mm/h, clipped to 100."""
+    """Number of records above 149 mm/h, clipped to 149."""
     duration_s: float
     """Time from the first keyframe to the last."""
 
@@ -40,7 +41,7 @@ def keyframes_from_spectra(
 
     The rate is the instrument's own, otherwise that of the counted drops. The first keyframe is at `start_s`; time runs
     `speed_up` times as fast as measured. A file with one rate and no time, as RainSense's, gives one keyframe. Rates
-    above 100 mm/h are clipped. Raises `ValueError` if no record has a time and a rate, if the speed-up is not above 0,
+    above 149 mm/h are clipped. Raises `ValueError` if no record has a time and a rate, if the speed-up is not above 0,
     or if the series exceeds the maximum duration of keyframes.
     """
     if not (np.isfinite(speed_up) and speed_up > 0):
@@ -49,7 +50,9 @@ def keyframes_from_spectra(
     rates = np.where(np.isfinite(spectra.reported_mm_h), spectra.reported_mm_h, spectra.rate_mm_h)
     if len(spectra) == 1 and np.isnat(spectra.times[0]) and np.isfinite(rates[0]):
         weather = keyframes_from_series(np.array([start_s]), rates)
-        return MeasuredKeyframes(weather=weather, records=1, left_out=0, cut_off=int(rates[0] > 100), duration_s=0.0)
+        return MeasuredKeyframes(
+            weather=weather, records=1, left_out=0, cut_off=int(rates[0] > HEAVIEST_MM_H), duration_s=0.0
+        )
     usable = ~np.isnat(spectra.times) & np.isfinite(rates) & (rates >= 0)
     if not usable.any():
         raise ValueError(f"{spectra.instrument}: no record has a time and a rain rate")

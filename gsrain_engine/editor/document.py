@@ -242,9 +242,12 @@ class Document:
 
 def with_rain(state: DocumentState, at_s: float = 0.0, **fields: Any) -> DocumentState:
     """Change fields of the rain; those with keyframes get one at a time in seconds."""
+    rain = msgspec.structs.replace(state.rain, **fields)
+    if not fields.keys().isdisjoint(("wind_speed_m_s", "wind_from_deg")):
+        fields = fields | {"wind_m_s": rain.wind_vector_m_s}
     keyed = {name: value for name, value in fields.items() if state.keyframes.is_keyed(name) and value is not None}
     keyframes = state.keyframes.with_key(at_s, **keyed) if keyed else state.keyframes
-    return replace(state, rain=msgspec.structs.replace(state.rain, **fields), keyframes=keyframes)
+    return replace(state, rain=rain, keyframes=keyframes)
 
 
 def with_contents(state: DocumentState, scene: Scene, rain: RainSettings) -> DocumentState:

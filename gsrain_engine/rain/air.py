@@ -52,7 +52,12 @@ class AirScales(NamedTuple):
     """Reciprocal fall speeds."""
 
     def toward(self, other: "AirScales", share: float) -> "AirScales":
-        return AirScales(*(a + share * (b - a) for a, b in zip(self, other, strict=True)))
+        return AirScales(
+            self.wind_m_s + share * (other.wind_m_s - self.wind_m_s),
+            self.gust_m_s + share * (other.gust_m_s - self.gust_m_s),
+            self.turbulence_m_s + share * (other.turbulence_m_s - self.turbulence_m_s),
+            self.slowness_s_m + share * (other.slowness_s_m - self.slowness_s_m),
+        )
 
 
 class DropAir(NamedTuple):
@@ -182,7 +187,6 @@ def profile(height_m: Float64[np.ndarray, " n"], roughness_m: float) -> Float64[
 
 def _profile_integral(height_m: Float64[np.ndarray, " n"], roughness_m: float) -> Float64[np.ndarray, " n"]:
     """Integral of `profile` over height, from `DRIFT_HEIGHT_M` on, in meters."""
-
     z = np.maximum(np.append(height_m, DRIFT_HEIGHT_M), roughness_m)
     antiderivative = (z * np.log(z / roughness_m) - z) / np.log(WIND_HEIGHT_M / roughness_m)
     return antiderivative[:-1] - antiderivative[-1]

@@ -33,6 +33,8 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     density_m3: Positive
     shape: Positive
     scale_mm: Positive
+    minutes: int | None = None
+    """Number of measured minutes that the row is fitted to; None for rows from elsewhere."""
     confidence: RowConfidence | None = None
 
 
@@ -66,6 +68,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     last: str | None = None
     records: int
     records_used: int
+    highest_minute_mm_h: float | None = None
+    """Highest rain rate of a minute; None for files of earlier versions."""
     method: str
 
 

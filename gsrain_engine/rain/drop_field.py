@@ -169,8 +169,10 @@ def mark_drops(
 def _mark_class(
     first, count, seed, wraps, fractions, geometry, margin, far, everywhere, found, air_rows, air_class, air_numbers
 ):
-    """Place the drops of a class as `place_drops` does and test them: their heights first, branch-free for LLVM's
-    vectorizer, then those that are left one by one."""
+    """Place the drops of a class as `place_drops` does and test them.
+
+    The first loop tests heights alone, branch-free for LLVM's vectorizer; the second all of the drops that are left.
+    """
     # Copied to locals: the compiler can't prove that writes to `found` leave `geometry` unchanged.
     period_x, period_y, period_z = geometry[0], geometry[1], geometry[2]
     turn_xx, turn_xy, turn_yx, turn_yy = geometry[3], geometry[4], geometry[5], geometry[6]

@@ -87,6 +87,8 @@ class RainProperties:
 
     intensity_mm_h: float
     """Intensity in the settings."""
+    calibrated_up_to_mm_h: float
+    """Highest intensity that the calibration was fitted to; beyond it is extrapolated."""
     density_m3: float
     """Drops per cubic meter, after the closure."""
     table_density_m3: float
@@ -111,7 +113,7 @@ class RainProperties:
     @property
     def beyond_calibration(self) -> bool:
         """True if the intensity exceeds the calibrated range."""
-        return self.intensity_mm_h > CALIBRATED_UP_TO_MM_H
+        return self.intensity_mm_h > self.calibrated_up_to_mm_h
 
     @property
     def rain_class(self) -> str:
@@ -129,6 +131,11 @@ _RAIN_CLASSES = ((0.1, ""), (0.5, "very light"), (1.9, "light"), (8.1, "moderate
 def rain_class(intensity_mm_h: float) -> str:
     """Class of an intensity, "very light" to "very heavy", after ASAM OSI; "" below 0.1 mm/h."""
     return next((name for below, name in _RAIN_CLASSES if intensity_mm_h < below), "very heavy")
+
+
+def calibrated_up_to(calibration: Calibration) -> float:
+    """Highest intensity in mm/h that is not extrapolated: the last row of a fit to measurements, or the paper's."""
+    return calibration.rows[-1].intensity_mm_h if calibration.provenance is not None else CALIBRATED_UP_TO_MM_H
 
 
 def fall_speed(rain: RainSettings, calibration: Calibration) -> Velocity:
@@ -168,6 +175,7 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
     extinction = extinction_per_m(rain, density, square_m2)
     return RainProperties(
         intensity_mm_h=intensity,
+        calibrated_up_to_mm_h=calibrated_up_to(calibration),
         density_m3=density,
         table_density_m3=table_density,
         shape=sizes.shape,

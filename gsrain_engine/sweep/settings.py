@@ -12,7 +12,7 @@ from ..backends import Backend
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
-from ..rain.settings import RainSettings, load_preset
+from ..rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked
@@ -26,7 +26,8 @@ _FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "c
 """Fields that hold file names; `name` is an agent's."""
 
 Intensities = Annotated[
-    tuple[Annotated[float, Meta(ge=0, le=100)], ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
+    tuple[Annotated[float, Meta(ge=0, le=HEAVIEST_MM_H)], ...],
+    Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"}),
 ]
 DrawnBy = Annotated[Backend, Meta(title="Back end", extra={"commands": "sweep"},
                                   description="Renderer; cpu gives the same bytes on every machine.")]  # fmt: skip

@@ -12,8 +12,8 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes, set_keyframe_number
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import HEAVIEST_MM_H, RainKeyframe, RainKeyframes
-from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from oracles.drop_phases import displacement
 from small_scene import small_scene

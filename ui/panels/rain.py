@@ -11,8 +11,14 @@ from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import field_of, fields_of
 from gsrain_engine.rain.calibration import Calibration
-from gsrain_engine.rain.properties import intensity_for_density
-from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, RainSettings, RegionBox, load_preset
+from gsrain_engine.rain.properties import intensity_for_density, rain_class
+from gsrain_engine.rain.settings import (
+    CALIBRATED_UP_TO_MM_H,
+    HEAVIEST_MM_H,
+    RainSettings,
+    RegionBox,
+    load_preset,
+)
 
 from ..widgets import fields
 from ..widgets.fields import (
@@ -31,7 +37,6 @@ from ..widgets.fields import (
 )
 from ..widgets.text import readings
 
-_MAX_MM_H = 100.0
 _PRESETS = {
     "clear": "No rain", "1.2": "Light 1.2", "5": "Moderate 5", "8.5": "Paper 8.5", "12.0": "Heavy 12",
     "paper": "Paper settings",
@@ -41,6 +46,7 @@ _PRESETS = {
 _PRESETS_PER_ROW = 3
 PICK_TOOL = "Pick sky color"
 _WIND = "Wind and seed"
+_WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
 GROUPS = (_WIND, "Regions", "Physics", "Lens", "Appearance")
 """Headings below which the fields with this `group` are drawn."""
 
@@ -49,7 +55,7 @@ _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look p
 
 def rain_panel(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:
     _presets(document)
-    _intensity(document, viewport, playback)
+    _intensity(document, viewport, playback, live_rain)
     _exposure(document, viewport, playback)
     fields.toggle(document, "streaks")
     imgui.same_line()
@@ -64,7 +70,7 @@ def rain_panel(document: Document, viewport: ViewportState, playback: Playback, 
             if group == _WIND:
                 _wind(document, viewport, playback)
             for each in fields_of(RainSettings):
-                if each.group != group or each.name == "wind_m_s":
+                if each.group != group or each.name in _WIND_FIELDS:
                     continue
                 if each.kind is RegionBox:
                     _region(document, viewport, each.name)
@@ -110,18 +116,21 @@ def _presets(document: Document) -> None:
             document.change_rain(f"Preset {name}", **msgspec.structs.asdict(preset))
 
 
-def _intensity(document: Document, viewport: ViewportState, playback: Playback) -> None:
+def _intensity(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:
     intensity = document.rain_now.intensity_mm_h
     is_beyond = viewport.options.beyond_calibration or intensity > CALIBRATED_UP_TO_MM_H
     keyframed_slider(
-        document, viewport, playback, "intensity_mm_h", high=_MAX_MM_H if is_beyond else CALIBRATED_UP_TO_MM_H
+        document, viewport, playback, "intensity_mm_h", high=HEAVIEST_MM_H if is_beyond else CALIBRATED_UP_TO_MM_H
     )
-    beyond = checkbox("up to 100 mm/h", is_beyond, "Above 13 mm/h the calibration is extrapolated.")
+    beyond = checkbox("up to 149 mm/h", is_beyond, "Above 13 mm/h the calibration is extrapolated.")
     if beyond != is_beyond:
         viewport.options.beyond_calibration = beyond
         if not beyond and intensity > CALIBRATED_UP_TO_MM_H:
             document.change_rain("Intensity", intensity_mm_h=CALIBRATED_UP_TO_MM_H)
-    if intensity > CALIBRATED_UP_TO_MM_H:
+    if intensity > 0:
+        imgui.same_line()
+        imgui.text(rain_class(intensity))
+    if live_rain.displayed.state_at(playback.clock.time_s).beyond_calibration:
         imgui.same_line()
         imgui.text_colored(WARNING, "beyond calibration")
 
@@ -149,16 +158,33 @@ def _exposure(document: Document, viewport: ViewportState, playback: Playback) -
     keyframe_button(document, viewport, playback, "exposure_s")
 
 
+_COMPASS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
+
+
 def _wind(document: Document, viewport: ViewportState, playback: Playback) -> None:
-    fields.field_label("wind_m_s")
+    """Edit speed and direction of the wind; with keyframes both go into one."""
+    rain, speed = document.rain_now, field_of(RainSettings, "wind_speed_m_s")
+    fields.field_label("wind_speed_m_s")
     imgui.set_next_item_width(-keyframe_button_width())
     colors = tint_keyframed(document, "wind_m_s")
-    changed, wind = imgui.slider_float2("##wind_m_s", list(document.rain_now.wind_m_s), -20, 20, "%.1f")
+    changed, speed_m_s = imgui.slider_float(
+        "##wind_speed_m_s", rain.wind_speed_m_s, 0.0, speed.slider_high, "%.1f", CLAMPED
+    )
     imgui.pop_style_color(colors)
     if changed:
-        document.change_rain("Wind", "wind_m_s", wind_m_s=tuple(wind))
+        document.change_rain("Wind speed", "wind_speed_m_s", wind_speed_m_s=speed_m_s, wind_from_deg=rain.wind_from_deg)
     fields.end_gesture_when_released(document)
     keyframe_button(document, viewport, playback, "wind_m_s")
+    fields.field_label("wind_from_deg")
+    colors = tint_keyframed(document, "wind_m_s")
+    name = _COMPASS[round(rain.wind_from_deg / 45) % 8]
+    changed, from_deg = imgui.slider_float(
+        "##wind_from_deg", rain.wind_from_deg, 0.0, 360.0, f"%.0f\u00b0 ({name})", CLAMPED
+    )
+    imgui.pop_style_color(colors)
+    if changed:
+        document.change_rain("Wind from", "wind_from_deg", wind_speed_m_s=rain.wind_speed_m_s, wind_from_deg=from_deg)
+    fields.end_gesture_when_released(document)
 
 
 def _region(document: Document, viewport: ViewportState, name: str) -> None:
@@ -207,6 +233,7 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
     drawn, haze = (int(viewport.statistics.get(name, 0)) for name in ("drops drawn", "haze Gaussians"))
     rows = [
         ("Set rain rate", f"{state.intensity_mm_h:.2f} mm/h", "Rainfall intensity R."),
+        ("Class", state.rain_class, "Very light to very heavy rain, after ASAM OSI."),
         ("Simulated rain rate", f"{state.implied_mm_h:.2f} mm/h", "6e-4 pi N E[V D^3] of the simulated drops."),
         ("Rain rate of the table", f"{state.table_implied_mm_h:.2f} mm/h", "The same for the calibration's density."),
         ("Drops per m\u00b3", f"{state.density_m3:,.0f}",
@@ -227,7 +254,7 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
         rows.insert(-2, ("Haze Gaussians", f"{haze:,}", help_text))
     readings("readout", rows)
     if state.beyond_calibration:
-        imgui.text_colored(WARNING, "beyond calibration (13 mm/h)")
+        imgui.text_colored(WARNING, f"beyond calibration ({state.calibrated_up_to_mm_h:.3g} mm/h)")
     warn(document.rain.exaggeration)
 
 
@@ -236,4 +263,4 @@ def _intensity_in_table(density_m3: float, calibration: Calibration) -> str:
     try:
         return f"{intensity_for_density(density_m3, RainSettings(closure='published'), calibration):.2f} mm/h"
     except ValueError:
-        return "over 100 mm/h"
+        return "over 149 mm/h"

@@ -21,19 +21,18 @@ from gsrain_engine.editor.edits.rain_keyframes import (
 from gsrain_engine.editor.rain import CalibrationTools, KeyframePanelState, PendingInput
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.rain.keyframes import (
-    HEAVIEST_MM_H,
     NO_KEYFRAMES,
     Keyed,
     RainKeyframe,
     RainKeyframes,
 )
-from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
+from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H
 
 from ..commands.table import help_of
 from ..widgets.draw import draw_diamond
 from ..widgets.fields import LOGARITHMIC, ask_what_to_open, button, square_button, toggle_keyframe, warn
 
-_IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 100."
+_IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 149."
 _SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
 _INTERPOLATIONS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
     ("linear", "Straight lines between keyframes."),
@@ -336,9 +335,9 @@ def _row(
 _VISIBLE_ROWS = 8
 _TITLES = {
     "time": ("s", "Time of the keyframe in the scene, in seconds."),
-    "intensity_mm_h": ("mm/h", "Rainfall intensity R, 0 to 100 mm/h."),
-    "wind x": ("wind x", "Wind along world x in m/s."),
-    "wind y": ("wind y", "Wind along world y in m/s."),
+    "intensity_mm_h": ("mm/h", "Rainfall intensity R, 0 to 149 mm/h."),
+    "wind x": ("wind x", "Wind at 10 m along world x (east) in m/s."),
+    "wind y": ("wind y", "Wind at 10 m along world y (north) in m/s."),
     "exposure_s": ("ms", "Exposure T in milliseconds."),
 }
 

@@ -209,7 +209,8 @@ def toggle_keyframe(document: Document, viewport: ViewportState, playback: Playb
     if _is_keyed_now(document, playback, name):
         document.edit_keyframes(f"Remove {title} keyframe", RainKeyframes.without_key, now_s, name)
         return
-    value = getattr(document.rain_now, name)
+    now = document.rain_now
+    value = now.wind_vector_m_s if name == "wind_m_s" else getattr(now, name)
     if value is None:  # exposure: the camera's own
         value = viewport.shot(16, 16).camera.exposure_s
     document.edit_keyframes(f"Insert {title} keyframe", RainKeyframes.with_key, now_s, **{name: value})

@@ -4,7 +4,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from ...rain.keyframes import HEAVIEST_MM_H, KEYED, Keyed, RainKeyframes, shower_keyframes
+from ...rain.keyframes import KEYED, Keyed, RainKeyframes, shower_keyframes
+from ...rain.settings import HEAVIEST_MM_H
 
 
 def replace_keyframes(keyframes: RainKeyframes, other: RainKeyframes) -> RainKeyframes:

@@ -11,7 +11,7 @@ from jaxtyping import Float64, UInt8
 from msgspec import Meta
 
 from ...backends import open_renderer
-from ...rain.settings import RainSettings
+from ...rain.settings import HEAVIEST_MM_H, RainSettings
 from ...render.renderer import Renderer
 from ...safe_io.limits import read_file
 from ...scene.formats.scene_folder import FileCache
@@ -139,7 +139,7 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         ),
     ] = "as the scene"
     intensity_mm_h: Annotated[
-        float, Meta(ge=0, le=100, title="Intensity", description="R of this drive.", extra={"unit": "mm/h"})
+        float, Meta(ge=0, le=HEAVIEST_MM_H, title="Intensity", description="R of this drive.", extra={"unit": "mm/h"})
     ] = 8.5
     seed: Annotated[
         int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed: same drops and the same drive.")

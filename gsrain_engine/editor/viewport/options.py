@@ -27,7 +27,7 @@ class ViewOptions:
     shrink: int = 1
     """Draw every n-th pixel in each direction; the rain keeps the drops of the full image."""
     beyond_calibration: bool = False
-    """Extend the intensity slider to 100 mm/h."""
+    """Extend the intensity slider to 149 mm/h."""
     follow_path: bool = False
     """Ride along the camera path instead of flying."""
     look: RenderMode = "splats"

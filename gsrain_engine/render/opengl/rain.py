@@ -58,7 +58,8 @@ class RainPass:
         seen_from = np.zeros(3) if rain.streak_frame == "world" else field.axes.T @ shutter.velocity_m_s
         self._set_field(shader, field)
         set_uniforms(
-            shader, exposure=shutter.exposure_s, shutter_velocity=tuple(seen_from), still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
+            shader, exposure=shutter.exposure_s, shutter_velocity=tuple(seen_from),
+            still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
             phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
             aperture=1e-3 * rain.aperture_mm, focus=rain.focus_distance_m, max_copies=rain.max_copies,
             display_color=tuple(field.color), near=NEAR_M, first_slot=first_slot,
