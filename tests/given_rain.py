@@ -13,6 +13,9 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import linear_to_srgb
 
+STILL: dict[str, float] = {"wind_speed_m_s": 0.0, "gust_m_s": 0.0, "turbulence_m_s": 0.0}
+"""Settings of calm air."""
+
 HERE = RainCamera(Camera.from_fov(64, 48, 60.0, np.eye(4)), np.eye(4), np.zeros(3))
 """A camera at the origin, which looks up along z."""
 

@@ -117,10 +117,13 @@ def test_fields_name_existing_commands():
 @pytest.mark.parametrize(
     ("name", "range", "default", "options"),
     [
-        ("intensity_mm_h", "0..100 mm/h", "0", ("--rain", "--intensity")),
+        ("intensity_mm_h", "0..149 mm/h", "0", ("--rain", "--intensity")),
         ("exposure_s", "0.00001..1 s", "", ("--exposure",)),
         ("seed", "", "0", ("--seed",)),
-        ("wind_m_s", "-40..40 m/s", "0,0", ("--wind",)),
+        ("wind_m_s", "-40..40 m/s", "", ("--wind",)),
+        ("wind_speed_m_s", "0..60 m/s", "2.5", ("--wind-speed",)),
+        ("wind_from_deg", "0..360 degrees", "240", ("--wind-from",)),
+        ("turbulence_m_s", "0..5 m/s", "0.5", ("--turbulence",)),
         ("closure", "", "density", ("--drop-density",)),
         ("haze_count", "0..200000", "", ("--haze-count",)),
     ],

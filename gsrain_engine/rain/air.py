@@ -25,7 +25,7 @@ GUST_SPEED_M_S = 2.0
 
 _RATES = 2 * np.pi / np.array(GUST_PERIODS_S)
 _WAVENUMBERS = _RATES / GUST_SPEED_M_S
-GUST_LENGTH_M = 20.0
+GUST_LENGTH_M = 36.0
 """Wavelength of the gusts' y component along x; longer in a wide lattice (`_MIN_PERIODS`)."""
 
 _MIN_PERIODS = 2.25  # wavelengths in lattice periods: polynomials of sine and cosine then cover half a period

@@ -100,7 +100,7 @@ class RainProperties:
     implied_mm_h: float
     """Rain rate of the drawn drops: 6e-4 pi N E[V D^3]."""
     table_implied_mm_h: float
-    """Rain rate of the table's own density."""
+    """Rain rate of the table's own density in calm air."""
     extinction_per_m: float
     """beta = (pi/4) Q N E[D^2] times the haze gain."""
     visibility_m: float
@@ -140,9 +140,13 @@ def calibrated_up_to(calibration: Calibration) -> float:
 
 def fall_speed(rain: RainSettings, calibration: Calibration) -> Velocity:
     """Mean fall speed in m/s over the diameter in mm for these settings."""
-    still = atlas_velocity if rain.velocity == "atlas" else calibration.velocity
-    share = turbulent_fall_share(rain.turbulence_m_s)
+    still, share = still_fall_speed(rain, calibration), turbulent_fall_share(rain.turbulence_m_s)
     return still if share == 1 else lambda diameter_mm: share * still(diameter_mm)
+
+
+def still_fall_speed(rain: RainSettings, calibration: Calibration) -> Velocity:
+    """Fall speed in m/s over the diameter in mm in calm air."""
+    return atlas_velocity if rain.velocity == "atlas" else calibration.velocity
 
 
 def turbulent_fall_share(turbulence_m_s: float) -> float:
@@ -183,7 +187,7 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
         mean_diameter_mm=sizes.expectation(lambda d: d),
         mean_fall_speed_m_s=sizes.expectation(velocity),
         implied_mm_h=drawn,
-        table_implied_mm_h=implied,
+        table_implied_mm_h=flux_mm_h(table_density, sizes, still_fall_speed(rain, calibration)),
         extinction_per_m=extinction,
         visibility_m=float(np.log(20)) / float(extinction) if extinction > 0 else float("inf"),
         drops=round(density * rain.streak_region.volume_m3),

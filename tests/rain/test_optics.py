@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from given_rain import given_rain
+from given_rain import STILL, given_rain
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.settings import RainSettings
@@ -136,7 +136,9 @@ def test_a_ray_inside_the_haze_keeps_exp_of_minus_beta_l(renderer):
 
     Of 6 m, of which the ramp before the camera leaves 2 m, and of 20, 40 and 60 m more, which all lie in the region.
     """
-    rain = RainSettings(intensity_mm_h=12.0, streaks=False, haze="gaussians", drop_color=(0.0, 0.0, 0.0))
+    rain = RainSettings(
+        intensity_mm_h=12.0, streaks=False, haze="gaussians", drop_color=(0.0, 0.0, 0.0), **STILL
+    )  # fmt: skip
     rainfall, camera, anchor = RainSimulation.start(rain), eye_at((0.0, 0, 0), 20, 16, 70.0), np.eye(4)
     anchor[:3, 3] = 9.0, 0.0, -9.5
     walls = [wall(distance, 1.0) for distance in (6.0, 26.0, 46.0, 66.0)]

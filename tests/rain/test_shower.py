@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from given_rain import HERE, gaussians_of
+from given_rain import HERE, STILL, gaussians_of
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.properties import DropClassTable, rain_properties
@@ -66,7 +66,7 @@ def test_displacement_is_the_integral_of_the_speeds(between):
     speeds = np.empty((len(times), len(some) + 2))
     for k, time_s in enumerate(times):
         motion = rainfall.frozen_at(float(time_s)).motion
-        speeds[k] = *motion.wind.velocity(float(time_s)), *-motion.fall_speed_m_s[some]
+        speeds[k] = *motion.wind.drift_m_s, *-motion.fall_speed_m_s[some]
     summed = np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * 0.04, axis=0)
 
     def place(time_s):
@@ -121,7 +121,7 @@ def test_keys_of_one_intensity_are_constant_rain(keys):
 
 
 def test_a_keyed_exposure_lengthens_streaks():
-    rain = RainSettings(intensity_mm_h=8.5, haze=False, streak_region=SMALL)
+    rain = RainSettings(intensity_mm_h=8.5, haze=False, streak_region=SMALL, **STILL)
     exposures = RainKeyframes(
         keys=(RainKeyframe(time_s=0.0, exposure_s=0.002), RainKeyframe(time_s=10.0, exposure_s=0.02))
     )

@@ -81,7 +81,7 @@ def test_weather_is_plain_values_and_comes_back():
 @pytest.mark.parametrize(
     ("field", "values"),
     [
-        ("intensity_mm_h", (100.5, float("nan"))),
+        ("intensity_mm_h", (149.5, float("nan"))),
         ("wind_m_s", ([0.0, 40.1], [-40.1, 0.0], [40.1, 0.0], [0.0, -40.1])),
         ("exposure_s", (0.9e-5, 1.1)),
         ("time_s", (float("inf"), 1.1e7, -1.1e7)),
@@ -89,7 +89,7 @@ def test_weather_is_plain_values_and_comes_back():
     ],
 )
 def test_keys_out_of_bounds_are_reported(field, values):
-    limits = {"time_s": 1e7, "intensity_mm_h": 100.0, "wind_m_s": (-40.0, 40.0), "exposure_s": 1.0}
+    limits = {"time_s": 1e7, "intensity_mm_h": 149.0, "wind_m_s": (-40.0, 40.0), "exposure_s": 1.0}
     assert msgspec.to_builtins(msgspec.convert(limits, RainKeyframe)) == limits
     for value in values:
         key = {"time_s": 5.0, field if field in limits else "time_s": value}
@@ -97,9 +97,9 @@ def test_keys_out_of_bounds_are_reported(field, values):
             msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, key]}, RainKeyframes)
 
 
-def test_a_series_is_cut_off_at_100_mm_h():
+def test_a_series_is_cut_off_at_149_mm_h():
     weather = keyframes_from_series(np.array([0.0, 60.0]), np.array([250.0, 3.0]))
-    assert [key.intensity_mm_h for key in weather.keys] == [100.0, 3.0]
+    assert [key.intensity_mm_h for key in weather.keys] == [149.0, 3.0]
     for rates in ([1.0, -1.0], [1.0, np.inf], [1.0, 1.0]):
         with pytest.raises(ValueError):
             keyframes_from_series(np.zeros(2) if rates == [1.0, 1.0] else np.arange(2.0), np.array(rates))
