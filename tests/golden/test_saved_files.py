@@ -23,7 +23,7 @@ from gsrain_engine.evaluation.detection.description import load_description
 from gsrain_engine.evaluation.lidar.sensor import LidarSensor
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import keyframes_of, rain_of
-from gsrain_engine.rain.settings import HAZE_REGION, RainSettings, load_preset
+from gsrain_engine.rain.settings import HAZE_REGION, RainSettings, load_preset, wind_on_compass
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import yaml_values
 from gsrain_engine.scene.formats.scene_files import read_scene
@@ -99,7 +99,7 @@ def test_what_belongs_to_the_whole_scene_folder():
     )  # fmt: skip
     weather = keyframes_of(scene)
     assert (weather.between, weather.key_times["intensity_mm_h"].tolist()) == ("smooth", [0.0, 1.5, 4.0])
-    assert weather.rain_at(rain, 1.5).wind_m_s == (3.0, 0.5)
+    assert weather.rain_at(rain, 1.5).wind_vector_m_s == (3.0, 0.5)
     assert weather.rain_at(rain, 4.0).exposure_s == 0.02
 
 
@@ -167,6 +167,10 @@ def test_settings_keep_all_their_values(name, load, monkeypatch):
     path = SAVED / "settings" / f"{name}.yaml"
     monkeypatch.chdir(path.parent)
     written = yaml.safe_load(path.read_text().replace("haze: true", "haze: medium"))  # as it is read today
+    for each in (written, written.get("rain", {})):
+        if "wind_m_s" in each:  # as it is written today
+            speed_m_s, from_deg = wind_on_compass(*each.pop("wind_m_s"))
+            each |= {"wind_speed_m_s": speed_m_s} | ({"wind_from_deg": from_deg} if speed_m_s else {})
     assert _leaves(written) <= _leaves(msgspec.to_builtins(load(path.name), enc_hook=str))
 
 
@@ -183,7 +187,7 @@ def test_rows_and_roll_outs_of_a_sweep():
 
 
 @pytest.mark.skipif(program_version() != "0.1.0", reason="jobs of another version are other jobs")
-def test_jobs_of_a_finished_sweep_are_done_again_since_haze_is_a_medium_and_for_nothing_else(monkeypatch):
+def test_jobs_of_a_finished_sweep_are_done_again_for_haze_as_a_medium_and_real_air_alone(monkeypatch):
     monkeypatch.chdir(SAVED / "sweep")
     folder, jobs = SweepFolder(Path("results")), jobs_of(load_sweep("drives.yaml"))
     assert folder.to_do(jobs) == jobs
@@ -191,6 +195,10 @@ def test_jobs_of_a_finished_sweep_are_done_again_since_haze_is_a_medium_and_for_
     for each in identities:
         assert each["scenario"]["rain"]["haze"] == "medium"
         each["scenario"]["rain"]["haze"] = True
+        rain = each["scenario"]["rain"]
+        rain["wind_m_s"] = msgspec.convert(rain, RainSettings).wind_vector_m_s
+        for name in ("wind_speed_m_s", "wind_from_deg", "turbulence_m_s", "roughness_m"):
+            del rain[name]
     ids = {sha256(msgspec.json.encode(each, order="sorted")).hexdigest()[:20] for each in identities}
     assert ids == {file.stem for file in (SAVED / "sweep/results/rollouts").iterdir()}
 
