@@ -14,7 +14,7 @@ struct DropClass {
 };
 
 layout(std430, binding = 1) readonly buffer Classes {
-    float air_numbers[6];         // as in `DropAir.numbers`
+    float air_numbers[8];         // as in `DropAir.numbers`
     float air_rows[10u * NODES];  // as in `DropAir.rows`
     DropClass drop_classes[];
 };

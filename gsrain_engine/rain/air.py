@@ -69,9 +69,9 @@ class DropAir(NamedTuple):
     wind, of gusts along x, and along y times cosine and sine of x."""
     by_class: Float32[np.ndarray, "classes 3"]
     """Reciprocals of the fall speed and of that plus `GUST_SPEED_M_S`; own offset for each meter of height and step."""
-    numbers: Float32[np.ndarray, "6"]
-    """Height of the lowest face above the ground, height of the cell, wavenumber along x, period, its reciprocal, and
-    the drift's velocity along x."""
+    numbers: Float32[np.ndarray, "8"]
+    """Height of the lowest face above the ground, height of the cell, wavenumber along x, period, its reciprocal, the
+    drift's velocity along x, and the largest magnitudes of the first and third row."""
 
     @property
     def fastest_m_s(self) -> float:
@@ -81,7 +81,9 @@ class DropAir(NamedTuple):
 
 
 CALM = DropAir(
-    np.zeros((10, NODES + 1), np.float32), np.zeros((CLASSES, 3), np.float32), np.array([0, 0, 0, 1, 1, 0], np.float32)
+    np.zeros((10, NODES + 1), np.float32),
+    np.zeros((CLASSES, 3), np.float32),
+    np.array([0, 0, 0, 1, 1, 0, 0, 0], np.float32),
 )
 """Still air."""
 
@@ -150,7 +152,8 @@ class Wind:
         by_class[:, 0] = slow
         by_class[:, 1] = slow / (1 + GUST_SPEED_M_S * slow)
         by_class[:, 2] = -slow * (scales.turbulence_m_s / OWN_STEPS) * follows(1 / slow)
-        numbers = np.array([low, tall, along_x, x, 1 / x, self.drift_m_s[0]], np.float32)
+        reach_of = np.abs(rows[[0, 2]]).max(axis=1)
+        numbers = np.array([low, tall, along_x, x, 1 / x, self.drift_m_s[0], *reach_of], np.float32)
         return DropAir(rows.astype(np.float32), by_class, numbers)
 
     def modes(

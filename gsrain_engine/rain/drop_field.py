@@ -171,7 +171,8 @@ def _mark_class(
 ):
     """Place the drops of a class as `place_drops` does and test them.
 
-    The first loop tests heights alone, branch-free for LLVM's vectorizer; the second all of the drops that are left.
+    The first loop tests heights, and x as far as it is known without a table, branch-free for LLVM's vectorizer; the
+    second tests all of the drops that are left.
     """
     # Copied to locals: the compiler can't prove that writes to `found` leave `geometry` unchanged.
     period_x, period_y, period_z = geometry[0], geometry[1], geometry[2]
@@ -194,11 +195,22 @@ def _mark_class(
         low_x, high_x = camera_x + low_x, camera_x + high_x
         below, above = _bounds(right_z, down_z, ahead_z, left, right, top, bottom, far, margin)
         low_z, high_z = max(low_z, camera_z + below), min(high_z, camera_z + above)
+    uncertain = air_numbers[6] * slow + air_numbers[7] * gust + np.float32(0.01)  # m: by mean wind and gusts
+    first_x = np.float32((low_x - uncertain) / period_x + 0.5)
+    width_x = np.float32((high_x - low_x + 2 * uncertain) / period_x)
+    own_x = own * air_numbers[4]
     for k in range(len(found)):
         i = np.uint32(first + np.uint32(k) * np.uint32(CLASSES))
         _, _, start_z, _ = pcg4d_scalar(i, zero, zero, seed)
-        z = (np.uint32(start_z + moved_z) * half - 0.5) * period_z
-        found[k] = (i < count) & (z >= low_z) & (z <= high_z)
+        fraction_z = np.uint32(start_z + moved_z)
+        z = (fraction_z * half - 0.5) * period_z
+        wrap_z = np.uint32(wraps_z + np.uint32(fraction_z < start_z))
+        start_x, drawn_x, _, _ = pcg4d_scalar(i, wrap_z, one, seed)
+        height = low + np.float32(fraction_z >> np.uint32(8)) * _FRACTION * tall
+        x = np.float32(np.uint32(start_x + moved_x) >> np.uint32(8)) * _FRACTION
+        x = x + np.float32(own_steps(drawn_x)) * own_x * height - first_x
+        x = x - np.floor(x)
+        found[k] = (i < count) & (z >= low_z) & (z <= high_z) & (x <= width_x)
     for k in range(len(found)):
         if not found[k]:
             continue
