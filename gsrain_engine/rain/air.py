@@ -96,7 +96,7 @@ class Wind:
     """At `WIND_HEIGHT_M`, along world x and y."""
     gust_m_s: float = 0.0
     turbulence_m_s: float = 0.0
-    roughness_m: float = 0.1
+    roughness_m: float = 0.3
     seed: int = 0
 
     @property

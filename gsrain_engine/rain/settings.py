@@ -85,7 +85,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ge=0, le=60, title="Wind speed", extra={
             "unit": "m/s", "group": "Wind and seed", "slider_to": 20.0,
             "commands": "render, disdrometer, drive, evaluate streaks"},
-        description="Mean wind at 10 m above the ground; less below (roughness length).")] = 2.5
+        description="Mean wind at 10 m above the ground; less below (roughness length).")] = 2.0
     wind_from_deg: Annotated[float, Meta(
         ge=0, le=360, title="Wind from", extra={
             "unit": "degrees", "option": "wind-from", "group": "Wind and seed",
@@ -101,10 +101,10 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     turbulence_m_s: Annotated[float, Meta(
         ge=0, le=5, title="Turbulence", extra={
             "unit": "m/s", "group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
-        description="RMS of the air's velocity, along each axis, in eddies that move drops one by one.")] = 0.5
+        description="RMS of the air's velocity, along each axis, in eddies that move drops one by one.")] = 0.6
     roughness_m: Annotated[float, Meta(
         ge=0.001, le=2, title="Roughness length", extra={"unit": "m", "group": "Wind and seed", "scale": "log"},
-        description="z_0 of the wind's logarithmic profile: 0.03 grass, 0.1 open land with hedges, 1 town.")] = 0.1
+        description="z_0 of the wind's logarithmic profile: 0.03 grass, 0.3 suburbs, 1 towns.")] = 0.3
 
     calibration: Annotated[str, Meta(
         title="Calibration", extra={"commands": "render, disdrometer"},

@@ -28,7 +28,7 @@ nowhere.ply                                          | nowhere.ply: there is no 
 rendre room.ply                                      | did you mean gsrain render?
 render room.ply                                      | --output
 render nowhere.ply -o a.png                          | nowhere.ply
-render room.ply -o a.png --rain 101                  | --rain: Expected `float` <= 100.0
+render room.ply -o a.png --rain 150                  | --rain: Expected `float` <= 149.0
 render room.ply -o a.png --size 960                  | --size 960: expected WIDTHxHEIGHT
 render room.ply -o a.png --preset drizzle            | preset drizzle
 render room.ply -o a.png --exposure 2                | --exposure must be within

@@ -382,8 +382,8 @@ class _Translator:
         elif self.takes("return"):
             self.return_value(None if self.next == ";" else self.value())
             self.take(";")
-        elif token == "const" or (self.is_type(token) and self.tokens[self.at + 1].text != "("):
-            self.takes("const")
+        elif token in ("const", "precise") or (self.is_type(token) and self.tokens[self.at + 1].text != "("):
+            self.takes(token if token in ("const", "precise") else "const")
             self.local()
         elif not self.takes(";"):
             self.action()

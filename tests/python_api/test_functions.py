@@ -54,7 +54,7 @@ def test_rain_has_short_names_and_all_fields(rain):
     [
         (lambda scene: gr.load("street", up="k"), "up 'k'"),
         (lambda scene: gr.load("street", scale=0), "scale 0"),
-        (lambda scene: gr.Rain(intensity=101), "<= 100.0 - at `intensity`"),
+        (lambda scene: gr.Rain(intensity=150), "<= 149.0 - at `intensity`"),
         (lambda scene: gr.Rain(wind=(99, 0)), "wind must be within -40..40"),
         (lambda scene: gr.Rain(exposure=7.0), "exposure must be within"),
         (lambda scene: gr.Rain(intensty=8), "unknown field `intensty`; did you mean `intensity"),

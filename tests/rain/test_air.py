@@ -41,7 +41,9 @@ def test_the_mean_wind_displaces_drops_by_its_integral():
         none, height = np.zeros(len(classes), np.int32), 6.0 * share
         x = offsets_x(field.where.air, classes, z, none) * field.period_m[0]
         y = offsets_y(field.where.air, classes, z, none, z) * field.period_m[0]
-        passed, _ = quad(lambda h: float(profile(np.array([h]), 0.1)[0]) - wind.drift_share, height, 3.0, limit=200)
+        passed, _ = quad(
+            lambda h: float(profile(np.array([h]), wind.roughness_m)[0]) - wind.drift_share, height, 3.0, limit=200
+        )
         expected = passed / sim.motion.fall_speed_m_s[classes]
         assert x == pytest.approx(6.0 * expected, abs=1e-3)
         assert y == pytest.approx(-4.0 * expected, abs=1e-3)
