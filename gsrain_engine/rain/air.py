@@ -46,6 +46,7 @@ class AirScales(NamedTuple):
 
     wind_m_s: Float64[np.ndarray, "2"]
     """At `WIND_HEIGHT_M`, along x and y."""
+    roughness_m: float
     gust_m_s: float
     turbulence_m_s: float
     slowness_s_m: Float64[np.ndarray, " classes"]
@@ -54,6 +55,7 @@ class AirScales(NamedTuple):
     def toward(self, other: "AirScales", share: float) -> "AirScales":
         return AirScales(
             self.wind_m_s + share * (other.wind_m_s - self.wind_m_s),
+            self.roughness_m + share * (other.roughness_m - self.roughness_m),
             self.gust_m_s + share * (other.gust_m_s - self.gust_m_s),
             self.turbulence_m_s + share * (other.turbulence_m_s - self.turbulence_m_s),
             self.slowness_s_m + share * (other.slowness_s_m - self.slowness_s_m),
@@ -102,7 +104,7 @@ class Wind:
     @property
     def drift_share(self) -> float:
         """Mean wind that carries the lattice, relative to that at 10 m."""
-        return float(profile(np.array([DRIFT_HEIGHT_M]), self.roughness_m)[0])
+        return _drift_share(self.roughness_m)
 
     @property
     def drift_m_s(self) -> Float64[np.ndarray, "2"]:
@@ -111,7 +113,8 @@ class Wind:
 
     def scales(self, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> AirScales:
         slowness = 1 / np.maximum(fall_speed_m_s, _MIN_FALL_M_S)
-        return AirScales(np.asarray(self.mean_m_s, np.float64), self.gust_m_s, self.turbulence_m_s, slowness)
+        wind_m_s = np.asarray(self.mean_m_s, np.float64)
+        return AirScales(wind_m_s, self.roughness_m, self.gust_m_s, self.turbulence_m_s, slowness)
 
     def air(
         self,
@@ -136,7 +139,8 @@ class Wind:
         height = low + tall / NODES * np.arange(NODES + 1)
         rows = np.zeros((10, NODES + 1))
         # A drop falls by dz while the wind carries it by (u - u_drift) dz / v.
-        below = _profile_integral(height, self.roughness_m) - self.drift_share * (height - DRIFT_HEIGHT_M)
+        below = _profile_integral(height, scales.roughness_m)
+        below -= _drift_share(scales.roughness_m) * (height - DRIFT_HEIGHT_M)
         rows[0:2] = -scales.wind_m_s[:, None] * below
         rows[5:7] = np.asarray(self.mean_m_s)[:, None] * profile(height, self.roughness_m)
         along_x = 2 * np.pi / max(GUST_LENGTH_M, _MIN_PERIODS * max(x, y))
@@ -186,6 +190,10 @@ def profile(height_m: Float64[np.ndarray, " n"], roughness_m: float) -> Float64[
     u(z) / u(10 m) = ln(z / z_0) / ln(10 m / z_0), and 0 below the roughness length z_0 (Stull 1988, section 9.7).
     """
     return np.log(np.maximum(height_m, roughness_m) / roughness_m) / np.log(WIND_HEIGHT_M / roughness_m)
+
+
+def _drift_share(roughness_m: float) -> float:
+    return float(profile(np.array([DRIFT_HEIGHT_M]), roughness_m)[0])
 
 
 def _profile_integral(height_m: Float64[np.ndarray, " n"], roughness_m: float) -> Float64[np.ndarray, " n"]:
