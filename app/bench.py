@@ -64,8 +64,11 @@ def render(
     backends: Annotated[str | None, option("auto, cpu, opengl, cuda, with commas; default: all but cuda.")] = None,
     sizes: Annotated[str, option("WIDTHxHEIGHT,... in pixels.")] = "960x640",
     rain: Annotated[
-        str, setting(RainSettings, "intensity_mm_h", "Several with commas; the rest is that of the preset paper.")
+        str, setting(RainSettings, "intensity_mm_h", "Several with commas; the rest is the preset's.")
     ] = "0,8.5",
+    preset: Annotated[
+        str, option("Rain preset (paper, 8.5, ...), a preset file, or default for the defaults.")
+    ] = "paper",
     frames: Annotated[int, option("Timed frames, after two untimed ones.")] = 20,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
@@ -73,7 +76,8 @@ def render(
     check_writable(json)
     check_within("--frames", frames, 1, 10_000)
     resolutions = [parse_size(each, "--sizes") for each in split_list("--sizes", sizes)]
-    simulations = [_simulation(each) for each in split_list("--rain", rain)]
+    settings = RainSettings() if preset == "default" else load_preset(preset)
+    simulations = [_simulation(each, settings) for each in split_list("--rain", rain)]
     names = split_list("--scenes", scenes)
     rows: list[dict[str, Any]] = []
     with ExitStack() as stack:
@@ -91,7 +95,12 @@ def render(
                     rows += [{**row, "backend": backend} for row in time_frames(renderer, sequences, frames)]
                     advance()
     random_rows = [row for row in rows if is_random_scene(row["scene"]) and row["intensity_mm_h"] == 0]
-    numbers = {"rows": rows, "fits": lines_over_gaussians(random_rows), "rain_costs": rain_costs(rows)}
+    numbers: dict[str, Any] = {
+        "preset": preset,
+        "rows": rows,
+        "fits": lines_over_gaussians(random_rows),
+        "rain_costs": rain_costs(rows),
+    }
     numbers["machine"] = describe_machine() | {"devices": devices}
     _print(rows, numbers, Console(file=table_stream(json), width=_COLUMNS))
     write_numbers(json, numbers)
@@ -201,10 +210,10 @@ def timed_scene(name: str) -> Scene:
     return random_scene(name) if is_random_scene(name) else load_scene(name)
 
 
-def _simulation(intensity: str) -> RainSimulation:
+def _simulation(intensity: str, settings: RainSettings) -> RainSimulation:
     if not re.fullmatch(r"\d+(\.\d*)?", intensity):
         raise ValueError(f"--rain {intensity}: expected intensities in mm/h such as 0,8.5")
-    values = msgspec.to_builtins(load_preset("paper")) | {"intensity_mm_h": float(intensity)}
+    values = msgspec.to_builtins(settings) | {"intensity_mm_h": float(intensity)}
     return RainSimulation.start(converted_options(values, RainSettings))
 
 

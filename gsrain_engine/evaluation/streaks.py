@@ -105,7 +105,7 @@ def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: f
     values = np.where(found.still, np.float32(sign) * found.values[number], np.float32(0))
     normalized = values / found.sigma
     z = np.full(values.shape, -np.inf, np.float32)  # the largest mean along a short line over all directions
-    for kernel in _line_kernels():
+    for kernel in line_kernels():
         np.maximum(z, cv2.filter2D(normalized, -1, kernel), out=z)
     quiet = z[found.still]
     middle = float(np.median(quiet))
@@ -139,7 +139,7 @@ def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: f
 
 
 @cache
-def _line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
+def line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
     reach = LINE_PX // 2
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     kernels: list[Float32[np.ndarray, "k k"]] = []

@@ -1,6 +1,7 @@
-"""Video output with PyAV: H.264 or AV1 in MP4, VP9 or AV1 in WebM; deterministic, and playable if interrupted."""
+"""Videos with PyAV: H.264 or AV1 in MP4, VP9 or AV1 in WebM; deterministic, and playable if interrupted."""
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from fractions import Fraction
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from ..safe_io.limits import open_file
 from .export_settings import DEFAULT_QUALITY
 
 SUFFIXES = (".mp4", ".webm")
@@ -38,6 +40,32 @@ def can_write_videos() -> bool:
     return find_spec("av") is not None
 
 
+def read_video(path: Path) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    """Decode the frames of a video as display color (RGB). Raises `ValueError` for a file that isn't one."""
+    av = _imported(path)
+    with open_file(path) as file:
+        try:
+            with av.open(file, metadata_errors="ignore") as container:
+                if not container.streams.video:
+                    raise ValueError(f"{path}: no video in it")
+                for frame in container.decode(container.streams.video[0]):
+                    yield frame.to_ndarray(format="rgb24")
+        except av.FFmpegError as error:
+            raise ValueError(f"{path}: not a readable video ({error.strerror})") from None
+
+
+def _imported(path: Path) -> Any:
+    """PyAV, imported lazily: PyInstaller builds omit it, since its wheel contains encoders under the GPL."""
+    try:
+        import av
+    except ImportError as error:
+        raise ValueError(
+            f"{path}: videos need PyAV, which is not here (pip install av; a frozen program never has it); "
+            "a folder of pictures or .exr goes without"
+        ) from error
+    return av
+
+
 class VideoWriter:
     """Writes frames of one size. Use it in a `with` block, which finalizes the file, also after an exception."""
 
@@ -56,14 +84,7 @@ class VideoWriter:
             raise ValueError(f"{path}: {suffix} holds {' or '.join(_CODECS[suffix])}, not {codec}")
         if width % 2 or height % 2:
             raise ValueError(f"{path}: a video needs an even width and height, got {width}x{height}")
-        try:
-            import av  # lazily: PyInstaller builds omit it, since its wheel contains encoders under the GPL
-        except ImportError as error:
-            raise ValueError(
-                f"{path}: videos need PyAV, which is not here (pip install av; a frozen program never has it); "
-                "a folder of pictures or .exr goes without"
-            ) from error
-        self._av: Any = av
+        self._av: Any = _imported(path)
         codec = codec or _CODECS[suffix][0]
         encoder, options = _ENCODERS[codec]
         options = {"crf": str(DEFAULT_QUALITY[codec] if quality is None else quality), **options}

@@ -547,6 +547,7 @@ gsrain evaluate consistency full no-normals no-attention --contact-sheet ablatio
 """
 EVALUATIONS = {
     "streaks": ("app.evaluate.streaks:streaks", "Compare rendered rain streaks with real ones."),
+    "rain-gauge": ("app.evaluate.rain_gauge:rain_gauge", "Rain rate in frames of a static camera, by their streaks."),
     "consistency": ("app.evaluate.consistency:consistency", _CONSISTENCY),
     "fid": ("app.evaluate.images:fid", "FID and KID of images to real ones, with confidence intervals."),
     "transfers": ("app.evaluate.transfers:transfers", "Compare transfers, as the paper does: table and figure."),

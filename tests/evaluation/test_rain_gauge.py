@@ -1,0 +1,70 @@
+"""The rain gauge reads the rate that was set from frames alone; single drops give width, length and area."""
+
+import numpy as np
+import pytest
+
+from gsrain_engine.evaluation.rain_gauge import light_residuals, measure_rain_rate
+from gsrain_engine.evaluation.streaks import render_rain_frames
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.geometry import linear_to_srgb
+
+WIDTH, HEIGHT, FOCAL_PX = 960, 600, 960.0
+SHUTTER_S, ZENITH = 0.002, 0.85
+EYE = np.array([0.0, 0.0, 1.5])
+CAMERA = Camera.from_fov(
+    WIDTH,
+    HEIGHT,
+    2 * np.degrees(np.arctan(HEIGHT / 2 / FOCAL_PX)),
+    look_at(EYE, EYE + [1, 0, 0], np.array([0, 0, 1.0])),
+)
+FALL_SPEED = load_calibration("published").velocity
+
+
+def backdrop():
+    """CIE's overcast sky over dark walls with windows, in gray levels."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    up = HEIGHT / 2 - y
+    sine = up / np.sqrt(up**2 + (x - WIDTH / 2) ** 2 + FOCAL_PX**2)
+    sky = 255 * linear_to_srgb(ZENITH * (1 + 2 * np.maximum(sine, 0)) / 3)
+    return np.where(y < HEIGHT // 4, sky, 40 + 25 * ((x // 40 + y // 60) % 3)).astype(np.uint8)
+
+
+def rain_frames(number, **rain):
+    falling = RainSimulation.start(RainSettings(exposure_s=SHUTTER_S, haze="none", **rain))
+    drop = 255 * float(linear_to_srgb(np.array(2 / 3 * ZENITH)))
+    noise = np.full((HEIGHT, WIDTH), 0.8, np.float32)
+    times = [0.2 * k for k in range(number)]
+    return np.stack(list(render_rain_frames(backdrop(), noise, CAMERA, falling, times, drop)))
+
+
+@pytest.mark.parametrize(("rate", "aperture_mm"), [(2.5, 0.0), (10.0, 3.0), (40.0, 0.0)])
+def test_the_rate_that_was_set_is_read(rate, aperture_mm):
+    lens = {"aperture_mm": aperture_mm, "focus_distance_m": 1000.0}
+    found = measure_rain_rate(rain_frames(20, intensity_mm_h=rate, **lens), FOCAL_PX, SHUTTER_S, FALL_SPEED)
+    assert found.intensity_mm_h == pytest.approx(rate, rel=0.25)
+    assert found.streaks > 100
+    assert found.drop_light == pytest.approx(2 / 3 * ZENITH, rel=0.02)
+    assert found.error_mm_h == pytest.approx(found.intensity_mm_h / np.sqrt(found.streaks))
+
+
+def test_color_reads_as_gray_does():
+    frames = rain_frames(8, intensity_mm_h=10.0)
+    gray = measure_rain_rate(frames, FOCAL_PX, SHUTTER_S, FALL_SPEED)
+    color = measure_rain_rate(np.repeat(frames[..., None], 3, axis=3), FOCAL_PX, SHUTTER_S, FALL_SPEED)
+    assert color.intensity_mm_h == pytest.approx(gray.intensity_mm_h, rel=1e-3)
+
+
+def test_without_rain_there_is_no_reading():
+    with pytest.raises(ValueError, match="streaks: too few"):
+        measure_rain_rate(rain_frames(8, intensity_mm_h=0.0), FOCAL_PX, SHUTTER_S, FALL_SPEED)
+
+
+def test_frames_without_sky_or_too_few_are_refused():
+    frames = rain_frames(8, intensity_mm_h=10.0)
+    with pytest.raises(ValueError, match="no sky"):
+        measure_rain_rate(frames[:, HEIGHT // 2 :], FOCAL_PX, SHUTTER_S, FALL_SPEED)
+    with pytest.raises(ValueError, match="4 frames"):
+        light_residuals(frames[:4])
