@@ -86,7 +86,7 @@ def measure_rain_rate(
     near: 0.1 s. Raises ValueError for fewer than 5 frames, without sky at their top, and for fewer than 20 streaks.
     """
     found = light_residuals(frames)
-    drop_light = drop_light_of(found, focal_px)
+    drop_light = drop_light_of(found)
     streaks = _Streaks.of(found)
     areas = _OpenAreas(found.still & (found.background < _MAX_BACKGROUND * drop_light))
     streaks = streaks[areas.are_open(streaks.center_px, streaks.half_box_px)]
@@ -125,29 +125,22 @@ def _luminance(linear: Float32[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "h 
     return linear @ _LUMINANCE if linear.ndim == 3 else linear
 
 
-def drop_light_of(found: LightResiduals, focal_px: float) -> float:
+def drop_light_of(found: LightResiduals) -> float:
     """Linear luminance of a drop: the mean radiance of the sky, which it refracts (Garg and Nayar 2007).
 
-    The sky is what is bright and connected to the top of the frames. CIE's overcast sky, L(e) = L_z (1 + 2 sin e) / 3
-    at the elevation e, is fitted to it; its mean over the hemisphere is 2/3 L_z. Raises ValueError without sky.
+    The sky is what is bright and connected to the top of the frames. Raises `ValueError` if hardly any is there.
     """
     background = found.background
-    height, width = background.shape
-    _, labels = cv2.connectedComponents(
-        (background > max(0.5 * float(np.quantile(background, 0.99)), _DARKEST_SKY)).astype(np.uint8)
-    )
+    darkest = max(_SKY_SHARE * float(np.quantile(background, 0.99)), _DARKEST_SKY)
+    _, labels = cv2.connectedComponents((background > darkest).astype(np.uint8))
     sky = (labels > 0) & np.isin(labels, np.unique(labels[0]))
-    y, x = np.nonzero(sky)
-    up = (height - 1) / 2 - y
-    sine = up / np.sqrt(up**2 + (x - (width - 1) / 2) ** 2 + focal_px**2)
-    above = sine > 0
-    if np.count_nonzero(above) < _MIN_SKY_SHARE * background.size:
+    if sky.mean() < _MIN_SKY_SHARE:
         raise ValueError("no sky at the top of the frames: the light of drops can't be read from them")
-    law = (1 + 2 * sine[above]) / 3
-    return 2 / 3 * float(background[sky][above] @ law / (law @ law))
+    return float(background[sky].mean())
 
 
 _MIN_SKY_SHARE, _DARKEST_SKY = 0.01, 0.15  # of all pixels; linear luminance, gray 108 of 255
+_SKY_SHARE = 0.8  # of the brightest light, above which a pixel may be of the sky: light walls are darker
 
 
 def _diameter_mm(slowness_per_s: float, fall_speed: FallSpeed) -> float:
