@@ -11,9 +11,10 @@ from ...scene.formats.hugsim import hugsim_files, is_vehicle_folder, read_hugsim
 from ...scene.formats.registry import read_gaussians
 from ...scene.gaussians import Gaussians
 from ...scene.scene import Scene, robust_bounds
-from ...scene.street.build import Daylight, quads_to_gaussians
+from ...scene.street.build import quads_to_gaussians
 from ...scene.street.cars import CAR_FORMS, TRUCK_FORM, build_car, vehicle_shadow
 from ...scene.street.layout import CarShape, Color, ParkedTruck, StreetParameters
+from ...scene.street.lighting import Illumination
 from ...scene.street.mesh import Quads
 from ...scene.street.trucks import build_truck
 
@@ -111,7 +112,7 @@ def _in_shadow(path: Path, standing: Gaussians, size_lwh_m: tuple[float, float, 
             f"{path}: {length:.3g} x {width:.3g} x {height:.3g} m is no road user's size; a model is in meters, each "
             f"side {_MIN_M:g} to {_MAX_M:g} m"
         )
-    shadow = quads_to_gaussians(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
+    shadow = quads_to_gaussians(vehicle_shadow(length, width), Illumination.over(StreetParameters()))
     return VehicleModel(Gaussians.concatenate([shadow, standing]), size_lwh_m)
 
 
@@ -151,5 +152,5 @@ def built_in_vehicle(name: str) -> VehicleModel | None:
         shape: CarShape = next(each for each in CAR_FORMS if each == kind)
         form, body = CAR_FORMS[shape], build_car(shape, color)
     quads = Quads.joined([vehicle_shadow(form.length, form.width), body])
-    gaussians = quads_to_gaussians(quads, Daylight.over(StreetParameters()))
+    gaussians = quads_to_gaussians(quads, Illumination.over(StreetParameters()))
     return VehicleModel(gaussians, (form.length, form.width, form.height))
