@@ -46,7 +46,7 @@ OLD_OPTIONS = {
 
 _CHOICES = {
     "haze": ({"medium", "gaussians", "none"}, "medium", "none"),
-    "clear-pair": ({"sunny", "overcast"}, "sunny", "false"),
+    "clear-pair": ({"none", "sunny", "overcast"}, "sunny", "none"),
 }
 """Words after an option, what it is alone, and what --no- makes of it."""
 

@@ -75,9 +75,7 @@ def test_values_of_the_drop_density_have_old_names_too(words):
         ("render --twin -o a.png", {"recording": {"output": "a.png", "twin": "sunny"}}),
         ("render -o a.png --clear-pair overcast", {"recording": {"output": "a.png", "twin": "overcast"}}),
         ("render -o a.png --twin=overcast", {"recording": {"output": "a.png", "twin": "overcast"}}),
-        ("render -o a.png --no-clear-pair", {"recording": {"output": "a.png", "twin": False}}),
-        ("render -o a.png --wet", {"wet": True}),
-        ("render -o a.png --no-wet", {"wet": False}),
+        ("render -o a.png --no-clear-pair", {"recording": {"output": "a.png", "twin": "none"}}),
         ("render --haze -o a.png", {"rain": {"haze": "medium"}}),
         ("render -o a.png --haze gaussians", {"rain": {"haze": "gaussians"}}),
         ("render -o a.png --haze=none", {"rain": {"haze": "none"}}),
@@ -104,3 +102,11 @@ def test_no_option_takes_nan_however_deep_it_stands():
     ):  # fmt: skip
         with pytest.raises(ValueError, match=words):
             reject_non_finite(None, value)
+
+
+@pytest.mark.parametrize(("line", "wet"), [("", None), ("--wet", True), ("--no-wet", False)])
+@pytest.mark.parametrize("command", ["render", "drive", "evaluate detection --detector a.onnx"])
+def test_wet_has_three_states(command, line, wet):
+    words = f"{command} {line} -o a.png".split()
+    _, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
+    assert bound.arguments.get("wet") is wet

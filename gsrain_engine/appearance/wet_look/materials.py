@@ -14,7 +14,7 @@ from .settings import WetSettings
 
 WHITE = 0.9
 """Albedo of white pixels."""
-SOAKING_OF_GROUND, SOAKING_OF_PLANTS, SOAKING_OF_WALLS, SOAKING_OF_VEHICLES = 1.0, 0.35, 0.3, 0.0
+SOAKING_OF_GROUND, SOAKING_OF_PLANTS, SOAKING_OF_WALLS, SOAKING_OF_VEHICLES = 1.0, 0.55, 0.55, 0.0
 """Share of the change of porous ground per class; leaves and paint hold water on them, not in them."""
 PLANT_SATURATION = 0.25
 """Increase in saturation of leaves and grass: a water film scatters less white light than their wax and dust."""

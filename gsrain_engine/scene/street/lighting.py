@@ -42,7 +42,7 @@ class Lighting:
     mirrored_sun: Float64[np.ndarray, "3"]
     """Added for a reflection towards the sun."""
 
-    def display(self, light: Float[np.ndarray, "*n 3"], albedo: Any = 1.0) -> Float64[np.ndarray, "*n 3"]:
+    def display(self, light: Float[np.ndarray, "*n 3"], albedo: Any = 1.0) -> Float[np.ndarray, "*n 3"]:
         """Display color of surfaces in a light: highlights are compressed as by film."""
         return linear_to_srgb(1 - np.exp(-self.exposure * light * albedo))
 

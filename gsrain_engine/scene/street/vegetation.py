@@ -272,7 +272,7 @@ def overcast_luminance(rise: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n
     return (1 + 2 * np.clip(rise, 0, 1).astype(np.float64)) / 3
 
 
-OVERCAST_ZENITH = 2.3
+OVERCAST_ZENITH = 2.0
 """Luminance of the overcast sky's zenith, relative to a camera's white: the camera is exposed for the street."""
 _CLOUD_GRAY = np.array([0.965, 1.0, 1.035])
 

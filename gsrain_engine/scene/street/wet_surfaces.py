@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64
 
 from ..gaussians import sh_basis
 from ..water_surface import WATER_INDEX, reflectance, unshadowed, wet_albedo
@@ -77,7 +77,7 @@ def reflecting(quads: Quads) -> Bool[np.ndarray, " n"]:
 
 def puddles(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     """Share of standing water, 0..1: in hollows of wheel tracks, along curbs, and here and there on the pavement."""
-    edge = np.clip((_water_depth(layout, points) - 0.63) / 0.09, 0, 1)
+    edge = np.clip((_water_depth(layout, points) - 0.61) / 0.05, 0, 1)
     return edge * edge * (3 - 2 * edge)
 
 
@@ -225,7 +225,7 @@ def _surroundings(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> F
     rises = np.radians(_RISES_DEG).astype(np.float32)
     sky = (OVERCAST_ZENITH * overcast_luminance(np.sin(rises))).astype(np.float32)
     top, wall, reach = _houses(layout, p, c, s)
-    covered = np.clip((top[..., None] - rises) / np.radians(1.5) + 0.5, 0, 1)[..., None]
+    covered = np.clip((top[..., None] - rises) / np.radians(1.5) + 0.5, 0, 1)[..., None].astype(np.float32)
     light = covered * wall[:, :, None] + (1 - covered) * sky[:, None]
     for tree in layout.trees:
         middle, half = crown_middle(tree)
@@ -255,7 +255,7 @@ def _cover(
     light: Float32[np.ndarray, "n a e 3"],
     i: np.ndarray,
     k: np.ndarray,
-    share: Float32[np.ndarray, "m e"],
+    share: Float[np.ndarray, "m e"],
     color: Float32[np.ndarray, "3"],
 ) -> None:
     light[i, k] += share[..., None].astype(np.float32) * (color - light[i, k])

@@ -165,7 +165,7 @@ def test_a_long_street_is_lit_in_sections_as_in_one_piece(monkeypatch: pytest.Mo
     chosen = quads.take((quads.centers[:, 0] > 400) & (quads.centers[:, 0] < 640))
     light = Illumination.over(layout.parameters, layout)
     in_sections = light.display_colors(chosen, chosen.centers)
-    monkeypatch.setattr("gsrain_engine.scene.street.build._SECTION_M", 2000.0)
+    monkeypatch.setattr("gsrain_engine.scene.street.lighting._SECTION_M", 2000.0)
     np.testing.assert_array_equal(in_sections, light.display_colors(chosen, chosen.centers))
 
 
