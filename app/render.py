@@ -1,5 +1,6 @@
 """`gsrain render SCENE -o OUT`: images and videos without a window."""
 
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -166,7 +167,7 @@ def rainy_light(scene: Scene, rain: RainSettings, wet: bool | None, heaviest_mm_
         scene = run_with_progress(cached_wet_scene(scene))
     rain = with_wet_choice(rain, wet)
     if (line := missing_wet_colors(scene, rain, heaviest_mm_h)) is not None:
-        print(line)
+        print(line, file=sys.stderr)
     return scene, rain
 
 
