@@ -130,7 +130,9 @@ class _Run:
 
     def render(self, number: int, *, counts: bool) -> None:
         sequence, shot = self.sequence, self.sequence.shot(number)
-        parts = sequence.scene.parts(shot.time_s, wetness=sequence.rainfall.wetness_at(shot.time_s))
+        rain = sequence.rainfall
+        wetness, overcast = rain.wetness_at(shot.time_s), rain.overcast_at(shot.time_s)
+        parts = sequence.scene.parts(shot.time_s, wetness=wetness, overcast=overcast)
         start = time.perf_counter()
         falling = sequence.rainfall.frame(shot.time_s, rain_camera(sequence.scene, sequence.rainfall, shot), self.sky)
         rained = time.perf_counter()

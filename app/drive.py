@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluation.report import write_report
+from gsrain_engine.rain.rainy_light import with_wet_choice
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
@@ -60,7 +61,7 @@ from .options import (
     split_words,
 )
 from .outputs import check_writable, lock_outputs, provenance_lines, run_provenance, write_numbers, write_text
-from .render import wet_look
+from .render import rainy_light
 
 EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
 """Other formats of a run, and the package that writes each."""
@@ -166,7 +167,7 @@ def drive(
     weather: WeatherOptions | None = None,
     preset: Preset = None,
     run: RunOptions | None = None,
-    wet: Wet = False,
+    wet: Wet = None,
     output: Annotated[Path | None, option("Output folder; default: drive-NAME.", "--output", "-o")] = None,
     video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
     fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
@@ -196,7 +197,10 @@ def drive(
         agents = stack.enter_context(options.opened())  # before the scene, which takes longer to read
         hashed = scene_hash(test.scene)
         opened = load_sorted_scene(test.scene)
-        test, opened = options.fitted(test, wet_look(opened) if wet else opened)
+        heaviest = max(rains, key=lambda each: each.intensity_mm_h)
+        opened, _ = rainy_light(opened, heaviest, wet, heaviest.intensity_mm_h)
+        rains = [with_wet_choice(each, wet) for each in rains]
+        test, opened = options.fitted(test, opened)
         can_film = can_write_videos() and bool(opened.rigs)
         films = video if video is not None else len(agents) * len(rains) == 1 and can_film
         if films and not opened.rigs:

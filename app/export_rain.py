@@ -73,11 +73,11 @@ def _export_gaussians(
     shot = sequence.shot(0)
     with open_renderer("cpu") as renderer:
         sky = sequence.sky(renderer)
-    wetness = simulation.wetness_at(shot.time_s)
-    frame = simulation.frame(shot.time_s, rain_camera(scene, simulation, shot), sky.at(wetness))
+    wetness, overcast = simulation.wetness_at(shot.time_s), simulation.overcast_at(shot.time_s)
+    frame = simulation.frame(shot.time_s, rain_camera(scene, simulation, shot), sky.at(overcast))
     found = transform_gaussians(frame.gaussians, world_to_file())
     if with_scene:
-        found = Gaussians.concatenate([flatten_scene(with_wetness_baked(scene, wetness), shot.time_s), found])
+        found = Gaussians.concatenate([flatten_scene(with_wetness_baked(scene, wetness, overcast), shot.time_s), found])
     lock_outputs(output)
     write_gaussians(found, output)
     streaks, haze = len(frame.streaks), len(frame.haze)

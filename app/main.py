@@ -22,7 +22,7 @@ from gsrain_engine.scene.files import sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
 from .console import Console, console_log, use_any_encoding
-from .options import JsonFileOrScreen, Preset, flag, has_display, option, parse_whole_numbers, reject_non_finite
+from .options import JsonFileOrScreen, Preset, Wet, has_display, option, parse_whole_numbers, reject_non_finite
 from .outputs import check_writable, release_outputs, table_stream, write_numbers
 
 if TYPE_CHECKING:
@@ -44,7 +44,11 @@ OLD_OPTIONS = {
 }
 """Options of version 0.1 and their names of today, by command."""
 
-_HAZES = ["medium"], ["gaussians"], ["none"]  # words after --haze; alone it is the medium
+_CHOICES = {
+    "haze": ({"medium", "gaussians", "none"}, "medium", "none"),
+    "clear-pair": ({"none", "sunny", "overcast"}, "sunny", "none"),
+}
+"""Words after an option, what it is alone, and what --no- makes of it."""
 
 app = App(
     name="gsrain",
@@ -61,7 +65,7 @@ def view(
     /,
     *,
     preset: Preset = None,
-    wet: Annotated[bool, flag("Start with the wet look, as its panel does.")] = False,
+    wet: Wet = None,
     backend: Annotated[
         Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"],
         option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU."),
@@ -197,11 +201,12 @@ def renamed_options(arguments: Sequence[str]) -> Iterator[str]:
         if argument == "--":
             yield from arguments[number:]
             return
-        if argument == "--no-haze" or (argument == "--haze" and arguments[number + 1 : number + 2] not in _HAZES):
-            yield f"--haze={'none' if argument == '--no-haze' else 'medium'}"
-            continue
         option = re.fullmatch(r"--(no-)?([\w-]+)(=.*)?", argument, re.DOTALL)
-        name = names.get(option[2]) if option else None
+        name = names.get(option[2], option[2]) if option else None
+        words, alone, negative = _CHOICES.get(name or "", (set[str](), "", ""))
+        if option and words and not option[3] and (option[1] or not words & set(arguments[number + 1 : number + 2])):
+            yield f"--{name}={negative if option[1] else alone}"
+            continue
         yield f"--{option[1] or ''}{name}{option[3] or ''}" if option and name else argument
 
 

@@ -42,7 +42,13 @@ AllowOutside = Annotated[
     bool, flag("Read files that a capture's own files name outside of its folder: absolute, by .., or through links.")
 ]
 Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")]
-Wet = Annotated[bool, option("Compute wet colors of the scene first, as the wet look of the window does.")]
+Wet = Annotated[
+    bool | None,
+    option(
+        "Overcast light and wet colors in rain above 0.3 mm/h; computed first, and kept, if the scene has none. "
+        "--no-wet is as lit. Default: where the scene has them."
+    ),
+]
 BACKEND = option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU.")
 
 

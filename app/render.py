@@ -1,5 +1,6 @@
 """`gsrain render SCENE -o OUT`: images and videos without a window."""
 
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +14,9 @@ from msgspec import structs
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
-from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes
 from gsrain_engine.rain.properties import RainProperties
+from gsrain_engine.rain.rainy_light import missing_wet_colors, with_wet_choice
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.streaks import visible_distance_m
@@ -88,7 +90,7 @@ def render(
         str | None, option("Image with these intensities (0,1.2,8.5,12) below each other, and what is seen of each.")
     ] = None,
     mode: Annotated[RenderMode, option("splats for the image; others show the scene without rain.")] = "splats",
-    wet: Wet = False,
+    wet: Wet = None,
     orientation: Orientation | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
@@ -109,12 +111,12 @@ def render(
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
-    settings = rain_options.for_scene(opened)
-    if wet:
-        opened = wet_look(opened)
-        if intensities is None and settings.wetness is None:  # on a sheet, each intensity has its own
-            settings = structs.replace(settings, wetness=1.0)
-    simulation = RainSimulation.start(settings, weather=rendered_weather(rain_options, opened))
+    settings, weather = rain_options.for_scene(opened), rendered_weather(rain_options, opened)
+    heaviest = max(intensities or [(weather or NO_KEYFRAMES).heaviest_mm_h(settings)])
+    opened, settings = rainy_light(opened, settings, wet, heaviest)
+    if wet and heaviest == 0 and settings.wetness is None:  # asked for without rain: soaked
+        settings = structs.replace(settings, wetness=1.0)
+    simulation = RainSimulation.start(settings, weather=weather)
     is_own_path = camera is None and camera_path is None and opened.path is not None
     viewpoint = viewpoint_of(opened, camera, camera_path, export, is_frame=frame is not None)
     timing = _timing(opened, viewpoint, camera_path, export, speed)
@@ -154,11 +156,19 @@ def render(
     return 0 if report["frames"] == len(numbers) else 130
 
 
-def wet_look(scene: Scene) -> Scene:
-    """Compute wet colors of a scene, with a progress bar."""
-    from gsrain_engine.recolor.recolor import wet_scene  # kernels take a second to load
+def rainy_light(scene: Scene, rain: RainSettings, wet: bool | None, heaviest_mm_h: float) -> tuple[Scene, RainSettings]:
+    """Return scene and rain with the choice of --wet; computes wet colors if they are asked for and missing.
 
-    return run_with_progress(wet_scene(scene))
+    Prints how to get them if it rains on a scene without any.
+    """
+    if wet and not scene.has_rainy_light:
+        from gsrain_engine.recolor.cached_colors import cached_wet_scene  # kernels take a second to load
+
+        scene = run_with_progress(cached_wet_scene(scene))
+    rain = with_wet_choice(rain, wet)
+    if (line := missing_wet_colors(scene, rain, heaviest_mm_h)) is not None:
+        print(line, file=sys.stderr)
+    return scene, rain
 
 
 _KEYED_OPTIONS: dict[Keyed, tuple[str, ...]] = {
@@ -264,7 +274,7 @@ def _extinction(renderer: Renderer, sequence: FrameSequence, time_s: float) -> d
     beta, rain = simulation.state.extinction_per_m, simulation.rain
     airlight: list[float] | None = None
     if beta > 0 and rain.haze == "medium":
-        sky = rain.drop_color or sequence.sky(renderer).at(sequence.rainfall.wetness_at(time_s))
+        sky = rain.drop_color or sequence.sky(renderer).at(sequence.rainfall.overcast_at(time_s))
         airlight = srgb_to_linear(np.array(sky)).tolist()
     return {
         "extinction_per_m": beta,

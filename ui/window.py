@@ -51,14 +51,19 @@ _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasa
 _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
 
 
-def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool = False) -> "Editor":
-    """Create an editor that opens a scene (None is the built-in street) in the background, and makes it rainy if `wet`.
+def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool | None = None) -> "Editor":
+    """Create an editor that opens a scene (None is the built-in street) in the background.
+
+    `wet` makes wet colors if the scene has none; False shows it as lit in any rain.
 
     After a lost graphics context it continues with the state of the previous window. Loads the engine.
     """
     from gsrain_engine.editor.editor import Editor
     from gsrain_engine.editor.jobs.folder import remove_abandoned_job_folders
+    from gsrain_engine.rain.rainy_light import with_wet_choice
+    from gsrain_engine.rain.settings import RainSettings
 
+    rain = rain if wet is not False else with_wet_choice(rain or RainSettings(), wet)
     editor, restarts = Editor(rain=rain), _TIMES in os.environ
     autosave, left = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")
     if restarts and autosave:

@@ -62,7 +62,7 @@ from ..options import (
     setting,
 )
 from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
-from ..render import wet_look
+from ..render import rainy_light
 from ..scene import missing_source, names_scene
 
 _COLUMNS = 150
@@ -94,7 +94,7 @@ def detection(
     views: ViewOptions | None = None,
     capture: Annotated[Path | None, option("Capture of the scene, whose images are tested too.")] = None,
     truth: Annotated[Path | None, option("COCO file with ground truth of the capture; default: its 3D boxes.")] = None,
-    wet: Wet = False,
+    wet: Wet = None,
     preset: Preset = None,
     weather: WeatherOptions | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
@@ -128,8 +128,9 @@ def detection(
     _check_inputs(detector, truth, (source, capture))
     detectors = _detectors(detector, texts)
     chosen = DetectionSource(
-        source, capture, truth, frames, first, last, view_choice.sensors, view_choice.width_px, wet
-    )
+        source, capture, truth, frames, first, last, view_choice.sensors, view_choice.width_px, wet,
+        max(intensities),
+    )  # fmt: skip
     base = load_preset(preset) if preset is not None else RainSettings()
     with open_renderer(backend) as renderer:
         prepared = opened_source(renderer, chosen, (weather or WeatherOptions()).settings(base))
@@ -220,12 +221,12 @@ _PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless"
 
 
 def open_cache(
-    folder: Path, source: PreparedSource, detectors: _Detectors, backend: str, is_wet: bool
+    folder: Path, source: PreparedSource, detectors: _Detectors, backend: str, wet: bool | None
 ) -> evaluation.ResultCache:
     """Open the cached results in a folder, and report how many of an earlier run are still valid."""
     inputs = {
         "inputs": source.inputs,
-        "wet": is_wet,
+        "wet": wet,
         "rain": msgspec.to_builtins(source.pictures.rain),
         "sky": msgspec.to_builtins(source.pictures.sky),
         "rain_before_pictures": source.pictures.is_in_front,
@@ -526,7 +527,8 @@ class DetectionSource:
     last_s: float | None
     cameras: tuple[str, ...]
     width_px: int
-    is_wet: bool
+    wet: bool | None
+    heaviest_mm_h: float
 
 
 def opened_source(renderer: Renderer, choice: DetectionSource, rain: RainSettings) -> PreparedSource:
@@ -535,15 +537,14 @@ def opened_source(renderer: Renderer, choice: DetectionSource, rain: RainSetting
         return _of_scene(renderer, choice, rain)
     if choice.capture is not None:
         raise ValueError(f"--capture: {choice.source} is a capture itself")
-    if choice.is_wet:
+    if choice.wet:
         raise ValueError(f"--wet: {choice.source} is a capture; gsrain reconstruct makes a scene of it")
     return _of_capture(renderer, choice, rain)
 
 
 def _of_scene(renderer: Renderer, choice: DetectionSource, rain: RainSettings) -> PreparedSource:
     scene = load_sorted_scene(choice.source)
-    if choice.is_wet:
-        scene = wet_look(scene)
+    scene, rain = rainy_light(scene, rain, choice.wet, choice.heaviest_mm_h)
     if choice.capture is not None:
         capture = _chosen(open_capture(choice.capture), choice)
         placed = chosen_cameras(scene, ViewChoice(source="recorded", width_px=choice.width_px), capture)

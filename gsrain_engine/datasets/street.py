@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
 from ..scene.camera import Camera
-from ..scene.street.build import Daylight, StreetSurfaces, displayed_colors, lead_track, street_surfaces
+from ..scene.street.build import StreetSurfaces, displayed_colors, lead_track, street_surfaces
 from ..scene.street.layout import Label, StreetParameters
+from ..scene.street.lighting import Illumination
 from ..scene.street.mesh import Quads
 from .capture import Capture, CaptureFrame
 from .geometry import Pose, scaled_camera
@@ -181,12 +182,14 @@ class StreetViews:
         lead = surfaces.lead
         street = Quads.joined(quads for name, quads in surfaces.layers.items() if name != "sky")
         sky = surfaces.layers["sky"]
-        matte = np.concatenate([_lit(street, surfaces.light), _lit(sky, surfaces.light)])
+        matte = np.concatenate([_lit(street, surfaces.light()), _lit(sky, surfaces.light())])
         street = Quads.joined([street, sky])
         self._track = lead_track(surfaces.layout.parameters) if with_lead else None
         self._rasterizer = MeshRasterizer()
-        self._street = _Staged(self._rasterizer, street, matte, surfaces.light, 0)
-        self._lead = _Staged(self._rasterizer, lead, _lit(lead, surfaces.lead_light), surfaces.lead_light, len(street))
+        self._street = _Staged(self._rasterizer, street, matte, surfaces.light(), 0)
+        self._lead = _Staged(
+            self._rasterizer, lead, _lit(lead, surfaces.lead_light()), surfaces.lead_light(), len(street)
+        )
         nothing = np.zeros((1, 3), np.float32)
         self._normals = np.concatenate([street.normals, lead.normals, nothing])
         self._labels = np.concatenate([street.labels, lead.labels, np.zeros(1, np.uint8)])
@@ -244,7 +247,12 @@ class _Staged:
     """A mesh on the GPU: matte quads and quad numbers are kept, glossy quads are recolored for each view."""
 
     def __init__(
-        self, rasterizer: MeshRasterizer, quads: Quads, matte: Float32[np.ndarray, "n 4 3"], light: Daylight, first: int
+        self,
+        rasterizer: MeshRasterizer,
+        quads: Quads,
+        matte: Float32[np.ndarray, "n 4 3"],
+        light: Illumination,
+        first: int,
     ) -> None:
         self.quads, self.matte, self.light, self.first = quads, matte, light, first
         solid = quads.opacity >= _OPAQUE
@@ -293,7 +301,7 @@ class _Staged:
         return self._numbers
 
 
-def _lit(quads: Quads, light: Daylight) -> Float32[np.ndarray, "n 4 3"]:
+def _lit(quads: Quads, light: Illumination) -> Float32[np.ndarray, "n 4 3"]:
     return np.stack([light.display_colors(quads, quads.corners[:, k]) for k in range(4)], axis=1)
 
 

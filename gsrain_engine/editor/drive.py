@@ -16,8 +16,8 @@ from jaxtyping import Float64
 from ..rain.simulation import RainSimulation
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
-from ..scene.lod_order import in_lod_order
-from ..scene.scene import Actor, PoseTrack, RigCamera, Scene
+from ..scene.lod_order import lod_order
+from ..scene.scene import Actor, PoseTrack, RigCamera, Scene, take_gaussians
 from ..simulation.agents.base import SensorRequirements
 from ..simulation.agents.registry import agent_names
 from ..simulation.playback import RolloutPlayback
@@ -382,7 +382,7 @@ class RolloutInScene:
         first = float(self._times[int(there.argmax())])
         actor = next(each for each in played.scene(first).actors if each.id == id)
         if not any(actor.gaussians is each.gaussians for each in scene.actors):
-            actor = replace(actor, gaussians=in_lod_order(actor.gaussians))
+            actor = _in_lod_order(actor)
         return replace(actor, track=self._track(np.array(poses), there))
 
     def _ego_car(self, scene: Scene) -> Actor:
@@ -394,7 +394,7 @@ class RolloutInScene:
         poses = np.array([self.played.rig_to_world(t) @ middle for t in self._times])
         length, width, height = (self._scale * each for each in (vehicle.length_m, vehicle.width_m, vehicle.height_m))
         track = self._track(poses, np.ones(len(poses), bool))
-        return Actor(EGO_CAR, "car", (length, width, height), in_lod_order(gaussians), track)
+        return _in_lod_order(Actor(EGO_CAR, "car", (length, width, height), gaussians, track, wet_sh=look.wet_sh))
 
     def _track(self, poses: Float64[np.ndarray, "t 4 4"], there: np.ndarray) -> PoseTrack:
         """Scene track from poses in the world (meters) at the roll-out's times."""
@@ -520,3 +520,8 @@ class DriveSetup:
     def change_user(self, number: int, user: ScenarioUser) -> None:
         users = (*self.scenario.road_users[:number], user, *self.scenario.road_users[number + 1 :])
         self.change(msgspec.structs.replace(self.scenario, road_users=users))
+
+
+def _in_lod_order(actor: Actor) -> Actor:
+    gaussians, wet_sh = take_gaussians(actor, lod_order(actor.gaussians).astype(np.int64))
+    return replace(actor, gaussians=gaussians, wet_sh=wet_sh)

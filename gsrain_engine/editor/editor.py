@@ -193,7 +193,7 @@ class Editor:
         """The next frame for a viewport of a size in pixels."""
         viewport, live_rain, options = self.viewport, self.live_rain, self.viewport.options
         view, quality = viewport.scaled_shot(width, height)
-        pick = viewport.sky_pick
+        pick, rain = viewport.sky_pick, live_rain.simulation
         return RenderInput(
             panes=self.split_panes,
             view=view,
@@ -204,8 +204,8 @@ class Editor:
             pending=viewport.staged,
             sky=live_rain.sky_color,
             samples_sky=live_rain.needs_sky,
-            wetness=live_rain.wetness_now,
-            picked=None if pick is None else (pick, live_rain.simulation.wetness_at(view.time_s)),
+            overcast=live_rain.overcast_now,
+            picked=None if pick is None else (pick, rain.wetness_at(view.time_s), rain.overcast_at(view.time_s)),
             mode=options.look,
             background=options.background,
             gain_ev=options.gain_ev,

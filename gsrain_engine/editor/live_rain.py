@@ -70,9 +70,14 @@ class LiveRain:
         return self.displayed.wetness_at(self._viewport.playback.clock.time_s)
 
     @property
+    def overcast_now(self) -> float:
+        """Share of the overcast sky at the present time, 0..1."""
+        return self.displayed.overcast_at(self._viewport.playback.clock.time_s)
+
+    @property
     def sky(self) -> Color:
         """Sky color at the present time, used for drops."""
-        return self.sky_color.at(self.wetness_now)
+        return self.sky_color.at(self.overcast_now)
 
     @property
     def needs_sky(self) -> bool:

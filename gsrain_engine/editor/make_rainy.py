@@ -170,7 +170,9 @@ class WetLookController:
             self._viewport.playback.clock.seek(self.previewed.time_s)
 
     def poll(self) -> None:
-        """Start a job that waits for a scene. Once a frame."""
+        """Start a job that waits for a scene, unless that has wet colors. Once a frame."""
+        if self._starts_soon and self._document.scene.has_rainy_light:
+            self._starts_soon = False
         if self._starts_soon and self._document.scene.gaussian_count and why_wait(self._jobs, self._viewport) is None:
             self._starts_soon = False
             if (why_not := self.why_not) is not None:

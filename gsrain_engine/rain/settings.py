@@ -170,7 +170,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     wetness: Annotated[float | None, Meta(
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
-        description="Share of the soaked colors, 0..1; none follows the intensity (docs/physics.md, 11).")] = None
+        description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
     drying_s: Annotated[float, Meta(
         ge=0, le=7200, title="Drying", extra={"unit": "s", "group": "Appearance", "slider_to": 600.0},
         description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0

@@ -17,7 +17,7 @@ from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
 from .streaks import STREAK_REACH, ShutterModel, camera_slopes, circle_of_confusion_m, visible_distance_m
-from .wetness import WetnessCurve, wetness
+from .wetness import WetnessCurve, overcast, wetness
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)  # display color of drops in scenes without sky
 
@@ -85,6 +85,14 @@ class RainSimulation:
         if self.rain.wetness is not None:
             return self.rain.wetness
         return self._wetness.at(time_s) if isinstance(self._wetness, WetnessCurve) else self._wetness
+
+    def overcast_at(self, time_s: float) -> float:
+        """Share of the overcast sky at a time, 0..1: closed as soon as it rains, and as long as anything is wet.
+
+        With a wetness of 0 the scene stays as lit, at any intensity.
+        """
+        wet = self.wetness_at(time_s)
+        return wet if self.rain.wetness == 0 else max(wet, overcast(self.state_at(time_s).intensity_mm_h))
 
     @cached_property
     def _wetness(self) -> WetnessCurve | float:

@@ -13,8 +13,11 @@ DRAINAGE_LENGTH_M = 5.0  # over the road: from the crown to the middle of the ou
 CROSS_SLOPE = 0.02  # of a road, m/m; a common design value
 TEXTURE_DEPTH_MM = 0.5  # mean, of dense asphalt
 
-SOAKING_DEPTH_MM = 0.2
+SOAKING_DEPTH_MM = 0.05
 """Mean depth of water at which a road has 1 - 1/e of its soaked look; our choice, see docs/physics.md."""
+
+OVERCAST_FROM_MM_H, OVERCAST_MM_H = 0.3, 0.5
+"""Intensity above which the sky closes, and from which it is closed. Below, rain dries where it falls."""
 
 _OF_INTENSITY = 0.59
 _THIRDS = 60
@@ -30,13 +33,19 @@ def water_depth_mm(intensity_mm_h: float) -> float:
     return 0.01485 * road * intensity_mm_h**_OF_INTENSITY
 
 
+def overcast(intensity_mm_h: float) -> float:
+    """Share of the overcast sky in steady rain: 0 up to 0.3 mm/h, 1 from 0.5 mm/h on, and a smooth step between."""
+    share = min(max((intensity_mm_h - OVERCAST_FROM_MM_H) / (OVERCAST_MM_H - OVERCAST_FROM_MM_H), 0.0), 1.0)
+    return share * share * (3 - 2 * share)
+
+
 def wetness(intensity_mm_h: float) -> float:
-    """Share of soaked colors in steady rain: 0 at 0 mm/h, rising towards 1.
+    """Share of soaked colors in steady rain: 0 up to 0.3 mm/h, rising towards 1.
 
     1 - exp(-h / SOAKING_DEPTH_MM), h the water's depth: the share of a surface covered by randomly placed patches of
-    that depth. 0.55 at 1.2, 0.92 at 8.5, 0.95 at 12 mm/h.
+    that depth, times `overcast`, as soaked colors are those under clouds. 0.94 at 1, 0.99 at 2.5 mm/h.
     """
-    return -math.expm1(-water_depth_mm(intensity_mm_h) / SOAKING_DEPTH_MM)
+    return -overcast(intensity_mm_h) * math.expm1(-water_depth_mm(intensity_mm_h) / SOAKING_DEPTH_MM)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,5 +108,6 @@ class WetnessCurve:
 
 def _log_wetness(intensities_mm_h: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     depths = water_depth_mm(1.0) * intensities_mm_h**_OF_INTENSITY
-    with np.errstate(divide="ignore"):  # ln 0 = -inf at 0 mm/h
-        return np.log(-np.expm1(-depths / SOAKING_DEPTH_MM))
+    closed = np.clip((intensities_mm_h - OVERCAST_FROM_MM_H) / (OVERCAST_MM_H - OVERCAST_FROM_MM_H), 0, 1)
+    with np.errstate(divide="ignore"):  # ln 0 = -inf up to 0.3 mm/h
+        return np.log(closed * closed * (3 - 2 * closed)) + np.log(-np.expm1(-depths / SOAKING_DEPTH_MM))

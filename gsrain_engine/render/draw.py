@@ -57,18 +57,21 @@ def draw_view(
     look: RenderMode = "splats",
     thinning: "Thinning | None" = None,
     selection: bool = False,
+    falls: bool = True,
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
-    Wet colors follow the rain's wetness; without `rainfall` the scene is clear and dry. `thinning` leaves out some of
+    Wet colors follow the rain's wetness, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
+    the scene is clear and dry. `thinning` leaves out some of
     each part's Gaussians; `selection` tints selected ones.
     """
-    rain, wetness = None, 0.0
+    rain, wetness, overcast = None, 0.0, 0.0
     if rainfall is not None:
-        wetness = rainfall.wetness_at(shot.time_s)
-        if look == "splats" and rainfall.state_at(shot.time_s).intensity_mm_h > 0:
+        wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
+        if falls and look == "splats" and rainfall.state_at(shot.time_s).intensity_mm_h > 0:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky)
-    parts = subset_items(scene.parts(shot.time_s, selection=selection, wetness=wetness), thinning, shot.camera)
+    lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
+    parts = subset_items(lit, thinning, shot.camera)
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)
 
 

@@ -4,6 +4,7 @@ import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +66,10 @@ def export_frames(
                         shot = sequence.shot(number)
                         labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
                     if passes - {"labels"}:  # last, so that the renderer's image is the color pass
-                        rain_sky, with_depth = None if is_clear else sky, "depth" in passes
+                        rain_sky, with_depth = (
+                            None if is_clear and recording.twin == "sunny" else sky,
+                            "depth" in passes,
+                        )
                         if writer.takes_bytes:
                             frame = sequence.image(renderer, number, rain_sky, look=look)
                         else:
@@ -99,7 +103,7 @@ def _open_stream(
         writer = stack.enter_context(open_frame_writer(recording, files, size, label_legend(sequence.scene)))
     except OSError as error:
         raise OSError(f"{files.path} can't be written: {error.strerror or error}") from error
-    return _OutputStream(sequence, writer, files.passes, is_clear)
+    return _OutputStream(replace(sequence, falls=not is_clear), writer, files.passes, is_clear)
 
 
 class EtaEstimator:

@@ -65,6 +65,8 @@ class FrameSequence:
     """Number of sub-frames over the exposure."""
     at_rest: bool = False
     """True if the camera is at rest during the exposure, for paths without times."""
+    falls: bool = True
+    """False draws the light and the wet colors of the rain, without its drops and its medium."""
     lod: bool = False
     """True if images without depth merge details smaller than a pixel, in members that have a tree."""
 
@@ -127,7 +129,7 @@ class FrameSequence:
         averaged as on a sensor: in linear light.
         """
         rainfall = None if sky is None else self.rainfall
-        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(self.time_s(number)))
+        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
@@ -139,8 +141,9 @@ class FrameSequence:
                 finer = camera.resized(side * camera.width, side * camera.height)
                 shot = replace(shot, camera=finer, focal_px=shot.focal_px or float(np.sqrt(camera.fx * camera.fy)))
             draw_view(
-                renderer, self.scene, rainfall, color, shot, with_depth=has_own_depth, look=look, thinning=thinning
-            )
+                renderer, self.scene, rainfall, color, shot, with_depth=has_own_depth, look=look, thinning=thinning,
+                falls=self.falls,
+            )  # fmt: skip
             frame = renderer.read()
             if side > 1:
                 blocks = frame.rgba.reshape(frame.rgba.shape[0] // side, side, frame.rgba.shape[1] // side, side, 4)
@@ -163,8 +166,8 @@ class FrameSequence:
         if self.motion_blur > 1 or self.supersampling > 1:
             return self.frame(renderer, number, sky, look=look).to_uint8()
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
-        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(shot.time_s))
-        draw_view(renderer, self.scene, rainfall, color, shot, look=look)
+        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
+        draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
         return renderer.read_uint8()
 
     def shots(self, number: int) -> list[RenderView]:

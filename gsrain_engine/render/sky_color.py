@@ -21,16 +21,16 @@ class SkyColor(NamedTuple):
     """Mean color of the sky; `found` is false for the default color."""
 
     color: Color
-    """Color in the dry scene."""
+    """Color in the dry scene, as it is lit."""
     found: bool
     wet_color: Color | None = None
-    """Color in the soaked scene; None if it is the same."""
+    """Color in the soaked scene, whose sky is overcast; None if it is the same."""
 
-    def at(self, wetness: float) -> Color:
-        """Color at a wetness (0..1): a linear mix of both colors in display values, as for each Gaussian."""
+    def at(self, overcast: float) -> Color:
+        """Color at a share of the overcast sky (0..1): a linear mix in display values, as for each Gaussian."""
         if self.wet_color is None:
             return self.color
-        red, green, blue = ((1 - wetness) * c + wetness * w for c, w in zip(self.color, self.wet_color, strict=True))
+        red, green, blue = ((1 - overcast) * c + overcast * w for c, w in zip(self.color, self.wet_color, strict=True))
         return red, green, blue
 
 

@@ -45,10 +45,6 @@ def lod_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     return keys.astype(np.uint32)  # the lower half: the index
 
 
-def in_lod_order(gaussians: Gaussians) -> Gaussians:
-    return gaussians.take(lod_order(gaussians))
-
-
 def sort_into_lod_order(gaussians: Gaussians) -> None:
     """Sort the arrays of a set in place into LOD order, with 12 bytes per Gaussian of extra memory.
 

@@ -511,12 +511,25 @@ class Scene:
         """Return whether any visible member has wet colors."""
         return any(each.wet_sh is not None for each in self.members if each.visible)
 
-    def parts(self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0) -> list[DrawItem]:
+    @property
+    def has_rainy_light(self) -> bool:
+        """Return whether the surroundings themselves have wet colors, not only actors in them."""
+        return any(each.wet_sh is not None for each in self.layers if each.visible)
+
+    def parts(
+        self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0, overcast: float | None = None
+    ) -> list[DrawItem]:
         """Visible items at a time: layers first, then actors.
 
-        `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them.
+        `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them, and
+        `overcast` those of sky layers (None: `wetness`, too).
         """
-        parts = [self.part(each, time_s, selection=selection, wetness=wetness) for each in self.members if each.visible]
+        sky = wetness if overcast is None else overcast
+        parts = [
+            self.part(each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness)
+            for each in self.members
+            if each.visible
+        ]
         return [part for part in parts if part is not None]
 
     def part(
@@ -546,6 +559,11 @@ class Scene:
         matrix = self.scene_to_world @ pose
         matrix[:3, :3] /= self.metres_per_unit
         return matrix
+
+
+def is_sky(member: Layer | Actor) -> bool:
+    """Return whether a member is a layer of the sky."""
+    return isinstance(member, Layer) and member.kind == "sky"
 
 
 @lru_cache(maxsize=64)

@@ -7,7 +7,7 @@ from jaxtyping import Float32, Float64
 
 from .gaussians import Gaussians, rotate_sh
 from .geometry import quaternion_product, quaternions_from_matrices
-from .scene import Actor, DrawItem, Layer, Scene, grade_sh, rotation_to_z_up
+from .scene import Actor, DrawItem, Layer, Scene, grade_sh, is_sky, rotation_to_z_up
 
 FILE_UP = (0.0, -1.0, 0.0)
 """Up direction in files that don't store one: y points down, as in COLMAP and thus in 3DGS captures."""
@@ -115,11 +115,15 @@ def wet_sh_of(member: Layer | Actor) -> Float32[np.ndarray, "n k 3"]:
     return member.gaussians.sh if member.wet_sh is None else member.wet_sh
 
 
-def with_wetness_baked(scene: Scene, wetness: float) -> Scene:
-    """Return the scene as it looks at one wetness (0..1), without wet colors, for formats with only one color."""
+def with_wetness_baked(scene: Scene, wetness: float, overcast: float | None = None) -> Scene:
+    """Return the scene as it looks at one wetness (0..1), without wet colors, for formats with only one color.
+
+    `overcast` is that of sky layers; None takes the wetness.
+    """
     for each in scene.members:
         if each.wet_sh is not None:
-            gaussians = each.gaussians.with_sh(blend_wet_sh(each.gaussians.sh, each.wet_sh, wetness))
+            share = overcast if overcast is not None and is_sky(each) else wetness
+            gaussians = each.gaussians.with_sh(blend_wet_sh(each.gaussians.sh, each.wet_sh, share))
             scene = scene.with_member(each.key, gaussians=gaussians, wet_sh=None)
     return scene
 

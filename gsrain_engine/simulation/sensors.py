@@ -46,7 +46,7 @@ class RigRenderer:
                 semantic = semantic_ids(scene)[labels]
                 layers = len(scene.layers)
                 instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
-            color, view = self._sky.at(self._rainfall.wetness_at(time_s)), RenderView(camera, time_s, velocity)
+            color, view = self._sky.at(self._rainfall.overcast_at(time_s)), RenderView(camera, time_s, velocity)
             draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
             depth = self._renderer.read().depth if self._needs.depth else None
             views[mounted.name] = CameraView(

@@ -330,6 +330,7 @@ class RoadScene:
         self._world_to_scene = np.linalg.inv(scene.scene_to_world)
         unit = 1 / scene.metres_per_unit
         self._gaussians = {id: scale_gaussians(look.gaussians, unit) for id, look in looks.items()}
+        self._wet_sh = {id: look.wet_sh for id, look in looks.items()}
         self._recorded = {actor.id: actor for actor in scene.actors}
 
     def at(self, rig_to_world: Float64[np.ndarray, "4 4"], users: tuple[RoadUser, ...]) -> Scene:
@@ -342,4 +343,5 @@ class RoadScene:
         if user.id not in self._gaussians:
             return replace(self._recorded[user.id], track=track)
         length, width, height = (side / self.scene.metres_per_unit for side in user.size_lwh)
-        return Actor(user.id, user.class_name, (length, width, height), self._gaussians[user.id], track)
+        gaussians, wet_sh = self._gaussians[user.id], self._wet_sh[user.id]
+        return Actor(user.id, user.class_name, (length, width, height), gaussians, track, wet_sh=wet_sh)

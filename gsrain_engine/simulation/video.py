@@ -84,7 +84,7 @@ class RolloutVideo:
         camera, state = self._mounted.camera(rig), played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
-        color = self._sky.at(self._rainfall.wetness_at(scene_s))
+        color = self._sky.at(self._rainfall.overcast_at(scene_s))
         draw_view(self._renderer, played.scene(time_s), self._rainfall, color, RenderView(camera, scene_s, velocity))
         step = played.step(time_s)
         picture = draw_boxes(self._renderer.read_uint8(), (), _noted(step), _SURE)

@@ -226,7 +226,7 @@ def _place(row: Row) -> tuple[object, ...]:
         (value is not None, value or 0)
         for value in (group.variant.exposure_s, group.variant.start_speed_m_s, group.variant.gap_m)
     ]
-    own = group.variant.wet, group.variant.preset or "", *axes
+    own = group.variant.wet is not None, bool(group.variant.wet), group.variant.preset or "", *axes
     return *group[:3], *own, _number(row["intensity_mm_h"]), _number(row["seed"])
 
 

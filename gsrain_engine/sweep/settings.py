@@ -12,6 +12,7 @@ from ..backends import Backend
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
+from ..rain.rainy_light import with_wet_choice
 from ..rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
@@ -101,7 +102,7 @@ Exposures = tuple[Annotated[float, Meta(ge=1e-5, le=1.0)], ...]
 class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """One choice on each further axis of a sweep of drives; None is what the scenario says."""
 
-    wet: bool = False
+    wet: bool | None = None
     preset: str | None = None
     exposure_s: float | None = None
     start_speed_m_s: float | None = None
@@ -110,7 +111,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     @property
     def title(self) -> str:
         """Words that name the choices; empty for those of the scenario."""
-        words = ["wet"] if self.wet else []
+        words = [] if self.wet is None else ["wet" if self.wet else "as lit"]
         words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
@@ -128,6 +129,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             if not users:
                 raise ValueError(f"scenario {scenario.name!r}: gap_m varies its first road user, and it has none")
             users = (structs.replace(users[0], ahead_m=self.gap_m), *users[1:])
+        rain = with_wet_choice(rain, self.wet)
         speed = scenario.speed_m_s if self.start_speed_m_s is None else self.start_speed_m_s
         return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed)
 
@@ -153,8 +155,14 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         Jitter()
     )
     wet: Annotated[
-        tuple[bool, ...], Meta(min_length=1, title="Wet", description="Whether the scene looks wet; both are compared.")
-    ] = (False,)
+        tuple[bool | None, ...],
+        Meta(
+            min_length=1,
+            title="Wet",
+            description="true: overcast and wet, computed if the scene has no wet colors. false: as lit. null: as "
+            "the rain, where the scene has them. Several are compared.",
+        ),
+    ] = (None,)
     preset: Annotated[
         tuple[str, ...], Meta(title="Presets", description="Rain presets to compare; none: the scenario's rain.")
     ] = ()

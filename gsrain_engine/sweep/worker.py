@@ -17,7 +17,7 @@ from msgspec import Struct, structs
 
 from ..backends import Backend, open_renderer
 from ..rain.simulation import RainSimulation
-from ..recolor.recolor import wet_scene
+from ..recolor.cached_colors import cached_wet_scene
 from ..render.export import export_frames, export_sequences, frame_numbers
 from ..render.label_export import write_object_labels
 from ..render.renderer import Renderer
@@ -113,7 +113,7 @@ class WorkerCache:
         self._stack = ExitStack()
 
     def scene(self, name: str, content: str, *, wet: bool = False) -> Scene:
-        """Return a scene after checking its hash, with wet colors if asked for, which takes a minute.
+        """Return a scene after checking its hash, with wet colors if asked for: a minute at first, then from the cache.
 
         Raises MismatchError if the scene has changed.
         """
@@ -125,7 +125,7 @@ class WorkerCache:
             while len(self._scenes) >= _SCENES:
                 self._scenes.popitem(last=False)
             opened = load_sorted_scene(name)
-            self._scenes[key] = run_to_end(wet_scene(opened)) if wet else opened
+            self._scenes[key] = run_to_end(cached_wet_scene(opened)) if wet else opened
         self._scenes.move_to_end(key)
         return self._scenes[key]
 
@@ -164,7 +164,7 @@ def run_drive_job(job: DriveJob, cache: WorkerCache, client_output: Path | None 
     with ExitStack() as stack:
         agent, scenario = _opened_agent(job.agent, stack, client_output), job.scenario
         sees = bool(agent.needs.cameras)
-        scene = cache.scene(job.scene, job.scene_hash, wet=job.variant.wet and sees)
+        scene = cache.scene(job.scene, job.scene_hash, wet=bool(job.variant.wet) and sees)
         if job.agent.hugsim is not None:
             scenario, scene = with_hugsim_rig(scenario, scene)
         renderer = cache.renderer(job.backend) if sees else None

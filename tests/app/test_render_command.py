@@ -273,7 +273,7 @@ def test_a_scene_gets_as_wet_as_it_rains_or_as_wet_as_asked(tmp_path):
     clear, light, wet, soaked, dry = (
         mean(render(tmp_path / "wet", tmp_path / f"{number}.png", "--no-streaks", "--no-haze", *options))
         for number, options in enumerate((
-            (), ("--rain", "1.2"), ("--rain", "12"), ("--wetness", "1"), ("--rain", "12", "--wetness", "0")
+            (), ("--rain", "0.4"), ("--rain", "2.5"), ("--wetness", "1"), ("--rain", "12", "--no-wet")
         ))
     )  # fmt: skip
     assert wet < light - 3 < clear - 6

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsrain_engine.rain.keyframes import KeyframeCurve, RainKeyframe, RainKeyframes
-from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.rain.wetness import WetnessCurve, water_depth_mm, wetness
+from gsrain_engine.rain.wetness import WetnessCurve, overcast, water_depth_mm, wetness
 
 
 def curve(*keys: tuple[float, float]) -> KeyframeCurve:
@@ -24,11 +24,25 @@ def test_water_lies_as_deep_as_gallaway_says():
 def test_wetness_begins_at_zero_rises_and_saturates():
     rates = np.linspace(0, 100, 400)
     values = np.array([wetness(float(rate)) for rate in rates])
-    assert values[0] == 0
-    assert (np.diff(values) > 0).all()
-    assert (np.diff(values, 2) < 0).all()
-    assert 0.99 < values[-1] < 1
-    assert [round(wetness(rate), 2) for rate in (1.2, 8.5, 12.0)] == [0.55, 0.92, 0.95]
+    assert (values[rates <= 0.3] == 0).all()
+    assert (np.diff(values[rates > 0.3]) >= 0).all()
+    assert (np.diff(values[rates > 0.5], 2) <= 1e-12).all()
+    assert values[-1] > 0.99
+    assert [round(wetness(rate), 2) for rate in (0.3, 0.5, 1.2, 2.5, 8.5)] == [0.0, 0.85, 0.96, 0.99, 1.0]
+
+
+def test_the_sky_closes_at_once_and_stays_closed_while_anything_is_wet():
+    """Overcast as soon as it rains, whatever the wetness; blue at a wetness of 0, which is as lit."""
+    assert [overcast(rate) for rate in (0.0, 0.3, 0.4, 0.5, 149.0)] == pytest.approx([0, 0, 0.5, 1, 1])
+    one = RainSimulation.start(RainSettings(intensity_mm_h=1.0))
+    assert one.overcast_at(0.0) == 1 > one.wetness_at(0.0) == wetness(1.0) > 0.9
+    assert RainSimulation.start(RainSettings(intensity_mm_h=1.0, wetness=0.2)).overcast_at(0.0) == 1
+    assert RainSimulation.start(RainSettings(wetness=0.2)).overcast_at(0.0) == 0.2
+    assert RainSimulation.start(RainSettings(intensity_mm_h=50.0, wetness=0.0)).overcast_at(0.0) == 0
+    assert RainSimulation.start(load_preset("paper")).overcast_at(0.0) == 0
+    keys = RainKeyframe(time_s=0, intensity_mm_h=12), RainKeyframe(time_s=60, intensity_mm_h=0)
+    drying = RainSimulation.start(RainSettings(drying_s=60.0), weather=RainKeyframes(keys=keys))
+    assert drying.overcast_at(90.0) == drying.wetness_at(90.0) > 0.3
 
 
 @given(
@@ -53,12 +67,12 @@ def test_rain_that_stops_slowly_is_remembered_from_its_turning_point():
     ln w(R(s)) + s / 20 is concave on the way down: a fine search brackets its top.
     """
     course = WetnessCurve(curve((0, 12), (60, 0)), 20.0)
-    moments = np.linspace(0, 60, 200_001)
-    wet = -np.expm1(-water_depth_mm(1.0) * (12 - moments / 5) ** 0.59 / 0.2)
+    moments = np.linspace(0, 60, 50_001)
+    wet = np.array([wetness(rate) for rate in (12 - moments / 5).tolist()])
     for time_s in (30.0, 60.0, 75.0, 100.0):
         before = moments <= time_s
         expected = np.max(wet[before] * np.exp(-(time_s - moments[before]) / 20.0))
-        assert course.at(time_s) == pytest.approx(expected, rel=1e-7)
+        assert course.at(time_s) == pytest.approx(expected, rel=1e-6)
     assert course.at(-5.0) == course.at(0.0) == pytest.approx(wetness(12))
 
 

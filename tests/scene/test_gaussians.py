@@ -23,7 +23,7 @@ from gsrain_engine.scene.geometry import (
     quaternion_product,
     quaternions_from_matrices,
 )
-from gsrain_engine.scene.lod_order import in_lod_order, lod_growth, lod_level_ends, lod_order, sort_into_lod_order
+from gsrain_engine.scene.lod_order import lod_growth, lod_level_ends, lod_order, sort_into_lod_order
 from gsrain_engine.scene.scene import UNCHANGED, ColorGrading, bounds, grade_sh, robust_bounds, rotation_to_z_up
 from gsrain_engine.scene.transforms import transform_gaussians
 
@@ -214,13 +214,13 @@ def test_levels_hold_everything_once_and_what_contributes_nothing_last(gaussians
             assert (values[order[end:]] == 0).all()
     own = gaussians.take(slice(None)).take(np.arange(n))
     sort_into_lod_order(own)
-    for array, expected in zip(own.arrays, in_lod_order(gaussians).arrays, strict=True):
+    for array, expected in zip(own.arrays, gaussians.take(lod_order(gaussians)).arrays, strict=True):
         np.testing.assert_array_equal(array, expected)
 
 
 @given(odd_gaussians(), st.sampled_from([1 / 8, 1 / 4, 1 / 2, 1.0]))
 def test_a_share_grows_to_cover_as_much_as_all(gaussians: Gaussians, share: float) -> None:
-    ordered = in_lod_order(gaussians)
+    ordered = gaussians.take(lod_order(gaussians))
     values = contributions(ordered).astype(np.float64)
     drawn = values[: int(np.ceil(share * len(ordered)))].sum()
     growth = lod_growth(ordered, share)

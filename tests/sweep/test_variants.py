@@ -37,8 +37,9 @@ def test_jobs_are_all_combinations_with_their_rain_and_start(tmp_path):
     assert len({job.id for job in jobs}) == len(jobs) == 8
     for job in jobs:
         expected = msgspec.structs.replace(
-            load_preset("paper"), intensity_mm_h=8.5, seed=0, exposure_s=job.variant.exposure_s
-        )
+            load_preset("paper"), intensity_mm_h=8.5, seed=0, exposure_s=job.variant.exposure_s,
+            wetness=None if job.variant.wet else 0.0,
+        )  # fmt: skip
         assert job.scenario.rain == expected
         assert (job.scenario.speed_m_s, job.scenario.road_users[0].ahead_m) == (3.0, job.variant.gap_m)
         assert msgspec.structs.asdict(job.variant).items() <= job.parameters.items()

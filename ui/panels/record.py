@@ -227,7 +227,8 @@ def _passes(render_queue: RenderQueue) -> None:
         if name != "labels":
             imgui.same_line()
     info = field_of(ExportSettings, "twin")
-    if (twin := checkbox(info.title, settings.twin, info.help)) != settings.twin:
+    titles = {False: "no twin", "sunny": "twin: sunny", "overcast": "twin: overcast"}
+    if (twin := combo(f"{info.title}###twin", settings.twin, titles, info.help)) != settings.twin:
         render_queue.change(twin=twin)
 
 

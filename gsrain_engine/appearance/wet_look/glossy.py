@@ -7,8 +7,8 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
+from ...scene.water_surface import WATER_INDEX, reflectance, unshadowed
 from ..base import Image, Plane
-from .materials import WATER_INDEX, reflectance, unshadowed
 from .reflections import PlanarReflection, focal_and_center
 
 _WIDEST = 2.2  # largest facet tilt that is integrated, in standard deviations

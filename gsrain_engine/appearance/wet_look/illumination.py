@@ -113,21 +113,26 @@ DRY_GROUND_EV = -2.7
 """Target brightness of level dry ground under cloud: half of a camera's middle gray, under an almost white sky."""
 _EXPOSURE_SHARE, _EXPOSURE_EV = 0.75, 1.5
 """Share of the difference to the target that exposure corrects, and its limit in stops."""
-_FLATTENED_WALLS, _FLATTENED_PLANTS = 0.7, 0.4
+_FLATTENED_WALLS, _FLATTENED_PLANTS = 0.8, 0.75
 """Flattening relative to the ground's, since the brightness of walls and leaves also depends on their own color."""
 _PIVOT, _PIVOT_PLANTS = 0.5, 0.2
 """Sunlit share at which brightness is unchanged; lower for leaves, which are dark themselves and so are lifted less."""
 _SOFT_EDGE, _WIDE_EDGE = 0.3, 0.7
 """Half width of the ramp between shadow and sun, as a share of their contrast: on the ground, and elsewhere."""
-_SPECK_SHARE, _EDGE_SHARE, _EDGE_EV2 = 0.012, 0.006, 0.05
+_SPECK_SHARE, _EDGE_SHARE, _EDGE_EV2 = 0.012, 0.006, 0.2
 """Median size and guided filter radius of the sunlit share, as shares of the image width, and the filter's variance."""
+_BROAD_SHARE, _BROAD_EV2 = 0.04, 2.0
+"""Radius as a share of the image width, and variance, of the broad brightness of walls and leaves. It alone is divided
+into sun and shadow: finer contrasts are those of the materials, which a wet day keeps."""
+_MATERIAL_EV = (-2.5, -0.8)
+"""Stops below the ground's shadow over which brightness stops to be a shadow that clouds would lift: black stays."""
 _TINT_EV, _TINT_SHARE = 0.2, 0.7
 """Largest correction of a channel towards neutral light in stops, and the share of it that is applied."""
-CLOUD_TINT_EV = np.array([-0.05, 0.0, 0.07], np.float32)
-_SATURATION, _SHADOW_DULLING = 0.9, 0.6
+CLOUD_TINT_EV = np.array([-0.03, 0.0, 0.04], np.float32)
+_SATURATION, _SHADOW_DULLING = 1.0, 0.6
 """Color that surfaces other than plants keep, and the blue of the clear sky that shadowed ground loses."""
 _BLUE = (-0.05, 0.1)  # blue minus red, as a share of luminance, over which ground turns from neutral to blue
-_WHITE, _WHITE_WALL = 0.85, 0.55
+_WHITE, _WHITE_WALL = 0.95, 0.62
 """Albedo of the whitest materials, and share of light that an upright one gets from cloudy sky and dark ground."""
 _LOST_EV, _GRAIN_M, _CLIPPED = 0.3, 12.0, (0.88, 0.98)
 """Grain added to clipped ground in stops, period of its noise, and display values over which ground is clipped."""
@@ -160,6 +165,8 @@ def overcast_surfaces(
     flattening += surfaces.plants * (_FLATTENED_PLANTS - flattening)
     contrast = settings.sun_removal * light.sun * (light.sunlit_ev - light.shadow_ev)
     shift = contrast * flattening * (_PIVOT + surfaces.plants * (_PIVOT_PLANTS - _PIVOT) - sunlit)
+    low, high = (light.shadow_ev + each for each in _MATERIAL_EV)
+    shift = np.where(shift > 0, shift * smoothstep(low, high, level), shift).astype(np.float32)
     in_shadow, in_sun = (_tint(tint, settings) for tint in (light.shadow_tint_ev, light.sunlit_tint_ev))
     tint = in_shadow + sunlit[..., None] * (in_sun - in_shadow)
     # Ground overexposed by the sun would be as even as plastic when it is dimmed.
@@ -215,17 +222,20 @@ def sunlit_share(level_ev: Plane, light: IlluminationEstimate, ground: Plane) ->
     """Share of sunlight on each pixel, 0 to 1, from its brightness between the scene's shadow and sun levels.
 
     On the ground, a median makes road markings and specks follow their surroundings. Walls have many colors, so a wider
-    ramp makes their brightness count less. A guided filter (He, Sun and Tang 2013) follows edges.
+    ramp makes their brightness count less, and only their broad brightness counts. Guided filters (He, Sun and Tang
+    2013) follow edges.
     """
     middle, contrast = (light.sunlit_ev + light.shadow_ev) / 2, max(light.sunlit_ev - light.shadow_ev, 0.1)
-    sharp, wide = (
-        smoothstep(middle - half * contrast, middle + half * contrast, level_ev) for half in (_SOFT_EDGE, _WIDE_EDGE)
-    )
     width = level_ev.shape[1]
+    broad = guided_filter(level_ev, level_ev, max(2, round(_BROAD_SHARE * width)), _BROAD_EV2)
+    sharp, wide = (
+        smoothstep(middle - half * contrast, middle + half * contrast, of)
+        for half, of in ((_SOFT_EDGE, level_ev), (_WIDE_EDGE, broad))
+    )
     size = 2 * max(1, round(_SPECK_SHARE * width / 2)) + 1
     share = cv2.medianBlur(np.round(sharp * 255).astype(np.uint8), size).astype(np.float32) / 255
-    share = wide + ground * (share - wide)
-    return np.clip(guided_filter(share, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2), 0, 1)
+    share = guided_filter(share, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2)
+    return np.clip(wide + ground * (share - wide), 0, 1)
 
 
 def _tint(tint_ev: Tint, settings: WetSettings) -> Float32[np.ndarray, "3"]:
@@ -239,13 +249,15 @@ def _tint(tint_ev: Tint, settings: WetSettings) -> Float32[np.ndarray, "3"]:
 HORIZON_TO_ZENITH = 0.86
 """Display brightness of the zenith relative to the horizon. CIE's overcast sky (ISO 15469) is brighter at the zenith,
 but rain-laden air is brighter along longer lines of sight."""
-TINT = np.array([-0.045, 0.0, 0.04], np.float32)
-"""Display color of clouds relative to gray: 7000 K for a camera balanced for 5500 K, attenuated."""
+TINT = np.array([-0.02, 0.0, 0.018], np.float32)
+"""Display color of clouds relative to gray, slightly cool: cameras balance most of it."""
 _CLOUD_HEIGHT_PERIODS = 5.0  # period of the cloud deck, in units of its height above the eye
 _CLOUD_CONTRAST = 0.06
 _FLAT = 0.12  # added to the rise of a direction, so that clouds don't shrink without limit towards the horizon
 _LOCAL_SHARE = 0.012  # scale over which the clear sky's color is averaged, as a share of the image width
 _MIN_COVER = 0.05
+_BURNT, _BURNT_FROM_M = 0.97, 8.0
+"""Display value and distance above the horizon from which overexposed pixels next to the sky are taken for sky."""
 _LIKE, _AMIDST = (0.04, 0.12), (0.3, 0.6)
 """Ramps of the sky mask: color difference (display) from sky to other, and share of sky around a pixel."""
 _NEAR_SKY, _ROUNDS, _MIN_GROWTH = (0.01, 0.06), 10, 2e-4
@@ -270,7 +282,8 @@ def extend_sky_mask(view: ClearView) -> ClearView:
     pixels amidst the sky count, since hills and walls next to it may have its color.
     """
     rising = view_rays(view.camera)[..., 2] > 0
-    is_open = (view.depth <= 0) & rising & view.has_surfaces
+    is_white = (view.image.min(axis=-1) > _BURNT) & (view.depth > _BURNT_FROM_M)  # depth is often filled in there
+    is_open = ((view.depth <= 0) | is_white) & rising & view.has_surfaces
     share = view.sky
     for _ in range(_ROUNDS):
         behind, around = _local_sky(view.image, share)

@@ -1,41 +1,25 @@
 """Wet materials: darkened porous surfaces, glossy paint, lamps, and mist. Linear light."""
 
-from math import erfc, exp, pi, sqrt
-from typing import no_type_check
-
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Float
 
 from ...scene.geometry import srgb_to_linear
+from ...scene.water_surface import WATER_REFLECTANCE, wet_albedo
 from ..base import ClearView, Image, Plane
 from .illumination import LUMINANCE, overcast_sky
 from .masks import SurfaceShares, smoothstep
 from .noise import guided_filter, smooth_noise_at
 from .settings import WetSettings
 
-WATER_REFLECTANCE = 0.02
-"""Reflectance of water at normal incidence (refractive index 1.33)."""
-INTERNAL_REFLECTION = 0.55
-"""Share of diffuse light that the water's surface reflects back down: 1 - (1 - 0.07) / 1.33^2, rounded up."""
 WHITE = 0.9
 """Albedo of white pixels."""
-SOAKING_OF_GROUND, SOAKING_OF_PLANTS, SOAKING_OF_WALLS, SOAKING_OF_VEHICLES = 1.0, 0.35, 0.3, 0.0
+SOAKING_OF_GROUND, SOAKING_OF_PLANTS, SOAKING_OF_WALLS, SOAKING_OF_VEHICLES = 1.0, 0.55, 0.55, 0.0
 """Share of the change of porous ground per class; leaves and paint hold water on them, not in them."""
 PLANT_SATURATION = 0.25
 """Increase in saturation of leaves and grass: a water film scatters less white light than their wax and dust."""
 _STREAK_WIDTH_M, _STREAK_HEIGHT_M = 24.0, 260.0
 """Periods of the noise on walls, across and down: a streak is a hundredth of it."""
-
-
-def wet_albedo(albedo: Image) -> Image:
-    """Diffuse albedo under a film of water, per channel (Lekner and Dorf 1988, without their change of index).
-
-    Light enters with 1 - R, is reflected by the surface with d, and repeatedly reflected back by the film with p:
-    w = (1 - R) (1 - p) d / (1 - p d). Dark colors lose more than bright ones, so saturation grows too.
-    """
-    return (1 - WATER_REFLECTANCE) * (1 - INTERNAL_REFLECTION) * albedo / (1 - INTERNAL_REFLECTION * albedo)
 
 
 def wet_surfaces_color(surface: Image, surfaces: SurfaceShares, settings: WetSettings) -> Image:
@@ -85,42 +69,6 @@ def add_clear_coat(
     reflection = overcast_sky(mirrored, settings) * brightness[..., None]
     share = (settings.gloss * surfaces.vehicles * np.minimum(fresnel, 0.6))[..., None]
     return ((1 - share) * surface + share * reflection).astype(np.float32)
-
-
-# Fresnel reflectance
-
-WATER_INDEX = 1.333
-"""Refractive index of water in visible light at 20 C."""
-
-
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check
-def reflectance(cosine, index):
-    """Reflectance of a smooth dielectric for unpolarized light (Fresnel 1823): the mean over both polarizations.
-
-    `cosine` is that of the angle between ray and normal, 0 to 1; `index` the refractive index of the inside.
-    """
-    inside = sqrt(max(1 - (1 - cosine * cosine) / (index * index), 0.0))
-    across = (cosine - index * inside) / (cosine + index * inside)
-    along = (index * cosine - inside) / (index * cosine + inside)
-    return 0.5 * (across * across + along * along)
-
-
-@numba.njit(cache=True, error_model="numpy")
-@no_type_check
-def unshadowed(cosine, slope):
-    """Share of a rough surface's facets that a ray reaches unshadowed (Smith 1967, Gaussian slopes).
-
-    `cosine` is that of the angle to the mean normal, `slope` the facets' standard deviation of slope along the ray.
-    """
-    if cosine <= 0:
-        return 0.0
-    if slope <= 0 or cosine >= 1:
-        return 1.0
-    v = cosine / sqrt(1 - cosine * cosine) / (sqrt(2.0) * slope)
-    if v > 4:
-        return 1.0
-    return 1 / (1 + 0.5 * (exp(-v * v) / (v * sqrt(pi)) - erfc(v)))
 
 
 # Lamps, lit signs and traffic lights: unchanged brightness under a dimmer sky, with a soft glow

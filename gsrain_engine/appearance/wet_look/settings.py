@@ -30,7 +30,7 @@ class WetSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Glow around lamps and lit signs; 1 matches a lens with a little water on it."""
     tail_lamps: Annotated[bool, Meta(title="Tail lamps lit")] = True
     """Light the red lamps of vehicles, as drivers do in rain."""
-    mist_km: Annotated[float, Meta(ge=0, le=20, title="Mist", extra={"unit": "1/km"})] = 0.8
-    """Extinction of the air; the rain's own haze is added to it."""
+    mist_km: Annotated[float, Meta(ge=0, le=20, title="Mist", extra={"unit": "1/km"})] = 0.0
+    """Extinction of the air. The rain's own haze is added to it, so that more than 0 is a veil of both."""
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed")] = 0
     """Seed of clouds, puddles and streaks."""

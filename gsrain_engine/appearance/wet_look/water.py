@@ -20,7 +20,7 @@ _FILM_SLOPE, _FILM_SMOOTHING = 0.09, 0.6
 _PUDDLE_SLOPE = 0.022  # slope deviation of standing water in rain: rings a few millimeters high, decimeters long
 _TEXTURE_TILT, _RIPPLE_TILT = 0.016, 0.006
 """Slope deviation of the bumps that an image resolves, in the film and in puddles."""
-_FILM_COVER = (0.7, 1.0)  # share of the road that a thin and a thick film cover: stones stick out of it
+_FILM_COVER = (0.2, 0.95)  # share of the road that a thin and a thick film cover: stones stick out of it
 _FACETS, _PUDDLE_FACETS = 11, 5
 _MIN_SHARE = 0.01
 _UNDER_WATER = 0.72

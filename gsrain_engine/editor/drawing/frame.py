@@ -48,10 +48,10 @@ class RenderInput:
     """Last sample of the sky color."""
     samples_sky: bool = False
     """True if it has to be sampled again, because rain falls and the scene has changed."""
-    wetness: float = 0.0
-    """Wetness of the displayed rain at the time of the view, 0..1."""
-    picked: tuple[SkyColorPick, float] | None = None
-    """Region whose color is to be measured, and the wetness of the document's rain."""
+    overcast: float = 0.0
+    """Share of the overcast sky of the displayed rain at the time of the view, 0..1."""
+    picked: tuple[SkyColorPick, float, float] | None = None
+    """Region whose color is to be measured, and wetness and share of the overcast sky of the document's rain."""
     mode: RenderMode = "splats"
     background: Color = (0.0, 0.0, 0.0)
     gain_ev: float = 0.0

@@ -108,7 +108,7 @@ class LiveView:
         result = DrawResult(is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
         if self._can_draw:
             self._sample_sky(frame, result)
-        sky = (result.sky or frame.sky).at(frame.wetness)
+        sky = (result.sky or frame.sky).at(frame.overcast)
         # The last pane, on the right, is the document itself: statistics are those of its image.
         started, has_drawn, panes = time.perf_counter(), False, self._panes[-self._pane_count :]
         for side, pane in zip(frame.panes, panes, strict=True):
@@ -185,9 +185,9 @@ class LiveView:
             result.sky = self._sky.look(self._renderer, frame.scene, camera, resting=resting, at_once=whole)
             result.sky_is_exact = self._sky.is_exact
         if frame.picked is not None:
-            region, wetness = frame.picked
+            region, *weather = frame.picked
             result.picked_color = mean_color_in_rectangle(
-                self._renderer, frame.scene, frame.view, region, frame.background, wetness
+                self._renderer, frame.scene, frame.view, region, frame.background, *weather
             )
 
     def _draw_pane(self, frame: RenderInput, side: SplitPane, pane: "_PaneImage", sky: Color) -> bool:
@@ -307,7 +307,7 @@ def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
         b"" if view.velocity_m_s is None or not raining else view.velocity_m_s.tobytes(),
         (frame.background, frame.gain_ev, frame.mode, frame.harmonics, frame.selection),
-        rainfall.wetness_at(time_s) if scene.has_wet_colors else 0.0,
+        (rainfall.wetness_at(time_s), rainfall.overcast_at(time_s)) if scene.has_wet_colors else (0.0, 0.0),
     )
 
 

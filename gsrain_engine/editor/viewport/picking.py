@@ -195,10 +195,16 @@ class SkyColorPick:
 
 
 def mean_color_in_rectangle(
-    renderer: Renderer, scene: Scene, shot: RenderView, pick: SkyColorPick, background: Color, wetness: float = 0.0
+    renderer: Renderer,
+    scene: Scene,
+    shot: RenderView,
+    pick: SkyColorPick,
+    background: Color,
+    wetness: float = 0.0,
+    overcast: float | None = None,
 ) -> Color:
     """Render a scene without rain and average a rectangle of at least one pixel in linear light."""
-    renderer.draw(scene.parts(shot.time_s, wetness=wetness), shot.camera)
+    renderer.draw(scene.parts(shot.time_s, wetness=wetness, overcast=overcast), shot.camera)
     rgba = renderer.read().rgba
     height, width = rgba.shape[:2]
     x0, x1 = _pixels(pick.left, pick.right, width)

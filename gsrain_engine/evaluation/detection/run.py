@@ -140,8 +140,8 @@ class ConditionRenderer:
         return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.color)
 
     def _drawn(self, frame: EvaluatedFrame, rainfall: RainSimulation | None) -> UInt8[np.ndarray, "h w 3"]:
-        wetness = 0.0 if rainfall is None else rainfall.wetness_at(frame.shot.time_s)
-        draw_view(self.renderer, self.scene, rainfall, self.sky.at(wetness), frame.shot)
+        overcast = 0.0 if rainfall is None else rainfall.overcast_at(frame.shot.time_s)
+        draw_view(self.renderer, self.scene, rainfall, self.sky.at(overcast), frame.shot)
         return self.renderer.read_uint8()
 
 

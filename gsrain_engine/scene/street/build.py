@@ -1,7 +1,7 @@
 """Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,110 +9,22 @@ from jaxtyping import Float, Float32, Float64
 
 from ..camera import DEFAULT_EXPOSURE_S
 from ..gaussians import SH_C0, Gaussians
-from ..geometry import linear_to_srgb, quaternions_from_matrices
+from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
 from .buildings import build_houses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
-from .layout import STREETS, CarShape, Label, StreetLayout, StreetParameters, plan_street
+from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
+from .lighting import LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
-from .shadows import ground_occlusion, sun_visibility
 from .trucks import build_parked_trucks
-from .vegetation import build_furniture, build_sky, build_trees, sky_display
+from .vegetation import build_furniture, build_sky, build_trees
+from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_materials
 
 LEAD_ID = "lead"
 _LEAD_SHAPE: CarShape = "saloon"
 _LEAD_PAINT = (0.014, 0.034, 0.075)
 _TRACK_STEP_S = 0.1
-
-# Daylight
-# One sun with shadows, the sky's ambient light, and light reflected by the ground.
-
-
-@dataclass(frozen=True, slots=True)
-class Daylight:
-    """Direction of the sun, and the layout that occludes it; without a layout nothing does."""
-
-    sun: Float64[np.ndarray, "3"]
-    """Unit vector towards the sun."""
-    layout: StreetLayout | None = None
-    seed: int = 0
-
-    @classmethod
-    def over(cls, parameters: StreetParameters, layout: StreetLayout | None = None) -> "Daylight":
-        azimuth, elevation = np.radians(parameters.sun_azimuth_deg), np.radians(parameters.sun_elevation_deg)
-        sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-        return cls(sun, layout, parameters.seed)
-
-    def display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners).
-
-        A long street is lit in sections, each with the trees and vehicles that can shade it.
-        """
-        if self.layout is not None and self.layout.parameters.length_m > _SECTION_M:
-            colors = np.empty((len(quads), 3), np.float32)
-            section = np.floor(points[:, 0] / _SECTION_M).astype(np.int64)
-            for number in np.unique(section).tolist():
-                own, around = np.flatnonzero(section == number), self._lighting(number * _SECTION_M)
-                colors[own] = around._display_colors(quads.take(own), points[own])
-            return colors
-        return self._display_colors(quads, points)
-
-    def _lighting(self, start_m: float) -> "Daylight":
-        """Light on the section of a long street that begins at x = `start_m`."""
-        assert self.layout is not None
-        low, high = start_m - _SHADE_M, start_m + _SECTION_M + _SHADE_M
-        trees = tuple(each for each in self.layout.trees if low < each.x < high)
-        cars = tuple(each for each in self.layout.cars if low < each.x < high)
-        trucks = tuple(each for each in self.layout.trucks if low < each.x < high)
-        return replace(self, layout=replace(self.layout, trees=trees, cars=cars, trucks=trucks))
-
-    def _display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        if len(quads) and quads.labels[0] == Label.SKY:
-            return self._sky(points)
-        normals = quads.normals.astype(np.float64)
-        facing = np.maximum(normals @ self.sun, 0)
-        leaf = quads.labels == Label.VEGETATION  # light transmitted by leaves
-        facing = np.where(leaf, 0.30 + 0.62 * facing, facing)
-        visible = quads.sun_access.astype(np.float64)
-        ambient = quads.sky_access.astype(np.float64)
-        if self.layout is not None:
-            lit = (facing * visible) > 1e-3
-            visible[lit] *= sun_visibility(self.layout, self.sun, points[lit], leaf[lit])
-            ambient = ambient * ground_occlusion(self.layout, points, normals)
-        up = 0.5 + 0.5 * normals[:, 2]
-        light = (facing * visible)[:, None] * _SUN_LIGHT
-        light += ambient[:, None] * (up[:, None] * _SKY_LIGHT + (1 - up)[:, None] * _GROUND_LIGHT)
-        radiance = 1 - np.exp(-_EXPOSURE * light * quads.albedo)
-        return self._hazy(linear_to_srgb(radiance), points)
-
-    def gloss_of(
-        self, normals: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "n 3 3"]]:
-        """Mirror reflection added to the display color: a constant, and a linear form of the viewing direction.
-
-        The mirrored direction d - 2 (d.n) n is linear in d, and so is the reflection of a smooth sky: these are
-        spherical harmonics of degree 1. The form has shape (n, direction, color).
-        """
-        n = normals.astype(np.float64)
-        flip = np.eye(3) - 2 * n[:, :, None] * n[:, None, :]
-        return _MIRRORED, flip[:, :, 2:] * _MIRRORED_UP + (flip @ self.sun)[:, :, None] * _MIRRORED_SUN
-
-    def _sky(self, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        p = None if self.layout is None else self.layout.parameters
-        away = points - np.array([0.0 if p is None else 0.5 * (p.start_x_m + p.end_x_m), 0, 0])
-        away = away / np.linalg.norm(away, axis=1, keepdims=True)
-        return sky_display(away, self.sun, self.seed).astype(np.float32)
-
-    def _hazy(self, colors: Float[np.ndarray, "n 3"], points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        """Blend distant surfaces into haze; only the hills are far enough to show it."""
-        if self.layout is None:
-            return colors.astype(np.float32)
-        p = self.layout.parameters
-        x = np.clip(points[:, 0], p.start_x_m, p.end_x_m)
-        far = np.hypot(points[:, 0] - x, points[:, 1])
-        part = 1 - np.exp(-np.maximum(far - 60, 0) / (0.45 * _HAZE_LENGTH_M))
-        return (colors + (_HAZE - colors) * part[:, None]).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,19 +37,17 @@ class StreetSurfaces:
     lead: Quads
     """The lead car and its shadow, in the object frame."""
 
-    @property
-    def light(self) -> Daylight:
-        return Daylight.over(self.layout.parameters, self.layout)
+    def light(self, name: LightingName = "sunny") -> Illumination:
+        return Illumination.over(self.layout.parameters, self.layout, LIGHTINGS[name])
 
-    @property
-    def lead_light(self) -> Daylight:
-        """Light on the lead car: the same sun without occlusion, as the car drives in and out of shadows."""
-        return Daylight.over(self.layout.parameters)
+    def lead_light(self, name: LightingName = "sunny") -> Illumination:
+        """Light on the lead car: the same sky without occlusion, as the car drives in and out of shadows."""
+        return Illumination.over(self.layout.parameters, lighting=LIGHTINGS[name])
 
 
 def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurfaces:
     layout = plan_street(parameters or StreetParameters())
-    sun = Daylight.over(layout.parameters).sun
+    sun = Illumination.over(layout.parameters).sun
     layers = {
         "road": build_road(layout),
         "pavements": build_sidewalks(layout),
@@ -163,15 +73,19 @@ def street_name(parameters: StreetParameters) -> str:
 
 
 def scene_of(surfaces: StreetSurfaces) -> Scene:
-    light = surfaces.light
+    light, clouds = surfaces.light(), surfaces.light("overcast")
     layers = tuple(
-        Layer(name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background")
+        Layer(
+            name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background",
+            wet_sh=wet_colors(quads, clouds),
+        )
         for name, quads in surfaces.layers.items()
-    )
+    )  # fmt: skip
     form = CAR_FORMS[_LEAD_SHAPE]
     p = surfaces.layout.parameters
-    gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light)
-    lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p))
+    gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
+    wet_sh = wet_colors(surfaces.lead, surfaces.lead_light("overcast"))
+    lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p), wet_sh=wet_sh)
     return Scene(name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p))
 
 
@@ -209,18 +123,46 @@ SH_C1 = 0.4886025119029199
 _THICKNESS = 0.02  # standard deviation across a surface, as a fraction of the smaller one within it
 
 
-def quads_to_gaussians(quads: Quads, light: Daylight) -> Gaussians:
-    """Convert quads to Gaussians, in order. Glossy sets get spherical harmonics of degree 1, matte ones degree 0."""
-    if len(quads) > _CHUNK:  # in float64, millions take gigabytes
-        chunks = (slice(first, first + _CHUNK) for first in range(0, len(quads), _CHUNK))
-        return Gaussians.concatenate([quads_to_gaussians(quads.take(chunk), light) for chunk in chunks])
-    scales, quaternions = _ellipses(quads)
-    colors = light.display_colors(quads, quads.centers)
-    return Gaussians(quads.centers, scales, quaternions, quads.opacity, _harmonics(quads, colors, light))
+def quads_to_gaussians(quads: Quads, light: Illumination) -> Gaussians:
+    """Convert quads to Gaussians, in order, with their dry colors under a light.
+
+    Glossy sets get spherical harmonics of degree 1, those with level ground degree 3 for their wet colors, matte ones
+    degree 0.
+    """
+    coefficients = _coefficients(quads)
+
+    def converted(part: Quads) -> Gaussians:
+        colors = light.display_colors(part, part.centers)
+        return Gaussians(part.centers, *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients))
+
+    return Gaussians.concatenate([converted(part) for part in _chunks(quads)])
+
+
+def wet_colors(quads: Quads, light: Illumination) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics of the Gaussians of quads when soaked, under a light."""
+    coefficients = _coefficients(quads)
+
+    def converted(part: Quads) -> Float32[np.ndarray, "n k 3"]:
+        wet = wet_materials(part, with_lamps=light.layout is None)
+        matte = _harmonics(wet, light.display_colors(wet, wet.centers), light, coefficients)
+        return wet_harmonics(wet, light, coefficients, matte)
+
+    return np.concatenate([converted(part) for part in _chunks(quads)])
+
+
+def _chunks(quads: Quads) -> list[Quads]:
+    """Split quads for conversion: in float64, millions take gigabytes."""
+    return [quads.take(slice(first, first + _CHUNK)) for first in range(0, max(len(quads), 1), _CHUNK)]
+
+
+def _coefficients(quads: Quads) -> int:
+    if np.any(reflecting(quads)):
+        return GROUND_COEFFICIENTS
+    return 4 if np.any(quads.gloss > 0) else 1
 
 
 def displayed_colors(
-    quads: Quads, light: Daylight, matte: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+    quads: Quads, light: Illumination, matte: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
     """Display color of quads viewed along unit directions (eye to quad), as in their Gaussians."""
     constant, linear = light.gloss_of(quads.normals)
@@ -249,27 +191,17 @@ def _ellipses(quads: Quads) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndar
     return scales.astype(np.float32), quaternions_from_matrices(rotation).astype(np.float32)
 
 
-def _harmonics(quads: Quads, colors: Float32[np.ndarray, "n 3"], light: Daylight) -> Float32[np.ndarray, "n k 3"]:
-    if not np.any(quads.gloss > 0):
-        return ((colors - np.float32(0.5)) / np.float32(SH_C0))[:, None, :]
-    constant, linear = light.gloss_of(quads.normals)
-    sh = np.zeros((len(quads), 4, 3))
-    sh[:, 0] = (colors + quads.gloss[:, None] * constant - 0.5) / SH_C0
-    sh[:, 1:] = quads.gloss[:, None, None] * linear[:, [1, 2, 0]] * np.array([[-1.0], [1.0], [-1.0]]) / SH_C1
-    return sh.astype(np.float32)
+def _harmonics(
+    quads: Quads, colors: Float32[np.ndarray, "n 3"], light: Illumination, coefficients: int
+) -> Float32[np.ndarray, "n k 3"]:
+    sh = np.zeros((len(quads), coefficients, 3), np.float32)
+    sh[:, 0] = (colors - np.float32(0.5)) / np.float32(SH_C0)
+    if np.any(quads.gloss > 0):
+        constant, linear = light.gloss_of(quads.normals)
+        sh[:, 0] = (colors + quads.gloss[:, None] * constant - 0.5) / SH_C0
+        sh[:, 1:4] = quads.gloss[:, None, None] * linear[:, [1, 2, 0]] * np.array([[-1.0], [1.0], [-1.0]]) / SH_C1
+    return sh
 
-
-_SECTION_M = 260.0  # maximum length of a street that is lit in one piece
-_SHADE_M = 30.0  # maximum distance of a shadow from the tree or vehicle that casts it
-_SUN_LIGHT = np.array([3.05, 2.72, 2.18])
-_SKY_LIGHT = np.array([0.50, 0.62, 0.82])
-_GROUND_LIGHT = np.array([0.30, 0.27, 0.22])
-_EXPOSURE = 1.18
-_MIRRORED = np.array([0.36, 0.40, 0.45])  # display color of a mirror that reflects the horizon
-_MIRRORED_UP = np.array([0.30, 0.37, 0.48])  # added for a reflection of the zenith, subtracted for one of the road
-_MIRRORED_SUN = np.array([0.16, 0.15, 0.12])
-_HAZE = np.array([0.70, 0.78, 0.86])
-_HAZE_LENGTH_M = 1400.0
 
 # Camera rigs
 # The rigs of the two large driving data sets, in the ego frame (x forward, y left, z up, 1.5 m above the road).

@@ -29,13 +29,16 @@ def sun_visibility(
 
 
 def ground_occlusion(
-    layout: StreetLayout, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+    layout: StreetLayout, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], *, canyon: bool = True
 ) -> Float64[np.ndarray, " n"]:
-    """Fraction of the sky's light in the street: less between houses, below cars, under trees, at the foot of walls."""
+    """Fraction of the sky's light in the street: less below cars, under trees, and at the foot of walls.
+
+    `canyon` makes it less between houses, too.
+    """
     p = points.astype(np.float64)
     a = layout.parameters
     inside = (p[:, 0] > a.start_x_m) & (p[:, 0] < a.end_x_m) & (np.abs(p[:, 1]) < a.front_y_m + 0.5)
-    share = np.where(inside, 0.75 + 0.25 * np.clip(p[:, 2] / 16.0, 0, 1), 1.0)
+    share = np.where(inside & canyon, 0.75 + 0.25 * np.clip(p[:, 2] / 16.0, 0, 1), 1.0)
     level = (p[:, 2] < CURB_HEIGHT_M + 0.05) & (normals[:, 2] > 0.5)
     at_wall = np.maximum(a.front_y_m - np.abs(p[:, 1]), 0)
     share = np.where(inside & level, share * (1 - 0.38 * np.exp(-at_wall / 0.6)), share)

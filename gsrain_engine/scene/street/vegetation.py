@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Float64
 
+from ..geometry import linear_to_srgb
 from .ground import longer_by_m
 from .layout import CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
 from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, surface, tube
@@ -17,6 +18,11 @@ _TWIGS, _LEAVES_A_TWIG = 58, 29
 def build_trees(layout: StreetLayout, sun: Float64[np.ndarray, "3"]) -> Quads:
     """Build every tree; `sun` points to the sun, for the shade of leaves by their own crown."""
     return Quads.joined(_tree(tree, sun) for tree in layout.trees)
+
+
+def crown_middle(tree: Tree) -> tuple[float, float]:
+    """Height of the middle of a crown, and half of the crown's height, in meters."""
+    return CURB_HEIGHT_M + 0.5 * (tree.crown_base + tree.height), 0.5 * (tree.height - tree.crown_base)
 
 
 def crown_lobes(tree: Tree) -> Float64[np.ndarray, "m 4"]:
@@ -256,3 +262,27 @@ def sky_display(
     body = np.clip((billow - 0.55) / 0.25, 0, 1)
     white = np.array([0.965, 0.97, 0.975]) - body[:, None] * np.array([0.13, 0.11, 0.085])
     return np.clip(color + (white - color) * 0.88 * cover[:, None], 0, 1)
+
+
+def overcast_luminance(rise: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+    """Luminance of CIE's overcast sky relative to the zenith's, (1 + 2 sin e)/3 (Moon and Spencer 1942).
+
+    `rise` is the sine of the elevation e; below the horizon it is the horizon's.
+    """
+    return (1 + 2 * np.clip(rise, 0, 1).astype(np.float64)) / 3
+
+
+OVERCAST_ZENITH = 2.0
+"""Luminance of the overcast sky's zenith, relative to a camera's white: the camera is exposed for the street."""
+_CLOUD_GRAY = np.array([0.965, 1.0, 1.035])
+
+
+def overcast_sky_display(
+    directions: Float[np.ndarray, "n 3"], sun: Float64[np.ndarray, "3"], seed: int
+) -> Float64[np.ndarray, "n 3"]:
+    """Display color of a closed cloud deck in unit directions: gray, brighter above, with soft folds; no sun."""
+    up = np.clip(directions[:, 2], 0, 1).astype(np.float64)
+    flat = directions[:, :2].astype(np.float64) / (up + 0.16)[:, None]
+    folds = layered_noise(flat, (1.5, 0.9), seed + 131, 4) - 0.5
+    light = OVERCAST_ZENITH * overcast_luminance(up) * (1 + 0.85 * folds * np.clip(0.25 + 3 * up, 0, 1))
+    return linear_to_srgb(1 - np.exp(-light[:, None] * _CLOUD_GRAY))

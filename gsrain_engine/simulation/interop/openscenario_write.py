@@ -14,7 +14,7 @@ from jaxtyping import Float64
 from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
 from ...rain.settings import RainSettings
-from ...rain.wetness import SOAKING_DEPTH_MM, water_depth_mm
+from ...rain.wetness import water_depth_mm
 from ...scene.files import whole_file
 from ...scene.objects import coco_class
 from ...scene.scene import Scene
@@ -270,6 +270,8 @@ def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[st
 
 # Weather
 
+_PUDDLES_FROM_MM = 0.2  # depth of the water on a road from which it stands in puddles
+
 
 def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
     """Return the weather action: precipitation in mm/h, fog of the rain's visual range, wind, wetness.
@@ -282,7 +284,7 @@ def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
     fog = wind = cloud = None
     wetness = words.Wetness.dry
     if intensity > 0:
-        soaks = water_depth_mm(intensity) >= SOAKING_DEPTH_MM
+        soaks = water_depth_mm(intensity) >= _PUDDLES_FROM_MM
         wetness = words.Wetness.wetWithPuddles if soaks else words.Wetness.moist
         cloud = words.FractionalCloudCover.eightOktas
         visibility = rain_properties(rain, load_calibration(rain.calibration)).visibility_m

@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 
 from ...scene.formats.hugsim import hugsim_files, is_vehicle_folder, read_hugsim
 from ...scene.formats.registry import read_gaussians
 from ...scene.gaussians import Gaussians
 from ...scene.scene import Scene, robust_bounds
-from ...scene.street.build import Daylight, quads_to_gaussians
+from ...scene.street.build import quads_to_gaussians, wet_colors
 from ...scene.street.cars import CAR_FORMS, TRUCK_FORM, build_car, vehicle_shadow
 from ...scene.street.layout import CarShape, Color, ParkedTruck, StreetParameters
+from ...scene.street.lighting import LIGHTINGS, Illumination
 from ...scene.street.mesh import Quads
 from ...scene.street.trucks import build_truck
 
@@ -24,6 +26,8 @@ class VehicleModel(NamedTuple):
     gaussians: Gaussians
     """Object frame (x forward, y left, z up, origin at the bottom center), meters."""
     size_lwh_m: tuple[float, float, float]
+    wet_sh: Float32[np.ndarray, "n k 3"] | None = None
+    """Harmonics of its Gaussians when wet under clouds; None for models without wet colors."""
 
 
 def scale_gaussians(gaussians: Gaussians, times: float) -> Gaussians:
@@ -50,7 +54,8 @@ def vehicle_model(model: str, scene: Scene) -> VehicleModel:
         if actor is None:
             raise ValueError(f"model {model}: scene {scene.name!r} has no such actor")
         length, width, height = (scene.metres_per_unit * side for side in actor.size_lwh)
-        return VehicleModel(scale_gaussians(actor.gaussians, scene.metres_per_unit), (length, width, height))
+        gaussians = scale_gaussians(actor.gaussians, scene.metres_per_unit)
+        return VehicleModel(gaussians, (length, width, height), actor.wet_sh)
     path = Path(model)
     if is_vehicle_folder(path):
         return model_of_folder(path)
@@ -111,7 +116,7 @@ def _in_shadow(path: Path, standing: Gaussians, size_lwh_m: tuple[float, float, 
             f"{path}: {length:.3g} x {width:.3g} x {height:.3g} m is no road user's size; a model is in meters, each "
             f"side {_MIN_M:g} to {_MAX_M:g} m"
         )
-    shadow = quads_to_gaussians(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
+    shadow = quads_to_gaussians(vehicle_shadow(length, width), Illumination.over(StreetParameters()))
     return VehicleModel(Gaussians.concatenate([shadow, standing]), size_lwh_m)
 
 
@@ -151,5 +156,6 @@ def built_in_vehicle(name: str) -> VehicleModel | None:
         shape: CarShape = next(each for each in CAR_FORMS if each == kind)
         form, body = CAR_FORMS[shape], build_car(shape, color)
     quads = Quads.joined([vehicle_shadow(form.length, form.width), body])
-    gaussians = quads_to_gaussians(quads, Daylight.over(StreetParameters()))
-    return VehicleModel(gaussians, (form.length, form.width, form.height))
+    gaussians = quads_to_gaussians(quads, Illumination.over(StreetParameters()))
+    wet_sh = wet_colors(quads, Illumination.over(StreetParameters(), lighting=LIGHTINGS["overcast"]))
+    return VehicleModel(gaussians, (form.length, form.width, form.height), wet_sh)

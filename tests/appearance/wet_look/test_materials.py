@@ -7,16 +7,10 @@ from appearance.wet_look.dry_view import dry_view
 from gsrain_engine.appearance.normals import view_rays
 from gsrain_engine.appearance.wet_look.illumination import overcast_sky
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
-from gsrain_engine.appearance.wet_look.materials import (
-    WATER_INDEX,
-    apply_fog,
-    reflectance,
-    unshadowed,
-    wet_albedo,
-    wet_surfaces_color,
-)
+from gsrain_engine.appearance.wet_look.materials import apply_fog, wet_surfaces_color
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.scene.geometry import srgb_to_linear
+from gsrain_engine.scene.water_surface import WATER_INDEX, reflectance, unshadowed, wet_albedo
 
 PLAIN = WetSettings(streaks=0.0)
 ROAD, WALL = (56, 48), (24, 48)

@@ -12,7 +12,6 @@ from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street.build import (
     PARKED_CARS,
-    Daylight,
     StreetSurfaces,
     build_street,
     displayed_colors,
@@ -24,6 +23,7 @@ from gsrain_engine.scene.street.build import (
 from gsrain_engine.scene.street.cars import TRUCK_FORM
 from gsrain_engine.scene.street.ground import build_road
 from gsrain_engine.scene.street.layout import CURB_HEIGHT_M, STREETS, Label, StreetParameters, plan_street
+from gsrain_engine.scene.street.lighting import Illumination
 from gsrain_engine.scene.street.mesh import Quads, box, even_lines, graded_lines, panel
 from gsrain_engine.scene.street.trucks import build_truck
 
@@ -97,7 +97,7 @@ def test_nothing_stands_in_the_lanes_or_where_a_truck_stands(parameters: StreetP
 
 
 def test_harmonics_of_degree_1_are_the_mirrored_sky(surfaces: StreetSurfaces) -> None:
-    glossy, light = surfaces.lead.take(surfaces.lead.gloss > 0.1), surfaces.lead_light
+    glossy, light = surfaces.lead.take(surfaces.lead.gloss > 0.1), surfaces.lead_light()
     directions = np.tile([0.8, 0.36, -0.48], (len(glossy), 1))
     found = evaluate_sh(quads_to_gaussians(glossy, light).sh.astype(np.float64), directions)
     expected = displayed_colors(glossy, light, light.display_colors(glossy, glossy.centers), directions)
@@ -163,9 +163,9 @@ def test_a_long_street_is_lit_in_sections_as_in_one_piece(monkeypatch: pytest.Mo
     assert layout.right[-1].origin[0] == pytest.approx(1170) and layout.parameters.drive_seconds == 57
     quads = build_road(layout)
     chosen = quads.take((quads.centers[:, 0] > 400) & (quads.centers[:, 0] < 640))
-    light = Daylight.over(layout.parameters, layout)
+    light = Illumination.over(layout.parameters, layout)
     in_sections = light.display_colors(chosen, chosen.centers)
-    monkeypatch.setattr("gsrain_engine.scene.street.build._SECTION_M", 2000.0)
+    monkeypatch.setattr("gsrain_engine.scene.street.lighting._SECTION_M", 2000.0)
     np.testing.assert_array_equal(in_sections, light.display_colors(chosen, chosen.centers))
 
 
@@ -174,7 +174,7 @@ def test_chunks_of_quads_become_the_same_gaussians(
 ) -> None:
     monkeypatch.setattr("gsrain_engine.scene.street.build._CHUNK", 1000)
     (expected,) = (layer.gaussians for layer in street.layers if layer.name == PARKED_CARS)
-    found = quads_to_gaussians(surfaces.layers[PARKED_CARS], surfaces.light)
+    found = quads_to_gaussians(surfaces.layers[PARKED_CARS], surfaces.light())
     for array, same in zip(found.arrays, expected.arrays, strict=True):
         np.testing.assert_allclose(array, same, atol=1e-6)
 
