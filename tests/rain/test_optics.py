@@ -16,6 +16,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from gsrain_engine.scene.scene import DrawItem
+from gsrain_engine.scene.sensor import Lens
 
 FOCAL = 1000.0
 UP, AHEAD = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
@@ -44,7 +45,9 @@ def fall_speed(diameter_mm):
     return float(PUBLISHED.velocity(np.array([diameter_mm]))[0])
 
 
-def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), gray=0.8, **fields):
+def streak_picture(
+    renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), gray=0.8, lens=None, **fields
+):
     """Float picture (h, w, 4) of one drop straight ahead that falls, moved by a part of a pixel."""
     length_px = fall_speed(diameter_mm) * exposure_s * FOCAL / distance_m
     camera = eye_at((0.0, 0, 0), 48, int(3 * length_px) + 48, FOCAL)
@@ -52,9 +55,8 @@ def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.
     velocity = np.array([[0.0, 0, -fall_speed(diameter_mm)]])
     rain = RainSettings(**fields)
     color = np.full(3, gray)
-    drops = streak_gaussians(
-        at, np.array([diameter_mm]), velocity, ShutterModel(camera, np.zeros(3), exposure_s, FOCAL), rain, color
-    )
+    shutter = ShutterModel(camera, np.zeros(3), exposure_s, FOCAL, lens or Lens())
+    drops = streak_gaussians(at, np.array([diameter_mm]), velocity, shutter, rain, color)
     renderer.draw(list(parts), camera, given_rain(drops, srgb_to_linear(color).astype(np.float32), rain.rain_light))
     return renderer.read().rgba.astype(np.float64)
 
@@ -78,7 +80,7 @@ def test_a_streak_hides_as_much_as_its_drop(renderer, exposure_s, diameter_mm, t
 def test_a_drop_out_of_focus_is_wider_by_the_circle_of_confusion_and_hides_as_much(renderer):
     """c = f A |1/d - 1/d_focus| px; a disc of diameter c has c^2 / 16 as its variance along each axis."""
     diameter_mm, distance, exposure_s = 1.0, 0.5, 0.004
-    lens = {"aperture_mm": 4.0, "focus_distance_m": 8.0}
+    lens = {"lens": Lens(4e-3, 8.0)}
     sharp, blurred = (
         np.mean([streak_picture(renderer, diameter_mm, distance, exposure_s, phase, **fields)[..., 3] for phase in
                  PHASES[:6]], axis=0) for fields in ({}, lens)
