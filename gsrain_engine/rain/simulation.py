@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
-from ..scene.sensor import DEFAULT_SENSOR, Lens, Sensor, load_sensor
+from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
 from .calibration import Calibration, load_calibration
 from .drop_field import DropCulling, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, Wind
@@ -105,10 +105,10 @@ class RainSimulation:
         named = None if self.rain.sensor is None else self.sensor.shutter_s
         return self.rain.exposure_s or named or camera.exposure_s
 
-    def lens(self, camera: Camera) -> Lens:
+    def lens(self, camera: Camera) -> ThinLens:
         """Lens of a camera: the sensor's, with what the rain sets in its place."""
         aperture_mm, focus_m = self.rain.aperture_mm, self.rain.focus_distance_m
-        own = self.sensor.lens(camera) if aperture_mm is None else Lens(1e-3 * aperture_mm)
+        own = self.sensor.lens(camera) if aperture_mm is None else ThinLens(1e-3 * aperture_mm)
         return own if focus_m is None else own._replace(focus_m=focus_m)
 
     @property

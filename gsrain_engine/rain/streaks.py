@@ -9,7 +9,7 @@ from jaxtyping import Float32, Float64
 
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
-from ..scene.sensor import GLOBAL_SHUTTER, PINHOLE, Lens, Readout
+from ..scene.sensor import GLOBAL_SHUTTER, PINHOLE, Readout, ThinLens
 from .settings import RainSettings
 
 AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07  # tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)
@@ -29,7 +29,7 @@ class ShutterModel:
     exposure_s: float
     focal_px: float
     """Focal length of the *output* image, at any drawn resolution."""
-    lens: Lens = PINHOLE
+    lens: ThinLens = PINHOLE
     readout: Readout = GLOBAL_SHUTTER
 
 

@@ -14,7 +14,7 @@ from .camera import Camera
 DEFAULT_SENSOR = "automotive"
 
 
-class Lens(NamedTuple):
+class ThinLens(NamedTuple):
     """Thin lens of a camera, in meters; an opening of 0 is a pinhole."""
 
     aperture_m: float = 0.0
@@ -40,7 +40,7 @@ class Readout(NamedTuple):
     offset: float = 0.0
 
 
-PINHOLE, GLOBAL_SHUTTER = Lens(), Readout()
+PINHOLE, GLOBAL_SHUTTER = ThinLens(), Readout()
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -97,7 +97,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         plain = self.mean_gray is None and self.full_well_e is None and self.jpeg_quality is None
         return not plain or self.tone_curve != "srgb"
 
-    def lens(self, camera: Camera) -> Lens:
+    def lens(self, camera: Camera) -> ThinLens:
         """Lens with which a camera has this sensor.
 
         The opening A = f p / N has f and the pixel pitch p in native pixels; f is that of the picture times the ratio
@@ -108,7 +108,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             return PINHOLE
         focal_px = camera.fy * self.size_px[1] / camera.height
         aperture_m = focal_px * 1e-6 * self.pixel_pitch_um / self.f_number
-        return Lens(aperture_m, self.focus_distance_m or aperture_m * focal_px)
+        return ThinLens(aperture_m, self.focus_distance_m or aperture_m * focal_px)
 
     def readout(self, camera: Camera) -> Readout:
         """Rolling shutter in coordinates of a camera; the middle of the picture is exposed at the frame's time."""

@@ -6,7 +6,7 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.streaks import ShutterModel, camera_slopes, streak_gaussians
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import matrices_from_quaternions
-from gsrain_engine.scene.sensor import Lens, Sensor
+from gsrain_engine.scene.sensor import Sensor, ThinLens
 from oracles.streaks import make_streaks
 
 F = 1000.0
@@ -71,10 +71,10 @@ ROLLING, SIDEWAYS = Sensor(readout_s=0.016), Sensor(readout_s=0.044, readout_dir
     ("camera", "fields"),
     [
         (AHEAD, {}), (AHEAD, {"streak_frame": "world"}), (AHEAD, {"far_drops": "published"}),
-        (AHEAD, {"lens": Lens(6e-3, 10.0)}), (AHEAD, {"streak_gain": 30.0}),
+        (AHEAD, {"lens": ThinLens(6e-3, 10.0)}), (AHEAD, {"streak_gain": 30.0}),
         (AHEAD, {"readout": ROLLING.readout(AHEAD)}),
         (AHEAD, {"exposure_s": 1e-4}),  # shorter than the larger drops need for their own diameters
-        (TILTED, {"exposure_s": 0.008}), (TILTED, {"readout": SIDEWAYS.readout(TILTED), "lens": Lens(3e-3, 5.0)}),
+        (TILTED, {"exposure_s": 0.008}), (TILTED, {"readout": SIDEWAYS.readout(TILTED), "lens": ThinLens(3e-3, 5.0)}),
     ],
 )  # fmt: skip
 def test_the_compiled_form_makes_the_same_streaks_but_those_outside_the_picture(camera, fields):
