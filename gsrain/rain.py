@@ -44,9 +44,10 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
             intensity: Rainfall intensity R in mm/h, 0..100; calibrated up to 13.
             wind: Horizontal wind along the world's x and y in m/s.
             gusts: Amplitude of the wind's slow variation in m/s.
-            exposure: Shutter time in s; None takes the camera's own (4 ms by day).
+            exposure: Shutter time in s; None takes that of a `sensor`, or the camera's own (4 ms by day).
             seed: Seed of the drops, 0..2^32 - 1.
-            settings: Further fields of `RainSettings` by their names, such as `wetness=1.0` or `haze="none"`.
+            settings: Further fields of `RainSettings` by their names, such as `wetness=1.0`, `haze="none"`, or
+                `sensor="automotive"` (a shipped sensor or a file: `gsrain schema sensors`).
 
         Raises:
             ValueError: For an unknown or wrong setting, with what is allowed.
