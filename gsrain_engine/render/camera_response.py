@@ -46,7 +46,8 @@ class CameraResponse:
         """Return the picture that the camera stores of a rendered one (sRGB).
 
         Linear light of 1, white, is full well over gain in electrons; noise is that of shot and readout (Gaussian, with
-        the variance of Poisson's law: Foi et al. 2008). Then come exposure gain, clipping, tone curve and JPEG. Pixels
+        the variance of Poisson's law: Foi et al. 2008). A pixel of a smaller picture than the sensor's is the mean of
+        several of the sensor's, each with its own noise. Then come exposure gain, clipping, tone curve and JPEG. Pixels
         and channels have noise of their own; a color filter array and its interpolation are not simulated.
         """
         sensor, levels = self.sensor, np.arange(256) / 255
@@ -54,7 +55,8 @@ class CameraResponse:
         sigma = np.zeros(256)
         if sensor.full_well_e is not None:
             white_e = sensor.full_well_e / sensor.gain
-            sigma = np.sqrt(light * white_e + sensor.read_noise_e**2) / white_e
+            binned = max(sensor.size_px[1] / image.shape[0], 1.0)  # native pixels along each side of a pixel
+            sigma = np.sqrt(light * white_e + sensor.read_noise_e**2) / (binned * white_e)
         scale = self.exposure_gain * (_TONES - 1)
         made = np.empty_like(image)
         _expose(

@@ -19,7 +19,7 @@ from gsrain_engine.scene.sensor import Sensor
 from small_scene import AHEAD, small_scene
 
 CAMERA = Camera(96, 64, 80.0, 80.0, 48.0, 32.0)
-NOISY = Sensor(full_well_e=4000, gain=4, read_noise_e=6)
+NOISY = Sensor(size_px=(256, 256), full_well_e=4000, gain=4, read_noise_e=6)
 
 
 def flat(level, side=256):
@@ -36,7 +36,7 @@ def taken(image, sensor=NOISY, time_s=0.0, seed=0, gain=1.0, camera=CAMERA):
 @pytest.mark.parametrize(("exposure_gain", "full_well_e", "gain"), [(1.0, 4000, 4), (1.0, 3000, 1), (1.5, 4000, 4)])
 def test_variance_grows_with_the_signal_by_one_electron_each(exposure_gain, full_well_e, gain):
     """Photon transfer: in electrons, the variance is the mean plus the square of the read noise."""
-    sensor = Sensor(full_well_e=full_well_e, gain=gain, read_noise_e=6)
+    sensor = Sensor(size_px=(256, 256), full_well_e=full_well_e, gain=gain, read_noise_e=6)
     means, variances = [], []
     for level in range(80, 185, 15):
         light = srgb_to_linear(taken(flat(level), sensor, gain=exposure_gain) / 255)
@@ -47,6 +47,12 @@ def test_variance_grows_with_the_signal_by_one_electron_each(exposure_gain, full
     slope, offset = np.polyfit(means, variances, 1)
     assert slope == pytest.approx(1, abs=0.03)
     assert offset == pytest.approx(36, abs=6)
+
+
+def test_a_smaller_picture_averages_the_noise_of_native_pixels():
+    sigma = [taken(flat(128, side)).std() for side in (256, 128, 512)]
+    assert sigma[1] == pytest.approx(sigma[0] / 2, rel=0.03)
+    assert sigma[2] == pytest.approx(sigma[0], rel=0.03)  # a larger one is not noisier
 
 
 def test_pixels_channels_times_seeds_and_cameras_have_noise_of_their_own():
@@ -107,7 +113,7 @@ def sensor_file(tmp_path):
     return write
 
 
-NOISE = {"full_well_e": 4000, "gain": 4, "read_noise_e": 6}
+NOISE = {"size_px": [160, 96], "full_well_e": 4000, "gain": 4, "read_noise_e": 6}
 
 
 def front(width=160, height=96):
@@ -133,7 +139,7 @@ def test_any_frame_alone_is_the_same(sensor_file):
 
 @pytest.mark.parametrize("fields", [{}, {"mean_gray": 60.0}, {"tone_curve": "crushed"}])
 def test_a_twin_without_rain_has_the_same_noise_and_gain(sensor_file, fields):
-    """Where the rain changes no pixel of the plain pictures, it changes none of the sensor's."""
+    """Pixels that rain leaves alone in the plain pictures are equal in those of the sensor."""
     renderer = CpuRenderer()
     rain = RainSettings(intensity_mm_h=40.0, haze="none", sensor=sensor_file(**NOISE, **fields))
     plain = sequence(msgspec.structs.replace(rain, sensor=sensor_file()))
