@@ -14,6 +14,7 @@ from .outputs import check_writable, write_text
 SETTINGS = {
     "rain": ("gsrain_engine.rain.settings:RainSettings", "Rain presets"),
     "calibrations": ("gsrain_engine.rain.calibration:Calibration", "Rain calibrations"),
+    "sensors": ("gsrain_engine.scene.sensor:Sensor", "Image sensors and lenses"),
     "scenarios": ("gsrain_engine.simulation.scenario:Scenario", "Scenarios of `gsrain drive`"),
     "sweeps": ("gsrain_engine.sweep.settings:Sweep", "Sweeps"),
     "reconstruct": ("gsrain_engine.training.settings:TrainingSettings", "Reconstruction"),

@@ -53,9 +53,10 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
                 from west-southwest. `wind_speed_m_s` and `wind_from_deg` set the same.
             gusts: Amplitude of the wind's variation over seconds and meters, in m/s.
             turbulence: RMS velocity in m/s of eddies that move drops one by one.
-            exposure: Shutter time in s; None takes the camera's own (4 ms by day).
+            exposure: Shutter time in s; None takes that of a `sensor`, or the camera's own (4 ms by day).
             seed: Seed of the drops, 0..2^32 - 1.
-            settings: Further fields of `RainSettings` by their names, such as `wetness=1.0` or `haze="none"`.
+            settings: Further fields of `RainSettings` by their names, such as `wetness=1.0`, `haze="none"`, or
+                `sensor="automotive"` (a shipped sensor or a file: `gsrain schema sensors`).
 
         Raises:
             ValueError: For an unknown or wrong setting, with what is allowed.

@@ -22,10 +22,12 @@ uniform float focal;          // px, of the output image
 uniform float phi, haze_opacity, gain;
 uniform float aperture;       // diameter of the lens opening (m)
 uniform float focus;          // distance that is sharp (m)
+uniform vec4 scan;            // rolling shutter: duration (s), and its course over x/z, y/z, and from the axis
 uniform uint max_copies;
 uniform vec3 display_color;
 
 const float PI = 3.14159265358979;
+const float MAX_STRETCH = 2.0;
 
 // The n-th drop that was found: its class, and its number.
 uint find_class(uint n, out uint i) {
@@ -52,6 +54,13 @@ void main() {
         p = cell_to_camera * (in_cell(drop.at) - camera_in_cell);
         float diameter = drop_classes[c].diameter;
         vec3 velocity = cell_to_camera * (velocity_of(drop, c) - shutter_velocity);
+        float stretch = 1.0;
+        if (scan.x > 0.0 && p.z > 0.0) {
+            vec2 at = p.xy / p.z;
+            float rate = dot(scan.yz, velocity.xy - at * velocity.z) / p.z;
+            stretch = 1.0 / max(1.0 - scan.x * rate, 1.0 / MAX_STRETCH);
+            p += clamp(scan.x * stretch * (dot(scan.yz, at) + scan.w), -scan.x, scan.x) * velocity;
+        }
         vec3 sight = p / max(length(p), 1e-9);
         float across = length(velocity - dot(velocity, sight) * sight), speed = length(velocity), limit = focal * diameter;
         float smeared = (still_camera ? speed : across) * exposure;
@@ -61,7 +70,7 @@ void main() {
         // Copies overlap: their opacities would add up to sqrt(2 pi) alpha.
         opacity = 1.0 - pow(1.0 - alpha, inversesqrt(2.0 * PI));
         float narrowing = alpha / max(sqrt(2.0 * PI) * opacity, 1e-30);
-        float ratio = diameter > 1e-3 ? -70.0 * diameter + 1.07 : 1.0, streak = speed * exposure;
+        float ratio = diameter > 1e-3 ? -70.0 * diameter + 1.07 : 1.0, streak = speed * exposure * stretch;
         copies = uint(clamp(roundEven(streak / (ratio * diameter)), 1.0, float(max_copies)));
         spacing = streak / float(copies);
         across_sigma = sqrt(PI / 32.0) * max(diameter, p.z / focal) * narrowing;

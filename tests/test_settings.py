@@ -95,6 +95,8 @@ def test_options_of_settings_are_made_from_their_fields(name: str, command: App)
     fields = [field for each in structs for field in fields_of(each) if field.title != field.name]
     for argument in command.assemble_argument_collection():
         for option in argument.names:
+            if (name, option) == ("evaluate lidar", "--sensor"):  # a lidar, not a camera's sensor
+                continue
             made = [each.described for each in fields if option in (*each.options, f"--{each.name.replace('_', '-')}")]
             is_made = any(argument.parameter.help.startswith(text) for text in made)
             assert is_made or not made, f"{option} of gsrain {name} is a settings field"

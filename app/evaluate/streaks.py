@@ -24,7 +24,9 @@ from ..console import Console, Table, progress_bar, table_of
 from ..options import JsonFileOrScreen, check_within, option, options_of, setting
 from ..outputs import check_writable, finite_numbers, table_stream, write_numbers
 
-RenderedOptions = options_of(RainSettings, "evaluate streaks", defaults={"intensity_mm_h": "that of each sequence"})
+RenderedOptions = options_of(
+    RainSettings, "evaluate streaks", defaults={"intensity_mm_h": "that of each sequence", "sensor": "pinhole"}
+)
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _COLUMNS = 130
 _log = logging.getLogger(__name__)
@@ -47,12 +49,12 @@ def streaks(
     part = _window(window) if window is not None else None
     sequences = _long_enough(real)
     options = rain or RenderedOptions()
-    plain = options.settings()
-    knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "aperture_mm", "seed")}
+    plain = options.settings(RainSettings(sensor="pinhole"))
+    knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "sensor", "aperture_mm", "seed")}
     rows: list[RealRainComparison] = []
     with progress_bar("Measuring", len(sequences)) as advance:
         for sequence in sequences:
-            ours = options.settings(RainSettings(intensity_mm_h=sequence.intensity_mm_h))
+            ours = options.settings(RainSettings(intensity_mm_h=sequence.intensity_mm_h, sensor="pinhole"))
             numbers = evenly_chosen(sequence, frames)
             rows.append(compare_with_real_rain(sequence, ours, exposures, numbers, part or above_horizon(sequence)))
             advance()

@@ -86,7 +86,7 @@ def measure_rain_rate(
     near: 0.1 s. Raises ValueError for fewer than 5 frames, without sky at their top, and for fewer than 20 streaks.
     """
     found = light_residuals(frames)
-    drop_light = drop_light_of(found)
+    drop_light = drop_light_of(found, focal_px)
     streaks = _Streaks.of(found)
     areas = _OpenAreas(found.still & (found.background < _MAX_BACKGROUND * drop_light))
     streaks = streaks[areas.are_open(streaks.center_px, streaks.half_box_px)]
@@ -125,22 +125,29 @@ def _luminance(linear: Float32[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "h 
     return linear @ _LUMINANCE if linear.ndim == 3 else linear
 
 
-def drop_light_of(found: LightResiduals) -> float:
+def drop_light_of(found: LightResiduals, focal_px: float) -> float:
     """Linear luminance of a drop: the mean radiance of the sky, which it refracts (Garg and Nayar 2007).
 
-    The sky is what is bright and connected to the top of the frames. Raises `ValueError` if hardly any is there.
+    The sky is what is bright and connected to the top of the frames. An overcast sky's radiance is linear in the sine
+    of the elevation (CIE: 1 + 2 sin e); the line fitted to the visible part is taken at its mean over the hemisphere,
+    sin e = 1/2. Raises `ValueError` if hardly any sky is there.
     """
     background = found.background
+    height, width = background.shape
     darkest = max(_SKY_SHARE * float(np.quantile(background, 0.99)), _DARKEST_SKY)
     _, labels = cv2.connectedComponents((background > darkest).astype(np.uint8))
     sky = (labels > 0) & np.isin(labels, np.unique(labels[0]))
     if sky.mean() < _MIN_SKY_SHARE:
         raise ValueError("no sky at the top of the frames: the light of drops can't be read from them")
-    return float(background[sky].mean())
+    y, x = np.nonzero(sky)
+    up = (height - 1) / 2 - y
+    sine = up / np.sqrt(up**2 + (x - (width - 1) / 2) ** 2 + focal_px**2)
+    slope, offset = np.polyfit(sine, background[sky], 1)
+    return float(min(offset + 0.5 * max(slope, 0.0), 1.0))
 
 
 _MIN_SKY_SHARE, _DARKEST_SKY = 0.01, 0.15  # of all pixels; linear luminance, gray 108 of 255
-_SKY_SHARE = 0.8  # of the brightest light, above which a pixel may be of the sky: light walls are darker
+_SKY_SHARE = 0.9  # of the brightest light, above which a pixel is of an overcast sky: light walls are darker
 
 
 def _diameter_mm(slowness_per_s: float, fall_speed: FallSpeed) -> float:

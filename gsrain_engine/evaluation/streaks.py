@@ -423,6 +423,9 @@ def compare_with_real_rain(
     ours: list[FrameStatistics] = []
     for exposure in exposures_s:
         falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze="none"))
+        lens = falling.lens(camera)  # of the whole image: the window has the same lens
+        fixed = {"aperture_mm": 1e3 * lens.aperture_m, "focus_distance_m": lens.focus_m}
+        falling = falling.changed(msgspec.structs.replace(falling.rain, **fixed), 0.0)
         times = [sequence.times_s[k] for k in numbers]
         frames = render_rain_frames(real.median, real.sigma, cropped_camera(camera, window), falling, times, sky)
         ours.append(_measured(replace(median_residuals(np.stack(list(frames))), still=real.still), sky, exposure))

@@ -7,6 +7,7 @@ import msgspec
 from msgspec import Meta
 
 from ..presets import load_config
+from ..scene.sensor import sensor_names
 from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
@@ -59,7 +60,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     exposure_s: Annotated[float | None, Meta(
         title="Exposure", extra={
             "unit": "s", "ge": 1e-5, "le": 1.0, "commands": "render, drive, evaluate detection"},
-        description="Shutter time T (eq. 5); none takes the camera's own (4 ms by day).")] = None
+        description="Shutter time T (eq. 5); none takes that of --sensor, or the camera's own (4 ms by day).")] = None
     seed: Annotated[int, Meta(
         ge=0, le=2**32 - 1, title="Seed",
         extra={"group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
@@ -157,13 +158,19 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ge=0, le=50, title="Streak gain",
         extra={"group": "Appearance", "slider_to": 10.0, "commands": "render, evaluate streaks"},
         description="Multiplies the streaks' opacity (eq. 5); 1 is physical.")] = 1.0
-    aperture_mm: Annotated[float, Meta(
-        ge=0, le=50, title="Aperture",
-        extra={"unit": "mm", "group": "Lens", "slider_to": 10.0, "commands": "evaluate streaks"},
-        description="Diameter of the lens opening; drops out of focus blur with it. 0 is a pinhole: all sharp.")] = 0.0
-    focus_distance_m: Annotated[float, Meta(
-        ge=0.2, le=10_000, title="Focus distance", extra={"unit": "m", "group": "Lens", "scale": "log"},
-        description="Distance at which the lens is focused. Matters with an aperture above 0.")] = 10.0
+    sensor: Annotated[str | None, Meta(
+        title="Sensor", extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
+        description="Camera: automotive, pinhole, rainsense, waymo_front, or a sensor file. None is the lens and "
+        "readout of automotive for drops; one by its name also sets shutter, noise, tone curve and JPEG.")] = None
+    aperture_mm: Annotated[float | None, Meta(
+        title="Aperture",
+        extra={"unit": "mm", "ge": 0.0, "le": 50.0, "group": "Camera", "slider_to": 10.0, "none": "the sensor's",
+               "usual": 4.0, "commands": "evaluate streaks"},
+        description="Diameter of the lens opening in place of the sensor's; 0 is a pinhole: all sharp.")] = None
+    focus_distance_m: Annotated[float | None, Meta(
+        title="Focus distance", extra={"unit": "m", "ge": 0.2, "le": 10_000.0, "group": "Camera", "scale": "log",
+                                       "none": "the sensor's", "usual": 10.0},
+        description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
     drop_color: Annotated[Vector | None, Meta(
         title="Drop color",
         description="Display color of a drop (eq. 3); none takes the mean of the scene's sky.")] = None
@@ -185,6 +192,10 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(f"exposure_s must be within 0.00001..1 s, got {self.exposure_s}")
         if self.haze_count is not None and not 0 <= self.haze_count <= 200_000:
             raise ValueError(f"haze_count must be within 0..200000, got {self.haze_count}")
+        if self.aperture_mm is not None and not 0 <= self.aperture_mm <= 50:
+            raise ValueError(f"aperture_mm must be within 0..50 mm, got {self.aperture_mm}")
+        if self.focus_distance_m is not None and not 0.2 <= self.focus_distance_m <= 10_000:
+            raise ValueError(f"focus_distance_m must be within 0.2..10000 m, got {self.focus_distance_m}")
         if self.wind_m_s is not None:
             if any(not -40 <= component <= 40 for component in self.wind_m_s):
                 raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {self.wind_m_s}")
@@ -234,12 +245,14 @@ def wind_on_compass(x_m_s: float, y_m_s: float) -> tuple[float, float]:
 # YAML files with the fields of `RainSettings`; omitted fields have their defaults.
 
 _FOLDER = "rain"
+RAIN_FILES = "calibration", "sensor"
+"""Fields that may name a file."""
 
 
 def load_preset(name: str) -> RainSettings:
     """Load a shipped preset by name, or a preset file by path.
 
-    A calibration file that it names is searched for in the preset's folder first. Raises `ValueError` with the file,
-    the field and the allowed range.
+    Calibration and sensor files that it names are searched for in the preset's folder first. Raises `ValueError` with
+    the file, the field and the allowed range.
     """
-    return load_config(_FOLDER, name, RainSettings, "preset", ("calibration",), calibration_names())
+    return load_config(_FOLDER, name, RainSettings, "preset", RAIN_FILES, {*calibration_names(), *sensor_names()})

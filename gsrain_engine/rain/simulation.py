@@ -8,6 +8,7 @@ from jaxtyping import Float64
 
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
 from .air import Wind, follows
 from .calibration import Calibration, load_calibration
 from .drop_field import DropCulling, drop_phases
@@ -16,7 +17,7 @@ from .frame import RainCamera, RainFrame
 from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
-from .streaks import STREAK_REACH, ShutterModel, camera_slopes, circle_of_confusion_m, visible_distance_m
+from .streaks import MAX_STRETCH, STREAK_REACH, ShutterModel, camera_slopes, visible_distance_m
 from .wetness import WetnessCurve, overcast, wetness
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)  # display color of drops in scenes without sky
@@ -35,6 +36,8 @@ class RainSimulation:
     """Properties of the rain without keyframes; see `state_at`."""
     diameters_mm: Float64[np.ndarray, " classes"]
     motion: DropMotion
+    sensor: Sensor
+    """Sensor of the cameras: its lens and readout act on drops, its shutter and the rest only if the rain names it."""
     weather: RainKeyframes = NO_KEYFRAMES
     _keyed_motion: KeyframedDropMotion | None = None
     _frozen: "dict[float, RainSimulation]" = field(default_factory=dict, init=False)
@@ -48,7 +51,8 @@ class RainSimulation:
         calibration, weather = calibration or load_calibration(rain.calibration), weather or NO_KEYFRAMES
         state, diameters, wind, speeds = _drops(rain, calibration)
         keyed = KeyframedDropMotion.of(rain, weather, calibration) if weather.keys else None
-        return cls(rain, calibration, state, diameters, DropMotion(wind, speeds), weather, keyed)
+        sensor = load_sensor(rain.sensor or DEFAULT_SENSOR)
+        return cls(rain, calibration, state, diameters, DropMotion(wind, speeds), sensor, weather, keyed)
 
     def changed(self, rain: RainSettings, time_s: float, weather: RainKeyframes | None = None) -> "RainSimulation":
         """Change the rain, and optionally its keyframes; drops continue from their current positions."""
@@ -61,7 +65,8 @@ class RainSimulation:
             keyed = self._keyed_motion
         elif weather.keys:
             keyed = KeyframedDropMotion.of(rain, weather, calibration).going_on_from(motion)
-        return RainSimulation(rain, calibration, state, diameters, motion, weather, keyed)
+        sensor = self.sensor if rain.sensor == self.rain.sensor else load_sensor(rain.sensor or DEFAULT_SENSOR)
+        return RainSimulation(rain, calibration, state, diameters, motion, sensor, weather, keyed)
 
     def frozen_at(self, time_s: float) -> "RainSimulation":
         """Return the rain at a time, without keyframes; valid for that time only."""
@@ -73,7 +78,7 @@ class RainSimulation:
             state = rain_properties(rain, self.calibration)
             self._frozen.clear()
             self._frozen[time_s] = RainSimulation(
-                rain, self.calibration, state, keyed.diameters_mm(time_s), keyed.motion(time_s)
+                rain, self.calibration, state, keyed.diameters_mm(time_s), keyed.motion(time_s), self.sensor
             )
         return self._frozen[time_s]
 
@@ -105,8 +110,20 @@ class RainSimulation:
         return self.weather.heaviest_mm_h(self.rain) > 0
 
     def exposure_s(self, camera: Camera) -> float:
-        """Shutter time: the rain's own, or the camera's."""
-        return self.rain.exposure_s if self.rain.exposure_s is not None else camera.exposure_s
+        """Shutter time: the rain's own, else that of a sensor which the rain names, else the camera's."""
+        named = None if self.rain.sensor is None else self.sensor.shutter_s
+        return self.rain.exposure_s or named or camera.exposure_s
+
+    def lens(self, camera: Camera) -> ThinLens:
+        """Lens of a camera: the sensor's, with what the rain sets in its place."""
+        aperture_mm, focus_m = self.rain.aperture_mm, self.rain.focus_distance_m
+        own = self.sensor.lens(camera) if aperture_mm is None else ThinLens(1e-3 * aperture_mm)
+        return own if focus_m is None else own._replace(focus_m=focus_m)
+
+    @property
+    def picture_sensor(self) -> Sensor | None:
+        """Sensor that acts on the picture; None without one, or if the rain does not name it."""
+        return self.sensor if self.rain.sensor is not None and self.sensor.changes_picture else None
 
     def frame(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame:
         """Place drops and haze around a camera at a time. `sky` is the display color of the scene's sky."""
@@ -124,7 +141,10 @@ class RainSimulation:
             ground_m = float(view.anchor_to_world[2, 3]) + rain.streak_region.minimum_m[2]
             where = drop_phases(motion, time_s, center, period, ground_m if view.ground_m is None else view.ground_m)
         focal_px = view.focal_px or float(np.sqrt(camera.fx * camera.fy))
-        shutter = ShutterModel(camera, view.velocity_m_s, now.exposure_s(camera) * view.exposure_share, focal_px)
+        shutter = ShutterModel(
+            camera, view.velocity_m_s, now.exposure_s(camera) * view.exposure_share, focal_px, now.lens(camera),
+            self.sensor.readout(camera),
+        )  # fmt: skip
         reach = float(np.hypot(period[0], period[1])) / 2
         return RainFrame(
             rain=rain,
@@ -162,17 +182,20 @@ class RainSimulation:
         fall = self.motion.fall_speed_m_s
         own = 5 * self.motion.wind.turbulence_m_s * follows(fall)  # 3.45 standard deviations on two axes
         speeds = np.hypot(fastest_m_s + own + float(np.hypot(eye[0], eye[1])), fall + eye[2])
-        blur = np.zeros(len(far))
-        if rain.aperture_mm != 0:  # five standard deviations of the largest circle of confusion up to that depth
+        blur, readout_s, stretch = np.zeros(len(far)), shutter.readout.time_s, 1.0
+        if shutter.lens.aperture_m:  # five standard deviations of the largest circle of confusion up to that depth
             farthest = float(np.linalg.norm(camera.position - center_m) + np.linalg.norm(size) / 2)
-            blur = 5 / 4 * np.maximum(*(circle_of_confusion_m(d, rain) for d in (0 * far, np.minimum(far, farthest))))
+            circles = (shutter.lens.circle_of_confusion_m(d) for d in (0 * far, np.minimum(far, farthest)))
+            blur = 5 / 4 * np.maximum(*circles)
+        if readout_s:
+            blur, stretch = blur + speeds * readout_s / 2, MAX_STRETCH
         return DropCulling(
             region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
             region_half=size / 2,
             camera_position=axes.T @ (camera.position - center_m),
             cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
             slopes=camera_slopes(camera),
-            class_margin_m=STREAK_REACH * shutter.exposure_s * speeds + 0.02 + blur,
+            class_margin_m=STREAK_REACH * stretch * shutter.exposure_s * speeds + 0.02 + blur,
             class_far_m=far,
         )
 

@@ -9,9 +9,13 @@ from jaxtyping import Float32, Float64
 
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
+from ..scene.sensor import GLOBAL_SHUTTER, PINHOLE, Readout, ThinLens
 from .settings import RainSettings
 
 AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07  # tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)
+
+MAX_STRETCH = 2.0
+"""Upper bound of the factor by which a rolling shutter lengthens the streak of a drop that falls with its readout."""
 
 STREAK_REACH = 2.0  # maximum distance of the last visible fragment of a streak from its drop, in streak lengths
 
@@ -25,6 +29,8 @@ class ShutterModel:
     exposure_s: float
     focal_px: float
     """Focal length of the *output* image, at any drawn resolution."""
+    lens: ThinLens = PINHOLE
+    readout: Readout = GLOBAL_SHUTTER
 
 
 def camera_slopes(camera: Camera) -> Float64[np.ndarray, "4"]:
@@ -36,14 +42,6 @@ def camera_slopes(camera: Camera) -> Float64[np.ndarray, "4"]:
 def visible_distance_m(diameter_mm: Float64[np.ndarray, " n"], focal_px: float) -> Float64[np.ndarray, " n"]:
     """Distance d_m = f D at which a drop covers exactly one pixel, in meters (paper, eq. 6)."""
     return focal_px * diameter_mm * 1e-3
-
-
-def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: RainSettings) -> Float64[np.ndarray, " n"]:
-    """Circle of confusion of a thin lens, as a diameter at the drop's depth: A |1 - d / d_focus|.
-
-    In the image it is c = f A |1/d - 1/d_focus| px, with f in px and A the aperture's diameter in meters.
-    """
-    return 1e-3 * rain.aperture_mm * np.abs(1 - depth_m / rain.focus_distance_m)
 
 
 _REACH = 4.8
@@ -64,6 +62,9 @@ def streak_gaussians(
     distance attenuation of eq. 7. Copies: eq. 10-12. With the perpendicular speed, the integral of alpha over the image
     equals the drop's cross-section, pi D^2 / 4 (f / d)^2, at any distance and focus: the circle of confusion adds a
     sixteenth of its squared diameter to the variances, as a disc has.
+
+    A rolling shutter exposes a drop in the middle of its streak at a time of its own: the drop is moved along its
+    velocity by that time, and its streak gets as much longer as drops that move with the readout get rarer.
     """
     camera, max_copies = shutter.camera, rain.max_copies
     rows = np.empty((len(positions_m) * max_copies, 11), np.float32)
@@ -73,7 +74,7 @@ def streak_gaussians(
     moving = rain.streak_frame == "camera"
     numbers = np.array([
         shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain,
-        1e-3 * rain.aperture_mm, rain.focus_distance_m,
+        *shutter.lens, *shutter.readout,
     ])  # fmt: skip
     _fill(
         positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3), moving,
@@ -95,7 +96,7 @@ def _fill(
     positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, max_copies, rows,
     is_drawn,
 ):  # fmt: skip
-    exposure, focal, phi, haze_opacity, gain, aperture, focus = numbers
+    exposure, focal, phi, haze_opacity, gain, aperture, focus, readout, scan_right, scan_down, scan_offset = numbers
     chunk_size = 256
     for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
         for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
@@ -106,6 +107,19 @@ def _fill(
             vz = velocities[m, 2] - camera_velocity[2]
             dx, dy, dz = positions[m, 0] - eye[0], positions[m, 1] - eye[1], positions[m, 2] - eye[2]
             depth = world_to_camera[2, 0] * dx + world_to_camera[2, 1] * dy + world_to_camera[2, 2] * dz
+            stretch = 1.0
+            if readout > 0 and depth > 0:
+                near = 1 / depth
+                u = (world_to_camera[0, 0] * dx + world_to_camera[0, 1] * dy + world_to_camera[0, 2] * dz) * near
+                v = (world_to_camera[1, 0] * dx + world_to_camera[1, 1] * dy + world_to_camera[1, 2] * dz) * near
+                right = world_to_camera[0, 0] * vx + world_to_camera[0, 1] * vy + world_to_camera[0, 2] * vz
+                down = world_to_camera[1, 0] * vx + world_to_camera[1, 1] * vy + world_to_camera[1, 2] * vz
+                ahead = world_to_camera[2, 0] * vx + world_to_camera[2, 1] * vy + world_to_camera[2, 2] * vz
+                rate = (scan_right * (right - u * ahead) + scan_down * (down - v * ahead)) * near
+                stretch = 1 / max(1 - readout * rate, 1 / MAX_STRETCH)
+                later = readout * stretch * (scan_right * u + scan_down * v + scan_offset)
+                later = min(max(later, -readout), readout)  # the image needs half of that
+                dx, dy, dz, depth = dx + later * vx, dy + later * vy, dz + later * vz, depth + later * ahead
             distance = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
             speed = np.sqrt(vx * vx + vy * vy + vz * vz)
             along_sight = (vx * dx + vy * dy + vz * dz) / distance
@@ -121,7 +135,7 @@ def _fill(
             # the axis, where alpha is large, the sum is too high: a smaller width preserves the integral.
             opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
 
-            length = speed * exposure
+            length = speed * exposure * stretch
             ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
             copies = int(min(max(np.rint(length / (ratio * diameter)), 1), max_copies))
             narrowing = alpha / max(np.sqrt(2 * np.pi) * opacity, 1e-30)

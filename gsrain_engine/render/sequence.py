@@ -1,7 +1,7 @@
 """Frame sequences: cameras and times of a video; frame k doesn't depend on the other frames."""
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
@@ -12,7 +12,8 @@ from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
-from .draw import LodCut, RenderView, draw_view
+from .camera_response import CameraResponse
+from .draw import LodCut, RenderView, draw_view, response_of
 from .images import to_display, to_linear_light
 from .renderer import Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
@@ -69,6 +70,8 @@ class FrameSequence:
     """False draws the light and the wet colors of the rain, without its drops and its medium."""
     lod: bool = False
     """True if images without depth merge details smaller than a pixel, in members that have a tree."""
+    _metered: dict[str, float] = field(default_factory=dict[str, float], init=False)
+    """Gain of automatic exposure, metered at the start of the sequence."""
 
     def time_s(self, number: int) -> float:
         """Time of a frame, the middle of its exposure."""
@@ -133,6 +136,7 @@ class FrameSequence:
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
+        response = self._response(renderer, number, look)
         frame: Frame | None = None
         total: Float32[np.ndarray, "h w 4"] | None = None
         for shot in shots:
@@ -157,7 +161,7 @@ class FrameSequence:
         if with_depth and not has_own_depth:
             draw_view(renderer, self.scene, None, color, self.shot(number), with_depth=True)
             frame = replace(frame, depth=renderer.read().depth)
-        return frame
+        return replace(frame, response=response)
 
     def image(
         self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
@@ -167,8 +171,18 @@ class FrameSequence:
             return self.frame(renderer, number, sky, look=look).to_uint8()
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
         color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
+        response = self._response(renderer, number, look)
         draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
-        return renderer.read_uint8()
+        pixels = renderer.read_uint8()
+        return pixels if response is None else response.picture(pixels)
+
+    def _response(self, renderer: Renderer, number: int, look: RenderMode) -> CameraResponse | None:
+        """Response of the sensor for a frame, with rain or without; None for other render modes than splats."""
+        if look != "splats":
+            return None
+        if not self._metered and self.rainfall.picture_sensor is not None:
+            response_of(renderer, self.scene, self.rainfall, self.shot_at(self.start_s), self._metered, "")
+        return response_of(renderer, self.scene, self.rainfall, self.shot(number), self._metered, "")
 
     def shots(self, number: int) -> list[RenderView]:
         """Views of the sub-frames, evenly spaced over the exposure around the frame's time."""

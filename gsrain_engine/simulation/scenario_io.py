@@ -15,6 +15,7 @@ from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import read_whole, yaml_values
 from ..scene.files import whole_file
 from ..scene.open import STREET
+from ..scene.sensor import sensor_names
 from .interop.hugsim_scenario import hugsim_scenario, is_hugsim_scenario
 from .interop.openscenario_read import read_openscenario
 from .scenario import Scenario, ScenarioUser
@@ -91,6 +92,8 @@ def _renamed(scenario: Scenario, rename: Callable[[str], str]) -> Scenario:
     rain, scene, users = scenario.rain, scenario.scene, list[ScenarioUser]()
     if rain.calibration not in calibration_names():
         rain = msgspec.structs.replace(rain, calibration=rename(rain.calibration))
+    if rain.sensor is not None and rain.sensor not in sensor_names():
+        rain = msgspec.structs.replace(rain, sensor=rename(rain.sensor))
     for user in scenario.road_users:
         model, behaviour = user.model, user.behaviour
         if model.split("/")[0] not in vehicle_names() and not model.startswith(ACTOR):

@@ -8,7 +8,7 @@ from jaxtyping import Float64, UInt8
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.draw import RenderView, draw_view
+from ..render.draw import RenderView, draw_view, response_of
 from ..render.object_labels import draw_labels
 from ..render.renderer import Renderer
 from ..render.sky_color import SkyColor, sky_color
@@ -27,6 +27,7 @@ class RigRenderer:
         self._renderer, self._cameras, self._needs = renderer, cameras, needs
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
+        self._metered: dict[str, float] = {}
 
     def views(
         self, scene: Scene, rig_to_world: Float64[np.ndarray, "4 4"], velocity_m_s: Float64[np.ndarray, "3"],
@@ -47,10 +48,13 @@ class RigRenderer:
                 layers = len(scene.layers)
                 instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
             color, view = self._sky.at(self._rainfall.overcast_at(time_s)), RenderView(camera, time_s, velocity)
+            response = response_of(self._renderer, scene, self._rainfall, view, self._metered, mounted.name)
             draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
             depth = self._renderer.read().depth if self._needs.depth else None
+            pixels = self._renderer.read_uint8()
+            image = pixels if response is None else response.picture(pixels)
             views[mounted.name] = CameraView(
-                self._renderer.read_uint8(), camera, None if depth is None else depth.copy(), semantic, instances
+                image, camera, None if depth is None else depth.copy(), semantic, instances
             )
         return views
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..evaluation.detection.detector import Detection
 from ..evaluation.detection.drawing import draw_boxes
 from ..rain.simulation import RainSimulation
-from ..render.draw import RenderView, draw_view
+from ..render.draw import RenderView, draw_view, response_of
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
@@ -64,8 +64,10 @@ class RolloutVideo:
         self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
-        start = played.scene(0.0)
-        self._sky = sky_color(renderer, start, self._mounted.camera(played.rig_to_world(0.0)))
+        self._metered: dict[str, float] = {}
+        start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0))
+        self._sky = sky_color(renderer, start, camera)
+        response_of(renderer, start, self._rainfall, RenderView(camera, played.scene_time_s(0.0)), self._metered, "")
 
     def times(self, fps: float) -> list[float]:
         """Return the times of the frames; the last one is held for a second."""
@@ -85,9 +87,11 @@ class RolloutVideo:
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
         color = self._sky.at(self._rainfall.overcast_at(scene_s))
-        draw_view(self._renderer, played.scene(time_s), self._rainfall, color, RenderView(camera, scene_s, velocity))
-        step = played.step(time_s)
-        picture = draw_boxes(self._renderer.read_uint8(), (), _noted(step), _SURE)
+        scene, view = played.scene(time_s), RenderView(camera, scene_s, velocity)
+        response = response_of(self._renderer, scene, self._rainfall, view, self._metered, "")
+        draw_view(self._renderer, scene, self._rainfall, color, view)
+        step, pixels = played.step(time_s), self._renderer.read_uint8()
+        picture = draw_boxes(pixels if response is None else response.picture(pixels), (), _noted(step), _SURE)
         if step.plan:
             points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
             ahead = points[state.from_world(points)[:, 0] > 0]

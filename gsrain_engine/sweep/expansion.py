@@ -22,6 +22,7 @@ from ..render.object_labels import LabelFormat
 from ..scene.files import name_problem
 from ..scene.formats.hugsim import is_vehicle_folder
 from ..scene.open import file_hash, scene_hash
+from ..scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_file, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario
@@ -106,12 +107,14 @@ class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True,
     @property
     def title(self) -> str:
         """Title for logs and progress messages."""
-        return f"{self.scene}, {self.rain.intensity_mm_h:g} mm/h, seed {self.seed}"
+        sensor = [] if self.rain.sensor is None else [f"sensor {Path(self.rain.sensor).stem}"]
+        return ", ".join([self.scene, f"{self.rain.intensity_mm_h:g} mm/h", *sensor, f"seed {self.seed}"])
 
     @property
     def parameters(self) -> dict[str, Any]:
         """Values for the parameter columns of the row."""
-        return self.shared("render") | {"intensity_mm_h": self.rain.intensity_mm_h, "labels": self.labels}
+        own = {"intensity_mm_h": self.rain.intensity_mm_h, "sensor": self.rain.sensor, "labels": self.labels}
+        return self.shared("render") | own
 
 
 Job = DriveJob | RenderJob
@@ -164,7 +167,9 @@ def _drive(
         scene=scenario.scene,
         scene_hash=hashes.scene(scenario.scene),
         packages=_packages([scenario.scene, *models], agent),
-        files=hashes.files([rain.calibration, *models, agent.detector, agent.description, own and str(own)]),
+        files=hashes.files(
+            [rain.calibration, rain.sensor, *models, agent.detector, agent.description, own and str(own)]
+        ),
         seed=seed,
         backend=sweep.backend,
         scenario=scenario,
@@ -212,22 +217,27 @@ def _renders(sweep: RenderSweep) -> list[Job]:
         raise ValueError(f"recording.output {recording.output!r}: {expected}")
     if (problem := name_problem(recording.path)) is not None:
         raise ValueError(f"recording.output: {problem}")
+    sensors = sweep.sensor or (sweep.rain.sensor,)
+    for sensor in sensors:
+        load_sensor(sensor or DEFAULT_SENSOR)  # raises for a missing or wrong one before the first clip
     return [
         RenderJob(
             program=program_version(),
             scene=scene,
             scene_hash=hashes.scene(scene),
             packages=_packages([scene]),
-            files=hashes.files([sweep.rain.calibration]),
+            files=hashes.files([sweep.rain.calibration, sensor]),
             seed=seed,
             backend=sweep.backend,
-            rain=structs.replace(sweep.rain, intensity_mm_h=intensity, seed=seed),
+            rain=structs.replace(sweep.rain, intensity_mm_h=intensity, seed=seed, sensor=sensor),
             recording=recording,
             labels=sweep.labels,
         )
         for scene in sweep.scenes
+        for sensor in sensors
         for intensity in sweep.intensities_mm_h
-        for seed in seeds_of(sweep)[: None if intensity > 0 else 1]  # without rain all seeds are identical
+        # Without rain and noise all seeds are identical.
+        for seed in seeds_of(sweep)[: None if intensity > 0 or sensor is not None else 1]
     ]
 
 
@@ -239,8 +249,8 @@ class _Hashes:
         self._file = cache(file_hash)
 
     def files(self, names: list[str | None]) -> dict[str, str]:
-        """Hash existing files; shipped calibrations, models and descriptions are covered by the program version."""
-        paths = {name: Path(name) for name in names if name and name not in calibration_names()}
+        """Hash existing files; shipped ones (calibrations, models and others) are covered by the program version."""
+        paths = {name: Path(name) for name in names if name and name not in (*calibration_names(), *sensor_names())}
         files = {name: self._file(path) for name, path in paths.items() if path.is_file()}
         vehicles = {name: self.scene(name) for name, path in paths.items() if is_vehicle_folder(path)}
         return dict(sorted((files | vehicles).items()))

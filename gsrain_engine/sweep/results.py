@@ -36,13 +36,13 @@ _SHARED: dict[str, type] = {
 }  # fmt: skip
 
 _DRIVE: dict[str, type] = {
-    **_SHARED, "scenario": str, "agent": str, "agent_name": str, "wet": bool, "preset": str, "exposure_s": float,
-    "start_speed_m_s": float, "gap_m": float,
+    **_SHARED, "scenario": str, "agent": str, "agent_name": str, "wet": bool, "preset": str, "sensor": str,
+    "exposure_s": float, "start_speed_m_s": float, "gap_m": float,
 }  # fmt: skip
 
 _RENDER: dict[str, type] = {
-    **_SHARED, "labels": str, "clip": str, "clip_hash": str, "cameras": int, "frames": int, "sizes_px": str,
-    "implied_mm_h": float, "drops": int,
+    **_SHARED, "sensor": str, "labels": str, "clip": str, "clip_hash": str, "cameras": int, "frames": int,
+    "sizes_px": str, "implied_mm_h": float, "drops": int,
 }  # fmt: skip
 
 _TYPES: dict[type, type] = {
@@ -226,7 +226,8 @@ def _place(row: Row) -> tuple[object, ...]:
         (value is not None, value or 0)
         for value in (group.variant.exposure_s, group.variant.start_speed_m_s, group.variant.gap_m)
     ]
-    own = group.variant.wet is not None, bool(group.variant.wet), group.variant.preset or "", *axes
+    variant = group.variant
+    own = variant.wet is not None, bool(variant.wet), variant.preset or "", variant.sensor or "", *axes
     return *group[:3], *own, _number(row["intensity_mm_h"]), _number(row["seed"])
 
 

@@ -18,12 +18,13 @@ from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked
 from ..scene.open import STREET
+from ..scene.sensor import load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
 
 _FOLDER = "sweeps"
-_FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration", "preset")
+_FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration", "preset", "sensor")
 """Fields that hold file names; `name` is an agent's."""
 
 Intensities = Annotated[
@@ -104,6 +105,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
     wet: bool | None = None
     preset: str | None = None
+    sensor: str | None = None
     exposure_s: float | None = None
     start_speed_m_s: float | None = None
     gap_m: float | None = None
@@ -113,6 +115,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         """Words that name the choices; empty for those of the scenario."""
         words = [] if self.wet is None else ["wet" if self.wet else "as lit"]
         words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
+        words += [] if self.sensor is None else [f"sensor {Path(self.sensor).stem}"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
         words += [] if self.gap_m is None else [f"{self.gap_m:g} m"]
@@ -123,6 +126,9 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         rain, users = scenario.rain, scenario.road_users
         if self.preset is not None:
             rain = load_preset(self.preset)
+        if self.sensor is not None:
+            load_sensor(self.sensor)  # raises for a missing or wrong one before the first drive
+            rain = structs.replace(rain, sensor=self.sensor)
         if self.exposure_s is not None:
             rain = structs.replace(rain, exposure_s=self.exposure_s)
         if self.gap_m is not None:
@@ -166,6 +172,9 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     preset: Annotated[
         tuple[str, ...], Meta(title="Presets", description="Rain presets to compare; none: the scenario's rain.")
     ] = ()
+    sensor: Annotated[
+        tuple[str, ...], Meta(title="Sensors", description="Names or files, to compare; none: the scenario's.")
+    ] = ()
     exposure_s: Annotated[
         Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
     ] = ()
@@ -182,10 +191,12 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     @property
     def variants(self) -> list[Variant]:
         """All combinations of the further axes."""
-        axes = self.wet, self.preset or (None,), self.exposure_s or (None,), self.start_speed_m_s or (None,)
+        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.exposure_s or (None,)
         return [
-            Variant(wet=wet, preset=preset, exposure_s=exposure, start_speed_m_s=speed, gap_m=gap)
-            for wet, preset, exposure, speed, gap in product(*axes, self.gap_m or (None,))
+            Variant(wet=wet, preset=preset, sensor=sensor, exposure_s=exposure, start_speed_m_s=speed, gap_m=gap)
+            for wet, preset, sensor, exposure, speed, gap in product(
+                *axes, self.start_speed_m_s or (None,), self.gap_m or (None,)
+            )
         ]
 
 
@@ -202,6 +213,9 @@ class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     intensities_mm_h: Intensities = (0.0, 1.2, 8.5, 12.0)
     seeds: Annotated[Seeds, Meta(title="Seeds", description="A number of seeds (0, 1, ...) or a list, for drops.")] = 1
     rain: Annotated[RainSettings, Meta(title="Rain", description="Everything but intensity and seed.")] = RainSettings()
+    sensor: Annotated[
+        tuple[str, ...], Meta(title="Sensors", description="Names or files, to compare; none: the rain's.")
+    ] = ()
     labels: Annotated[
         LabelFormat | None, Meta(title="Labels", description="coco or kitti; needs a scene with actors.")
     ] = None
@@ -235,6 +249,7 @@ def load_sweep(name: str | Path) -> Sweep:
         *agent_names(),
         *description_names(),
         *calibration_names(),
+        *sensor_names(),
     }
     values = load_config(_FOLDER, name, object, "sweep", _FILES, known)
     try:

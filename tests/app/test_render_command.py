@@ -279,3 +279,26 @@ def test_a_scene_gets_as_wet_as_it_rains_or_as_wet_as_asked(tmp_path):
     assert wet < light - 3 < clear - 6
     assert soaked < wet < soaked + 5
     assert dry == pytest.approx(clear, abs=0.01)
+
+
+def test_a_sensor_by_name_and_by_file(project, wall, tmp_path, capsys):
+    """Twins have the same noise; a sensor that is not there, or is wrong, costs one line."""
+    render(project, tmp_path / "seen", "--sensor", "automotive", "--clear-pair", "--rain", "0", "--to", "0.1")
+    seen, twin, plain = (
+        [file.read_bytes() for file in sorted((tmp_path / name).iterdir())]
+        for name in ("seen", "seen.clear", render(project, tmp_path / "plain", "--rain", "0", "--to", "0.1").name)
+    )
+    assert seen == twin != plain
+    own = tmp_path / "mine.yaml"
+    own.write_text("{full_well_e: 500, read_noise_e: 20}")
+    assert (
+        render(wall, tmp_path / "own.png", "--sensor", own).read_bytes()
+        != render(wall, tmp_path / "a.png").read_bytes()
+    )
+    own.write_text("f_number: 0.1")
+    for wrong, words_of_it in (("nikon", "none of the shipped ones"), (own, "f_number must be within 0.7..64")):
+        capsys.readouterr()
+        assert run(words(wall, tmp_path / "b.png", "--sensor", wrong)) == 2
+        error = capsys.readouterr().err.strip()
+        assert words_of_it in error and "\n" not in error
+        assert not (tmp_path / "b.png").exists()

@@ -171,7 +171,7 @@ def rendered(noise=1.0, **rain):
     pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
     camera = cropped_camera(Camera(1920, 1080, 1916.0, 1916.0, 960.0, 540.0, pose), (600, 200, 400, 240))
     background, noises = np.full(shape, 45, np.uint8), np.full(shape, noise, np.float32)
-    rainfall = RainSimulation.start(RainSettings(haze=False, **rain))
+    rainfall = RainSimulation.start(RainSettings(haze=False, sensor="pinhole", **rain))
     return np.stack(list(render_rain_frames(background, noises, camera, rainfall, [0.1 * k for k in range(9)], SKY)))
 
 

@@ -96,6 +96,7 @@ def test_what_belongs_to_the_whole_scene_folder():
     assert rain == msgspec.structs.replace(
         RainSettings(), intensity_mm_h=7.5, seed=3, gust_m_s=1.5, wind_m_s=(2.0, -1.0), exposure_s=0.01, roofs=True,
         haze_gain=1.25, drying_s=120.0, drop_color=(0.7, 0.75, 0.8), max_copies=3, haze_region=HAZE_REGION,
+        aperture_mm=0.0, focus_distance_m=10.0,
     )  # fmt: skip
     weather = keyframes_of(scene)
     assert (weather.between, weather.key_times["intensity_mm_h"].tolist()) == ("smooth", [0.0, 1.5, 4.0])
@@ -187,15 +188,15 @@ def test_rows_and_roll_outs_of_a_sweep():
 
 
 @pytest.mark.skipif(program_version() != "0.1.0", reason="jobs of another version are other jobs")
-def test_jobs_of_a_finished_sweep_are_done_again_for_haze_as_a_medium_and_real_air_alone(monkeypatch):
+def test_jobs_of_a_finished_sweep_are_done_again_for_haze_as_a_medium_real_air_and_a_sensor(monkeypatch):
     monkeypatch.chdir(SAVED / "sweep")
     folder, jobs = SweepFolder(Path("results")), jobs_of(load_sweep("drives.yaml"))
     assert folder.to_do(jobs) == jobs
     identities = [msgspec.to_builtins(job.identity) for job in jobs]
     for each in identities:
-        assert each["scenario"]["rain"]["haze"] == "medium"
-        each["scenario"]["rain"]["haze"] = True
         rain = each["scenario"]["rain"]
+        assert (rain["haze"], rain.pop("sensor")) == ("medium", None)
+        rain["haze"] = True
         rain["wind_m_s"] = msgspec.convert(rain, RainSettings).wind_vector_m_s
         for name in ("wind_speed_m_s", "wind_from_deg", "turbulence_m_s", "roughness_m"):
             del rain[name]

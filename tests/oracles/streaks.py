@@ -9,8 +9,8 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.streaks import (
     AXIS_RATIO_OFFSET,
     AXIS_RATIO_SLOPE,
+    MAX_STRETCH,
     ShutterModel,
-    circle_of_confusion_m,
     visible_distance_m,
 )
 
@@ -39,6 +39,8 @@ def make_streaks(
     """Turn drops into one to n_max Gaussians each, as the docstring of `streak_gaussians` describes."""
     diameters_m = diameters_mm * 1e-3
     seen = velocities_m_s - shutter.velocity_m_s if rain.streak_frame == "camera" else velocities_m_s
+    later, stretch = _exposed_later(positions_m, seen, shutter)
+    positions_m = positions_m + later[:, None] * seen
     to_drop = positions_m - shutter.camera.position
     depth = to_drop @ shutter.camera.world_to_camera[2, :3]
     sight = to_drop / np.maximum(np.linalg.norm(to_drop, axis=1, keepdims=True), 1e-9)
@@ -52,7 +54,7 @@ def make_streaks(
     alpha = np.where(depth > rain.critical_haze_coefficient * limit, rain.haze_opacity, alpha)
     alpha = np.minimum(1, rain.streak_gain * alpha)
 
-    length = speed * shutter.exposure_s
+    length = speed * shutter.exposure_s * stretch
     copies = np.clip(np.rint(length / (axis_ratio(diameters_mm) * diameters_m)), 1, rain.max_copies).astype(np.int64)
     # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; beside it,
     # where alpha is large, they add up to more than they should: a smaller width keeps the integral.
@@ -61,7 +63,7 @@ def make_streaks(
     across_sigma = np.sqrt(np.pi / 32) * np.maximum(diameters_m, depth / shutter.focal_px) * narrowing
     along_sigma = np.maximum(length / copies, across_sigma)
 
-    blur = circle_of_confusion_m(depth, rain) / 4
+    blur = shutter.lens.circle_of_confusion_m(depth) / 4
     sine = across / np.maximum(speed, 1e-9)
     seen_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(np.maximum(1 - sine**2, 0)))  # foreshortened
     opacity = opacity * across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
@@ -78,6 +80,21 @@ def make_streaks(
         quaternions=_turn_z_to(direction)[owner].astype(np.float32),
         opacities=opacity[owner].astype(np.float32),
     )
+
+
+def _exposed_later(
+    positions_m: Float64[np.ndarray, "m 3"], seen: Float64[np.ndarray, "m 3"], shutter: ShutterModel
+) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Times by which a rolling shutter exposes drops later, in s, and factors of their streaks' lengths."""
+    camera, scan = shutter.camera, shutter.readout
+    x, y, z = ((positions_m - camera.position) @ camera.world_to_camera[:3, :3].T).T
+    vx, vy, vz = (seen @ camera.world_to_camera[:3, :3].T).T
+    phase = scan.right * x / z + scan.down * y / z + scan.offset
+    per_s = scan.right * (vx * z - x * vz) / z**2 + scan.down * (vy * z - y * vz) / z**2
+    stretch = 1 / np.maximum(1 - scan.time_s * per_s, 1 / MAX_STRETCH)
+    later = np.clip(scan.time_s * phase * stretch, -scan.time_s, scan.time_s)
+    is_ahead = z > 0
+    return np.where(is_ahead, later, 0.0), np.where(is_ahead, stretch, 1.0)
 
 
 def _turn_z_to(direction: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 4"]:

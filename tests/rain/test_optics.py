@@ -16,6 +16,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from gsrain_engine.scene.scene import DrawItem
+from gsrain_engine.scene.sensor import Sensor, ThinLens
 
 FOCAL = 1000.0
 UP, AHEAD = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
@@ -44,7 +45,9 @@ def fall_speed(diameter_mm):
     return float(PUBLISHED.velocity(np.array([diameter_mm]))[0])
 
 
-def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), gray=0.8, **fields):
+def streak_picture(
+    renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), gray=0.8, lens=None, **fields
+):
     """Float picture (h, w, 4) of one drop straight ahead that falls, moved by a part of a pixel."""
     length_px = fall_speed(diameter_mm) * exposure_s * FOCAL / distance_m
     camera = eye_at((0.0, 0, 0), 48, int(3 * length_px) + 48, FOCAL)
@@ -52,9 +55,8 @@ def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.
     velocity = np.array([[0.0, 0, -fall_speed(diameter_mm)]])
     rain = RainSettings(**fields)
     color = np.full(3, gray)
-    drops = streak_gaussians(
-        at, np.array([diameter_mm]), velocity, ShutterModel(camera, np.zeros(3), exposure_s, FOCAL), rain, color
-    )
+    shutter = ShutterModel(camera, np.zeros(3), exposure_s, FOCAL, lens or ThinLens())
+    drops = streak_gaussians(at, np.array([diameter_mm]), velocity, shutter, rain, color)
     renderer.draw(list(parts), camera, given_rain(drops, srgb_to_linear(color).astype(np.float32), rain.rain_light))
     return renderer.read().rgba.astype(np.float64)
 
@@ -78,7 +80,7 @@ def test_a_streak_hides_as_much_as_its_drop(renderer, exposure_s, diameter_mm, t
 def test_a_drop_out_of_focus_is_wider_by_the_circle_of_confusion_and_hides_as_much(renderer):
     """c = f A |1/d - 1/d_focus| px; a disc of diameter c has c^2 / 16 as its variance along each axis."""
     diameter_mm, distance, exposure_s = 1.0, 0.5, 0.004
-    lens = {"aperture_mm": 4.0, "focus_distance_m": 8.0}
+    lens = {"lens": ThinLens(4e-3, 8.0)}
     sharp, blurred = (
         np.mean([streak_picture(renderer, diameter_mm, distance, exposure_s, phase, **fields)[..., 3] for phase in
                  PHASES[:6]], axis=0) for fields in ({}, lens)
@@ -87,6 +89,43 @@ def test_a_drop_out_of_focus_is_wider_by_the_circle_of_confusion_and_hides_as_mu
     circle_px = FOCAL * 4e-3 * (1 / distance - 1 / 8.0)
     for axis, tolerance in ((0, 0.01), (1, 0.05)):
         assert _variance(blurred, axis) == pytest.approx(_variance(sharp, axis) + circle_px**2 / 16, rel=tolerance)
+
+
+@pytest.mark.parametrize("direction", ["down", "up", "right"])
+def test_a_rolling_shutter_conserves_light_and_moves_drops_to_their_own_time(renderer, direction):
+    """Drops that move with the readout get rarer, and their streaks longer: the mean of alpha stays."""
+    random, count = np.random.default_rng(5), 60_000
+    camera = eye_at((0.0, 0, 0), 96, 72, 90.0)
+    positions = np.stack([random.uniform(0.9, 1.1, count), *random.uniform(-1.5, 1.5, (2, count))], axis=1)
+    velocities, diameters = np.tile([0.0, 2.0, -5.0], (count, 1)), np.full(count, 2.0)
+    rain, means = RainSettings(), {}
+    for readout_s in (0.0, 0.04):
+        sensor = Sensor(readout_s=readout_s, readout_direction=direction)
+        shutter = ShutterModel(camera, np.zeros(3), 0.016, 90.0, readout=sensor.readout(camera))
+        drops = streak_gaussians(positions, diameters, velocities, shutter, rain, np.ones(3))
+        light = np.ones(3, np.float32)
+        # Alpha saturates where drops overlap: its logarithm adds up.
+        renderer.draw([], camera, given_rain(drops, light, rain.rain_light))
+        means[readout_s] = -np.log(1 - renderer.read().rgba[12:-12, 12:-12, 3].astype(float)).mean()
+    assert means[0.0] > 0.05
+    assert means[0.04] == pytest.approx(means[0.0], rel=0.05)
+
+
+def test_a_drop_is_exposed_when_the_readout_meets_it(renderer):
+    """The middle of its streak is where it is at t + (v / H - 1/2) T_r, with v its own row then."""
+    camera, readout_s = eye_at((0.0, 0, 0), 64, 400, 300.0), 0.03
+    velocity = np.array([0.0, 0.0, -4.0])
+    shutter = ShutterModel(camera, np.zeros(3), 0.004, 300.0, readout=Sensor(readout_s=readout_s).readout(camera))
+    for height in (-0.5, -0.2, 0.0, 0.3, 0.55):
+        at = np.array([[1.0, 0.0, height]])
+        later = 0.0
+        for _ in range(60):
+            later = readout_s * ((200 - 300 * (height - 4.0 * later)) / 400 - 0.5)
+        drops = streak_gaussians(at, np.array([2.0]), velocity[None], shutter, RainSettings(), np.ones(3))
+        assert drops.means[:, 2].mean() == pytest.approx(height - 4.0 * later, abs=1e-5)
+        first, last = drops.means[:, 2].max(), drops.means[:, 2].min()
+        rate = 300 * 4.0 / 400  # of the picture's height a second
+        assert first - last == pytest.approx(0.75 * 4.0 * 0.004 / (1 - readout_s * rate), rel=1e-4)
 
 
 def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):

@@ -6,6 +6,7 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.streaks import ShutterModel, camera_slopes, streak_gaussians
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import matrices_from_quaternions
+from gsrain_engine.scene.sensor import Sensor, ThinLens
 from oracles.streaks import make_streaks
 
 F = 1000.0
@@ -63,13 +64,17 @@ TILTED = Camera(
 )  # fmt: skip
 
 
+ROLLING, SIDEWAYS = Sensor(readout_s=0.016), Sensor(readout_s=0.044, readout_direction="right")
+
+
 @pytest.mark.parametrize(
     ("camera", "fields"),
     [
         (AHEAD, {}), (AHEAD, {"streak_frame": "world"}), (AHEAD, {"far_drops": "published"}),
-        (AHEAD, {"aperture_mm": 6.0}), (AHEAD, {"streak_gain": 30.0}),
+        (AHEAD, {"lens": ThinLens(6e-3, 10.0)}), (AHEAD, {"streak_gain": 30.0}),
+        (AHEAD, {"readout": ROLLING.readout(AHEAD)}),
         (AHEAD, {"exposure_s": 1e-4}),  # shorter than the larger drops need for their own diameters
-        (TILTED, {"exposure_s": 0.008}),
+        (TILTED, {"exposure_s": 0.008}), (TILTED, {"readout": SIDEWAYS.readout(TILTED), "lens": ThinLens(3e-3, 5.0)}),
     ],
 )  # fmt: skip
 def test_the_compiled_form_makes_the_same_streaks_but_those_outside_the_picture(camera, fields):
@@ -77,8 +82,9 @@ def test_the_compiled_form_makes_the_same_streaks_but_those_outside_the_picture(
     random = np.random.default_rng(11)
     positions, diameters = camera.position + random.uniform(-4, 4, (4000, 3)), random.uniform(0.1, 4, 4000)
     velocities = np.stack([random.normal(size=4000), random.normal(size=4000), -PUBLISHED.velocity(diameters)], axis=1)
-    rain = RainSettings(**fields)
-    model = ShutterModel(camera, np.array([8.0, 1.0, 0.5]), rain.exposure_s or 0.004, F)
+    optics = {name: fields[name] for name in ("lens", "readout") if name in fields}
+    rain = RainSettings(**{name: each for name, each in fields.items() if name not in optics})
+    model = ShutterModel(camera, np.array([8.0, 1.0, 0.5]), rain.exposure_s or 0.004, F, **optics)
     given = positions, diameters, velocities, model, rain
     plain, compiled = make_streaks(*given), streak_gaussians(*given, np.ones(3))
     m, reach = camera.world_to_camera, 4.8 * plain.scales[:, 2]

@@ -13,7 +13,7 @@ from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.report import boundary_figure, grid_axes
 from gsrain_engine.sweep.results import MeanInterval95, SummaryCell, SweepFolder, summarized
 from gsrain_engine.sweep.run import run_sweep_and_report
-from gsrain_engine.sweep.settings import AgentChoice, Variant
+from gsrain_engine.sweep.settings import AgentChoice, Sweep, Variant
 from gsrain_engine.trusted_code import UntrustedCodeError, command_code, trust
 
 from .small_sweep import small_jobs, sweep_of, write_road, write_scenario
@@ -46,6 +46,23 @@ def test_jobs_are_all_combinations_with_their_rain_and_start(tmp_path):
     assert {(job.variant.wet, job.variant.exposure_s, job.variant.gap_m) for job in jobs} == {
         (wet, exposure, gap) for wet in (False, True) for exposure in (0.004, 0.05) for gap in (8.0, 20.0)
     }
+
+
+def test_sensors_are_an_axis_of_drives_and_clips(tmp_path):
+    own = tmp_path / "mine.yaml"
+    own.write_text("f_number: 2.0")
+    drives = small_jobs(tmp_path, sensor=["pinhole", str(own)], seeds=1, intensities_mm_h=[8.5], jitter={})
+    assert [job.scenario.rain.sensor for job in drives] == [job.parameters["sensor"] for job in drives]
+    assert {job.variant.title for job in drives} == {"sensor pinhole", "sensor mine"}
+    assert {str(own) in job.files for job in drives} == {True, False}
+    values = {"kind": "render", "recording": {"output": "clip"}, "intensities_mm_h": [0, 1.2], "seeds": 2}
+    clips = jobs_of(msgspec.convert(values | {"sensor": ["pinhole", "automotive"]}, Sweep))
+    assert len({job.id for job in clips}) == len(clips) == 8  # each seed without rain has noise of its own
+    assert {job.parameters["sensor"] for job in clips} == {"pinhole", "automotive"}
+    plain = jobs_of(msgspec.convert(values, Sweep))
+    assert len(plain) == 3 and {job.parameters["sensor"] for job in plain} == {None}
+    with pytest.raises(ValueError, match="sensor none such: no such file"):
+        jobs_of(msgspec.convert(values | {"sensor": ["none such"]}, Sweep))
 
 
 def test_a_scenario_without_road_users_has_no_gap(tmp_path):

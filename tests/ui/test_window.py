@@ -161,6 +161,26 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     driver.run(script)
 
 
+def test_the_rain_panel_chooses_a_sensor_and_replaces_its_aperture(driver):
+    def script():
+        document, live = driver.editor.document, driver.editor.live_rain
+        driver.ctx.window_focus("//Rain")
+        driver.click("//Rain/Camera")
+        driver.ctx.set_ref("//Rain")
+        driver.ctx.combo_click("##sensor/rainsense")
+        driver.frames()
+        assert document.rain.sensor == "rainsense" and live.simulation.sensor.tone_curve == "crushed"
+        driver.click("//Rain/##aperture_mm given")
+        assert document.rain.aperture_mm == 4.0
+        driver.type_in("//Rain/##aperture_mm", 6.0)
+        assert document.rain.aperture_mm == 6.0
+        driver.click("//Rain/##aperture_mm given")
+        assert document.rain.aperture_mm is None
+        assert document.history.undo_label == "Aperture"
+
+    driver.run(script)
+
+
 _CTRL, _KEY = imgui.Key.mod_ctrl, imgui.Key
 
 

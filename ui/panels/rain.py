@@ -1,12 +1,14 @@
 """Rain panel and Rain properties panel."""
 
 from functools import cache, lru_cache
+from pathlib import Path
 
 import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.live_rain import LiveRain
+from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import field_of, fields_of
@@ -19,6 +21,7 @@ from gsrain_engine.rain.settings import (
     RegionBox,
     load_preset,
 )
+from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 
 from ..widgets import fields
 from ..widgets.fields import (
@@ -47,13 +50,15 @@ _PRESETS_PER_ROW = 3
 PICK_TOOL = "Pick sky color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
-GROUPS = (_WIND, "Regions", "Physics", "Lens", "Appearance")
+GROUPS = (_WIND, "Regions", "Physics", "Camera", "Appearance")
 """Headings below which the fields with this `group` are drawn."""
 
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."
 
 
-def rain_panel(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:
+def rain_panel(
+    document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain, status: StatusBus
+) -> None:
     _presets(document)
     _intensity(document, viewport, playback, live_rain)
     _exposure(document, viewport, playback)
@@ -72,7 +77,9 @@ def rain_panel(document: Document, viewport: ViewportState, playback: Playback, 
             for each in fields_of(RainSettings):
                 if each.group != group or each.name in _WIND_FIELDS:
                     continue
-                if each.kind is RegionBox:
+                if each.name == "sensor":
+                    _sensor(document, viewport, live_rain, status)
+                elif each.kind is RegionBox:
                     _region(document, viewport, each.name)
                 else:
                     fields.rain_field(document, each.name)
@@ -159,6 +166,55 @@ def _exposure(document: Document, viewport: ViewportState, playback: Playback) -
 
 
 _COMPASS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
+_NO_SENSOR = f"lens of {DEFAULT_SENSOR}"
+
+
+def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, status: StatusBus) -> None:
+    """Choose a sensor, and list its values for the present camera."""
+    own = document.rain.sensor
+    names = [None, *_shipped_sensors()] + ([own] if own not in (None, *_shipped_sensors()) else [])
+    titles = [_NO_SENSOR if each is None else Path(each).stem for each in names]
+    fields.field_label("sensor")
+    imgui.set_next_item_width(-fields.keyframe_button_width())
+    changed, at = imgui.combo("##sensor", names.index(own), titles)
+    if changed:
+        document.change_rain("Sensor", sensor=names[at])
+    imgui.same_line()
+    if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose sensor"):
+        fields.ask_what_to_open("Sensor", "Sensors{.yaml,.yml}", lambda chosen: _use(document, status, chosen[0]))
+    imgui.set_item_tooltip("Choose a sensor file...")
+    simulation, camera = live_rain.simulation, viewport.shot(960, 640).camera
+    sensor, lens = simulation.sensor, simulation.lens(camera)
+    rows = [("Lens opening", f"{1e3 * lens.aperture_m:.2f} mm", "f p / N: focal length over f-number.")]
+    if lens.aperture_m:
+        rows.append(("Focus", f"{lens.focus_m:.2f} m", "Distance that is sharp."))
+    rows.append(("Shutter", f"{1e3 * simulation.exposure_s(camera):.2f} ms", "Exposure time of drops."))
+    if sensor.readout_s:
+        text = f"{1e3 * sensor.readout_s:.0f} ms {sensor.readout_direction}"
+        rows.append(("Rolling shutter", text, "Time from the first row to the last; it acts on drops."))
+    if simulation.picture_sensor is not None:
+        if sensor.full_well_e is not None:
+            text = f"{sensor.full_well_e / sensor.gain:,.0f} e-, read noise {sensor.read_noise_e:g} e-"
+            rows.append(("White", text, "Electrons of white; shot noise is the root of a pixel's electrons."))
+        rows.append(("Tone curve", sensor.tone_curve, "In recorded images and videos; the viewport is without it."))
+        if sensor.jpeg_quality is not None:
+            rows.append(("JPEG quality", f"{sensor.jpeg_quality}", "In recorded images and videos."))
+    readings("sensor values", rows)
+
+
+def _use(document: Document, status: StatusBus, path: Path) -> None:
+    """Use a sensor file, if it can be read."""
+    try:
+        load_sensor(path)
+    except (ValueError, OSError) as error:
+        status.report(error)
+    else:
+        document.change_rain("Sensor", sensor=str(path))
+
+
+@cache
+def _shipped_sensors() -> tuple[str, ...]:
+    return tuple(sensor_names())
 
 
 def _wind(document: Document, viewport: ViewportState, playback: Playback) -> None:

@@ -50,11 +50,16 @@ def rain_field(document: Document, name: str) -> None:
 
 def slider(document: Document, name: str, *, high: float | None = None, beside_px: float = 0.0) -> None:
     """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
-    info = field_label(name)
+    info, value = field_label(name), getattr(document.rain_now, name)
+    if info.none is not None:
+        switched, value = _optional_toggle(name, info, value)
+        if switched:
+            document.change_rain(info.title, **{name: value})
+        if value is None:
+            return
     if beside_px:
         imgui.set_next_item_width(-beside_px)
     flags = LOGARITHMIC if info.is_logarithmic else CLAMPED
-    value = getattr(document.rain_now, name)
     changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.slider_high, "%.4g", flags)
     if changed:
         document.change_rain(info.title, name, **{name: value})

@@ -18,7 +18,7 @@ from ...datasets.capture import Capture
 from ...datasets.undistort import undistort_frame
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...render.draw import RenderView, draw_view, ego_view
+from ...render.draw import RenderView, draw_view, ego_view, response_of
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...safe_io.limits import read_file
@@ -122,27 +122,37 @@ class ConditionRenderer:
     """Draw rain in front of the original photographs."""
     _rains: dict[tuple[float, int], RainSimulation] = field(default_factory=dict[tuple[float, int], RainSimulation])
 
+    _metered: dict[str, float] = field(default_factory=dict[str, float])
+    """Gain of automatic exposure by the name of the view."""
+
     def take(self, frame: EvaluatedFrame, trial: Condition) -> UInt8[np.ndarray, "h w 3"]:
         """Render one image, deterministically; with wet colors in rain if the scene has them."""
         if trial.kind == "original":
             assert frame.original is not None
             return frame.original()
         if trial.kind == "clear":
-            return self._drawn(frame, None)
-        key = trial.intensity_mm_h, trial.seeds[0]
-        if key not in self._rains:
-            rain = structs.replace(self.rain, intensity_mm_h=key[0], seed=key[1])
-            self._rains[key] = RainSimulation.start(rain.without_medium if self.is_in_front else rain)
-        rainfall = self._rains[key]
+            return self._drawn(frame, self._rainfall(0.0, trial.seeds[0]), is_clear=True)
+        rainfall = self._rainfall(trial.intensity_mm_h, trial.seeds[0])
         if not self.is_in_front:
             return self._drawn(frame, rainfall)
         assert frame.original is not None
         return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.color)
 
-    def _drawn(self, frame: EvaluatedFrame, rainfall: RainSimulation | None) -> UInt8[np.ndarray, "h w 3"]:
-        overcast = 0.0 if rainfall is None else rainfall.overcast_at(frame.shot.time_s)
-        draw_view(self.renderer, self.scene, rainfall, self.sky.at(overcast), frame.shot)
-        return self.renderer.read_uint8()
+    def _rainfall(self, intensity_mm_h: float, seed: int) -> RainSimulation:
+        key = intensity_mm_h, seed
+        if key not in self._rains:
+            rain = structs.replace(self.rain, intensity_mm_h=intensity_mm_h, seed=seed)
+            self._rains[key] = RainSimulation.start(rain.without_medium if self.is_in_front else rain)
+        return self._rains[key]
+
+    def _drawn(
+        self, frame: EvaluatedFrame, rainfall: RainSimulation, *, is_clear: bool = False
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        overcast = 0.0 if is_clear else rainfall.overcast_at(frame.shot.time_s)
+        response = response_of(self.renderer, self.scene, rainfall, frame.shot, self._metered, frame.name)
+        draw_view(self.renderer, self.scene, None if is_clear else rainfall, self.sky.at(overcast), frame.shot)
+        pixels = self.renderer.read_uint8()
+        return pixels if response is None else response.picture(pixels)
 
 
 def evaluate_images(

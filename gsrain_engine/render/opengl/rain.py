@@ -61,7 +61,8 @@ class RainPass:
             shader, exposure=shutter.exposure_s, shutter_velocity=tuple(seen_from),
             still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
             phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
-            aperture=1e-3 * rain.aperture_mm, focus=rain.focus_distance_m, max_copies=rain.max_copies,
+            aperture=shutter.lens.aperture_m, focus=shutter.lens.focus_m, scan=tuple(shutter.readout),
+            max_copies=rain.max_copies,
             display_color=tuple(field.color), near=NEAR_M, first_slot=first_slot,
             intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
         )  # fmt: skip

@@ -1,0 +1,135 @@
+"""Camera response: from a rendered picture to the one that a sensor stores, with gain, noise, tone curve and JPEG."""
+
+import zlib
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Any, no_type_check
+
+import lazy_loader
+import numba
+import numpy as np
+from jaxtyping import Float32, UInt8
+from scipy.special import ndtri
+
+from ..rain.pcg_hash import pcg4d_scalar
+from ..scene.camera import Camera
+from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.sensor import Sensor
+
+cv2: Any = lazy_loader.load("cv2")  # only pictures of a sensor with JPEG need it
+
+MAX_GAIN = 4.0
+"""Upper bound of the gain of automatic exposure, and its inverse the lower one."""
+
+CRUSH = 0.05
+"""Display value at which the tone curve `crushed` has fallen to about half.
+
+Before backgrounds of gray 0 to 16, RainSense's streaks rise by 0.56, 0.93 and 0.60 of ours with the sRGB curve; at gray
+9 this curve rises by 0.69 of it.
+"""
+
+_NORMALS, _TONES = 1 << 12, 1 << 14  # entries of the tables of normal deviates and of the tone curve
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraResponse:
+    """Response of a sensor at one time. The noise is a function of seed, time and camera: rain does not change it."""
+
+    sensor: Sensor
+    camera: Camera
+    time_s: float
+    seed: int = 0
+    exposure_gain: float = 1.0
+    """Gain of automatic exposure, see `metered_gain`."""
+
+    def picture(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+        """Return the picture that the camera stores of a rendered one (sRGB).
+
+        Linear light of 1, white, is full well over gain in electrons; noise is that of shot and readout (Gaussian, with
+        the variance of Poisson's law: Foi et al. 2008). A pixel of a smaller picture than the sensor's is the mean of
+        several of the sensor's, each with its own noise. Then come exposure gain, clipping, tone curve and JPEG. Pixels
+        and channels have noise of their own; a color filter array and its interpolation are not simulated.
+        """
+        sensor, levels = self.sensor, np.arange(256) / 255
+        light = srgb_to_linear(levels)
+        sigma = np.zeros(256)
+        if sensor.full_well_e is not None:
+            white_e = sensor.full_well_e / sensor.gain
+            binned = max(sensor.size_px[1] / image.shape[0], 1.0)  # native pixels along each side of a pixel
+            sigma = np.sqrt(light * white_e + sensor.read_noise_e**2) / (binned * white_e)
+        scale = self.exposure_gain * (_TONES - 1)
+        made = np.empty_like(image)
+        _expose(
+            np.ascontiguousarray(image), (scale * light).astype(np.float32), (scale * sigma).astype(np.float32),
+            _normal_deviates(), _tone_table(sensor.tone_curve), *self._key(), made,
+        )  # fmt: skip
+        return made if sensor.jpeg_quality is None else _compressed(made, sensor.jpeg_quality)
+
+    def _key(self) -> tuple[np.uint32, np.uint32, np.uint32]:
+        """Hash key of the noise: seed, time and camera."""
+        moment = zlib.crc32(np.float64(self.time_s).tobytes())
+        camera = zlib.crc32(np.ascontiguousarray(self.camera.world_to_camera, np.float64).tobytes())
+        return np.uint32(self.seed & 0xFFFFFFFF), np.uint32(moment), np.uint32(camera)
+
+
+def metered_gain(image: UInt8[np.ndarray, "h w 3"], sensor: Sensor) -> float:
+    """Gain that leads the mean luminance of a picture without rain to the sensor's mean gray; 1 without one."""
+    if sensor.mean_gray is None:
+        return 1.0
+    luminance = float(_linear_levels()[image].mean(axis=(0, 1)) @ _LUMINANCE)
+    target = float(srgb_to_linear(np.array(sensor.mean_gray / 255)))
+    return float(np.clip(target / max(luminance, 1e-6), 1 / MAX_GAIN, MAX_GAIN))
+
+
+def tone_curve(light: np.ndarray, name: str) -> np.ndarray:
+    """Display value 0..1 of linear light 0..1: y by sRGB's curve; `crushed` is y^2 (1 + k) / (y + k), k = `CRUSH`."""
+    display = linear_to_srgb(light)
+    return display if name == "srgb" else display**2 * (1 + CRUSH) / (display + CRUSH)
+
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB (ITU-R BT.709)
+
+
+@cache
+def _linear_levels() -> Float32[np.ndarray, "256"]:
+    return srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+
+
+@cache
+def _normal_deviates() -> Float32[np.ndarray, " n"]:
+    """Equally likely deviates of a normal law, with a variance of exactly 1."""
+    deviates = ndtri((np.arange(_NORMALS) + 0.5) / _NORMALS)
+    return (deviates / deviates.std()).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def _tone_table(name: str) -> UInt8[np.ndarray, " n"]:
+    return np.rint(255 * tone_curve(np.arange(_TONES) / (_TONES - 1), name)).astype(np.uint8)
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _expose(image, means, sigmas, normals, tones, seed, moment, camera, made):
+    """Add noise to each channel, clip, and apply the tone curve; all tables are in units of the tone table's index."""
+    height, width = image.shape[0], image.shape[1]
+    top, shift = len(tones) - 1, np.uint32(20)
+    for y in numba.prange(height):
+        for x in range(width):
+            red, green, blue, _ = pcg4d_scalar(np.uint32(y * width + x), seed, moment, camera)
+            for channel in range(3):
+                bits = red if channel == 0 else green if channel == 1 else blue
+                level = image[y, x, channel]
+                value = means[level] + sigmas[level] * normals[bits >> shift]
+                made[y, x, channel] = tones[min(max(int(value + np.float32(0.5)), 0), top)]
+
+
+def _compressed(image: UInt8[np.ndarray, "h w 3"], quality: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Compress as JPEG with halved chroma, and decompress."""
+    options = [
+        cv2.IMWRITE_JPEG_QUALITY,
+        quality,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
+    ]
+    _, data = cv2.imencode(".jpg", image[..., ::-1], options)
+    return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])

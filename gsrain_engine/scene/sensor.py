@@ -1,0 +1,146 @@
+"""Image sensor and lens of a camera, and their presets."""
+
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+from jaxtyping import Float64
+from msgspec import Meta
+
+from ..presets import load_config, shipped_config_names
+from .camera import Camera
+
+DEFAULT_SENSOR = "automotive"
+
+
+class ThinLens(NamedTuple):
+    """Thin lens of a camera, in meters; an opening of 0 is a pinhole."""
+
+    aperture_m: float = 0.0
+    """Diameter of the opening."""
+    focus_m: float = 10.0
+    """Distance that is sharp."""
+
+    def circle_of_confusion_m(self, depth_m: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Circle of confusion of a thin lens, as a diameter at a depth: A |1 - d / d_focus|.
+
+        In the image it is c = f A |1/d - 1/d_focus| px, with f in px.
+        """
+        return self.aperture_m * np.abs(1 - depth_m / self.focus_m)
+
+
+class Readout(NamedTuple):
+    """Rolling shutter: a point is exposed around t + time_s (right x/z + down y/z + offset), in camera coordinates."""
+
+    time_s: float = 0.0
+    """From the first row to the last; 0 is a global shutter."""
+    right: float = 0.0
+    down: float = 0.0
+    offset: float = 0.0
+
+
+PINHOLE, GLOBAL_SHUTTER = ThinLens(), Readout()
+
+
+class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Image sensor and lens of a camera. The defaults are a pinhole that adds nothing to the picture."""
+
+    # fmt: off
+    size_px: Annotated[tuple[int, int], Meta(
+        title="Size", extra={"unit": "px"},
+        description="Native width and height. A smaller picture shows all of its height.")] = (1920, 1280)
+    pixel_pitch_um: Annotated[float, Meta(
+        ge=0.5, le=50, title="Pixel pitch", extra={"unit": "um"}, description="Distance of native pixels.")] = 3.0
+    f_number: Annotated[float | None, Meta(
+        title="f-number", extra={"none": "pinhole", "ge": 0.7, "le": 64.0},
+        description="Focal length over the diameter of the lens opening; none is a pinhole.")] = None
+    focus_distance_m: Annotated[float | None, Meta(
+        title="Focus distance", extra={"unit": "m", "none": "hyperfocal", "ge": 0.2, "le": 10_000.0},
+        description="Distance that is sharp; none is hyperfocal: infinity blurs over one native pixel.")] = None
+    shutter_s: Annotated[float | None, Meta(
+        title="Shutter", extra={"unit": "s", "none": "the camera's", "ge": 1e-5, "le": 1.0},
+        description="Exposure time; none takes the camera's own.")] = None
+    readout_s: Annotated[float, Meta(
+        ge=0, le=0.2, title="Readout", extra={"unit": "s"},
+        description="Rolling shutter: time from the first to the last row for drops; 0 is a global shutter.")] = 0.0
+    readout_direction: Annotated[Literal["down", "up", "right", "left"], Meta(
+        title="Readout direction", description="Course of the rolling shutter over the picture.")] = "down"
+    mean_gray: Annotated[float | None, Meta(
+        title="Auto exposure", extra={"none": "off", "ge": 1.0, "le": 254.0},
+        description="Gray level of the mean luminance, to which a gain of 1/4 to 4 leads; none: no gain.")] = None
+    full_well_e: Annotated[float | None, Meta(
+        title="Full well", extra={"unit": "e-", "none": "no noise", "ge": 10.0, "le": 1e7},
+        description="Electrons of white at gain 1; none: no noise.")] = None
+    read_noise_e: Annotated[float, Meta(
+        ge=0, le=1000, title="Read noise", extra={"unit": "e-"}, description="Standard deviation.")] = 0.0
+    gain: Annotated[float, Meta(
+        ge=1, le=256, title="Gain", description="ISO gain: white has so many times fewer electrons.")] = 1.0
+    tone_curve: Annotated[Literal["srgb", "crushed"], Meta(
+        title="Tone curve", description="srgb, or one with crushed blacks (docs/physics.md, 4).")] = "srgb"
+    jpeg_quality: Annotated[int | None, Meta(
+        title="JPEG quality", extra={"none": "no JPEG", "ge": 1, "le": 100},
+        description="Compression inside of the camera, before the picture is stored; none: none.")] = None
+    # fmt: on
+
+    def __post_init__(self) -> None:
+        if not all(16 <= side <= 65_536 for side in self.size_px):
+            raise ValueError(f"size_px must be within 16..65536, got {self.size_px}")
+        for name, low, high in _OPTIONAL:
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ValueError(f"{name} must be within {low:g}..{high:g}, got {value}")
+
+    @property
+    def changes_picture(self) -> bool:
+        """True if the sensor acts on the picture itself, and not only on drops."""
+        plain = self.mean_gray is None and self.full_well_e is None and self.jpeg_quality is None
+        return not plain or self.tone_curve != "srgb"
+
+    def lens(self, camera: Camera) -> ThinLens:
+        """Lens with which a camera has this sensor.
+
+        The opening A = f p / N has f and the pixel pitch p in native pixels; f is that of the picture times the ratio
+        of heights, since `Camera.resized` keeps the vertical field of view: A is the same at any size of the picture.
+        The hyperfocal distance is A f: there the circle of confusion at infinity is one native pixel.
+        """
+        if self.f_number is None:
+            return PINHOLE
+        focal_px = camera.fy * self.size_px[1] / camera.height
+        aperture_m = focal_px * 1e-6 * self.pixel_pitch_um / self.f_number
+        return ThinLens(aperture_m, self.focus_distance_m or aperture_m * focal_px)
+
+    def readout(self, camera: Camera) -> Readout:
+        """Rolling shutter in coordinates of a camera; the middle of the picture is exposed at the frame's time."""
+        is_vertical = self.readout_direction in ("down", "up")
+        sign = -1.0 if self.readout_direction in ("up", "left") else 1.0
+        if is_vertical:
+            return Readout(
+                self.readout_s, 0.0, sign * camera.fy / camera.height, sign * (camera.cy / camera.height - 0.5)
+            )
+        return Readout(self.readout_s, sign * camera.fx / camera.width, 0.0, sign * (camera.cx / camera.width - 0.5))
+
+
+_OPTIONAL = (
+    ("f_number", 0.7, 64), ("focus_distance_m", 0.2, 10_000), ("shutter_s", 1e-5, 1), ("mean_gray", 1, 254),
+    ("full_well_e", 10, 1e7), ("jpeg_quality", 1, 100),
+)  # fmt: skip
+"""Bounds of the numbers that may be None."""
+
+
+# Presets
+# YAML files with the fields of `Sensor`; omitted fields have their defaults.
+
+_FOLDER = "sensors"
+
+
+def load_sensor(name: str | Path) -> Sensor:
+    """Load a shipped sensor by name, or a sensor file by path.
+
+    Raises `ValueError` with the file, the field and the allowed range.
+    """
+    return load_config(_FOLDER, name, Sensor, "sensor")
+
+
+def sensor_names() -> list[str]:
+    return shipped_config_names(_FOLDER)
