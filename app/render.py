@@ -14,6 +14,7 @@ from msgspec import structs
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
+from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes
 from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.rainy_light import missing_wet_colors, with_wet_choice
@@ -113,6 +114,7 @@ def render(
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
     settings, weather = rain_options.for_scene(opened), rendered_weather(rain_options, opened)
     heaviest = max(intensities or [(weather or NO_KEYFRAMES).heaviest_mm_h(settings)])
+    load_calibration(settings.calibration)  # before colors are computed for a rain that can't be made
     opened, settings = rainy_light(opened, settings, wet, heaviest)
     if wet and heaviest == 0 and settings.wetness is None:  # asked for without rain: soaked
         settings = structs.replace(settings, wetness=1.0)

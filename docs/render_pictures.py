@@ -9,14 +9,10 @@ import av
 from PIL import Image, ImageDraw, ImageFont
 
 from app.main import run
-from gsrain_engine.recolor.recolor import wet_scene
 from gsrain_engine.render.renderer import RenderMode
-from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.open import load_scene
-from gsrain_engine.scene.progress import run_to_end
 
 IMAGES = Path(__file__).parent / "images"
-_INTENSITIES_MM_H = ("1.2", "8.5", "12.0")
+_INTENSITIES_MM_H, _SHEET_MM_H = ("1.2", "8.5", "12.0"), ("0", "2.5", "8.5", "25", "50")
 _MOMENT_S = "1.6"
 """A lorry stands near, and the car ahead is well in view."""
 _SCENARIOS = ("cut-in", "stationary-lead")
@@ -44,10 +40,21 @@ def keep(picture: Image.Image, name: str) -> None:
 
 
 def render_rain(folder: Path) -> None:
-    """The street in its wet look, in light, heavy and very heavy rain."""
-    write_scene(run_to_end(wet_scene(load_scene("street"))), folder / "wet")
+    """The street in light, heavy and very heavy rain, in the light and wet colors of rain."""
     for intensity in _INTENSITIES_MM_H:
-        keep(still(str(folder / "wet"), folder, "960x640", "--rain", intensity, "--wetness", "1"), f"rain_{intensity}")
+        keep(still("street", folder, "960x640", "--rain", intensity), f"rain_{intensity}")
+
+
+def render_sheet(folder: Path) -> None:
+    """The street dry, and in rain from moderate to very heavy."""
+    width, height = 960, 640
+    sheet = Image.new("RGB", (width, height * len(_SHEET_MM_H)))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(28)
+    for row, intensity in enumerate(_SHEET_MM_H):
+        sheet.paste(still("street", folder, f"{width}x{height}", "--rain", intensity), (0, row * height))
+        corner = (16, row * height + 12)
+        draw.text(corner, f"{intensity} mm/h", "white", font, stroke_width=2, stroke_fill="black")
+    keep(sheet, "sheet_street")
 
 
 def render_regions(folder: Path) -> None:
@@ -55,8 +62,7 @@ def render_regions(folder: Path) -> None:
     width, height = 720, 480
     sheet = Image.new("RGB", (2 * width, height))
     for column, other in enumerate(("--no-haze", "--no-streaks")):
-        options = ("--rain", "12", "--wetness", "1", other)
-        sheet.paste(still(str(folder / "wet"), folder, f"{width}x{height}", *options), (column * width, 0))
+        sheet.paste(still("street", folder, f"{width}x{height}", "--rain", "12", other), (column * width, 0))
     keep(sheet, "paper_regions")
 
 
@@ -100,6 +106,7 @@ def main() -> None:
     """Render all of them."""
     with tempfile.TemporaryDirectory() as folder:
         render_rain(Path(folder))
+        render_sheet(Path(folder))
         render_regions(Path(folder))
         render_scenarios(Path(folder))
         render_looks(Path(folder))

@@ -26,7 +26,7 @@ minutes_s = np.arange(0.0, 301.0, 60.0)
 
 if not files:
     for intensity_mm_h in (1.2, 4.0, 8.5, 12.0):
-        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h))
+        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h, turbulence_m_s=0.0))
         files.append(out / f"spectra_{intensity_mm_h:g}mm_h.nc")
         write_spectra(files[-1], VirtualDisdrometer(rainfall).measure(minutes_s).spectra)
 
@@ -35,6 +35,6 @@ save_calibration(fitted.calibration, out / "calibration.yaml")  # Rain(calibrati
 write_plot(fitted, out / "calibration.png")
 for calibration in (load_calibration("published"), fitted.calibration):
     for intensity_mm_h in (1.2, 8.5):
-        state = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h), calibration).state
+        state = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h, turbulence_m_s=0.0), calibration).state
         drops = f"{state.density_m3:5.0f} drops/m3, {state.mean_diameter_mm:.3f} mm on average"
         print(f"{calibration.name:>9} at {intensity_mm_h:g} mm/h: {drops}")

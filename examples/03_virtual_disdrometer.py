@@ -22,7 +22,10 @@ minutes_s = np.arange(0.0, 301.0, 60.0)
 
 for closure in ("density", "published"):
     for intensity_mm_h in (1.2, 8.5, 12.0):
-        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h, closure=closure))
+        rain = RainSettings(
+            intensity_mm_h=intensity_mm_h, closure=closure, turbulence_m_s=0.0
+        )  # the table's fall speed
+        rainfall = RainSimulation.start(rain)
         counted = VirtualDisdrometer(rainfall, area_m2=0.5).measure(minutes_s)
         measured = f"{counted.rate_mm_h:.3f} +- {counted.standard_error_mm_h:.3f} mm/h"
         print(f"{closure:9} {intensity_mm_h:4g} mm/h asked, {measured:>21} measured, {counted.drops:9,} drops counted")

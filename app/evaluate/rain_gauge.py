@@ -28,7 +28,7 @@ def rain_gauge(
     /,
     *,
     focal_px: Annotated[float, option("Focal length in pixels of the frames.")],
-    exposure: Annotated[float, option("Shutter time in s; at 2 ms, streaks are long enough and seldom cross.")],
+    shutter: Annotated[float, option("Shutter time in s; at 2 ms, streaks are long enough and seldom cross.")],
     calibration: Annotated[
         str, setting(RainSettings, "calibration", "Its law of the fall speed is used.")
     ] = "published",
@@ -40,12 +40,12 @@ def rain_gauge(
     Nothing else is known to it: neither the scene nor the rain that was set. The sky must be at the top of the frames.
     """
     check_within("--focal-px", focal_px, 10, 1e5, "px")
-    check_within("--exposure", exposure, 1e-4, 0.1, "s")
+    check_within("--shutter", shutter, 1e-4, 0.1, "s")
     check_within("--count", count, MIN_FRAMES, _MAX_FRAMES)
     check_writable(json)
     fall_speed = load_calibration(calibration).velocity
     pictures = _stacked(frames, islice(_pictures(frames), count))
-    found = measure_rain_rate(pictures, focal_px, exposure, fall_speed)
+    found = measure_rain_rate(pictures, focal_px, shutter, fall_speed)
     print(
         f"{found.intensity_mm_h:.2f} mm/h ({rain_class(found.intensity_mm_h)}), counting error {found.error_mm_h:.2f}: "
         f"{found.streaks} streaks wider than {found.cutoff_px:.1f} px in {found.frames} frames, "

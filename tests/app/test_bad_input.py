@@ -93,10 +93,10 @@ bench loading --formats .sog                         | --formats .sog
 evaluate streaks real --frames 4                     | --frames 4
 evaluate streaks empty --exposure 0.004,,0.01        | --exposure 0.004,,0.01
 evaluate streaks empty --window 1,2,3                | --window 1,2,3
-evaluate rain-gauge empty --focal-px 0 --exposure 0.002 | --focal-px
-evaluate rain-gauge empty --focal-px 900 --exposure 2 | --exposure
-evaluate rain-gauge empty --focal-px 900 --exposure 0.002 | no images
-evaluate rain-gauge pictures --focal-px 900 --exposure 0.002 | pictures
+evaluate rain-gauge empty --focal-px 0 --shutter 0.002 | --focal-px
+evaluate rain-gauge empty --focal-px 900 --shutter 2 | --shutter
+evaluate rain-gauge empty --focal-px 900 --shutter 0.002 | no images
+evaluate rain-gauge pictures --focal-px 900 --shutter 0.002 | pictures
 evaluate consistency                                 | DIR
 evaluate consistency pictures                        | pictures
 evaluate fid pictures pictures --extractor eyes      | --extractor eyes

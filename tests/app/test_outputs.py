@@ -35,7 +35,7 @@ OUTPUTS = {
     "bench loading": ["--json OUT"],
     "bench recoloring": ["--json OUT"],
     "evaluate streaks": ["none --json OUT"],
-    "evaluate rain-gauge": ["none --focal-px 1000 --exposure 0.002 --json OUT"],
+    "evaluate rain-gauge": ["none --focal-px 1000 --shutter 0.002 --json OUT"],
     "evaluate consistency": ["none --contact-sheet OUT.png", "none --report OUT.html", "none --json OUT"],
     "evaluate fid": ["none none --report OUT.html", "none none --json OUT"],
     "evaluate transfers": ["paper -o OUT", "paper -o ok --json OUT"],

@@ -46,7 +46,7 @@ FILES = (
     "drive cut-in --scene {}.ply -o {out}",
     "evaluate images {}.png {}.png",
     "evaluate streaks {}",
-    "evaluate rain-gauge {}.mp4 --focal-px 900 --exposure 0.002",
+    "evaluate rain-gauge {}.mp4 --focal-px 900 --shutter 0.002",
     "evaluate lpips-weights {}.npz -o {out}.npz",
     "evaluate lpips-weights {}.ckpt -o {out}.npz",
 )
