@@ -14,8 +14,8 @@ from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluation.report import write_report
-from gsrain_engine.rain.rainy_light import with_wet_choice
 from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.wetness import with_wet_choice
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word, shortened

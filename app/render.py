@@ -17,10 +17,10 @@ from gsrain_engine.editor.viewport.camera import front_camera, home_camera
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes
 from gsrain_engine.rain.properties import RainProperties
-from gsrain_engine.rain.rainy_light import missing_wet_colors, with_wet_choice
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.streaks import visible_distance_m
+from gsrain_engine.rain.wetness import missing_wet_colors, with_wet_choice
 from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings, export_outputs
 from gsrain_engine.render.object_labels import LabelFormat

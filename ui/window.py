@@ -60,8 +60,8 @@ def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool | Non
     """
     from gsrain_engine.editor.editor import Editor
     from gsrain_engine.editor.jobs.folder import remove_abandoned_job_folders
-    from gsrain_engine.rain.rainy_light import with_wet_choice
     from gsrain_engine.rain.settings import RainSettings
+    from gsrain_engine.rain.wetness import with_wet_choice
 
     rain = rain if wet is not False else with_wet_choice(rain or RainSettings(), wet)
     editor, restarts = Editor(rain=rain), _TIMES in os.environ

@@ -20,7 +20,7 @@ from ..console import print
 from ..options import JsonFile, check_within, option, setting
 from ..outputs import check_writable, write_numbers
 
-_MAX_FRAMES, _MAX_PIXELS = 500, 1 << 29
+_MAX_FRAMES, _MAX_BYTES = 500, 3 << 29
 
 
 def rain_gauge(
@@ -68,7 +68,7 @@ def _stacked(source: Path, pictures: Iterator[UInt8[np.ndarray, "h w 3"]]) -> UI
         found.append(picture)
         if picture.shape != found[0].shape:
             raise ValueError(f"{source}: frame {len(found)} has another size than the first")
-        if len(found) * picture.size > _MAX_PIXELS * 3:
+        if len(found) * picture.nbytes > _MAX_BYTES:
             raise ValueError(f"{source}: frames too large for {len(found)} of them; take fewer by --count")
     if len(found) < MIN_FRAMES:
         raise ValueError(f"{source}: {len(found)} frames, a rain gauge needs {MIN_FRAMES} or more")

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from ..scene.geometry import srgb_to_linear
-from .streaks import LINE_PX, line_kernels
+from ..scene.geometry import LUMINANCE, srgb_to_linear
+from .streaks import LINE_PX, MAD_TO_SIGMA, box_with_moments, line_kernels
 
 FallSpeed = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]  # m/s of drops with diameters in mm
 
@@ -28,10 +28,12 @@ _DETECTION_Z = 6.0
 _CORE_SHARE = 0.4  # of a response's peak, within which a streak's moments are taken
 _RESTLESS_LEVELS = 12.0  # larger typical deviations are motion: even the densest rain has less
 _MIN_WIDTH_PX, _CUTOFFS, _MIN_STREAKS = 1.0, 40, 20
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, ITU-R BT.709
 _MAX_BACKGROUND, _OPEN_SHARE = 0.6, 0.95
 """Largest background, as a share of a drop's light, before which streaks are measured, and least share of
 such backgrounds around a streak."""
+
+_MIN_SKY_SHARE, _DARKEST_SKY = 0.01, 0.15  # of all pixels; linear luminance, gray 108 of 255
+_SKY_SHARE = 0.9  # of the brightest light, above which a pixel is of an overcast sky: light walls are darker
 
 _DIAMETERS_MM = np.geomspace(0.3, 8.0, 400)
 _TYPICAL_MM, _TYPICAL_SPREAD = 1.3, 0.25
@@ -59,7 +61,7 @@ class GaugeReading:
     """Above the cutoff."""
     cutoff_px: float
     drop_light: float
-    """Linear luminance of a drop, by the backgrounds before which rain changes nothing."""
+    """Linear luminance of a drop, by the visible sky."""
     frames: int
 
 
@@ -114,7 +116,7 @@ def light_residuals(frames: UInt8[np.ndarray, "t h w *c"]) -> LightResiduals:
     background = np.median(values, axis=0)
     values -= background
     level = np.interp(background, linear, np.gradient(linear)).astype(np.float32)  # of a gray level, in linear light
-    spread = 1.4826 * np.median(np.abs(values), axis=0)
+    spread = MAD_TO_SIGMA * np.median(np.abs(values), axis=0)
     sigma = np.maximum(cv2.blur(spread, (7, 7)), 0.5 * level)
     restless = (cv2.blur(spread / level, (7, 7)) > _RESTLESS_LEVELS).astype(np.uint8)
     still = cv2.dilate(restless, np.ones((7, 7), np.uint8)) == 0
@@ -122,7 +124,7 @@ def light_residuals(frames: UInt8[np.ndarray, "t h w *c"]) -> LightResiduals:
 
 
 def _luminance(linear: Float32[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "h w"]:
-    return linear @ _LUMINANCE if linear.ndim == 3 else linear
+    return linear @ LUMINANCE.astype(np.float32) if linear.ndim == 3 else linear
 
 
 def drop_light_of(found: LightResiduals, focal_px: float) -> float:
@@ -144,10 +146,6 @@ def drop_light_of(found: LightResiduals, focal_px: float) -> float:
     sine = up / np.sqrt(up**2 + (x - (width - 1) / 2) ** 2 + focal_px**2)
     slope, offset = np.polyfit(sine, background[sky], 1)
     return float(min(offset + 0.5 * max(slope, 0.0), 1.0))
-
-
-_MIN_SKY_SHARE, _DARKEST_SKY = 0.01, 0.15  # of all pixels; linear luminance, gray 108 of 255
-_SKY_SHARE = 0.9  # of the brightest light, above which a pixel is of an overcast sky: light walls are darker
 
 
 def _diameter_mm(slowness_per_s: float, fall_speed: FallSpeed) -> float:
@@ -224,7 +222,7 @@ class _OpenAreas:
     """Areas of the positions at which boxes of a size lie within a mask."""
 
     def __init__(self, usable: Bool[np.ndarray, "h w"]) -> None:
-        self.usable = usable
+        self._shape = usable.shape
         self._sums = cv2.integral(usable.astype(np.uint8)).astype(np.int64)
         self._areas: dict[tuple[int, int], float] = {}
 
@@ -233,7 +231,7 @@ class _OpenAreas:
     ) -> Bool[np.ndarray, " n"]:
         """Mask of the boxes that lie within the image, and nearly all of each within the mask."""
         low, high = np.rint(centers - half_sizes).astype(int), np.rint(centers + half_sizes).astype(int) + 1
-        fits = np.flatnonzero((low >= 0).all(axis=1) & (high <= self.usable.shape[::-1]).all(axis=1))
+        fits = np.flatnonzero((low >= 0).all(axis=1) & (high <= self._shape[::-1]).all(axis=1))
         (left, top), (right, bottom), s = low[fits].T, high[fits].T, self._sums
         covered = s[bottom, right] - s[top, right] - s[bottom, left] + s[top, left]
         is_open = np.zeros(len(centers), np.bool_)
@@ -280,7 +278,7 @@ def _candidates(z: Float32[np.ndarray, "h w"]) -> Iterator[_Candidate]:
         means = cv2.resize(z[: height * size, : width * size], (width, height), interpolation=cv2.INTER_AREA)
         response = np.max([cv2.filter2D(means, -1, kernel) for kernel in line_kernels()], axis=0)
         response -= np.median(response)
-        response /= max(1.4826 * float(np.median(np.abs(response))), 1e-6)
+        response /= max(MAD_TO_SIGMA * float(np.median(np.abs(response))), 1e-6)
         found = (response > _DETECTION_Z).astype(np.uint8)
         count, labels, boxes, _ = cv2.connectedComponentsWithStats(found, connectivity=8)
         for label in range(1, count):
@@ -300,19 +298,12 @@ def _by_moments(
     _, pieces = cv2.connectedComponents((response > _CORE_SHARE * response.max()).astype(np.uint8), connectivity=8)
     peak = (pieces == pieces.flat[int(response.argmax())]).astype(np.uint8)
     core = cv2.dilate(peak, np.ones((3, 3), np.uint8)) > 0
-    weights = np.maximum(values[core], 0).astype(np.float64)
-    total = float(weights.sum())
-    if total <= 0:
+    if (box := box_with_moments(np.maximum(values, 0), core)) is None:
         return None
-    y, x = (each.astype(np.float64) for each in np.nonzero(core))
-    cx, cy = float(weights @ x) / total, float(weights @ y) / total
-    dx, dy = x - cx, y - cy
-    xx, xy, yy = (float(weights @ each) / total for each in (dx * dx, dx * dy, dy * dy))
-    middle, swing = (xx + yy) / 2, float(np.hypot((xx - yy) / 2, xy))
-    length, width = np.sqrt(12 * (middle + swing)), np.sqrt(12 * max(middle - swing, 1 / 12))
+    x, y, angle_deg, length, width, _ = box
     return _Candidate(
-        x=size * (cx + 0.5) - 0.5, y=size * (cy + 0.5) - 0.5, angle=float(np.arctan2(2 * xy, yy - xx) / 2),
-        length=size * float(length), width=size * float(width), response=float(response.max()),
+        x=size * (x + 0.5) - 0.5, y=size * (y + 0.5) - 0.5, angle=float(np.radians(angle_deg)),
+        length=size * length, width=size * max(width, 1.0), response=float(response.max()),
     )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ _MIN_ELONGATION = 3.0
 _MIN_LENGTH_PX = 6.0
 _MARGIN_PX = 2
 _CORE_SHARE = 0.3
-_MAD_TO_SIGMA = 1.4826
+MAD_TO_SIGMA = 1.4826  # of a normal law
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +109,7 @@ def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: f
         np.maximum(z, cv2.filter2D(normalized, -1, kernel), out=z)
     quiet = z[found.still]
     middle = float(np.median(quiet))
-    z = (z - middle) / max(_MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
+    z = (z - middle) / max(MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats((z > _EDGE_Z).astype(np.uint8), connectivity=8)
     height, width = values.shape
     light = coverage(found.median.astype(np.float32), sign * values, drop_levels)
@@ -129,7 +129,7 @@ def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: f
         core = (pieces == pieces.flat[int(response.argmax())]).astype(np.uint8)
         margin = np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)  # adds the flanks that the threshold cut off
         own = (cv2.dilate(core, margin) > 0) & ~others
-        box, covered = _box(values[part], own), sign * float(light[part][own].sum())
+        box, covered = box_with_moments(values[part], own), sign * float(light[part][own].sum())
         if box is None or covered <= 0:
             continue
         x, y, angle_deg, length_px, width_px, rise_levels = box
@@ -150,7 +150,7 @@ def line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
     return tuple(kernels)
 
 
-def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> tuple[float, ...] | None:
+def box_with_moments(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> tuple[float, ...] | None:
     """Center, angle, length, width (px) and rise of the box with the moments of some pixels; None for noise."""
     y, x = np.nonzero(own)
     weights = values[own].astype(np.float64)
@@ -200,7 +200,7 @@ def median_residuals(frames: UInt8[np.ndarray, "t h w"]) -> MedianResiduals:
     values = frames.astype(np.float32) - median
     values -= np.median(values.reshape(len(values), -1), axis=1).astype(np.float32)[:, None, None]
     # Gray levels are integers: only averaging over neighbors resolves deviations better than 1.5 levels.
-    sigma = cv2.blur(_MAD_TO_SIGMA * np.partition(np.abs(values), middle, axis=0)[middle], (7, 7)).astype(np.float32)
+    sigma = cv2.blur(MAD_TO_SIGMA * np.partition(np.abs(values), middle, axis=0)[middle], (7, 7)).astype(np.float32)
     restless = (sigma > RESTLESS_LEVELS).astype(np.uint8)
     around = np.ones((2 * _RESTLESS_MARGIN_PX + 1,) * 2, np.uint8)
     still = cv2.dilate(restless, around) == 0

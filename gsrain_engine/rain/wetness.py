@@ -1,13 +1,16 @@
-"""Wetness: share of a scene's soaked colors, as a function of the rainfall intensity."""
+"""Wetness: share of a scene's soaked colors, as a function of the rainfall intensity, and whether they are drawn."""
 
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import msgspec
 import numpy as np
 from jaxtyping import Float64
 
+from ..scene.scene import Scene
 from .keyframes import KeyframeCurve
+from .settings import RainSettings
 
 DRAINAGE_LENGTH_M = 5.0  # over the road: from the crown to the middle of the outer lane
 CROSS_SLOPE = 0.02  # of a road, m/m; a common design value
@@ -111,3 +114,24 @@ def _log_wetness(intensities_mm_h: Float64[np.ndarray, " n"]) -> Float64[np.ndar
     closed = np.clip((intensities_mm_h - OVERCAST_FROM_MM_H) / (OVERCAST_MM_H - OVERCAST_FROM_MM_H), 0, 1)
     with np.errstate(divide="ignore"):  # ln 0 = -inf up to 0.3 mm/h
         return np.log(closed * closed * (3 - 2 * closed)) + np.log(-np.expm1(-depths / SOAKING_DEPTH_MM))
+
+
+# Choice of `--wet/--no-wet`, for all commands and the window
+
+
+def with_wet_choice(rain: RainSettings, wet: bool | None) -> RainSettings:
+    """Return the rain with a choice of `--wet/--no-wet`.
+
+    None follows the rain, where a scene has wet colors: overcast above 0.3 mm/h. False is as lit at any intensity. True
+    follows the rain even if its preset is as lit.
+    """
+    if wet is False:
+        return msgspec.structs.replace(rain, wetness=0.0)
+    return msgspec.structs.replace(rain, wetness=None) if wet and rain.wetness == 0 else rain
+
+
+def missing_wet_colors(scene: Scene, rain: RainSettings, heaviest_mm_h: float) -> str | None:
+    """Return a line on how to get wet colors, if it rains on a scene that has none and is not to stay as lit."""
+    if rain.wetness is not None or heaviest_mm_h <= OVERCAST_FROM_MM_H or scene.has_rainy_light:
+        return None
+    return f"{scene.name} has no wet colors and stays as it is lit; --wet makes them first, --no-wet hides this line"

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
-from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.geometry import LUMINANCE, linear_to_srgb, srgb_to_linear
 from ..scene.sensor import Sensor
 
 cv2: Any = lazy_loader.load("cv2")  # only pictures of a sensor with JPEG need it
@@ -76,7 +76,7 @@ def metered_gain(image: UInt8[np.ndarray, "h w 3"], sensor: Sensor) -> float:
     """Gain that leads the mean luminance of a picture without rain to the sensor's mean gray; 1 without one."""
     if sensor.mean_gray is None:
         return 1.0
-    luminance = float(_linear_levels()[image].mean(axis=(0, 1)) @ _LUMINANCE)
+    luminance = float(_linear_levels()[image].mean(axis=(0, 1)) @ LUMINANCE)
     target = float(srgb_to_linear(np.array(sensor.mean_gray / 255)))
     return float(np.clip(target / max(luminance, 1e-6), 1 / MAX_GAIN, MAX_GAIN))
 
@@ -85,9 +85,6 @@ def tone_curve(light: np.ndarray, name: str) -> np.ndarray:
     """Display value 0..1 of linear light 0..1: y by sRGB's curve; `crushed` is y^2 (1 + k) / (y + k), k = `CRUSH`."""
     display = linear_to_srgb(light)
     return display if name == "srgb" else display**2 * (1 + CRUSH) / (display + CRUSH)
-
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB (ITU-R BT.709)
 
 
 @cache

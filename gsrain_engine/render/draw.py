@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, UInt8
 
 from ..rain.frame import RainCamera
 from ..rain.shelter_map import shelter_map_of
@@ -74,6 +74,12 @@ def draw_view(
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
     parts = subset_items(lit, thinning, shot.camera)
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)
+
+
+def read_picture(renderer: Renderer, response: CameraResponse | None) -> UInt8[np.ndarray, "h w 3"]:
+    """Read the drawn frame back as display color, as the sensor stores it."""
+    pixels = renderer.read_uint8()
+    return pixels if response is None else response.picture(pixels)
 
 
 def response_of(

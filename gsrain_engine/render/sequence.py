@@ -13,7 +13,7 @@ from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
 from .camera_response import CameraResponse
-from .draw import LodCut, RenderView, draw_view, response_of
+from .draw import LodCut, RenderView, draw_view, read_picture, response_of
 from .images import to_display, to_linear_light
 from .renderer import Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
@@ -173,8 +173,7 @@ class FrameSequence:
         color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
         response = self._response(renderer, number, look)
         draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
-        pixels = renderer.read_uint8()
-        return pixels if response is None else response.picture(pixels)
+        return read_picture(renderer, response)
 
     def _response(self, renderer: Renderer, number: int, look: RenderMode) -> CameraResponse | None:
         """Response of the sensor for a frame, with rain or without; None for other render modes than splats."""

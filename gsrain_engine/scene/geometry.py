@@ -65,6 +65,10 @@ def quaternion_product(left: Float[np.ndarray, "*n 4"], right: Float[np.ndarray,
 # sRGB transfer function (IEC 61966-2-1)
 
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear red, green and blue in luminance (ITU-R BT.709)."""
+
+
 def srgb_to_linear(display: Float[np.ndarray, "*n"]) -> Float[Any, "*n"]:
     """Convert display values to linear light; both are 1 for white. Values below 0 count as 0."""
     c = np.maximum(display, 0)

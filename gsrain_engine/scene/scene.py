@@ -14,7 +14,7 @@ from .camera import Camera
 from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
-from .geometry import matrices_from_quaternions, quaternions_from_matrices
+from .geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices
 from .lod_tree import LodTree
 
 _ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
@@ -348,12 +348,11 @@ class ColorGrading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             [2.0 ** (self.temperature + self.tint / 2), 2.0**-self.tint, 2.0 ** (-self.temperature + self.tint / 2)]
         )
         gains = np.diag(light ** (1 / _ENCODING))
-        greyed = np.outer(np.ones(3), _LUMA)
+        greyed = np.outer(np.ones(3), LUMINANCE)
         linear = (self.saturation * np.eye(3) + (1 - self.saturation) * greyed) @ (self.contrast * gains)
         return np.concatenate([linear, np.full((3, 1), 0.5 * (1 - self.contrast))], axis=1)
 
 
-_LUMA = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709.
 _ENCODING = 2.2  # approximate display gamma: a factor on light is this root of it in display values
 UNCHANGED = ColorGrading()
 

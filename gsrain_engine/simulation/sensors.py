@@ -8,7 +8,7 @@ from jaxtyping import Float64, UInt8
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.draw import RenderView, draw_view, response_of
+from ..render.draw import RenderView, draw_view, read_picture, response_of
 from ..render.object_labels import draw_labels
 from ..render.renderer import Renderer
 from ..render.sky_color import SkyColor, sky_color
@@ -51,8 +51,7 @@ class RigRenderer:
             response = response_of(self._renderer, scene, self._rainfall, view, self._metered, mounted.name)
             draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
             depth = self._renderer.read().depth if self._needs.depth else None
-            pixels = self._renderer.read_uint8()
-            image = pixels if response is None else response.picture(pixels)
+            image = read_picture(self._renderer, response)
             views[mounted.name] = CameraView(
                 image, camera, None if depth is None else depth.copy(), semantic, instances
             )

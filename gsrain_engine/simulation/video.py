@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..evaluation.detection.detector import Detection
 from ..evaluation.detection.drawing import draw_boxes
 from ..rain.simulation import RainSimulation
-from ..render.draw import RenderView, draw_view, response_of
+from ..render.draw import RenderView, draw_view, read_picture, response_of
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
@@ -90,8 +90,8 @@ class RolloutVideo:
         scene, view = played.scene(time_s), RenderView(camera, scene_s, velocity)
         response = response_of(self._renderer, scene, self._rainfall, view, self._metered, "")
         draw_view(self._renderer, scene, self._rainfall, color, view)
-        step, pixels = played.step(time_s), self._renderer.read_uint8()
-        picture = draw_boxes(pixels if response is None else response.picture(pixels), (), _noted(step), _SURE)
+        step, pixels = played.step(time_s), read_picture(self._renderer, response)
+        picture = draw_boxes(pixels, (), _noted(step), _SURE)
         if step.plan:
             points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
             ahead = points[state.from_world(points)[:, 0] > 0]

@@ -12,8 +12,8 @@ from ..backends import Backend
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
-from ..rain.rainy_light import with_wet_choice
 from ..rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
+from ..rain.wetness import with_wet_choice
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked

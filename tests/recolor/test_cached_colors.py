@@ -85,7 +85,7 @@ def test_files_of_other_shapes_are_not_believed(tmp_path, computed):
     assert len(computed) == 2
 
 
-def test_only_the_files_used_last_are_kept(tmp_path, computed, monkeypatch):
+def test_old_files_leave_the_cache(tmp_path, computed, monkeypatch):
     monkeypatch.setattr(cached_colors, "_MAX_FILES", 2)
     for seed in range(4):
         ended(cached_wet_scene(small_scene(), WetSettings(seed=seed), folder=tmp_path))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from msgspec.structs import replace as replace_fields
 
+from ...scene import geometry
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView, Image, Plane
 from ..normals import view_directions, view_rays
@@ -15,7 +16,7 @@ from .masks import SurfaceShares, smoothstep
 from .noise import guided_filter, smooth_noise_at
 from .settings import WetSettings
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LUMINANCE = geometry.LUMINANCE.astype(np.float32)
 """Luminance weights of linear sRGB (IEC 61966-2-1)."""
 DARKEST_EV = -10.0
 """Stops below white at which a pixel counts as black."""

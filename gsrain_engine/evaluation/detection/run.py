@@ -18,7 +18,7 @@ from ...datasets.capture import Capture
 from ...datasets.undistort import undistort_frame
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...render.draw import RenderView, draw_view, ego_view, response_of
+from ...render.draw import RenderView, draw_view, ego_view, read_picture, response_of
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...safe_io.limits import read_file
@@ -151,8 +151,7 @@ class ConditionRenderer:
         overcast = 0.0 if is_clear else rainfall.overcast_at(frame.shot.time_s)
         response = response_of(self.renderer, self.scene, rainfall, frame.shot, self._metered, frame.name)
         draw_view(self.renderer, self.scene, None if is_clear else rainfall, self.sky.at(overcast), frame.shot)
-        pixels = self.renderer.read_uint8()
-        return pixels if response is None else response.picture(pixels)
+        return read_picture(self.renderer, response)
 
 
 def evaluate_images(
