@@ -28,9 +28,9 @@ the radiation and the advection fogs of Shettle and Fenn (1979)."""
 _PARTS = 6  # angles for each one of the table
 
 
-def main(sizes: int = 240) -> None:
+def main(sizes: int = 900) -> None:
     """Write the table and print the asymmetry of each row."""
-    diameters_um, radii_um = np.geomspace(150.0, 6000.0, sizes), np.linspace(0.25, 45.0, sizes)
+    diameters_um, radii_um = np.geomspace(150.0, 6000.0, sizes), np.linspace(0.25, 45.0, 4 * sizes)
     drops, droplets = MieLight.of(diameters_um, all_angles()), MieLight.of(2 * radii_um, all_angles())
     rows = [drops.row(rain_numbers(diameters_um, rate)) for rate in RATES_MM_H]
     rows.append(droplets.row(fog_numbers(radii_um)))

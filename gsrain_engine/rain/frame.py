@@ -1,6 +1,6 @@
 """Rain frame: drops and haze at one time for one camera."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -8,11 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from ..scene.camera import Camera
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import srgb_to_linear
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, air_velocities, mark_drops, place_drops
 from .haze import make_haze
+from .lamp_light import LampLight, LitLamps, light_of_drops, make_lamp_light
 from .medium import RainMedium, make_medium, streak_depths
+from .phase import rain_phase
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
@@ -84,6 +86,8 @@ class RainFrame:
     shutter: ShutterModel
     roofs: ShelterMap | None = None
     """Sheltered areas over the cell; None without any."""
+    lamps: LitLamps | None = None
+    """Lamps that light drops and medium, in the world; None without any."""
 
     @property
     def is_linear(self) -> bool:
@@ -141,6 +145,22 @@ class RainFrame:
         return streak_gaussians(
             drops.positions_m, drops.diameters_mm, drops.velocities_m_s, self.shutter, self.rain, self.color
         )
+
+    @cached_property
+    def lit_streaks(self) -> Gaussians:
+        """Streak Gaussians that have the light of lamps as their color, in linear light."""
+        if self.lamp_light is None or not len(self.streaks):
+            return self.streaks
+        light = light_of_drops(self.lamp_light, self.streaks.means, self.view.camera)
+        return replace(self.streaks, sh=sh_from_color(light))
+
+    @cached_property
+    def lamp_light(self) -> LampLight | None:
+        """Light of lamps on drops and medium; None without lamps."""
+        if self.lamps is None or not len(self.lamps.positions_m):
+            return None
+        phase = rain_phase(self.rain.intensity_mm_h)
+        return make_lamp_light(self.lamps, self.view.camera, self.medium, phase, phase)
 
     @cached_property
     def haze(self) -> Gaussians:

@@ -15,6 +15,7 @@ from .drop_field import DropCulling, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, wind_of
 from .frame import RainCamera, RainFrame
 from .keyframes import NO_KEYFRAMES, RainKeyframes
+from .lamp_light import LitLamps
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
 from .streaks import MAX_STRETCH, STREAK_REACH, ShutterModel, camera_slopes, visible_distance_m
@@ -125,8 +126,17 @@ class RainSimulation:
         """Sensor that acts on the picture; None without one, or if the rain does not name it."""
         return self.sensor if self.rain.sensor is not None and self.sensor.changes_picture else None
 
-    def frame(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame:
-        """Place drops and haze around a camera at a time. `sky` is the display color of the scene's sky."""
+    def frame(
+        self,
+        time_s: float,
+        view: RainCamera,
+        sky: tuple[float, float, float] = OVERCAST,
+        lamps: LitLamps | None = None,
+    ) -> RainFrame:
+        """Place drops and haze around a camera at a time.
+
+        `sky` is the display color of the scene's sky; `lamps` light drops and medium.
+        """
         now = self.frozen_at(time_s)
         rain, motion, camera = now.rain, now.motion, view.camera
         turn, size = view.anchor_to_world[:3, :3], np.array(rain.streak_region.size_m)
@@ -163,6 +173,7 @@ class RainSimulation:
             fall_speed_m_s=motion.fall_speed_m_s,
             shutter=shutter,
             roofs=None if view.roofs is None else view.roofs.around(float(center[0]), float(center[1]), reach),
+            lamps=lamps,
         )
 
     def _culling(

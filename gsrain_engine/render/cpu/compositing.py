@@ -45,18 +45,23 @@ def composite_in_rain(
     light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
     sky: Float32[np.ndarray, "h w 4"] | None = None,
+    lamp_light: Float32[np.ndarray, "h w 3"] | None = None,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
     combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
-    premultiplied layer behind the scene and before the background.
+    premultiplied layer behind the scene and before the background. If `lamp_light` is there, the channels of rain are
+    its light of lamps in linear light, and what is visible of that is written there.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
     behind = np.empty((0, 0, 4), np.float32) if sky is None else sky
-    _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear, behind))
+    if lamp_light is None:
+        _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear, behind))
+    else:
+        _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear, behind, lamp_light))
     return rgba, fourth, alpha
 
 
@@ -74,6 +79,12 @@ def _composite(tiles, shapes, channels, images):
 @no_type_check
 def _composite_rain(tiles, shapes, channels, images):
     walk_tiles(tiles, shapes, channels, RAIN_LINES, 0, _open, _visit_in_rain, _store_rain, images)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _composite_lit_rain(tiles, shapes, channels, images):
+    walk_tiles(tiles, shapes, channels, RAIN_LINES + 3, 0, _open, _visit_in_lit_rain, _store_lit_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -99,6 +110,15 @@ def _visit_in_rain(shapes, channels, j, x, y, state, lanes, k, images):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
+def _visit_in_lit_rain(shapes, channels, j, x, y, state, lanes, k, images):
+    if shapes[j, 6] < MIN_SCENE_CUT:
+        _blend_lit_rain(shapes[j], channels[j], x, y, state)
+    else:
+        _blend_scene(shapes[j], channels[j], x, y, state)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
 def _visit_behind_veil(shapes, channels, j, x, y, state, lanes, k, images):
     if shapes[j, 6] < MIN_SCENE_CUT:
         _blend_veil(shapes[j], x, y, state)
@@ -116,6 +136,12 @@ def _blend_scene(shape, channels, x, y, state):
 @no_type_check
 def _blend_rain(shape, x, y, state):
     walk_pixels(shape, x, y, state, (), _share_rain, ())
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_lit_rain(shape, light, x, y, state):
+    walk_pixels(shape, x, y, state, (), _share_lit_rain, (light[0], light[1], light[2]))
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -147,6 +173,20 @@ def _share_rain(line, v, dx, dy, falloff, lanes, nothing):
     line[v + OPEN] -= share
     line[v + RAIN_SHARE] += share * line[v]
     line[v + SCENE_SHARE] += share * line[v + 5 * TILE]
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _share_lit_rain(line, v, dx, dy, falloff, lanes, light):
+    """Blend a rain fragment as `_share_rain` does, and add up its light of lamps."""
+    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    shown = share * line[v]
+    line[v + OPEN] -= share
+    line[v + RAIN_SHARE] += shown
+    line[v + SCENE_SHARE] += share * line[v + 5 * TILE]
+    line[v + LAMP_LIGHT] += shown * light[0]
+    line[v + LAMP_LIGHT + TILE] += shown * light[1]
+    line[v + LAMP_LIGHT + 2 * TILE] += shown * light[2]
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
@@ -198,6 +238,18 @@ def _store_rain(state, x0, y0, images):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
+def _store_lit_rain(state, x0, y0, images):
+    lamp_light = images[5]
+    height, width = lamp_light.shape[:2]
+    for u in range(min(TILE, width - x0)):
+        for v in range(min(TILE, height - y0)):
+            for channel in range(3):
+                lamp_light[y0 + v, x0 + u, channel] = state[u, LAMP_LIGHT + channel * TILE + v]
+    _store_rain(state, x0, y0, images)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
 def _store_veil(state, x0, y0, images):
     veil = images[2]
     for u in range(TILE):
@@ -221,6 +273,7 @@ share, and the scene's share before rain; TILE numbers each.
 
 VEIL_SHARE = 6 * TILE  # offset of the rain's share in a column if its color is added at the end
 RAIN_LINES = 9  # lines of a column in rain
+LAMP_LIGHT = RAIN_LINES * TILE  # offset of the three lines of the rain's light of lamps
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -326,6 +379,24 @@ def _mix_airlight(line, shares, light, is_linear):
     else:
         for i in range(_BLOCK):
             line[i] = shares[i] * line[i] + (one - shares[i]) * light
+
+
+def add_light(rgba: Float32[np.ndarray, "h w 4"], light: Float32[np.ndarray, "h w 3"]) -> None:
+    """Add linear light to a premultiplied display color in place."""
+    _add_light(rgba, light)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _add_light(rgba, light):
+    height, width = light.shape[:2]
+    for row in numba.prange(height):
+        for column in range(width):
+            for channel in range(3):
+                added = light[row, column, channel]
+                if added > 0:
+                    before = _to_linear(rgba[row, column, channel])
+                    rgba[row, column, channel] = _to_display(before + added)
 
 
 def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:

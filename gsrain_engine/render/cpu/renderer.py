@@ -10,6 +10,7 @@ from jaxtyping import Float32, Int32, UInt8
 
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
+from ...rain.lamp_light import LampLight, light_in_picture
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
@@ -24,7 +25,7 @@ from ..renderer import (
     RenderStatistics,
     timed,
 )
-from .compositing import composite, composite_in_rain, dim_by_medium, expected, sky_layer
+from .compositing import add_light, composite, composite_in_rain, dim_by_medium, expected, sky_layer
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
 from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
@@ -53,8 +54,11 @@ class CpuRenderer:
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
         with timed(stages, "project"):
             falling: list[DrawItem] = []
+            lit: LampLight | None = None
             if rain is not None and look == "splats":
-                falling = [DrawItem(each, np.eye(4)) for each in (rain.streaks, rain.haze) if len(each)]
+                lit = rain.lamp_light if rain.is_linear else None
+                drops = rain.streaks if lit is None else rain.lit_streaks
+                falling = [DrawItem(each, np.eye(4)) for each in (drops, rain.haze) if len(each)]
                 self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
             splats = project([*parts, *falling], camera, flags, as_points=look == "points")
@@ -67,7 +71,16 @@ class CpuRenderer:
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
         with timed(stages, "draw"):
             sky = sky_layer(medium, camera) if medium is not None else None
-            if rain is not None and falling and rain.is_linear:
+            if rain is not None and lit is not None:
+                light = np.zeros((camera.height, camera.width, 3), np.float32)
+                rgba, weighted, weight = composite_in_rain(
+                    splats.shapes, splats.colors, rain.light_linear, tiles, sky, light
+                )
+                if medium is not None:
+                    light += light_in_picture(lit, weighted, weight)
+                add_light(rgba, light)
+                self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
+            elif rain is not None and falling and rain.is_linear:
                 rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles, sky)
                 self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
             else:

@@ -1,0 +1,427 @@
+"""Light of lamps that drops and the medium scatter once, toward one camera.
+
+Along a ray, light from a lamp at distance b is scattered by the angle pi / 2 + atan((s - s0) / b), s0 the point that
+is nearest to it. In that angle the integral has no pole, and the phase function can be summed in advance (Sun et al.
+2005). A table holds the light of all lamps up to each distance, for every few pixels; there b has a floor, so that it
+is smooth, and pixels near a lamp take the difference from an integral of their own.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from ..scene.camera import Camera
+from .medium import RainMedium, optical_depth
+from .phase import ANGLES, phase_sums
+
+MAX_LAMPS = 64
+LAMP_NUMBERS = 18
+SLICES = 40  # of the table over distance
+SLICE_SCALE_M = 16.0  # half of the slices are nearer
+FAR_M = 1e6
+CELL_PX = 4  # least distance of the table's rays
+COLUMNS = 128  # of the table at full resolution
+FLOOR_CELLS = 3.0
+"""Floor of b in the table, in cells at the lamp's distance."""
+REACH = 3.0
+"""Distance from a lamp in floors at which the table is exact to half a percent; pixels nearer take an integral."""
+STEP = np.float32(np.pi / 16)  # longest step of an integral, by angle
+NEAREST_M = 0.02
+NEAREST_DROP_M = 0.1  # of a drop to a lamp
+NO_WEIGHT = 1e-3
+
+
+class LitLamps(NamedTuple):
+    """Lamps at one time, in the world.
+
+    At d meters the irradiance on the axis is intensity / d^2, in units of which pi makes a white Lambertian surface
+    1.0; between the cosines it grows by a smoothstep.
+    """
+
+    positions_m: Float64[np.ndarray, "n 3"]
+    directions: Float64[np.ndarray, "n 3"]
+    """Unit vectors."""
+    intensities: Float64[np.ndarray, "n 3"]
+    cos_inner: Float64[np.ndarray, " n"]
+    cos_outer: Float64[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LampLight:
+    """Lamps before one camera, and the light that its medium scatters."""
+
+    lamps: Float32[np.ndarray, "n 18"]
+    """In the camera's frame: position (m), axis, intensity, cosines of the cone where light ends and is full; floor of
+    b (m) in the table and at pixels; position in the axes of the medium's region, from its center (m); brightness."""
+    sums: Float32[np.ndarray, " angles"]
+    """Integral of the medium's phase function over the angle."""
+    drop_phase: Float32[np.ndarray, " angles"]
+    """Phase function of single drops."""
+    table: Float32[np.ndarray, "rows columns slices 3"]
+    """Scattered linear light up to each slice, at the corners of cells of `cell_px`."""
+    cell_px: float
+    intrinsics: Float32[np.ndarray, "4"]
+    """fx fy cx cy (px)."""
+    numbers: Float32[np.ndarray, "33"]
+    drawn: Float32[np.ndarray, " steps"]
+    """As in `RainMedium`."""
+
+
+def make_lamp_light(
+    lamps: LitLamps,
+    camera: Camera,
+    medium: RainMedium | None,
+    phase: Float64[np.ndarray, " angles"],
+    drop_phase: Float64[np.ndarray, " angles"],
+) -> LampLight:
+    """Light of lamps in a medium with a phase function; without a medium they light single drops only.
+
+    Of more than `MAX_LAMPS` the brightest at the camera count.
+    """
+    lamps = _brightest(lamps, camera)
+    numbers = np.zeros(33, np.float32) if medium is None else medium.numbers
+    numbers[1] = numbers[1] or 1.0
+    drawn = np.zeros(2, np.float32) if medium is None else medium.drawn
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    cell_px = float(max(CELL_PX, -(-camera.width // COLUMNS)))
+    rows = lamp_rows(lamps, camera, numbers, cell_px)
+    sums = phase_sums(phase)
+    size = (
+        (-(-camera.height // int(cell_px)) + 1, -(-camera.width // int(cell_px)) + 1) if medium is not None else (0, 0)
+    )
+    table = np.zeros((*size, SLICES + 1, 3), np.float32)
+    _fill(table, cell_px, intrinsics, rows, numbers, drawn, sums, slice_distances())
+    return LampLight(rows, sums, drop_phase.astype(np.float32), table, cell_px, intrinsics, numbers, drawn)
+
+
+def slice_distances() -> Float32[np.ndarray, " slices"]:
+    """Distances of the slices in m: s / (s + scale) has equal steps."""
+    share = np.arange(SLICES + 1) / SLICES
+    share[-1] = FAR_M / (FAR_M + SLICE_SCALE_M)
+    return (SLICE_SCALE_M * share / (1 - share)).astype(np.float32)
+
+
+def lamp_rows(
+    lamps: LitLamps, camera: Camera, numbers: Float32[np.ndarray, "33"], cell_px: float
+) -> Float32[np.ndarray, "n 18"]:
+    """Lamps as kernels and shaders use them, see `LampLight.lamps`."""
+    rows = np.zeros((len(lamps.positions_m), LAMP_NUMBERS))
+    turn = camera.world_to_camera[:3, :3]
+    rows[:, 0:3] = (lamps.positions_m - camera.position) @ turn.T
+    rows[:, 3:6] = lamps.directions @ turn.T
+    rows[:, 6:9] = lamps.intensities
+    rows[:, 9], rows[:, 10] = lamps.cos_outer, lamps.cos_inner
+    distances, focal = np.linalg.norm(rows[:, 0:3], axis=1), float(np.sqrt(camera.fx * camera.fy))
+    rows[:, 11] = np.maximum(FLOOR_CELLS * cell_px * distances / focal, NEAREST_M)
+    rows[:, 12] = np.maximum(0.5 * distances / focal, NEAREST_M)
+    region = numbers[17:32].astype(np.float64)
+    rows[:, 13:16] = rows[:, 0:3] @ region[:9].reshape(3, 3).T + region[9:12]
+    rows[:, 16] = rows[:, 6:9].max(axis=1)
+    rows[:, 17] = distances
+    return rows.astype(np.float32)
+
+
+def _brightest(lamps: LitLamps, camera: Camera) -> LitLamps:
+    if len(lamps.positions_m) <= MAX_LAMPS:
+        return lamps
+    squares = np.sum((lamps.positions_m - camera.position) ** 2, axis=1)
+    order = np.argsort(-lamps.intensities.max(axis=1) / (1 + squares), kind="stable")[:MAX_LAMPS]
+    return LitLamps(*(each[np.sort(order)] for each in lamps))
+
+
+# Integral along a ray
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _cone(cosine, lamp):
+    """Share of a lamp's light at the cosine of an angle from its axis: a smoothstep."""
+    at = (cosine - lamp[9]) / max(lamp[10] - lamp[9], np.float32(1e-6))
+    at = min(max(at, np.float32(0)), np.float32(1))
+    return at * at * (np.float32(3) - np.float32(2) * at)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _lit_angles(ray, lamp, nearest, b):
+    """Angles along a ray between which it is in a lamp's cone, and the longest step between them."""
+    along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
+    across = (nearest * along - (lamp[3] * lamp[0] + lamp[4] * lamp[1] + lamp[5] * lamp[2])) / b
+    largest = np.sqrt(along * along + across * across)
+    ratio = lamp[9] / max(largest, np.float32(1e-9))
+    if ratio <= 0:
+        return np.float32(-2), np.float32(2), STEP
+    if ratio >= 1:
+        return np.float32(2), np.float32(-2), STEP
+    middle, half = np.arctan2(along, across), np.arccos(ratio)
+    return middle - half, middle + half, min(STEP, half * np.float32(1 / 3))
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _sum_to(angle, sums):
+    """Integral of the phase function up to an angle of scattering (radians)."""
+    at = min(max(angle * np.float32((ANGLES - 1) / np.pi), np.float32(0)), np.float32(ANGLES - 1))
+    k = min(np.int32(at), np.int32(ANGLES - 2))
+    return sums[k] + (at - np.float32(k)) * (sums[k + 1] - sums[k])
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _depth_from_lamp(vx, vy, vz, length, lamp, numbers):
+    """Optical depth of the medium from a lamp along a vector (camera's frame), all drops counted."""
+    if numbers[32] == 0:
+        return numbers[0] * length
+    enters, leaves = np.float32(0), length
+    for row in range(3):
+        k = 17 + 3 * row
+        along = numbers[k] * vx + numbers[k + 1] * vy + numbers[k + 2] * vz
+        start, half = lamp[13 + row], numbers[29 + row]
+        inverse = length / (along if abs(along) > np.float32(1e-9) else np.float32(1e-9))
+        one, other = (-half - start) * inverse, (half - start) * inverse
+        enters, leaves = max(enters, min(one, other)), min(leaves, max(one, other))
+    return numbers[0] * max(leaves - enters, np.float32(0))
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _place(angle, nearest, b, first_m, last_m, depth, per_m):
+    """An angle along a ray, the optical depth and the distance (m) there, within a slice."""
+    s = min(max(nearest + b * np.tan(angle), first_m), last_m)
+    return angle, depth + per_m * (s - first_m), s
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _scattered(ray, lamp, nearest, b, first, last, per_m, numbers, sums):
+    """Light of one lamp, over its intensity, that a piece of a ray scatters into the camera.
+
+    `first` and `last`: angle atan((s - s0) / b), optical depth and distance at the ends of the piece; `per_m` is the
+    medium's extinction between them.
+    """
+    angle = np.float32(0.5) * (first[0] + last[0])
+    offset = b * np.tan(angle)
+    at = min(max(nearest + offset, first[2]), last[2])
+    offset = at - nearest
+    vx, vy, vz = at * ray[0] - lamp[0], at * ray[1] - lamp[1], at * ray[2] - lamp[2]
+    length = np.sqrt(b * b + offset * offset)
+    # The cone by Gauss's three points: its cosine is a sine of the angle along the ray.
+    along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
+    across = ((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) - along * offset) / b
+    turned = np.float32(0.7745967 * 0.5) * (last[0] - first[0])
+    sine, cosine, ahead = np.sin(turned), np.cos(turned), offset / length
+    one, other = along * ahead + across * b / length, along * b / length - across * ahead
+    lit = np.float32(8 / 18) * _cone(one, lamp) + np.float32(5 / 18) * (
+        _cone(cosine * one + sine * other, lamp) + _cone(cosine * one - sine * other, lamp)
+    )
+    if lit <= 0 or per_m <= 0:
+        return np.float32(0)
+    depth = first[1] + per_m * (at - first[2]) + _depth_from_lamp(vx, vy, vz, length, lamp, numbers)
+    quarter = np.float32(np.pi / 2)
+    phase = _sum_to(last[0] + quarter, sums) - _sum_to(first[0] + quarter, sums)
+    return per_m * np.exp(-depth) * lit * phase / (np.float32(4 * np.pi) * b)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _fill(table, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
+    """Sum the light of all lamps up to each slice along the ray of each corner of the cells."""
+    rows, columns, count, _ = table.shape
+    fx, fy, cx, cy = intrinsics
+    for row in numba.prange(rows):
+        depths = np.empty(count, np.float32)
+        for column in range(columns):
+            x, y = (np.float32(column * cell_px) - cx) / fx, (np.float32(row * cell_px) - cy) / fy
+            scale = np.float32(1) / np.sqrt(x * x + y * y + np.float32(1))
+            ray = (x * scale, y * scale, scale)
+            for k in range(count):
+                s = distances[k]
+                depths[k] = (
+                    optical_depth(s * ray[0], s * ray[1], s * ray[2], numbers, drawn) if k > 0 else np.float32(0)
+                )
+            for i in range(len(lamps)):
+                lamp = lamps[i]
+                nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
+                square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
+                floor = lamp[11] * lamp[11]
+                b = np.sqrt(np.sqrt(square * square + floor * floor))
+                lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b)
+                if lit_first >= lit_last:
+                    continue
+                before, total = np.arctan2(-nearest, b), np.float32(0)
+                for k in range(1, count):
+                    after = np.arctan2(distances[k] - nearest, b)
+                    first, last = max(before, lit_first), min(after, lit_last)
+                    if last > first:
+                        per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
+                        steps = np.int32(np.ceil((last - first) / longest))
+                        start = _place(first, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+                        for step in range(1, steps + 1):
+                            angle = first + (last - first) * np.float32(step) / np.float32(steps)
+                            end = _place(angle, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+                            total += _scattered(ray, lamp, nearest, b, start, end, per_m, numbers, sums)
+                            start = end
+                    before = after
+                    for channel in range(3):
+                        table[row, column, k, channel] += total * lamp[6 + channel]
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _up_to(ray, distance, lamp, nearest, b, numbers, drawn, sums):
+    """Light of one lamp, over its intensity, scattered along a ray up to a distance."""
+    lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b)
+    first, last = max(np.arctan2(-nearest, b), lit_first), min(np.arctan2(distance - nearest, b), lit_last)
+    total = np.float32(0)
+    if first >= last:
+        return total
+    steps = np.int32(np.ceil((last - first) / longest))
+    s = min(max(nearest + b * np.tan(first), np.float32(0)), distance)
+    start = (first, optical_depth(s * ray[0], s * ray[1], s * ray[2], numbers, drawn), s)
+    for step in range(1, steps + 1):
+        angle = first + (last - first) * np.float32(step) / np.float32(steps)
+        s = min(max(nearest + b * np.tan(angle), start[2]), distance)
+        end = (angle, optical_depth(s * ray[0], s * ray[1], s * ray[2], numbers, drawn), s)
+        per_m = (end[1] - start[1]) / max(s - start[2], np.float32(1e-9))
+        total += _scattered(ray, lamp, nearest, b, start, end, per_m, numbers, sums)
+        start = end
+    return total
+
+
+# Pixels
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _looked_up(table, column, row, slice_at, channel):
+    """Trilinear interpolation in the table."""
+    x = min(max(np.int32(column), np.int32(0)), np.int32(table.shape[1] - 2))
+    y = min(max(np.int32(row), np.int32(0)), np.int32(table.shape[0] - 2))
+    z = min(max(np.int32(slice_at), np.int32(0)), np.int32(table.shape[2] - 2))
+    u, v, w = column - np.float32(x), row - np.float32(y), slice_at - np.float32(z)
+    total = np.float32(0)
+    for k in range(2):
+        share = w if k == 1 else np.float32(1) - w
+        near = (1 - u) * table[y, x, z + k, channel] + u * table[y, x + 1, z + k, channel]
+        far = (1 - u) * table[y + 1, x, z + k, channel] + u * table[y + 1, x + 1, z + k, channel]
+        total += share * ((1 - v) * near + v * far)
+    return total
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def scattered_light(column, row, distance, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums):
+    """Write to `light` the linear light that reaches a point of the image (px) from up to a distance (m)."""
+    fx, fy, cx, cy = intrinsics
+    slice_at = distance / (distance + np.float32(SLICE_SCALE_M)) * np.float32(SLICES)
+    for channel in range(3):
+        light[channel] = _looked_up(table, column / cell_px, row / cell_px, slice_at, channel)
+    x, y = (column - cx) / fx, (row - cy) / fy
+    scale = np.float32(1) / np.sqrt(x * x + y * y + np.float32(1))
+    ray = (x * scale, y * scale, scale)
+    for i in range(len(lamps)):
+        lamp = lamps[i]
+        nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
+        if nearest <= 0:
+            continue
+        square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
+        floor = lamp[11] * lamp[11]
+        reach = square / (np.float32(REACH * REACH) * floor)
+        if reach >= 1:
+            continue
+        b = max(np.sqrt(square), lamp[12])
+        soft = np.sqrt(np.sqrt(square * square + floor * floor))
+        rest = _up_to(ray, distance, lamp, nearest, b, numbers, drawn, sums)
+        rest -= _up_to(ray, distance, lamp, nearest, soft, numbers, drawn, sums)
+        fades = min((np.float32(1) - reach) * np.float32(2), np.float32(1))
+        rest *= fades * fades * (np.float32(3) - np.float32(2) * fades)
+        for channel in range(3):
+            light[channel] += rest * lamp[6 + channel]
+    for channel in range(3):
+        light[channel] = max(light[channel], np.float32(0))
+
+
+def light_in_picture(
+    lit: LampLight, weighted_depth: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Linear light that the medium scatters into each pixel, before a scene of which it has depths along the axis.
+
+    `weight` is the scene's share of a pixel, `weighted_depth` that times the depth in m; the rest is the sky.
+    """
+    image = np.empty((*weight.shape, 3), np.float32)
+    _light_in_picture(
+        weighted_depth, weight, image, lit.table, np.float32(lit.cell_px), lit.intrinsics, lit.lamps, lit.numbers,
+        lit.drawn, lit.sums,
+    )  # fmt: skip
+    return image
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _light_in_picture(
+    weighted_depth, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
+):  # fmt: skip
+    height, width = weight.shape
+    one, far = np.float32(1), np.float32(FAR_M)
+    for row in numba.prange(height):
+        light = np.empty(3, np.float32)
+        for column in range(width):
+            x, y = np.float32(column) + np.float32(0.5), np.float32(row) + np.float32(0.5)
+            across, down = (x - intrinsics[2]) / intrinsics[0], (y - intrinsics[3]) / intrinsics[1]
+            share = min(max(weight[row, column], np.float32(0)), one)
+            image[row, column] = 0
+            if share > np.float32(NO_WEIGHT):
+                slope = np.sqrt(one + across * across + down * down)
+                distance = min(slope * weighted_depth[row, column] / weight[row, column], far)
+                scattered_light(x, y, distance, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
+                for channel in range(3):
+                    image[row, column, channel] = share * light[channel]
+            if share < one - np.float32(NO_WEIGHT):
+                scattered_light(x, y, far, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
+                for channel in range(3):
+                    image[row, column, channel] += (one - share) * light[channel]
+
+
+# Drops
+
+
+def light_of_drops(
+    lit: LampLight, positions_m: Float32[np.ndarray, "n 3"], camera: Camera
+) -> Float32[np.ndarray, "n 3"]:
+    """Linear light by lamps of drops that are drawn one by one, over their own cross-section; positions in the world.
+
+    A drop scatters the light of twice its cross-section, half of it straight ahead, which the phase function omits.
+    """
+    points = (positions_m - camera.position) @ camera.world_to_camera[:3, :3].T
+    light = np.empty((len(points), 3), np.float32)
+    _light_drops(points.astype(np.float32), lit.lamps, lit.numbers, lit.drawn, lit.drop_phase, light)
+    return light
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _light_drops(points, lamps, numbers, drawn, phase, light):
+    for n in numba.prange(len(points)):
+        x, y, z = points[n]
+        away = max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+        before = optical_depth(x, y, z, numbers, drawn)
+        for channel in range(3):
+            light[n, channel] = 0
+        for i in range(len(lamps)):
+            lamp = lamps[i]
+            vx, vy, vz = x - lamp[0], y - lamp[1], z - lamp[2]
+            length = max(np.sqrt(vx * vx + vy * vy + vz * vz), np.float32(NEAREST_DROP_M))
+            share = _cone((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) / length, lamp)
+            if share <= 0:
+                continue
+            cosine = min(max(-(vx * x + vy * y + vz * z) / (length * away), np.float32(-1)), np.float32(1))
+            at = np.arccos(cosine) * np.float32((ANGLES - 1) / np.pi)
+            k = min(np.int32(at), np.int32(ANGLES - 2))
+            scattered = phase[k] + (at - np.float32(k)) * (phase[k + 1] - phase[k])
+            depth = before + _depth_from_lamp(vx, vy, vz, length, lamp, numbers)
+            share *= scattered * np.exp(-depth) / (np.float32(2 * np.pi) * length * length)
+            for channel in range(3):
+                light[n, channel] += share * lamp[6 + channel]
