@@ -14,7 +14,7 @@ from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, a
 from .haze import make_haze
 from .lamp_light import LampLight, LitLamps, light_of_drops, make_lamp_light
 from .medium import RainMedium, make_medium, streak_depths
-from .phase import rain_phase
+from .phase import fog_phase, rain_phase
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
@@ -70,7 +70,9 @@ class RainFrame:
     haze_count: int
     """M: number of haze Gaussians at full opacity within the haze region."""
     extinction_per_m: float
-    """beta: extinction coefficient of all drops, times the haze gain."""
+    """beta: extinction coefficient of all drops, times the haze gain, and of fog."""
+    fog_extinction_per_m: float
+    """Part of beta that is fog."""
     count: int
     """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
     where: DropPhases
@@ -88,6 +90,16 @@ class RainFrame:
     """Sheltered areas over the cell; None without any."""
     lamps: LitLamps | None = None
     """Lamps that light drops and medium, in the world; None without any."""
+
+    @property
+    def is_clear(self) -> bool:
+        """True without rain and fog."""
+        return self.rain.intensity_mm_h == 0 and self.extinction_per_m == 0
+
+    @property
+    def draws_drops(self) -> bool:
+        """True if there are drops, and they are drawn one by one."""
+        return self.rain.streaks and self.count > 0
 
     @property
     def is_linear(self) -> bool:
@@ -159,8 +171,11 @@ class RainFrame:
         """Light of lamps on drops and medium; None without lamps."""
         if self.lamps is None or not len(self.lamps.positions_m):
             return None
-        phase = rain_phase(self.rain.intensity_mm_h)
-        return make_lamp_light(self.lamps, self.view.camera, self.medium, phase, phase)
+        rain = rain_phase(self.rain.intensity_mm_h)
+        medium = self.medium
+        fog = self.fog_extinction_per_m / medium.extinction_per_m if medium is not None else 0.0
+        phase = (1 - fog) * rain + fog * fog_phase()
+        return make_lamp_light(self.lamps, self.view.camera, medium, phase, rain)
 
     @cached_property
     def haze(self) -> Gaussians:
@@ -174,15 +189,15 @@ class RainFrame:
 
     @cached_property
     def medium(self) -> RainMedium | None:
-        """Medium of the drops that are not drawn one by one; None without it."""
-        if self.rain.haze != "medium" or self.extinction_per_m <= 0:
+        """Medium of fog and, with `haze: medium`, of the drops that are not drawn one by one; None without it."""
+        has_drops = self.rain.haze == "medium"
+        extinction = self.extinction_per_m if has_drops else self.fog_extinction_per_m
+        if extinction <= 0:
             return None
-        per_m3 = self.count / float(np.prod(self.period_m))
+        per_m3 = self.count / float(np.prod(self.period_m)) if has_drops else 0.0
         streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
         view = self.view
-        return make_medium(
-            self.rain, self.extinction_per_m, view.camera, view.anchor_to_world, streaks, self.light_linear
-        )
+        return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, self.light_linear)
 
     @property
     def gaussians(self) -> Gaussians:

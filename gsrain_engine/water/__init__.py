@@ -1,0 +1,1 @@
+"""Water where it lands: on the glass in front of a camera."""
