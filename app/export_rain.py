@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from gsrain_engine.appearance.rainy_recording import write_rainy_recording
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.export import export_sequences
@@ -66,7 +67,7 @@ def _export_gaussians(
     size_px: tuple[int, int],
     with_scene: bool,
 ) -> dict[str, Any]:
-    simulation = RainSimulation.start(rain.for_scene(scene).without_medium)  # a file has Gaussians only
+    simulation = RainSimulation.start(_without_fog(rain, scene).without_medium)  # a file has Gaussians only
     still = ExportSettings(output="rain.png", first_s=time_s, size_px=size_px)
     viewpoint = viewpoint_of(scene, camera, None, still, is_frame=False)
     (sequence,) = export_sequences(still, scene, simulation, viewpoint, in_scene_time=scene.path is not None).values()
@@ -93,6 +94,14 @@ def _export_gaussians(
     }
 
 
+def _without_fog(rain: RainOptions, scene: Scene) -> RainSettings:
+    """Return the rain; raises ValueError for fog, which neither Gaussians nor photographs without distances have."""
+    settings = rain.for_scene(scene)
+    if settings.visibility_m is not None:
+        raise ValueError(f"--visibility {settings.visibility_m:g}: fog needs distances; gsrain render draws it")
+    return settings
+
+
 def _export_recording(source: Path, rain: RainOptions, output: Path) -> dict[str, Any]:
     capture = open_capture(source)
     folder = source if source.is_dir() else source.parent  # NUSCENES/scene-0061 names a scene, not a folder
@@ -101,7 +110,7 @@ def _export_recording(source: Path, rain: RainOptions, output: Path) -> dict[str
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise ValueError(f"--output {output}: there is something already; expected the name of a new folder")
     lock_outputs(output)
-    settings = rain.for_scene(Scene(capture.name))
+    settings = _without_fog(rain, Scene(capture.name))
     with open_renderer("cpu") as renderer:
         run_with_progress(write_rainy_recording(renderer, capture, folder, settings, output))
     for problem in capture.problems:

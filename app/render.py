@@ -261,13 +261,16 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
     """Describe the rain, for animated rain at the first frame."""
     state, keys = simulation.state_at(first_s), simulation.weather.keys
     when = f"first of a weather with {len(keys):,} keys: " if keys else ""
+    fog = (
+        "" if simulation.frozen_at(first_s).rain.visibility_m is None else f"fog, visibility {state.visibility_m:.0f} m"
+    )
     if state.intensity_mm_h == 0:
-        return f"{when}clear"
+        return f"{when}{fog or 'clear'}"
     classed = f" ({state.rain_class})" if state.rain_class else ""
     asked = f"{when}{state.intensity_mm_h:g} mm/h asked{classed}"
     rain = f"{asked}, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops"
     beyond = "beyond calibration" if state.beyond_calibration else ""
-    return ", ".join(filter(None, [rain, beyond, simulation.rain.exaggeration]))
+    return ", ".join(filter(None, [rain, fog, beyond, simulation.rain.exaggeration]))
 
 
 def _extinction(renderer: Renderer, sequence: FrameSequence, time_s: float) -> dict[str, float | list[float] | None]:
@@ -275,10 +278,11 @@ def _extinction(renderer: Renderer, sequence: FrameSequence, time_s: float) -> d
     simulation = sequence.rainfall.frozen_at(time_s)
     beta, rain = simulation.state.extinction_per_m, simulation.rain
     airlight: list[float] | None = None
-    if beta > 0 and rain.haze == "medium":
+    if beta > 0 and (rain.haze == "medium" or rain.visibility_m is not None):
         sky = rain.drop_color or sequence.sky(renderer).at(sequence.rainfall.overcast_at(time_s))
         airlight = srgb_to_linear(np.array(sky)).tolist()
-    return {
+    fog = {} if rain.visibility_m is None else {"fog_extinction_per_m": simulation.state.fog_extinction_per_m}
+    return fog | {
         "extinction_per_m": beta,
         "meteorological_range_m": simulation.state.visibility_m if beta > 0 else None,
         "airlight_linear": airlight,

@@ -569,6 +569,8 @@ def _of_capture(renderer: Renderer, choice: DetectionSource, rain: RainSettings)
             f"{capture.name}: its unit of length is unknown, and rain falls in meters; take the folder of its pictures "
             "alone, or a reconstruction that was scaled to meters with --capture"
         )
+    if rain.visibility_m is not None:
+        raise ValueError(f"--visibility {rain.visibility_m:g}: fog needs distances, and photographs have none")
     world = Scene(capture.name, up=capture.up, ego=capture.ego)
     placed = [_of_view(undistort_frame(view), world, capture, choice.width_px) for view in capture]
     labels = None if choice.truth is None else read_coco(choice.truth)

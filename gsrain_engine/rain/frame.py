@@ -68,7 +68,9 @@ class RainFrame:
     haze_count: int
     """M: number of haze Gaussians at full opacity within the haze region."""
     extinction_per_m: float
-    """beta: extinction coefficient of all drops, times the haze gain."""
+    """beta: extinction coefficient of all drops, times the haze gain, and of fog."""
+    fog_extinction_per_m: float
+    """Part of beta that is fog."""
     count: int
     """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
     where: DropPhases
@@ -84,6 +86,16 @@ class RainFrame:
     shutter: ShutterModel
     roofs: ShelterMap | None = None
     """Sheltered areas over the cell; None without any."""
+
+    @property
+    def is_clear(self) -> bool:
+        """True without rain and fog."""
+        return self.rain.intensity_mm_h == 0 and self.extinction_per_m == 0
+
+    @property
+    def draws_drops(self) -> bool:
+        """True if there are drops, and they are drawn one by one."""
+        return self.rain.streaks and self.count > 0
 
     @property
     def is_linear(self) -> bool:
@@ -154,15 +166,15 @@ class RainFrame:
 
     @cached_property
     def medium(self) -> RainMedium | None:
-        """Medium of the drops that are not drawn one by one; None without it."""
-        if self.rain.haze != "medium" or self.extinction_per_m <= 0:
+        """Medium of fog and, with `haze: medium`, of the drops that are not drawn one by one; None without it."""
+        has_drops = self.rain.haze == "medium"
+        extinction = self.extinction_per_m if has_drops else self.fog_extinction_per_m
+        if extinction <= 0:
             return None
-        per_m3 = self.count / float(np.prod(self.period_m))
+        per_m3 = self.count / float(np.prod(self.period_m)) if has_drops else 0.0
         streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
         view = self.view
-        return make_medium(
-            self.rain, self.extinction_per_m, view.camera, view.anchor_to_world, streaks, self.light_linear
-        )
+        return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, self.light_linear)
 
     @property
     def gaussians(self) -> Gaussians:

@@ -13,6 +13,7 @@ from jaxtyping import Float, Float64
 from scipy import special
 
 from .calibration import Calibration, atlas_velocity
+from .fog import fog_extinction_per_m
 from .haze import extinction_per_m, haze_count
 from .settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H, RainSettings
 
@@ -102,9 +103,11 @@ class RainProperties:
     table_implied_mm_h: float
     """Rain rate of the table's own density in calm air."""
     extinction_per_m: float
-    """beta = (pi/4) Q N E[D^2] times the haze gain."""
+    """beta: that of the drops, (pi/4) Q N E[D^2] times the haze gain, and that of fog."""
+    fog_extinction_per_m: float
+    """Part of beta that is fog."""
     visibility_m: float
-    """Meteorological optical range, at which 5 % of a beam remains: ln(20) / beta; infinite without rain."""
+    """Meteorological optical range, at which 5 % of a beam remains: ln(20) / beta; infinite without rain and fog."""
     drops: int
     """Drops in the streak region: density times volume."""
     haze_gaussians: int
@@ -114,6 +117,11 @@ class RainProperties:
     def beyond_calibration(self) -> bool:
         """True if the intensity exceeds the calibrated range."""
         return self.intensity_mm_h > self.calibrated_up_to_mm_h
+
+    @property
+    def is_clear(self) -> bool:
+        """True without rain and fog."""
+        return self.intensity_mm_h == 0 and self.extinction_per_m == 0
 
     @property
     def rain_class(self) -> str:
@@ -176,7 +184,8 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
     if rain.closure == "density" and implied > 0:
         density, drawn = table_density * intensity / implied, intensity
     square_m2 = 1e-6 * sizes.expectation(lambda d: d**2)
-    extinction = extinction_per_m(rain, density, square_m2)
+    of_drops, of_fog = extinction_per_m(rain, density, square_m2), fog_extinction_per_m(rain.visibility_m)
+    extinction = of_drops + of_fog
     return RainProperties(
         intensity_mm_h=intensity,
         calibrated_up_to_mm_h=calibrated_up_to(calibration),
@@ -189,9 +198,10 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
         implied_mm_h=drawn,
         table_implied_mm_h=flux_mm_h(table_density, sizes, still_fall_speed(rain, calibration)),
         extinction_per_m=extinction,
+        fog_extinction_per_m=of_fog,
         visibility_m=float(np.log(20)) / float(extinction) if extinction > 0 else float("inf"),
         drops=round(density * rain.streak_region.volume_m3),
-        haze_gaussians=haze_count(rain, extinction),
+        haze_gaussians=haze_count(rain, of_drops),
     )
 
 

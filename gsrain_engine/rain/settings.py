@@ -72,6 +72,12 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Haze", extra={"commands": "render", "negative": "none"},
         description="Far drops. medium: extinction and airlight along each ray. "
         "gaussians: the paper's (eq. 6, 7). none: not drawn.")] = "medium"
+    visibility_m: Annotated[float | None, Meta(
+        title="Visibility", extra={
+            "unit": "m", "ge": 10.0, "le": 100_000.0, "scale": "log", "none": "no fog", "usual": 500.0,
+            "commands": "render, drive, evaluate detection"},
+        description="Fog without drops, at any intensity: distance at which it leaves 5 % of a contrast "
+        "(Koschmieder).")] = None
     roofs: Annotated[bool, Meta(
         title="Shelter under roofs", extra={"commands": "render"},
         description="No rain under bridges, canopies and trees.")] = False
@@ -192,6 +198,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(f"exposure_s must be within 0.00001..1 s, got {self.exposure_s}")
         if self.haze_count is not None and not 0 <= self.haze_count <= 200_000:
             raise ValueError(f"haze_count must be within 0..200000, got {self.haze_count}")
+        if self.visibility_m is not None and not 10 <= self.visibility_m <= 100_000:
+            raise ValueError(f"visibility_m must be within 10..100000 m, got {self.visibility_m}")
         if self.aperture_mm is not None and not 0 <= self.aperture_mm <= 50:
             raise ValueError(f"aperture_mm must be within 0..50 mm, got {self.aperture_mm}")
         if self.focus_distance_m is not None and not 0.2 <= self.focus_distance_m <= 10_000:
@@ -216,13 +224,16 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def without_rain(self) -> "RainSettings":
-        """The same settings at 0 mm/h and dry, for the clear image of a rainy/clear pair."""
-        return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None)
+        """The same settings at 0 mm/h, dry and without fog, for the clear image of a rainy/clear pair."""
+        return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None, visibility_m=None)
 
     @property
     def without_medium(self) -> "RainSettings":
-        """The same settings with the paper's Gaussians in place of a medium, for output without distances."""
-        return msgspec.structs.replace(self, haze="gaussians") if self.haze == "medium" else self
+        """The same settings with the paper's Gaussians in place of a medium and fog, for output without distances."""
+        if self.haze != "medium" and self.visibility_m is None:
+            return self
+        haze = "gaussians" if self.haze == "medium" else self.haze
+        return msgspec.structs.replace(self, haze=haze, visibility_m=None)
 
     @property
     def haze_box(self) -> RegionBox:

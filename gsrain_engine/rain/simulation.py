@@ -13,6 +13,7 @@ from .air import Wind, follows
 from .calibration import Calibration, load_calibration
 from .drop_field import DropCulling, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, wind_of
+from .fog import fog_overcast
 from .frame import RainCamera, RainFrame
 from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
@@ -92,12 +93,15 @@ class RainSimulation:
         return self._wetness.at(time_s) if isinstance(self._wetness, WetnessCurve) else self._wetness
 
     def overcast_at(self, time_s: float) -> float:
-        """Share of the overcast sky at a time, 0..1: closed as soon as it rains, and as long as anything is wet.
+        """Share of the overcast sky at a time, 0..1: closed in rain and fog, and as long as anything is wet.
 
         With a wetness of 0 the scene stays as lit, at any intensity.
         """
         wet = self.wetness_at(time_s)
-        return wet if self.rain.wetness == 0 else max(wet, overcast(self.state_at(time_s).intensity_mm_h))
+        if self.rain.wetness == 0:
+            return wet
+        now = self.frozen_at(time_s).rain
+        return max(wet, overcast(now.intensity_mm_h), fog_overcast(now.visibility_m))
 
     @cached_property
     def _wetness(self) -> WetnessCurve | float:
@@ -107,7 +111,8 @@ class RainSimulation:
 
     @property
     def can_rain(self) -> bool:
-        return self.weather.heaviest_mm_h(self.rain) > 0
+        """True if there is rain or fog at any time."""
+        return self.weather.heaviest_mm_h(self.rain) > 0 or self.rain.visibility_m is not None
 
     def exposure_s(self, camera: Camera) -> float:
         """Shutter time: the rain's own, else that of a sensor which the rain names, else the camera's."""
@@ -153,6 +158,7 @@ class RainSimulation:
             color=np.array(rain.drop_color or sky),
             haze_count=now.state.haze_gaussians,
             extinction_per_m=now.state.extinction_per_m,
+            fog_extinction_per_m=now.state.fog_extinction_per_m,
             count=round(now.state.density_m3 * float(np.prod(period))),
             where=where,
             period_m=period,

@@ -69,7 +69,7 @@ def draw_view(
     rain, wetness, overcast = None, 0.0, 0.0
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
-        if falls and look == "splats" and rainfall.state_at(shot.time_s).intensity_mm_h > 0:
+        if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
     parts = subset_items(lit, thinning, shot.camera)

@@ -91,6 +91,8 @@ def pair(request, open_kind):
         {"rain_light": "linear", "exposure_s": 0.05, "haze": False},
         {"rain_light": "display", "exposure_s": 0.003, "haze": False},
         {"rain_light": "linear", "exposure_s": 0.003, "haze": "gaussians"},
+        {"intensity_mm_h": 0.0, "visibility_m": 40.0},
+        {"intensity_mm_h": 80.0, "visibility_m": 40.0, "rain_light": "display"},
         {
             "rain_light": "linear",
             "intensity_mm_h": 80.0,

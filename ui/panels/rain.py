@@ -66,6 +66,7 @@ def rain_panel(
     imgui.same_line()
     fields.toggle(document, "roofs")
     fields.choice(document, "haze")
+    fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
     wetness_fields(document, live_rain)
     if document.rain.exaggeration:
@@ -283,6 +284,13 @@ def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain
 
 def rain_properties_panel(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:
     state = live_rain.displayed.state_at(playback.clock.time_s)
+    if state.intensity_mm_h == 0 and not state.is_clear:
+        visibility = f"{state.visibility_m:,.0f} m"
+        readings("fog properties", [
+            ("Extinction", f"{1000 * state.extinction_per_m:.3f} /km", "beta of the fog: -ln(0.05) / visibility."),
+            ("Visibility", visibility, "Meteorological optical range."),
+        ])  # fmt: skip
+        return
     if state.intensity_mm_h == 0:
         imgui.text_wrapped("No rain at this time." if document.keyframes.keys else "No rain.")
         return

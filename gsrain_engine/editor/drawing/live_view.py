@@ -298,7 +298,7 @@ class _PaneImage:
 def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: Color) -> Hashable:
     """Everything that a pane's image depends on; scenes and rains are values and compare by identity."""
     view, camera, time_s = frame.view, frame.view.camera, frame.view.time_s
-    raining = frame.mode == "splats" and rainfall.state_at(time_s).intensity_mm_h > 0
+    raining = frame.mode == "splats" and not rainfall.state_at(time_s).is_clear
     return (
         scene.appearance,
         rainfall if raining else None,

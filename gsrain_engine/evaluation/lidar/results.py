@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 from matplotlib.axes import Axes
@@ -95,18 +96,25 @@ class RainRun:
 
 
 def rain_runs(
-    turn: LidarTurn, intensities_mm_h: Sequence[float], seeds: Sequence[int], *, answer: Answer, wet_road: bool
+    turn: LidarTurn,
+    intensities_mm_h: Sequence[float],
+    seeds: Sequence[int],
+    *,
+    answer: Answer,
+    wet_road: bool,
+    visibility_m: float | None = None,
 ) -> Iterator[RainRun]:
-    """Simulate rain on a turn: all seeds of the first rain rate, then of the next."""
+    """Simulate rain, and fog of a visibility, on a turn: all seeds of the first rain rate, then of the next."""
     beams, sensor = turn.beams, turn.sensor
-    states = [RainSimulation.start(RainSettings(intensity_mm_h=each)).state for each in intensities_mm_h]
+    rains = [RainSettings(intensity_mm_h=each, visibility_m=visibility_m) for each in intensities_mm_h]
+    states = [RainSimulation.start(rain).state for rain in rains]
     reach_m = max(_MIN_NEAR_M, *(DropReturnModel(sensor, state).reach_m for state in states))
     near_edges = tuple(float(NEAR_STEP_M * k) for k in range(int(np.ceil(reach_m / NEAR_STEP_M)) + 1))
     clear = sensor.signal(beams.ranges_m[beams.is_echo], beams.reflectances[beams.is_echo], 0.0)
     at_threshold = int(np.sum(clear < _JUST))
-    for intensity in intensities_mm_h:
+    for rain in rains:
         for seed in seeds:
-            rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity, seed=seed))
+            rainfall = RainSimulation.start(msgspec.structs.replace(rain, seed=seed))
             rainy = scan_in_rain(beams, sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road)
             wetness = rainfall.wetness_at(beams.time_s) if wet_road else 0.0
             tallies = ReturnCounts.of(beams, rainy), ReturnCounts.of(beams, rainy, near_edges)

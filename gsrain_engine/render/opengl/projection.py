@@ -57,7 +57,7 @@ class ProjectionPass:
         look: RenderMode,
     ) -> FrameSlots:
         rows = [(_masked(part) if part.opacity > 0 else part._replace(limit=0, members=None), False) for part in parts]
-        field = rain if rain is not None and rain.rain.streaks else None
+        field = rain if rain is not None and rain.draws_drops else None
         if rain is not None:
             rows.append((DrawItem(rain.haze, np.eye(4)), True))
         fixed = sum(_slots(part.drawn_count) for part, _ in rows)

@@ -144,9 +144,9 @@ class SplatRenderer:
             self._drawn = RenderStatistics(
                 gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
             )
-            falling = rain if rain is not None and rain.rain.intensity_mm_h > 0 and look == "splats" else None
+            falling = rain if rain is not None and not rain.is_clear and look == "splats" else None
             self._drawn.haze_drawn = len(falling.haze) if falling is not None else 0
-            self._makes_drops = falling is not None and falling.rain.streaks
+            self._makes_drops = falling is not None and falling.draws_drops
             before = self.context.detect_framebuffer()
             self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
             with self._timers.stage("project"):
