@@ -1,5 +1,6 @@
 """Renders the pictures of README and guide that need no window: rain, its two regions, scenarios, and every look."""
 
+import os
 import tempfile
 from itertools import islice
 from pathlib import Path
@@ -45,16 +46,31 @@ def render_rain(folder: Path) -> None:
         keep(still("street", folder, "960x640", "--rain", intensity), f"rain_{intensity}")
 
 
-def render_sheet(folder: Path) -> None:
-    """The street dry, and in rain from moderate to very heavy."""
+def render_sheets(folder: Path) -> None:
+    """By day, by night, in a capture and around a single object: dry, and in rain from moderate to very heavy."""
+    render_sheet(folder, "sheet_street", "street")
+    render_sheet(folder, "sheet_night", "street:night")
+    data = Path(os.environ.get("GSRAIN_TEST_DATA", "../shared/data"))
+    if not data.is_dir():
+        print(f"{data}: not there, so that sheet_capture and sheet_object stay as they are")
+        return
+    capture = folder / "capture"
+    if run(["reconstruct", str(data / "driving" / "dgp" / "scene_02"), "-o", str(capture)]) != 0:
+        raise SystemExit(1)
+    render_sheet(folder, "sheet_capture", str(capture), "--wet", "--cameras", "CAMERA_01")
+    render_sheet(folder, "sheet_object", str(data / "scenes" / "plant.splat"), "--wet")
+
+
+def render_sheet(folder: Path, name: str, scene: str, *options: str) -> None:
+    """One view of a scene below each other: dry, and in rain from moderate to very heavy."""
     width, height = 960, 640
     sheet = Image.new("RGB", (width, height * len(_SHEET_MM_H)))
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(28)
     for row, intensity in enumerate(_SHEET_MM_H):
-        sheet.paste(still("street", folder, f"{width}x{height}", "--rain", intensity), (0, row * height))
+        sheet.paste(still(scene, folder, f"{width}x{height}", "--rain", intensity, *options), (0, row * height))
         corner = (16, row * height + 12)
         draw.text(corner, f"{intensity} mm/h", "white", font, stroke_width=2, stroke_fill="black")
-    keep(sheet, "sheet_street")
+    keep(sheet, name)
 
 
 def render_regions(folder: Path) -> None:
@@ -106,7 +122,7 @@ def main() -> None:
     """Render all of them."""
     with tempfile.TemporaryDirectory() as folder:
         render_rain(Path(folder))
-        render_sheet(Path(folder))
+        render_sheets(Path(folder))
         render_regions(Path(folder))
         render_scenarios(Path(folder))
         render_looks(Path(folder))

@@ -15,6 +15,7 @@ from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
 from .geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices
+from .lamps import Lamp, LitLamps, lit_lamps
 from .lod_tree import LodTree
 
 _ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
@@ -456,6 +457,8 @@ class Scene:
     """Camera view saved with the scene, as plain values."""
     selections: Mapping[str, Mapping[str, BitMask]] = field(default_factory=dict[str, Mapping[str, BitMask]])
     """Selection sets by name; each by the keys of members."""
+    lamps: tuple[Lamp, ...] = ()
+    """Lamps that light drops and medium."""
     unit_is_assumed: bool = False
     """True if neither a file nor the user has set the length of a unit, so that it is assumed to be a meter."""
 
@@ -469,7 +472,7 @@ class Scene:
     @property
     def appearance(self) -> Hashable:
         """Key of everything that an image depends on: equal for scenes that differ only in paths or notes."""
-        return self.layers, self.actors, self.metres_per_unit, self.up, self.ground_m, self.ego
+        return self.layers, self.actors, self.metres_per_unit, self.up, self.ground_m, self.ego, self.lamps
 
     @property
     def geometry_key(self) -> Hashable:
@@ -558,6 +561,22 @@ class Scene:
         matrix = self.scene_to_world @ pose
         matrix[:3, :3] /= self.metres_per_unit
         return matrix
+
+    def lamps_at(self, time_s: float) -> LitLamps:
+        """Lamps in the world at a time; those of hidden or absent vehicles are off."""
+        actors = {actor.id: actor for actor in self.actors if actor.visible}
+        placed: list[tuple[Lamp, Float64[np.ndarray, "4 4"]]] = []
+        for lamp in self.lamps:
+            if lamp.mount == "ego":
+                mount = self.ego_to_world(time_s)
+            elif lamp.mount == "scene":
+                mount = self.scene_to_world
+            else:
+                pose = actors[lamp.mount].pose_at(time_s) if lamp.mount in actors else None
+                mount = None if pose is None else self.scene_to_world @ pose
+            if mount is not None:
+                placed.append((lamp, mount))
+        return lit_lamps(placed)
 
 
 def is_sky(member: Layer | Actor) -> bool:

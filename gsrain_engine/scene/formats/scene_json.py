@@ -16,9 +16,10 @@ from ..camera_path import CameraPath, Easing, Interpolation
 from ..flags import UNMARKED, BitMask, SelectionFlags
 from ..gaussians import Gaussians
 from ..geometry import normalized
+from ..lamps import Lamp
 from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
-SCENE_VERSION = 4
+SCENE_VERSION = 5
 """Incremented when a field is added. The default of each field is its meaning in older files, which stay readable."""
 
 Row = tuple[float, float, float, float]
@@ -138,6 +139,7 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     rigs: dict[str, list[CameraRecord]] = {}
     ego: TrackRecord | None = None
     path: PathRecord | None = None
+    lamps: list[Lamp] = []
     rain: dict[str, Any] | None = None
     weather: dict[str, Any] | None = None
     view: dict[str, Any] | None = None
@@ -173,6 +175,7 @@ def record_of(
         rigs={name: [_camera_record(camera) for camera in cameras] for name, cameras in scene.rigs.items()},
         ego=track_record(scene.ego) if scene.ego is not None else None,
         path=path_record(scene.path) if scene.path is not None else None,
+        lamps=list(scene.lamps),
         rain=dict(scene.rain) if scene.rain is not None else None,
         weather=dict(scene.weather) if scene.weather is not None else None,
         view=dict(scene.view) if scene.view is not None else None,
@@ -204,6 +207,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},
         ego=track_of(record.ego, "`$.ego`") if record.ego is not None else None,
         path=path_of(record.path, "`$.path`") if record.path is not None else None,
+        lamps=tuple(record.lamps),
         rain=record.rain,
         weather=record.weather,
         view=record.view,

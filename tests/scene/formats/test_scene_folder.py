@@ -20,6 +20,7 @@ from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
+from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.scene import Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
 from ..test_camera_path import path_of
@@ -61,6 +62,7 @@ def sample_scene() -> Scene:
         rain={"intensity_mm_h": 8.5, "wind": [1.0, 0.5], "haze": {"count": None}},
         weather={"keys": [{"time_s": 0.0, "intensity_mm_h": 2.0}]},
         view={"time_s": 1.0},
+        lamps=(Lamp(name="lantern", position=(1.0, 2.0, 4.0), intensity_m2=30.0, inner_deg=40.0, outer_deg=70.0),),
         selections={"set": {"layers/road & kerb": BitMask.of(np.arange(50) < 9)}},
     )
 

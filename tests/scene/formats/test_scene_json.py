@@ -43,9 +43,10 @@ def refusal(folder: Path) -> str:
 # Versions
 
 
-@pytest.mark.parametrize("version", [0, 1, 2, 3])
+@pytest.mark.parametrize("version", [0, 1, 2, 3, 4])
 def test_older_versions_lack_fields(version: int, folder: Path) -> None:
     since = {
+        4: (("lamps",), ()),
         3: (("in_drawing_order", "weather"), ()),
         2: ((), ("wet_file",)),
         1: (("path", "view", "selections"), ("locked", "opacity", "grading", "marks", "to_scene")),
@@ -53,7 +54,7 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
     }
 
     def older(values: Values) -> None:
-        for own, of_members in (since[number] for number in range(version, 4)):
+        for own, of_members in (since[number] for number in range(version, 5)):
             for name in own:
                 del values[name]
             for member in (*values["layers"], *values.get("actors", ())):
@@ -62,7 +63,9 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
         values["version"] = version
 
     edit(folder, older)
-    found, expected = read_scene(folder), replace(sample_scene(), weather=None)
+    found, expected = read_scene(folder), replace(sample_scene(), lamps=())
+    if version < 4:
+        expected = replace(expected, weather=None)
     if version < 3:
         expected = expected.with_member(expected.layers[0].key, wet_sh=None)
         expected = expected.with_member("actors/lead/1", wet_sh=None)
@@ -78,13 +81,13 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
 
 
 def test_a_newer_version_is_neither_read_nor_replaced_but_a_damaged_scene_may_be(folder: Path) -> None:
-    edit(folder, lambda values: values.update(version=5, new_field=True))
-    assert "version 5 is of a newer program" in refusal(folder)
+    edit(folder, lambda values: values.update(version=6, new_field=True))
+    assert "version 6 is of a newer program" in refusal(folder)
     before = bytes_in(folder)
     with pytest.raises(SceneFormatError, match="newer program"):
         write_scene(sample_scene(), folder)
     assert bytes_in(folder) == before
-    edit(folder, lambda values: values.update(version=4, up="left"))
+    edit(folder, lambda values: values.update(version=5, up="left"))
     write_scene(sample_scene(), folder)
     assert read_scene(folder).up == (0.1, -0.9, 0.2)
 
