@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import srgb_to_linear
+from ..scene.lamps import LitLamps
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, air_velocities, mark_drops, place_drops
 from .haze import make_haze
-from .lamp_light import LampLight, LitLamps, light_of_drops, make_lamp_light
+from .lamp_light import LampLight, light_of_drops, make_lamp_light
 from .medium import RainMedium, make_medium, streak_depths
 from .phase import fog_phase, rain_phase
 from .properties import CLASSES

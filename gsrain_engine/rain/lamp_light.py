@@ -7,17 +7,17 @@ is smooth, and pixels near a lamp take the difference from an integral of their 
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..scene.camera import Camera
+from ..scene.lamps import LitLamps
 from .medium import RainMedium, optical_depth
 from .phase import ANGLES, phase_sums
 
-MAX_LAMPS = 64
 LAMP_NUMBERS = 18
 SLICES = 40  # of the table over distance
 SLICE_SCALE_M = 16.0  # half of the slices are nearer
@@ -32,21 +32,6 @@ STEP = np.float32(np.pi / 16)  # longest step of an integral, by angle
 NEAREST_M = 0.02
 NEAREST_DROP_M = 0.1  # of a drop to a lamp
 NO_WEIGHT = 1e-3
-
-
-class LitLamps(NamedTuple):
-    """Lamps at one time, in the world.
-
-    At d meters the irradiance on the axis is intensity / d^2, in units of which pi makes a white Lambertian surface
-    1.0; between the cosines it grows by a smoothstep.
-    """
-
-    positions_m: Float64[np.ndarray, "n 3"]
-    directions: Float64[np.ndarray, "n 3"]
-    """Unit vectors."""
-    intensities: Float64[np.ndarray, "n 3"]
-    cos_inner: Float64[np.ndarray, " n"]
-    cos_outer: Float64[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,9 +64,9 @@ def make_lamp_light(
 ) -> LampLight:
     """Light of lamps in a medium with a phase function; without a medium they light single drops only.
 
-    Of more than `MAX_LAMPS` the brightest at the camera count.
+    Only the brightest lamps at the camera count, see `LitLamps.brightest`.
     """
-    lamps = _brightest(lamps, camera)
+    lamps = lamps.brightest(camera.position)
     numbers = np.zeros(33, np.float32) if medium is None else medium.numbers
     numbers[1] = numbers[1] or 1.0
     drawn = np.zeros(2, np.float32) if medium is None else medium.drawn
@@ -122,14 +107,6 @@ def lamp_rows(
     rows[:, 16] = rows[:, 6:9].max(axis=1)
     rows[:, 17] = distances
     return rows.astype(np.float32)
-
-
-def _brightest(lamps: LitLamps, camera: Camera) -> LitLamps:
-    if len(lamps.positions_m) <= MAX_LAMPS:
-        return lamps
-    squares = np.sum((lamps.positions_m - camera.position) ** 2, axis=1)
-    order = np.argsort(-lamps.intensities.max(axis=1) / (1 + squares), kind="stable")[:MAX_LAMPS]
-    return LitLamps(*(each[np.sort(order)] for each in lamps))
 
 
 # Integral along a ray

@@ -8,6 +8,7 @@ from jaxtyping import Float64
 
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.lamps import LitLamps
 from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
 from .air import Wind, follows
 from .calibration import Calibration, load_calibration
@@ -16,7 +17,6 @@ from .drop_motion import DropMotion, KeyframedDropMotion, wind_of
 from .fog import fog_overcast
 from .frame import RainCamera, RainFrame
 from .keyframes import NO_KEYFRAMES, RainKeyframes
-from .lamp_light import LitLamps
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
 from .streaks import MAX_STRETCH, STREAK_REACH, ShutterModel, camera_slopes, visible_distance_m

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.frame import RainCamera
-from gsrain_engine.rain.lamp_light import MAX_LAMPS, LitLamps, light_in_picture, light_of_drops
+from gsrain_engine.rain.lamp_light import light_in_picture, light_of_drops
 from gsrain_engine.rain.phase import ANGLES, fog_phase, rain_phase
 from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import srgb_to_linear
+from gsrain_engine.scene.lamps import MAX_LAMPS, LitLamps
 
 UP = np.array([0.0, 0, 1])
 CAMERA = Camera.from_fov(320, 200, 60.0, look_at(np.zeros(3), np.array([1.0, 0, 0]), UP))
