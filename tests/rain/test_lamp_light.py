@@ -119,7 +119,7 @@ def test_headlights_light_the_medium_in_their_cones(distance_m):
 
 
 def test_pixels_at_a_lamp_are_within_two_percent():
-    """Where the table's floor hides it: a row of pixels from 1 to 40 px off the lamp."""
+    """In a row, 1 to 40 px off the lamp, for which the table's floor alone is too dark."""
     frame = frame_of(BULB)
     light, lamp, camera = light_at(frame, 1e5), frame.lamp_light.lamps[0], frame.view.camera
     column, row = (int(camera.fx * lamp[0] / lamp[2] + camera.cx), int(camera.fy * lamp[1] / lamp[2] + camera.cy))
