@@ -25,7 +25,8 @@ float medium_drawn_up_to(float depth) {
     return mix(medium_drawn[k], medium_drawn[k + 1], at - float(k));
 }
 
-float medium_transmittance(vec3 p) {
+// Optical depth up to a point.
+float medium_depth(vec3 p) {
     float length_m = length(p);
     vec2 all = medium_numbers[32] > 0.0 ? medium_within(p, length_m, 17) : vec2(0.0, length_m);
     float depth = medium_numbers[0] * (all.y - all.x);
@@ -35,7 +36,11 @@ float medium_transmittance(vec3 p) {
         float slope = p.z / length_m;
         depth -= (medium_drawn_up_to(part.y * slope) - medium_drawn_up_to(part.x * slope)) / slope;
     }
-    return exp(-max(depth, 0.0));
+    return max(depth, 0.0);
+}
+
+float medium_transmittance(vec3 p) {
+    return exp(-medium_depth(p));
 }
 
 // Airlight behind the scene at a point of the image (px), premultiplied; `intrinsics` are fx fy cx cy (px).

@@ -13,6 +13,9 @@ layout(location = 1) out vec4 shares;
 #ifdef WITH_DEPTH
 layout(location = 2) out vec4 weighted_depth;
 #endif
+#ifdef LAMPS
+layout(location = 3) out vec4 lamp_light;
+#endif
 
 void main() {
     fragment = medium_sky(gl_FragCoord.xy, intrinsics);
@@ -21,5 +24,8 @@ void main() {
 #endif
 #ifdef WITH_DEPTH
     weighted_depth = vec4(0.0);
+#endif
+#ifdef LAMPS
+    lamp_light = vec4(0.0);
 #endif
 }

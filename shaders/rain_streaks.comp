@@ -8,6 +8,11 @@ layout(local_size_x = 256) in;
 
 #include "common_projection.glsl"
 #include "common_drop_field.glsl"
+#ifdef LAMPS
+#include "common_srgb.glsl"
+#include "common_medium.glsl"
+#include "common_lamps.glsl"
+#endif
 
 layout(std430, binding = 2) readonly buffer Found { uint found_masks[]; };
 layout(std430, binding = 3) readonly buffer Places { uint found_places[]; };  // scanned counts
@@ -24,7 +29,9 @@ uniform float aperture;       // diameter of the lens opening (m)
 uniform float focus;          // distance that is sharp (m)
 uniform vec4 scan;            // rolling shutter: duration (s), and its course over x/z, y/z, and from the axis
 uniform uint max_copies;
+#ifndef LAMPS
 uniform vec3 display_color;
+#endif
 
 const float PI = 3.14159265358979;
 const float MAX_STRETCH = 2.0;
@@ -94,7 +101,11 @@ void main() {
         if (copy < copies) {
             vec3 center = p + (float(copy) - 0.5 * float(copies - 1u)) * spacing * direction;
             visible = project(center, axes, opacity, true, false, splat);
+#ifdef LAMPS
+            if (visible) set_color(splat, light_of_drop(center));
+#else
             if (visible) set_color(splat, display_color);
+#endif
         }
         emit(visible, splat, gl_WorkGroupID.x * max_copies + copy);
     }

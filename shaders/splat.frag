@@ -17,6 +17,9 @@ layout(location = 1) out vec4 shares;          // red: rain, green: scene
 #ifdef WITH_DEPTH
 layout(location = 2) out vec4 weighted_depth;  // of the scene: rain has no part in it
 #endif
+#ifdef LAMPS
+layout(location = 3) out vec4 lamp_light;      // of the rain, in linear light: the color of its splats
+#endif
 
 void main() {
     float exponent = dot(offset, offset);
@@ -41,5 +44,8 @@ void main() {
 #endif
 #ifdef WITH_DEPTH
     weighted_depth = vec4(view_depth * scene_alpha, scene_alpha, 0.0, scene_alpha);
+#endif
+#ifdef LAMPS
+    lamp_light = vec4(color_log_alpha.rgb * (alpha - scene_alpha), alpha);
 #endif
 }

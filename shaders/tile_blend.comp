@@ -18,6 +18,10 @@ layout(rgba32f, binding = 0) writeonly uniform image2D picture;
 layout(rg32f, binding = 1) writeonly uniform image2D depths;  // weighted depth and weight, of the scene alone
 #endif
 
+#ifdef LAMPS
+layout(rgba32f, binding = 2) writeonly uniform image2D lamp_lights;  // of the rain, in linear light: the color of its splats
+#endif
+
 uniform uvec2 image_size;  // px
 #ifdef LINEAR_RAIN
 uniform vec3 rain_light;   // a drop's color in linear light
@@ -48,6 +52,7 @@ void main() {
     vec2 shares = vec2(0.0);       // visible share of rain and scene through each other
     vec2 weighted_depth = vec2(0.0);
     float open_scene = 1.0;
+    vec3 lamp_light = vec3(0.0);
     uint first = starts[tile], last = starts[tile + 1u];
     for (uint start = first; start < last; start += BATCH) {
         if (thread == 0u) unfinished = 0u;
@@ -94,6 +99,9 @@ void main() {
                 float share = open_rain * alpha;
                 open_rain -= share;
                 shares += share * vec2(open, scene.a);
+#ifdef LAMPS
+                lamp_light += share * open * colors[k];
+#endif
                 continue;
             }
 #endif
@@ -128,5 +136,8 @@ void main() {
     imageStore(picture, ivec2(pixel), scene);
 #ifdef WITH_DEPTH
     imageStore(depths, ivec2(pixel), vec4(weighted_depth, 0.0, 0.0));
+#endif
+#ifdef LAMPS
+    imageStore(lamp_lights, ivec2(pixel), vec4(lamp_light, 0.0));
 #endif
 }

@@ -19,7 +19,7 @@ from .phase import fog_phase, rain_phase
 from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
-from .streaks import ShutterModel, streak_gaussians
+from .streaks import ShutterModel, sh_of, streak_gaussians
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ class RainFrame:
     @cached_property
     def lit_streaks(self) -> Gaussians:
         """Streak Gaussians that have the light of lamps as their color, in linear light."""
-        if self.lamp_light is None or not len(self.streaks):
+        if self.lamp_light is None or not self.is_linear or not len(self.streaks):
             return self.streaks
         light = light_of_drops(self.lamp_light, self.streaks.means, self.view.camera)
         return replace(self.streaks, sh=sh_from_color(light))
@@ -187,6 +187,13 @@ class RainFrame:
         return make_haze(
             self.rain, self.haze_count, self.time_s, view.anchor_to_world, view.camera.position, self.color, view.roofs
         )
+
+    @cached_property
+    def drawn_haze(self) -> Gaussians:
+        """Haze Gaussians; black if their color stands for light of lamps, as that of `lit_streaks` does."""
+        if self.lamp_light is None or not self.is_linear:
+            return self.haze
+        return replace(self.haze, sh=sh_of(np.zeros(3), len(self.haze)))
 
     @cached_property
     def medium(self) -> RainMedium | None:

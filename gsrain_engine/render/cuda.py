@@ -15,12 +15,13 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
 from ..rain.frame import RainFrame
+from ..rain.lamp_light import LampLight, light_in_picture
 from ..rain.medium import RainMedium
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import DrawItem
-from .cpu.compositing import sky_layer
+from .cpu.compositing import add_light, sky_layer
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
 from .cpu.tiles import MAX_ALPHA
 from .renderer import MIN_WEIGHT, Color, Frame, RenderMode, RenderStatistics, timed
@@ -70,7 +71,7 @@ class CudaRenderer:
         self.statistics = RenderStatistics(stages_ms={"project": 0.0, "draw": 0.0, "rain": 0.0})
         falling = Gaussians.empty()
         if rain is not None:
-            falling = rain.gaussians
+            falling = Gaussians.concatenate([rain.lit_streaks, rain.drawn_haze])
             self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
         with self._timed("project"):
             scene = self._arrays.before_camera(parts, camera)
@@ -78,6 +79,8 @@ class CudaRenderer:
             if rain is not None and medium is not None:
                 scene = scene._replace(colors=_dimmed(scene, medium, is_linear=rain.is_linear))
         slabs: DepthSlabs | None = None
+        lit = rain.lamp_light if rain is not None and rain.is_linear else None
+        drop_light: Tensor | None = None
         if len(falling):
             with self._timed("rain"):
                 drops = DrawItem(falling, np.eye(4))
@@ -96,9 +99,13 @@ class CudaRenderer:
         self.statistics.gaussians = sum(part.drawn_count for part in parts)
         if rain is not None and slabs is not None:
             with self._timed("rain"):
-                rgba = composite_rain_slabs(rgba, edges, slabs, rain)
+                rgba, drop_light = composite_rain_slabs(rgba, edges, slabs, rain)
             self.statistics.splats_drawn += len(slabs.shapes)
             self.statistics.gaussians += len(falling)
+        if lit is not None:
+            with self._timed("rain"):
+                weights = image[..., 3], weight
+                rgba = _lit_by_lamps(rgba, weights if medium is not None else None, drop_light, lit)
         self._frame = rgba, depth
         self._arrays.release_unused()
 
@@ -323,6 +330,8 @@ class DepthSlabs:
     """As in `Splats`."""
     starts: Int64[np.ndarray, " slabs_and_one"]
     """First splat of each slab; the last entry is the number of splats."""
+    colors: Float32[np.ndarray, "m 3"]
+    """Colors of the splats: with lamps, their light in linear light."""
     edges_m: Float32[np.ndarray, " slabs_and_one"]
     """Depths between the slabs, including those of the nearest and the farthest splat; rising."""
 
@@ -341,7 +350,7 @@ def split_into_depth_slabs(splats: Splats, slabs: int = SLABS) -> DepthSlabs:
     inner = np.searchsorted(weights, total * np.arange(1, slabs) / slabs)
     starts = np.concatenate([[0], inner, [len(order)]]).astype(np.int64)
     edges = depths[np.minimum(starts, len(order) - 1)] if len(order) else np.zeros(slabs + 1, np.float32)
-    return DepthSlabs(shapes, starts, edges)
+    return DepthSlabs(shapes, starts, splats.colors[order, :3], edges)
 
 
 def slab_edge_channels(depths: Tensor, slabs: DepthSlabs) -> Tensor:
@@ -356,15 +365,18 @@ def slab_edge_channels(depths: Tensor, slabs: DepthSlabs) -> Tensor:
     return torch.clamp(1 - torch.abs(position[:, None] - torch.arange(len(edges), device=depths.device)), min=0)
 
 
-def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: RainFrame) -> Tensor:
-    """Composite rain with a scene: premultiplied display color and alpha (h, w, 4).
+def composite_rain_slabs(
+    rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: RainFrame
+) -> tuple[Tensor, Tensor | None]:
+    """Composite rain with a scene: premultiplied display color and alpha (h, w, 4), and the rain's light of lamps.
 
     `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `slab_edge_channels`. With the scene's color B
     and alpha A, its share W_s and the rain's W_r under each other: enc(min(W_s / A, 1) dec(B) + W_r S) in linear light,
     as in `add_rain_light`; the display form is the same without enc and dec.
     """
     alpha = rgba[..., 3]
-    rain_share, scene_share = _shares(by_edge, alpha, slabs)
+    is_lit = rain.lamp_light is not None and rain.is_linear
+    rain_share, scene_share, lamp_light = _shares(by_edge, alpha, slabs, is_lit=is_lit)
     light = torch.as_tensor(rain.light_linear, device=rgba.device)
     visible = torch.where(alpha > 0, torch.clamp(scene_share / torch.clamp(alpha, min=1e-30), max=1), 1.0)[..., None]
     if rain.is_linear:
@@ -372,40 +384,71 @@ def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain:
     else:
         color = visible * rgba[..., :3] + rain_share[..., None] * _to_display(light)
     rainy = torch.cat([color, (rain_share + scene_share)[..., None]], dim=-1)
-    return torch.where(rain_share[..., None] > 0, rainy, rgba)
+    return torch.where(rain_share[..., None] > 0, rainy, rgba), lamp_light
 
 
-def _shares(by_edge: Tensor, alpha: Tensor, slabs: DepthSlabs) -> tuple[Tensor, Tensor]:
-    """Visible shares of rain and of scene through each other (h, w), see `composite_in_rain`."""
+def _shares(by_edge: Tensor, alpha: Tensor, slabs: DepthSlabs, *, is_lit: bool) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Visible shares of rain and of scene through each other (h, w), and the rain's light of lamps (h, w, 3).
+
+    See `composite_in_rain`. Inside a slab drops don't hide each other's light.
+    """
     height, width = alpha.shape
     hidden = torch.where(alpha > _OPAQUE, 1 - alpha, 0.0)
     through_scene = 1 - hidden
     through_rain = torch.ones_like(alpha)
     rain_share, scene_share = torch.zeros_like(alpha), by_edge[..., 0]
-    for k, cover in enumerate(_covers(slabs, height, width, alpha.device)):
+    covers, lights = _covers(slabs, height, width, alpha.device, is_lit=is_lit)
+    lamp_light = None if lights is None else torch.zeros((height, width, 3), device=alpha.device)
+    for k, cover in enumerate(covers):
         through_scene = through_scene - by_edge[..., k]
         rain_share = rain_share + through_rain * cover * torch.clamp(through_scene, min=0)
+        if lights is not None:
+            lamp_light = lamp_light + (through_rain * torch.clamp(through_scene, min=0))[..., None] * lights[k]
         through_rain = through_rain * (1 - cover)
         scene_share = scene_share + through_rain * by_edge[..., k + 1]
-    return rain_share * (1 + hidden), scene_share
+    if lamp_light is not None:
+        lamp_light = lamp_light * (1 + hidden)[..., None]
+    return rain_share * (1 + hidden), scene_share, lamp_light
 
 
-def _covers(slabs: DepthSlabs, height: int, width: int, device: Tensor) -> Tensor:
-    """Combined alpha of each slab's splats (slabs, h, w): 1 - prod (1 - alpha), in any order."""
+def _covers(
+    slabs: DepthSlabs, height: int, width: int, device: Tensor, *, is_lit: bool
+) -> tuple[Tensor, Tensor | None]:
+    """Combined alpha of each slab's splats (slabs, h, w): 1 - prod (1 - alpha), in any order; and their light.
+
+    The light is the sum of alpha times color (slabs, h, w, 3), None unless `is_lit`.
+    """
     count = len(slabs.starts) - 1
     total = torch.zeros(count * height * width, dtype=torch.int64, device=device)
+    lights = torch.zeros((len(total), 3), dtype=torch.int64, device=device) if is_lit else None
+    colors = torch.as_tensor(slabs.colors, device=device)
     shapes = torch.as_tensor(slabs.shapes, device=device)
     image = torch.as_tensor(np.repeat(np.arange(count), np.diff(slabs.starts)), device=device)
     left = torch.clamp(torch.ceil(shapes[:, 0] - shapes[:, 7] - 0.5), 0, width).long()
     right = torch.clamp(torch.floor(shapes[:, 0] + shapes[:, 7] + 0.5), 0, width).long()
     splats, columns = _spread(left, right)
     for splat, column in zip(splats.split(_COLUMNS), columns.split(_COLUMNS), strict=True):
-        _add_columns(shapes[splat], column, image[splat] * (height * width) + column, (height, width), total)
-    return -torch.expm1(total.to(torch.float32) / _FIXED_POINT).reshape(count, height, width)
+        places = image[splat] * (height * width) + column
+        _add_columns(shapes[splat], column, places, (height, width), total, colors[splat], lights)
+    covers = -torch.expm1(total.to(torch.float32) / _FIXED_POINT).reshape(count, height, width)
+    if lights is None:
+        return covers, None
+    return covers, (lights.to(torch.float32) / _FIXED_POINT).reshape(count, height, width, 3)
 
 
-def _add_columns(shapes: Tensor, columns: Tensor, places: Tensor, size: tuple[int, int], total: Tensor) -> None:
-    """Add ln(1 - alpha) along one pixel column of each splat, starting at a position in `total`; see `Splats`."""
+def _add_columns(
+    shapes: Tensor,
+    columns: Tensor,
+    places: Tensor,
+    size: tuple[int, int],
+    total: Tensor,
+    colors: Tensor,
+    lights: Tensor | None,
+) -> None:
+    """Add ln(1 - alpha) along one pixel column of each splat, starting at a position in `total`; see `Splats`.
+
+    With `lights` add alpha times color there, too.
+    """
     height, width = size
     x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shapes.unbind(1)
     dx = columns + 0.5 - x
@@ -419,6 +462,23 @@ def _add_columns(shapes: Tensor, columns: Tensor, places: Tensor, size: tuple[in
     alpha = torch.exp(peak[column] + sharpness_y[column] * dy * dy)
     logs = torch.log1p(-torch.clamp(alpha, max=float(MAX_ALPHA)))
     total.index_add_(0, places[column] + v * width, (logs * _FIXED_POINT).to(torch.int64))
+    if lights is not None:
+        light = alpha[:, None] * colors[column] * _FIXED_POINT
+        lights.index_add_(0, places[column] + v * width, light.to(torch.int64))
+
+
+def _lit_by_lamps(
+    rgba: Tensor, depths: tuple[Tensor, Tensor] | None, drop_light: Tensor | None, lit: LampLight
+) -> Tensor:
+    """Add the light of lamps: that of drops, and with depths (weighted depth and weight) the medium's, from the CPU."""
+    image = rgba.cpu().numpy().copy()
+    light = np.zeros((*image.shape[:2], 3), np.float32)
+    if depths is not None:
+        light += light_in_picture(lit, *(np.ascontiguousarray(each.cpu().numpy()) for each in depths))
+    if drop_light is not None:
+        light += drop_light.cpu().numpy()
+    add_light(image, light)
+    return torch.as_tensor(image, device=rgba.device)
 
 
 def _spread(starts: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:

@@ -233,7 +233,8 @@ def tiles_of(context, parts, rain=None, look="splats", **limits):
     size, linear = (CAMERA.width, CAMERA.height), rain is not None
     images = context.texture(size, 4, dtype="f4"), context.texture(size, 2, dtype="f4")
     rasterizer.draw(
-        store, sorter.sort(store.work), slots.all, images, {"WITH_DEPTH": 1, **({"LINEAR_RAIN": 1} if linear else {})},
+        store, sorter.sort(store.work), slots.all, (*images, None),
+        {"WITH_DEPTH": 1, **({"LINEAR_RAIN": 1} if linear else {})},
         {"rain_light": (0.4, 0.5, 0.6)} if linear else {}, GpuTimers(context),
     )  # fmt: skip
     return [np.frombuffer(each.read(), np.float32).reshape(CAMERA.height, CAMERA.width, -1) for each in images]

@@ -57,8 +57,7 @@ class CpuRenderer:
             lit: LampLight | None = None
             if rain is not None and look == "splats":
                 lit = rain.lamp_light if rain.is_linear else None
-                drops = rain.streaks if lit is None else rain.lit_streaks
-                falling = [DrawItem(each, np.eye(4)) for each in (drops, rain.haze) if len(each)]
+                falling = [DrawItem(each, np.eye(4)) for each in (rain.lit_streaks, rain.drawn_haze) if len(each)]
                 self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
             splats = project([*parts, *falling], camera, flags, as_points=look == "points")

@@ -59,7 +59,7 @@ class ProjectionPass:
         rows = [(_masked(part) if part.opacity > 0 else part._replace(limit=0, members=None), False) for part in parts]
         field = rain if rain is not None and rain.draws_drops else None
         if rain is not None:
-            rows.append((DrawItem(rain.haze, np.eye(4)), True))
+            rows.append((DrawItem(rain.drawn_haze, np.eye(4)), True))
         fixed = sum(_slots(part.drawn_count) for part, _ in rows)
         slots = FrameSlots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
         store.reserve(slots.all)

@@ -10,6 +10,7 @@ from ...rain.properties import CLASSES
 from ...rain.shelter_map import ShelterMap
 from ..cpu.projection import NEAR_M
 from .buffers import GROUPS_OFFSET, SLOTS_BY_BLOCK, WORK_BYTES, GrowableBuffer, ProjectedSplatBuffer
+from .lamps import LampTextures
 from .shaders import ShaderVariants, set_uniforms
 from .sort import PrefixSum, count_in
 
@@ -25,6 +26,7 @@ class RainPass:
         self._find, self._streaks = (ShaderVariants(context, f"rain_{name}.comp") for name in ("find", "streaks"))
         self._find({})
         self._scan = PrefixSum(context)
+        self.lamps = LampTextures(context)
         self._classes, self._found, self._counts, self._roofs = (GrowableBuffer(context) for _ in range(4))
         self._masks_by_class = 1
         self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
@@ -53,7 +55,10 @@ class RainPass:
 
     def project(self, store: ProjectedSplatBuffer, field: RainFrame, first_slot: int) -> None:
         """Turn the found drops into streaks and write the visible ones."""
-        shader, shutter, rain = self._streaks(store.switches), field.shutter, field.rain
+        lit = field.lamp_light if field.is_linear else None
+        shader, shutter, rain = (
+            self._streaks({**store.switches, **({} if lit is None else {"LAMPS": 1})}), field.shutter, field.rain
+        )  # fmt: skip
         camera = shutter.camera
         seen_from = np.zeros(3) if rain.streak_frame == "world" else field.axes.T @ shutter.velocity_m_s
         self._set_field(shader, field)
@@ -63,8 +68,9 @@ class RainPass:
             phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
             aperture=shutter.lens.aperture_m, focus=shutter.lens.focus_m, scan=tuple(shutter.readout),
             max_copies=rain.max_copies,
-            display_color=tuple(field.color), near=NEAR_M, first_slot=first_slot,
+            near=NEAR_M, first_slot=first_slot,
             intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
+            **({"display_color": tuple(field.color)} if lit is None else self.lamps.bind(lit)),
         )  # fmt: skip
         store.bind()
         self._bind(_PLACES)

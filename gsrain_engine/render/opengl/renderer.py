@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...rain.frame import RainFrame
+from ...rain.lamp_light import LampLight
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
@@ -35,11 +36,12 @@ GPUs draw tiles many times faster, software rasterizers quads.
 
 
 class FramebufferLayout(NamedTuple):
-    """Attachments of a framebuffer: the fragment shader's locations 0, 1, 2."""
+    """Attachments of a framebuffer: the fragment shader's locations 0 to 3; lamps need depth."""
 
     size: tuple[int, int]
     shares: bool = False
     depth: bool = False
+    lamps: bool = False
 
 
 @dataclass(slots=True)
@@ -50,6 +52,7 @@ class Framebuffer:
     color: moderngl.Texture
     shares: moderngl.Texture | None
     depth: moderngl.Texture | None
+    lamps: moderngl.Texture | None
     framebuffer: moderngl.Framebuffer
 
     @classmethod
@@ -61,13 +64,14 @@ class Framebuffer:
         with_shares = layout.shares or layout.depth
         shares = context.texture(layout.size, 2, dtype="f4") if with_shares else None
         depth = context.texture(layout.size, 2, dtype="f4") if layout.depth else None
+        lamps = context.texture(layout.size, 4, dtype="f4") if layout.lamps else None
         check_gpu_memory(context, 16 * layout.size[0] * layout.size[1])
-        attachments = [each for each in (color, shares, depth) if each is not None]
-        return cls(layout, color, shares, depth, context.framebuffer(attachments))
+        attachments = [each for each in (color, shares, depth, lamps) if each is not None]
+        return cls(layout, color, shares, depth, lamps, context.framebuffer(attachments))
 
     def release(self) -> None:
         self.framebuffer.release()
-        for texture in (self.color, self.shares, self.depth):
+        for texture in (self.color, self.shares, self.depth, self.lamps):
             if texture is not None:
                 texture.release()
 
@@ -155,17 +159,20 @@ class SplatRenderer:
                 self._projection.compact_visible(self._store, self._sort, slots)
                 order = self._sort.sort(self._store.work)
             light = falling.light_linear if falling is not None and falling.is_linear else None
-            with_depth = with_depth or look == "depth"
+            lit = falling.lamp_light if falling is not None and falling.is_linear else None
+            with_depth = with_depth or look == "depth" or lit is not None
             medium = falling.medium if falling is not None else None
             if self._tiles is not None:
                 self._redraw = partial(
-                    self._blend_tiles, order, slots.all, camera, look, light, medium, with_depth=with_depth
+                    self._blend_tiles, order, slots.all, camera, look, light, medium, lit, with_depth=with_depth
                 )
                 self._redraw()
             else:
                 with self._timers.stage("draw"):
-                    self._blend_quads(order, camera, look, medium, with_depth=with_depth, linear_rain=light is not None)
-                    self._image = self._resolve(look, light)
+                    self._blend_quads(
+                        order, camera, look, medium, lit, with_depth=with_depth, linear_rain=light is not None
+                    )
+                    self._image = self._lit(self._resolve(look, light), lit)
             before.use()
             self.arrays.release_unused()
             if self._is_software:
@@ -232,21 +239,23 @@ class SplatRenderer:
         look: RenderMode,
         rain_light: Float32[np.ndarray, "3"] | None,
         medium: RainMedium | None,
+        lit: LampLight | None,
         *,
         with_depth: bool,
     ) -> None:
         """Draw the sorted splats, at most `capacity`, tile by tile."""
         assert self._tiles is not None
-        target = self._target("splats", FramebufferLayout((camera.width, camera.height), False, with_depth))
-        switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium)
+        size = camera.width, camera.height
+        target = self._target("splats", FramebufferLayout(size, False, with_depth, lit is not None))
+        switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium, lit=lit)
         lights = {} if rain_light is None else {"rain_light": tuple(rain_light)}
         if medium is not None:
             lights |= medium_uniforms(medium) | {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy)}
         self._tiles.draw(
-            self._store, order, capacity, (target.color, target.depth), switches, lights, self._timers
+            self._store, order, capacity, (target.color, target.depth, target.lamps), switches, lights, self._timers
         )  # fmt: skip
         with self._timers.stage("draw"):
-            self._image = self._resolve(look, None)
+            self._image = self._lit(self._resolve(look, None), lit)
 
     def _blend_quads(
         self,
@@ -254,14 +263,15 @@ class SplatRenderer:
         camera: Camera,
         look: RenderMode,
         medium: RainMedium | None,
+        lit: LampLight | None,
         *,
         with_depth: bool,
         linear_rain: bool,
     ) -> None:
         """Draw the sorted splats into an empty framebuffer, or upon the medium's airlight."""
         size = camera.width, camera.height
-        target = self._target("splats", FramebufferLayout(size, linear_rain, with_depth))
-        switches = _switches(look, with_depth=with_depth, linear_rain=linear_rain)
+        target = self._target("splats", FramebufferLayout(size, linear_rain, with_depth, lit is not None))
+        switches = _switches(look, with_depth=with_depth, linear_rain=linear_rain, lit=lit)
         macros = {**switches, **self._store.switches}
         program, vertices = self._program("splat.vert", "splat.frag", macros, self._quads)
         program["image_size"] = size
@@ -307,6 +317,26 @@ class SplatRenderer:
         vertices.render(moderngl.TRIANGLES, vertices=3)
         return target.color
 
+    def _lit(self, picture: moderngl.Texture, lit: LampLight | None) -> moderngl.Texture:
+        """Add the light of lamps to a picture."""
+        splats = self._targets["splats"]
+        if lit is None or splats.lamps is None or splats.depth is None:
+            return picture
+        has_medium = lit.table.size > 0
+        program, vertices = self._program("screen.vert", "lamp_light.frag", {"MEDIUM": 1} if has_medium else {})
+        for name, value in self._projection.drops.lamps.picture_uniforms(lit).items():
+            program[name] = value
+        textures = {"picture": picture, "drop_light": splats.lamps}
+        if has_medium:
+            textures["depths"] = splats.depth
+        for unit, (name, texture) in enumerate(textures.items()):
+            texture.use(unit)
+            program[name] = unit
+        target = self._target("lit", FramebufferLayout(splats.layout.size))
+        target.framebuffer.use()
+        vertices.render(moderngl.TRIANGLES, vertices=3)
+        return target.color
+
     def _program(
         self, vertex: str, fragment: str, switches: Switches, indices: moderngl.Buffer | None = None
     ) -> tuple[moderngl.Program, moderngl.VertexArray]:
@@ -325,9 +355,17 @@ class SplatRenderer:
         return self._targets[name]
 
 
-def _switches(look: RenderMode, *, with_depth: bool, linear_rain: bool, medium: RainMedium | None = None) -> Switches:
+def _switches(
+    look: RenderMode,
+    *,
+    with_depth: bool,
+    linear_rain: bool,
+    medium: RainMedium | None = None,
+    lit: LampLight | None = None,
+) -> Switches:
     """Macros of splat.frag, medium_sky.frag and tile_blend.comp."""
     switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth, "MEDIUM": medium is not None}
+    switches["LAMPS"] = lit is not None
     switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
     return {name: 1 for name, is_set in switches.items() if is_set}
 

@@ -22,7 +22,7 @@ from .shaders import GpuTimers, ShaderVariants, Switches, load_compute_shader, s
 from .sort import KEYS, KEYS_BY_GROUP, WORK, PrefixSum, RadixSort, total_in
 
 _ORDER, _SLOTS, _COUNTS, _BLOCK_COUNTS, _PAIRS = 1, 2, 4, 5, 6  # storage bindings
-_PICTURE, _DEPTHS = 0, 1  # image bindings
+_PICTURE, _DEPTHS, _LAMP_LIGHTS = 0, 1, 2  # image bindings
 _FIRST_PAIRS = 1 << 20
 
 
@@ -58,19 +58,22 @@ class TileRasterizer:
         store: ProjectedSplatBuffer,
         order: moderngl.Buffer,
         capacity: int,
-        image: tuple[moderngl.Texture, moderngl.Texture | None],
+        image: tuple[moderngl.Texture, moderngl.Texture | None, moderngl.Texture | None],
         switches: Switches,
         lights: Mapping[str, Any],
         timers: GpuTimers,
     ) -> None:
-        """Draw splats into a texture of four floats and, with WITH_DEPTH, one of two (weighted depth and weight).
+        """Draw splats into a texture of four floats.
+
+        With WITH_DEPTH there is one of two (weighted depth and weight), with LAMPS one of four (the rain's light of
+        lamps).
 
         Args:
             store: Projected splats.
             order: Slots, nearest first; their number is in the store's work.
             capacity: Largest number of visible splats.
             image: Textures of the same size.
-            switches: LINEAR_RAIN, WITH_DEPTH, MEDIUM, ELLIPSOIDS, OVERDRAW: macros of tile_blend.comp.
+            switches: LINEAR_RAIN, WITH_DEPTH, MEDIUM, LAMPS, ELLIPSOIDS, OVERDRAW: macros of tile_blend.comp.
             lights: Uniforms of tile_blend.comp for LINEAR_RAIN and MEDIUM.
             timers: For the stages `sort` and `draw`.
         """
@@ -187,7 +190,7 @@ class TileRasterizer:
         self,
         store: ProjectedSplatBuffer,
         strip: range,
-        image: tuple[moderngl.Texture, moderngl.Texture | None],
+        image: tuple[moderngl.Texture, moderngl.Texture | None, moderngl.Texture | None],
         switches: Switches,
         lights: Mapping[str, Any],
     ) -> None:
@@ -196,10 +199,12 @@ class TileRasterizer:
         set_uniforms(shader, **lights)
         store.bind_records()
         self._starts.bind(_COUNTS)
-        picture, depths = image
+        picture, depths, lamp_lights = image
         picture.bind_to_image(_PICTURE, read=False, write=True)
         if depths is not None:
             depths.bind_to_image(_DEPTHS, read=False, write=True)
+        if lamp_lights is not None:
+            lamp_lights.bind_to_image(_LAMP_LIGHTS, read=False, write=True)
         shader.run(self._tiles[0], len(strip))
         self._context.memory_barrier()
 
