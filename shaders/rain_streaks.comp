@@ -29,9 +29,7 @@ uniform float aperture;       // diameter of the lens opening (m)
 uniform float focus;          // distance that is sharp (m)
 uniform vec4 scan;            // rolling shutter: duration (s), and its course over x/z, y/z, and from the axis
 uniform uint max_copies;
-#ifndef LAMPS
 uniform vec3 display_color;
-#endif
 
 const float PI = 3.14159265358979;
 const float MAX_STRETCH = 2.0;
