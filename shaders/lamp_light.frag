@@ -8,7 +8,7 @@
 
 uniform sampler2D picture;     // premultiplied display color
 uniform sampler2D drop_light;  // linear
-uniform sampler2D depths;      // weighted depth along the axis (m) and weight, of the scene alone
+uniform sampler2D depths;      // of the scene alone: green the weight, blue weighted shares of depth
 uniform sampler3D lamp_table;  // linear light up to each slice, at the corners of cells: slices, columns, rows
 uniform float cell_px;
 uniform vec4 intrinsics;       // fx fy cx cy (px)
@@ -96,11 +96,12 @@ void main() {
     fragment = texelFetch(picture, pixel, 0);
     vec3 light = texelFetch(drop_light, pixel, 0).rgb;
 #ifdef MEDIUM
-    vec2 depth = texelFetch(depths, pixel, 0).rg;
-    float share = clamp(depth.y, 0.0, 1.0);
+    vec2 depth = texelFetch(depths, pixel, 0).gb;
+    float share = clamp(depth.x, 0.0, 1.0);
     if (share > NO_WEIGHT) {
+        float mean = min(depth.y / depth.x, 1.0 - 1e-6);
         float slope = length(vec3((gl_FragCoord.xy - intrinsics.zw) / intrinsics.xy, 1.0));
-        light += share * scattered_light(gl_FragCoord.xy, min(slope * depth.x / depth.y, FAR));
+        light += share * scattered_light(gl_FragCoord.xy, min(slope * SLICE_SCALE * mean / (1.0 - mean), FAR));
     }
     if (share < 1.0 - NO_WEIGHT) light += (1.0 - share) * scattered_light(gl_FragCoord.xy, FAR);
 #endif

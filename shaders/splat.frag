@@ -44,6 +44,9 @@ void main() {
 #endif
 #ifdef WITH_DEPTH
     weighted_depth = vec4(view_depth * scene_alpha, scene_alpha, 0.0, scene_alpha);
+#ifdef LAMPS
+    weighted_depth.z = view_depth / (view_depth + 16.0) * scene_alpha;  // as share_of_depth in lamp_light.py
+#endif
 #endif
 #ifdef LAMPS
     lamp_light = vec4(color_log_alpha.rgb * (alpha - scene_alpha), alpha);

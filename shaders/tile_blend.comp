@@ -15,7 +15,11 @@ layout(std430, binding = 4) readonly buffer Starts { uint starts[]; };  // of ea
 
 layout(rgba32f, binding = 0) writeonly uniform image2D picture;
 #ifdef WITH_DEPTH
+#ifdef LAMPS
+layout(rgba32f, binding = 1) writeonly uniform image2D depths;  // also weighted share_of_depth, as in lamp_light.py
+#else
 layout(rg32f, binding = 1) writeonly uniform image2D depths;  // weighted depth and weight, of the scene alone
+#endif
 #endif
 
 #ifdef LAMPS
@@ -53,6 +57,7 @@ void main() {
     vec2 weighted_depth = vec2(0.0);
     float open_scene = 1.0;
     vec3 lamp_light = vec3(0.0);
+    float depth_share = 0.0;
     uint first = starts[tile], last = starts[tile + 1u];
     for (uint start = first; start < last; start += BATCH) {
         if (thread == 0u) unfinished = 0u;
@@ -112,6 +117,9 @@ void main() {
             if (!is_rain) {
                 float depth_weight = alpha * open_scene;
                 weighted_depth += depth_weight * vec2(x.w, 1.0);
+#ifdef LAMPS
+                depth_share += depth_weight * x.w / (x.w + 16.0);
+#endif
                 open_scene -= depth_weight;
             }
 #endif
@@ -135,7 +143,7 @@ void main() {
 #endif
     imageStore(picture, ivec2(pixel), scene);
 #ifdef WITH_DEPTH
-    imageStore(depths, ivec2(pixel), vec4(weighted_depth, 0.0, 0.0));
+    imageStore(depths, ivec2(pixel), vec4(weighted_depth, depth_share, 0.0));
 #endif
 #ifdef LAMPS
     imageStore(lamp_lights, ivec2(pixel), vec4(lamp_light, 0.0));

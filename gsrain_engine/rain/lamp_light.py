@@ -321,16 +321,22 @@ def scattered_light(column, row, distance, light, table, cell_px, intrinsics, la
         light[channel] = max(light[channel], np.float32(0))
 
 
-def light_in_picture(
-    lit: LampLight, weighted_depth: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
-) -> Float32[np.ndarray, "h w 3"]:
-    """Linear light that the medium scatters into each pixel, before a scene of which it has depths along the axis.
+def share_of_depth(depth_m: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
+    """Depth over itself and `SLICE_SCALE_M`: 0 at the camera, 1 at infinity."""
+    return depth_m / (depth_m + np.float32(SLICE_SCALE_M))
 
-    `weight` is the scene's share of a pixel, `weighted_depth` that times the depth in m; the rest is the sky.
+
+def light_in_picture(
+    lit: LampLight, depth_share: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Linear light that the medium scatters into each pixel, before a scene at depths along the axis.
+
+    `weight` is the scene's share of a pixel, `depth_share` the sum of each splat's times its `share_of_depth`, in which
+    the table is linear, so that what shows through gaps does not move the mean; the rest is the sky.
     """
     image = np.empty((*weight.shape, 3), np.float32)
     _light_in_picture(
-        weighted_depth, weight, image, lit.table, np.float32(lit.cell_px), lit.intrinsics, lit.lamps, lit.numbers,
+        depth_share, weight, image, lit.table, np.float32(lit.cell_px), lit.intrinsics, lit.lamps, lit.numbers,
         lit.drawn, lit.sums,
     )  # fmt: skip
     return image
@@ -339,7 +345,7 @@ def light_in_picture(
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _light_in_picture(
-    weighted_depth, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
+    depth_share, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
 ):  # fmt: skip
     height, width = weight.shape
     one, far = np.float32(1), np.float32(FAR_M)
@@ -352,7 +358,8 @@ def _light_in_picture(
             image[row, column] = 0
             if share > np.float32(NO_WEIGHT):
                 slope = np.sqrt(one + across * across + down * down)
-                distance = min(slope * weighted_depth[row, column] / weight[row, column], far)
+                mean = min(depth_share[row, column] / weight[row, column], np.float32(1 - 1e-6))
+                distance = min(slope * np.float32(SLICE_SCALE_M) * mean / (one - mean), far)
                 scattered_light(x, y, distance, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
                 for channel in range(3):
                     image[row, column, channel] = share * light[channel]

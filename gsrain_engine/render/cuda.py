@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
 from ..rain.frame import RainFrame
-from ..rain.lamp_light import LampLight, light_in_picture
+from ..rain.lamp_light import SLICE_SCALE_M, LampLight, light_in_picture
 from ..rain.medium import RainMedium
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
@@ -86,9 +86,9 @@ class CudaRenderer:
                 drops = DrawItem(falling, np.eye(4))
                 slabs = split_into_depth_slabs(project([drops], camera, [np.ones(drops.drawn_count, np.bool_)]))
         with self._timed("draw"):
-            image, alpha = self._composited(scene, camera, slabs)
+            image, alpha = self._composited(scene, camera, slabs, is_lit=lit is not None)
             rgba, depth, weight = torch.cat([image[..., :3], alpha], dim=-1), None, alpha[..., 0]
-            edges = image[..., 4:]
+            edges = image[..., 4 if lit is None else 5 :]
             if medium is not None:  # a layer behind the scene
                 sky = (1 - alpha) * torch.as_tensor(sky_layer(medium, camera), device=self._device)
                 rgba = rgba + sky
@@ -104,7 +104,7 @@ class CudaRenderer:
             self.statistics.gaussians += len(falling)
         if lit is not None:
             with self._timed("rain"):
-                weights = image[..., 3], weight
+                weights = image[..., 4], weight
                 rgba = _lit_by_lamps(rgba, weights if medium is not None else None, drop_light, lit)
         self._frame = rgba, depth
         self._arrays.release_unused()
@@ -117,10 +117,21 @@ class CudaRenderer:
     def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         return self.read().to_uint8(background)
 
-    def _composited(self, scene: "CameraSpace", camera: Camera, slabs: "DepthSlabs | None") -> tuple[Tensor, Tensor]:
-        """Blend color, depth and, for rain, one channel per slab edge: (h, w, 4 + edges) and alpha (h, w, 1)."""
+    def _composited(
+        self, scene: "CameraSpace", camera: Camera, slabs: "DepthSlabs | None", *, is_lit: bool
+    ) -> tuple[Tensor, Tensor]:
+        """Blend color, depth and, for rain, one channel per slab edge: (h, w, 4 + edges) and alpha (h, w, 1).
+
+        With light of lamps the share of depth comes before the edges.
+        """
         depths = scene.means[:, 2]
-        channels = [scene.colors, depths[:, None], *([slab_edge_channels(depths, slabs)] if slabs is not None else [])]
+        shares = [(depths / (depths + SLICE_SCALE_M))[:, None]] if is_lit else []
+        channels = [
+            scene.colors,
+            depths[:, None],
+            *shares,
+            *([slab_edge_channels(depths, slabs)] if slabs is not None else []),
+        ]
         colors = torch.cat(channels, dim=1)
         if not len(depths):  # gsplat rejects an empty scene
             blank = torch.zeros((camera.height, camera.width, colors.shape[1] + 1), device=self._device)

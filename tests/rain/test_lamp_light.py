@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.frame import RainCamera
-from gsrain_engine.rain.lamp_light import light_in_picture, light_of_drops
+from gsrain_engine.rain.lamp_light import light_in_picture, light_of_drops, share_of_depth
 from gsrain_engine.rain.phase import ANGLES, fog_phase, rain_phase
 from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.rain.simulation import RainSimulation
@@ -88,7 +88,9 @@ def light_at(frame, distance_m):
     camera = frame.view.camera
     x, y = np.meshgrid(np.arange(camera.width) + 0.5 - camera.cx, np.arange(camera.height) + 0.5 - camera.cy)
     depth = distance_m / np.sqrt(1 + (x / camera.fx) ** 2 + (y / camera.fy) ** 2)
-    return light_in_picture(frame.lamp_light, depth.astype(np.float32), np.ones(depth.shape, np.float32))
+    return light_in_picture(
+        frame.lamp_light, share_of_depth(depth.astype(np.float32)), np.ones(depth.shape, np.float32)
+    )
 
 
 def compare(frame, lamps, distance_m, count=40, steps=20_000):
@@ -154,8 +156,9 @@ def test_light_grows_with_distance_and_mixes_with_the_share_of_the_scene():
     size = frame.view.camera.height, frame.view.camera.width
     nothing = np.zeros(size, np.float32)
     assert light_in_picture(frame.lamp_light, nothing, nothing) == pytest.approx(sky, rel=1e-3, abs=1e-6)
-    half = light_in_picture(frame.lamp_light, np.full(size, 10.0, np.float32), np.full(size, 0.5, np.float32))
-    full = light_in_picture(frame.lamp_light, np.full(size, 20.0, np.float32), np.ones(size, np.float32))
+    depth = share_of_depth(np.full(size, 20.0, np.float32))
+    half = light_in_picture(frame.lamp_light, 0.5 * depth, np.full(size, 0.5, np.float32))
+    full = light_in_picture(frame.lamp_light, depth, np.ones(size, np.float32))
     assert half == pytest.approx(0.5 * (full + sky), rel=1e-3, abs=1e-6)
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float32, Int32, UInt8
 
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
-from ...rain.lamp_light import LampLight, light_in_picture
+from ...rain.lamp_light import LampLight, light_in_picture, share_of_depth
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
@@ -71,14 +71,7 @@ class CpuRenderer:
         with timed(stages, "draw"):
             sky = sky_layer(medium, camera) if medium is not None else None
             if rain is not None and lit is not None:
-                light = np.zeros((camera.height, camera.width, 3), np.float32)
-                rgba, weighted, weight = composite_in_rain(
-                    splats.shapes, splats.colors, rain.light_linear, tiles, sky, light
-                )
-                if medium is not None:
-                    light += light_in_picture(lit, weighted, weight)
-                add_light(rgba, light)
-                self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
+                self._frame = _draw_lit(splats, tiles, rain, lit, sky, with_depth=with_depth)
             elif rain is not None and falling and rain.is_linear:
                 rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles, sky)
                 self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
@@ -120,6 +113,29 @@ def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth
         t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
         rgba = _heat_where(t.astype(np.float32), depth > 0)
     return Frame(rgba, depth)
+
+
+def _draw_lit(
+    splats: Splats,
+    tiles: TileLists,
+    rain: RainFrame,
+    lit: LampLight,
+    sky: Float32[np.ndarray, "h w 4"] | None,
+    *,
+    with_depth: bool,
+) -> Frame:
+    """Draw scene and rain with the light of lamps; `sky` is the layer of the medium, None without one."""
+    light = np.zeros((tiles.height, tiles.width, 3), np.float32)
+    channels = splats.colors.copy()
+    channels[:, 3] = share_of_depth(channels[:, 3])
+    rgba, shares, weight = composite_in_rain(splats.shapes, channels, rain.light_linear, tiles, sky, light)
+    if sky is not None:
+        light += light_in_picture(lit, shares, weight)
+    add_light(rgba, light)
+    if not with_depth:
+        return Frame(rgba)
+    _, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
+    return Frame(rgba, expected(weighted, weight, MIN_WEIGHT))
 
 
 def _draw_behind_veil(

@@ -63,7 +63,7 @@ class Framebuffer:
         # Without rain the second attachment only keeps the location of the third.
         with_shares = layout.shares or layout.depth
         shares = context.texture(layout.size, 2, dtype="f4") if with_shares else None
-        depth = context.texture(layout.size, 2, dtype="f4") if layout.depth else None
+        depth = context.texture(layout.size, 4 if layout.lamps else 2, dtype="f4") if layout.depth else None
         lamps = context.texture(layout.size, 4, dtype="f4") if layout.lamps else None
         check_gpu_memory(context, 16 * layout.size[0] * layout.size[1])
         attachments = [each for each in (color, shares, depth, lamps) if each is not None]
