@@ -24,7 +24,7 @@ SLICE_SCALE_M = 16.0  # half of the slices are nearer
 FAR_M = 1e6
 CELL_PX = 4  # least distance of the table's rays
 COLUMNS = 128  # of the table at full resolution
-FLOOR_CELLS = 3.0
+FLOOR_CELLS = 2.0
 """Floor of b in the table, in cells at the lamp's distance."""
 REACH = 3.0
 """Distance from a lamp in floors at which the table is exact to half a percent; pixels nearer take an integral."""

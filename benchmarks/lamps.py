@@ -1,0 +1,74 @@
+"""Time of a rainy frame of the built-in street by number of lamps: light of lamps costs by lamps and pixels.
+
+Prints JSON: the least of some frames in ms. Lamps stand on both sides of the road, half of them with a cone.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.editor.viewport.camera import default_path
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.renderer import Renderer
+from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.scene.lamps import Lamp
+from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.scene import Scene
+
+NIGHT = (0.05, 0.05, 0.06)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--backend", default="cpu")
+    parser.add_argument("--sizes", default="320x200,1280x800")
+    parser.add_argument("--lamps", default="0,8,64")
+    parser.add_argument("--frames", type=int, default=5)
+    chosen = parser.parse_args()
+    street, rows = load_street(), []
+    for size in chosen.sizes.split(","):
+        width, height = map(int, size.split("x"))
+        path = default_path(street, width, height)
+        rainfall = RainSimulation.start(load_preset("8.5"))
+        shot = FrameSequence(street, rainfall, path, width, height, start_s=2.0).shot(0)
+        for count in map(int, chosen.lamps.split(",")):
+            scene = replace(street, lamps=lamps_before(shot, count))
+            with open_renderer(chosen.backend) as renderer:
+                rows.append(
+                    {"size": size, "lamps": count, "ms": shortest_ms(renderer, scene, rainfall, shot, chosen.frames)}
+                )
+    print(json.dumps({"backend": chosen.backend, "rows": rows}, indent=1))
+
+
+def lamps_before(shot: RenderView, count: int) -> tuple[Lamp, ...]:
+    """Lamps at both sides of the road ahead, from 5 to 85 m."""
+    eye, ahead = shot.camera.position, shot.camera.world_to_camera[2, :3]
+    side = np.cross(ahead, (0.0, 0.0, 1.0))
+    lamps: list[Lamp] = []
+    for k in range(count):
+        x, y, z = (eye + (5 + 80 * k / count) * ahead + (6 if k % 2 else -6) * side).tolist()
+        cone = 40.0 if k % 4 < 2 else 180.0
+        lamps.append(Lamp(position=(x, y, z + 2), intensity_m2=40.0, inner_deg=cone / 2, outer_deg=cone))
+    return tuple(lamps)
+
+
+def shortest_ms(renderer: Renderer, scene: Scene, rainfall: RainSimulation, shot: RenderView, frames: int) -> float:
+    """Shortest time of a frame that is read, after one that compiles the kernels."""
+    times: list[float] = []
+    for _ in range(frames + 1):
+        start = time.perf_counter()
+        draw_view(renderer, scene, rainfall, NIGHT, shot)
+        renderer.read_uint8()
+        times.append(time.perf_counter() - start)
+    return round(1000 * min(times[1:]), 1)
+
+
+if __name__ == "__main__":
+    main()
