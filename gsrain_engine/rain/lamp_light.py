@@ -179,21 +179,27 @@ def _scattered(ray, lamp, nearest, b, first, last, per_m, numbers, sums):
     `first` and `last`: angle atan((s - s0) / b), optical depth and distance at the ends of the piece; `per_m` is the
     medium's extinction between them.
     """
-    angle = np.float32(0.5) * (first[0] + last[0])
-    offset = b * np.tan(angle)
+    # The middle of the angles, without a tangent: the ends' unit vectors halved.
+    start, end = first[2] - nearest, last[2] - nearest
+    near, far = np.sqrt(start * start + b * b), np.sqrt(end * end + b * b)
+    offset = (start * far + end * near) / (near + far)
     at = min(max(nearest + offset, first[2]), last[2])
     offset = at - nearest
     vx, vy, vz = at * ray[0] - lamp[0], at * ray[1] - lamp[1], at * ray[2] - lamp[2]
     length = np.sqrt(b * b + offset * offset)
-    # The cone by Gauss's three points: its cosine is a sine of the angle along the ray.
-    along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
-    across = ((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) - along * offset) / b
-    turned = np.float32(0.7745967 * 0.5) * (last[0] - first[0])
-    sine, cosine, ahead = np.sin(turned), np.cos(turned), offset / length
-    one, other = along * ahead + across * b / length, along * b / length - across * ahead
-    lit = np.float32(8 / 18) * _cone(one, lamp) + np.float32(5 / 18) * (
-        _cone(cosine * one + sine * other, lamp) + _cone(cosine * one - sine * other, lamp)
-    )
+    lit = np.float32(1)
+    if lamp[10] > -1:
+        # By Gauss's three points: the cosine from the axis is a sine of the angle along the ray.
+        along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
+        across = ((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) - along * offset) / b
+        turned, ahead = np.float32(0.7745967 * 0.5) * (last[0] - first[0]), offset / length
+        one, other = along * ahead + across * b / length, along * b / length - across * ahead
+        lit = _cone(one, lamp)
+        if turned > np.float32(0.02):
+            sine, cosine = np.sin(turned), np.cos(turned)
+            lit = np.float32(8 / 18) * lit + np.float32(5 / 18) * (
+                _cone(cosine * one + sine * other, lamp) + _cone(cosine * one - sine * other, lamp)
+            )
     if lit <= 0 or per_m <= 0:
         return np.float32(0)
     depth = first[1] + per_m * (at - first[2]) + _depth_from_lamp(vx, vy, vz, length, lamp, numbers)
@@ -235,10 +241,15 @@ def _fill(table, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
                     if last > first:
                         per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
                         steps = np.int32(np.ceil((last - first) / longest))
-                        start = _place(first, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+                        start = (first, depths[k - 1], distances[k - 1])
+                        if first > before:
+                            start = _place(first, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
                         for step in range(1, steps + 1):
-                            angle = first + (last - first) * np.float32(step) / np.float32(steps)
-                            end = _place(angle, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+                            if step == steps and last == after:
+                                end = (last, depths[k], distances[k])
+                            else:
+                                angle = first + (last - first) * np.float32(step) / np.float32(steps)
+                                end = _place(angle, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
                             total += _scattered(ray, lamp, nearest, b, start, end, per_m, numbers, sums)
                             start = end
                     before = after
