@@ -15,7 +15,7 @@ uniform vec4 intrinsics;       // fx fy cx cy (px)
 
 out vec4 fragment;
 
-const float QUARTER = 1.57079632679490, STEP = QUARTER / 8.0, NO_WEIGHT = 1e-3;
+const float QUARTER = 1.57079632679490, STEP = QUARTER / 8.0, NO_WEIGHT = 1e-3, OPAQUE = 0.98;
 const float SLICES = 40.0, SLICE_SCALE = 16.0, FAR = 1e6, REACH = 3.0;
 
 // Light of lamp i, over its intensity, scattered along a ray up to a distance; `b` as its distance from the ray.
@@ -97,13 +97,13 @@ void main() {
     vec3 light = texelFetch(drop_light, pixel, 0).rgb;
 #ifdef MEDIUM
     vec2 depth = texelFetch(depths, pixel, 0).gb;
-    float share = clamp(depth.x, 0.0, 1.0);
+    float share = depth.x > OPAQUE ? 1.0 : max(depth.x, 0.0);
     if (share > NO_WEIGHT) {
         float mean = min(depth.y / depth.x, 1.0 - 1e-6);
         float slope = length(vec3((gl_FragCoord.xy - intrinsics.zw) / intrinsics.xy, 1.0));
         light += share * scattered_light(gl_FragCoord.xy, min(slope * SLICE_SCALE * mean / (1.0 - mean), FAR));
     }
-    if (share < 1.0 - NO_WEIGHT) light += (1.0 - share) * scattered_light(gl_FragCoord.xy, FAR);
+    if (share < 1.0) light += (1.0 - share) * scattered_light(gl_FragCoord.xy, FAR);
 #endif
     fragment.rgb = mix(fragment.rgb, linear_to_srgb(srgb_to_linear(fragment.rgb) + light), greaterThan(light, vec3(0.0)));
 }
