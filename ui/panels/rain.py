@@ -21,6 +21,7 @@ from gsrain_engine.rain.settings import (
     RegionBox,
     load_preset,
 )
+from gsrain_engine.scene.lamp_choice import HEADLIGHTS, NO_LAMPS, load_lamps
 from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 
 from ..widgets import fields
@@ -50,7 +51,7 @@ _PRESETS_PER_ROW = 3
 PICK_TOOL = "Pick sky color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
-GROUPS = (_WIND, "Regions", "Physics", "Camera", "Appearance")
+GROUPS = (_WIND, "Regions", "Physics", "Camera", "Lamps", "Appearance")
 """Headings below which the fields with this `group` are drawn."""
 
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."
@@ -80,6 +81,8 @@ def rain_panel(
                     continue
                 if each.name == "sensor":
                     _sensor(document, viewport, live_rain, status)
+                elif each.name == "lamps":
+                    _lamps(document, status)
                 elif each.kind is RegionBox:
                     _region(document, viewport, each.name)
                 else:
@@ -211,6 +214,36 @@ def _use(document: Document, status: StatusBus, path: Path) -> None:
         status.report(error)
     else:
         document.change_rain("Sensor", sensor=str(path))
+
+
+_LAMP_TITLES = {None: "the scene's own", NO_LAMPS: "none", HEADLIGHTS: "headlights of all vehicles"}
+
+
+def _lamps(document: Document, status: StatusBus) -> None:
+    """Choose the lamps that light the rain."""
+    own = document.rain.lamps
+    names = [*_LAMP_TITLES, *([own] if own not in _LAMP_TITLES else [])]
+    fields.field_label("lamps")
+    imgui.set_next_item_width(-fields.keyframe_button_width())
+    titles = [_LAMP_TITLES.get(each) or Path(each or "").name for each in names]
+    changed, at = imgui.combo("##lamps", names.index(own), titles)
+    if changed:
+        document.change_rain("Lamps", lamps=names[at])
+    imgui.same_line()
+    if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose lamps"):
+        kinds = "Lamps{.json,.yaml,.yml}"
+        fields.ask_what_to_open("Lamps", kinds, lambda chosen: _use_lamps(document, status, chosen[0]))
+    imgui.set_item_tooltip("Choose a file of lamps...")
+
+
+def _use_lamps(document: Document, status: StatusBus, path: Path) -> None:
+    """Use a file of lamps, if it can be read."""
+    try:
+        load_lamps(path)
+    except (ValueError, OSError) as error:
+        status.report(error)
+    else:
+        document.change_rain("Lamps", lamps=str(path))
 
 
 @cache
