@@ -80,7 +80,7 @@ class SequenceConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
 
 class RealRainConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What differed between the days of a data set, as far as it is known or estimated."""
+    """Differences between the days of a data set, as far as they are known or estimated."""
 
     sequences: Annotated[tuple[SequenceConditions, ...], Meta(
         title="Sequences", description="Conditions of each sequence, found by its intensity.")]  # fmt: skip
