@@ -25,7 +25,7 @@ _LOW_BEAM = (0.998, 0.0, -0.06)  # direction: half a degree below what dazzles, 
 _EGO_LAMPS = (
     ("left", (2.1, 0.62, -0.85)),
     ("right", (2.1, -0.62, -0.85)),
-)  # in the frame of the ego, 1.5 m above the road
+)  # in the ego frame
 
 
 def lanterns(layout: StreetLayout) -> tuple[Lamp, ...]:
@@ -64,10 +64,7 @@ def vehicle_lamps(actor_id: str, shape: CarShape) -> tuple[Lamp, ...]:
 
 def ego_lamps() -> tuple[Lamp, ...]:
     """Low beams of the ego vehicle."""
-    return tuple(
-        _headlight(f"ego {name} headlight", place, "ego")
-        for name, place in zip(("left", "right"), _EGO_LAMPS, strict=True)
-    )
+    return tuple(_headlight(f"ego {name} headlight", place, "ego") for name, place in _EGO_LAMPS)
 
 
 def _headlight(name: str, position: tuple[float, float, float], mount: str) -> Lamp:
