@@ -15,7 +15,7 @@ from .buildings import build_houses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
 from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
-from .lighting import LIGHTINGS, Illumination, LightingName
+from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .night import Windows, ego_lamps, lanterns, vehicle_lamps
 from .trucks import build_parked_trucks
@@ -38,24 +38,17 @@ class StreetSurfaces:
     lead: Quads
     """The lead car and its shadow, in the object frame."""
 
-    @property
-    def clear_light(self) -> LightingName:
-        return "night" if self.layout.parameters.time_of_day == "night" else "sunny"
-
-    @property
-    def rainy_light(self) -> LightingName:
-        """Light when it rains: under clouds by day, the same by night."""
-        return "night" if self.layout.parameters.time_of_day == "night" else "overcast"
-
     def light(self, name: LightingName | None = None) -> Illumination:
         """Light of a name on the street; by default that of dry weather."""
-        lighting = LIGHTINGS[name or self.clear_light]
+        lighting = LIGHTINGS[name or LIGHT_OF[self.layout.parameters.time_of_day][0]]
         windows = Windows.of(self.layers["houses"]) if lighting.lamps else None
         return Illumination.over(self.layout.parameters, self.layout, lighting, windows)
 
     def lead_light(self, name: LightingName | None = None) -> Illumination:
         """Light on the lead car: the same sky without occlusion, as the car drives in and out of shadows."""
-        return Illumination.over(self.layout.parameters, lighting=LIGHTINGS[name or self.clear_light])
+        return Illumination.over(
+            self.layout.parameters, lighting=LIGHTINGS[name or LIGHT_OF[self.layout.parameters.time_of_day][0]]
+        )
 
 
 def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurfaces:
@@ -86,7 +79,8 @@ def street_name(parameters: StreetParameters) -> str:
 
 
 def scene_of(surfaces: StreetSurfaces) -> Scene:
-    light, clouds = surfaces.light(), surfaces.light(surfaces.rainy_light)
+    _, rainy = LIGHT_OF[surfaces.layout.parameters.time_of_day]
+    light, clouds = surfaces.light(), surfaces.light(rainy)
     layers = tuple(
         Layer(
             name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background",
@@ -97,7 +91,7 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     form = CAR_FORMS[_LEAD_SHAPE]
     p = surfaces.layout.parameters
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
-    wet_sh = wet_colors(surfaces.lead, surfaces.lead_light(surfaces.rainy_light))
+    wet_sh = wet_colors(surfaces.lead, surfaces.lead_light(rainy))
     lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p), wet_sh=wet_sh)
     lamps = (*lanterns(surfaces.layout), *vehicle_lamps(LEAD_ID, _LEAD_SHAPE), *ego_lamps())
     return Scene(

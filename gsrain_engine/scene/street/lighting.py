@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from ..geometry import linear_to_srgb
-from .layout import Label, StreetLayout, StreetParameters
+from .layout import Label, StreetLayout, StreetParameters, TimeOfDay
 from .mesh import Quads
 from .night import Windows, light_of_lamps, light_on_traffic
 from .shadows import ground_occlusion, sun_visibility
@@ -99,6 +99,8 @@ NIGHT = Lighting(
 )
 
 LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "night": NIGHT}
+LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {"day": ("sunny", "overcast"), "night": ("night",) * 2}
+"""Lighting in dry weather, and in rain."""
 
 
 @dataclass(frozen=True, slots=True)

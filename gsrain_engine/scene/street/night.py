@@ -109,9 +109,9 @@ class Windows:
         group, count = group.reshape(-1), int(group.max(initial=-1)) + 1
 
         def summed(values: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
-            return np.stack([np.bincount(group, values[:, k], count) for k in range(3)], axis=1)
+            return np.stack([np.bincount(group, values[:, k], count) for k in range(3)], axis=1).astype(np.float64)
 
-        area = np.bincount(group, areas, count)
+        area = np.bincount(group, areas, count).astype(np.float64)
         normals = summed(areas[:, None] * lit.normals.astype(np.float64))
         return cls(
             summed(areas[:, None] * middles) / area[:, None],
