@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-
 TimeOfDay = Literal["day", "night"]
 
 
