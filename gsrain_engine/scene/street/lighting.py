@@ -99,7 +99,10 @@ NIGHT = Lighting(
 )
 
 LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "night": NIGHT}
-LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {"day": ("sunny", "overcast"), "night": ("night",) * 2}
+LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {
+    "day": ("sunny", "overcast"),
+    "night": ("night", "night"),
+}
 """Lighting in dry weather, and in rain."""
 
 
