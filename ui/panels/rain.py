@@ -21,7 +21,6 @@ from gsrain_engine.rain.settings import (
     RegionBox,
     load_preset,
 )
-from gsrain_engine.scene.lamp_choice import HEADLIGHTS, NO_LAMPS, load_lamps
 from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 
 from ..widgets import fields
@@ -40,6 +39,7 @@ from ..widgets.fields import (
     warn,
 )
 from ..widgets.text import readings
+from .lamps import lamp_fields
 
 _PRESETS = {
     "clear": "No rain", "1.2": "Light 1.2", "5": "Moderate 5", "8.5": "Paper 8.5", "12.0": "Heavy 12",
@@ -82,7 +82,7 @@ def rain_panel(
                 if each.name == "sensor":
                     _sensor(document, viewport, live_rain, status)
                 elif each.name == "lamps":
-                    _lamps(document, status)
+                    lamp_fields(document, viewport, status)
                 elif each.kind is RegionBox:
                     _region(document, viewport, each.name)
                 else:
@@ -214,36 +214,6 @@ def _use(document: Document, status: StatusBus, path: Path) -> None:
         status.report(error)
     else:
         document.change_rain("Sensor", sensor=str(path))
-
-
-_LAMP_TITLES = {None: "the scene's own", NO_LAMPS: "none", HEADLIGHTS: "headlights of all vehicles"}
-
-
-def _lamps(document: Document, status: StatusBus) -> None:
-    """Choose the lamps that light the rain."""
-    own = document.rain.lamps
-    names = [*_LAMP_TITLES, *([own] if own not in _LAMP_TITLES else [])]
-    fields.field_label("lamps")
-    imgui.set_next_item_width(-fields.keyframe_button_width())
-    titles = [_LAMP_TITLES.get(each) or Path(each or "").name for each in names]
-    changed, at = imgui.combo("##lamps", names.index(own), titles)
-    if changed:
-        document.change_rain("Lamps", lamps=names[at])
-    imgui.same_line()
-    if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose lamps"):
-        kinds = "Lamps{.json,.yaml,.yml}"
-        fields.ask_what_to_open("Lamps", kinds, lambda chosen: _use_lamps(document, status, chosen[0]))
-    imgui.set_item_tooltip("Choose a file of lamps...")
-
-
-def _use_lamps(document: Document, status: StatusBus, path: Path) -> None:
-    """Use a file of lamps, if it can be read."""
-    try:
-        load_lamps(path)
-    except (ValueError, OSError) as error:
-        status.report(error)
-    else:
-        document.change_rain("Lamps", lamps=str(path))
 
 
 @cache

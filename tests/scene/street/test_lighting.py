@@ -16,7 +16,7 @@ from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.street.build import quads_to_gaussians, scene_of, street_surfaces
 from gsrain_engine.scene.street.layout import Label
-from gsrain_engine.scene.street.lighting import LIGHTINGS, canyon_share, overcast_share
+from gsrain_engine.scene.street.lighting import canyon_share, overcast_share
 from gsrain_engine.scene.street.vegetation import overcast_luminance, overcast_sky_display
 from gsrain_engine.scene.street.wet_surfaces import puddles, reflecting, wet_materials
 from gsrain_engine.simulation.traffic.appearance import built_in_vehicle
@@ -110,7 +110,7 @@ def test_nothing_under_clouds_has_a_sunny_side(surfaces):
     """Sunlit and shaded road differ by more than twice under the sun, and hardly under clouds."""
     quads = surfaces.layers["road"]
     lane = quads.take((np.abs(quads.centers[:, 1]) < 3) & (quads.labels == Label.ROAD) & (quads.opacity > 0.9))
-    sunny, overcast = (surfaces.light(name).light_on(lane, lane.centers) @ LUMINANCE for name in LIGHTINGS)
+    sunny, overcast = (surfaces.light(name).light_on(lane, lane.centers) @ LUMINANCE for name in ("sunny", "overcast"))
     assert np.percentile(sunny, 95) > 2 * np.percentile(sunny, 5)
     assert np.percentile(overcast, 95) < 1.45 * np.percentile(overcast, 5)
 
