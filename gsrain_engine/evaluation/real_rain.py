@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from ..datasets.rainsense import RainSequence
 from ..presets import load_config
+from ..rain.frame import SkyLight
 from ..rain.settings import HEAVIEST_MM_H, RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_response import light_of_display, stored_jpeg, tone_curve
@@ -113,7 +114,7 @@ def rain_shares(
     for time_s in times_s:
         shot = RenderView(camera, time_s=float(time_s))
         view = rain_camera(_NO_SCENE, rainfall, shot)
-        renderer.draw([], camera, rainfall.frame(shot.time_s, view, (1.0, 1.0, 1.0)))
+        renderer.draw([], camera, rainfall.frame(shot.time_s, view, SkyLight.uniform((1.0, 1.0, 1.0))))
         yield renderer.read().rgba[..., 3].copy()
 
 
