@@ -40,6 +40,9 @@ _TYPICAL_MM, _TYPICAL_SPREAD = 1.3, 0.25
 """Volume-weighted mean diameter E[D^4] / E[D^3] of rain and its relative spread: 1.05 mm at 1.2 mm/h to 1.6 mm at 12
 mm/h in the gamma laws fitted to Locarno's Parsivel minutes of 2018 (docs/physics.md)."""
 
+_MIN_SHARP = 0.5
+"""Share of a streak's length that is not blur, at least."""
+
 _SLOWNESS_ERROR = 0.06
 """Relative error of V / D from streaks: V / D hardly depends on D, so that the diameter follows from it to 25 %."""
 
@@ -97,7 +100,9 @@ def measure_rain_rate(
     counted = width_px > cutoff
     area = np.array([areas.area_px2(*box) for box in streaks.half_box_px[counted].tolist()])
     water = np.pi / 6 * 3 * cutoff**3 / focal_px * float(np.mean(1 / area)) * len(area) / len(frames)
-    slowness = float(np.median(streaks.fall_px[counted] / width_px[counted])) / exposure_s
+    blur_px2 = np.maximum(streaks.across_px**2 - width_px**2, 0)
+    fall_px = np.sqrt(np.maximum(streaks.fall_px**2 - blur_px2, (_MIN_SHARP * streaks.fall_px) ** 2))
+    slowness = float(np.median(fall_px[counted] / width_px[counted])) / exposure_s
     diameter_mm = _diameter_mm(slowness, fall_speed)
     speed = float(fall_speed(np.array([diameter_mm]))[0])
     rate = 3.6e6 * water * speed
@@ -205,14 +210,16 @@ class _Streaks:
     """Integral of the luminance that it adds."""
     fall_px: Float64[np.ndarray, " n"]
     """Vertical length: the light over that of a row in the middle, times the cosine of the angle."""
+    across_px: Float64[np.ndarray, " n"]
+    """Width: the light over that of a column in the middle. Blur adds its square to that, and to the squared length."""
     background: Float64[np.ndarray, " n"]
     """Luminance behind it."""
 
     @classmethod
     def of(cls, found: LightResiduals) -> "_Streaks":
         rows = [row for values in found.values for row in _measured(values, found)]
-        table = np.array(rows, np.float64).reshape(-1, 7)
-        return cls(table[:, :2], table[:, 2:4], *(np.ascontiguousarray(table[:, k]) for k in (4, 5, 6)))
+        table = np.array(rows, np.float64).reshape(-1, 8)
+        return cls(table[:, :2], table[:, 2:4], *(np.ascontiguousarray(table[:, k]) for k in range(4, 8)))
 
     def __getitem__(self, chosen: Bool[np.ndarray, " n"]) -> "_Streaks":
         return _Streaks(*(getattr(self, each.name)[chosen] for each in fields(self)))
@@ -263,9 +270,9 @@ def _measured(values: Float32[np.ndarray, "h w"], found: LightResiduals) -> Iter
         half_length, half_width = each.length / 2 + margin, each.width / 2 + margin
         sine, cosine = np.sin(each.angle), np.cos(each.angle)
         box = half_width * cosine + half_length * abs(sine), half_length * cosine + half_width * abs(sine)
-        light, length, background = _photometry(values, found.background, each, half_length, half_width)
+        light, length, across, background = _photometry(values, found.background, each, half_length, half_width)
         if light > 0:
-            yield each.x, each.y, *box, light, length * cosine, background
+            yield each.x, each.y, *box, light, length * cosine, across, background
 
 
 def _candidates(z: Float32[np.ndarray, "h w"]) -> Iterator[_Candidate]:
@@ -321,8 +328,8 @@ def _overlap(one: _Candidate, other: _Candidate) -> bool:
 def _photometry(
     values: Float32[np.ndarray, "h w"], background: Float32[np.ndarray, "h w"], streak: _Candidate,
     half_length: float, half_width: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Light of a streak (px2) less its surroundings at both sides, its length (px), and its background."""
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Light of a streak (px2) less its surroundings at both sides, its length and width (px), and its background."""
     along, across = int(np.ceil(half_length)), int(np.ceil(2 * half_width + 4))
     sine, cosine = np.sin(streak.angle), np.cos(streak.angle)
     axes = np.array([[cosine, sine], [-sine, cosine]])
@@ -330,13 +337,17 @@ def _photometry(
     matrix, size = np.column_stack([axes, corner]), (2 * across + 1, 2 * along + 1)
     turned = cv2.warpAffine(values, matrix, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     inside = np.abs(np.arange(-across, across + 1)) <= half_width
-    profile = (turned[:, inside] - turned[:, ~inside].mean()).sum(axis=1)
+    net = turned[:, inside] - turned[:, ~inside].mean()
+    profile = net.sum(axis=1)
     smooth = np.convolve(profile, np.ones(3) / 3, "same")
     third = max(round(streak.length / 6), 1)
     height = float(smooth[max(along - third, 0) : along + third + 1].mean())
     if height <= 0 or (light := float(profile.sum())) <= 0:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     core = np.abs(np.arange(-across, across + 1)) <= max(streak.width / 2, 1)
     behind = cv2.warpAffine(background, matrix, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     middle = slice(max(along - round(streak.length / 2), 0), along + round(streak.length / 2) + 1)
-    return light, light / height, float(behind[middle][:, core].mean())
+    columns = net[middle].sum(axis=0)
+    peak = float(columns[len(columns) // 2 - 1 : len(columns) // 2 + 2].mean())
+    across_px = float(columns.sum()) / peak if peak > 0 else 0.0
+    return light, light / height, across_px, float(behind[middle][:, core].mean())

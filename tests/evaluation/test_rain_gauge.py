@@ -1,15 +1,16 @@
 """The rain gauge reads the rate that was set from frames alone; single drops give width, length and area."""
 
+import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.rain_gauge import light_residuals, measure_rain_rate
+from gsrain_engine.evaluation.rain_gauge import _Streaks, light_residuals, measure_rain_rate
 from gsrain_engine.evaluation.real_rain import render_rain_frames
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.geometry import srgb_to_linear
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 
 WIDTH, HEIGHT, FOCAL_PX = 960, 600, 960.0
 SHUTTER_S, SKY = 0.002, 215.0
@@ -64,3 +65,23 @@ def test_frames_without_sky_or_too_few_are_refused():
         measure_rain_rate(frames[:, HEIGHT // 2 :], FOCAL_PX, SHUTTER_S, FALL_SPEED)
     with pytest.raises(ValueError, match="4 frames"):
         light_residuals(frames[:4])
+
+
+def test_blur_of_the_lens_is_not_taken_as_length():
+    """A disk of 12 px blurs a streak of 4 x 40 px; the gauge's own figures give back its length."""
+    light = np.zeros((160, 120), np.float32)
+    light[60:100, 58:62] = 0.1
+    y, x = np.mgrid[-6:7, -6:7]
+    disk = (x**2 + y**2 <= 36).astype(np.float32)
+    blurred = cv2.filter2D(light, -1, disk / disk.sum())
+    frames = np.repeat(srgb_levels(0.02 + np.zeros_like(light))[None], 9, axis=0)
+    frames[4] = srgb_levels(0.02 + blurred)
+    streaks = _Streaks.of(light_residuals(frames))
+    assert len(streaks.fall_px) == 1
+    assert streaks.light_px2[0] == pytest.approx(16, rel=0.1)
+    assert 8 < streaks.across_px[0] < 14
+    assert streaks.fall_px[0] == pytest.approx(40, rel=0.15)
+
+
+def srgb_levels(linear):
+    return np.rint(255 * linear_to_srgb(linear)).astype(np.uint8)
