@@ -13,10 +13,12 @@ from ..rain.shelter_map import shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
+from ..scene.lamps import LitLamps
 from ..scene.lod_order import lod_growth
 from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from .camera_response import CameraResponse, metered_gain
+from .mirror import draw_mirror, has_mirror, reflecting_items
 from .renderer import Color, Renderer, RenderMode
 
 
@@ -63,19 +65,30 @@ def draw_view(
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
-    the scene is clear and dry. `thinning` leaves out some of
-    each part's Gaussians; `selection` tints selected ones.
+    the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out
+    some of each part's Gaussians; `selection` tints selected ones.
     """
     rain, wetness, overcast = None, 0.0, 0.0
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
-            lamps = rainfall.lamps.of(scene)
-            lit_lamps = scene.lamps_at(shot.time_s, lamps) if lamps else None
-            rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
+            lamps = _lit_lamps(scene, rainfall, shot)
+            rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lamps)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
     parts = subset_items(lit, thinning, shot.camera)
-    renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)
+    mirror = None
+    if rainfall is not None and rainfall.rain.mirror and look == "splats" and has_mirror(scene, shot.camera, wetness):
+        parts = reflecting_items(parts, scene)
+        lamps = _lit_lamps(scene, rainfall, shot)
+        mirror = draw_mirror(
+            renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness, sky, lamps
+        )
+    renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
+
+
+def _lit_lamps(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> LitLamps | None:
+    lamps = rainfall.lamps.of(scene)
+    return scene.lamps_at(shot.time_s, lamps) if lamps else None
 
 
 def read_picture(renderer: Renderer, response: CameraResponse | None) -> UInt8[np.ndarray, "h w 3"]:

@@ -19,6 +19,7 @@ from .lighting import LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
+from .water_map import street_water
 from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_materials
 
 LEAD_ID = "lead"
@@ -86,7 +87,10 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
     wet_sh = wet_colors(surfaces.lead, surfaces.lead_light("overcast"))
     lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p), wet_sh=wet_sh)
-    return Scene(name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p))
+    return Scene(
+        name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
+        water=street_water(surfaces.layout),
+    )  # fmt: skip
 
 
 def ego_track(p: StreetParameters) -> PoseTrack:
