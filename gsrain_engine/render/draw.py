@@ -11,6 +11,7 @@ from jaxtyping import Float64, UInt8
 from ..rain.frame import RainCamera
 from ..rain.shelter_map import shelter_map_of
 from ..rain.simulation import RainSimulation
+from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lamps import LitLamps
@@ -81,8 +82,9 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         lamps = _lit_lamps(scene, rainfall, shot)
         mirror = draw_mirror(
-            renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness, sky, lamps
-        )
+            renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
+            flooded_share(rainfall.state_at(shot.time_s).intensity_mm_h), sky, lamps,
+        )  # fmt: skip
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 
