@@ -11,6 +11,7 @@ from jaxtyping import Float64, UInt8
 from ..rain.frame import RainCamera, SkyLight
 from ..rain.shelter_map import shelter_map_of
 from ..rain.simulation import OVERCAST, RainSimulation
+from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
@@ -89,7 +90,7 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         mirror = draw_mirror(
             renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
-            sky.drops, lit_lamps,
+            flooded_share(rainfall.state_at(shot.time_s).intensity_mm_h), sky.drops, lit_lamps,
         )  # fmt: skip
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 

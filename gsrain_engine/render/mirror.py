@@ -53,6 +53,7 @@ def draw_mirror(
     rain: RainFrame | None,
     camera: Camera,
     wetness: float,
+    flooded: float,
     sky: Color,
     lamps: LitLamps | None,
 ) -> Mirror:
@@ -76,7 +77,7 @@ def draw_mirror(
     assert frame.depth is not None
     image = srgb_to_linear(np.maximum(frame.over(sky), 0)).astype(np.float32)
     extinction_per_m = 0.0 if medium is None else medium.extinction_per_m
-    return make_mirror(image, frame.depth, camera, ground_m, wetness, lamps, extinction_per_m)
+    return make_mirror(image, frame.depth, camera, ground_m, wetness, flooded, lamps, extinction_per_m)
 
 
 def _without_ground(item: DrawItem, found: GroundMembership) -> DrawItem:

@@ -115,12 +115,14 @@ def make_mirror(
     camera: Camera,
     ground_m: float,
     wetness: float,
+    flooded: float = 0.0,
     lamps: LitLamps | None = None,
     extinction_per_m: float = 0.0,
 ) -> Mirror:
     """Mirror of a camera from the picture and the depth (m, 0 where empty) of its `mirrored_camera`.
 
-    Both have the first row on top, as drawn. Lamps are added as images of points, whose light the medium dims.
+    Both have the first row on top, as drawn. A share `flooded` of the films is as smooth as standing water. Lamps are
+    added as images of points, whose light the medium dims.
     """
     image, depth = image_linear[::-1], depth[::-1]
     height, width = depth.shape
@@ -138,6 +140,7 @@ def make_mirror(
     if lamps is not None and len(lamps.positions_m):
         rows = _lamp_rows(lamps.brightest(camera.position))
         _add_lamps(light, sines, distances, to_world, intrinsics, rows, np.array(SLOPES), ground_m, extinction_per_m)
+    light[:, :, 0] += np.float32(flooded) * (light[:, :, 1] - light[:, :, 0])
     light *= np.float32(wetness)
     return Mirror(first_row, light)
 

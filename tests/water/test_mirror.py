@@ -8,6 +8,7 @@ import pytest
 
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
+from gsrain_engine.rain.wetness import flooded_share
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.scene.camera import Camera, look_at
@@ -104,8 +105,10 @@ def test_the_reflection_of_a_ball_is_where_geometry_puts_it():
 
 
 def test_films_reflect_blurred_and_higher_objects_more_blurred():
+    light = {"intensity_mm_h": 1.0}  # hardly floods a film
+
     def extent(scene):
-        both = picture(scene, mirror=False), picture(scene)
+        both = picture(scene, mirror=False, **light), picture(scene, **light)
         red = np.maximum((both[1] - both[0])[..., 0] - (both[1] - both[0])[..., 2], 0).sum(axis=1)
         rows = np.arange(len(red))
         mean = (red * rows).sum() / red.sum()
@@ -134,8 +137,8 @@ def test_lamps_have_long_reflections_under_their_mirror_image():
     lamp = Lamp(position=(14.0, 0.0, 0.8), intensity_m2=10.0)
     lamps = lit_lamps([(lamp, np.eye(4))])
     depth = np.zeros(image.shape[:2], np.float32)
-    light = make_mirror(image, depth, view, 0.0, 1.0, lamps).light[..., 0]
-    dimmed = make_mirror(image, depth, view, 0.0, 1.0, lamps, 0.05).light[..., 0]
+    light = make_mirror(image, depth, view, 0.0, 1.0, lamps=lamps).light[..., 0]
+    dimmed = make_mirror(image, depth, view, 0.0, 1.0, lamps=lamps, extinction_per_m=0.05).light[..., 0]
     film, standing = light[..., 0], light[..., 1]
     _, y, z = (view.world_to_camera @ np.array([14.0, 0.0, -0.8, 1.0]))[:3]
     at = 0.5 * (view.fy * y / z + view.cy) - first
@@ -159,7 +162,7 @@ def test_all_reflections_of_a_lamp_are_as_bright_as_its_mirror_image():
     first, last = rows_of_ground(view)
     lamps = lit_lamps([(Lamp(position=(8.0, 0.0, 4.0), intensity_m2=10.0), np.eye(4))])
     dark = np.zeros((last - first, 200, 3), np.float32)
-    standing = make_mirror(dark, dark[..., 0], view, 0.0, 1.0, lamps).light[:, :, 1, 0]
+    standing = make_mirror(dark, dark[..., 0], view, 0.0, 1.0, lamps=lamps).light[:, :, 1, 0]
     x, y = np.meshgrid(np.arange(200) + 0.5 - 100, np.arange(first, last) + 0.5 - 100)
     f = 0.5 * view.fx
     steradians = (1 + (x * x + y * y) / f**2) ** -1.5 / f**2
@@ -201,6 +204,17 @@ def test_half_as_wet_ground_reflects_half_as_much():
         image, depth = np.ones((last - first, 96, 3), np.float32), np.zeros((last - first, 96), np.float32)
         mirror_of[wetness] = make_mirror(image, depth, view, 0.0, wetness).light
     np.testing.assert_allclose(mirror_of[0.5], 0.5 * mirror_of[1.0], rtol=1e-6)
+
+
+def test_heavy_rain_floods_films():
+    assert flooded_share(0.0) == 0 and 0.05 < flooded_share(1.0) < 0.1
+    assert flooded_share(8.5) == pytest.approx(0.5, abs=0.05) and flooded_share(30.0) > 0.95
+    view = camera()
+    first, last = rows_of_ground(view)
+    image = np.random.default_rng(4).random((last - first, 96, 3), np.float32)
+    none, half, all_ = (make_mirror(image, image[..., 0] * 50, view, 0.0, 1.0, each).light for each in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(half[:, :, 0], 0.5 * (none + all_)[:, :, 0], atol=1e-6)
+    np.testing.assert_allclose(all_[:, :, 0], none[:, :, 1], atol=1e-6)
 
 
 def test_scene_folders_hold_the_map_of_water(tmp_path):
