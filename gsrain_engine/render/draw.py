@@ -8,9 +8,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from ..rain.frame import RainCamera
+from ..rain.frame import RainCamera, SkyLight
 from ..rain.shelter_map import shelter_map_of
-from ..rain.simulation import RainSimulation
+from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
@@ -18,7 +18,7 @@ from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from .camera_response import CameraResponse, metered_gain
 from .lamp_reflections import lamp_reflections
-from .renderer import Color, Renderer, RenderMode
+from .renderer import Renderer, RenderMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ def draw_view(
     renderer: Renderer,
     scene: Scene,
     rainfall: RainSimulation | None,
-    sky: Color,
+    sky: SkyLight,
     shot: RenderView,
     *,
     with_depth: bool = False,
@@ -103,7 +103,7 @@ def response_of(
     if sensor is None:
         return None
     if sensor.mean_gray is not None and key not in metered:
-        draw_view(renderer, scene, None, (0.0, 0.0, 0.0), shot)
+        draw_view(renderer, scene, None, OVERCAST, shot)
         metered[key] = metered_gain(renderer.read_uint8(), sensor)
     return CameraResponse(sensor, shot.camera, shot.time_s, rainfall.rain.seed, metered.get(key, 1.0))
 

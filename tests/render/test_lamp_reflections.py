@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.render.lamp_reflections import lamp_reflections
@@ -90,7 +91,7 @@ def test_lamps_of_the_scene_itself_do_not_light_dry_ground_twice():
     for lamps in ((), (beam,)):
         renderer = CpuRenderer()
         scene = Scene("road", (far,), ground_m=0.0, lamps=lamps)
-        draw_view(renderer, scene, None, (0.0, 0.0, 0.0), RenderView(camera()))
+        draw_view(renderer, scene, None, OVERCAST, RenderView(camera()))
         dark.append(renderer.read().rgba.sum())
     assert dark[0] == dark[1]  # baked into the scene's colors
 

@@ -188,9 +188,11 @@ def test_the_light_of_rain_is_gray_and_the_rest_stays_as_lit(street):
     """The airlight of the sunny street is blue, that of the overcast one gray; --preset paper and 0 mm/h stay sunny."""
     renderer = CpuRenderer()
     sky = sky_color(renderer, street, front(street))
-    assert sky.wet_color is not None
-    assert sky.at(0.0)[2] > sky.at(0.0)[0] + 0.05
-    assert max(sky.at(1.0)) - min(sky.at(1.0)) < 0.02
+    assert sky.wet_light is not None
+    for sunny, overcast in zip(sky.at(0.0), sky.at(1.0), strict=True):  # drops and airlight
+        assert sunny[2] > sunny[0] + 0.05
+        assert max(overcast) - min(overcast) < 0.02
+    assert max(sky.at(1.0).airlight) < min(sky.at(1.0).drops)  # CIE's overcast sky is darkest at the horizon
     sunny, _ = picture(street, 0.0)
 
     def drawn(rain, **fields):
