@@ -34,13 +34,13 @@ _GROUND_ALBEDO, _WET_ALBEDO = 0.075, 0.022
 
 
 def lamp_reflections(
-    fixed: LitLamps, moving: LitLamps, camera: Camera, ground_m: float, wetness: float
+    fixed: LitLamps, moving: LitLamps, camera: Camera, ground_m: float, wetness: float, *, mirrors: bool = True
 ) -> DrawItem | None:
     """Gaussians with the light that level ground at a height (m) sends to a camera; None if there is none.
 
     Light of `fixed` lamps on dry ground is part of the scene's own colors: they only add reflections in water, by
     wetness (0..1). Facets of water have Gaussian slopes, with Fresnel's law and Smith's shadowing; `moving` lamps light
-    matte asphalt, too.
+    matte asphalt, too. Without `mirrors` water reflects nothing.
     """
     lamps = LitLamps(*(np.concatenate(pair) for pair in zip(fixed, moving, strict=True)))
     height = float(camera.position[2]) - ground_m
@@ -59,7 +59,7 @@ def lamp_reflections(
     light = np.zeros((len(distances), _COLUMNS, 3))
     albedo = _GROUND_ALBEDO + wetness * (_WET_ALBEDO - _GROUND_ALBEDO)
     water = np.zeros((len(distances), _COLUMNS, 3))
-    _light_cells(light, water, distances, azimuths, eye, rows, len(fixed.positions_m), albedo, wetness > 0)
+    _light_cells(light, water, distances, azimuths, eye, rows, len(fixed.positions_m), albedo, mirrors and wetness > 0)
     r, k = np.nonzero((light + water).max(axis=2) > _MIN_LIGHT)
     if not len(r):
         return None
