@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from ..datasets.rainsense import RainSequence
+from ..rain.frame import SkyLight
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.cpu.renderer import CpuRenderer
@@ -344,7 +345,7 @@ def render_rain_frames(
     for time_s in times_s:
         shot = RenderView(camera, time_s=float(time_s))
         view = rain_camera(_NO_SCENE, rainfall, shot)
-        renderer.draw([], camera, rainfall.frame(shot.time_s, view, (1.0, 1.0, 1.0)))
+        renderer.draw([], camera, rainfall.frame(shot.time_s, view, SkyLight.uniform((1.0, 1.0, 1.0))))
         share = renderer.read().rgba[..., 3]
         mixed = 255 * encode((1 - share) * behind + share * light)
         noisy = mixed + noise_levels * random.standard_normal(background.shape, np.float32)

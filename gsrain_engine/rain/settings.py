@@ -180,7 +180,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
     drop_color: Annotated[Vector | None, Meta(
         title="Drop color",
-        description="Display color of a drop (eq. 3); none takes the mean of the scene's sky.")] = None
+        description="Display color of drops (eq. 3), rain and fog; none takes those of the scene's sky.")] = None
 
     lamps: Annotated[str | None, Meta(
         title="Lamps", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},

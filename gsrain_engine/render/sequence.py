@@ -132,7 +132,7 @@ class FrameSequence:
         averaged as on a sensor: in linear light.
         """
         rainfall = None if sky is None else self.rainfall
-        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
+        color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
@@ -170,7 +170,7 @@ class FrameSequence:
         if self.motion_blur > 1 or self.supersampling > 1:
             return self.frame(renderer, number, sky, look=look).to_uint8()
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
-        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
+        color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
         response = self._response(renderer, number, look)
         draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
         return read_picture(renderer, response)

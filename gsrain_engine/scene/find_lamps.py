@@ -44,7 +44,7 @@ _AROUND_M = 0.4, 12.0
 _SAMPLES = 12_000  # surfaces that the fit takes
 _FEWEST = 40  # surfaces below a lamp from which its light is measured
 _FLAT_COSINE = 0.15
-_UPWARD = 0.7  # share of the light down from which a lamp has no cone
+_UPWARD = 1.0  # share of the light down from which a lamp has no cone: leaves around a lantern return much
 CLIPPED = 300.0
 """Radiance of a clipped lamp of unknown light: a tail light of the street by night has 100, a lantern 4000."""
 _FAINTEST = 1e-3  # of the brightest lamp

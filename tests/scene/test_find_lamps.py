@@ -73,3 +73,16 @@ def test_there_are_none_by_day() -> None:
     assert find_lamps(lit) == ()
     ground = night_scene().layers[0]
     assert find_lamps(Scene("", (ground,))) == ()
+
+
+def test_the_lanterns_of_the_street_by_night_are_found() -> None:
+    street = load_street("street:night")
+    found = find_lamps(street)
+    lanterns = [lamp for lamp in street.lamps if lamp.mount == "scene"]
+    for lantern in lanterns:
+        (lamp,) = [each for each in found if np.linalg.norm(np.subtract(each.position, lantern.position)) < 0.1]
+        assert 0.5 < lamp.intensity_m2 / lantern.intensity_m2 < 1.5
+        np.testing.assert_allclose(lamp.color, lantern.color, atol=0.08)
+    others = [each for each in found if each.mount == "scene" and each.intensity_m2 > 50]
+    assert len(others) == len(lanterns) == 8
+    assert [each.intensity_m2 for each in found if each.mount == "lead"].count(400.0) == 2
