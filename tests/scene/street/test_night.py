@@ -107,8 +107,8 @@ def test_days_do_not_depend_on_lamps(surfaces):
 
 def test_the_sky_is_dark_dry_and_wet(night):
     found = sky_color(CpuRenderer(), night, rig_camera(night, "waymo_front3", "FRONT", 1.6))
-    assert found.found and found.wet_color is not None
-    for color in (found.color, found.wet_color):
+    assert found.found and found.wet_light is not None
+    for color in (*found.light, *found.wet_light):
         assert 0.001 < srgb_to_linear(np.array(color)).max() < 0.02
         assert color[2] > color[0]
 
