@@ -31,12 +31,13 @@ from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.geometry import srgb_to_linear
+from gsrain_engine.scene.lamp_choice import FOUND_LAMPS
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from .console import print, progress_bar, run_with_progress
+from .console import counted, print, progress_bar, run_with_progress
 from .options import (
     BACKEND,
     JsonFile,
@@ -148,13 +149,18 @@ def render(
     sizes = ", ".join(dict.fromkeys(f"{each.width}x{each.height}" for each in sequences.values()))
     count = f"{report['frames']} of {len(numbers)} frames"
     print(f"{_listed(outputs)}: {count}, {sizes}, {_describe(simulation, first_s)}")
+    lamps = simulation.lamps.of(opened)
+    if settings.lamps == FOUND_LAMPS:
+        print(f"{counted(len(lamps), 'lamp')} found")
     distances = _visible_distances(simulation.frozen_at(first_s), sequences, numbers[0])
     for line in dict.fromkeys(map(_visible, distances)):
         print(line)
     if labeled:
         print(f"{_listed(labeled)}: labels, the same with rain and without")
     speeds = {"speed_m_s": timing.speed_m_s, "speed_is_assumed": timing.is_assumed} if timing is not None else {}
-    write_numbers(json, report | {"visible_distance": distances, "backend": renderer.name} | speeds)
+    write_numbers(
+        json, report | {"visible_distance": distances, "lamps": len(lamps), "backend": renderer.name} | speeds
+    )
     return 0 if report["frames"] == len(numbers) else 130
 
 

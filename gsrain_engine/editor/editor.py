@@ -24,6 +24,7 @@ from .finetune import FinetuneController
 from .floaters import FloaterFinder
 from .jobs.folder import new_file
 from .jobs.job import JobRunner
+from .lamps import LampFinder
 from .live_rain import LiveRain
 from .make_rainy import WetLookController
 from .matching import MatchingController
@@ -71,6 +72,7 @@ class Editor:
         self.live_rain = LiveRain(self.document, self.viewport, self.rollouts, self._thread)
         self.training = TrainingController(self.viewport, self.captures, self.jobs, self.files)
         self.floaters = FloaterFinder(self.document, self.jobs)
+        self.lamps = LampFinder(self.document, self.jobs)
         self.wet_look = WetLookController(
             self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status
         )

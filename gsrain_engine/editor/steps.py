@@ -92,6 +92,7 @@ EDITS: Mapping[str, Edit] = {
     "add-lamp": Edit("edits.lamps:add_lamp"),
     "change-lamp": Edit("edits.lamps:change_lamp", "scene", "edits.lamps:LampFields"),
     "remove-lamp": Edit("edits.lamps:remove_lamp"),
+    "find-lamps": Edit("edits.lamps:add_found_lamps"),
     "set-origin": Edit("edits.actors:set_origin"),
     "set-ego-start": Edit("edits.actors:set_ego_start"),
     "drive-along-path": Edit("edits.actors:drive_along_own_path"),

@@ -28,7 +28,15 @@ FLOOR_CELLS = 2.0
 """Floor of b in the table, in cells at the lamp's distance."""
 REACH = 3.0
 """Distance from a lamp in floors at which the table is exact to half a percent; pixels nearer take an integral."""
+SEGMENT_PX = 32  # of a row, for which lamps are chosen at once
 STEP = np.float32(np.pi / 16)  # longest step of an integral, by angle
+BLOCK = 4
+"""Cells of a block, over which the light of a lamp is interpolated if it is smooth."""
+SMOOTH, LEAST_LIGHT = 0.005, 1e-6
+"""Relative and absolute error that this may have in the middle of a block."""
+APART = 3.0
+"""Distance in blocks from a lamp up to which its light is never interpolated."""
+NARROW = float(np.cos(np.radians(20.0)))  # cosine of the half-angle of cones that fit between the corners of blocks
 NEAREST_M = 0.02
 NEAREST_DROP_M = 0.1  # of a drop to a lamp
 NO_WEIGHT, OPAQUE = 1e-3, 0.98
@@ -79,7 +87,12 @@ def make_lamp_light(
         (-(-camera.height // int(cell_px)) + 1, -(-camera.width // int(cell_px)) + 1) if medium is not None else (0, 0)
     )
     table = np.zeros((*size, SLICES + 1, 3), np.float32)
-    _fill(table, cell_px, intrinsics, rows, numbers, drawn, sums, slice_distances())
+    distances = slice_distances()
+    blocks = (-(-size[0] // BLOCK), -(-size[1] // BLOCK))
+    corners = np.empty((blocks[0] + 1, blocks[1] + 1, len(rows), len(distances)), np.float32)
+    if medium is not None:
+        _fill_blocks(corners, cell_px, intrinsics, rows, numbers, drawn, sums, distances)
+        _fill(table, corners, cell_px, intrinsics, rows, numbers, drawn, sums, distances)
     return LampLight(rows, sums, drop_phase.astype(np.float32), table, cell_px, intrinsics, numbers, drawn)
 
 
@@ -209,53 +222,144 @@ def _scattered(ray, lamp, nearest, b, first, last, per_m, numbers, sums):
     return per_m * np.exp(-depth) * lit * phase / (np.float32(4 * np.pi) * b)
 
 
+@numba.njit(error_model="numpy")
+@no_type_check
+def _depths(column, row, cell_px, intrinsics, numbers, drawn, distances, depths):
+    """Unit ray of a corner of the cells; writes the optical depth up to each slice."""
+    fx, fy, cx, cy = intrinsics
+    x, y = (np.float32(column * cell_px) - cx) / fx, (np.float32(row * cell_px) - cy) / fy
+    scale = np.float32(1) / np.sqrt(x * x + y * y + np.float32(1))
+    ray = (x * scale, y * scale, scale)
+    depths[0] = 0
+    for k in range(1, len(distances)):
+        s = distances[k]
+        depths[k] = optical_depth(s * ray[0], s * ray[1], s * ray[2], numbers, drawn)
+    return ray
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
+    """Write the light of one lamp, over its intensity, up to each slice; returns False if there is none."""
+    count = len(distances)
+    nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
+    square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
+    floor = lamp[11] * lamp[11]
+    b = np.sqrt(np.sqrt(square * square + floor * floor))
+    lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b)
+    if lit_first >= lit_last:
+        light[:] = 0
+        return False
+    light[0] = 0
+    before, total = np.arctan2(-nearest, b), np.float32(0)
+    for k in range(1, count):
+        after = np.arctan2(distances[k] - nearest, b)
+        first, last = max(before, lit_first), min(after, lit_last)
+        if last > first:
+            per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
+            steps = np.int32(np.ceil((last - first) / longest))
+            start = (first, depths[k - 1], distances[k - 1])
+            if first > before:
+                start = _place(first, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+            for step in range(1, steps + 1):
+                if step == steps and last == after:
+                    end = (last, depths[k], distances[k])
+                else:
+                    angle = first + (last - first) * np.float32(step) / np.float32(steps)
+                    end = _place(angle, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+                total += _scattered(ray, lamp, nearest, b, start, end, per_m, numbers, sums)
+                start = end
+        before = after
+        light[k] = total
+    return True
+
+
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _fill(table, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
-    """Sum the light of all lamps up to each slice along the ray of each corner of the cells."""
-    rows, columns, count, _ = table.shape
-    fx, fy, cx, cy = intrinsics
-    for row in numba.prange(rows):
-        depths = np.empty(count, np.float32)
-        for column in range(columns):
-            x, y = (np.float32(column * cell_px) - cx) / fx, (np.float32(row * cell_px) - cy) / fy
-            scale = np.float32(1) / np.sqrt(x * x + y * y + np.float32(1))
-            ray = (x * scale, y * scale, scale)
-            for k in range(count):
-                s = distances[k]
-                depths[k] = (
-                    optical_depth(s * ray[0], s * ray[1], s * ray[2], numbers, drawn) if k > 0 else np.float32(0)
-                )
+def _fill_blocks(corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
+    """Light of each lamp, over its intensity, up to each slice at the corners of blocks of cells."""
+    for row in numba.prange(corners.shape[0]):
+        depths = np.empty(len(distances), np.float32)
+        for column in range(corners.shape[1]):
+            ray = _depths(column * BLOCK, row * BLOCK, cell_px, intrinsics, numbers, drawn, distances, depths)
             for i in range(len(lamps)):
-                lamp = lamps[i]
-                nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
-                square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
-                floor = lamp[11] * lamp[11]
-                b = np.sqrt(np.sqrt(square * square + floor * floor))
-                lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b)
-                if lit_first >= lit_last:
-                    continue
-                before, total = np.arctan2(-nearest, b), np.float32(0)
-                for k in range(1, count):
-                    after = np.arctan2(distances[k] - nearest, b)
-                    first, last = max(before, lit_first), min(after, lit_last)
-                    if last > first:
-                        per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
-                        steps = np.int32(np.ceil((last - first) / longest))
-                        start = (first, depths[k - 1], distances[k - 1])
-                        if first > before:
-                            start = _place(first, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
-                        for step in range(1, steps + 1):
-                            if step == steps and last == after:
-                                end = (last, depths[k], distances[k])
-                            else:
-                                angle = first + (last - first) * np.float32(step) / np.float32(steps)
-                                end = _place(angle, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
-                            total += _scattered(ray, lamp, nearest, b, start, end, per_m, numbers, sums)
-                            start = end
-                    before = after
-                    for channel in range(3):
-                        table[row, column, k, channel] += total * lamp[6 + channel]
+                if lamps[i, 9] < NARROW:
+                    _sum_slices(ray, lamps[i], depths, distances, numbers, sums, corners[row, column, i])
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, sums, light, cell_px, focal_px):
+    """Compare the light of a lamp in the middle of a block with the mean at its corners; true if they agree."""
+    if lamp[9] >= NARROW:
+        return False
+    nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
+    square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
+    apart = np.float32(APART * BLOCK) * cell_px / focal_px * lamp[17]
+    if nearest > 0 and square < apart * apart:
+        return False
+    _sum_slices(ray, lamp, depths, distances, numbers, sums, light)
+    for k in range(1, len(distances)):
+        mean = np.float32(0.25) * (
+            corners[row, column, i, k] + corners[row + 1, column, i, k]
+            + corners[row, column + 1, i, k] + corners[row + 1, column + 1, i, k]
+        )  # fmt: skip
+        if lamp[16] * abs(light[k] - mean) > np.float32(SMOOTH) * lamp[16] * mean + np.float32(LEAST_LIGHT):
+            return False
+    return True
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
+    """Sum the light of all lamps up to each slice along the ray of each corner of the cells.
+
+    Where that of a lamp is smooth over a block of cells, it is interpolated between the block's corners.
+    """
+    rows, columns, count, _ = table.shape
+    focal_px = np.sqrt(intrinsics[0] * intrinsics[1])
+    half = np.float32(BLOCK // 2)
+    for block in numba.prange(corners.shape[0] - 1):
+        depths, light = np.empty(count, np.float32), np.empty(count, np.float32)
+        smooth = np.empty((2, 2, count, 3), np.float32)
+        rough = np.empty(len(lamps), np.int32)
+        for across in range(corners.shape[1] - 1):
+            ray = _depths(
+                across * BLOCK + half, block * BLOCK + half, cell_px, intrinsics, numbers, drawn, distances, depths
+            )
+            smooth[:] = 0
+            found = 0
+            for i in range(len(lamps)):
+                if _is_smooth(
+                    corners, block, across, i, ray, lamps[i], depths, distances, numbers, sums, light, cell_px, focal_px
+                ):
+                    for down in range(2):
+                        for right in range(2):
+                            for k in range(1, count):
+                                value = corners[block + down, across + right, i, k]
+                                for channel in range(3):
+                                    smooth[down, right, k, channel] += value * lamps[i, 6 + channel]
+                else:
+                    rough[found] = i
+                    found += 1
+            for row in range(block * BLOCK, min((block + 1) * BLOCK, rows)):
+                v = np.float32(row - block * BLOCK) / np.float32(BLOCK)
+                for column in range(across * BLOCK, min((across + 1) * BLOCK, columns)):
+                    u = np.float32(column - across * BLOCK) / np.float32(BLOCK)
+                    for k in range(1, count):
+                        for channel in range(3):
+                            upper = (1 - u) * smooth[0, 0, k, channel] + u * smooth[0, 1, k, channel]
+                            lower = (1 - u) * smooth[1, 0, k, channel] + u * smooth[1, 1, k, channel]
+                            table[row, column, k, channel] = (1 - v) * upper + v * lower
+                    if found == 0:
+                        continue
+                    ray = _depths(column, row, cell_px, intrinsics, numbers, drawn, distances, depths)
+                    for at in range(found):
+                        i = rough[at]
+                        if _sum_slices(ray, lamps[i], depths, distances, numbers, sums, light):
+                            for k in range(1, count):
+                                for channel in range(3):
+                                    table[row, column, k, channel] += light[k] * lamps[i, 6 + channel]
 
 
 @numba.njit(error_model="numpy")
@@ -354,6 +458,25 @@ def light_in_picture(
     return image
 
 
+@numba.njit(error_model="numpy")
+@no_type_check
+def _lamps_near(x, y, intrinsics, lamps, near):
+    """Copy the lamps in whose reach pixels of a segment around a point may be; returns their number."""
+    across, down = (x - intrinsics[2]) / intrinsics[0], (y - intrinsics[3]) / intrinsics[1]
+    scale = np.float32(1) / np.sqrt(across * across + down * down + np.float32(1))
+    more = np.float32(SEGMENT_PX) / min(intrinsics[0], intrinsics[1])  # radians, at most
+    found = 0
+    for i in range(len(lamps)):
+        lamp = lamps[i]
+        away = max(lamp[17], np.float32(1e-6))
+        cosine = scale * (across * lamp[0] + down * lamp[1] + lamp[2]) / away
+        reach = np.arcsin(min(np.float32(REACH) * lamp[11] / away, np.float32(1)))
+        if reach + more >= np.float32(np.pi / 2) or cosine >= np.cos(reach + more):
+            near[found] = lamp
+            found += 1
+    return found
+
+
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _light_in_picture(
@@ -362,9 +485,12 @@ def _light_in_picture(
     height, width = weight.shape
     one, far = np.float32(1), np.float32(FAR_M)
     for row in numba.prange(height):
-        light = np.empty(3, np.float32)
+        light, near = np.empty(3, np.float32), np.empty_like(lamps)
+        found = 0
         for column in range(width):
             x, y = np.float32(column) + np.float32(0.5), np.float32(row) + np.float32(0.5)
+            if column % SEGMENT_PX == 0:
+                found = _lamps_near(x + np.float32(SEGMENT_PX // 2), y, intrinsics, lamps, near)
             across, down = (x - intrinsics[2]) / intrinsics[0], (y - intrinsics[3]) / intrinsics[1]
             share = max(weight[row, column], np.float32(0))
             share = one if share > np.float32(OPAQUE) else share
@@ -373,11 +499,11 @@ def _light_in_picture(
                 slope = np.sqrt(one + across * across + down * down)
                 mean = min(depth_share[row, column] / weight[row, column], np.float32(1 - 1e-6))
                 distance = min(slope * np.float32(SLICE_SCALE_M) * mean / (one - mean), far)
-                scattered_light(x, y, distance, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
+                scattered_light(x, y, distance, light, table, cell_px, intrinsics, near[:found], numbers, drawn, sums)
                 for channel in range(3):
                     image[row, column, channel] = share * light[channel]
             if share < one:
-                scattered_light(x, y, far, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
+                scattered_light(x, y, far, light, table, cell_px, intrinsics, near[:found], numbers, drawn, sums)
                 for channel in range(3):
                     image[row, column, channel] += (one - share) * light[channel]
 

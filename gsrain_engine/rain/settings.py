@@ -184,8 +184,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     lamps: Annotated[str | None, Meta(
         title="Lamps", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},
-        description="Lamps that light drops and medium: none, headlights (of all vehicles, and the scene's fixed "
-        "lamps), or a file. Default: the scene's own.")] = None
+        description="Lamps that light drops and medium: none, auto (found as bright spots of a dark scene), headlights "
+        "(of all vehicles, and the scene's fixed lamps), or a file. Default: the scene's own.")] = None
     wetness: Annotated[float | None, Meta(
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None

@@ -70,7 +70,7 @@ def draw_view(
     some of each part's Gaussians; `selection` tints selected ones.
     """
     rain, wetness, overcast = None, 0.0, 0.0
-    lamps = scene.lamps if rainfall is None or not scene.lamps else rainfall.lamps.of(scene)
+    lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
     lit_lamps = scene.lamps_at(shot.time_s, lamps) if rainfall is not None and lamps else None
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
@@ -80,7 +80,7 @@ def draw_view(
     has_water = has_water and has_mirror(scene, shot.camera, wetness)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
     parts = list(subset_items(lit, thinning, shot.camera))
-    if scene.lamps and scene.ground_m is not None and look == "splats":
+    if lamps and scene.ground_m is not None and look == "splats":
         fixed = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount == "scene"])
         moving = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount != "scene"])
         reflections = lamp_reflections(fixed, moving, shot.camera, scene.ground_m, wetness, mirrors=not has_water)

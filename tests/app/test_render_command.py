@@ -22,6 +22,7 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import Layer, Scene
+from night_scene import night_scene
 from small_scene import patch, small_scene
 
 EXTINCTION = "extinction_per_m", "meteorological_range_m", "airlight_linear"
@@ -302,3 +303,19 @@ def test_a_sensor_by_name_and_by_file(project, wall, tmp_path, capsys):
         error = capsys.readouterr().err.strip()
         assert words_of_it in error and "\n" not in error
         assert not (tmp_path / "b.png").exists()
+
+
+def test_lamps_are_found_or_left_out(tmp_path, capsys):
+    scene = replace(night_scene(), ego=small_scene().ego, rigs=small_scene().rigs)
+    write_scene(scene, tmp_path / "night")
+    images = {}
+    for choice in ("auto", "none"):
+        image, numbers = tmp_path / f"{choice}.png", tmp_path / f"{choice}.json"
+        options = ["--visibility", "80", "--lamps", choice, "--size", "64x40", "--backend", "cpu"]
+        assert run(["render", str(tmp_path / "night"), *options, "-o", str(image), "--json", str(numbers)]) == 0
+        assert json.loads(numbers.read_text())["lamps"] == (choice == "auto")
+        assert ("1 lamp found" in capsys.readouterr().out) == (choice == "auto")
+        images[choice] = np.asarray(Image.open(image)).astype(int)
+    assert (images["auto"] - images["none"]).max() > 10
+    assert run(["render", "street", "--lamps", "candles", "-o", str(tmp_path / "no.png")]) == 2
+    assert "candles: no such file, and none of none, auto, headlights" in capsys.readouterr().err

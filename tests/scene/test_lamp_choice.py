@@ -10,9 +10,10 @@ from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import draw_view
-from gsrain_engine.scene.lamp_choice import LampChoice, VehicleLamps, lamp_choice, load_lamps
+from gsrain_engine.scene.lamp_choice import LampChoice, lamp_choice, load_lamps
 from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
+from gsrain_engine.scene.vehicle_lamps import VehicleLamps
 from render.test_backends_agree import raining, small_shot
 from small_scene import small_scene
 
@@ -95,7 +96,7 @@ def test_a_wrong_file_gets_one_sentence(tmp_path, text, sentence) -> None:
 
 
 def test_a_missing_file_is_reported_with_the_words() -> None:
-    with pytest.raises(ValueError, match=r"lamps missing\.yaml: no such file, and none of none, headlights"):
+    with pytest.raises(ValueError, match=r"lamps missing\.yaml: no such file, and none of none, auto, headlights"):
         RainSimulation.start(RainSettings(lamps="missing.yaml"))
 
 

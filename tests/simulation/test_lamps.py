@@ -68,7 +68,7 @@ def test_a_copy_of_an_actor_has_its_lamps_also_in_playback() -> None:
 def test_cameras_of_a_drive_show_light_of_headlights() -> None:
     simulation = Simulation(scenario(road_users=[AWAY], leave_m=50.0), scene_with_box())
     simulation.reset()
-    cameras = tuple(camera_of_width(each, 64) for each in simulation.rig.cameras)[:1]
+    cameras = tuple(camera_of_width(each, 32) for each in simulation.rig.cameras)[:1]
     images = []
     with open_renderer("cpu") as renderer:
         for choice in ("none", "headlights"):

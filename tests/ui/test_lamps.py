@@ -40,6 +40,10 @@ def test_a_lamp_is_added_edited_and_removed(driver):
         assert np.array_equal(driver.picture(), dark)
         driver.press(UNDO)
         assert np.array_equal(driver.picture(), lit)
+        driver.ctx.scroll_to_item_y("//Rain/Find lamps")
+        driver.tap("//Rain/Find lamps")
+        driver.until(lambda: not editor.jobs.is_running("lamps"))
+        assert editor.jobs.newest("lamps").progress.message.startswith("No lamps were found")
         document.change_rain("No lamps", lamps="none")
         assert np.array_equal(driver.picture(), dark)
 

@@ -8,10 +8,12 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits.lamps import LampFields, add_lamp, change_lamp, lamp_at, remove_lamp
 from gsrain_engine.editor.edits.members import unique_name
+from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.lamps import LampFinder
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.viewport.picking import pick_point
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.scene.lamp_choice import HEADLIGHTS, NO_LAMPS, load_lamps
+from gsrain_engine.scene.lamp_choice import FOUND_LAMPS, HEADLIGHTS, NO_LAMPS, load_lamps
 from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.scene import Scene
 
@@ -19,19 +21,24 @@ from ..widgets import fields
 from ..widgets.fields import CLAMPED, LOGARITHMIC, button, checkbox, plain_label, share_of_width
 from ..widgets.text import visible_name
 
-_TITLES = {None: "the scene's own", NO_LAMPS: "none", HEADLIGHTS: "headlights of all vehicles"}
+_TITLES = {
+    None: "the scene's own", NO_LAMPS: "none", FOUND_LAMPS: "found in the scene",
+    HEADLIGHTS: "headlights of all vehicles",
+}  # fmt: skip
 _LISTED = 6  # rows of the list before it scrolls
 _AHEAD_M = 10.0  # distance of a new lamp where the middle of the view shows no surface
 _ABOVE_M = 0.3  # height of a new lamp above the surface there
 _BRIGHTEST_M2 = 1e4
 
 
-def lamp_fields(document: Document, viewport: ViewportState, status: StatusBus) -> None:
+def lamp_fields(
+    document: Document, viewport: ViewportState, status: StatusBus, lamps: LampFinder, jobs: JobRunner
+) -> None:
     """Choose the lamps that light the rain, and edit those of the scene."""
     _choice(document, status)
     if document.rain.lamps not in (None, HEADLIGHTS):
         fields.faint("The scene's own lamps are not used.")
-    _list(document, viewport)
+    _list(document, viewport, lamps, jobs)
 
 
 def _choice(document: Document, status: StatusBus) -> None:
@@ -63,7 +70,7 @@ def _use(document: Document, status: StatusBus, path: Path) -> None:
 # Lamps of the scene
 
 
-def _list(document: Document, viewport: ViewportState) -> None:
+def _list(document: Document, viewport: ViewportState, finder: LampFinder, jobs: JobRunner) -> None:
     lamps, options = document.scene.lamps, viewport.options
     options.show_lamps = checkbox("Show lamps", options.show_lamps, "Mark the scene's lamps in the viewport.")
     options.lamp = min(options.lamp, len(lamps) - 1)
@@ -85,6 +92,12 @@ def _list(document: Document, viewport: ViewportState) -> None:
     if button("Remove lamp", help_text, width=width, enabled=options.lamp >= 0) and options.lamp >= 0:
         document.edit(f"Remove {_name(lamps[options.lamp])}", remove_lamp, options.lamp)
         return
+    job = jobs.newest("lamps")
+    help_text = "Add lamps that are bright spots of a scene captured by night; their light is measured around them."
+    if button("Find lamps", help_text, width=-1, enabled=bool(document.scene.members) and not jobs.is_running("lamps")):
+        finder.find()
+    if job is not None:
+        fields.faint(job.error or job.progress.message)
     if options.lamp >= 0:
         _edit(document, options.lamp)
 

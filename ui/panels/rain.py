@@ -7,6 +7,8 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.jobs.job import JobRunner
+from gsrain_engine.editor.lamps import LampFinder
 from gsrain_engine.editor.live_rain import LiveRain
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
@@ -58,8 +60,9 @@ _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look p
 
 
 def rain_panel(
-    document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain, status: StatusBus
-) -> None:
+    document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain, status: StatusBus,
+    lamps: LampFinder, jobs: JobRunner,
+) -> None:  # fmt: skip
     _presets(document)
     _intensity(document, viewport, playback, live_rain)
     _exposure(document, viewport, playback)
@@ -84,7 +87,7 @@ def rain_panel(
                 if each.name == "sensor":
                     _sensor(document, viewport, live_rain, status)
                 elif each.name == "lamps":
-                    lamp_fields(document, viewport, status)
+                    lamp_fields(document, viewport, status, lamps, jobs)
                 elif each.kind is RegionBox:
                     _region(document, viewport, each.name)
                 else:

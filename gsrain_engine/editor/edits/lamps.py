@@ -8,6 +8,7 @@ from jaxtyping import Float64
 from msgspec import structs, to_builtins
 
 from ...safe_io.errors import convert_checked
+from ...scene.find_lamps import find_lamps
 from ...scene.lamps import Lamp, Vector
 from ...scene.scene import Scene
 
@@ -56,6 +57,31 @@ def _lamp(scene: Scene, number: int) -> Lamp:
     if not 0 <= number < len(scene.lamps):
         raise ValueError(f"There is no lamp {number}; the scene has {len(scene.lamps)}, which count from 0.")
     return scene.lamps[number]
+
+
+def add_found_lamps(scene: Scene) -> Scene:
+    """Find lamps in a scene that was captured by night, and add those that it does not have yet."""
+    return with_found_lamps(scene, find_lamps(scene))
+
+
+def with_found_lamps(scene: Scene, found: tuple[Lamp, ...]) -> Scene:
+    """Add found lamps that are not close to one of the scene."""
+    added = unknown_lamps(scene, found)
+    return replace(scene, lamps=(*scene.lamps, *added)) if added else scene
+
+
+_SAME_M = 0.5
+
+
+def unknown_lamps(scene: Scene, found: tuple[Lamp, ...]) -> tuple[Lamp, ...]:
+    """Leave out lamps within half a meter of one of the scene that has the same mount."""
+
+    def is_known(lamp: Lamp) -> bool:
+        places = [np.array(each.position) for each in scene.lamps if each.mount == lamp.mount]
+        near = _SAME_M / scene.metres_per_unit
+        return any(float(np.linalg.norm(place - lamp.position)) < near for place in places)
+
+    return tuple(lamp for lamp in found if not is_known(lamp))
 
 
 def lamp_at(scene: Scene, point_m: Float64[np.ndarray, "3"], name: str = "lamp") -> Lamp:

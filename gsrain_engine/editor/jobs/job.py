@@ -25,8 +25,9 @@ logger = logging.getLogger("gsrain")
 _Result = TypeVar("_Result")
 _SAVING = Progress(0.0, "Saving the scene for the worker")
 JobKind = Literal[
-    "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "drive", "drive video", "export"
-]
+    "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "lamps", "drive", "drive video",
+    "export",
+]  # fmt: skip
 
 
 class MetricCurves:

@@ -1,17 +1,23 @@
 """Edits of lamps, and lamps in edits of the members that carry them."""
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from editor.files.open_document import settle
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.actors import set_origin
 from gsrain_engine.editor.edits.lamps import add_lamp, change_lamp, lamp_at, remove_lamp
 from gsrain_engine.editor.edits.layers import import_scene, rename
 from gsrain_engine.editor.edits.level import set_length
 from gsrain_engine.editor.edits.transform import move_member
+from gsrain_engine.editor.steps import EditStep, apply_steps, steps_since
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
+from night_scene import LANTERN_M, night_scene
 from small_scene import small_scene
 
 HERE_M = np.array([4.0, -2.0, 3.0])
@@ -65,3 +71,23 @@ def test_lamps_follow_their_actor_when_it_is_renamed_scaled_or_imported():
     lit = both.lamps_at(0.0).positions_m
     np.testing.assert_allclose(lit[2], HERE_M, atol=1e-9)
     np.testing.assert_allclose(lit[3], [24.0, 1.0, 1.2], atol=1e-9)
+
+
+def test_found_lamps_are_one_step_and_are_saved(tmp_path):
+    scene = night_scene()
+    with closing(Editor(scene)) as editor:
+        for message in ("1 lamp added", "No lamps were found: the scene is not dark, or has them already"):
+            job = editor.lamps.find()
+            job.wait(60)
+            settle(editor)
+            assert job.progress.message == message
+        document = editor.document
+        assert document.history.labels[1:] == ["Find lamps"]
+        (step,) = steps_since(document.history, document.history.steps[0].document)
+        found = document.scene
+        document.undo()
+        assert document.scene.lamps == ()
+    assert np.linalg.norm(found.lamps[0].position - LANTERN_M) < 0.1
+    assert (step.text, apply_steps(scene, [EditStep.parse("find-lamps")]).lamps) == ("find-lamps", found.lamps)
+    write_scene(found, tmp_path / "night")
+    assert read_scene(tmp_path / "night").lamps == found.lamps
