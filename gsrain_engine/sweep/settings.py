@@ -109,6 +109,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     wet: bool | None = None
     preset: str | None = None
     sensor: str | None = None
+    mirror: bool | None = None
     exposure_s: float | None = None
     start_speed_m_s: float | None = None
     gap_m: float | None = None
@@ -119,6 +120,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         words = [] if self.wet is None else ["wet" if self.wet else "as lit"]
         words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
         words += [] if self.sensor is None else [f"sensor {Path(self.sensor).stem}"]
+        words += [] if self.mirror is None else ["mirror" if self.mirror else "no mirror"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
         words += [] if self.gap_m is None else [f"{self.gap_m:g} m"]
@@ -132,6 +134,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         if self.sensor is not None:
             load_sensor(self.sensor)  # raises for a missing or wrong one before the first drive
             rain = structs.replace(rain, sensor=self.sensor)
+        if self.mirror is not None:
+            rain = structs.replace(rain, mirror=self.mirror)
         if self.exposure_s is not None:
             rain = structs.replace(rain, exposure_s=self.exposure_s)
         if self.gap_m is not None:
@@ -178,6 +182,10 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     sensor: Annotated[
         tuple[str, ...], Meta(title="Sensors", description="Names or files, to compare; none: the scenario's.")
     ] = ()
+    mirror: Annotated[
+        tuple[bool | None, ...],
+        Meta(min_length=1, title="Mirror", description="Whether water on the ground reflects; null: the scenario's."),
+    ] = (None,)
     exposure_s: Annotated[
         Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
     ] = ()
@@ -194,13 +202,16 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     @property
     def variants(self) -> list[Variant]:
         """All combinations of the further axes."""
-        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.exposure_s or (None,)
+        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.exposure_s or (None,)
         return [
-            Variant(wet=wet, preset=preset, sensor=sensor, exposure_s=exposure, start_speed_m_s=speed, gap_m=gap)
-            for wet, preset, sensor, exposure, speed, gap in product(
+            Variant(
+                wet=wet, preset=preset, sensor=sensor, mirror=mirror, exposure_s=exposure, start_speed_m_s=speed,
+                gap_m=gap,
+            )
+            for wet, preset, sensor, mirror, exposure, speed, gap in product(
                 *axes, self.start_speed_m_s or (None,), self.gap_m or (None,)
             )
-        ]
+        ]  # fmt: skip
 
 
 class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):

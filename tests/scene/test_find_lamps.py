@@ -83,6 +83,6 @@ def test_the_lanterns_of_the_street_by_night_are_found() -> None:
         (lamp,) = [each for each in found if np.linalg.norm(np.subtract(each.position, lantern.position)) < 0.1]
         assert 0.5 < lamp.intensity_m2 / lantern.intensity_m2 < 1.5
         np.testing.assert_allclose(lamp.color, lantern.color, atol=0.08)
-    others = [each for each in found if each.mount == "scene" and each.intensity_m2 > 50]
+    others = [each for each in found if each.mount == "scene" and each.intensity_m2 > 100]
     assert len(others) == len(lanterns) == 8
     assert [each.intensity_m2 for each in found if each.mount == "lead"].count(400.0) == 2

@@ -65,6 +65,12 @@ def test_sensors_are_an_axis_of_drives_and_clips(tmp_path):
         jobs_of(msgspec.convert(values | {"sensor": ["none such"]}, Sweep))
 
 
+def test_the_mirror_is_an_axis_of_drives(tmp_path):
+    jobs = small_jobs(tmp_path, mirror=[False, True], seeds=1, intensities_mm_h=[8.5], jitter={})
+    assert [job.scenario.rain.mirror for job in jobs] == [job.parameters["mirror"] for job in jobs] == [False, True]
+    assert [job.variant.title for job in jobs] == ["no mirror", "mirror"] and len({job.id for job in jobs}) == 2
+
+
 def test_a_scenario_without_road_users_has_no_gap(tmp_path):
     scenario = write_scenario(tmp_path / "alone.yaml", write_road(tmp_path / "road"), road_users=[])
     with pytest.raises(ValueError, match="gap_m"):
