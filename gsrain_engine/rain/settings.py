@@ -179,8 +179,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
     glass: Annotated[Literal["none", "windshield", "lens"], Meta(
         title="Glass", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
-        description="Glass in front of the camera, on which rain lands (docs/physics.md, 17). windshield: of cameras that "
-        "look ahead. lens: of each camera.")] = "none"
+        description="Glass in front of the camera, on which rain lands (docs/physics.md, 17). windshield: of cameras "
+        "that look ahead. lens: of each camera.")] = "none"
     wiper: Annotated[Literal["auto", "off", "interval", "low", "high"], Meta(
         title="Wiper", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
         description="Wiper of the windshield; auto is a rain sensor.")] = "auto"
@@ -195,7 +195,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ge=15, le=90, title="Contact angle", extra={
             "unit": "degrees", "option": "contact-angle", "group": "Glass",
             "commands": "render, drive, evaluate detection"},
-        description="Angle between drops and glass at the rim: about 30 on clean glass, 90 with water repellent.")] = 50.0
+        description="Angle between drops and glass at the rim: 30 on clean glass, 90 with water repellent.")] = 50.0
     glass_distance_m: Annotated[float | None, Meta(
         title="Glass distance", extra={
             "unit": "m", "ge": 0.005, "le": 2.0, "group": "Glass", "scale": "log", "none": "by the kind of glass",

@@ -56,7 +56,7 @@ class CameraOptics:
         glass = self._glass(pane, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
         wide = wide_camera(shot.camera)
         if len(glass.drops):
-            # The medium takes the place of streaks: single drops in the air are too small to be found in those on glass.
+            # The medium takes the place of streaks, which drops on glass shrink to nothing.
             calm = replace(rainfall, rain=msgspec.structs.replace(rainfall.rain, streaks=False))
             view = replace(shot, camera=wide, focal_px=None)
             draw_view(renderer, scene, calm, sky, view, thinning=self._thinning)

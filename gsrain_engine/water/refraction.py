@@ -108,7 +108,8 @@ class GlassView:
                 layer, glass.drops, boxes, row_starts, members, view, axes, source, levels, starts,
                 float(np.radians(glass.contact_angle_deg)),
             )  # fmt: skip
-        blurred = cv2.resize(image, (max(width // 12, 2), max(height // 12, 2)), interpolation=cv2.INTER_AREA)
+        size = max(width // 12, 2), max(height // 12, 2)
+        blurred = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         _draw_veil(
             layer, view, axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt,
             -1.0 if glass.blade_rad is None else glass.blade_rad, _linear_levels()[blurred], np.uint32(glass.seed),
