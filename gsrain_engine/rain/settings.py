@@ -7,6 +7,7 @@ import msgspec
 from msgspec import Meta
 
 from ..presets import load_config
+from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.sensor import sensor_names
 from .calibration import calibration_names
 
@@ -205,6 +206,10 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Drop color",
         description="Display color of a drop (eq. 3); none takes the mean of the scene's sky.")] = None
 
+    lamps: Annotated[str | None, Meta(
+        title="Lamps", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},
+        description="Lamps that light drops and medium: none, headlights (of all vehicles, and the scene's fixed "
+        "lamps), or a file. Default: the scene's own.")] = None
     wetness: Annotated[float | None, Meta(
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
@@ -282,7 +287,7 @@ def wind_on_compass(x_m_s: float, y_m_s: float) -> tuple[float, float]:
 # YAML files with the fields of `RainSettings`; omitted fields have their defaults.
 
 _FOLDER = "rain"
-RAIN_FILES = "calibration", "sensor"
+RAIN_FILES = "calibration", "sensor", "lamps"
 """Fields that may name a file."""
 
 
@@ -292,4 +297,5 @@ def load_preset(name: str) -> RainSettings:
     Calibration and sensor files that it names are searched for in the preset's folder first. Raises `ValueError` with
     the file, the field and the allowed range.
     """
-    return load_config(_FOLDER, name, RainSettings, "preset", RAIN_FILES, {*calibration_names(), *sensor_names()})
+    known = {*calibration_names(), *sensor_names(), *LAMP_WORDS}
+    return load_config(_FOLDER, name, RainSettings, "preset", RAIN_FILES, known)

@@ -8,6 +8,7 @@ from jaxtyping import Float64
 
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.lamp_choice import OWN_LAMPS, LampChoice, lamp_choice
 from ..scene.lamps import LitLamps
 from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
 from .air import Wind, follows
@@ -41,6 +42,8 @@ class RainSimulation:
     sensor: Sensor
     """Sensor of the cameras: its lens and readout act on drops, its shutter and the rest only if the rain names it."""
     weather: RainKeyframes = NO_KEYFRAMES
+    lamps: LampChoice = OWN_LAMPS
+    """Lamps that the rain names, in place of a scene's own."""
     _keyed_motion: KeyframedDropMotion | None = None
     _frozen: "dict[float, RainSimulation]" = field(default_factory=dict, init=False)
     """Cache of the latest `frozen_at`."""
@@ -54,7 +57,8 @@ class RainSimulation:
         state, diameters, wind, speeds = _drops(rain, calibration)
         keyed = KeyframedDropMotion.of(rain, weather, calibration) if weather.keys else None
         sensor = load_sensor(rain.sensor or DEFAULT_SENSOR)
-        return cls(rain, calibration, state, diameters, DropMotion(wind, speeds), sensor, weather, keyed)
+        lamps = lamp_choice(rain.lamps)
+        return cls(rain, calibration, state, diameters, DropMotion(wind, speeds), sensor, weather, lamps, keyed)
 
     def changed(self, rain: RainSettings, time_s: float, weather: RainKeyframes | None = None) -> "RainSimulation":
         """Change the rain, and optionally its keyframes; drops continue from their current positions."""
@@ -68,7 +72,8 @@ class RainSimulation:
         elif weather.keys:
             keyed = KeyframedDropMotion.of(rain, weather, calibration).going_on_from(motion)
         sensor = self.sensor if rain.sensor == self.rain.sensor else load_sensor(rain.sensor or DEFAULT_SENSOR)
-        return RainSimulation(rain, calibration, state, diameters, motion, sensor, weather, keyed)
+        lamps = self.lamps if rain.lamps == self.rain.lamps else lamp_choice(rain.lamps)
+        return RainSimulation(rain, calibration, state, diameters, motion, sensor, weather, lamps, keyed)
 
     def frozen_at(self, time_s: float) -> "RainSimulation":
         """Return the rain at a time, without keyframes; valid for that time only."""
@@ -80,7 +85,13 @@ class RainSimulation:
             state = rain_properties(rain, self.calibration)
             self._frozen.clear()
             self._frozen[time_s] = RainSimulation(
-                rain, self.calibration, state, keyed.diameters_mm(time_s), keyed.motion(time_s), self.sensor
+                rain,
+                self.calibration,
+                state,
+                keyed.diameters_mm(time_s),
+                keyed.motion(time_s),
+                self.sensor,
+                lamps=self.lamps,
             )
         return self._frozen[time_s]
 

@@ -70,8 +70,9 @@ def draw_view(
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
-            lamps = scene.lamps_at(shot.time_s) if scene.lamps else None
-            rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lamps)
+            lamps = rainfall.lamps.of(scene)
+            lit_lamps = scene.lamps_at(shot.time_s, lamps) if lamps else None
+            rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
     parts = subset_items(lit, thinning, shot.camera)
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)

@@ -562,11 +562,11 @@ class Scene:
         matrix[:3, :3] /= self.metres_per_unit
         return matrix
 
-    def lamps_at(self, time_s: float) -> LitLamps:
-        """Lamps in the world at a time; those of hidden or absent vehicles are off."""
+    def lamps_at(self, time_s: float, lamps: Sequence[Lamp] | None = None) -> LitLamps:
+        """Lamps in the world at a time, by default the scene's own; those of hidden or absent vehicles are off."""
         actors = {actor.id: actor for actor in self.actors if actor.visible}
         placed: list[tuple[Lamp, Float64[np.ndarray, "4 4"]]] = []
-        for lamp in self.lamps:
+        for lamp in self.lamps if lamps is None else lamps:
             if lamp.mount == "ego":
                 mount = self.ego_to_world(time_s)
             elif lamp.mount == "scene":

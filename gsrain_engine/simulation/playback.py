@@ -37,7 +37,8 @@ class RolloutPlayback:
         width = self.scenario.picture_width_px
         cameras = tuple(camera_of_width(each, width) for each in rig_cameras(scene, rig))
         self.rig = Rig(self.scenario.vehicle, cameras, road_surface_of(scene).rig_height_m)
-        self._road = RoadScene(scene, {user.id: vehicle_model(user.model, scene) for user in self.scenario.road_users})
+        looks = {user.id: vehicle_model(user.model, scene) for user in self.scenario.road_users}
+        self._road = RoadScene(scene, looks, self.scenario.road_users)
         self._times = [step.time_s for step in rollout.steps]
 
     @property

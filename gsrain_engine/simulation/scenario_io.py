@@ -14,6 +14,7 @@ from ..rain.calibration import calibration_names
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import read_whole, yaml_values
 from ..scene.files import whole_file
+from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import sensor_names
 from .interop.hugsim_scenario import hugsim_scenario, is_hugsim_scenario
@@ -94,6 +95,8 @@ def _renamed(scenario: Scenario, rename: Callable[[str], str]) -> Scenario:
         rain = msgspec.structs.replace(rain, calibration=rename(rain.calibration))
     if rain.sensor is not None and rain.sensor not in sensor_names():
         rain = msgspec.structs.replace(rain, sensor=rename(rain.sensor))
+    if rain.lamps is not None and rain.lamps not in LAMP_WORDS:
+        rain = msgspec.structs.replace(rain, lamps=rename(rain.lamps))
     for user in scenario.road_users:
         model, behaviour = user.model, user.behaviour
         if model.split("/")[0] not in vehicle_names() and not model.startswith(ACTOR):

@@ -24,10 +24,10 @@ from .ground import RoadSurface, recorded_route, road_surface_of
 from .metrics.summary import ScoredRun
 from .obstacles import OccupiedSpace, drivable_of, occupied_space_of
 from .rollout import BACKGROUND, EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
-from .scenario import Scenario, Traffic, start_state
+from .scenario import Scenario, ScenarioUser, Traffic, start_state
 from .scenario_io import load_scenario
 from .sensors import RigRenderer, camera_of_width, needed_cameras, rig_cameras
-from .traffic.appearance import VehicleModel, scale_gaussians
+from .traffic.appearance import ACTOR, VehicleModel, scale_gaussians
 from .traffic.base import RoadUser, ego_user
 from .vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle, vehicle_box, yaw_rate
 
@@ -67,7 +67,7 @@ class Simulation:
         self.rig = base.Rig(scenario.vehicle, cameras, self.ground.rig_height_m)
         self._controller = open_controller(scenario.controller)
         self._traffic = Traffic(self.scenario, scene, self.route, self.ground)
-        self._road = RoadScene(scene, self._traffic.looks)
+        self._road = RoadScene(scene, self._traffic.looks, self.scenario.road_users)
         self._pictures: RigRenderer | None = None
         start = start_state(self.scenario, scene, self.route)
         self._start = self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
@@ -324,9 +324,19 @@ def _without_gap(box: PlanarBox, gone_m: float) -> PlanarBox:
 class RoadScene:
     """A scene with the scenario's road users as its actors."""
 
-    def __init__(self, scene: Scene, looks: dict[str, VehicleModel]) -> None:
-        """Use models by road user id; road users without a model are actors of the scene."""
-        self.scene = scene
+    def __init__(self, scene: Scene, looks: dict[str, VehicleModel], users: Sequence[ScenarioUser] = ()) -> None:
+        """Use models by road user id; road users without a model are actors of the scene.
+
+        Of the scenario's `users`, copies of an actor have its lamps.
+        """
+        copies = {user.id: user.model.removeprefix(ACTOR) for user in users if user.model.startswith(ACTOR)}
+        lamps = [
+            msgspec.structs.replace(lamp, mount=id)
+            for id, actor in copies.items()
+            for lamp in scene.lamps
+            if lamp.mount == actor != id
+        ]
+        self.scene = replace(scene, lamps=(*scene.lamps, *lamps))
         self._world_to_scene = np.linalg.inv(scene.scene_to_world)
         unit = 1 / scene.metres_per_unit
         self._gaussians = {id: scale_gaussians(look.gaussians, unit) for id, look in looks.items()}

@@ -21,6 +21,7 @@ from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..scene.files import name_problem
 from ..scene.formats.hugsim import is_vehicle_folder
+from ..scene.lamp_choice import LAMP_WORDS, lamp_choice
 from ..scene.open import file_hash, scene_hash
 from ..scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_file, agent_names
@@ -168,7 +169,7 @@ def _drive(
         scene_hash=hashes.scene(scenario.scene),
         packages=_packages([scenario.scene, *models], agent),
         files=hashes.files(
-            [rain.calibration, rain.sensor, *models, agent.detector, agent.description, own and str(own)]
+            [rain.calibration, rain.sensor, rain.lamps, *models, agent.detector, agent.description, own and str(own)]
         ),
         seed=seed,
         backend=sweep.backend,
@@ -220,13 +221,14 @@ def _renders(sweep: RenderSweep) -> list[Job]:
     sensors = sweep.sensor or (sweep.rain.sensor,)
     for sensor in sensors:
         load_sensor(sensor or DEFAULT_SENSOR)  # raises for a missing or wrong one before the first clip
+    lamp_choice(sweep.rain.lamps)
     return [
         RenderJob(
             program=program_version(),
             scene=scene,
             scene_hash=hashes.scene(scene),
             packages=_packages([scene]),
-            files=hashes.files([sweep.rain.calibration, sensor]),
+            files=hashes.files([sweep.rain.calibration, sensor, sweep.rain.lamps]),
             seed=seed,
             backend=sweep.backend,
             rain=structs.replace(sweep.rain, intensity_mm_h=intensity, seed=seed, sensor=sensor),
@@ -250,7 +252,8 @@ class _Hashes:
 
     def files(self, names: list[str | None]) -> dict[str, str]:
         """Hash existing files; shipped ones (calibrations, models and others) are covered by the program version."""
-        paths = {name: Path(name) for name in names if name and name not in (*calibration_names(), *sensor_names())}
+        shipped = (*calibration_names(), *sensor_names(), *LAMP_WORDS)
+        paths = {name: Path(name) for name in names if name and name not in shipped}
         files = {name: self._file(path) for name, path in paths.items() if path.is_file()}
         vehicles = {name: self.scene(name) for name, path in paths.items() if is_vehicle_folder(path)}
         return dict(sorted((files | vehicles).items()))

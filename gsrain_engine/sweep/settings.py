@@ -17,6 +17,7 @@ from ..rain.wetness import with_wet_choice
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked
+from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_names
@@ -24,7 +25,9 @@ from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
 
 _FOLDER = "sweeps"
-_FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration", "preset", "sensor")
+_FILES = (
+    "scenarios", "scenes", "agents", "name", "detector", "description", "calibration", "preset", "sensor", "lamps",
+)  # fmt: skip
 """Fields that hold file names; `name` is an agent's."""
 
 Intensities = Annotated[
@@ -250,6 +253,7 @@ def load_sweep(name: str | Path) -> Sweep:
         *description_names(),
         *calibration_names(),
         *sensor_names(),
+        *LAMP_WORDS,
     }
     values = load_config(_FOLDER, name, object, "sweep", _FILES, known)
     try:

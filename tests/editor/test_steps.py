@@ -15,7 +15,7 @@ from app.main import run
 from editor.files.open_document import settle
 from gsrain_engine.appearance.scene_views import ViewChoice
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits import actors, gaussians, layers, level, members, rain_keyframes, transform
+from gsrain_engine.editor.edits import actors, gaussians, lamps, layers, level, members, rain_keyframes, transform
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.gaussians import CropBox
 from gsrain_engine.editor.selection.attributes import select_attribute_range
@@ -39,6 +39,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import circle_path
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.scene import Actor, ColorGrading
 from small_scene import patch, small_scene
 
@@ -164,6 +165,12 @@ def act(editor):
     document.edit("Level", level.level_from_points, np.array([[0.0, 0, 0], [1, 0, 0.1], [0, 1, 0]]))
     document.edit("Ground", level.set_ground_height, 0.1)
     document.edit("Scale", level.set_length, 2.0, 2.5)
+    document.edit("Add", lamps.add_lamp, lamps.lamp_at(document.scene, np.array([10.0, 2.0, 3.0])))
+    document.edit("Add", lamps.add_lamp, Lamp(name="headlight", position=(2.0, 0.5, 0.6), mount="car"))
+    document.edit("Cone", lamps.change_lamp, 0, color=(1.0, 0.5, 0.2), outer_deg=40.0)
+    document.edit("Cone", lamps.change_lamp, 0, gesture="cone", outer_deg=30.0)
+    document.edit("Cone", lamps.change_lamp, 0, gesture="cone", outer_deg=20.0)
+    document.edit("Remove", lamps.remove_lamp, 1)
     document.edit("Origin", actors.set_origin, np.array([0.5, 0.0, 0.0]))
     document.edit("Ego start", actors.set_ego_start, np.array([1.0, 0.0, 0.0]), 0.1)
     document.edit("Ego drive", actors.drive_along_own_path)

@@ -188,14 +188,14 @@ def test_rows_and_roll_outs_of_a_sweep():
 
 
 @pytest.mark.skipif(program_version() != "0.1.0", reason="jobs of another version are other jobs")
-def test_jobs_of_a_finished_sweep_are_done_again_for_haze_as_a_medium_real_air_and_a_sensor(monkeypatch):
+def test_jobs_of_a_finished_sweep_are_done_again_for_haze_as_a_medium_fog_real_air_and_a_sensor(monkeypatch):
     monkeypatch.chdir(SAVED / "sweep")
     folder, jobs = SweepFolder(Path("results")), jobs_of(load_sweep("drives.yaml"))
     assert folder.to_do(jobs) == jobs
     identities = [msgspec.to_builtins(job.identity) for job in jobs]
     for each in identities:
         rain = each["scenario"]["rain"]
-        assert (rain["haze"], rain.pop("sensor")) == ("medium", None)
+        assert (rain["haze"], rain.pop("sensor"), rain.pop("visibility_m")) == ("medium", None, None)
         rain["haze"] = True
         rain["wind_m_s"] = msgspec.convert(rain, RainSettings).wind_vector_m_s
         for name in ("wind_speed_m_s", "wind_from_deg", "turbulence_m_s", "roughness_m"):

@@ -39,6 +39,7 @@ from ..widgets.fields import (
     warn,
 )
 from ..widgets.text import readings
+from .lamps import lamp_fields
 
 _PRESETS = {
     "clear": "No rain", "1.2": "Light 1.2", "5": "Moderate 5", "8.5": "Paper 8.5", "12.0": "Heavy 12",
@@ -50,7 +51,7 @@ _PRESETS_PER_ROW = 3
 PICK_TOOL = "Pick sky color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
-GROUPS = (_WIND, "Glass", "Regions", "Physics", "Camera", "Appearance")
+GROUPS = (_WIND, "Glass", "Regions", "Physics", "Camera", "Lamps", "Appearance")
 """Headings below which the fields with this `group` are drawn."""
 
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."
@@ -80,6 +81,8 @@ def rain_panel(
                     continue
                 if each.name == "sensor":
                     _sensor(document, viewport, live_rain, status)
+                elif each.name == "lamps":
+                    lamp_fields(document, viewport, status)
                 elif each.kind is RegionBox:
                     _region(document, viewport, each.name)
                 else:

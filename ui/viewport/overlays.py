@@ -16,10 +16,12 @@ from gsrain_engine.editor.matching import MatchingController, MatchResult
 from gsrain_engine.editor.overlays import Frustum, KeyHandle, frustums, image_grid, path_overlay_of
 from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection_boxes, rollout_overlay
 from gsrain_engine.editor.timeline import Playback
+from gsrain_engine.editor.viewport.picking import project_lines, project_point
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
 from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Canvas, color, draw_card, draw_dot, draw_lines
+from ..widgets.text import visible_name
 
 Overlay = Callable[..., bool]
 """Draws into the window's draw list; returns True if it uses the left mouse button now (a handle is dragged).
@@ -384,7 +386,39 @@ def _draw_line_of_text(canvas: Canvas, words: str, low: float, ink: ImVec4) -> f
     return low - size.y - 0.5 * em
 
 
-OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay, drive_overlay)
+# Lamps
+
+_LAMP_PX, _LAMP_REACH_PX, _AXIS_PX = 5.0, 9.0, 30.0
+_LAMP = ImVec4(1.0, 0.86, 0.4, 1.0)
+
+
+def lamp_overlay(document: Document, viewport: ViewportState, canvas: Canvas) -> bool:
+    """Mark the scene's lamps, with the axis of the chosen one; returns True if the mouse is over a lamp."""
+    scene, shot, options = document.scene, canvas.shot, viewport.options
+    if not options.show_lamps or not scene.lamps:
+        return False
+    under: int | None = None
+    for number, lamp in enumerate(scene.lamps):
+        lit = scene.lamps_at(shot.time_s, (lamp,))
+        if not len(lit.positions_m) or (at := project_point(lit.positions_m[0], shot.camera)) is None:
+            continue
+        is_chosen = number == options.lamp
+        if is_chosen:
+            length_m = _AXIS_PX * at.depth_m / shot.camera.fy
+            axis = np.stack([lit.positions_m, lit.positions_m + length_m * lit.directions], axis=1)
+            draw_lines(canvas, project_lines(axis, shot.camera).tolist(), CHOSEN, 1.5, outline=1.5)
+        draw_dot(canvas, (at.x, at.y), CHOSEN if is_chosen else _LAMP, _LAMP_PX)
+        if options.tool == "" and canvas.is_mouse_near((at.x, at.y), _LAMP_REACH_PX):
+            under = number
+    if under is None or not canvas.hovered:
+        return False
+    imgui.set_tooltip(f"{visible_name(scene.lamps[under].name) or 'lamp'}. Click: choose it.")
+    if imgui.is_mouse_clicked(_LEFT):
+        options.lamp = under
+    return True
+
+
+OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay, lamp_overlay, drive_overlay)
 
 # Divider of two images
 

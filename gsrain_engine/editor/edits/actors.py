@@ -10,6 +10,7 @@ from ...scene.camera_path import CameraPath
 from ...scene.geometry import quaternion_product, quaternions_from_matrices
 from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
 from ...scene.transforms import transform_gaussians
+from .lamps import moved_lamps
 from .members import find_unlocked_member
 
 
@@ -158,6 +159,7 @@ def set_origin(scene: Scene, point_m: Float64[np.ndarray, "3"]) -> Scene:
         layers=tuple(replace(each, to_scene=shift @ each.to_scene) for each in scene.layers),
         actors=tuple(replace(each, track=each.track.moved(shift)) for each in scene.actors),
         ego=None if scene.ego is None else scene.ego.moved(shift),
+        lamps=moved_lamps(scene.lamps, shift),
         path=None if scene.path is None else scene.path.moved(shift),
         ground_m=None if scene.ground_m is None else scene.ground_m - float(point_m[2]),
     )

@@ -8,10 +8,11 @@ import numpy as np
 from ...scene.flags import UNMARKED, BitMask, SelectionFlags
 from ...scene.gaussians import Gaussians
 from ...scene.lod_order import lod_order
-from ...scene.scene import UNCHANGED, DrawItem, Layer, Scene, take_gaussians
+from ...scene.scene import UNCHANGED, Actor, DrawItem, Layer, Scene, take_gaussians
 from ...scene.transforms import bake_item, transform_gaussians, wet_sh_of
 from .actors import moved_actor
 from .gaussians import delete_selected
+from .lamps import moved_lamps, remounted
 from .members import (
     find_member,
     find_unlocked_member,
@@ -65,12 +66,14 @@ def remove(scene: Scene, key: str) -> Scene:
 
 
 def rename(scene: Scene, key: str, name: str) -> Scene:
-    """Rename a member, with a number appended if the name is in use; selection sets follow."""
+    """Rename a member, with a number appended if the name is in use; selection sets and lamps follow."""
     member, name = find_member(scene, key), name.strip()
     if not name:
         raise ValueError("A name can't be empty.")
     renamed = with_unique_name(scene, member, name)
     members = tuple(renamed if each is member else each for each in scene.members)
+    if isinstance(member, Actor) and isinstance(renamed, Actor):
+        scene = replace(scene, lamps=remounted(scene.lamps, member.id, renamed.id))
     return with_selections(
         with_members(scene, members),
         lambda masks: {renamed.key if each == key else each: mask for each, mask in masks.items()},
@@ -162,20 +165,27 @@ def _in_frame_of(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
 
 
 def import_scene(scene: Scene, other: Scene) -> Scene:
-    """Add the members and selection sets of another scene, so that the world frames agree, under unique names."""
+    """Add members, lamps and selection sets of another scene, so that the world frames agree, under unique names.
+
+    Lamps of its ego vehicle are left out.
+    """
     if not scene.members:
         return other
     to_scene = np.linalg.inv(scene.scene_to_world) @ other.scene_to_world
     if np.allclose(to_scene, np.eye(4), rtol=0, atol=1e-12):
         to_scene = np.eye(4)
-    result, keys = scene, dict[str, str]()
+    result, keys, lamps = scene, dict[str, str](), other.lamps
+    scale = float(np.cbrt(np.linalg.det(to_scene[:3, :3])))
     for member in other.members:
         added = with_unique_name(result, member)
         keys[member.key] = added.key
         is_layer = isinstance(added, Layer)
         placed = replace(added, to_scene=to_scene @ added.to_scene) if is_layer else moved_actor(added, to_scene)
         result = with_members(result, (*result.members, placed))
+        if isinstance(member, Actor) and isinstance(added, Actor):
+            lamps = remounted(lamps, member.id, added.id, scale)
     sets = dict(scene.selections)
     for name, masks in other.selections.items():
         sets[unique_name(name, sets)] = {keys[key]: mask for key, mask in masks.items() if key in keys}
-    return replace(result, selections=sets)
+    own = tuple(lamp for lamp in moved_lamps(lamps, to_scene) if lamp.mount != "ego")
+    return replace(result, selections=sets, lamps=(*scene.lamps, *own))

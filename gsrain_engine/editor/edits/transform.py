@@ -11,6 +11,7 @@ from ...scene.gaussians import Gaussians, rotate_sh, scene_cache
 from ...scene.geometry import quaternion_product, quaternions_from_matrices
 from ...scene.scene import Actor, Layer, Scene
 from .actors import moved_actor
+from .lamps import remounted
 from .members import edit_members, find_unlocked_member, is_editable
 
 Similarity = Float64[np.ndarray, "4 4"]
@@ -22,7 +23,9 @@ def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
     if isinstance(member, Layer):
         return scene.with_member(key, to_scene=step @ member.to_scene)
     there = moved_actor(member, step)
-    return scene.with_member(key, track=there.track, gaussians=there.gaussians, size_lwh=there.size_lwh)
+    lamps = remounted(scene.lamps, member.id, member.id, float(np.cbrt(np.linalg.det(step[:3, :3]))))
+    moved = scene.with_member(key, track=there.track, gaussians=there.gaussians, size_lwh=there.size_lwh)
+    return moved if lamps == scene.lamps else replace(moved, lamps=lamps)
 
 
 def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene:

@@ -42,6 +42,9 @@ class ViewOptions:
     """Open page of the window: commands, keys or about."""
     member: str = ""
     """Key of the layer or actor to edit; none if empty or gone."""
+    show_lamps: bool = False
+    lamp: int = -1
+    """Number of the lamp to edit; none if negative."""
     tool: str = ""
     """Name of the active viewport tool; empty for navigation."""
 
