@@ -75,7 +75,7 @@ class CameraResponse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureOptics:
-    """What light passes between scene and stored picture, for one frame of a camera."""
+    """Glass and sensor between scene and stored picture, for one frame of a camera."""
 
     glass: GlassView | None = None
     response: CameraResponse | None = None

@@ -54,10 +54,6 @@ class WetGlass:
     """Amount of dirt, 0..1."""
     seed: int
 
-    def seen_by(self, camera: Camera, lens: ThinLens, wide: UInt8[np.ndarray, "h w 3"]) -> "GlassView":
-        """Return the glass as a camera records it; `wide` is the view behind it of `wide_camera` (sRGB)."""
-        return GlassView(self, camera, lens, wide)
-
 
 def wide_camera(camera: Camera) -> Camera:
     """Camera with the same pose and a wide field of view, for what drops refract into the picture."""
@@ -77,6 +73,7 @@ class GlassView:
     camera: Camera
     lens: ThinLens
     wide: UInt8[np.ndarray, "h w 3"]
+    """View behind the glass of `wide_camera` (sRGB)."""
 
     def picture(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
         """Return a picture (sRGB) as it is through the glass; it has the camera's size."""

@@ -16,7 +16,7 @@ from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from gsrain_engine.scene.sensor import PINHOLE, ThinLens
 from gsrain_engine.water.glass_drops import RADIUS, SHAPE
 from gsrain_engine.water.pane import pane_of
-from gsrain_engine.water.refraction import WATER_INDEX, WetGlass, refracted, wide_camera
+from gsrain_engine.water.refraction import WATER_INDEX, GlassView, WetGlass, refracted, wide_camera
 from small_scene import small_scene
 
 SKY, ROAD = 230, 60
@@ -43,7 +43,7 @@ def horizon(camera):
 
 
 def through(glass, camera, lens=PINHOLE):
-    return glass.seen_by(camera, lens, horizon(wide_camera(camera))).picture(horizon(camera))
+    return GlassView(glass, camera, lens, horizon(wide_camera(camera))).picture(horizon(camera))
 
 
 # One drop
@@ -84,7 +84,7 @@ def test_light_at_the_rim_of_a_steep_drop_is_reflected_back():
     assert refracted((0.97, 0.0), (0.0, 0.0, 1.0), 30.0)[0] > 0.8
 
 
-def test_a_slanted_ray_beside_a_steep_drop_meets_its_outside():
+def test_a_slanted_ray_next_to_a_steep_drop_meets_its_outside():
     ray = np.array([1.0, 0.0, 0.4]) / np.hypot(1, 0.4)
     assert refracted((-1.05, 0.0), tuple(ray), 70.0)[0] >= 0.0
     assert refracted((-3.0, 0.0), tuple(ray), 70.0)[0] == -1.0
@@ -113,9 +113,9 @@ def test_a_sharp_drop_shows_the_view_upside_down_inside_of_its_outline():
 def test_an_open_lens_spreads_a_drop_over_its_circle_of_confusion_and_keeps_its_coverage():
     camera = camera_of()
     glass = glass_with(camera, drops=[(0.0, 0.0, 0.0004)], distance=0.1, angle=30.0)
-    sharp, cell, _ = glass.seen_by(camera, PINHOLE, horizon(wide_camera(camera))).layer(horizon(camera))
+    sharp, cell, _ = GlassView(glass, camera, PINHOLE, horizon(wide_camera(camera))).layer(horizon(camera))
     lens = ThinLens(0.01, 10.0)
-    blurred, wide_cell, margin = glass.seen_by(camera, lens, horizon(wide_camera(camera))).layer(horizon(camera))
+    blurred, wide_cell, margin = GlassView(glass, camera, lens, horizon(wide_camera(camera))).layer(horizon(camera))
     assert cell == 1 and wide_cell > 1
     area_px = np.pi * (camera.fx * 0.0004 / 0.1) ** 2
     assert sharp[..., 3].sum() == pytest.approx(area_px, rel=0.1)
