@@ -18,6 +18,7 @@ from jaxtyping import Float32
 
 from gsrain_engine.backends import Backend, device_of, open_renderer
 from gsrain_engine.editor.viewport.camera import default_path
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recolor.problem import RecolorSettings
@@ -26,7 +27,7 @@ from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.opengl.context import NoOpenGLError
-from gsrain_engine.render.renderer import Color, Renderer, RenderStatistics, describe_machine
+from gsrain_engine.render.renderer import Renderer, RenderStatistics, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -112,7 +113,7 @@ def time_frames(renderer: Renderer, sequences: Sequence[FrameSequence], frames: 
 
     The sequences alternate frame by frame, so that other load on the machine affects all of them alike.
     """
-    runs = [_Run(renderer, sequence, sequence.sky(renderer).color) for sequence in sequences]
+    runs = [_Run(renderer, sequence, sequence.sky(renderer).light) for sequence in sequences]
     for number in range(-_WARM_UP, frames):
         for run in runs:
             run.render(max(number, 0), counts=number >= 0)
@@ -123,7 +124,7 @@ def time_frames(renderer: Renderer, sequences: Sequence[FrameSequence], frames: 
 class _Run:
     renderer: Renderer
     sequence: FrameSequence
-    sky: Color
+    sky: SkyLight
     frames_ms: list[float] = field(default_factory=list[float])
     stages_ms: dict[str, list[float]] = field(default_factory=dict[str, list[float]])
     last: RenderStatistics = field(default_factory=RenderStatistics)

@@ -280,8 +280,8 @@ def _extinction(renderer: Renderer, sequence: FrameSequence, time_s: float) -> d
     beta, rain = simulation.state.extinction_per_m, simulation.rain
     airlight: list[float] | None = None
     if beta > 0 and (rain.haze == "medium" or rain.visibility_m is not None):
-        sky = rain.drop_color or sequence.sky(renderer).at(sequence.rainfall.overcast_at(time_s))
-        airlight = srgb_to_linear(np.array(sky)).tolist()
+        color = rain.drop_color or sequence.sky(renderer).at(sequence.rainfall.overcast_at(time_s)).airlight
+        airlight = srgb_to_linear(np.array(color)).tolist()
     fog = {} if rain.visibility_m is None else {"fog_extinction_per_m": simulation.state.fog_extinction_per_m}
     return fog | {
         "extinction_per_m": beta,

@@ -15,6 +15,7 @@ SETTINGS = {
     "rain": ("gsrain_engine.rain.settings:RainSettings", "Rain presets"),
     "calibrations": ("gsrain_engine.rain.calibration:Calibration", "Rain calibrations"),
     "sensors": ("gsrain_engine.scene.sensor:Sensor", "Image sensors and lenses"),
+    "real_rain": ("gsrain_engine.evaluation.real_rain:RealRainConditions", "Conditions of recorded rain"),
     "scenarios": ("gsrain_engine.simulation.scenario:Scenario", "Scenarios of `gsrain drive`"),
     "sweeps": ("gsrain_engine.sweep.settings:Sweep", "Sweeps"),
     "reconstruct": ("gsrain_engine.training.settings:TrainingSettings", "Reconstruction"),

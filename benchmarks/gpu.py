@@ -340,7 +340,7 @@ def rain(options: Options) -> Iterator[Row]:
 
 def _rainy_and_clear_ms(timed: TimedBackend, scene: Scene, size: Size, work: Workload) -> dict[str, float]:
     sequences = {"clear": sequence_of(scene, size, 0.0), "rainy": sequence_of(scene, size, RAIN_MM_H)}
-    sky = sequences["rainy"].sky(timed.renderer).color
+    sky = sequences["rainy"].sky(timed.renderer).light
     times: dict[str, list[float]] = {"clear": [], "rainy": [], "creating": []}
     end = time.monotonic() + 2 * work.limit_s
     for number in range(-work.warm_up, work.timed):

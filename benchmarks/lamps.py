@@ -12,6 +12,7 @@ import numpy as np
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.viewport.camera import default_path
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.draw import RenderView, draw_view
@@ -21,7 +22,7 @@ from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Scene
 
-NIGHT = (0.05, 0.05, 0.06)
+NIGHT = SkyLight.uniform((0.05, 0.05, 0.06))
 
 
 def main() -> None:

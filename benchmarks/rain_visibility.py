@@ -39,7 +39,7 @@ class StreetStills:
         self._street, self._renderer = street, CpuRenderer()
         path = default_path(street, *SIZE)
         sequence = FrameSequence(street, RainSimulation.start(load_preset("clear")), path, *SIZE, start_s=2.0)
-        self._shot, self._sky = sequence.shot(0), sequence.sky(self._renderer).color
+        self._shot, self._sky = sequence.shot(0), sequence.sky(self._renderer).light
         self.clear = self._still(load_preset("clear"))
 
     def advice(self) -> dict[str, float]:
@@ -84,7 +84,7 @@ def measure(street: Scene, rain: RainSettings, seed: int) -> dict[str, float]:
         renderer.draw(
             scene.parts(2.0) if scene.layers else [],
             shot.camera,
-            falling.frame(shot.time_s, rain_camera(street, falling, shot), sky.color),
+            falling.frame(shot.time_s, rain_camera(street, falling, shot), sky.light),
         )
         return renderer.read().rgba
 

@@ -20,6 +20,7 @@ from jaxtyping import Float64
 from app.main import run
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.draw import RenderView, draw_view
@@ -35,7 +36,7 @@ SIZE, FOV_DEG, EYE_M, FOCAL_PX = (150, 100), 30.0, (0.0, 0.0, 1.5), 1200.0
 SPACING_PX = 0.7  # between the Gaussians of a wall
 FAINT = 0.05
 """Transmittance below which errors are those of the full contrast, not of the transmittance."""
-SKY = (0.74, 0.76, 0.78)
+SKY = SkyLight.uniform((0.74, 0.76, 0.78))
 STEP_S = 0.5  # between moments: most drops near the camera are then others
 
 

@@ -29,7 +29,7 @@ class Stills:
         self.sequence = FrameSequence(
             self.street, RainSimulation.start(load_preset("clear")), path, 960, 640, start_s=2.0
         )
-        self.sky = self.sequence.sky(self.renderer).color
+        self.sky = self.sequence.sky(self.renderer).light
         self.shot = self.sequence.shot(0)
         self.clear = self.picture("clear")
 

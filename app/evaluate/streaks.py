@@ -5,27 +5,35 @@ import math
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
-from gsrain_engine.evaluation.streaks import (
-    ANGLE_EDGES_DEG,
-    LENGTH_EDGES_PX,
+from gsrain_engine.evaluation.real_rain import (
     FrameStatistics,
     RealRainComparison,
     Window,
     above_horizon,
     compare_with_real_rain,
     evenly_chosen,
+    load_conditions,
 )
+from gsrain_engine.evaluation.real_rain_report import PAIRS, markdown, unlabeled_pairs
+from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.render.images import write_png
+from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
+from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor
 
 from ..console import Console, Table, progress_bar, table_of
 from ..options import JsonFileOrScreen, check_within, option, options_of, setting
-from ..outputs import check_writable, finite_numbers, table_stream, write_numbers
+from ..outputs import check_ending, check_writable, finite_numbers, table_stream, write_numbers, write_text
 
+_AIR = ("wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s")
 RenderedOptions = options_of(
-    RainSettings, "evaluate streaks", defaults={"intensity_mm_h": "that of each sequence", "sensor": "pinhole"}
+    RainSettings,
+    "evaluate streaks",
+    defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
+    | dict.fromkeys(_AIR, "that of --conditions"),
 )
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _COLUMNS = 130
@@ -37,30 +45,70 @@ def streaks(
     /,
     *,
     rain: RenderedOptions | None = None,
-    exposure: Annotated[str, setting(RainSettings, "exposure_s", "Several with commas.")] = "0.004,0.016",
-    frames: Annotated[int, option("Number of frames of each sequence to measure, and to render.")] = 16,
+    exposure: Annotated[
+        str | None, setting(RainSettings, "exposure_s", "Several with commas. Default: that of --conditions.")
+    ] = None,
+    conditions: Annotated[
+        str, option("Shutter and air of each sequence: rainsense, or a file of sample_configs/real_rain's kind.")
+    ] = "rainsense",
+    frames: Annotated[int, option("Number of frames of each sequence to measure, and to render.")] = 20,
     window: Annotated[str | None, option("LEFT,TOP,WIDTH,HEIGHT in pixels; default: above the horizon.")] = None,
+    report: Annotated[
+        Path | None, option("Write one table, real beside ours, with intervals, to this file (.md).")
+    ] = None,
+    pairs: Annotated[
+        Path | None,
+        option("Write 40 unlabeled pairs of pictures, real beside ours, to this folder; the key goes next to it."),
+    ] = None,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Measure rain streaks in the frames of a static camera, and in our rain over the same background."""
     check_within("--frames", frames, _MIN_FRAMES, _MAX_FRAMES)
-    check_writable(json)
-    exposures = _exposures(exposure)
+    check_ending("--report", report, (".md",))
+    key = None if pairs is None else pairs.with_name(f"{pairs.name}_key.json")
+    check_writable(report, key, json, folders=[pairs])
+    exposures = _exposures(exposure) if exposure is not None else None
     part = _window(window) if window is not None else None
+    known = load_conditions(conditions)
     sequences = _long_enough(real)
     options = rain or RenderedOptions()
-    plain = options.settings(RainSettings(sensor="pinhole"))
+    plain = options.settings(RainSettings(sensor="rainsense"))
     knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "sensor", "aperture_mm", "seed")}
     rows: list[RealRainComparison] = []
     with progress_bar("Measuring", len(sequences)) as advance:
         for sequence in sequences:
-            ours = options.settings(RainSettings(intensity_mm_h=sequence.intensity_mm_h, sensor="pinhole"))
-            numbers = evenly_chosen(sequence, frames)
-            rows.append(compare_with_real_rain(sequence, ours, exposures, numbers, part or above_horizon(sequence)))
+            day = known.of(sequence.intensity_mm_h)
+            ours = options.settings(day.rain("rainsense"))
+            shutter = day.shutter_s or load_sensor(ours.sensor or DEFAULT_SENSOR).shutter_s or DEFAULT_EXPOSURE_S
+            numbers = evenly_chosen(sequence, frames, day.middle_frame)
+            shutters = exposures or [shutter]
+            rows.append(compare_with_real_rain(sequence, ours, shutters, numbers, part or above_horizon(sequence)))
             advance()
     _print(rows, Console(file=table_stream(json), width=_COLUMNS))
     edges = {"length_edges_px": list(LENGTH_EDGES_PX), "angle_edges_deg": list(ANGLE_EDGES_DEG)}
-    write_numbers(json, finite_numbers({"frames": frames, **knobs, **edges, "rows": [asdict(row) for row in rows]}))
+    plain_rows = [_plain(row) for row in rows]
+    write_numbers(json, finite_numbers({"frames": frames, **knobs, **edges, "rows": plain_rows}))
+    if report is not None:
+        write_text(report, markdown(rows))
+    if pairs is not None and key is not None:
+        _write_pairs(list(zip(sequences, rows, strict=True)), pairs, key)
+
+
+def _plain(row: RealRainComparison) -> dict[str, Any]:
+    names = ("sequence", "labelled_mm_h", "rendered_mm_h", "window", "numbers", "sky_levels")
+    measured = {"real": asdict(row.real.statistics), "ours": [asdict(each.statistics) for each in row.ours]}
+    return {name: getattr(row, name) for name in names} | measured
+
+
+def _write_pairs(rows: list[tuple[RainSequence, RealRainComparison]], folder: Path, key: Path) -> None:
+    """Write pairs as PNG, and which side is real to another file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found: list[dict[str, Any]] = []
+    for number, pair in enumerate(unlabeled_pairs(rows, PAIRS)):
+        name = f"pair_{number:02}.png"
+        write_png(folder / name, pair.picture)
+        found.append({"picture": name, "real": pair.real_side, "sequence": pair.sequence, "frame": pair.frame})
+    write_numbers(key, {"pairs": found})
 
 
 def _exposures(text: str) -> list[float]:
@@ -93,9 +141,9 @@ def _print(rows: list[RealRainComparison], console: Console) -> None:
     titles = "mm/h,rain,T ms,std,> 8,< -8,streaks,a Mpx,angle deg,length px,width px,rise,told T ms"
     table = table_of(titles, wraps=True)
     for row in rows:
-        _add(table, f"{row.labelled_mm_h:g}", "real", row.real)
+        _add(table, f"{row.labelled_mm_h:g}", "real", row.real.statistics)
         for measured in row.ours:
-            _add(table, f"{row.rendered_mm_h:g}", "ours", measured)
+            _add(table, f"{row.rendered_mm_h:g}", "ours", measured.statistics)
     console.print(table)
     console.print("Streaks before backgrounds of gray 32 to 64: medians, with what 10 and 90 % lie below.")
 

@@ -12,11 +12,12 @@ from PIL import Image
 
 from ..datasets.capture import Capture, CaptureFrame
 from ..datasets.kitti import calibration_of_day
+from ..rain.frame import SkyLight
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..render.draw import RenderView, ego_view, rain_camera
 from ..render.images import write_image
-from ..render.renderer import Color, Renderer
+from ..render.renderer import Renderer
 from ..scene.files import whole_folder
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.progress import Progress
@@ -33,7 +34,7 @@ def rain_on_photo(
     rainfall: RainSimulation,
     shot: RenderView,
     photo: UInt8[np.ndarray, "h w 3"],
-    sky: Color = OVERCAST,
+    sky: SkyLight = OVERCAST,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Composite rain over the photograph B, W its share of a pixel and S its light: enc((1-W) dec(B) + W S).
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import msgspec
 
+from ..rain.frame import SkyLight
 from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
 from ..rain.settings import RainSettings
 from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import OVERCAST, RainSimulation
-from ..render.renderer import Color
 from ..render.sky_color import SkyColor
 from ..scene.scene import Scene
 from .document import Document, DocumentState
@@ -75,8 +75,8 @@ class LiveRain:
         return self.displayed.overcast_at(self._viewport.playback.clock.time_s)
 
     @property
-    def sky(self) -> Color:
-        """Sky color at the present time, used for drops."""
+    def sky(self) -> SkyLight:
+        """Light of the sky at the present time, for drops and medium."""
         return self.sky_color.at(self.overcast_now)
 
     @property

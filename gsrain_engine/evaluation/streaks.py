@@ -1,27 +1,19 @@
-"""Rain streaks in frames of a static camera: detection, statistics, and comparison of simulated and real rain.
+"""Rain streaks in frames of a static camera: detection, measurement and statistics.
 
 The residual (frame minus temporal median) is averaged along short lines of twelve directions, the best direction is
 compared with its noise, and significant pixels form connected components. Moments of each component in the residual
 give the angle, and the length, width and rise of the box with the same moments.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from functools import cache
 
 import cv2
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from ..datasets.rainsense import RainSequence
-from ..rain.settings import RainSettings
-from ..rain.simulation import RainSimulation
-from ..render.cpu.renderer import CpuRenderer
-from ..render.draw import RenderView, rain_camera
-from ..scene.camera import Camera
-from ..scene.geometry import linear_to_srgb, srgb_to_linear
-from ..scene.scene import Scene
+from ..scene.geometry import srgb_to_linear
 
 LINE_PX = 15  # length of the lines of the streak detector
 FALL_BY_DIAMETER_S = 0.3e-3  # D/V of the drops that make visible streaks
@@ -282,7 +274,7 @@ def streak_statistics(
 ) -> StreakStatistics:
     """Summarize the output of `find_streaks` on residuals, bright and `darker`."""
     low, high = band
-    chosen, control = _within(bright, band), len(_within(darker, band))
+    chosen, control = streaks_within(bright, band), len(streaks_within(darker, band))
     pixels = int(np.count_nonzero(found.still & (found.median >= low) & (found.median < high)))
     searched = 1e-6 * pixels * len(found.values)
     return StreakStatistics(
@@ -297,7 +289,8 @@ def streak_statistics(
     )
 
 
-def _within(table: StreakTable, band: tuple[float, float]) -> StreakTable:
+def streaks_within(table: StreakTable, band: tuple[float, float]) -> StreakTable:
+    """Return the streaks near the vertical in front of a band of background levels."""
     background = table.background_levels
     return table[(background >= band[0]) & (background < band[1]) & (np.abs(table.angle_deg) <= STEEP_DEG)]
 
@@ -307,144 +300,3 @@ def _quantiles(values: Float64[np.ndarray, " n"]) -> Quantiles:
         return (np.nan, np.nan, np.nan)
     low, middle, high = np.percentile(values, _QUANTILES)
     return float(low), float(middle), float(high)
-
-
-# Simulated rain in front of a photograph
-
-Window = tuple[int, int, int, int]  # left, top, width, height of a part of an image, in pixels
-_NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))
-
-
-def cropped_camera(camera: Camera, window: Window) -> Camera:
-    """Return the camera of a window of this one's image."""
-    x, y, width, height = window
-    return replace(camera, cx=camera.cx - x, cy=camera.cy - y, width=width, height=height)
-
-
-def render_rain_frames(
-    background: UInt8[np.ndarray, "h w"],
-    noise_levels: Float32[np.ndarray, "h w"],
-    camera: Camera,
-    rainfall: RainSimulation,
-    times_s: Sequence[float],
-    drop_levels: float,
-) -> Iterator[UInt8[np.ndarray, "h w"]]:
-    """Render gray frames of a static camera (world: meters, z up) with a background behind all rain.
-
-    `drop_levels` is a drop's display level (0-255). With W the rain's share of a pixel as the renderer composites it, B
-    the background and S the drop's light: enc((1 - W) dec(B) + W S), or a mix of display values, as set in the rain;
-    then white noise of the given standard deviation, seeded by the rain's seed, and rounding to gray levels.
-    """
-    display, drop = background.astype(np.float32) / 255, drop_levels / 255
-    linear = rainfall.rain.rain_light == "linear"
-    encode, decode = (linear_to_srgb, srgb_to_linear) if linear else (np.asarray, np.asarray)
-    behind, light = decode(display), float(decode(np.array([drop]))[0])
-    random = np.random.default_rng(rainfall.rain.seed)
-    renderer = CpuRenderer()
-    for time_s in times_s:
-        shot = RenderView(camera, time_s=float(time_s))
-        view = rain_camera(_NO_SCENE, rainfall, shot)
-        renderer.draw([], camera, rainfall.frame(shot.time_s, view, (1.0, 1.0, 1.0)))
-        share = renderer.read().rgba[..., 3]
-        mixed = 255 * encode((1 - share) * behind + share * light)
-        noisy = mixed + noise_levels * random.standard_normal(background.shape, np.float32)
-        yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-
-
-# Comparison with real rain
-
-_SKY_PERCENTILE = 90
-_MAX_SPACING_S = 0.2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameStatistics:
-    """Statistics of one sequence of frames."""
-
-    exposure_s: float | None
-    """Simulated shutter time; None for real frames, whose shutter time is unknown."""
-    residual: ResidualStatistics
-    streak: StreakStatistics
-    """In front of the dark band of backgrounds."""
-    by_background: tuple[StreakStatistics, ...]
-    """In front of each band of BANDS."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RealRainComparison:
-    """One real sequence, and simulated rain in front of its background."""
-
-    sequence: str
-    labelled_mm_h: float
-    """Labeled rain rate of the real sequence."""
-    rendered_mm_h: float
-    window: Window
-    sky_levels: float
-    """Display level of the drops' light: the 90th percentile above the horizon."""
-    real: FrameStatistics
-    ours: tuple[FrameStatistics, ...]
-    """One for each exposure."""
-
-
-def above_horizon(sequence: RainSequence) -> Window:
-    """Return the part above the horizon of a level camera's image, without moving reflections of a wet road."""
-    camera = sequence.camera
-    return 0, 0, camera.width, int(np.clip(camera.cy, 1, camera.height))
-
-
-def evenly_chosen(sequence: RainSequence, count: int) -> list[int]:
-    """Choose frames around the middle of a sequence, at most 0.2 s apart: light and wind change slowly."""
-    spacing = (sequence.times_s[-1] - sequence.times_s[0]) / max(len(sequence) - 1, 1)
-    step = max(min(len(sequence) // count, int(_MAX_SPACING_S / spacing + 0.5)), 1) if spacing > 0 else 1
-    number = min(count, len(sequence))
-    first = (len(sequence) - (number - 1) * step - 1) // 2
-    return [first + k * step for k in range(number)]
-
-
-def compare_with_real_rain(
-    sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
-) -> RealRainComparison:
-    """Measure frames of a sequence, and simulated rain at each exposure in front of their temporal median.
-
-    The simulation uses the sequence's camera, times, background and noise, without haze, since the distance of the
-    background is unknown. Pixels that move in the real frames are excluded from both. Raises ValueError for a window
-    outside the image, and as `median_residuals` does.
-    """
-    x, y, width, height = window
-    camera = sequence.camera
-    if min(x, y) < 0 or min(width, height) < 32 or x + width > camera.width or y + height > camera.height:
-        raise ValueError(
-            f"window {x},{y},{width},{height}: must be 32 px or more within {camera.width}x{camera.height}"
-        )
-    pictures = [sequence.gray_image(k) for k in numbers]
-    real = median_residuals(np.stack([picture[y : y + height, x : x + width] for picture in pictures]))
-    horizon = above_horizon(sequence)[3]
-    sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
-    ours: list[FrameStatistics] = []
-    for exposure in exposures_s:
-        falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze="none"))
-        lens = falling.lens(camera)  # of the whole image: the window has the same lens
-        fixed = {"aperture_mm": 1e3 * lens.aperture_m, "focus_distance_m": lens.focus_m}
-        falling = falling.changed(msgspec.structs.replace(falling.rain, **fixed), 0.0)
-        times = [sequence.times_s[k] for k in numbers]
-        frames = render_rain_frames(real.median, real.sigma, cropped_camera(camera, window), falling, times, sky)
-        ours.append(_measured(replace(median_residuals(np.stack(list(frames))), still=real.still), sky, exposure))
-    return RealRainComparison(
-        sequence=sequence.name,
-        labelled_mm_h=sequence.intensity_mm_h,
-        rendered_mm_h=rain.intensity_mm_h,
-        window=window,
-        sky_levels=sky,
-        real=_measured(real, sky, None),
-        ours=tuple(ours),
-    )
-
-
-def _measured(found: MedianResiduals, sky: float, exposure_s: float | None) -> FrameStatistics:
-    bright, darker = find_streaks(found, sky), find_streaks(found, sky, darker=True)
-    return FrameStatistics(
-        exposure_s=exposure_s,
-        residual=residual_statistics(found),
-        streak=streak_statistics(bright, darker, found),
-        by_background=tuple(streak_statistics(bright, darker, found, band) for band in BANDS),
-    )

@@ -40,6 +40,26 @@ class RainCamera:
     """Height of the ground in the world, above which the wind grows; None if it is the streak region's lower face."""
 
 
+class SkyLight(NamedTuple):
+    """Light of the sky in rain, as display colors."""
+
+    drops: tuple[float, float, float]
+    """Mean of the sky: a drop refracts almost all of it (paper, eq. 3)."""
+    airlight: tuple[float, float, float]
+    """Color that distant things fade into: that of the sky just above the horizon."""
+
+    @classmethod
+    def uniform(cls, color: tuple[float, float, float]) -> "SkyLight":
+        """Light of a sky that has one color."""
+        return cls(color, color)
+
+    def mixed(self, other: "SkyLight", share: float) -> "SkyLight":
+        """Linear mix of display values with a share (0..1) of another sky."""
+        pairs = zip(self, other, strict=True)
+        (r, g, b), (s, t, u) = ([(1 - share) * c + share * w for c, w in zip(*pair, strict=True)] for pair in pairs)
+        return SkyLight((r, g, b), (s, t, u))
+
+
 class FallingDrops(NamedTuple):
     """Drops at one time. World frame, meters."""
 
@@ -68,6 +88,8 @@ class RainFrame:
     view: RainCamera
     color: Float64[np.ndarray, "3"]
     """Display color of a drop."""
+    airlight: Float64[np.ndarray, "3"]
+    """Display color of the medium."""
     haze_count: int
     """M: number of haze Gaussians at full opacity within the haze region."""
     extinction_per_m: float
@@ -106,6 +128,11 @@ class RainFrame:
     def is_linear(self) -> bool:
         """True if drops are blended in linear light, false if as display colors (the paper's form)."""
         return self.rain.rain_light == "linear"
+
+    @property
+    def airlight_linear(self) -> Float32[np.ndarray, "3"]:
+        """Color of the medium in linear light."""
+        return srgb_to_linear(self.airlight).astype(np.float32)
 
     @property
     def light_linear(self) -> Float32[np.ndarray, "3"]:
@@ -205,7 +232,7 @@ class RainFrame:
         per_m3 = self.count / float(np.prod(self.period_m)) if has_drops else 0.0
         streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
         view = self.view
-        return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, self.light_linear)
+        return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, self.airlight_linear)
 
     @property
     def gaussians(self) -> Gaussians:

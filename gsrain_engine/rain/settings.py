@@ -204,7 +204,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="From the lens along its axis; none is 0.12 m for a windshield and 0.02 m for a lens.")] = None
     drop_color: Annotated[Vector | None, Meta(
         title="Drop color",
-        description="Display color of a drop (eq. 3); none takes the mean of the scene's sky.")] = None
+        description="Display color of drops (eq. 3), rain and fog; none takes those of the scene's sky.")] = None
 
     lamps: Annotated[str | None, Meta(
         title="Lamps", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},

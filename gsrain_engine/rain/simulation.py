@@ -16,14 +16,15 @@ from .calibration import Calibration, load_calibration
 from .drop_field import DropCulling, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, wind_of
 from .fog import fog_overcast
-from .frame import RainCamera, RainFrame
+from .frame import RainCamera, RainFrame, SkyLight
 from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
 from .streaks import MAX_STRETCH, STREAK_REACH, ShutterModel, camera_slopes, visible_distance_m
 from .wetness import WetnessCurve, overcast, wetness
 
-OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)  # display color of drops in scenes without sky
+OVERCAST = SkyLight.uniform((0.78, 0.79, 0.80))
+"""Light in scenes without a sky."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +147,12 @@ class RainSimulation:
         self,
         time_s: float,
         view: RainCamera,
-        sky: tuple[float, float, float] = OVERCAST,
+        sky: SkyLight = OVERCAST,
         lamps: LitLamps | None = None,
     ) -> RainFrame:
         """Place drops and haze around a camera at a time.
 
-        `sky` is the display color of the scene's sky; `lamps` light drops and medium.
+        `sky` gives drops and medium their colors, unless the settings have one; `lamps` light drops and medium.
         """
         now = self.frozen_at(time_s)
         rain, motion, camera = now.rain, now.motion, view.camera
@@ -176,7 +177,8 @@ class RainSimulation:
             rain=rain,
             time_s=time_s,
             view=view,
-            color=np.array(rain.drop_color or sky),
+            color=np.array(rain.drop_color or sky.drops),
+            airlight=np.array(rain.drop_color or sky.airlight),
             haze_count=now.state.haze_gaussians,
             extinction_per_m=now.state.extinction_per_m,
             fog_extinction_per_m=now.state.fog_extinction_per_m,

@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ..rain.simulation import RainSimulation
+from ..rain.frame import SkyLight
+from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.scene import Scene
 from ..water.glass import CameraMotion, GlassHistory, GlassState, PastMotion
 from ..water.glass_drops import GlassDrops
@@ -16,7 +17,7 @@ from ..water.pane import GlassKind, Pane, pane_of
 from ..water.refraction import GlassView, WetGlass, wide_camera
 from .camera_response import CameraResponse, PictureOptics, metered_gain
 from .draw import LodSubset, RenderView, draw_view, ego_view
-from .renderer import Color, Renderer
+from .renderer import Renderer
 
 WIDE_SHARE = 0.1
 """Share of the Gaussians in the wide view behind the glass."""
@@ -35,7 +36,7 @@ class CameraOptics:
         renderer: Renderer,
         scene: Scene,
         rainfall: RainSimulation,
-        sky: Color,
+        sky: SkyLight,
         shot: RenderView,
         *,
         camera: Hashable = "",
@@ -61,6 +62,7 @@ class CameraOptics:
             view = replace(shot, camera=wide, focal_px=None)
             draw_view(renderer, scene, calm, sky, view, thinning=self._thinning)
             behind = renderer.read_uint8().copy()
+            self._thinning.forget_all_but(each.gaussians for each in scene.members)
         else:
             behind = np.zeros((wide.height, wide.width, 3), np.uint8)
         through = GlassView(glass, shot.camera, rainfall.lens(shot.camera), behind)
@@ -79,7 +81,7 @@ class CameraOptics:
         if sensor is None:
             return None
         if sensor.mean_gray is not None and camera not in self._gains:
-            draw_view(renderer, scene, None, (0.0, 0.0, 0.0), shot)
+            draw_view(renderer, scene, None, OVERCAST, shot)
             self._gains[camera] = metered_gain(renderer.read_uint8(), sensor)
         return CameraResponse(sensor, shot.camera, shot.time_s, rainfall.rain.seed, self._gains.get(camera, 1.0))
 

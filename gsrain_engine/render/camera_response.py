@@ -8,7 +8,7 @@ from typing import Any, no_type_check
 import lazy_loader
 import numba
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Float64, UInt8
 from scipy.special import ndtri
 
 from ..rain.pcg_hash import pcg4d_scalar
@@ -22,12 +22,9 @@ cv2: Any = lazy_loader.load("cv2")  # only pictures of a sensor with JPEG need i
 MAX_GAIN = 4.0
 """Upper bound of the gain of automatic exposure, and its inverse the lower one."""
 
-CRUSH = 0.05
-"""Display value at which the tone curve `crushed` has fallen to about half.
-
-Before backgrounds of gray 0 to 16, RainSense's streaks rise by 0.56, 0.93 and 0.60 of ours with the sRGB curve; at gray
-9 this curve rises by 0.69 of it.
-"""
+CRUSH = 0.2
+"""Display value at which the tone curve `crushed` has fallen to about half, fitted to the rise of RainSense's streaks
+before backgrounds of gray 0 to 16 (docs/real_rain_method.md)."""
 
 _NORMALS, _TONES = 1 << 12, 1 << 14  # entries of the tables of normal deviates and of the tone curve
 
@@ -102,6 +99,13 @@ def tone_curve(light: np.ndarray, name: str) -> np.ndarray:
     return display if name == "srgb" else display**2 * (1 + CRUSH) / (display + CRUSH)
 
 
+def light_of_display(display: Float64[np.ndarray, "*n"], name: str) -> Float64[np.ndarray, "*n"]:
+    """Linear light 0..1 of display values 0..1 by the inverse of `tone_curve`."""
+    levels = np.linspace(0, 1, 1 << 12)
+    light = srgb_to_linear(levels)
+    return np.interp(display, tone_curve(light, name), light)
+
+
 @cache
 def _linear_levels() -> Float32[np.ndarray, "256"]:
     return srgb_to_linear(np.arange(256) / 255).astype(np.float32)
@@ -145,3 +149,9 @@ def _compressed(image: UInt8[np.ndarray, "h w 3"], quality: int) -> UInt8[np.nda
     ]
     _, data = cv2.imencode(".jpg", image[..., ::-1], options)
     return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
+
+
+def stored_jpeg(gray: UInt8[np.ndarray, "h w"], quality: int) -> UInt8[np.ndarray, "h w"]:
+    """Compress the luma of a picture as JPEG, and decompress."""
+    _, data = cv2.imencode(".jpg", gray, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)

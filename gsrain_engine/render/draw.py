@@ -8,16 +8,17 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from ..rain.frame import RainCamera
+from ..rain.frame import RainCamera, SkyLight
 from ..rain.shelter_map import shelter_map_of
-from ..rain.simulation import RainSimulation
+from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
 from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from .camera_response import PictureOptics
-from .renderer import Color, Renderer, RenderMode
+from .lamp_reflections import lamp_reflections
+from .renderer import Renderer, RenderMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +52,7 @@ def draw_view(
     renderer: Renderer,
     scene: Scene,
     rainfall: RainSimulation | None,
-    sky: Color,
+    sky: SkyLight,
     shot: RenderView,
     *,
     with_depth: bool = False,
@@ -67,6 +68,7 @@ def draw_view(
     each part's Gaussians; `selection` tints selected ones.
     """
     rain, wetness, overcast = None, 0.0, 0.0
+    lamps = scene.lamps if rainfall is None or not scene.lamps else rainfall.lamps.of(scene)
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
@@ -74,6 +76,11 @@ def draw_view(
             lit_lamps = scene.lamps_at(shot.time_s, lamps) if lamps else None
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
+    if scene.lamps and scene.ground_m is not None and look == "splats":
+        fixed = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount == "scene"])
+        moving = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount != "scene"])
+        reflections = lamp_reflections(fixed, moving, shot.camera, scene.ground_m, wetness)
+        lit += [] if reflections is None else [reflections]
     parts = subset_items(lit, thinning, shot.camera)
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from ..rain.frame import SkyLight
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
@@ -17,7 +18,7 @@ from .camera_optics import CameraOptics, glass_state
 from .camera_response import PictureOptics
 from .draw import LodCut, RenderView, draw_view, read_picture
 from .images import to_display, to_linear_light
-from .renderer import Color, Frame, Renderer, RenderMode
+from .renderer import Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
 
 
@@ -138,7 +139,7 @@ class FrameSequence:
         averaged as on a sensor: in linear light.
         """
         rainfall = None if sky is None else self.rainfall
-        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
+        color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
@@ -176,13 +177,13 @@ class FrameSequence:
         if self.motion_blur > 1 or self.supersampling > 1:
             return self.frame(renderer, number, sky, look=look).to_uint8()
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
-        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
+        color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
         draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
         return read_picture(renderer, optics)
 
     def _optics_of(
-        self, renderer: Renderer, number: int, sky: Color, look: RenderMode, *, falls: bool
+        self, renderer: Renderer, number: int, sky: SkyLight, look: RenderMode, *, falls: bool
     ) -> PictureOptics | None:
         """Glass and sensor for a frame, with rain or without; None for other render modes than splats.
 

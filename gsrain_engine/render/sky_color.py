@@ -1,37 +1,38 @@
-"""Sky color of a scene, used as the color of its drops (paper, eq. 3): sampled once for all cameras."""
+"""Sky color of a scene, which its drops (paper, eq. 3) and its rain and fog have: sampled once for all cameras."""
 
 from collections.abc import Generator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
+from ..rain.frame import SkyLight
 from ..rain.simulation import OVERCAST, mean_linear_color
 from ..scene.camera import Camera, look_at
 from ..scene.scene import Scene
 from .draw import Thinning, subset_items
-from .renderer import Color, Renderer
+from .renderer import Renderer
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
 _FAR_M = 60.0  # minimum distance of sky above the horizon, in scenes without a sky layer
 _MIN_PIXELS = 200
+_HORIZON_DEG = 4.0  # of the visible sky just above its lower edge are airlight
+_LOWEST_PIXELS = 20  # may lie below that edge, such as in gaps between houses
 
 
 class SkyColor(NamedTuple):
-    """Mean color of the sky; `found` is false for the default color."""
+    """Colors of drops and medium from the sky; `found` is false for the default color."""
 
-    color: Color
-    """Color in the dry scene, as it is lit."""
+    light: SkyLight
+    """Light in the dry scene, as it is lit."""
     found: bool
-    wet_color: Color | None = None
-    """Color in the soaked scene, whose sky is overcast; None if it is the same."""
+    wet_light: SkyLight | None = None
+    """Light in the soaked scene, whose sky is overcast; None if it is the same."""
 
-    def at(self, overcast: float) -> Color:
-        """Color at a share of the overcast sky (0..1): a linear mix in display values, as for each Gaussian."""
-        if self.wet_color is None:
-            return self.color
-        red, green, blue = ((1 - overcast) * c + overcast * w for c, w in zip(self.color, self.wet_color, strict=True))
-        return red, green, blue
+    def at(self, overcast: float) -> SkyLight:
+        """Light at a share of the overcast sky (0..1): a linear mix in display values, as for each Gaussian."""
+        return self.light if self.wet_light is None else self.light.mixed(self.wet_light, overcast)
 
 
 def sky_color(
@@ -40,7 +41,8 @@ def sky_color(
     """Render around a camera's position and average the sky in linear light.
 
     Sky is the visible part of a sky layer; in a scene without one, distant pixels above the horizon. If there is
-    neither, drops have the color of an overcast sky.
+    neither, drops have the color of an overcast sky. Airlight is the mean of the lowest degrees of a sky layer;
+    without one it has the color of drops.
     """
     steps = sample_sky(renderer, scene, place, time_s, thinning)
     while True:
@@ -57,17 +59,18 @@ def sample_sky(
 
     `thinning` leaves out some Gaussians, for a quick first answer. A scene with wet colors is sampled twice.
     """
-    clear = yield from _mean_visible_sky(renderer, scene, place, time_s, thinning, wetness=0.0)
+    clear = yield from _visible_sky(renderer, scene, place, time_s, thinning, wetness=0.0)
     if clear is None or not scene.has_wet_colors:
         return SkyColor(clear or OVERCAST, clear is not None)
-    return SkyColor(clear, True, (yield from _mean_visible_sky(renderer, scene, place, time_s, thinning, wetness=1.0)))
+    return SkyColor(clear, True, (yield from _visible_sky(renderer, scene, place, time_s, thinning, wetness=1.0)))
 
 
-def _mean_visible_sky(
+def _visible_sky(
     renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: Thinning | None, *, wetness: float
-) -> Generator[None, None, Color | None]:
-    """Mean color of the sky around a position; None if hardly any is visible."""
+) -> Generator[None, None, SkyLight | None]:
+    """Light of the sky around a position; None if hardly any is visible."""
     found: list[np.ndarray] = []
+    sines: list[np.ndarray] = []
     sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
     without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
     forward = place.world_to_camera[2, :3]
@@ -90,5 +93,17 @@ def _mean_visible_sky(
             horizon_row = float(camera.cy + camera.fy * np.tan(np.radians(15.0)))
             mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < horizon_row)
         found.append(frame.rgba[mask][:, :3] / alpha[mask][:, None])
-    colors = np.concatenate(found).astype(np.float64)
-    return mean_linear_color(np.clip(colors, 0, 1)) if len(colors) >= _MIN_PIXELS else None
+        sines.append(_rise(camera)[mask])
+    colors, rises = np.clip(np.concatenate(found).astype(np.float64), 0, 1), np.concatenate(sines)
+    if len(colors) < _MIN_PIXELS:
+        return None
+    lowest = max(np.partition(rises, _LOWEST_PIXELS)[_LOWEST_PIXELS], 0.0)  # without ground, a sky goes on below
+    low = colors[(rises >= 0) & (rises <= lowest + np.sin(np.radians(_HORIZON_DEG)))]
+    return SkyLight(mean_linear_color(colors), mean_linear_color(low if sky and len(low) else colors))
+
+
+def _rise(camera: Camera) -> Float64[np.ndarray, "h w"]:
+    """Sine of the elevation of each pixel's ray above the horizon."""
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5 - camera.cx, np.arange(camera.height) + 0.5 - camera.cy)
+    rays = np.stack([x / camera.fx, y / camera.fy, np.ones_like(x)], axis=-1)
+    return rays @ camera.world_to_camera[:3, 2] / np.linalg.norm(rays, axis=-1)

@@ -93,6 +93,8 @@ bench loading --formats .sog                         | --formats .sog
 evaluate streaks real --frames 4                     | --frames 4
 evaluate streaks empty --exposure 0.004,,0.01        | --exposure 0.004,,0.01
 evaluate streaks empty --window 1,2,3                | --window 1,2,3
+evaluate streaks empty --conditions none             | conditions none: no such file
+evaluate streaks empty --report page.html            | --report page.html
 evaluate rain-gauge empty --focal-px 0 --shutter 0.002 | --focal-px
 evaluate rain-gauge empty --focal-px 900 --shutter 2 | --shutter
 evaluate rain-gauge empty --focal-px 900 --shutter 0.002 | no images

@@ -66,10 +66,13 @@ def test_streaks_of_real_and_rendered_rain(real, reported, capsys):
     assert reported(*command) == report
 
 
+PINHOLE = ("--sensor", "pinhole")
+
+
 def test_options_change_the_rendered_rain(real, reported):
     def mean_std(*options):
         (row,) = reported(
-            "evaluate", "streaks", real / "b", "--exposure", "0.008", "--window", "0,48,256,128", *options
+            "evaluate", "streaks", real / "b", "--exposure", "0.008", "--window", "0,48,256,128", *PINHOLE, *options
         )["rows"]
         assert row["window"] == [0, 48, 256, 128]
         return row["rendered_mm_h"], row["ours"][0]["residual"]["std_levels"]
@@ -81,6 +84,25 @@ def test_options_change_the_rendered_rain(real, reported):
     assert mean_std("--light", "display")[1] < plain - 0.03
     assert mean_std("--aperture", "8")[1] < plain - 0.03
     assert mean_std("--seed", "1")[1] != plain
+
+
+def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
+    monkeypatch.setattr("gsrain_engine.evaluation.real_rain_report.PAIR_CROP", (100, 80))
+    monkeypatch.setattr("app.evaluate.streaks.PAIRS", 6)
+    conditions = tmp_path / "days.yaml"
+    conditions.write_text("sequences: [{intensity_mm_h: 6.0, shutter_s: 0.012, wind_speed_m_s: 0, middle_frame: 4}]")
+    page, pairs = tmp_path / "page.md", tmp_path / "pairs"
+    options = ("--conditions", conditions, "--report", page, "--pairs", pairs, "--frames", "6")
+    light, heavy = reported("evaluate", "streaks", real, *options)["rows"]
+    assert (light["ours"][0]["exposure_s"], heavy["ours"][0]["exposure_s"]) == (0.008, 0.012)
+    assert (light["numbers"], heavy["numbers"]) == ([1, 2, 3, 4, 5, 6], [2, 3, 4, 5, 6, 7])
+    text = page.read_text()
+    assert "| | 1.5 mm/h | 6 mm/h |" in text and "| Shutter of ours, ms | 8 | 12 |" in text
+    key = json.loads((tmp_path / "pairs_key.json").read_text())["pairs"]
+    assert [each["picture"] for each in key] == sorted(each.name for each in pairs.iterdir())
+    assert len(key) == 6 and {each["real"] for each in key} <= {"left", "right"}
+    with Image.open(pairs / key[0]["picture"]) as picture:
+        assert picture.size == (212, 80)
 
 
 SENSOR = """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluation.rain_gauge import light_residuals, measure_rain_rate
-from gsrain_engine.evaluation.streaks import render_rain_frames
+from gsrain_engine.evaluation.real_rain import render_rain_frames
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation

@@ -1,28 +1,18 @@
 """Streaks of known angle, length, width and alpha are measured; noise, edges and moving objects are not."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from given_rain import STILL
-from gsrain_engine.datasets.rainsense import RainSequence
 from gsrain_engine.evaluation.streaks import (
     BANDS,
     FALL_BY_DIAMETER_S,
     StreakTable,
     coverage,
-    cropped_camera,
-    evenly_chosen,
     find_streaks,
     median_residuals,
-    render_rain_frames,
     residual_statistics,
     streak_statistics,
 )
-from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 
 SHAPE = (160, 200)
@@ -163,49 +153,3 @@ def test_streak_statistics_of_a_band():
 def test_coverage_inverts_linear_mixing():
     lit = frames([np.full(SHAPE, 0.4)], noise=0).astype(np.float32)
     np.testing.assert_allclose(coverage(np.full((1, *SHAPE), 45, np.float32), lit - 45, SKY), 0.4, rtol=0.02)
-
-
-def rendered(noise=1.0, **rain):
-    """Gray frames of rain in front of gray 45."""
-    eye, shape = np.array([0.0, 0.0, 1.5]), (240, 400)
-    pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
-    camera = cropped_camera(Camera(1920, 1080, 1916.0, 1916.0, 960.0, 540.0, pose), (600, 200, 400, 240))
-    background, noises = np.full(shape, 45, np.uint8), np.full(shape, noise, np.float32)
-    rainfall = RainSimulation.start(RainSettings(haze=False, sensor="pinhole", **rain))
-    return np.stack(list(render_rain_frames(background, noises, camera, rainfall, [0.1 * k for k in range(9)], SKY)))
-
-
-@pytest.mark.parametrize("exposure_s", [0.004, 0.008])
-def test_exposure_of_simulated_rain_is_estimated(exposure_s):
-    table = find_streaks(median_residuals(rendered(intensity_mm_h=2.0, exposure_s=exposure_s, **STILL)), SKY)
-    assert len(table) > 30
-    # Four Gaussians a streak spread like a box that is 1.3 times as long.
-    assert np.median(table.exposure_s) == pytest.approx(1.3 * exposure_s, rel=0.25)
-    assert abs(np.median(table.angle_deg)) < 2
-
-
-def test_display_mixing_is_fainter_on_dark_backgrounds():
-    rain = {"noise": 0, "intensity_mm_h": 2.0, "exposure_s": 0.008}
-    linear, display = (rendered(rain_light=light, **rain).astype(float) - 45 for light in ("linear", "display"))
-    assert linear.min() >= 0 and (rendered(noise=0) == 45).all()  # no rain: the background
-    assert 2 < linear.mean() / display.mean() < 8
-
-
-@pytest.mark.parametrize(
-    ("pictures", "spacing_s", "count", "chosen"),
-    [
-        (20, 0.1, 5, [5, 7, 9, 11, 13]),  # 0.2 s apart, not the possible 0.4 s
-        (20, 0.04, 5, [1, 5, 9, 13, 17]),  # 0.16 s, each fourth
-        (7, 1.0, 3, [2, 3, 4]),  # a second apart: farther than allowed
-        (7, 0.13, 3, [1, 3, 5]),  # 0.2 s are 1.5 frames, rounded to two
-        (4, 0.1, 9, [0, 1, 2, 3]),
-        (3, 0.0, 3, [0, 1, 2]),
-        (1, 0.0, 5, [0]),
-    ],
-)
-def test_frames_are_chosen_around_the_middle(pictures, spacing_s, count, chosen):
-    times = tuple(3.0 + spacing_s * k for k in range(pictures))
-    camera = Camera.from_fov(64, 48, 60.0, np.eye(4))
-    sequence = RainSequence("made up", 5.0, camera, np.zeros(5), (Path("a.png"),) * pictures, times)
-    assert evenly_chosen(sequence, count) == chosen
-    assert evenly_chosen(sequence, 1) == [(pictures - 1) // 2]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.frame import RainCamera
+from gsrain_engine.rain.frame import RainCamera, SkyLight
 from gsrain_engine.rain.lamp_light import light_in_picture, light_of_drops, share_of_depth
 from gsrain_engine.rain.phase import ANGLES, fog_phase, rain_phase
 from gsrain_engine.rain.settings import RainSettings, RegionBox
@@ -15,7 +15,7 @@ from gsrain_engine.scene.lamps import MAX_LAMPS, LitLamps
 
 UP = np.array([0.0, 0, 1])
 CAMERA = Camera.from_fov(320, 200, 60.0, look_at(np.zeros(3), np.array([1.0, 0, 0]), UP))
-DARK = (0.0, 0.0, 0.0)
+DARK = SkyLight.uniform((0.0, 0.0, 0.0))
 
 
 def lamps_of(*rows):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
-from gsrain_engine.rain.frame import RainCamera
+from gsrain_engine.rain.frame import RainCamera, SkyLight
 from gsrain_engine.rain.settings import HAZE_REGION, RainSettings, RegionBox, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -20,6 +20,7 @@ UP = np.array([0.0, 0, 1])
 INTENSITIES, DISTANCES_M = [2.5, 8.5, 25.0, 50.0, 100.0], np.array([10.0, 50.0, 161.0, 500.0])
 AIRLIGHT = np.array([0.5, 0.55, 0.6])  # linear
 SKY = tuple(linear_to_srgb(AIRLIGHT).tolist())
+LIGHT = SkyLight((0.9, 0.9, 0.9), SKY)
 
 
 def camera_at(eye=(0.0, 0, 0), target=(1.0, 0, 0), size=(60, 40), fov_deg=50.0):
@@ -29,7 +30,7 @@ def camera_at(eye=(0.0, 0, 0), target=(1.0, 0, 0), size=(60, 40), fov_deg=50.0):
 def frame_of(camera=None, anchor=None, time_s=0.0, focal_px=None, **fields):
     rainfall = RainSimulation.start(RainSettings(**fields))
     anchor = np.eye(4) if anchor is None else anchor
-    return rainfall.frame(time_s, RainCamera(camera or camera_at(), anchor, np.zeros(3), focal_px), SKY)
+    return rainfall.frame(time_s, RainCamera(camera or camera_at(), anchor, np.zeros(3), focal_px), LIGHT)
 
 
 def beta_of(frame):

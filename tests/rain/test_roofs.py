@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.rain.shelter_map import CELL_M, ShelterMap, build_shelter_map, shelter_map_of
 from gsrain_engine.rain.simulation import RainSimulation
@@ -16,7 +17,7 @@ from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 
 UP = np.array([0.0, 0, 1])
-SKY = (0.8, 0.8, 0.8)
+SKY = SkyLight.uniform((0.8, 0.8, 0.8))
 EYE = np.array([8.0, 0, 1.5])
 
 

@@ -181,7 +181,7 @@ def test_nothing_is_nothing_and_rain_falls_before_it(any_renderer):
 
 def test_the_sky_has_the_same_color(open_kind):
     here = small_shot().camera
-    opengl, cpu = (sky_color(each, small_scene(), here).color for each in (open_kind("opengl"), CpuRenderer()))
+    opengl, cpu = (sky_color(each, small_scene(), here).light for each in (open_kind("opengl"), CpuRenderer()))
     np.testing.assert_allclose(cpu, opengl, atol=2e-3)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RegionBox
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -22,7 +23,7 @@ BULBS = (
     Lamp(position=(25.0, -4.0, 1.0), direction=(-1.0, 0, 0), intensity_m2=90.0, inner_deg=20, outer_deg=45),
     Lamp(position=(-3.0, 0.0, 3.0), intensity_m2=5.0),
 )
-NIGHT = (0.05, 0.05, 0.06)
+NIGHT = SkyLight.uniform((0.05, 0.05, 0.06))
 
 
 def light_of(renderer, lamps, shot, **changes):

@@ -8,6 +8,7 @@ import pytest
 
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
@@ -39,12 +40,13 @@ def rain_at(editor, intensity_mm_h, **fields):
 def test_the_sky_gets_as_dark_as_it_looks():
     scene, renderer = darker(small_scene()), CpuRenderer()
     sky = sky_color(renderer, scene, HERE)
-    assert sky.at(0.0) == sky_color(renderer, small_scene(), HERE).color
-    assert sky.at(1.0) == sky_color(renderer, with_wetness_baked(scene, 1.0), HERE).color
-    between = sky_color(renderer, with_wetness_baked(scene, 0.5), HERE).color
-    assert sky.at(0.5) == pytest.approx(between, abs=2e-3)
-    assert max(sky.at(0.5)) < max(sky.at(0.0)) - 0.05
-    assert SkyColor((0.1, 0.2, 0.3), True).at(0.7) == (0.1, 0.2, 0.3)
+    assert sky.at(0.0) == sky_color(renderer, small_scene(), HERE).light
+    assert sky.at(1.0) == sky_color(renderer, with_wetness_baked(scene, 1.0), HERE).light
+    between = sky_color(renderer, with_wetness_baked(scene, 0.5), HERE).light
+    assert np.array(sky.at(0.5)) == pytest.approx(np.array(between), abs=2e-3)
+    assert max(sky.at(0.5).drops) < max(sky.at(0.0).drops) - 0.05
+    light = SkyLight((0.1, 0.2, 0.3), (0.2, 0.3, 0.4))
+    assert SkyColor(light, True).at(0.7) is light
 
 
 def test_a_sequence_gets_wet_as_its_weather_does():
@@ -78,10 +80,10 @@ def test_the_slider_moves_the_appearance_but_the_clear_side_is_dry(context, edit
     rain_at(editor, 12.0, streaks=False, haze=False)
     assert soaked.mean() <= picture(editor, view).mean() < soaked.mean() + 5
     exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
-    assert exact.wet_color is not None
+    assert exact.wet_light is not None
     while editor.live_rain.sky_is_stale:
         picture(editor, view)
-    assert editor.live_rain.sky == pytest.approx(exact.at(1.0), abs=1e-6)
+    assert np.array(editor.live_rain.sky) == pytest.approx(np.array(exact.at(1.0)), abs=1e-6)
     editor.viewport.options.split = "clear | rainy"
     left, right = draw_frame(editor, view, SIZE)
     assert np.frombuffer(left.read(), np.uint8).mean() > np.frombuffer(right.read(), np.uint8).mean() + 10

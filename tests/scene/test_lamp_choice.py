@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -120,7 +121,9 @@ def test_pictures_have_the_chosen_lamps(tmp_path) -> None:
         ("none", replace(dark, lamps=(lamp,)), "none"), ("dark", dark, None),
     ):  # fmt: skip
         renderer = CpuRenderer()
-        draw_view(renderer, scene, RainSimulation.start(raining(lamps=choice)), (0.05, 0.05, 0.06), shot)
+        draw_view(
+            renderer, scene, RainSimulation.start(raining(lamps=choice)), SkyLight.uniform((0.05, 0.05, 0.06)), shot
+        )
         images[name] = renderer.read_uint8().copy()
     assert np.array_equal(images["own"], images["file"]) and np.array_equal(images["none"], images["dark"])
     assert not np.array_equal(images["own"], images["dark"])

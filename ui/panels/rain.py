@@ -266,7 +266,7 @@ def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain
     fields.field_label("drop_color")
     own, is_picking = document.rain.drop_color, viewport.options.tool == PICK_TOOL
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label
-    changed, color = imgui.color_edit3("##drop_color", list(own or live_rain.sky), flags)
+    changed, color = imgui.color_edit3("##drop_color", list(own or live_rain.sky.drops), flags)
     imgui.set_item_tooltip("Display color of a drop (eq. 3).")
     if changed:
         drop_color = tuple(min(max(channel, 0.0), 1.0) for channel in color[:3])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
 from ...render.draw import RenderView
 from ...render.opengl.buffers import Harmonics
@@ -117,7 +118,7 @@ class MosaicInput:
     time_s: float
     is_playing: bool
     rainfall: RainSimulation
-    sky: Color
+    sky: SkyLight
     background: Color
     gain_ev: float
     quality: QualityLevel

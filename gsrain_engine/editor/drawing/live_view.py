@@ -13,13 +13,14 @@ from jaxtyping import Float32
 
 from ...backends import measure_device, rasterizer_for
 from ...compile_cache import has_kernels
+from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
 from ...render.draw import LodCut, LodSubset, RenderView, Thinning, draw_view
 from ...render.images import write_png
 from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
-from ...render.renderer import Color, Renderer, RenderMode
+from ...render.renderer import Renderer, RenderMode
 from ...render.sky_color import SkyColor, sample_sky
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians, IdentityKey
@@ -190,7 +191,7 @@ class LiveView:
                 self._renderer, frame.scene, frame.view, region, frame.background, *weather
             )
 
-    def _draw_pane(self, frame: RenderInput, side: SplitPane, pane: "_PaneImage", sky: Color) -> bool:
+    def _draw_pane(self, frame: RenderInput, side: SplitPane, pane: "_PaneImage", sky: SkyLight) -> bool:
         """Draw a pane unless it is up to date; return whether it was drawn."""
         scene = self._drawable(side.scene, pane, whole=frame.screenshot is not None)
         state = (_fingerprint(frame, scene, side.rainfall, sky), frame.quality.gaussians, self._on_cpu)
@@ -295,7 +296,7 @@ class _PaneImage:
         self.scene: Scene | None = None
 
 
-def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: Color) -> Hashable:
+def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: SkyLight) -> Hashable:
     """Everything that a pane's image depends on; scenes and rains are values and compare by identity."""
     view, camera, time_s = frame.view, frame.view.camera, frame.view.time_s
     raining = frame.mode == "splats" and not rainfall.state_at(time_s).is_clear

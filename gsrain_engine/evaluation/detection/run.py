@@ -136,7 +136,7 @@ class ConditionRenderer:
         if not self.is_in_front:
             return self._drawn(frame, rainfall)
         assert frame.original is not None
-        return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.color)
+        return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.light)
 
     def _rainfall(self, intensity_mm_h: float, seed: int) -> RainSimulation:
         key = intensity_mm_h, seed

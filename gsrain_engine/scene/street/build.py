@@ -15,8 +15,9 @@ from .buildings import build_houses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
 from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
-from .lighting import LIGHTINGS, Illumination, LightingName
+from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
+from .night import Windows, ego_lamps, lanterns, vehicle_lamps
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
 from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_materials
@@ -37,12 +38,17 @@ class StreetSurfaces:
     lead: Quads
     """The lead car and its shadow, in the object frame."""
 
-    def light(self, name: LightingName = "sunny") -> Illumination:
-        return Illumination.over(self.layout.parameters, self.layout, LIGHTINGS[name])
+    def light(self, name: LightingName | None = None) -> Illumination:
+        """Light of a name on the street; by default that of dry weather."""
+        lighting = LIGHTINGS[name or LIGHT_OF[self.layout.parameters.time_of_day][0]]
+        windows = Windows.of(self.layers["houses"]) if lighting.lamps else None
+        return Illumination.over(self.layout.parameters, self.layout, lighting, windows)
 
-    def lead_light(self, name: LightingName = "sunny") -> Illumination:
+    def lead_light(self, name: LightingName | None = None) -> Illumination:
         """Light on the lead car: the same sky without occlusion, as the car drives in and out of shadows."""
-        return Illumination.over(self.layout.parameters, lighting=LIGHTINGS[name])
+        return Illumination.over(
+            self.layout.parameters, lighting=LIGHTINGS[name or LIGHT_OF[self.layout.parameters.time_of_day][0]]
+        )
 
 
 def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurfaces:
@@ -73,7 +79,8 @@ def street_name(parameters: StreetParameters) -> str:
 
 
 def scene_of(surfaces: StreetSurfaces) -> Scene:
-    light, clouds = surfaces.light(), surfaces.light("overcast")
+    _, rainy = LIGHT_OF[surfaces.layout.parameters.time_of_day]
+    light, clouds = surfaces.light(), surfaces.light(rainy)
     layers = tuple(
         Layer(
             name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background",
@@ -84,9 +91,13 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     form = CAR_FORMS[_LEAD_SHAPE]
     p = surfaces.layout.parameters
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
-    wet_sh = wet_colors(surfaces.lead, surfaces.lead_light("overcast"))
+    wet_sh = wet_colors(surfaces.lead, surfaces.lead_light(rainy))
     lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p), wet_sh=wet_sh)
-    return Scene(name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p))
+    lamps = (*lanterns(surfaces.layout), *vehicle_lamps(LEAD_ID, _LEAD_SHAPE), *ego_lamps())
+    return Scene(
+        name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
+        lamps=lamps if p.time_of_day == "night" else (),
+    )  # fmt: skip
 
 
 def ego_track(p: StreetParameters) -> PoseTrack:
@@ -143,7 +154,7 @@ def wet_colors(quads: Quads, light: Illumination) -> Float32[np.ndarray, "n k 3"
     coefficients = _coefficients(quads)
 
     def converted(part: Quads) -> Float32[np.ndarray, "n k 3"]:
-        wet = wet_materials(part, with_lamps=light.layout is None)
+        wet = wet_materials(part, with_lamps=light.layout is None and not light.lighting.lamps)
         matte = _harmonics(wet, light.display_colors(wet, wet.centers), light, coefficients)
         return wet_harmonics(wet, light, coefficients, matte)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from .layout import HOUSE_DEPTH_M, House, Label, StreetLayout
 from .mesh import Quads, box, even_lines, graded_lines, layered_noise, panel, patch, surface, tube
@@ -131,7 +132,7 @@ def _dormers(house: House) -> Quads:
     peak = np.broadcast_to([0, -0.01, top + 0.45], foot.shape)
     one.append(patch(np.concatenate([foot, peak], axis=1), trim * 0.9, Label.BUILDING))
     offsets = np.array([((k + 0.5) * bay, y, z) for k in range(0, bays, 2)])
-    return Quads.joined(one).repeated(offsets)
+    return _inhabited(Quads.joined(one).repeated(offsets), len(offsets), house, 33)
 
 
 # House fronts
@@ -167,7 +168,9 @@ def _upper_floors(house: House, bays: int, bay: float, trim: Any, frame: Any, rn
     kinds = [make(width, height, house.color, trim, frame, curtain, house.detail) for curtain in (0.0, 0.42, 0.65, 1.1)]
     corners = np.array([(x0, 0.0, z) for x0, _ in columns for z in feet])
     drawn = rng.choice(len(kinds), size=len(corners), p=[0.34, 0.3, 0.26, 0.1])
-    parts += [kind.repeated(corners[drawn == k]) for k, kind in enumerate(kinds) if np.any(drawn == k)]
+    for k, kind in enumerate(kinds):
+        if np.any(drawn == k):
+            parts.append(_inhabited(kind.repeated(corners[drawn == k]), int(np.sum(drawn == k)), house, 11 + k))
     if house.balconies and bays > 2 and house.detail < 2:
         for k in range(1, bays, 2):
             for z in feet[:-1]:
@@ -184,6 +187,7 @@ def _ground_floor(house: House, bays: int, bay: float, trim: Any, frame: Any, rn
     if house.shop and house.detail < 1.4:
         half, foot, top = 0.5 * bay - 0.28, 0.45, 2.85
         pane = shop_window(2 * half, top - foot, stone, house.accent, float(rng.uniform(0.2, 1.0)), house.detail)
+        pane = pane.shining(_room_light(np.random.default_rng([house.seed, 21]), 1, _SHOP_LIT) * _SHOP_LIGHT)
         parts.append(pane.repeated(np.array([((k + 0.5) * bay - half, 0.0, foot) for k in others])))
         holes = [((k + 0.5) * bay - half, (k + 0.5) * bay + half, (foot, top)) for k in others]
         parts += _shop_front(house, others, bay, rng)
@@ -191,17 +195,40 @@ def _ground_floor(house: House, bays: int, bay: float, trim: Any, frame: Any, rn
         half, foot, top = 0.55, 1.05, 2.75
         make = window if house.detail < 1.4 else far_window
         kind = make(2 * half, top - foot, stone, trim, frame, float(rng.choice([0.0, 0.6])), house.detail)
-        parts.append(kind.repeated(np.array([((k + 0.5) * bay - half, 0.0, foot) for k in others])))
+        row = kind.repeated(np.array([((k + 0.5) * bay - half, 0.0, foot) for k in others]))
+        parts.append(_inhabited(row, len(others), house, 31))
         t = TRIM_M
         holes = [((k + 0.5) * bay - half - t, (k + 0.5) * bay + half + t, (foot, top + t)) for k in others]
     if house.detail < 1.4:
         entry = door(1.2, 2.75, stone, house.door_color, house.detail)
     else:
         entry = far_window(1.2, 2.75, stone, stone, house.door_color, 0.0, house.detail)
-    parts.append(entry.placed((door_hole[0], 0, 0)))
+    parts.append(_inhabited(entry.placed((door_hole[0], 0, 0)), 1, house, 32))
     columns = sorted([*holes, door_hole])
     rows = [rows for *_, rows in columns]
     return [*parts, *_wall(house, 0.0, house.ground_height, [(x0, x1) for x0, x1, _ in columns], rows, stone)]
+
+
+# Rooms by night
+
+_LIT, _SHOP_LIT = 0.42, 0.85
+"""Shares of lit rooms and of lit shops."""
+_SHOP_LIGHT = 1.5
+_BULBS = np.array([[1.0, 0.60, 0.27], [1.0, 0.68, 0.37], [1.0, 0.76, 0.50], [1.0, 0.88, 0.72], [0.42, 0.62, 1.0]])
+"""Linear colors of light: bulbs of 2,500 to 4,000 K, and a screen."""
+
+
+def _inhabited(windows: Quads, count: int, house: House, number: int) -> Quads:
+    """Light a share of `count` copies of a window, one room each; the rest is dark. `number` is that of the draw."""
+    rng = np.random.default_rng([house.seed, number])
+    return windows.shining(np.repeat(_room_light(rng, count, _LIT), len(windows) // count, axis=0))
+
+
+def _room_light(rng: np.random.Generator, count: int, lit: float) -> Float64[np.ndarray, "n 3"]:
+    """Draw the light of rooms, linear; zero for a dark one."""
+    color = _BULBS[rng.choice(len(_BULBS), size=count, p=[0.26, 0.32, 0.22, 0.14, 0.06])]
+    strength = np.exp(rng.normal(-0.55, 0.5, count)) * (rng.random(count) < lit)
+    return color * strength[:, None]
 
 
 def _wall(
@@ -373,7 +400,11 @@ def glass(x0: float, x1: float, z0: float, z1: float, y: float, curtain: float, 
     room = 0.012 + 0.03 * upwards**2
     hung = sideways > 1.15 - curtain
     albedo = np.where(hung[:, None], [0.34, 0.33, 0.30], room[:, None] * np.array([1.0, 0.97, 0.9]))
-    return Quads.of(pane.corners, albedo, Label.BUILDING, gloss=_GLOSS, sky_access=0.75, spread=pane.spread)
+    # By night a lit room is brightest at its ceiling, and curtains scatter its light.
+    glow = np.where(hung[:, None], [0.80, 0.70, 0.58], (0.45 + 0.55 * upwards)[:, None])
+    return Quads.of(
+        pane.corners, albedo, Label.BUILDING, gloss=_GLOSS, sky_access=0.75, spread=pane.spread, emission=glow
+    )
 
 
 def window(width: float, height: float, wall: Any, trim: Any, frame: Any, curtain: float, detail: float) -> Quads:
@@ -422,7 +453,15 @@ def far_window(width: float, height: float, wall: Any, trim: Any, frame: Any, cu
     albedo = np.where(wood[:, None], frame, np.where(hung[:, None], [0.3, 0.29, 0.26], 0.02))
     gloss = np.where(wood, 0.0, _GLOSS)
     parts = [
-        Quads.of(flat.corners, albedo, Label.BUILDING, gloss=gloss, sky_access=0.75, spread=flat.spread),
+        Quads.of(
+            flat.corners,
+            albedo,
+            Label.BUILDING,
+            gloss=gloss,
+            sky_access=0.75,
+            spread=flat.spread,
+            emission=np.where(wood, 0.0, np.where(hung, 0.70, 0.55 + 0.25 * (row > 2)))[:, None],
+        ),
         strip(-t, 0.0, 0.0, height, 0.0, trim, 1.0),
         strip(width, width + t, 0.0, height, 0.0, trim, 1.0),
         strip(-t, width + t, height, height + t, 0.0, trim, 0.7),
@@ -454,7 +493,19 @@ def shop_window(width: float, height: float, wall: Any, frame: Any, warm: float,
         lamp = warm * np.exp(-(((center[:, 2] - 0.75 * height) / 0.5) ** 2))
         room = 0.03 + 0.14 * lamp[:, None] * np.array([1.0, 0.8, 0.5])
         albedo = room + 0.55 * goods[:, None] * color
-        parts.append(Quads.of(pane.corners, albedo, Label.BUILDING, gloss=0.5, sky_access=0.8, spread=pane.spread))
+        glow = 0.5 + 0.5 * np.clip(center[:, 2] / height, 0, 1)[:, None]
+        shown = np.where(goods[:, None] > 0, 3.0 * color, 1.0)  # goods under lamps, before a lit wall
+        parts.append(
+            Quads.of(
+                pane.corners,
+                albedo,
+                Label.BUILDING,
+                gloss=0.5,
+                sky_access=0.8,
+                spread=pane.spread,
+                emission=glow * shown,
+            )
+        )
     return Quads.joined(parts)
 
 

@@ -57,12 +57,17 @@ CAR_FORMS: dict[CarShape, CarForm] = {
 def build_parked_cars(layout: StreetLayout) -> Quads:
     """Build all parked cars, in the world; each shape is built once and recolored."""
     return Quads.joined(
-        build_car(car.shape, car.paint, fine=1.35).placed((car.x, car.y, 0.0), car.turn_deg) for car in layout.cars
+        build_car(car.shape, car.paint, fine=1.35).shining(0.0).placed((car.x, car.y, 0.0), car.turn_deg)
+        for car in layout.cars
     )
 
 
+HEAD_LIGHT, TAIL_LIGHT = np.array([7.0, 7.2, 7.6]), np.array([1.9, 0.035, 0.02])
+"""Light of the lamps of moving vehicles by night, linear; 1 is a camera's white."""
+
+
 def build_car(shape: CarShape, paint: tuple[float, float, float], fine: float = 1.0) -> Quads:
-    """Build one car in the object frame. `fine` scales its cells: 1 is for a car at close range."""
+    """Build one car in the object frame, its lamps on. `fine` scales its cells: 1 is for a car at close range."""
     form = CAR_FORMS[shape]
     outline = _outline(form, fine)
     body = [_skirt(form, outline, paint), _deck(form, outline, paint), _glass_house(form, paint, fine)]
@@ -259,10 +264,12 @@ def _details(form: CarForm, paint: Any, fine: float) -> list[Quads]:
     z = form.hood[0]
     parts: list[Quads] = []
     for side in (-1, 1):
-        parts.append(_badge(form, 1, side * 0.62 * half, z - 0.09, 0.46 * half, 0.115, (0.72, 0.74, 0.76), 0.3, fine))
+        headlight = _badge(form, 1, side * 0.62 * half, z - 0.09, 0.46 * half, 0.115, (0.72, 0.74, 0.76), 0.3, fine)
+        parts.append(replace(headlight, emission=np.full((len(headlight), 3), HEAD_LIGHT, np.float32)))
         tall = 0.17 if form.height < 1.7 else 0.42
         red = (0.30, 0.004, 0.004)
-        parts.append(_badge(form, -1, side * 0.73 * half, form.tail[0] - 0.10, 0.36 * half, tall, red, 0.06, fine))
+        tail_light = _badge(form, -1, side * 0.73 * half, form.tail[0] - 0.10, 0.36 * half, tall, red, 0.06, fine)
+        parts.append(replace(tail_light, emission=np.full((len(tail_light), 3), TAIL_LIGHT, np.float32)))
         parts.append(_mirror(form.belt[1] - 0.40, side * (half + 0.035), form.hood[1] + 0.045, paint))
     parts.append(_badge(form, 1, 0.0, z - 0.12, 0.62 * half, 0.10, _TRIM, 0.1, fine))
     parts.append(_badge(form, 1, 0.0, 0.36, 1.05 * half, 0.15, _TRIM, 0.05, fine))

@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+TimeOfDay = Literal["day", "night"]
+
 
 class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Size and contents of the street. It runs along +x, with the ego lane on the right (y < 0) and z upwards."""
@@ -37,6 +39,8 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Above the horizon."""
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=20, title="Ego speed", extra={"unit": "m/s"})] = 10.0
     """The ego vehicle's constant speed."""
+    time_of_day: Annotated[TimeOfDay, Meta(title="Time of day")] = "day"
+    """By night there is no sun: lanterns, windows and vehicles' lamps light the street."""
     lead_gap_m: Annotated[float, Meta(ge=6, le=60, title="Gap to the lead car", extra={"unit": "m"})] = 18.0
     """From the ego's origin to the middle of the lead car at the start."""
 
@@ -69,9 +73,11 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 STREETS = {
     "street": StreetParameters(),
+    "street:night": StreetParameters(time_of_day="night"),
     "street:long": StreetParameters(length_m=1200.0, detail=0.4, ego_speed_m_s=20.0),
 }
-"""Built-in streets by name; the long one, of 1.2 km and about 5 million Gaussians, tests large scenes."""
+"""Built-in streets by name. By night it is the same street, lit by its lamps; the long one, of 1.2 km and about 5
+million Gaussians, tests large scenes."""
 
 # Semantic classes
 

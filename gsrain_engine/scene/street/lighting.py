@@ -9,14 +9,21 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from ..geometry import linear_to_srgb
-from .layout import Label, StreetLayout, StreetParameters
+from .layout import Label, StreetLayout, StreetParameters, TimeOfDay
 from .mesh import Quads
+from .night import Windows, light_of_lamps, light_on_traffic
 from .shadows import ground_occlusion, sun_visibility
-from .vegetation import OVERCAST_ZENITH, overcast_luminance, overcast_sky_display, sky_display
+from .vegetation import (
+    OVERCAST_ZENITH,
+    night_sky_display,
+    overcast_luminance,
+    overcast_sky_display,
+    sky_display,
+)
 
 Sky = Callable[[Float[np.ndarray, "n 3"], Float64[np.ndarray, "3"], int], Float64[np.ndarray, "n 3"]]
 """Display color of the sky in unit directions, for a direction towards the sun and a seed."""
-LightingName = Literal["sunny", "overcast"]
+LightingName = Literal["sunny", "overcast", "night"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +48,8 @@ class Lighting:
     """Added for a reflection of the zenith, subtracted for one of the road."""
     mirrored_sun: Float64[np.ndarray, "3"]
     """Added for a reflection towards the sun."""
+    lamps: bool = False
+    """True if lamps and lit rooms light the street."""
 
     def display(self, light: Float[np.ndarray, "*n 3"], albedo: Any = 1.0) -> Float[np.ndarray, "*n 3"]:
         """Display color of surfaces in a light: highlights are compressed as by film."""
@@ -75,7 +84,26 @@ OVERCAST = Lighting(
     mirrored_sun=np.zeros(3),
 )
 
-LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST}
+NIGHT = Lighting(
+    sun=np.zeros(3),
+    sky=np.array([0.0075, 0.0095, 0.0140]),
+    ground=np.array([0.010, 0.0075, 0.0050]),
+    exposure=1.0,
+    sky_display=night_sky_display,
+    diffuse="overcast",
+    haze=np.array([0.075, 0.080, 0.095]),
+    mirrored=np.array([0.060, 0.054, 0.050]),
+    mirrored_up=np.array([0.010, 0.018, 0.030]),
+    mirrored_sun=np.zeros(3),
+    lamps=True,
+)
+
+LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "night": NIGHT}
+LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {
+    "day": ("sunny", "overcast"),
+    "night": ("night", "night"),
+}
+"""Lighting in dry weather, and in rain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,19 +115,28 @@ class Illumination:
     layout: StreetLayout | None = None
     seed: int = 0
     lighting: Lighting = SUNNY
+    windows: Windows | None = None
+    """Lit windows, by night."""
 
     @classmethod
     def over(
-        cls, parameters: StreetParameters, layout: StreetLayout | None = None, lighting: Lighting = SUNNY
+        cls,
+        parameters: StreetParameters,
+        layout: StreetLayout | None = None,
+        lighting: Lighting = SUNNY,
+        windows: Windows | None = None,
     ) -> "Illumination":
         azimuth, elevation = np.radians(parameters.sun_azimuth_deg), np.radians(parameters.sun_elevation_deg)
         sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-        return cls(sun, layout, parameters.seed, lighting)
+        return cls(sun, layout, parameters.seed, lighting, windows)
 
     def display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
         """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners)."""
         if len(quads) and quads.labels[0] == Label.SKY:
             return self._sky(points)
+        if self.lighting.lamps:
+            light = self.light_on(quads, points) * quads.albedo + quads.emission
+            return self._hazy(self.lighting.display(light), points)
         return self._hazy(self.lighting.display(self.light_on(quads, points), quads.albedo), points)
 
     def light_on(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -127,7 +164,8 @@ class Illumination:
 
     def _light_on(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         if self.lighting.diffuse == "overcast":
-            return self._overcast_light(quads, points)
+            light = self._overcast_light(quads, points)
+            return light + self._light_of_lamps(quads, points) if self.lighting.lamps else light
         normals = quads.normals.astype(np.float64)
         facing = np.maximum(normals @ self.sun, 0)
         leaf = quads.labels == Label.VEGETATION  # light transmitted by leaves
@@ -158,6 +196,11 @@ class Illumination:
         sky = visible * sky + (1 - visible) * _WALLS_AROUND
         below = 0.5 - 0.5 * tilt
         return access[:, None] * (sky[:, None] * lighting.sky + below[:, None] * lighting.ground)
+
+    def _light_of_lamps(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        if self.layout is None or self.windows is None:
+            return light_on_traffic(quads.normals.astype(np.float64), quads.sky_access)
+        return light_of_lamps(self.layout, self.windows, quads, points)
 
     def gloss_of(
         self, normals: Float[np.ndarray, "n 3"]

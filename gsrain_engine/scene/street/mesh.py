@@ -39,6 +39,8 @@ class Quads:
     """Largest alpha of the Gaussian; below 0.9 the mesh is translucent there (shadows on the ground)."""
     spread: Float32[np.ndarray, "n 2"]
     """Standard deviation in cell widths along u and v."""
+    emission: Float32[np.ndarray, "n 3"]
+    """Light of lamps and lit rooms by night, linear; 1 is a camera's white."""
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -60,6 +62,7 @@ class Quads:
         gloss: Any = 0.0,
         opacity: Any = 0.999,
         spread: Any = INNER_SPREAD,
+        emission: Any = 0.0,
     ) -> "Quads":
         """Build quads of one class; single values are broadcast to all of them."""
         n = len(corners)
@@ -70,6 +73,7 @@ class Quads:
             np.full(n, int(label), np.uint8),
             *(np.full(n, value, np.float32) for value in (sky_access, sun_access, gloss, opacity)),
             spread=np.full((n, 2), spread, np.float32),
+            emission=np.full((n, 3), emission, np.float32),
         )
 
     def take(self, chosen: Any) -> "Quads":
@@ -78,6 +82,10 @@ class Quads:
     def tinted(self, factors: Any) -> "Quads":
         """Multiply the albedo by one color or one factor per quad, clamped to 0 .. 0.95."""
         return replace(self, albedo=np.clip(self.albedo * np.asarray(factors, np.float32), 0, np.float32(0.95)))
+
+    def shining(self, factors: Any) -> "Quads":
+        """Multiply the emission by one color or one color per quad; 0 switches lamps off."""
+        return replace(self, emission=self.emission * np.asarray(factors, np.float32))
 
     def placed(self, offset: Any, turn_deg: float = 0.0) -> "Quads":
         """Rotate about z, then translate."""
@@ -108,7 +116,8 @@ class Quads:
         return Quads(*(np.concatenate([getattr(part, name) for part in listed]) for name in _FIELDS))
 
 
-_FIELDS = ("corners", "normals", "albedo", "labels", "sky_access", "sun_access", "gloss", "opacity", "spread")
+_FIELDS = ("corners", "normals", "albedo", "labels", "sky_access", "sun_access", "gloss", "opacity", "spread",
+           "emission")  # fmt: skip
 
 
 def geometric_normals(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, "n 3"]:

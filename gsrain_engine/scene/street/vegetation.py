@@ -158,17 +158,26 @@ def _pole(
     return tube(path, radius * swell * (1 - 0.25 * z / height), albedo, Label.POLE, sides=sides, gloss=0.06)
 
 
+LANTERN_LIGHT = np.array([30.0, 21.0, 11.5])
+"""Light of a lantern's glass by night, linear; 1 is a camera's white."""
+
+
+def lantern_position(x: float, y: float) -> tuple[float, float, float]:
+    """Middle of the head of the lantern with its foot at (x, y): above the edge of the road, in meters."""
+    return x, y - 1.75 * float(np.sign(y)), CURB_HEIGHT_M + 6.55
+
+
 def _lamp(x: float, y: float) -> Quads:
     """A lantern on a curved arm over the road, 6.5 m high."""
     inward = -float(np.sign(y))
     turn = np.linspace(0, 0.5 * np.pi, 7)
     arm_y, arm_z = y + inward * 1.5 * (1 - np.cos(turn)), CURB_HEIGHT_M + 5.8 + 0.75 * np.sin(turn)
     arm = np.stack([np.full_like(turn, x), arm_y, arm_z], axis=1)
-    head_y, head_z = y + inward * 1.75, CURB_HEIGHT_M + 6.55
+    _, head_y, head_z = lantern_position(x, y)
     curve = tube(arm, np.linspace(0.05, 0.04, 7), _IRON, Label.POLE, sides=6, gloss=0.06)
     head = box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, edge=0.06, coarse=0.16)
     glass = box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, edge=0.06, coarse=0.16,
-                faces="xXyYz")  # fmt: skip
+                faces="xXyYz", emission=LANTERN_LIGHT)  # fmt: skip
     return Quads.joined([_pole(x, y, 5.82, 0.075, _IRON), curve, head, glass])
 
 
@@ -262,6 +271,21 @@ def sky_display(
     body = np.clip((billow - 0.55) / 0.25, 0, 1)
     white = np.array([0.965, 0.97, 0.975]) - body[:, None] * np.array([0.13, 0.11, 0.085])
     return np.clip(color + (white - color) * 0.88 * cover[:, None], 0, 1)
+
+
+def night_sky_display(
+    directions: Float[np.ndarray, "n 3"], sun: Float64[np.ndarray, "3"], seed: int
+) -> Float64[np.ndarray, "n 3"]:
+    """Display color of a city's cloudy night sky in unit directions: dark, with a warm glow above the roofs."""
+    up = np.clip(directions[:, 2], 0, 1).astype(np.float64)
+    flat = directions[:, :2].astype(np.float64) / (up + 0.16)[:, None]
+    folds = layered_noise(flat, (1.5, 0.9), seed + 151, 4) - 0.5
+    glow = np.exp(-up / 0.22)[:, None] * _CITY_GLOW
+    light = (_NIGHT_ZENITH + glow) * (1 + 0.9 * folds * np.clip(0.25 + 3 * up, 0, 1))[:, None]
+    return linear_to_srgb(light)
+
+
+_NIGHT_ZENITH, _CITY_GLOW = np.array([0.0040, 0.0056, 0.0092]), np.array([0.0105, 0.0085, 0.0075])
 
 
 def overcast_luminance(rise: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:

@@ -1,7 +1,7 @@
 """Wet surfaces of the street under clouds: darker albedo, puddles, and what the wet ground reflects."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +12,7 @@ from ..water_surface import WATER_INDEX, reflectance, unshadowed, wet_albedo
 from .cars import CAR_FORMS, TRUCK_FORM
 from .layout import CURB_HEIGHT_M, Color, House, Label, StreetLayout
 from .lighting import Illumination
-from .mesh import Quads, lattice_noise, layered_noise, smooth_noise
+from .mesh import Quads, lattice_noise, layered_noise, panel, smooth_noise
 from .vegetation import OVERCAST_ZENITH, crown_middle, overcast_luminance
 
 # Materials
@@ -118,13 +118,14 @@ def wet_harmonics(
     layout, ground = light.layout, np.flatnonzero(reflecting(quads))
     if layout is None or coefficients < GROUND_COEFFICIENTS or not len(ground):
         return sh
+    fronts = FrontLight.of(light) if light.lighting.lamps else None
     for first in range(0, len(ground), _CHUNK):
         own = ground[first : first + _CHUNK]
         part = quads.take(own)
         points = part.centers.astype(np.float64)
         diffuse = (light.light_on(part, points) * part.albedo).astype(np.float32)[:, None]
         standing = puddles(layout, points).astype(np.float32)[:, None, None]
-        around = _surroundings(layout, points)
+        around = _surroundings(light, points, fronts)
         film, film_share = _reflected(around, _FILM_SLOPE)
         pool, pool_share = _reflected(around, _PUDDLE_SLOPE)
         cover = (1 - standing) * film_cover(layout, points).astype(np.float32)[:, None, None]
@@ -217,16 +218,24 @@ _LEAF: Color = (0.05, 0.11, 0.018)
 _NEAR_M = 45.0  # maximum distance of trees and vehicles that are reflected
 
 
-def _surroundings(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n a e 3"]:
-    """Light that arrives at points of the ground, by azimuth and elevation."""
+def _surroundings(
+    light_of: Illumination, points: Float64[np.ndarray, "n 3"], fronts: "FrontLight | None"
+) -> Float32[np.ndarray, "n a e 3"]:
+    """Light that arrives at points of the ground, by azimuth and elevation; by night with `fronts`."""
+    layout = light_of.layout
+    assert layout is not None
     azimuths, _ = _azimuths()
     c, s = np.cos(azimuths)[None], np.sin(azimuths)[None]
     p = points.astype(np.float32)
     rises = np.radians(_RISES_DEG).astype(np.float32)
-    sky = (OVERCAST_ZENITH * overcast_luminance(np.sin(rises))).astype(np.float32)
     top, wall, reach = _houses(layout, p, c, s)
+    if fronts is None:
+        sky = (OVERCAST_ZENITH * overcast_luminance(np.sin(rises))).astype(np.float32)[:, None]
+        wall, dim = wall[:, :, None], np.float32(1)
+    else:
+        sky, wall, dim = _NIGHT_SKY, fronts.at(p, c, s, reach, rises), _DIM
     covered = np.clip((top[..., None] - rises) / np.radians(1.5) + 0.5, 0, 1)[..., None].astype(np.float32)
-    light = covered * wall[:, :, None] + (1 - covered) * sky[:, None]
+    light = covered * wall + (1 - covered) * sky
     for tree in layout.trees:
         middle, half = crown_middle(tree)
         near = np.flatnonzero(np.abs(p[:, 0] - tree.x) < _NEAR_M)
@@ -238,7 +247,7 @@ def _surroundings(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> F
         h, t = half * np.sqrt(1 - (aside[i, k] / tree.radius) ** 2), along[i, k]
         low, high = np.arctan2(middle - h, t)[:, None], np.arctan2(middle + h, t)[:, None]
         inside = np.clip((rises - low) / 0.05 + 0.5, 0, 1) * np.clip((high - rises) / 0.05 + 0.5, 0, 1)
-        _cover(light, near[i], k, 0.85 * inside, _lit(_LEAF, _LEAF_LIGHT))
+        _cover(light, near[i], k, 0.85 * inside, dim * _lit(_LEAF, _LEAF_LIGHT))
     for box in _vehicles(layout):
         near = np.flatnonzero(np.abs(p[:, 0] - box[0]) < _NEAR_M)
         t0, t1 = _crossed(p[near], c, s, *box[:4])
@@ -247,8 +256,73 @@ def _surroundings(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> F
             continue
         top_of_it = np.arctan2(np.float32(box[4]), np.maximum(t0[i, k], 0.05))[:, None]
         inside = np.clip((top_of_it - rises) / 0.03 + 0.5, 0, 1)
-        _cover(light, near[i], k, 0.95 * inside, _lit(box[5], _VEHICLE_LIGHT) + np.float32(0.04 * OVERCAST_ZENITH))
+        _cover(
+            light, near[i], k, 0.95 * inside, dim * (_lit(box[5], _VEHICLE_LIGHT) + np.float32(0.04 * OVERCAST_ZENITH))
+        )
     return light
+
+
+# By night: fronts by lanterns and lit rooms
+
+_NIGHT_SKY = np.array([0.006, 0.0062, 0.0078], np.float32)
+_DIM = np.array([0.16, 0.115, 0.07], np.float32)
+"""Light on leaves and vehicles by night, relative to that under clouds."""
+_FRONT_CELL_M = 0.75
+_FRONT_ROWS = 18
+_END_LIGHT = np.array([0.022, 0.016, 0.010], np.float32)  # of the houses across both ends, with their windows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontLight:
+    """Light of the house fronts on both sides by night, in cells along the street and upwards."""
+
+    start_x_m: float
+    cells: Float32[np.ndarray, "side nx nz 3"]
+    """Left side first."""
+
+    @classmethod
+    def of(cls, light: Illumination) -> "FrontLight":
+        """Light walls of each house's color as the street's are, and add its lit rooms."""
+        layout, windows = light.layout, light.windows
+        assert layout is not None and windows is not None
+        a = layout.parameters
+        count = int(np.ceil(a.length_m / _FRONT_CELL_M))
+        x, z = a.start_x_m + _FRONT_CELL_M * np.arange(count + 1), _FRONT_CELL_M * np.arange(_FRONT_ROWS + 1)
+        cells = np.zeros((2, count, _FRONT_ROWS, 3))
+        for k, (row, side) in enumerate(((layout.left, 1), (layout.right, -1))):
+            wall = panel((0, side * a.front_y_m, 0), (1, 0, 0), (0, 0, 1), x, z, 1.0, Label.BUILDING)
+            wall = replace(wall, normals=np.full_like(wall.normals, [0, -side, 0]))
+            starts = np.array([house.origin[0] - (house.width if side < 0 else 0) for house in row])
+            house = np.clip(np.searchsorted(starts, wall.centers[:, 0], side="right") - 1, 0, len(row) - 1)
+            albedo = np.array([wet_albedo(np.array(each.color)) for each in row])[house]
+            lit = 0.85 * albedo * light.light_on(wall, wall.centers)
+            cells[k] = lit.reshape(count, _FRONT_ROWS, 3)
+            own = np.flatnonzero(side * windows.centers[:, 1] > a.front_y_m - 0.5)
+            own = own[np.abs(windows.normals[own, 1]) > 0.5]
+            i = np.clip(((windows.centers[own, 0] - a.start_x_m) / _FRONT_CELL_M).astype(int), 1, count - 2)
+            j = np.clip((windows.centers[own, 2] / _FRONT_CELL_M).astype(int), 1, _FRONT_ROWS - 2)
+            for di in (-1, 0, 1):  # over 2.25 m, about the size of a shop window
+                for dj in (-1, 0, 1):
+                    np.add.at(cells[k], (i + di, j + dj), windows.intensities[own] / (9 * _FRONT_CELL_M**2))
+        return cls(a.start_x_m, cells.astype(np.float32))
+
+    def at(
+        self,
+        p: Float32[np.ndarray, "n 3"],
+        c: Float32[np.ndarray, "1 a"],
+        s: Float32[np.ndarray, "1 a"],
+        reach: Float32[np.ndarray, "n a"],
+        rises: Float32[np.ndarray, " e"],
+    ) -> Float32[np.ndarray, "n a e 3"]:
+        """Light of the wall that ends the view from points in each azimuth (`reach` meters away) and elevation."""
+        x, y = p[:, :1] + reach * c, p[:, 1:2] + reach * s
+        i = np.floor((x - self.start_x_m) / _FRONT_CELL_M).astype(np.int64)
+        is_front = (i >= 0) & (i < self.cells.shape[1])
+        j = np.floor(reach[..., None] * np.tan(rises) / _FRONT_CELL_M).astype(np.int64)
+        side = np.broadcast_to((y < 0)[..., None], j.shape).astype(np.int64)
+        i = np.broadcast_to(np.clip(i, 0, self.cells.shape[1] - 1)[..., None], j.shape)
+        found = self.cells[side, i, np.clip(j, 0, _FRONT_ROWS - 1)]
+        return np.where(is_front[..., None, None], found, _END_LIGHT)
 
 
 def _cover(

@@ -14,8 +14,8 @@ from ...scene.gaussians import Gaussians
 from ...scene.scene import Scene, robust_bounds
 from ...scene.street.build import quads_to_gaussians, wet_colors
 from ...scene.street.cars import CAR_FORMS, TRUCK_FORM, build_car, vehicle_shadow
-from ...scene.street.layout import CarShape, Color, ParkedTruck, StreetParameters
-from ...scene.street.lighting import LIGHTINGS, Illumination
+from ...scene.street.layout import STREETS, CarShape, Color, ParkedTruck, StreetParameters, TimeOfDay
+from ...scene.street.lighting import LIGHT_OF, LIGHTINGS, Illumination
 from ...scene.street.mesh import Quads
 from ...scene.street.trucks import build_truck
 
@@ -46,7 +46,7 @@ def vehicle_model(model: str, scene: Scene) -> VehicleModel:
 
     Raises ValueError, with the model's name, if it does not exist.
     """
-    built_in = built_in_vehicle(model)
+    built_in = built_in_vehicle(model, _time_of_day(scene))
     if built_in is not None:
         return built_in
     if model.startswith(ACTOR):
@@ -138,9 +138,14 @@ def vehicle_names() -> tuple[str, ...]:
     return (*CAR_FORMS, TRUCK)
 
 
+def _time_of_day(scene: Scene) -> TimeOfDay:
+    street = STREETS.get(scene.name)
+    return "day" if street is None else street.time_of_day
+
+
 @lru_cache(maxsize=64)
-def built_in_vehicle(name: str) -> VehicleModel | None:
-    """Create a built-in vehicle with its shadow on the ground, lit by the street's sun; None for an unknown name.
+def built_in_vehicle(name: str, time_of_day: TimeOfDay = "day") -> VehicleModel | None:
+    """Create a built-in vehicle with its shadow on the ground, in the light of the street; None for an unknown name.
 
     Raises ValueError for an unknown paint. Caches 64 vehicles.
     """
@@ -156,6 +161,6 @@ def built_in_vehicle(name: str) -> VehicleModel | None:
         shape: CarShape = next(each for each in CAR_FORMS if each == kind)
         form, body = CAR_FORMS[shape], build_car(shape, color)
     quads = Quads.joined([vehicle_shadow(form.length, form.width), body])
-    gaussians = quads_to_gaussians(quads, Illumination.over(StreetParameters()))
-    wet_sh = wet_colors(quads, Illumination.over(StreetParameters(), lighting=LIGHTINGS["overcast"]))
+    clear, rainy = (Illumination.over(StreetParameters(), lighting=LIGHTINGS[each]) for each in LIGHT_OF[time_of_day])
+    gaussians, wet_sh = quads_to_gaussians(quads, clear), wet_colors(quads, rainy)
     return VehicleModel(gaussians, (form.length, form.width, form.height), wet_sh)

@@ -22,6 +22,7 @@ from gsrain_engine.evaluation.detection.run import (
     recorded_frames,
     scene_frames,
 )
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, ego_view
@@ -31,7 +32,7 @@ from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import PoseTrack, Scene
 from small_scene import small_scene
 
-SKY = SkyColor((0.8, 0.8, 0.8), True)
+SKY = SkyColor(SkyLight.uniform((0.8, 0.8, 0.8)), True)
 SEEDS = (0, 1)
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
 """World to camera of one 1.5 m above the origin that looks along +x."""

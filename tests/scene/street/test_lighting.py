@@ -16,7 +16,7 @@ from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.street.build import quads_to_gaussians, scene_of, street_surfaces
 from gsrain_engine.scene.street.layout import Label
-from gsrain_engine.scene.street.lighting import LIGHTINGS, canyon_share, overcast_share
+from gsrain_engine.scene.street.lighting import canyon_share, overcast_share
 from gsrain_engine.scene.street.vegetation import overcast_luminance, overcast_sky_display
 from gsrain_engine.scene.street.wet_surfaces import puddles, reflecting, wet_materials
 from gsrain_engine.simulation.traffic.appearance import built_in_vehicle
@@ -110,7 +110,7 @@ def test_nothing_under_clouds_has_a_sunny_side(surfaces):
     """Sunlit and shaded road differ by more than twice under the sun, and hardly under clouds."""
     quads = surfaces.layers["road"]
     lane = quads.take((np.abs(quads.centers[:, 1]) < 3) & (quads.labels == Label.ROAD) & (quads.opacity > 0.9))
-    sunny, overcast = (surfaces.light(name).light_on(lane, lane.centers) @ LUMINANCE for name in LIGHTINGS)
+    sunny, overcast = (surfaces.light(name).light_on(lane, lane.centers) @ LUMINANCE for name in ("sunny", "overcast"))
     assert np.percentile(sunny, 95) > 2 * np.percentile(sunny, 5)
     assert np.percentile(overcast, 95) < 1.45 * np.percentile(overcast, 5)
 
@@ -188,9 +188,11 @@ def test_the_light_of_rain_is_gray_and_the_rest_stays_as_lit(street):
     """The airlight of the sunny street is blue, that of the overcast one gray; --preset paper and 0 mm/h stay sunny."""
     renderer = CpuRenderer()
     sky = sky_color(renderer, street, front(street))
-    assert sky.wet_color is not None
-    assert sky.at(0.0)[2] > sky.at(0.0)[0] + 0.05
-    assert max(sky.at(1.0)) - min(sky.at(1.0)) < 0.02
+    assert sky.wet_light is not None
+    for sunny, overcast in zip(sky.at(0.0), sky.at(1.0), strict=True):  # drops and airlight
+        assert sunny[2] > sunny[0] + 0.05
+        assert max(overcast) - min(overcast) < 0.02
+    assert max(sky.at(1.0).airlight) < min(sky.at(1.0).drops)  # CIE's overcast sky is darkest at the horizon
     sunny, _ = picture(street, 0.0)
 
     def drawn(rain, **fields):

@@ -1,0 +1,266 @@
+"""Report of real and simulated rain as one table in Markdown, with intervals, and unlabeled pairs of pictures."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int64, UInt8
+
+from ..datasets.rainsense import RainSequence
+from .real_rain import MeasuredFrames, RealRainComparison
+from .streaks import DARK_BAND, streaks_within
+
+BLACK_BAND, BRIGHT_BAND = (0.0, 16.0), (64.0, 140.0)
+"""Background levels: nearly black, and bright but darker than the drops."""
+
+_RESAMPLES = 1000
+_INTERVAL = (5.0, 95.0)
+_MIN_STREAKS = 10
+"""Streaks for medians and scatter; with fewer the table has a dash."""
+
+
+class Estimate(NamedTuple):
+    """Figure with its bootstrap interval of 90 % over frames; all NaN where it can't be had."""
+
+    value: float
+    low: float
+    high: float
+
+
+Resampled = Callable[[Int64[np.ndarray, " t"]], float]
+"""Figure of the frames with some numbers, which may repeat."""
+
+Measure = Callable[[MeasuredFrames], Resampled]
+
+
+def estimate(measured: MeasuredFrames, measure: Measure) -> Estimate:
+    """Return a figure with its interval: percentiles over frames drawn with replacement (Efron 1979), seeded."""
+    number, figure = len(measured.frames), measure(measured)
+    value = figure(np.arange(number))
+    if np.isnan(value):
+        return Estimate(value, np.nan, np.nan)
+    draws = np.random.default_rng(0).integers(0, number, (_RESAMPLES, number))
+    low, high = np.nanpercentile([figure(draw) for draw in draws], _INTERVAL)
+    return Estimate(value, float(low), float(high))
+
+
+def _of_streaks(
+    band: tuple[float, float], column: str, reduce: Callable[[Float64[np.ndarray, " n"]], float]
+) -> Measure:
+    """Measure a column of the streaks before a band of backgrounds."""
+
+    def measure(measured: MeasuredFrames) -> Resampled:
+        chosen = streaks_within(measured.streaks, band)
+        values = [getattr(chosen, column)[chosen.frame == k] for k in range(len(measured.frames))]
+
+        def figure(frames: Int64[np.ndarray, " t"]) -> float:
+            found = np.concatenate([values[k] for k in frames])
+            return reduce(found) if len(found) >= _MIN_STREAKS else np.nan
+
+        return figure
+
+    return measure
+
+
+def _density(measured: MeasuredFrames) -> Resampled:
+    """Streaks per megapixel of the dark band."""
+    low, high = DARK_BAND
+    pixels = np.count_nonzero(measured.found.still & (measured.found.median >= low) & (measured.found.median < high))
+    counts = np.bincount(streaks_within(measured.streaks, DARK_BAND).frame, minlength=len(measured.frames))
+    return lambda frames: float(1e6 * counts[frames].mean() / pixels) if pixels else np.nan
+
+
+def _root_mean_square(column: str) -> Measure:
+    """Measure standard deviations of frames together."""
+
+    def measure(measured: MeasuredFrames) -> Resampled:
+        squares = getattr(measured, column) ** 2
+        return lambda frames: float(np.sqrt(np.mean(squares[frames])))
+
+    return measure
+
+
+def _median(values: Float64[np.ndarray, " n"]) -> float:
+    return float(np.median(values))
+
+
+def _scatter(values: Float64[np.ndarray, " n"]) -> float:
+    low, high = np.percentile(values, (10, 90))
+    return float(high - low)
+
+
+DENSITY, SCATTER, BLACK_RISE = (
+    "Streaks per megapixel",
+    "Scatter of angles (10 to 90 %), degrees",
+    "Rise before gray 0 to 16",
+)
+MEASURES: dict[str, Measure] = {
+    DENSITY: _density,
+    "Length, px": _of_streaks(DARK_BAND, "length_px", _median),
+    "Width, px": _of_streaks(DARK_BAND, "width_px", _median),
+    "Rise, gray levels": _of_streaks(DARK_BAND, "rise_levels", _median),
+    "Angle from the vertical, degrees": _of_streaks(DARK_BAND, "angle_deg", _median),
+    SCATTER: _of_streaks(DARK_BAND, "angle_deg", _scatter),
+    BLACK_RISE: _of_streaks(BLACK_BAND, "rise_levels", _median),
+    "Rise before gray 64 to 140": _of_streaks(BRIGHT_BAND, "rise_levels", _median),
+    "Clouds, gray levels": _root_mean_square("cloud_levels"),
+    "Deviation of the residual, gray levels": _root_mean_square("deviation_levels"),
+}
+"""Rows of the report; before backgrounds of gray 32 to 64, if nothing else is stated."""
+
+
+# Goals
+
+
+class Goal(NamedTuple):
+    """Bounds on a figure of ours, as a ratio to that of real rain or as a difference from it."""
+
+    measure: str
+    title: str
+    low: float
+    high: float
+    is_ratio: bool = True
+
+    def verdict(self, real: float, ours: float) -> str:
+        """Return the relation of the figures, and whether it is within the bounds."""
+        if np.isnan(real) or np.isnan(ours) or real == 0:
+            return "too few streaks"
+        relation = ours / real if self.is_ratio else ours - real
+        shown = f"{relation:.2f}" if self.is_ratio else f"{relation:+.1f}"
+        return f"{shown} met" if self.low <= relation <= self.high else f"{shown} **missed**"
+
+
+GOALS = (
+    Goal(DENSITY, "Number of streaks within 0.6 to 1.6 of real", 0.6, 1.6),
+    Goal(SCATTER, "Scatter of angles within 4 degrees", -4, 4, is_ratio=False),
+    Goal(BLACK_RISE, "Rise before gray 0 to 16 within a factor of 1.6", 1 / 1.6, 1.6),
+)
+
+
+# Markdown
+
+
+_INTRODUCTION = (
+    "RainSense's frames (IVtest-Lab, doi 10.5281/zenodo.17231190) and our rain in front of the same backgrounds,",
+    "written by `gsrain evaluate streaks RAINSENSE --report docs/real_rain.md`; [method](real_rain_method.md).",
+    "",
+    "Each cell is **real / ours**, with bootstrap intervals of 90 % over frames below. Figures are medians of the",
+    "streaks found before backgrounds of gray 32 to 64, if nothing else is stated. A dash: fewer than 10 streaks.",
+)
+
+
+def markdown(rows: Sequence[RealRainComparison]) -> str:
+    """Write the report of the sequences with rain: one table, real beside ours, then the goals.
+
+    Only the first exposure of each comparison is used.
+    """
+    rainy = [row for row in rows if row.labelled_mm_h > 0]
+    table = {
+        name: [(estimate(row.real, measure), estimate(row.ours[0], measure)) for row in rainy]
+        for name, measure in MEASURES.items()
+    }
+    lines = [
+        "# Our rain and real rain", "",
+        *_INTRODUCTION, "",
+        "| | " + " | ".join(f"{row.labelled_mm_h:g} mm/h" for row in rainy) + " |",
+        "|---|" + "---|" * len(rainy),
+        "| Frames | " + " | ".join(str(len(row.numbers)) for row in rainy) + " |",
+        "| Shutter of ours, ms | "
+        + " | ".join(f"{1e3 * (row.ours[0].statistics.exposure_s or 0):g}" for row in rainy) + " |",
+    ]  # fmt: skip
+    for name, cells in table.items():
+        lines.append(f"| {name} | " + " | ".join(_cell(*cell) for cell in cells) + " |")
+    lines += ["", "## Goals", "", "| | " + " | ".join(f"{row.labelled_mm_h:g} mm/h" for row in rainy) + " |"]
+    lines.append("|---|" + "---|" * len(rainy))
+    for goal in GOALS:
+        words = [goal.verdict(real.value, ours.value) for real, ours in table[goal.measure]]
+        lines.append(f"| {goal.title} | " + " | ".join(words) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(real: Estimate, ours: Estimate) -> str:
+    return f"**{_number(real.value)} / {_number(ours.value)}**<br>{_interval(real)} / {_interval(ours)}"
+
+
+def _number(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.3g}"
+
+
+def _interval(each: Estimate) -> str:
+    return "-" if np.isnan(each.value) else f"{_number(each.low)} to {_number(each.high)}"
+
+
+# Pairs
+
+PAIRS = 40
+PAIR_CROP = (590, 400)
+_GAP_PX = 12
+_MIN_STILL = 0.9
+_DARK_LEVELS, _MIN_DARK = 96, 0.4
+_TRIES = 300
+
+
+class Pair(NamedTuple):
+    """Two crops of the same place, real and ours, in random order."""
+
+    picture: UInt8[np.ndarray, "h w 3"]
+    sequence: str
+    frame: int
+    real_side: str
+    """left or right."""
+
+
+def unlabeled_pairs(
+    rows: Sequence[tuple[RainSequence, RealRainComparison]], count: int, seed: int = 0
+) -> Iterator[Pair]:
+    """Choose crops before dark and still backgrounds from sequences with rain in turn, and pair real with ours.
+
+    Both are the color of the temporal median plus a frame's residual of luma, so that they differ by rain and noise
+    alone; where leaves or people move, both have no residual.
+    """
+    random = np.random.default_rng(seed)
+    rainy = [each for each in rows if each[1].labelled_mm_h > 0]
+    medians = [_color_median(sequence, row) for sequence, row in rainy]
+    for number in range(count):
+        k = number % len(rainy)
+        row = rainy[k][1]
+        corner = _dark_corner(row, random)
+        part = (slice(corner[1], corner[1] + PAIR_CROP[1]), slice(corner[0], corner[0] + PAIR_CROP[0]))
+        frame = int(random.integers(len(row.numbers)))
+        crops = [_with_residual(medians[k][part], each, row, frame, part) for each in (row.real, row.ours[0])]
+        real_first = bool(random.integers(2))
+        left, right = crops if real_first else crops[::-1]
+        gap = np.full((left.shape[0], _GAP_PX, 3), 255, np.uint8)
+        picture = np.concatenate([left, gap, right], axis=1)
+        yield Pair(picture, row.sequence, row.numbers[frame], "left" if real_first else "right")
+
+
+def _color_median(sequence: RainSequence, row: RealRainComparison) -> UInt8[np.ndarray, "h w 3"]:
+    x, y, width, height = row.window
+    return np.median([sequence.picture(k)[y : y + height, x : x + width] for k in row.numbers], axis=0).astype(np.uint8)
+
+
+def _dark_corner(row: RealRainComparison, random: np.random.Generator) -> tuple[int, int]:
+    """Upper left corner of a crop with many dark and hardly any moving pixels; the best of some tries."""
+    height, width = row.real.found.still.shape
+    tries: list[tuple[float, int, int]] = []
+    for _ in range(_TRIES):
+        x, y = (
+            int(random.integers(max(side - crop, 0) + 1)) for side, crop in zip((width, height), PAIR_CROP, strict=True)
+        )
+        part = (slice(y, y + PAIR_CROP[1]), slice(x, x + PAIR_CROP[0]))
+        still, dark = row.real.found.still[part].mean(), (row.real.found.median[part] < _DARK_LEVELS).mean()
+        if still >= _MIN_STILL and dark >= _MIN_DARK:
+            return x, y
+        tries.append((float(still + dark), x, y))
+    _, x, y = max(tries)
+    return x, y
+
+
+def _with_residual(
+    color: UInt8[np.ndarray, "h w 3"], measured: MeasuredFrames, row: RealRainComparison, frame: int,
+    part: tuple[slice, slice],
+) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
+    residual = measured.frames[frame][part].astype(np.float32) - row.real.found.median[part]
+    residual = np.where(row.real.found.still[part], residual, 0)
+    return np.clip(np.rint(color + residual[..., None]), 0, 255).astype(np.uint8)

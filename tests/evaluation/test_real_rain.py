@@ -1,0 +1,217 @@
+"""Rain in front of photographs: its light, noise and tone curve; conditions of real sequences, and their report."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from given_rain import STILL
+from gsrain_engine.datasets.rainsense import RainSequence
+from gsrain_engine.evaluation.real_rain import (
+    CameraNoise,
+    MeasuredFrames,
+    RealRainComparison,
+    cropped_camera,
+    evenly_chosen,
+    load_conditions,
+    noise_correlation_px,
+    photographed,
+    render_rain_frames,
+    simulated_frames,
+    slow_light,
+)
+from gsrain_engine.evaluation.real_rain_report import MEASURES, estimate, markdown, unlabeled_pairs
+from gsrain_engine.evaluation.streaks import find_streaks, median_residuals
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.camera_response import light_of_display, tone_curve
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.sensor import Sensor
+
+SKY = 220.0
+
+
+def narrow_camera():
+    eye, shape = np.array([0.0, 0.0, 1.5]), (240, 400)
+    pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
+    return cropped_camera(Camera(1920, 1080, 1916.0, 1916.0, 960.0, 540.0, pose), (600, 200, *shape[::-1]))
+
+
+def rendered(noise=1.0, **rain):
+    """Gray frames of rain in front of gray 45."""
+    camera, shape = narrow_camera(), (240, 400)
+    background, noises = np.full(shape, 45, np.uint8), np.full(shape, noise, np.float32)
+    rainfall = RainSimulation.start(RainSettings(haze=False, sensor="pinhole", **rain))
+    return np.stack(list(render_rain_frames(background, noises, camera, rainfall, [0.1 * k for k in range(9)], SKY)))
+
+
+@pytest.mark.parametrize("exposure_s", [0.004, 0.008])
+def test_exposure_of_simulated_rain_is_estimated(exposure_s):
+    table = find_streaks(median_residuals(rendered(intensity_mm_h=2.0, exposure_s=exposure_s, **STILL)), SKY)
+    assert len(table) > 30
+    # Four Gaussians a streak spread like a box that is 1.3 times as long.
+    assert np.median(table.exposure_s) == pytest.approx(1.3 * exposure_s, rel=0.25)
+    assert abs(np.median(table.angle_deg)) < 2
+
+
+def test_display_mixing_is_fainter_on_dark_backgrounds():
+    rain = {"noise": 0, "intensity_mm_h": 2.0, "exposure_s": 0.008}
+    linear, display = (rendered(rain_light=light, **rain).astype(float) - 45 for light in ("linear", "display"))
+    assert linear.min() >= 0 and (rendered(noise=0) == 45).all()  # no rain: the background
+    assert 2 < linear.mean() / display.mean() < 8
+
+
+@pytest.mark.parametrize(
+    ("pictures", "spacing_s", "count", "chosen"),
+    [
+        (20, 0.1, 5, [5, 7, 9, 11, 13]),  # 0.2 s apart, not the possible 0.4 s
+        (20, 0.04, 5, [1, 5, 9, 13, 17]),  # 0.16 s, each fourth
+        (7, 1.0, 3, [2, 3, 4]),  # a second apart: farther than allowed
+        (7, 0.13, 3, [1, 3, 5]),  # 0.2 s are 1.5 frames, rounded to two
+        (4, 0.1, 9, [0, 1, 2, 3]),
+        (3, 0.0, 3, [0, 1, 2]),
+        (1, 0.0, 5, [0]),
+    ],
+)
+def test_frames_are_chosen_around_the_middle(pictures, spacing_s, count, chosen):
+    times = tuple(3.0 + spacing_s * k for k in range(pictures))
+    camera = Camera.from_fov(64, 48, 60.0, np.eye(4))
+    sequence = RainSequence("made up", 5.0, camera, np.zeros(5), (Path("a.png"),) * pictures, times)
+    assert evenly_chosen(sequence, count) == chosen
+    assert evenly_chosen(sequence, 1) == [(pictures - 1) // 2]
+
+
+def test_a_tone_curve_is_inverted_and_darkens_rain_before_black():
+    light = np.linspace(0, 1, 200)
+    np.testing.assert_allclose(light_of_display(tone_curve(light, "crushed"), "crushed"), light, atol=2e-4)
+    shape = (40, 50)
+    noise, share = CameraNoise(np.zeros(shape, np.float32)), np.full(shape, 0.02, np.float32)
+
+    def rise(background, curve):
+        behind = np.full(shape, background, np.float32)
+        (gray,) = photographed([behind], [share], SKY, noise, RainSettings(), Sensor(tone_curve=curve))
+        return float(gray.mean()) - background
+
+    drop, dark = (float(light_of_display(np.array([each / 255]), "crushed")[0]) for each in (SKY, 8))
+    by_hand = 255 * float(tone_curve(np.array([dark + 0.02 * (drop - dark)]), "crushed")[0]) - 8
+    assert rise(8.0, "crushed") == pytest.approx(by_hand, abs=0.6)
+    assert rise(8.0, "crushed") < 0.75 * rise(8.0, "srgb")
+
+
+def noisy_frames(sigma, correlation_px, number=12, shape=(120, 200), seed=4):
+    random = np.random.default_rng(seed)
+    noise = CameraNoise(np.full(shape, sigma, np.float32), correlation_px)
+    frames = np.stack([np.clip(np.rint(120 + noise.drawn(random)), 0, 255) for _ in range(number)])
+    return median_residuals(frames.astype(np.uint8))
+
+
+@pytest.mark.parametrize("correlation_px", [0.5, 0.8])
+def test_correlation_of_noise_is_measured(correlation_px):
+    found = noisy_frames(3.0, correlation_px)
+    assert found.sigma.mean() == pytest.approx(3.0, rel=0.12)
+    assert noise_correlation_px(found, np.zeros_like(found.values)) == pytest.approx(correlation_px, rel=0.1)
+    white = noisy_frames(3.0, 0.0)
+    assert noise_correlation_px(white, np.zeros_like(white.values)) < 0.35
+
+
+def test_slow_light_leaves_streaks_out():
+    values = np.zeros((1, 160, 240), np.float32)
+    values[0] = np.linspace(-6, 6, 240)[None, :]
+    lit = values.copy()
+    lit[0, 60:100, 100:106] += 30
+    slow = slow_light(lit)
+    assert np.abs(slow - values)[0, 24:-24, 24:-24].max() < 0.6
+
+
+def test_simulated_frames_have_the_noise_and_light_of_real_ones():
+    real = noisy_frames(2.0, 0.6, shape=(240, 400))
+    darker = replace(real, values=real.values + 3 * np.sin(np.arange(12))[:, None, None].astype(np.float32))
+    rain = RainSettings(haze="none", sensor="rainsense", intensity_mm_h=0.0, exposure_s=0.008)
+    times = [0.1 * k for k in range(12)]
+    made = simulated_frames(darker, narrow_camera(), RainSimulation.start(rain), times, SKY)
+    assert np.std(made.mean(axis=(1, 2))) == pytest.approx(3 / np.sqrt(2), rel=0.1)
+    assert median_residuals(made).sigma.mean() == pytest.approx(real.sigma.mean(), rel=0.08)
+
+
+def test_shipped_conditions():
+    shipped = load_conditions("rainsense")
+    assert [each.intensity_mm_h for each in shipped.sequences] == [1.376, 2.654, 4.75, 9.245]
+    assert all(each.shutter_s is not None for each in shipped.sequences)
+    assert shipped.of(4.75).rain("pinhole").turbulence_m_s == shipped.of(4.75).turbulence_m_s
+    assert shipped.of(3.0).rain("pinhole") == RainSettings(intensity_mm_h=3.0, sensor="pinhole")
+
+
+def test_frames_around_a_given_one():
+    times = tuple(0.1 * k for k in range(40))
+    camera = Camera.from_fov(64, 48, 60.0, np.eye(4))
+    sequence = RainSequence("made up", 5.0, camera, np.zeros(5), (Path("a.png"),) * 40, times)
+    assert evenly_chosen(sequence, 5, 30) == [26, 28, 30, 32, 34]
+    assert evenly_chosen(sequence, 5, 39) == [31, 33, 35, 37, 39]
+
+
+# Report
+
+
+def measured(seed, streaks_per_frame, rise):
+    """Frames with upright streaks of 30 px and 4 px before gray 45."""
+    random = np.random.default_rng(seed)
+    levels = np.full((12, 160, 240), 45.0)
+    for k, frame in enumerate(levels):
+        for j in range(streaks_per_frame):
+            x = 12 + 24 * ((3 * k + j * (1 + streaks_per_frame)) % 9) + int(random.integers(5))
+            y = int(random.integers(20, 100))
+            frame[y : y + 30, x : x + 4] = 45 + rise
+    frames = np.clip(np.rint(levels + 1.2 * random.standard_normal(levels.shape)), 0, 255).astype(np.uint8)
+    return MeasuredFrames.of(frames, median_residuals(frames), SKY, 0.008)
+
+
+def comparison():
+    real, ours = measured(1, 2, 14), measured(2, 1, 14)
+    return RealRainComparison(
+        sequence="light", labelled_mm_h=2.5, rendered_mm_h=2.5, window=(0, 0, 240, 160), numbers=tuple(range(12)),
+        sky_levels=SKY, real=real, ours=(ours,),
+    )  # fmt: skip
+
+
+def test_estimates_have_intervals():
+    real = measured(1, 2, 14)
+    density = estimate(real, MEASURES["Streaks per megapixel"])
+    assert density.value == pytest.approx(2e6 / (160 * 240), rel=0.15)
+    assert density.low <= density.value <= density.high
+    length = estimate(real, MEASURES["Length, px"])
+    assert length.value == pytest.approx(30, rel=0.12) and length.high - length.low < 6
+    assert np.isnan(estimate(real, MEASURES["Rise before gray 0 to 16"]).value)
+    assert estimate(real, MEASURES["Clouds, gray levels"]).value < 0.3
+    assert estimate(real, MEASURES["Deviation of the residual, gray levels"]).value == pytest.approx(
+        float(np.sqrt((real.found.values[:, real.found.still] ** 2).mean())), rel=0.05
+    )
+
+
+def test_the_report_is_a_table_with_goals():
+    lines = markdown([comparison()]).splitlines()
+    assert "| | 2.5 mm/h |" in lines
+    (row,) = (line for line in lines if line.startswith("| Streaks per megapixel"))
+    assert "**" in row and " to " in row
+    (goal,) = (line for line in lines if line.startswith("| Number of streaks"))
+    assert "**missed**" in goal and "0.4" in goal
+    (black,) = (line for line in lines if line.startswith("| Rise before gray 0 to 16 within"))
+    assert "too few streaks" in black
+
+
+def test_pairs_differ_by_rain_and_noise_alone(monkeypatch):
+    monkeypatch.setattr("gsrain_engine.evaluation.real_rain_report.PAIR_CROP", (80, 60))
+    row = comparison()
+    color = np.full((160, 240, 3), (45, 50, 40), np.uint8)
+    sequence = RainSequence(
+        "light", 2.5, Camera.from_fov(240, 160, 60.0, np.eye(4)), np.zeros(5), (Path("a.png"),) * 12, (0.0,) * 12
+    )
+    monkeypatch.setattr(RainSequence, "picture", lambda self, number: color)
+    pairs = list(unlabeled_pairs([(sequence, row)], 12))
+    assert {pair.real_side for pair in pairs} == {"left", "right"}
+    for pair in pairs:
+        assert pair.picture.shape == (60, 80 * 2 + 12, 3)
+        left, right = pair.picture[:, :80].astype(int), pair.picture[:, -80:].astype(int)
+        assert abs(np.median(left) - np.median(right)) <= 1
+        assert (pair.picture[:, 80:92] == 255).all()
+    assert [pair.real_side for pair in unlabeled_pairs([(sequence, row)], 12)] == [pair.real_side for pair in pairs]
