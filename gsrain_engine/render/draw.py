@@ -10,7 +10,7 @@ from jaxtyping import Float64, UInt8
 
 from ..rain.frame import RainCamera, SkyLight
 from ..rain.shelter_map import shelter_map_of
-from ..rain.simulation import OVERCAST, RainSimulation
+from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
