@@ -180,7 +180,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
     glass: Annotated[Literal["none", "windshield", "lens"], Meta(
         title="Glass", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
-        description="Glass in front of the camera, on which rain lands (docs/physics.md, 17). windshield: of cameras "
+        description="Glass in front of the camera, on which rain lands (docs/physics.md, 18). windshield: of cameras "
         "that look ahead. lens: of each camera.")] = "none"
     wiper: Annotated[Literal["auto", "off", "interval", "low", "high"], Meta(
         title="Wiper", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
@@ -213,6 +213,9 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     wetness: Annotated[float | None, Meta(
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
+    mirror: Annotated[bool, Meta(
+        title="Mirror", extra={"commands": "render"},
+        description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = False
     drying_s: Annotated[float, Meta(
         ge=0, le=7200, title="Drying", extra={"unit": "s", "group": "Appearance", "slider_to": 600.0},
         description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0

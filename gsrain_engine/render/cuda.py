@@ -21,9 +21,11 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import DrawItem
+from ..water.mirror import Mirror
 from .cpu.compositing import add_light, sky_layer
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
 from .cpu.tiles import MAX_ALPHA
+from .mirror import film_items
 from .renderer import MIN_WEIGHT, Color, Frame, RenderMode, RenderStatistics, timed
 
 torch: Any = import_module("torch")
@@ -60,6 +62,7 @@ class CudaRenderer:
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
+        mirror: Mirror | None = None,
     ) -> None:
         """Draw parts and rain as one compositing; `read` returns the image.
 
@@ -73,6 +76,12 @@ class CudaRenderer:
         if rain is not None:
             falling = Gaussians.concatenate([rain.lit_streaks, rain.drawn_haze])
             self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
+        reflected: Tensor | None = None
+        if mirror is not None:
+            with self._timed("draw"):
+                space = self._arrays.before_camera(film_items(parts), camera)
+                film, _ = self._composited(space, camera, None, is_lit=False)
+                reflected = uploaded(mirror.reflected(film[..., :2].cpu().numpy()), self._device)
         with self._timed("project"):
             scene = self._arrays.before_camera(parts, camera)
             medium = rain.medium if rain is not None else None
@@ -106,6 +115,9 @@ class CudaRenderer:
             with self._timed("rain"):
                 weights = image[..., 4], weight
                 rgba = _lit_by_lamps(rgba, weights if medium is not None else None, drop_light, lit)
+        if reflected is not None:
+            colors = torch.where(reflected > 0, _to_display(_to_linear(rgba[..., :3]) + reflected), rgba[..., :3])
+            rgba = torch.cat([colors, rgba[..., 3:]], dim=-1)
         self._frame = rgba, depth
         self._arrays.release_unused()
 

@@ -11,6 +11,7 @@ from jaxtyping import Float64, UInt8
 from ..rain.frame import RainCamera, SkyLight
 from ..rain.shelter_map import shelter_map_of
 from ..rain.simulation import RainSimulation
+from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
@@ -18,6 +19,7 @@ from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from .camera_response import PictureOptics
 from .lamp_reflections import lamp_reflections
+from .mirror import draw_mirror, has_mirror, reflecting_items
 from .renderer import Renderer, RenderMode
 
 
@@ -64,25 +66,33 @@ def draw_view(
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
-    the scene is clear and dry. `thinning` leaves out some of
-    each part's Gaussians; `selection` tints selected ones.
+    the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out
+    some of each part's Gaussians; `selection` tints selected ones.
     """
     rain, wetness, overcast = None, 0.0, 0.0
     lamps = scene.lamps if rainfall is None or not scene.lamps else rainfall.lamps.of(scene)
+    lit_lamps = scene.lamps_at(shot.time_s, lamps) if rainfall is not None and lamps else None
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
-            lamps = rainfall.lamps.of(scene)
-            lit_lamps = scene.lamps_at(shot.time_s, lamps) if lamps else None
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
+    has_water = rainfall is not None and rainfall.rain.mirror and look == "splats"
+    has_water = has_water and has_mirror(scene, shot.camera, wetness)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
+    parts = list(subset_items(lit, thinning, shot.camera))
     if scene.lamps and scene.ground_m is not None and look == "splats":
         fixed = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount == "scene"])
         moving = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount != "scene"])
-        reflections = lamp_reflections(fixed, moving, shot.camera, scene.ground_m, wetness)
-        lit += [] if reflections is None else [reflections]
-    parts = subset_items(lit, thinning, shot.camera)
-    renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look)
+        reflections = lamp_reflections(fixed, moving, shot.camera, scene.ground_m, wetness, mirrors=not has_water)
+        parts += [] if reflections is None else [reflections]
+    mirror = None
+    if rainfall is not None and has_water:
+        parts = reflecting_items(parts, scene)
+        mirror = draw_mirror(
+            renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
+            flooded_share(rainfall.state_at(shot.time_s).intensity_mm_h), sky.drops, lit_lamps,
+        )  # fmt: skip
+    renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 
 def read_picture(renderer: Renderer, optics: PictureOptics | None) -> UInt8[np.ndarray, "h w 3"]:

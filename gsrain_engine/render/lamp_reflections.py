@@ -16,31 +16,31 @@ from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.geometry import linear_to_srgb, quaternions_from_matrices
 from ..scene.lamps import LitLamps
 from ..scene.scene import DrawItem
-from ..scene.street.mesh import smooth_noise
+from ..scene.street.mesh import layered_noise, smooth_noise
 from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
 
 _COLUMNS = 220
 _STEP = 0.035  # relative depth of a cell
 _NEAR, _FAR_M = 0.7, 130.0  # horizontal distances: the near one in heights of the camera
-_BEFORE_M = 0.3  # of a cell before the ground: half of a Gaussian of the road
+_BEFORE_M = 0.65  # of a cell before the ground, so that cells of the road do not cover it
 _SPREAD = 0.63  # standard deviation of a Gaussian in cells
 _OVERLAP = 2 * np.pi * _SPREAD**2  # Gaussians that cover a point, in sums of their weights
 _MAX_ALPHA, _MIN_LIGHT = 0.93, 0.002
 _FILM_SLOPE, _POOL_SLOPE = 0.105, 0.035
 """Standard deviation of the slope of a film over asphalt, and of puddles, in rain."""
 _POOL_SHARE = 0.25
-_GROUND_ALBEDO, _WET_ALBEDO = 0.075, 0.036
+_GROUND_ALBEDO, _WET_ALBEDO = 0.075, 0.022
 """Of asphalt, for headlights."""
 
 
 def lamp_reflections(
-    fixed: LitLamps, moving: LitLamps, camera: Camera, ground_m: float, wetness: float
+    fixed: LitLamps, moving: LitLamps, camera: Camera, ground_m: float, wetness: float, *, mirrors: bool = True
 ) -> DrawItem | None:
     """Gaussians with the light that level ground at a height (m) sends to a camera; None if there is none.
 
     Light of `fixed` lamps on dry ground is part of the scene's own colors: they only add reflections in water, by
     wetness (0..1). Facets of water have Gaussian slopes, with Fresnel's law and Smith's shadowing; `moving` lamps light
-    matte asphalt, too.
+    matte asphalt, too. Without `mirrors` water reflects nothing.
     """
     lamps = LitLamps(*(np.concatenate(pair) for pair in zip(fixed, moving, strict=True)))
     height = float(camera.position[2]) - ground_m
@@ -59,7 +59,7 @@ def lamp_reflections(
     light = np.zeros((len(distances), _COLUMNS, 3))
     albedo = _GROUND_ALBEDO + wetness * (_WET_ALBEDO - _GROUND_ALBEDO)
     water = np.zeros((len(distances), _COLUMNS, 3))
-    _light_cells(light, water, distances, azimuths, eye, rows, len(fixed.positions_m), albedo, wetness > 0)
+    _light_cells(light, water, distances, azimuths, eye, rows, len(fixed.positions_m), albedo, mirrors and wetness > 0)
     r, k = np.nonzero((light + water).max(axis=2) > _MIN_LIGHT)
     if not len(r):
         return None
@@ -72,9 +72,9 @@ def lamp_reflections(
 
 def _film(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
     """Share of ground that is covered by water, about 0.6 on average: patches and the grain of asphalt."""
-    broad = smooth_noise(points, (3.1, 1.4), 431) + 0.5 * smooth_noise(points, (1.1, 0.6), 432)
-    grain = smooth_noise(points, 0.11, 433) - 0.5
-    return np.clip(0.62 + 0.75 * (broad - 0.75) + 0.55 * grain, 0.05, 1)
+    broad = layered_noise(points, 4.6, 431, 2) - 0.5
+    grain = smooth_noise(points, 0.07, 433) - 0.5
+    return np.clip(0.66 + 0.8 * broad + 0.4 * grain, 0.05, 1)
 
 
 def _cells(

@@ -17,6 +17,7 @@ from jaxtyping import Float32, UInt8
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
+from ..water.mirror import Mirror
 from .camera_response import PictureOptics
 
 RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"]
@@ -96,11 +97,12 @@ class Renderer(Protocol):
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
+        mirror: Mirror | None = None,
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; `read` returns the image.
 
         `camera` is in the world (meters). Depth is the scene's own, without rain. `look` selects another render mode,
-        without rain.
+        without rain. The visible water on the parts, their `film`, adds what it reflects of a `mirror`.
         """
         ...
 

@@ -15,6 +15,7 @@ from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
 from .geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices
+from .ground_water import GroundWater
 from .lamps import Lamp, LitLamps, lit_lamps
 from .lod_tree import LodTree
 
@@ -71,6 +72,8 @@ class DrawItem(NamedTuple):
     """Indices of the Gaussians that are drawn, instead of `limit` and `left_out`; None draws all."""
     tree: LodTree | None = None
     """Tree of the Gaussians for a cut; renderers ignore it."""
+    film: Float32[np.ndarray, "n 2"] | None = None
+    """Shares of a film and of standing water that mirror the scene, by Gaussian; None without water."""
 
     @property
     def is_wet(self) -> bool:
@@ -459,6 +462,8 @@ class Scene:
     """Selection sets by name; each by the keys of members."""
     lamps: tuple[Lamp, ...] = ()
     """Lamps that light drops and medium."""
+    water: GroundWater | None = None
+    """Water on the ground, which mirrors the scene; None without a map of it."""
     unit_is_assumed: bool = False
     """True if neither a file nor the user has set the length of a unit, so that it is assumed to be a meter."""
 
@@ -472,7 +477,16 @@ class Scene:
     @property
     def appearance(self) -> Hashable:
         """Key of everything that an image depends on: equal for scenes that differ only in paths or notes."""
-        return self.layers, self.actors, self.metres_per_unit, self.up, self.ground_m, self.ego, self.lamps
+        return (
+            self.layers,
+            self.actors,
+            self.metres_per_unit,
+            self.up,
+            self.ground_m,
+            self.ego,
+            self.lamps,
+            IdentityKey(self.water),
+        )
 
     @property
     def geometry_key(self) -> Hashable:

@@ -19,6 +19,7 @@ from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from render.cpu.raster_scenes import drawn, psnr_db, random_gaussians, similarity, small_camera
 
@@ -116,6 +117,19 @@ def test_scenes_and_the_rains_own_light_agree(pair, changes):
     assert np.quantile(np.abs(depth / np.where(both, found, 1) - 1)[both], 0.99) < 0.01
     for renderer, wet, dry in zip(renderers, rainy, clear, strict=True):  # without the rain's
         np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if renderer.name == "cuda" else 0)
+
+
+@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
+def test_wet_ground_mirrors_the_same_on_all(kind, open_kind):
+    cover = np.random.default_rng(3).integers(0, 120, (24, 40, 2), np.uint8)
+    scene = replace(small_scene(), ground_m=0.0, water=GroundWater((0.0, -12.0), 1.0, cover))
+    shot, rain = small_shot() if kind != "cuda" else small_shot(96, 60), raining(mirror=True, exposure_s=0.003)
+    renderers = open_kind(kind), CpuRenderer()
+    found, expected = (frame_of(each, scene, shot, rain) for each in renderers)
+    plain = frame_of(renderers[1], scene, shot, raining(exposure_s=0.003))
+    assert psnr_db(found, expected) >= MIN_PSNR_DB
+    assert np.abs(expected.rgba - plain.rgba).max() > 0.05
+    np.testing.assert_array_equal(frame_of(renderers[0], scene, shot, rain).rgba, found.rgba)
 
 
 def test_both_count_the_same(pair):

@@ -66,6 +66,8 @@ def rain_panel(
     fields.toggle(document, "streaks")
     imgui.same_line()
     fields.toggle(document, "roofs")
+    imgui.same_line()
+    fields.toggle(document, "mirror")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)

@@ -44,7 +44,7 @@ def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None 
         sign, component = (-1.0 if up.startswith("-") else 1.0), "xyz".index(up[-1])
         x, y, z = (sign if axis == component else 0.0 for axis in range(3))
         if (x, y, z) != scene.up:
-            scene = replace(scene, up=(x, y, z), ground_m=None)
+            scene = replace(scene, up=(x, y, z), ground_m=None, water=None)
     if metres_per_unit is None:
         return scene
     low, high = UNIT_M
@@ -57,7 +57,7 @@ def level_to(scene: Scene, up: Float64[np.ndarray, "3"], point_m: Float64[np.nda
     """Rotate the world so that a direction points up, and set the ground to the height of a point."""
     rotation = scene.scene_to_world[:3, :3] / scene.metres_per_unit
     x, y, z = np.round(rotation.T @ (up / np.linalg.norm(up)), 12).tolist()  # exact axes stay exact
-    turned = replace(scene, up=(x, y, z))
+    turned = replace(scene, up=(x, y, z), water=None)
     to_new = turned.scene_to_world @ np.linalg.inv(scene.scene_to_world)
     return replace(turned, ground_m=float(to_new[2, :3] @ point_m + to_new[2, 3]))
 
@@ -175,7 +175,10 @@ def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
     metres_per_unit, path = scene.metres_per_unit * factor, scene.path
     if path is not None and not path.is_timed:
         path = with_constant_speed(path, WALKING_M_S / metres_per_unit)
-    return replace(scene, metres_per_unit=metres_per_unit, ground_m=ground, path=path, unit_is_assumed=False)
+    water = None if scene.water is None else scene.water.scaled(factor)
+    return replace(
+        scene, metres_per_unit=metres_per_unit, ground_m=ground, water=water, path=path, unit_is_assumed=False
+    )
 
 
 def set_camera_height(scene: Scene, height_m: float) -> Scene:

@@ -65,6 +65,15 @@ def composite_in_rain(
     return rgba, fourth, alpha
 
 
+def composite_film(
+    splats: Splats, tiles: TileLists, film: Float32[np.ndarray, "m 2"], first_row: int = 0
+) -> Float32[np.ndarray, "h w 2"]:
+    """Blend two channels per splat of the scene as `composite` does, without rain; 0 above a row."""
+    image = np.empty((tiles.height, tiles.width, 2), np.float32)
+    _composite_film(tiles, splats.shapes, film, (image, first_row))
+    return image
+
+
 # Lines of a tile's column, TILE numbers each: transmittance, four channels, alpha; with rain the open share, the
 # rain's share and the scene's share before rain; with a veil only the rain's share.
 
@@ -91,6 +100,49 @@ def _composite_lit_rain(tiles, shapes, channels, images):
 @no_type_check
 def _composite_veil(tiles, shapes, channels, images):
     walk_tiles(tiles, shapes, channels, 7, 0, nothing, _visit_behind_veil, _store_veil, images)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _composite_film(tiles, shapes, film, images):
+    walk_tiles(tiles, shapes, film, 3, 0, _close_above, _visit_film, _store_film, images)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _close_above(state, x0, y0, images):
+    state[:, : min(max(images[1] - y0, 0), TILE)] = 0
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _visit_film(shapes, film, j, x, y, state, lanes, k, images):
+    if shapes[j, 6] >= MIN_SCENE_CUT:
+        _blend_film(shapes[j], film[j], x, y, state)
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_film(shape, film, x, y, state):
+    walk_pixels(shape, x, y, state, (), _share_film, (film[0], film[1]))
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _share_film(line, v, dx, dy, falloff, lanes, film):
+    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+    line[v + TILE] += weight * film[0]
+    line[v + 2 * TILE] += weight * film[1]
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _store_film(state, x0, y0, images):
+    height, width = images[0].shape[:2]
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
+            images[0][y0 + v, x0 + u, 0] = state[u, TILE + v]
+            images[0][y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)

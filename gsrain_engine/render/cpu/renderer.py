@@ -13,6 +13,7 @@ from ...rain.frame import RainFrame
 from ...rain.lamp_light import LampLight, light_in_picture, share_of_depth
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
+from ...water.mirror import Mirror
 from ..images import layer_color, turbo_colors
 from ..renderer import (
     FARTHEST_M,
@@ -25,7 +26,7 @@ from ..renderer import (
     RenderStatistics,
     timed,
 )
-from .compositing import add_light, composite, composite_in_rain, dim_by_medium, expected, sky_layer
+from .compositing import add_light, composite, composite_film, composite_in_rain, dim_by_medium, expected, sky_layer
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
 from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
@@ -49,6 +50,7 @@ class CpuRenderer:
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
+        mirror: Mirror | None = None,
     ) -> None:
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
@@ -83,6 +85,9 @@ class CpuRenderer:
                 if sky is not None:
                     rgba = self._frame.rgba
                     rgba += (1 - rgba[..., 3:]) * sky
+            if mirror is not None:
+                film = composite_film(splats, tiles, _film(splats, parts), mirror.first_picture_row)
+                add_light(self._frame.rgba, mirror.reflected(film))
         self.statistics.splats_drawn = len(order)
 
     def read(self) -> Frame:
@@ -136,6 +141,17 @@ def _draw_lit(
         return Frame(rgba)
     _, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     return Frame(rgba, expected(weighted, weight, MIN_WEIGHT))
+
+
+def _film(splats: Splats, parts: Sequence[DrawItem]) -> Float32[np.ndarray, "m 2"]:
+    """Shares of films and standing water on each splat; none on rain."""
+    film = np.zeros((len(splats), 2), np.float32)
+    ends = np.cumsum([0, *(len(part.gaussians) for part in parts)])
+    for part, first, last in zip(parts, ends[:-1], ends[1:], strict=True):
+        if part.film is not None:
+            rows = slice(*np.searchsorted(splats.indices, (first, last)))
+            film[rows] = part.film[splats.indices[rows] - first]
+    return film
 
 
 def _draw_behind_veil(

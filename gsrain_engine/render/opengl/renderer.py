@@ -15,7 +15,9 @@ from ...rain.lamp_light import LampLight
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
+from ...water.mirror import Mirror
 from ..cpu.compositing import expected
+from ..mirror import film_items
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, MIN_WEIGHT, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
 from .buffers import LONGEST_DISPATCH, GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
@@ -117,6 +119,7 @@ class SplatRenderer:
         self._targets: dict[str, Framebuffer] = {}
         self._bytes = _ByteReader(context)
         self._image: moderngl.Texture | None = None
+        self._light: moderngl.Texture | None = None
         self.statistics = RenderStatistics()
         """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
         self._drawn: RenderStatistics | None = None
@@ -138,45 +141,63 @@ class SplatRenderer:
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
+        mirror: Mirror | None = None,
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
 
         `camera` is in the world (meters). Depth is the scene's own, without rain.
         """
         with self._active:
-            self._take_stock()
-            self._drawn = RenderStatistics(
-                gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
-            )
-            falling = rain if rain is not None and not rain.is_clear and look == "splats" else None
-            self._drawn.haze_drawn = len(falling.haze) if falling is not None else 0
-            self._makes_drops = falling is not None and falling.draws_drops
-            before = self.context.detect_framebuffer()
-            self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
-            with self._timers.stage("project"):
-                slots = self._projection.project(self._store, parts, camera, falling, look)
-            with self._timers.stage("sort"):
-                self._projection.compact_visible(self._store, self._sort, slots)
-                order = self._sort.sort(self._store.work)
-            light = falling.light_linear if falling is not None and falling.is_linear else None
-            lit = falling.lamp_light if falling is not None and falling.is_linear else None
-            with_depth = with_depth or look == "depth" or lit is not None
-            medium = falling.medium if falling is not None else None
-            if self._tiles is not None:
-                self._redraw = partial(
-                    self._blend_tiles, order, slots.all, camera, look, light, medium, lit, with_depth=with_depth
-                )
-                self._redraw()
-            else:
-                with self._timers.stage("draw"):
-                    self._blend_quads(
-                        order, camera, look, medium, lit, with_depth=with_depth, linear_rain=light is not None
-                    )
-                    self._image = self._lit(self._resolve(look, light), lit)
-            before.use()
+            light = None
+            if mirror is not None:
+                self._draw(film_items(parts), camera)
+                self._complete()
+                light = self._uploaded(mirror.reflected(self._fetch(self.picture)[..., :2]))
+            self._draw(parts, camera, rain, with_depth=with_depth, look=look, mirrored=light)
             self.arrays.release_unused()
-            if self._is_software:
-                self._take_stock()
+
+    def _draw(
+        self,
+        parts: Sequence[DrawItem],
+        camera: Camera,
+        rain: RainFrame | None = None,
+        *,
+        with_depth: bool = False,
+        look: RenderMode = "splats",
+        mirrored: moderngl.Texture | None = None,
+    ) -> None:
+        self._take_stock()
+        self._drawn = RenderStatistics(
+            gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
+        )
+        falling = rain if rain is not None and not rain.is_clear and look == "splats" else None
+        self._drawn.haze_drawn = len(falling.haze) if falling is not None else 0
+        self._makes_drops = falling is not None and falling.draws_drops
+        before = self.context.detect_framebuffer()
+        self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
+        with self._timers.stage("project"):
+            slots = self._projection.project(self._store, parts, camera, falling, look)
+        with self._timers.stage("sort"):
+            self._projection.compact_visible(self._store, self._sort, slots)
+            order = self._sort.sort(self._store.work)
+        light = falling.light_linear if falling is not None and falling.is_linear else None
+        lit = falling.lamp_light if falling is not None and falling.is_linear else None
+        with_depth = with_depth or look == "depth" or lit is not None
+        medium = falling.medium if falling is not None else None
+        if self._tiles is not None:
+            self._redraw = partial(
+                self._blend_tiles, order, slots.all, camera, look, light, medium, lit, mirrored, with_depth=with_depth
+            )
+            self._redraw()
+        else:
+            with self._timers.stage("draw"):
+                self._blend_quads(
+                    order, camera, look, medium, lit, with_depth=with_depth, linear_rain=light is not None
+                )
+                self._image = self._mirrored(self._lit(self._resolve(look, light), lit), mirrored)
+        before.use()
+        if self._is_software:
+            self._take_stock()
 
     def read(self) -> Frame:
         """Fetch the last image (and depth, if it was drawn) from the GPU.
@@ -240,6 +261,7 @@ class SplatRenderer:
         rain_light: Float32[np.ndarray, "3"] | None,
         medium: RainMedium | None,
         lit: LampLight | None,
+        mirrored: moderngl.Texture | None,
         *,
         with_depth: bool,
     ) -> None:
@@ -255,7 +277,7 @@ class SplatRenderer:
             self._store, order, capacity, (target.color, target.depth, target.lamps), switches, lights, self._timers
         )  # fmt: skip
         with self._timers.stage("draw"):
-            self._image = self._lit(self._resolve(look, None), lit)
+            self._image = self._mirrored(self._lit(self._resolve(look, None), lit), mirrored)
 
     def _blend_quads(
         self,
@@ -333,6 +355,30 @@ class SplatRenderer:
             texture.use(unit)
             program[name] = unit
         target = self._target("lit", FramebufferLayout(splats.layout.size))
+        target.framebuffer.use()
+        vertices.render(moderngl.TRIANGLES, vertices=3)
+        return target.color
+
+    def _uploaded(self, light: Float32[np.ndarray, "h w 3"]) -> moderngl.Texture:
+        """Texture of linear light, which is used until the next one."""
+        height, width = light.shape[:2]
+        if self._light is None or self._light.size != (width, height):
+            if self._light is not None:
+                self._light.release()
+            self._light = self.context.texture((width, height), 3, dtype="f4")
+            check_gpu_memory(self.context, light.nbytes)
+        self._light.write(np.ascontiguousarray(light).data)
+        return self._light
+
+    def _mirrored(self, picture: moderngl.Texture, light: moderngl.Texture | None) -> moderngl.Texture:
+        """Add linear light that wet ground reflects to a picture."""
+        if light is None:
+            return picture
+        program, vertices = self._program("screen.vert", "add_light.frag", {})
+        for unit, (name, texture) in enumerate({"picture": picture, "light": light}.items()):
+            texture.use(unit)
+            program[name] = unit
+        target = self._target("mirrored", FramebufferLayout(picture.size))
         target.framebuffer.use()
         vertices.render(moderngl.TRIANGLES, vertices=3)
         return target.color

@@ -16,10 +16,11 @@ from ..camera_path import CameraPath, Easing, Interpolation
 from ..flags import UNMARKED, BitMask, SelectionFlags
 from ..gaussians import Gaussians
 from ..geometry import normalized
+from ..ground_water import GroundWater
 from ..lamps import Lamp
 from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
-SCENE_VERSION = 5
+SCENE_VERSION = 6
 """Incremented when a field is added. The default of each field is its meaning in older files, which stay readable."""
 
 Row = tuple[float, float, float, float]
@@ -125,6 +126,19 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     is_timed: bool = True
 
 
+_MAX_CELLS = 1 << 24  # of a map of water: 32 MB
+
+
+class WaterRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A `GroundWater`; `cover` is its bytes, row by row, as a zlib stream (RFC 1950) in base64."""
+
+    corner_m: tuple[float, float]
+    cell_m: Annotated[float, Meta(ge=0.01, le=100)]
+    rows: Annotated[int, Meta(ge=1, le=16384)]
+    columns: Annotated[int, Meta(ge=1, le=16384)]
+    cover: str
+
+
 class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A `Scene` without its Gaussians."""
 
@@ -140,6 +154,7 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     ego: TrackRecord | None = None
     path: PathRecord | None = None
     lamps: list[Lamp] = []
+    water: WaterRecord | None = None
     rain: dict[str, Any] | None = None
     weather: dict[str, Any] | None = None
     view: dict[str, Any] | None = None
@@ -176,6 +191,7 @@ def record_of(
         ego=track_record(scene.ego) if scene.ego is not None else None,
         path=path_record(scene.path) if scene.path is not None else None,
         lamps=list(scene.lamps),
+        water=None if scene.water is None else water_record(scene.water),
         rain=dict(scene.rain) if scene.rain is not None else None,
         weather=dict(scene.weather) if scene.weather is not None else None,
         view=dict(scene.view) if scene.view is not None else None,
@@ -208,6 +224,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         ego=track_of(record.ego, "`$.ego`") if record.ego is not None else None,
         path=path_of(record.path, "`$.path`") if record.path is not None else None,
         lamps=tuple(record.lamps),
+        water=None if record.water is None else water_of(record.water),
         rain=record.rain,
         weather=record.weather,
         view=record.view,
@@ -316,22 +333,44 @@ def mask_from_text(text: str, count: int, where: str) -> BitMask:
 
     Raises `ValueError` if the text is damaged or a mask of another count; `where` is its field in the file.
     """
-    expected = 4 * -(-count // 32)
-    stream = zlib.decompressobj()
-    try:
-        # One extra byte detects text that is too long, without a false length filling the memory.
-        data = stream.decompress(base64.b64decode(text, validate=True), expected + 1)
-    except (binascii.Error, zlib.error, ValueError) as error:
-        raise ValueError(f"no mask can be read ({error}) - at {where}") from None
-    if len(data) != expected:
-        found = f"more than {expected}" if len(data) > expected else str(len(data))
-        raise ValueError(f"a mask of {count} Gaussians takes {expected} bytes, this one has {found} - at {where}")
-    if not stream.eof:
-        raise ValueError(f"the mask is cut off - at {where}")
+    data = _inflated(text, 4 * -(-count // 32), "mask", f"of {count} Gaussians", where)
     words = np.frombuffer(data, "<u4").astype(np.uint32)
     if count % 32 and words[-1] >> np.uint32(count % 32):
         raise ValueError(f"the mask means Gaussians beyond the {count} that there are - at {where}")
     return BitMask(count, words)
+
+
+def water_record(water: GroundWater) -> WaterRecord:
+    rows, columns = water.cover.shape[:2]
+    cover = base64.b64encode(zlib.compress(np.ascontiguousarray(water.cover).tobytes(), 6)).decode()
+    return WaterRecord(corner_m=water.corner_m, cell_m=water.cell_m, rows=rows, columns=columns, cover=cover)
+
+
+def water_of(record: WaterRecord) -> GroundWater:
+    """Map of plain values; raises `ValueError` if it is damaged or too large."""
+    shape = record.rows, record.columns, 2
+    if record.rows * record.columns > _MAX_CELLS:
+        raise ValueError(f"a map of {record.rows} x {record.columns} cells has more than {_MAX_CELLS} - at `$.water`")
+    if not np.isfinite(record.corner_m).all():
+        raise ValueError("corner_m must be finite - at `$.water`")
+    data = _inflated(record.cover, int(np.prod(shape)), "map", f"of {shape[0]} x {shape[1]} cells", "`$.water.cover`")
+    return GroundWater(record.corner_m, record.cell_m, np.frombuffer(data, np.uint8).reshape(shape))
+
+
+def _inflated(text: str, size: int, noun: str, of: str, where: str) -> bytes:
+    """Decode a zlib stream of `size` bytes in base64; raises `ValueError` if it is damaged or of another size."""
+    stream = zlib.decompressobj()
+    try:
+        # One extra byte detects text that is too long, without a false length filling the memory.
+        data = stream.decompress(base64.b64decode(text, validate=True), size + 1)
+    except (binascii.Error, zlib.error, ValueError) as error:
+        raise ValueError(f"no {noun} can be read ({error}) - at {where}") from None
+    if len(data) != size:
+        found = f"more than {size}" if len(data) > size else str(len(data))
+        raise ValueError(f"a {noun} {of} takes {size} bytes, this one has {found} - at {where}")
+    if not stream.eof:
+        raise ValueError(f"the {noun} is cut off - at {where}")
+    return data
 
 
 def selections_record(

@@ -20,6 +20,7 @@ from .mesh import Quads, geometric_normals, rotation_about_z
 from .night import Windows, ego_lamps, lanterns, vehicle_lamps
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
+from .water_map import street_water
 from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_materials
 
 LEAD_ID = "lead"
@@ -96,7 +97,7 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     lamps = (*lanterns(surfaces.layout), *vehicle_lamps(LEAD_ID, _LEAD_SHAPE), *ego_lamps())
     return Scene(
         name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
-        lamps=lamps if p.time_of_day == "night" else (),
+        lamps=lamps if p.time_of_day == "night" else (), water=street_water(surfaces.layout),
     )  # fmt: skip
 
 

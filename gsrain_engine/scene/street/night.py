@@ -15,12 +15,12 @@ from .vegetation import crown_middle, lantern_position
 
 # Lamps of the scene
 
-LANTERN_M2 = 190.0
-"""Intensity of a lantern: an irradiance of 4.5 at its foot, of which asphalt returns an eighth of a camera's white."""
-LANTERN_COLOR = (1.0, 0.70, 0.38)
+LANTERN_M2 = 250.0
+"""Intensity of a lantern: an irradiance of 6 at its foot, of which asphalt returns a sixth of a camera's white."""
+LANTERN_COLOR = (1.0, 0.66, 0.33)
 LANTERN_INNER_DEG, LANTERN_OUTER_DEG = 48.0, 88.0
-_HEADLIGHT_M2, _HEADLIGHT_COLOR = 420.0, (0.95, 0.97, 1.0)
-_TAIL_LIGHT_M2, _TAIL_LIGHT_COLOR = 1.1, (1.0, 0.03, 0.02)
+_HEADLIGHT_M2, _HEADLIGHT_COLOR = 400.0, (1.0, 0.95, 0.87)
+_TAIL_LIGHT_M2, _TAIL_LIGHT_COLOR = 1.0, (1.0, 0.03, 0.02)
 _LOW_BEAM = (0.998, 0.0, -0.06)  # direction: half a degree below what dazzles, and down to the road 12 m ahead
 _EGO_LAMPS = (
     ("left", (2.1, 0.62, -0.85)),
@@ -79,8 +79,8 @@ def _headlight(name: str, position: tuple[float, float, float], mount: str) -> L
 _REACH_M = 60.0  # maximum distance from a lantern to what it lights
 _WINDOW_REACH_M = 14.0
 _CROWN_PER_M = 0.75  # extinction of light in a crown
-_THROUGH_LEAF = 0.30  # share of light on the back of a leaf that comes through
-_BOUNCE_M2 = 26.0  # light of the ground below a lantern, upwards: a tenth of what falls on it, over pi
+_THROUGH_LEAF = 0.24  # share of light on the back of a leaf that comes through
+_BOUNCE_M2 = 34.0  # light of the ground below a lantern, upwards: a tenth of what falls on it, over pi
 _BOUNCE_RADIUS_M = 4.5
 _BEHIND_FRONT_M = 1.3  # light enters houses up to the lining behind their fronts
 
@@ -172,7 +172,7 @@ def cone_share(cosine: Float[np.ndarray, " n"], inner_deg: float, outer_deg: flo
 
 def _facing(cosine: Float64[np.ndarray, " n"], leaf: Bool[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """Cosine law; leaves let light through, and scatter it between them."""
-    through = 0.18 + 0.62 * np.maximum(cosine, 0) + _THROUGH_LEAF * np.maximum(-cosine, 0)
+    through = 0.15 + 0.55 * np.maximum(cosine, 0) + _THROUGH_LEAF * np.maximum(-cosine, 0)
     return np.where(leaf, through, np.maximum(cosine, 0))
 
 
@@ -265,7 +265,7 @@ def light_on_traffic(
     normals: Float64[np.ndarray, "n 3"], access: Float[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Mean light of lanterns along the street on a vehicle that moves, and of the ego's headlights on its rear."""
-    above = 0.20 + 0.42 * np.maximum(normals[:, 2], 0)
+    above = 0.26 + 0.55 * np.maximum(normals[:, 2], 0)
     behind = 0.32 * np.maximum(-normals[:, 0], 0)
     light = above[:, None] * np.array(LANTERN_COLOR) + behind[:, None] * np.array(_HEADLIGHT_COLOR)
     return light * access[:, None].astype(np.float64)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
 from ..gaussians import sh_basis
+from ..ground_water import FILM_SLOPE, STANDING_SLOPE
 from ..water_surface import WATER_INDEX, reflectance, unshadowed, wet_albedo
 from .cars import CAR_FORMS, TRUCK_FORM
 from .layout import CURB_HEIGHT_M, Color, House, Label, StreetLayout
@@ -61,8 +62,6 @@ def _soaking_of_houses(quads: Quads) -> Float64[np.ndarray, " n"]:
 
 # Water on the ground
 
-_FILM_SLOPE, _PUDDLE_SLOPE = 0.10, 0.02
-"""Standard deviation of the slope of a film over asphalt, and of standing water in rain."""
 _FILM_COVER = (0.03, 0.85)
 """Share of the road that a thin and a thick film cover: stones stick out of it."""
 _THROUGH_PUDDLE = 0.62  # share of the ground's own light that leaves standing water
@@ -126,8 +125,8 @@ def wet_harmonics(
         diffuse = (light.light_on(part, points) * part.albedo).astype(np.float32)[:, None]
         standing = puddles(layout, points).astype(np.float32)[:, None, None]
         around = _surroundings(light, points, fronts)
-        film, film_share = _reflected(around, _FILM_SLOPE)
-        pool, pool_share = _reflected(around, _PUDDLE_SLOPE)
+        film, film_share = _reflected(around, FILM_SLOPE)
+        pool, pool_share = _reflected(around, STANDING_SLOPE)
         cover = (1 - standing) * film_cover(layout, points).astype(np.float32)[:, None, None]
         share = cover * film_share + standing * pool_share
         through = 1 - standing * (1 - _THROUGH_PUDDLE)

@@ -1,0 +1,118 @@
+"""Mirror of a scene's wet ground: draws what it reflects, and prepares the items that reflect."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+from jaxtyping import Float32
+
+from ..rain.frame import RainFrame
+from ..scene.camera import Camera
+from ..scene.flags import BitMask
+from ..scene.gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
+from ..scene.geometry import srgb_to_linear
+from ..scene.ground_water import GroundMembership, ground_membership, matte_wet_sh
+from ..scene.lamps import LitLamps
+from ..scene.scene import DrawItem, Scene
+from ..water.mirror import Mirror, make_mirror, mirrored_camera, rows_of_ground
+from .renderer import Color, Renderer
+
+_MIN_HEIGHT_M = 0.05  # of a camera over the ground
+
+
+def has_mirror(scene: Scene, camera: Camera, wetness: float) -> bool:
+    """Return whether wet ground reflects the scene into a camera: the scene has a map of its water, and it is wet."""
+    if scene.water is None or wetness <= 0:
+        return False
+    first, last = rows_of_ground(camera)
+    return last > first and bool(camera.position[2] > (scene.ground_m or 0.0) + _MIN_HEIGHT_M)
+
+
+def reflecting_items(items: Sequence[DrawItem], scene: Scene) -> list[DrawItem]:
+    """Items with the film on their Gaussians, and without reflections in their wet colors."""
+    return [_reflecting(item, _member_of(item, scene).film) for item in items]
+
+
+def _reflecting(item: DrawItem, film: Float32[np.ndarray, "n 2"] | None) -> DrawItem:
+    if film is None:
+        return item
+    wet_sh = None if item.wet_sh is None else matte_wet_sh(item.wet_sh, film, item.to_world)
+    return item._replace(film=film, wet_sh=wet_sh)
+
+
+def _member_of(item: DrawItem, scene: Scene) -> GroundMembership:
+    assert scene.water is not None
+    return ground_membership(item.gaussians, item.to_world, scene.ground_m or 0.0, scene.water)
+
+
+def draw_mirror(
+    renderer: Renderer,
+    scene: Scene,
+    items_for: Callable[[Camera], Sequence[DrawItem]],
+    rain: RainFrame | None,
+    camera: Camera,
+    wetness: float,
+    flooded: float,
+    sky: Color,
+    lamps: LitLamps | None,
+) -> Mirror:
+    """Draw the mirror image of a camera by the renderer, over the color of the sky, and blur it.
+
+    `items_for` returns the scene for the mirrored camera. Drops of the rain are left out, and its medium is that of the
+    whole way from the reflected object over the ground to the eye.
+    """
+    ground_m = scene.ground_m or 0.0
+    below = mirrored_camera(camera, ground_m)
+    medium = None
+    if rain is not None:
+        far = rain.rain.haze if rain.rain.haze == "medium" else "none"
+        settings = msgspec.structs.replace(rain.rain, streaks=False, haze=far)
+        rain = replace(rain, rain=settings, view=replace(rain.view, camera=below))
+        medium = rain.medium
+    # Wet colors of what reflects, too, though it is left out: the same arrays as for the picture itself.
+    items = [_without_ground(item, _member_of(item, scene)) for item in reflecting_items(items_for(below), scene)]
+    renderer.draw(items, below, rain if medium is not None else None, with_depth=True)
+    frame = renderer.read()
+    assert frame.depth is not None
+    image = srgb_to_linear(np.maximum(frame.over(sky), 0)).astype(np.float32)
+    extinction_per_m = 0.0 if medium is None else medium.extinction_per_m
+    return make_mirror(image, frame.depth, camera, ground_m, wetness, flooded, lamps, extinction_per_m)
+
+
+def _without_ground(item: DrawItem, found: GroundMembership) -> DrawItem:
+    """Leave out an item's Gaussians that lie on the ground or under it."""
+    if not found.is_low.any():
+        return item
+    if item.members is not None:
+        return item._replace(members=item.members[~found.is_low[item.members]])
+    low = _mask(IdentityKey(found.is_low))
+    return item._replace(left_out=low if not item.left_out else item.left_out | low)
+
+
+@scene_cache(maxsize=64)
+def _mask(key: IdentityKey) -> BitMask:
+    flags: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
+    return BitMask.of(flags)
+
+
+# Visible shares of films and standing water, drawn as colors
+
+
+def film_items(items: Sequence[DrawItem]) -> list[DrawItem]:
+    """Items whose colors are their shares of films (red) and standing water (green), for renderers without channels."""
+    return [
+        item._replace(
+            gaussians=_film_colored(item.gaussians, IdentityKey(item.film)), wet_sh=None, selected=None, colors=None
+        )
+        for item in items
+    ]
+
+
+@scene_cache(maxsize=64)
+def _film_colored(gaussians: Gaussians, film: IdentityKey) -> Gaussians:
+    shares: np.ndarray | None = film.of  # pyright: ignore[reportAssignmentType]
+    color = np.zeros((len(gaussians), 1, 3), np.float32)
+    if shares is not None:
+        color[:, 0, :2] = shares
+    return gaussians.with_sh((color - np.float32(0.5)) / np.float32(SH_C0))

@@ -1,0 +1,126 @@
+"""Water on level ground: a map of films and standing water, and the share of them on each Gaussian."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+
+from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache, sh_basis
+
+FILM_SLOPE, STANDING_SLOPE = 0.10, 0.02
+"""Standard deviation of the slope of a film over asphalt, and of standing water in rain."""
+UPON_M = 0.03
+"""Gaussians of any shape up to this height over the ground belong to it."""
+THICKNESS_M = 0.20
+"""Flat, level Gaussians up to this height over the ground belong to it: sidewalks are higher than the road."""
+_LEVEL = 0.9  # minimum upward component of a level Gaussian's normal
+_FLAT = 0.5  # largest ratio of a flat Gaussian's shortest axis to its middle one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundWater:
+    """Map of the water that the ground of a scene holds when fully wet. World frame, meters."""
+
+    corner_m: tuple[float, float]
+    """Corner of the first cell, with the smallest x and y."""
+    cell_m: float
+    cover: UInt8[np.ndarray, "rows columns 2"]
+    """Shares of the ground, in 1/255, that a film and standing water cover; rows along y. None outside."""
+
+    def at(self, points: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
+        """Shares of film and standing water, 0..1, at points of the ground (x and y in the world)."""
+        rows, columns = self.cover.shape[:2]
+        cells = np.floor((points - np.array(self.corner_m, np.float32)) / np.float32(self.cell_m))
+        inside = ((cells >= 0) & (cells < (columns, rows))).all(axis=1)  # false for NaN, too
+        shares = np.zeros((len(points), 2), np.float32)
+        column, row = cells[inside].astype(np.int64).T
+        shares[inside] = self.cover[row, column] * np.float32(1 / 255)
+        return shares
+
+    def moved(self, x_m: float, y_m: float) -> "GroundWater":
+        return replace(self, corner_m=(self.corner_m[0] + x_m, self.corner_m[1] + y_m))
+
+    def scaled(self, factor: float) -> "GroundWater":
+        """Map of a world that is larger by a factor."""
+        x, y = self.corner_m
+        return replace(self, corner_m=(x * factor, y * factor), cell_m=self.cell_m * factor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundMembership:
+    """Gaussians of one item that are ground, or water on it."""
+
+    film: Float32[np.ndarray, "n 2"] | None
+    """Shares of film and standing water when fully wet; None if no Gaussian holds any."""
+    is_low: Bool[np.ndarray, " n"]
+    """Gaussians that lie on or under the ground, or hold water: a mirror of the ground does not reflect them."""
+
+
+def ground_membership(
+    gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"], ground_m: float, water: GroundWater
+) -> GroundMembership:
+    """Find the Gaussians that are ground at a height (m); the last results are cached."""
+    return _membership(gaussians, to_world.tobytes(), ground_m, IdentityKey(water))
+
+
+@scene_cache(maxsize=64)
+def _membership(gaussians: Gaussians, to_world: bytes, ground_m: float, key: IdentityKey) -> GroundMembership:
+    water: GroundWater = key.of  # pyright: ignore[reportAssignmentType]
+    pose = np.frombuffer(to_world, np.float64).reshape(4, 4).astype(np.float32)
+    means = gaussians.means
+    over = means @ pose[2, :3] + (pose[2, 3] - np.float32(ground_m))
+    near = np.flatnonzero(np.abs(over) < THICKNESS_M)
+    is_low = over < UPON_M
+    lying = near[(np.abs(over[near]) < UPON_M) | _is_level(gaussians, near, pose)]
+    shares = water.at(means[lying] @ pose[:2, :3].T + pose[:2, 3])
+    if not np.any(shares):
+        return GroundMembership(None, is_low)
+    film = np.zeros((len(means), 2), np.float32)
+    film[lying] = shares
+    is_low[lying] |= shares.any(axis=1)
+    return GroundMembership(film, is_low)
+
+
+def _is_level(
+    gaussians: Gaussians, rows: Int64[np.ndarray, " m"], pose: Float32[np.ndarray, "4 4"]
+) -> Bool[np.ndarray, " m"]:
+    """Mask of flat Gaussians whose shortest axis is upright in the world."""
+    scales, (w, x, y, z) = gaussians.scales[rows], gaussians.quaternions[rows].T
+    axes = np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1),
+            np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=1),
+            np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1),
+        ],
+        axis=1,
+    )
+    shortest = np.argmin(scales, axis=1)
+    normals = np.take_along_axis(axes, shortest[:, None, None], axis=1)[:, 0]
+    upward = np.abs(normals @ pose[2, :3]) / max(float(np.linalg.norm(pose[2, :3])), 1e-12)
+    ordered = np.sort(scales, axis=1)
+    return (upward > _LEVEL) & (ordered[:, 0] < _FLAT * ordered[:, 1])
+
+
+def matte_wet_sh(
+    wet_sh: Float32[np.ndarray, "n k 3"], film: Float32[np.ndarray, "n 2"], to_world: Float64[np.ndarray, "4 4"]
+) -> Float32[np.ndarray, "n k 3"]:
+    """Wet colors without reflections where there is water: the color that is visible from straight above.
+
+    Water reflects 2 % there, so that what remains is the light that the ground itself scatters. Cached, as above.
+    """
+    downward = -np.ascontiguousarray(to_world[2, :3], np.float64)
+    return _matte(IdentityKey(wet_sh), IdentityKey(film), downward.tobytes())
+
+
+@scene_cache(maxsize=16)
+def _matte(wet: IdentityKey, film: IdentityKey, downward: bytes) -> Float32[np.ndarray, "n k 3"]:
+    sh: np.ndarray = wet.of  # pyright: ignore[reportAssignmentType]
+    shares: np.ndarray = film.of  # pyright: ignore[reportAssignmentType]
+    direction = np.frombuffer(downward, np.float64)
+    basis = sh_basis(direction[None] / np.linalg.norm(direction), sh.shape[1])[0].astype(np.float32)
+    wet_rows = shares.any(axis=1)
+    matte = sh.copy()
+    matte[wet_rows] = 0
+    color = np.einsum("k,nkc->nc", basis, sh[wet_rows])
+    matte[wet_rows, 0] = np.maximum(color, np.float32(-0.5)) / np.float32(SH_C0)
+    return matte

@@ -1,0 +1,338 @@
+"""Mirror of wet ground: a camera below it, and the light that films and standing water reflect into each pixel.
+
+Ground at a height is a level mirror. A camera mirrored in it draws what it reflects, and waves of the water blur that:
+facets that tilt by d turn a reflected ray by 2 d. Facets that face the camera cover more of its view, so that
+reflections also move up on the reflected objects, the more the flatter the view is.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from ..scene.camera import Camera
+from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE
+from ..scene.lamps import LitLamps
+from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
+
+SCALE = 0.5
+"""Size of the mirror image relative to the picture."""
+SLOPES = FILM_SLOPE, STANDING_SLOPE
+_ANGLES = 128  # of the tables over the viewing angle
+_FOOTPRINT_PX = np.float32(0.4)  # standard deviation of a pixel of the mirror image
+_TAPS = np.exp(-0.5 * (0.9 * np.arange(-2, 3)) ** 2).astype(np.float32)
+_TILTS = 97
+_MIN_SINE = np.float32(2e-3)  # of a ray's angle to the ground; others pass over it
+_LAMP_REACH = 4.0  # of a lamp's image, in standard deviations of the slope
+
+
+def rows_of_ground(camera: Camera, scale: float = SCALE) -> tuple[int, int]:
+    """First and past-the-last row of a picture at a scale with rays to level ground; two equal ones without any."""
+    height = max(int(np.ceil(scale * camera.height)), 1)
+    turn = camera.camera_to_world[2, :3]
+    y = ((np.arange(height)[:, None] + 0.5) / scale - camera.cy) / camera.fy
+    x = (np.array([0.0, camera.width]) - camera.cx) / camera.fx
+    found = np.flatnonzero((turn[0] * x + turn[1] * y + turn[2] < 0).any(axis=1))
+    return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)
+
+
+def mirrored_camera(camera: Camera, ground_m: float, scale: float = SCALE) -> Camera:
+    """Camera that sees what level ground at a height reflects into another, rows from bottom to top.
+
+    The reflection of the world in the ground, and a flip of the camera's y axis, so that the pose is a rotation. It has
+    the `rows_of_ground` only, of which there must be one.
+    """
+    reflection, flip = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
+    reflection[2, 3] = 2 * ground_m
+    first, last = rows_of_ground(camera, scale)
+    return replace(
+        camera,
+        width=max(int(np.ceil(scale * camera.width)), 1),
+        height=last - first,
+        fx=scale * camera.fx,
+        fy=scale * camera.fy,
+        cx=scale * camera.cx,
+        cy=last - scale * camera.cy,
+        world_to_camera=flip @ camera.world_to_camera @ reflection,
+    )
+
+
+@lru_cache(maxsize=8)
+def facet_table(slope: float) -> Float32[np.ndarray, "angles 3"]:
+    """Share of light that rough water reflects, and mean and standard deviation of the tilt of facets that do.
+
+    By sine of the viewing angle to the ground, 0 to 1 in equal steps of its square root. Facets tilt along the line of
+    sight, with Gaussian slopes, weighted by visible area, Fresnel's law and Smith's shadowing of the reflected ray. A
+    ray that goes down again meets the ground, and is lost.
+    """
+    table = np.zeros((_ANGLES, 3))
+    tilts = np.arctan(slope * np.linspace(-3.5, 3.5, _TILTS))
+    density = np.exp(-0.5 * (np.tan(tilts) / slope) ** 2) / np.cos(tilts)
+    for row, root in enumerate(np.linspace(0, 1, _ANGLES)):
+        view = np.arcsin(max(root * root, 1e-4))
+        visible = density * np.maximum(np.sin(view + tilts), 0)
+        rise = view + 2 * tilts
+        gain = np.array(
+            [
+                area * reflectance(np.sin(view + tilt), WATER_INDEX) * unshadowed(np.sin(min(up, np.pi / 2)), slope)
+                if area > 0 and 0 < up < np.pi
+                else 0.0
+                for area, tilt, up in zip(visible, tilts, rise, strict=True)
+            ]
+        )
+        mean = np.sum(gain * tilts) / gain.sum()
+        table[row] = gain.sum() / visible.sum(), mean, np.sqrt(np.sum(gain * (tilts - mean) ** 2) / gain.sum())
+    return table.astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mirror:
+    """Light that water on the ground would reflect into one camera, if it covered all of it."""
+
+    first_row: int
+    """Row of the picture, at `SCALE`, of the first row of `light`; the ground is not visible above."""
+    light: Float32[np.ndarray, "h w 2 3"]
+    """Linear light at `SCALE`: that of films, and that of standing water; 0 above the horizon."""
+
+    def reflected(self, film: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w 3"]:
+        """Linear light that the visible shares of films and standing water reflect, at the picture's size."""
+        image = np.empty((*film.shape[:2], 3), np.float32)
+        _weigh(np.ascontiguousarray(film), self.light, self.first_row, np.float32(SCALE), image)
+        return image
+
+    @property
+    def first_picture_row(self) -> int:
+        """First row of the picture in which ground may be visible."""
+        return int(self.first_row / SCALE)
+
+
+def make_mirror(
+    image_linear: Float32[np.ndarray, "h w 3"],
+    depth: Float32[np.ndarray, "h w"],
+    camera: Camera,
+    ground_m: float,
+    wetness: float,
+    flooded: float = 0.0,
+    lamps: LitLamps | None = None,
+    extinction_per_m: float = 0.0,
+) -> Mirror:
+    """Mirror of a camera from the picture and the depth (m, 0 where empty) of its `mirrored_camera`.
+
+    Both have the first row on top, as drawn. A share `flooded` of the films is as smooth as standing water. Lamps are
+    added as images of points, whose light the medium dims.
+    """
+    image, depth = image_linear[::-1], depth[::-1]
+    height, width = depth.shape
+    sines, distances, shares = (np.empty((height, width), np.float32) for _ in range(3))
+    to_world = camera.camera_to_world
+    first_row = rows_of_ground(camera)[0]
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) * SCALE - (0, 0, 0, first_row)
+    above_m = float(to_world[2, 3]) - ground_m
+    _geometry(depth, to_world[:3, :3], intrinsics, above_m, sines, distances, shares)
+    columns, light = (np.zeros((height, width, 2, 3), np.float32) for _ in range(2))
+    tables, slopes = np.stack([facet_table(slope) for slope in SLOPES]), np.array(SLOPES, np.float32)
+    fx, fy, _, cy = intrinsics.astype(np.float32)
+    _blur_columns(np.ascontiguousarray(image), sines, shares, tables, fy, cy, columns)
+    _blur_rows(columns, sines, shares, slopes, fx, light)
+    if lamps is not None and len(lamps.positions_m):
+        rows = _lamp_rows(lamps.brightest(camera.position))
+        _add_lamps(light, sines, distances, to_world, intrinsics, rows, np.array(SLOPES), ground_m, extinction_per_m)
+    light[:, :, 0] += np.float32(flooded) * (light[:, :, 1] - light[:, :, 0])
+    light *= np.float32(wetness)
+    return Mirror(first_row, light)
+
+
+# Geometry of pixels
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _geometry(depth, turn, intrinsics, above_m, sines, distances, shares):
+    """Write each pixel's sine of the angle to the ground, distance to it, and the share of the way beyond it."""
+    height, width = depth.shape
+    fx, fy, cx, cy = intrinsics
+    for row in numba.prange(height):
+        for column in range(width):
+            x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
+            length = np.sqrt(x * x + y * y + 1)
+            sine = -(turn[2, 0] * x + turn[2, 1] * y + turn[2, 2]) / length
+            sines[row, column] = sine
+            distances[row, column] = above_m / sine if sine > _MIN_SINE else 0.0
+            whole = depth[row, column] * length
+            share = 1 - distances[row, column] / whole if whole > 0 else 1.0
+            shares[row, column] = min(max(share, 0.0), 1.0)
+
+
+# Blur
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@no_type_check
+def _blur_columns(image, sines, shares, tables, fy, cy, light):
+    """Integrate over facets that tilt along the line of sight: over the rows of the image above and below a pixel.
+
+    A facet of tilt d reflects what is 2 d fy k rows away, k being the share of the way beyond the ground of what is
+    visible there. (1 - t^2 / 16)^8 stands for the Gaussian exp(-t^2 / 2).
+    """
+    height, width = sines.shape
+    one, last_angle = np.float32(1), np.float32(tables.shape[1] - 1)
+    for column in numba.prange(width):
+        reds, greens, blues = np.empty(height, np.float32), np.empty(height, np.float32), np.empty(height, np.float32)
+        ways, places = np.empty(height, np.float32), np.empty(height, np.float32)
+        for row in range(height):
+            reds[row], greens[row] = image[row, column, 0], image[row, column, 1]
+            blues[row] = image[row, column, 2]
+            ways[row], places[row] = shares[row, column], np.float32(row)
+        top = 0
+        while top < height and sines[top, column] <= _MIN_SINE:
+            top += 1
+        for row in range(top, height):
+            slant = (np.float32(row) + np.float32(0.5) - cy) / fy
+            scale = np.float32(2) * fy * (one + slant * slant)
+            at = np.sqrt(min(max(sines[row, column], np.float32(0)), one)) * last_angle
+            k = min(int(at), tables.shape[1] - 2)
+            part = at - np.float32(k)
+            for water in range(2):
+                share_of_light = (one - part) * tables[water, k, 0] + part * tables[water, k + 1, 0]
+                mean = scale * ((one - part) * tables[water, k, 1] + part * tables[water, k + 1, 1])
+                spread = scale * ((one - part) * tables[water, k, 2] + part * tables[water, k + 1, 2])
+                reach = np.float32(4) * (spread + _FOOTPRINT_PX) + one
+                first = max(top, int(np.float32(row) - reach))
+                last = min(height, int(np.float32(row) + mean + reach) + 1)
+                red = green = blue = total = np.float32(0)
+                here = places[row]
+                for j in range(first, last):
+                    beyond = ways[j]
+                    away = places[j] - here - mean * beyond
+                    by_variance = one / (spread * spread * beyond * beyond + _FOOTPRINT_PX * _FOOTPRINT_PX)
+                    near = one - np.float32(1 / 16) * away * away * by_variance
+                    near = near if near > 0 else np.float32(0)
+                    near *= near
+                    near *= near
+                    weight = near * near * np.sqrt(by_variance)
+                    red += weight * reds[j]
+                    green += weight * greens[j]
+                    blue += weight * blues[j]
+                    total += weight
+                gain = share_of_light / max(total, np.float32(1e-12))
+                light[row, column, water, 0] = gain * red
+                light[row, column, water, 1] = gain * green
+                light[row, column, water, 2] = gain * blue
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _blur_rows(light, sines, shares, slopes, fx, blurred):
+    """Blur by facets that tilt across the line of sight, which turn a ray by 2 d times the sine of its angle."""
+    height, width = sines.shape
+    for row in numba.prange(height):
+        for column in range(width):
+            for water in range(2):
+                across = np.float32(2) * slopes[water] * sines[row, column] * fx * shares[row, column]
+                reach = 2 if across > np.float32(0.4) else 0
+                red = green = blue = total = np.float32(0)
+                for tap in range(-reach, reach + 1):
+                    offset = np.float32(0.9) * across * np.float32(tap)
+                    u = min(max(int(np.floor(np.float32(column) + offset + np.float32(0.5))), 0), width - 1)
+                    weight = _TAPS[tap + 2]
+                    total += weight
+                    red += weight * light[row, u, water, 0]
+                    green += weight * light[row, u, water, 1]
+                    blue += weight * light[row, u, water, 2]
+                blurred[row, column, water, 0] = red / total
+                blurred[row, column, water, 1] = green / total
+                blurred[row, column, water, 2] = blue / total
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _weigh(film, light, first_row, scale, image):
+    """Sum of the light of films and standing water, linear between pixels, times their visible shares."""
+    height, width = film.shape[:2]
+    rows, columns = light.shape[:2]
+    one = np.float32(1)
+    for row in numba.prange(height):
+        y = scale * (np.float32(row) + np.float32(0.5)) - np.float32(0.5 + first_row)
+        y = min(max(y, np.float32(0)), np.float32(rows - 1))
+        top = min(int(y), max(rows - 2, 0))
+        v, bottom = y - np.float32(top), min(top + 1, rows - 1)
+        for column in range(width):
+            a, b = film[row, column, 0], film[row, column, 1]
+            if a <= 0 and b <= 0:
+                for c in range(3):
+                    image[row, column, c] = 0
+                continue
+            x = scale * (np.float32(column) + np.float32(0.5)) - np.float32(0.5)
+            x = min(max(x, np.float32(0)), np.float32(columns - 1))
+            left = min(int(x), max(columns - 2, 0))
+            u, right = x - np.float32(left), min(left + 1, columns - 1)
+            for c in range(3):
+                total = np.float32(0)
+                for water in range(2):
+                    upper = (one - u) * light[top, left, water, c] + u * light[top, right, water, c]
+                    lower = (one - u) * light[bottom, left, water, c] + u * light[bottom, right, water, c]
+                    total += (a if water == 0 else b) * ((one - v) * upper + v * lower)
+                image[row, column, c] = total
+
+
+# Lamps
+
+
+def _lamp_rows(lamps: LitLamps) -> Float64[np.ndarray, "n 11"]:
+    """Position, axis, intensity, cosines of the cone where light ends and is full."""
+    return np.column_stack([lamps.positions_m, lamps.directions, lamps.intensities, lamps.cos_outer, lamps.cos_inner])
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _add_lamps(light, sines, distances, to_world, intrinsics, lamps, slopes, ground_m, extinction_per_m):
+    """Add the light of lamps that rough water reflects: F D G / (4 cos v) times the irradiance.
+
+    The model of Cook and Torrance (1982) with Gaussian slopes (Beckmann 1963). The lamp is a point, so that no image of
+    it has to be blurred.
+    """
+    height, width = sines.shape
+    fx, fy, cx, cy = intrinsics
+    for row in numba.prange(height):
+        for column in range(width):
+            sine = np.float64(sines[row, column])
+            if sine <= _MIN_SINE:
+                continue
+            x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
+            scale = 1 / np.sqrt(x * x + y * y + 1)
+            away = np.float64(distances[row, column])
+            dx = (to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2]) * scale
+            dy = (to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2]) * scale
+            px, py = to_world[0, 3] + away * dx, to_world[1, 3] + away * dy
+            for i in range(len(lamps)):
+                lx, ly, lz = lamps[i, 0] - px, lamps[i, 1] - py, lamps[i, 2] - ground_m
+                if lz <= 0:
+                    continue
+                length = np.sqrt(lx * lx + ly * ly + lz * lz)
+                lx, ly, lz = lx / length, ly / length, lz / length
+                hx, hy, hz = lx - dx, ly - dy, lz + sine
+                squared = (hx * hx + hy * hy) / (hz * hz)
+                if squared > (_LAMP_REACH * slopes[0]) ** 2:
+                    continue
+                cosine = -(lamps[i, 3] * lx + lamps[i, 4] * ly + lamps[i, 5] * lz)
+                cone = (cosine - lamps[i, 9]) / max(lamps[i, 10] - lamps[i, 9], 1e-6)
+                cone = min(max(cone, 0.0), 1.0)
+                cone *= cone * (3 - 2 * cone)
+                if cone <= 0:
+                    continue
+                norm = np.sqrt(hx * hx + hy * hy + hz * hz)
+                facing = min((hx * lx + hy * ly + hz * lz) / norm, 1.0)
+                upright = hz / norm
+                dimmed = cone * np.exp(-extinction_per_m * (away + length)) / (length * length)
+                for water in range(2):
+                    slope = slopes[water]
+                    if squared > (_LAMP_REACH * slope) ** 2:
+                        continue
+                    density = np.exp(-0.5 * squared / (slope * slope)) / (2 * np.pi * slope * slope * upright**4)
+                    open_share = unshadowed(sine, slope) * unshadowed(lz, slope)
+                    gain = dimmed * reflectance(facing, WATER_INDEX) * density * open_share / (4 * sine)
+                    for c in range(3):
+                        light[row, column, water, c] += np.float32(gain * lamps[i, 6 + c])
