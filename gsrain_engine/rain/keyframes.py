@@ -71,12 +71,14 @@ class KeyframeCurve:
         # One more keyframe at each end with the end's value gives the curve a slope of 0 there.
         reach = times_s[-1] - times_s[0]
         along = np.concatenate([[times_s[0] - reach], times_s, [times_s[-1] + reach]])
-        with np.errstate(over="ignore"):  # reciprocal of a tiny slope
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # slopes between keyframes 1e-200 s apart
             rounded = scipy.interpolate.PchipInterpolator(along, np.concatenate([values[:1], values, values[-1:]]))
         shares = np.arange(pieces) / pieces
         inner = (times_s[:-1, None] + shares * np.diff(times_s)[:, None]).ravel()
         knots = np.append(inner, times_s[-1])
         drawn = rounded(knots)
+        straight = (values[:-1, None] + shares[:, None] * np.diff(values, axis=0)[:, None]).reshape(-1, values.shape[1])
+        drawn = np.where(np.isfinite(drawn), drawn, np.concatenate([straight, values[-1:]]))
         drawn[::pieces] = values  # bit-exact
         return cls(knots, np.clip(drawn, values.min(axis=0), values.max(axis=0)))
 

@@ -136,6 +136,7 @@ def make_mirror(
     tables, slopes = np.stack([facet_table(slope) for slope in SLOPES]), np.array(SLOPES, np.float32)
     fx, fy, _, cy = intrinsics.astype(np.float32)
     _blur_columns(np.ascontiguousarray(image), sines, shares, tables, fy, cy, columns)
+    _fill_films(sines, columns)
     _blur_rows(columns, sines, shares, slopes, fx, light)
     if lamps is not None and len(lamps.positions_m):
         rows = _lamp_rows(lamps.brightest(camera.position))
@@ -195,7 +196,9 @@ def _blur_columns(image, sines, shares, tables, fy, cy, light):
             at = np.sqrt(min(max(sines[row, column], np.float32(0)), one)) * last_angle
             k = min(int(at), tables.shape[1] - 2)
             part = at - np.float32(k)
-            for water in range(2):
+            # A film is smooth: every other row and column, which `_fill_films` interpolates.
+            is_between = column % 2 == 1 or (row % 2 == 1 and row > top and row < height - 1)
+            for water in range(1 if is_between else 0, 2):
                 share_of_light = (one - part) * tables[water, k, 0] + part * tables[water, k + 1, 0]
                 mean = scale * ((one - part) * tables[water, k, 1] + part * tables[water, k + 1, 1])
                 spread = scale * ((one - part) * tables[water, k, 2] + part * tables[water, k + 1, 2])
@@ -221,6 +224,25 @@ def _blur_columns(image, sines, shares, tables, fy, cy, light):
                 light[row, column, water, 0] = gain * red
                 light[row, column, water, 1] = gain * green
                 light[row, column, water, 2] = gain * blue
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _fill_films(sines, light):
+    """Interpolate the light of films in the rows and columns that `_blur_columns` leaves out."""
+    height, width = sines.shape
+    half = np.float32(0.5)
+    for place in numba.prange((width + 1) // 2):
+        column = 2 * place
+        for row in range(1, height - 1, 2):
+            if sines[row - 1, column] > _MIN_SINE:
+                for c in range(3):
+                    light[row, column, 0, c] = half * (light[row - 1, column, 0, c] + light[row + 1, column, 0, c])
+    for row in numba.prange(height):
+        for column in range(1, width, 2):
+            other = column + 1 if column + 1 < width else column - 1
+            for c in range(3):
+                light[row, column, 0, c] = half * (light[row, column - 1, 0, c] + light[row, other, 0, c])
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

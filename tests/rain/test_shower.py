@@ -169,3 +169,14 @@ def test_mean_shares_are_exact(start, end):
     expected = [np.interp(rates, table.nodes_mm_h, row).mean() for row in np.eye(len(table.nodes_mm_h))]
     assert mean == pytest.approx(expected, abs=1e-6)
     assert mean.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("gap_s", [5e-324, 7e-223, 1e-100])
+@pytest.mark.parametrize("between", ["linear", "smooth"])
+def test_keys_that_nearly_coincide_are_a_jump(gap_s, between):
+    keys = tuple(RainKeyframe(time_s=t, intensity_mm_h=r) for t, r in ((-gap_s, 1.0), (0.0, 9.0), (3.0, 2.0)))
+    rain = RainSimulation.start(RainSettings(), weather=RainKeyframes(keys=keys, between=between))
+    for time_s in (-1.0, 0.0, 1e-9, 1.0, 4.0):
+        now = rain.frozen_at(time_s)
+        assert np.isfinite(now.motion.fallen(time_s)).all()
+        assert now.rain.intensity_mm_h == pytest.approx(1.0 if time_s < 0 else 2.0 if time_s > 3 else 9.0, abs=3.6)

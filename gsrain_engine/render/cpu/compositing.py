@@ -443,12 +443,20 @@ def add_light(rgba: Float32[np.ndarray, "h w 4"], light: Float32[np.ndarray, "h 
 def _add_light(rgba, light):
     height, width = light.shape[:2]
     for row in numba.prange(height):
-        for column in range(width):
-            for channel in range(3):
-                added = light[row, column, channel]
-                if added > 0:
-                    before = _to_linear(rgba[row, column, channel])
-                    rgba[row, column, channel] = _to_display(before + added)
+        # Contiguous numbers, which LLVM vectorizes.
+        before, added = np.empty(width, np.float32), np.empty(width, np.float32)
+        for channel in range(3):
+            brightest = np.float32(0)
+            for column in range(width):
+                before[column], added[column] = rgba[row, column, channel], light[row, column, channel]
+                brightest = max(brightest, added[column])
+            if brightest <= 0:
+                continue
+            for column in range(width):
+                mixed = _to_display(_to_linear(before[column]) + added[column])
+                before[column] = mixed if added[column] > 0 else before[column]
+            for column in range(width):
+                rgba[row, column, channel] = before[column]
 
 
 def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
