@@ -139,6 +139,7 @@ def render(
         report = _record(frames, renderer, simulation.state_at(first_s), len(numbers))
         if json is not None:
             report |= _extinction(renderer, next(iter(sequences.values())), first_s)
+            report |= _glass(sequences, numbers[max(report["frames"], 1) - 1])
         labeled: list[Path] = []
         if labels is not None and (done := numbers[: report["frames"]]):
             from gsrain_engine.render.label_export import write_object_labels  # loads OpenCV, which images don't need
@@ -292,6 +293,17 @@ def _extinction(renderer: Renderer, sequence: FrameSequence, time_s: float) -> d
         "extinction_per_m": beta,
         "meteorological_range_m": simulation.state.visibility_m if beta > 0 else None,
         "airlight_linear": airlight,
+    }
+
+
+def _glass(sequences: Mapping[str, FrameSequence], number: int) -> dict[str, float]:
+    """Figures of the water on glass at a frame, summed over the cameras."""
+    states = [each.glass_state(number) for each in sequences.values()]
+    return {
+        "glass_impacts": sum(each.impacts for each in states),
+        "glass_expected_impacts": sum(each.expected_impacts for each in states),
+        "glass_seconds": max(each.seconds for each in states),
+        "glass_area_m2": sum(each.area_m2 for each in states),
     }
 
 

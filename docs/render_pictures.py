@@ -82,6 +82,26 @@ def render_regions(folder: Path) -> None:
     keep(sheet, "paper_regions")
 
 
+def render_glass(folder: Path) -> None:
+    """A windshield without wiper through a small lens opening and that of a car's camera; with wiper; and a lens."""
+    width, height = 720, 480
+    dash_camera = folder / "dash_camera.yaml"
+    dash_camera.write_text("aperture_mm: 0.8\nfocus_distance_m: 10.0\n", "utf-8")
+    views = (
+        ("windshield, lens opening 0.8 mm", ["--preset", str(dash_camera), "--glass", "windshield", "--wiper", "off"]),
+        ("windshield, 3.4 mm", ["--glass", "windshield", "--wiper", "off"]),
+        ("windshield, 3.4 mm, wiper", ["--glass", "windshield", "--wiper", "low"]),
+        ("lens, 3.4 mm", ["--glass", "lens"]),
+    )
+    sheet = Image.new("RGB", (2 * width, 2 * height))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(22)
+    for number, (title, options) in enumerate(views):
+        left, top = width * (number % 2), height * (number // 2)
+        sheet.paste(still("street", folder, f"{width}x{height}", "--rain", "8.5", *options), (left, top))
+        draw.text((left + 12, top + 10), title, "white", font, stroke_width=2, stroke_fill="black")
+    keep(sheet, "glass")
+
+
 def render_scenarios(folder: Path) -> None:
     """The paper's two scenarios, by rows at two moments: front camera and top view."""
     width, height = 500, 441
@@ -124,6 +144,7 @@ def main() -> None:
         render_rain(Path(folder))
         render_sheets(Path(folder))
         render_regions(Path(folder))
+        render_glass(Path(folder))
         render_scenarios(Path(folder))
         render_looks(Path(folder))
 

@@ -178,6 +178,30 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Focus distance", extra={"unit": "m", "ge": 0.2, "le": 10_000.0, "group": "Camera", "scale": "log",
                                        "none": "the sensor's", "usual": 10.0},
         description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
+    glass: Annotated[Literal["none", "windshield", "lens"], Meta(
+        title="Glass", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
+        description="Glass in front of the camera, on which rain lands (docs/physics.md, 18). windshield: of cameras "
+        "that look ahead. lens: of each camera.")] = "none"
+    wiper: Annotated[Literal["auto", "off", "interval", "low", "high"], Meta(
+        title="Wiper", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
+        description="Wiper of the windshield; auto is a rain sensor.")] = "auto"
+    glass_wet_s: Annotated[float, Meta(
+        ge=0, le=600, title="Wet before", extra={
+            "unit": "s", "group": "Glass", "slider_to": 60.0, "commands": "render, drive, evaluate detection"},
+        description="Time for which rain has landed on the glass at time 0.")] = 20.0
+    glass_dirt: Annotated[float, Meta(
+        ge=0, le=1, title="Dirt", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
+        description="Dirt on the glass, which spreads light as a haze.")] = 0.1
+    contact_angle_deg: Annotated[float, Meta(
+        ge=15, le=90, title="Contact angle", extra={
+            "unit": "degrees", "option": "contact-angle", "group": "Glass",
+            "commands": "render, drive, evaluate detection"},
+        description="Angle between drops and glass at the rim: 30 on clean glass, 90 with water repellent.")] = 50.0
+    glass_distance_m: Annotated[float | None, Meta(
+        title="Glass distance", extra={
+            "unit": "m", "ge": 0.005, "le": 2.0, "group": "Glass", "scale": "log", "none": "by the kind of glass",
+            "usual": 0.12, "commands": "render, drive, evaluate detection"},
+        description="From the lens along its axis; none is 0.12 m for a windshield and 0.02 m for a lens.")] = None
     drop_color: Annotated[Vector | None, Meta(
         title="Drop color",
         description="Display color of drops (eq. 3), rain and fog; none takes those of the scene's sky.")] = None
@@ -212,6 +236,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(f"aperture_mm must be within 0..50 mm, got {self.aperture_mm}")
         if self.focus_distance_m is not None and not 0.2 <= self.focus_distance_m <= 10_000:
             raise ValueError(f"focus_distance_m must be within 0.2..10000 m, got {self.focus_distance_m}")
+        if self.glass_distance_m is not None and not 0.005 <= self.glass_distance_m <= 2:
+            raise ValueError(f"glass_distance_m must be within 0.005..2 m, got {self.glass_distance_m}")
         if self.wind_m_s is not None:
             if any(not -40 <= component <= 40 for component in self.wind_m_s):
                 raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {self.wind_m_s}")

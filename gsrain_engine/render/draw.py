@@ -3,21 +3,21 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ..rain.frame import RainCamera, SkyLight
 from ..rain.shelter_map import shelter_map_of
-from ..rain.simulation import OVERCAST, RainSimulation
+from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
 from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
-from .camera_response import CameraResponse, metered_gain
+from .camera_response import PictureOptics
 from .lamp_reflections import lamp_reflections
 from .mirror import draw_mirror, has_mirror, reflecting_items
 from .renderer import Renderer, RenderMode
@@ -95,27 +95,10 @@ def draw_view(
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 
-def read_picture(renderer: Renderer, response: CameraResponse | None) -> UInt8[np.ndarray, "h w 3"]:
-    """Read the drawn frame back as display color, as the sensor stores it."""
+def read_picture(renderer: Renderer, optics: PictureOptics | None) -> UInt8[np.ndarray, "h w 3"]:
+    """Read the drawn frame back as display color, as the camera stores it."""
     pixels = renderer.read_uint8()
-    return pixels if response is None else response.picture(pixels)
-
-
-def response_of(
-    renderer: Renderer, scene: Scene, rainfall: RainSimulation, shot: RenderView, metered: dict[Any, float], key: Any
-) -> CameraResponse | None:
-    """Response of the sensor that the rain names; None without one.
-
-    Automatic exposure is metered in the scene without rain, dry, once for a key of `metered`: a rainy picture and its
-    twin without rain have the same gain. Metering draws.
-    """
-    sensor = rainfall.picture_sensor
-    if sensor is None:
-        return None
-    if sensor.mean_gray is not None and key not in metered:
-        draw_view(renderer, scene, None, OVERCAST, shot)
-        metered[key] = metered_gain(renderer.read_uint8(), sensor)
-    return CameraResponse(sensor, shot.camera, shot.time_s, rainfall.rain.seed, metered.get(key, 1.0))
+    return pixels if optics is None else optics.picture(pixels)
 
 
 def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:

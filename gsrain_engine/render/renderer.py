@@ -18,7 +18,7 @@ from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
 from ..water.mirror import Mirror
-from .camera_response import CameraResponse
+from .camera_response import PictureOptics
 
 RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"]
 """Visualization modes. All except `splats` show the scene without rain:
@@ -63,20 +63,20 @@ class Frame:
     """Premultiplied display color (sRGB-encoded) and alpha, top row first."""
     depth: Float32[np.ndarray, "h w"] | None = None
     """Expected depth of the scene along the view axis in meters, without rain; 0 where empty."""
-    response: CameraResponse | None = None
-    """Sensor of the 8-bit image; floats are without it."""
+    optics: PictureOptics | None = None
+    """Glass and sensor of the 8-bit image; floats are without them."""
 
     def over(self, background: Color = (0.0, 0.0, 0.0)) -> Float32[np.ndarray, "h w 3"]:
         alpha = self.rgba[..., 3:]
         return self.rgba[..., :3] + (1 - alpha) * np.asarray(background, np.float32)
 
     def to_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
-        """Return the 8-bit image over a plain background, rounded to nearest, as the sensor stores it."""
+        """Return the 8-bit image over a plain background, rounded to nearest, as the camera stores it."""
         image = self.over(background)
         np.clip(image, 0, 1, out=image)  # in place, since every video frame is converted here
         image *= 255
         pixels = np.rint(image, out=image).astype(np.uint8)
-        return pixels if self.response is None else self.response.picture(pixels)
+        return pixels if self.optics is None else self.optics.picture(pixels)
 
 
 @runtime_checkable

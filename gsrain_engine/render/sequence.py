@@ -6,14 +6,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from ..rain.frame import SkyLight
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
-from .camera_response import CameraResponse
-from .draw import LodCut, RenderView, draw_view, read_picture, response_of
+from ..water.glass import CameraMotion, GlassState
+from .camera_optics import CameraOptics, glass_state
+from .camera_response import PictureOptics
+from .draw import LodCut, RenderView, draw_view, read_picture
 from .images import to_display, to_linear_light
 from .renderer import Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
@@ -26,6 +29,11 @@ class RigCameraView:
     scene: Scene
     rig: str
     name: str
+
+    @property
+    def camera_to_ego(self) -> Float64[np.ndarray, "4 4"]:
+        """Pose in the frame of the vehicle (x forward, y left, z up)."""
+        return next(each for each in self.scene.rigs[self.rig] if each.name == self.name).camera_to_ego
 
     def at(self, time_s: float) -> Camera:
         """Camera at a time, in its own size; raises `ValueError` if the vehicle is absent."""
@@ -70,8 +78,7 @@ class FrameSequence:
     """False draws the light and the wet colors of the rain, without its drops and its medium."""
     lod: bool = False
     """True if images without depth merge details smaller than a pixel, in members that have a tree."""
-    _metered: dict[str, float] = field(default_factory=dict[str, float], init=False)
-    """Gain of automatic exposure, metered at the start of the sequence."""
+    _optics: CameraOptics = field(default_factory=CameraOptics, init=False)
 
     def time_s(self, number: int) -> float:
         """Time of a frame, the middle of its exposure."""
@@ -136,7 +143,7 @@ class FrameSequence:
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
-        response = self._response(renderer, number, look)
+        optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
         frame: Frame | None = None
         total: Float32[np.ndarray, "h w 4"] | None = None
         for shot in shots:
@@ -161,7 +168,7 @@ class FrameSequence:
         if with_depth and not has_own_depth:
             draw_view(renderer, self.scene, None, color, self.shot(number), with_depth=True)
             frame = replace(frame, depth=renderer.read().depth)
-        return replace(frame, response=response)
+        return replace(frame, optics=optics)
 
     def image(
         self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
@@ -171,17 +178,49 @@ class FrameSequence:
             return self.frame(renderer, number, sky, look=look).to_uint8()
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
-        response = self._response(renderer, number, look)
+        optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
         draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
-        return read_picture(renderer, response)
+        return read_picture(renderer, optics)
 
-    def _response(self, renderer: Renderer, number: int, look: RenderMode) -> CameraResponse | None:
-        """Response of the sensor for a frame, with rain or without; None for other render modes than splats."""
+    def _optics_of(
+        self, renderer: Renderer, number: int, sky: SkyLight, look: RenderMode, *, falls: bool
+    ) -> PictureOptics | None:
+        """Glass and sensor for a frame, with rain or without; None for other render modes than splats.
+
+        Automatic exposure is that of the start of the sequence.
+        """
         if look != "splats":
             return None
-        if not self._metered and self.rainfall.picture_sensor is not None:
-            response_of(renderer, self.scene, self.rainfall, self.shot_at(self.start_s), self._metered, "")
-        return response_of(renderer, self.scene, self.rainfall, self.shot(number), self._metered, "")
+        if self.rainfall.picture_sensor is not None:
+            self._optics.meter(renderer, self.scene, self.rainfall, self.shot_at(self.start_s))
+        return self._optics.of(
+            renderer, self.scene, self.rainfall, sky, self.shot(number),
+            past=self._motion, camera_to_vehicle=self._camera_to_vehicle, falls=falls and self.falls,
+        )  # fmt: skip
+
+    def glass_state(self, number: int) -> GlassState:
+        """Figures of the water on the glass at a frame; all 0 without glass."""
+        return glass_state(self.rainfall, self.shot(number), self._motion, self._camera_to_vehicle)
+
+    def _motion(self, time_s: float) -> CameraMotion:
+        """Orientation and velocity at a time; before the path or drive those of its start."""
+        match self.camera:
+            case Camera():
+                first_s = time_s
+            case CameraPath():
+                first_s = self.camera.start_s if self.in_scene_time else 0.0
+            case RigCameraView():
+                ego = self.camera.scene.ego
+                assert ego is not None
+                first_s = float(ego.times[int(np.argmax(ego.valid))])
+        shot = self.shot_at(max(time_s, first_s))
+        velocity = np.zeros(3) if shot.velocity_m_s is None else shot.velocity_m_s
+        return CameraMotion(shot.camera.camera_to_world[:3, :3], velocity)
+
+    @property
+    def _camera_to_vehicle(self) -> Float64[np.ndarray, "3 3"] | None:
+        """Orientation of a camera of a rig; None for others, which look ahead."""
+        return self.camera.camera_to_ego[:3, :3] if isinstance(self.camera, RigCameraView) else None
 
     def shots(self, number: int) -> list[RenderView]:
         """Views of the sub-frames, evenly spaced over the exposure around the frame's time."""

@@ -1,19 +1,23 @@
 """Simulated sensors: camera views of the scene in rain from the moving ego vehicle, and semantic labels."""
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.draw import RenderView, draw_view, read_picture, response_of
+from ..render.camera_optics import CameraOptics
+from ..render.draw import RenderView, draw_view, read_picture
 from ..render.object_labels import draw_labels
 from ..render.renderer import Renderer
 from ..render.sky_color import SkyColor, sky_color
 from ..scene.objects import coco_class
 from ..scene.scene import Actor, RigCamera, Scene
+from ..water.glass import CameraMotion, PastMotion
 from .agents.base import CameraView, SensorRequirements, front_camera
 
 
@@ -27,7 +31,8 @@ class RigRenderer:
         self._renderer, self._cameras, self._needs = renderer, cameras, needs
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
-        self._metered: dict[str, float] = {}
+        self._optics = CameraOptics()
+        self._drive: list[_RigMotion] = []
 
     def views(
         self, scene: Scene, rig_to_world: Float64[np.ndarray, "4 4"], velocity_m_s: Float64[np.ndarray, "3"],
@@ -35,12 +40,12 @@ class RigRenderer:
     ) -> dict[str, CameraView]:  # fmt: skip
         """Render the cameras at a scene time. `velocity_m_s` is the velocity of the rig origin in the world."""
         views: dict[str, CameraView] = {}
+        self._drive.append(_RigMotion(time_s, rig_to_world, velocity_m_s, yaw_rate_rad_s))
         for mounted in self._cameras:
             camera = mounted.camera(rig_to_world)
             if self._sky is None:  # computed once, so that all cameras and frames agree
                 self._sky = sky_color(self._renderer, scene, camera)
-            arm = camera.position - rig_to_world[:3, 3]
-            velocity = velocity_m_s + yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
+            velocity = self._drive[-1].of(mounted).velocity_m_s
             semantic = instances = None
             if self._needs.semantic:
                 labels = draw_labels(self._renderer, scene, camera, time_s)
@@ -48,14 +53,38 @@ class RigRenderer:
                 layers = len(scene.layers)
                 instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
             color, view = self._sky.at(self._rainfall.overcast_at(time_s)), RenderView(camera, time_s, velocity)
-            response = response_of(self._renderer, scene, self._rainfall, view, self._metered, mounted.name)
+            optics = self._optics.of(
+                self._renderer, scene, self._rainfall, color, view,
+                camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
+            )  # fmt: skip
             draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
             depth = self._renderer.read().depth if self._needs.depth else None
-            image = read_picture(self._renderer, response)
+            image = read_picture(self._renderer, optics)
             views[mounted.name] = CameraView(
                 image, camera, None if depth is None else depth.copy(), semantic, instances
             )
         return views
+
+    def _past(self, mounted: RigCamera) -> PastMotion:
+        """Motion of a camera during the drive: that of the last step, and before the first step that of the first."""
+        times = [each.time_s for each in self._drive]
+        return lambda time_s: self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)].of(mounted)
+
+
+class _RigMotion(NamedTuple):
+    """Motion of a rig at a step of the drive."""
+
+    time_s: float
+    rig_to_world: Float64[np.ndarray, "4 4"]
+    velocity_m_s: Float64[np.ndarray, "3"]
+    yaw_rate_rad_s: float
+
+    def of(self, mounted: RigCamera) -> CameraMotion:
+        """Orientation and velocity of a camera of the rig."""
+        pose = self.rig_to_world @ mounted.camera_to_ego
+        arm = pose[:3, 3] - self.rig_to_world[:3, 3]
+        turning = self.yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
+        return CameraMotion(pose[:3, :3], self.velocity_m_s + turning)
 
 
 def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:

@@ -14,12 +14,14 @@ from PIL import Image, ImageDraw, ImageFont
 from ..evaluation.detection.detector import Detection
 from ..evaluation.detection.drawing import draw_boxes
 from ..rain.simulation import RainSimulation
-from ..render.draw import RenderView, draw_view, read_picture, response_of
+from ..render.camera_optics import CameraOptics
+from ..render.draw import RenderView, draw_view, read_picture
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
 from ..scene.camera import Camera
 from ..scene.progress import Progress
+from ..water.glass import CameraMotion
 from .agents.base import SensorRequirements
 from .geometry import PlanarBox, arc_lengths, points_along
 from .ground import road_surface_of
@@ -64,10 +66,10 @@ class RolloutVideo:
         self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
-        self._metered: dict[str, float] = {}
+        self._optics = CameraOptics()
         start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0))
         self._sky = sky_color(renderer, start, camera)
-        response_of(renderer, start, self._rainfall, RenderView(camera, played.scene_time_s(0.0)), self._metered, "")
+        self._optics.meter(renderer, start, self._rainfall, RenderView(camera, played.scene_time_s(0.0)))
 
     def times(self, fps: float) -> list[float]:
         """Return the times of the frames; the last one is held for a second."""
@@ -88,9 +90,12 @@ class RolloutVideo:
         scene_s = played.scene_time_s(time_s)
         color = self._sky.at(self._rainfall.overcast_at(scene_s))
         scene, view = played.scene(time_s), RenderView(camera, scene_s, velocity)
-        response = response_of(self._renderer, scene, self._rainfall, view, self._metered, "")
+        optics = self._optics.of(
+            self._renderer, scene, self._rainfall, color, view,
+            past=self._motion, camera_to_vehicle=self._mounted.camera_to_ego[:3, :3],
+        )  # fmt: skip
         draw_view(self._renderer, scene, self._rainfall, color, view)
-        step, pixels = played.step(time_s), read_picture(self._renderer, response)
+        step, pixels = played.step(time_s), read_picture(self._renderer, optics)
         picture = draw_boxes(pixels, (), _noted(step), _SURE)
         if step.plan:
             points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
@@ -98,6 +103,13 @@ class RolloutVideo:
             if len(ahead):
                 _draw_plan(picture, camera, ahead, step.ego.z_m + 0.02)
         return picture
+
+    def _motion(self, scene_time_s: float) -> CameraMotion:
+        """Motion of the camera at a time of the scene; before the drive that of its start."""
+        time_s = max(scene_time_s - self._played.scene_time_s(0.0), 0.0)
+        rig = self._played.rig_to_world(time_s)
+        speed_m_s = self._played.state(time_s).speed_m_s
+        return CameraMotion(self._mounted.camera(rig).camera_to_world[:3, :3], speed_m_s * rig[:3, 0])
 
     def _readout_panel(self, time_s: float, width: int) -> RgbImage:
         played, step = self._played, self._played.step(time_s)

@@ -53,7 +53,7 @@ _PRESETS_PER_ROW = 3
 PICK_TOOL = "Pick sky color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
-GROUPS = (_WIND, "Regions", "Physics", "Camera", "Lamps", "Appearance")
+GROUPS = (_WIND, "Glass", "Regions", "Physics", "Camera", "Lamps", "Appearance")
 """Headings below which the fields with this `group` are drawn."""
 
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."

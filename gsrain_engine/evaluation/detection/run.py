@@ -18,7 +18,8 @@ from ...datasets.capture import Capture
 from ...datasets.undistort import undistort_frame
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...render.draw import RenderView, draw_view, ego_view, read_picture, response_of
+from ...render.camera_optics import CameraOptics, ego_motion
+from ...render.draw import RenderView, draw_view, ego_view, read_picture
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...safe_io.limits import read_file
@@ -122,8 +123,7 @@ class ConditionRenderer:
     """Draw rain in front of the original photographs."""
     _rains: dict[tuple[float, int], RainSimulation] = field(default_factory=dict[tuple[float, int], RainSimulation])
 
-    _metered: dict[str, float] = field(default_factory=dict[str, float])
-    """Gain of automatic exposure by the name of the view."""
+    _optics: CameraOptics = field(default_factory=CameraOptics)
 
     def take(self, frame: EvaluatedFrame, trial: Condition) -> UInt8[np.ndarray, "h w 3"]:
         """Render one image, deterministically; with wet colors in rain if the scene has them."""
@@ -149,9 +149,13 @@ class ConditionRenderer:
         self, frame: EvaluatedFrame, rainfall: RainSimulation, *, is_clear: bool = False
     ) -> UInt8[np.ndarray, "h w 3"]:
         overcast = 0.0 if is_clear else rainfall.overcast_at(frame.shot.time_s)
-        response = response_of(self.renderer, self.scene, rainfall, frame.shot, self._metered, frame.name)
-        draw_view(self.renderer, self.scene, None if is_clear else rainfall, self.sky.at(overcast), frame.shot)
-        return read_picture(self.renderer, response)
+        sky, past = self.sky.at(overcast), ego_motion(self.scene, frame.shot)
+        optics = self._optics.of(
+            self.renderer, self.scene, rainfall, sky, frame.shot,
+            camera=frame.name, past=past.motion, camera_to_vehicle=past.camera_to_ego, falls=not is_clear,
+        )  # fmt: skip
+        draw_view(self.renderer, self.scene, None if is_clear else rainfall, sky, frame.shot)
+        return read_picture(self.renderer, optics)
 
 
 def evaluate_images(

@@ -1,0 +1,528 @@
+"""Optics of a wet pane: refraction by drops, veil of film and dirt, the wiper's blade, and blur by the open lens.
+
+A picture through wet glass is I (1 - c) + L in linear light. L and c, light and coverage of water, dirt and blade, are
+drawn on the pane with rays through the center of the lens, and averaged over the circle of confusion of the pane. They
+vary slowly where that circle is large, and have a cell for several pixels there.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import no_type_check
+
+import cv2
+import numba
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+
+from ..rain.pcg_hash import pcg4d_scalar
+from ..scene.camera import Camera
+from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.sensor import ThinLens
+from .glass_drops import RADIUS, SHAPE, SPEED, TO_U, TO_V, U, V
+from .pane import Pane
+from .wiper import BLADE_M, INNER_M, OUTER_M, PIVOT_M
+
+WATER_INDEX = 1.333
+"""Refractive index of water for visible light."""
+
+WIDE = 2.5
+"""Tangents of the half angles of the wide view, relative to those of the picture."""
+
+WIDE_PX = 240
+"""Width of the wide view: drops minify it by far more."""
+
+_FILM_M, _FILM_SHARE = 2e-6, 0.5  # depth at which the film takes 1 - 1/e of its largest share of the light; ours
+_DIRT_SHARE, _WIPED_SHARE = 0.2, 0.3  # coverage of dirt of 1, and what wipers leave of it; ours
+_DIRT_M = 0.009, 0.0023  # sizes of spots
+_BLADE_LIGHT, _ARM_M = 0.01, 0.006
+_TONES = 1 << 14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WetGlass:
+    """Water, dirt and blade on a pane at one time, and the camera behind it."""
+
+    pane: Pane
+    drops: Float64[np.ndarray, "n 10"]
+    """Rows of `GlassDrops.drops`."""
+    film_m: Float32[np.ndarray, "rows columns"]
+    film_cell_m: float
+    contact_angle_deg: float
+    blade_rad: float | None
+    """Angle of the blade; None without a wiper."""
+    dirt: float
+    """Amount of dirt, 0..1."""
+    seed: int
+
+
+def wide_camera(camera: Camera) -> Camera:
+    """Camera with the same pose and a wide field of view, for what drops refract into the picture."""
+    height = max(round(WIDE_PX * camera.height / camera.width), 8)
+    across, down = WIDE_PX / camera.width, height / camera.height
+    return Camera(
+        WIDE_PX, height, camera.fx * across / WIDE, camera.fy * down / WIDE, WIDE_PX / 2, height / 2,
+        camera.world_to_camera, camera.exposure_s,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GlassView:
+    """Wet glass in front of one camera."""
+
+    glass: WetGlass
+    camera: Camera
+    lens: ThinLens
+    wide: UInt8[np.ndarray, "h w 3"]
+    """View behind the glass of `wide_camera` (sRGB)."""
+
+    def picture(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+        """Return a picture (sRGB) as it is through the glass; it has the camera's size."""
+        layer, cell_px, margin = self.layer(image)
+        made = np.empty_like(image)
+        _composite(np.ascontiguousarray(image), layer, cell_px, margin, _linear_levels(), _tone_table(), made)
+        return made
+
+    def layer(self, image: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "rows columns 4"], int, int]:
+        """Light and coverage of what is on the glass, pixels along a cell, and cells of a margin on each side."""
+        glass, pane, height, width = self.glass, self.glass.pane, image.shape[0], image.shape[1]
+        camera = self.camera.resized(width, height)
+        largest_px = float(self._circles_px(camera, np.array([0.0, float(height)])).max())
+        cell_px = 1
+        while largest_px >= 8 * cell_px:
+            cell_px *= 2
+        margin = int(np.ceil(largest_px / (2 * cell_px))) + 1
+        rows, columns = (-(-side // cell_px) + 2 * margin for side in (height, width))
+        layer = np.zeros((rows, columns, 4), np.float32)
+        view = np.array([camera.fx, camera.fy, camera.cx, camera.cy, cell_px, margin])
+        axes = np.stack([pane.right, pane.up, pane.normal, pane.origin_m])
+        wide = wide_camera(camera)
+        levels, starts = _pyramid(self.wide)
+        source = np.array([wide.fx, wide.fy, wide.cx, wide.cy])
+        if len(glass.drops):
+            boxes = _boxes(glass.drops, view, axes, rows, columns)
+            row_starts, members = _members(boxes, rows)
+            _draw_drops(
+                layer, glass.drops, boxes, row_starts, members, view, axes, source, levels, starts,
+                float(np.radians(glass.contact_angle_deg)),
+            )  # fmt: skip
+        size = max(width // 12, 2), max(height // 12, 2)
+        blurred = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        _draw_veil(
+            layer, view, axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt,
+            -1.0 if glass.blade_rad is None else glass.blade_rad, _linear_levels()[blurred], np.uint32(glass.seed),
+        )  # fmt: skip
+        y = (np.arange(rows) + 0.5 - margin) * cell_px
+        radii = self._circles_px(camera, y) / (2 * cell_px)
+        return (_blurred(layer, radii) if radii.max() >= 0.5 else layer), cell_px, margin
+
+    def _circles_px(self, camera: Camera, y_px: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Diameter of the circle of confusion of the pane in the middle of rows of the picture."""
+        pane = self.glass.pane
+        y = np.clip(y_px, 0, camera.height)
+        rays = np.stack([np.zeros_like(y), (y - camera.cy) / camera.fy, np.ones_like(y)], axis=1)
+        depth_m = float(pane.origin_m @ pane.normal) / np.maximum(rays @ pane.normal, 0.02)
+        return camera.fy * self.lens.circle_of_confusion_m(depth_m) / depth_m
+
+
+def refracted(
+    place: tuple[float, float], ray: tuple[float, float, float], contact_angle_deg: float
+) -> tuple[float, float, float, float]:
+    """Trace a ray from the pane (z = 0) through a drop of footprint radius 1 at the origin.
+
+    `ray` is a unit vector in air before the pane, with z > 0 outward. Returns the transmitted share of the light, and
+    the direction behind; the share is -1 if the ray misses the drop.
+    """
+    return _trace(*place, *ray, float(np.radians(contact_angle_deg)), 1.0, 0.0, 1.0)
+
+
+# Tables
+
+
+@cache
+def _linear_levels() -> Float32[np.ndarray, "256"]:
+    return srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+
+
+@cache
+def _tone_table() -> UInt8[np.ndarray, " n"]:
+    return np.rint(255 * linear_to_srgb(np.arange(_TONES) / (_TONES - 1))).astype(np.uint8)
+
+
+def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "texels 3"], Int64[np.ndarray, "n 3"]]:
+    """Linear light of a picture at resolutions that halve; and first texel, width and height of each."""
+    level, levels, starts, first = _linear_levels()[picture], [], [], 0
+    while True:
+        height, width = level.shape[:2]
+        levels.append(level.reshape(-1, 3))
+        starts.append((first, width, height))
+        first += height * width
+        if min(height, width) < 8:
+            return np.concatenate(levels), np.array(starts)
+        level = cv2.resize(level, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+
+
+# Kernels
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _fresnel(cos_in, cos_out, ratio):
+    """Reflected share of unpolarized light; `ratio` is the index before over that behind."""
+    s = (ratio * cos_in - cos_out) / (ratio * cos_in + cos_out)
+    p = (ratio * cos_out - cos_in) / (ratio * cos_out + cos_in)
+    return 0.5 * (s * s + p * p)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _trace(x, y, dx, dy, dz, angle, cos_turn, sin_turn, stretch):
+    """Trace a ray through a spherical cap that is stretched along one axis and compressed along the other.
+
+    Lengths are in footprint radii. Three reflections inside are followed, as long as they are total.
+    """
+    sphere = 1.0 / np.sin(angle)
+    depth = sphere * np.cos(angle)  # of the sphere's center below the pane
+    # Coordinates in which the cap is a sphere's: a = (cos x + sin y) / stretch, b = (cos y - sin x) stretch.
+    a = (cos_turn * x + sin_turn * y) / stretch
+    b = (cos_turn * y - sin_turn * x) * stretch
+    c = 0.0
+    weight = 1.0
+    if a * a + b * b < 1.0:
+        dx, dy = dx / WATER_INDEX, dy / WATER_INDEX
+        dz = np.sqrt(max(1.0 - dx * dx - dy * dy, 0.0))
+        first = True
+    else:  # through dry glass onto the outside of a drop
+        first = False
+    for _ in range(5):
+        da = (cos_turn * dx + sin_turn * dy) / stretch
+        db = (cos_turn * dy - sin_turn * dx) * stretch
+        square = da * da + db * db + dz * dz
+        half = a * da + b * db + (c + depth) * dz
+        excess = a * a + b * b + (c + depth) * (c + depth) - sphere * sphere
+        root = half * half - square * excess
+        if root <= 0.0:
+            return -1.0, 0.0, 0.0, 0.0
+        path = (-half + np.sqrt(root)) / square if first else (-half - np.sqrt(root)) / square
+        if path <= 0.0 or c + path * dz < 0.0:
+            # Back through the pane into the dark car, or past the drop.
+            return (0.0 if first else -1.0), 0.0, 0.0, -1.0
+        a, b, c = a + path * da, b + path * db, c + path * dz
+        na, nb, nz = a / sphere, b / sphere, (c + depth) / sphere
+        nx = cos_turn * na / stretch - sin_turn * nb * stretch
+        ny = sin_turn * na / stretch + cos_turn * nb * stretch
+        norm = np.sqrt(nx * nx + ny * ny + nz * nz)
+        nx, ny, nz = nx / norm, ny / norm, nz / norm
+        along = dx * nx + dy * ny + dz * nz
+        if not first:  # into the water
+            ratio, cos_in = 1.0 / WATER_INDEX, -along
+            cos_out = np.sqrt(1.0 - ratio * ratio * (1.0 - cos_in * cos_in))
+            weight *= 1.0 - _fresnel(cos_in, cos_out, ratio)
+            factor = ratio * cos_in - cos_out
+            dx, dy, dz = ratio * dx + factor * nx, ratio * dy + factor * ny, ratio * dz + factor * nz
+            first = True
+            continue
+        squared = 1.0 - WATER_INDEX * WATER_INDEX * (1.0 - along * along)
+        if squared <= 0.0:  # total reflection
+            dx, dy, dz = dx - 2.0 * along * nx, dy - 2.0 * along * ny, dz - 2.0 * along * nz
+            continue
+        cos_out = np.sqrt(squared)
+        weight *= 1.0 - _fresnel(along, cos_out, WATER_INDEX)
+        factor = cos_out - WATER_INDEX * along
+        dx, dy = WATER_INDEX * dx + factor * nx, WATER_INDEX * dy + factor * ny
+        dz = WATER_INDEX * dz + factor * nz
+        return (weight if dz > 0.0 else 0.0), dx, dy, dz
+    return 0.0, 0.0, 0.0, -1.0
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _outline(drop):
+    """Axis and stretch of a drop: running drops are long, others are a little out of round."""
+    if drop[SPEED] > 0.0:
+        stretch = 1.0 + min(2.0 * drop[SPEED], 0.5)
+        return drop[TO_U], drop[TO_V], np.sqrt(stretch)
+    turn = 40.0 * drop[SHAPE]
+    return np.cos(turn), np.sin(turn), 1.0 + 0.3 * abs(drop[SHAPE] - 0.5)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _boxes(drops, view, axes, rows, columns):
+    """Cells of each drop, as first and last row and column, and its radius in cells; none if it is out of view."""
+    fx, fy, cx, cy, cell, margin = view
+    boxes = np.empty((len(drops), 5))
+    for k in range(len(drops)):
+        reach = 1.3 * drops[k, RADIUS]
+        low_x = low_y = 1e9
+        high_x = high_y = -1e9
+        for corner in range(4):
+            u = drops[k, U] + (reach if corner & 1 else -reach)
+            v = drops[k, V] + (reach if corner & 2 else -reach)
+            z = axes[3, 2] + u * axes[0, 2] + v * axes[1, 2]
+            if z < 1e-4:
+                continue
+            x = ((axes[3, 0] + u * axes[0, 0] + v * axes[1, 0]) / z * fx + cx) / cell + margin
+            y = ((axes[3, 1] + u * axes[0, 1] + v * axes[1, 1]) / z * fy + cy) / cell + margin
+            low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
+        # A cell's center is half a cell from its corner.
+        boxes[k, 0] = max(np.floor(low_y - 0.5), 0.0)
+        boxes[k, 1] = min(np.ceil(high_y - 0.5), rows - 1.0)
+        boxes[k, 2] = max(np.floor(low_x - 0.5), 0.0)
+        boxes[k, 3] = min(np.ceil(high_x - 0.5), columns - 1.0)
+        boxes[k, 4] = np.sqrt(max(high_x - low_x, 0.0) * max(high_y - low_y, 0.0)) / 2.6
+        if boxes[k, 2] > boxes[k, 3]:
+            boxes[k, 1] = boxes[k, 0] - 1.0
+    return boxes
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _members(boxes, rows):
+    """Drops of each row, in their order: `members[starts[row] : starts[row + 1]]`."""
+    starts = np.zeros(rows + 1, np.int64)
+    for k in range(len(boxes)):
+        for row in range(int(boxes[k, 0]), int(boxes[k, 1]) + 1):
+            starts[row + 1] += 1
+    starts = np.cumsum(starts)
+    members, ends = np.empty(starts[-1], np.int64), starts.copy()
+    for k in range(len(boxes)):
+        for row in range(int(boxes[k, 0]), int(boxes[k, 1]) + 1):
+            members[ends[row]] = k
+            ends[row] += 1
+    return starts, members
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _look_up(levels, starts, level, x, y, found):
+    """Bilinear color of a level at a place in texels of the first one; the border goes on outside."""
+    first, width, height = starts[level]
+    scale_x, scale_y = width / starts[0, 1], height / starts[0, 2]
+    x = min(max(x * scale_x - 0.5, 0.0), width - 1.0)
+    y = min(max(y * scale_y - 0.5, 0.0), height - 1.0)
+    column, row = min(int(x), width - 2), min(int(y), height - 2)
+    right, below = x - column, y - row
+    at = first + row * width + column
+    for channel in range(3):
+        upper = levels[at, channel] + right * (levels[at + 1, channel] - levels[at, channel])
+        lower = levels[at + width, channel] + right * (levels[at + width + 1, channel] - levels[at + width, channel])
+        found[channel] = upper + below * (lower - upper)
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, levels, starts, angle):
+    fx, fy, cx, cy, cell, margin = view
+    last_level = len(starts) - 1
+    to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
+    for row in numba.prange(layer.shape[0]):
+        color = np.empty(3)
+        y = ((row + 0.5 - margin) * cell - cy) / fy
+        for at in range(row_starts[row], row_starts[row + 1]):
+            k = members[at]
+            drop = drops[k]
+            cells = max(boxes[k, 4], 0.05)
+            cos_turn, sin_turn, stretch = _outline(drop)
+            # Rays over the drop spread over some 80 degrees.
+            texels = 0.7 * source[0] / cells
+            level = min(max(int(np.log2(max(texels, 1.0)) + 0.5), 0), last_level)
+            for column in range(int(boxes[k, 2]), int(boxes[k, 3]) + 1):
+                x = ((column + 0.5 - margin) * cell - cx) / fx
+                length = np.sqrt(x * x + y * y + 1.0)
+                dz = (x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]) / length
+                if dz <= 0.01:
+                    continue
+                path = to_pane / dz / length
+                px, py, pz = path * x - axes[3, 0], path * y - axes[3, 1], path - axes[3, 2]
+                u = (px * axes[0, 0] + py * axes[0, 1] + pz * axes[0, 2] - drop[U]) / drop[RADIUS]
+                v = (px * axes[1, 0] + py * axes[1, 1] + pz * axes[1, 2] - drop[V]) / drop[RADIUS]
+                du = (x * axes[0, 0] + y * axes[0, 1] + axes[0, 2]) / length
+                dv = (x * axes[1, 0] + y * axes[1, 1] + axes[1, 2]) / length
+                # Share of the cell inside of the outline; the ray of a cell on the edge is that of the drop's rim.
+                across = (cos_turn * u + sin_turn * v) / stretch
+                along = (cos_turn * v - sin_turn * u) * stretch
+                distance = np.sqrt(across * across + along * along)
+                share = 1.0
+                if cells < 1.0:  # smaller than a cell: its area, around its place
+                    share = max(1.0 - abs(u) * cells, 0.0) * max(1.0 - abs(v) * cells, 0.0) * np.pi * cells * cells
+                    shrink = 0.6 / max(distance, 0.6)
+                    u, v = u * shrink, v * shrink
+                else:
+                    inside = (1.0 - distance) * cells + 0.5
+                    if 0.0 < inside < 1.0 and distance >= 1.0:
+                        u, v = 0.999 * u / distance, 0.999 * v / distance
+                        share = inside
+                    elif distance < 1.0:
+                        share = min(inside, 1.0)
+                if share <= 0.0:
+                    continue
+                weight, out_u, out_v, out_n = _trace(u, v, du, dv, dz, angle, cos_turn, sin_turn, stretch)
+                if weight < 0.0:
+                    continue
+                free = share * (1.0 - layer[row, column, 3])
+                layer[row, column, 3] += free
+                if weight <= 0.0:
+                    continue
+                rx = out_u * axes[0, 0] + out_v * axes[1, 0] + out_n * axes[2, 0]
+                ry = out_u * axes[0, 1] + out_v * axes[1, 1] + out_n * axes[2, 1]
+                rz = max(out_u * axes[0, 2] + out_v * axes[1, 2] + out_n * axes[2, 2], 0.05)
+                _look_up(levels, starts, level, source[0] * rx / rz + source[2], source[1] * ry / rz + source[3], color)
+                for channel in range(3):
+                    layer[row, column, channel] += free * weight * color[channel]
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _noise(u, v, size, seed):
+    """Smooth noise 0..1 over the pane."""
+    x, y = u / size, v / size
+    column, row = np.floor(x), np.floor(y)
+    right, above = x - column, y - row
+    right, above = right * right * (3 - 2 * right), above * above * (3 - 2 * above)
+    total = 0.0
+    for corner in range(4):
+        i, j = np.int64(column) + (corner & 1), np.int64(row) + (corner >> 1)
+        a, _, _, _ = pcg4d_scalar(np.uint32(i), np.uint32(j), np.uint32(0x165667B1), seed)
+        weight = (right if corner & 1 else 1 - right) * (above if corner >> 1 else 1 - above)
+        total += weight * a * 2.0**-32
+    return total
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, seed):
+    """Add film and dirt, which spread light, and the blade, which hides it."""
+    fx, fy, cx, cy, cell, margin = view
+    to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
+    mean = np.zeros(3)
+    for channel in range(3):
+        mean[channel] = blurred[:, :, channel].mean()
+    tall, wide = blurred.shape[0], blurred.shape[1]
+    height, width = (layer.shape[0] - 2 * margin) * cell, (layer.shape[1] - 2 * margin) * cell
+    for row in numba.prange(layer.shape[0]):
+        y = ((row + 0.5 - margin) * cell - cy) / fy
+        for column in range(layer.shape[1]):
+            x = ((column + 0.5 - margin) * cell - cx) / fx
+            along = x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]
+            if along <= 0.01:
+                continue
+            path = to_pane / along
+            px, py, pz = path * x - axes[3, 0], path * y - axes[3, 1], path - axes[3, 2]
+            u = px * axes[0, 0] + py * axes[0, 1] + pz * axes[0, 2]
+            v = px * axes[1, 0] + py * axes[1, 1] + pz * axes[1, 2]
+            from_pivot = np.hypot(u - PIVOT_M[0], v - PIVOT_M[1])
+            is_wiped = blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M
+            dirty = 0.0
+            if dirt > 0.0:
+                spots = 0.6 * _noise(u, v, _DIRT_M[0], seed) + 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1))
+                dirty = _DIRT_SHARE * dirt * (0.3 + 1.4 * max(spots - 0.25, 0.0))
+                if is_wiped:
+                    dirty *= _WIPED_SHARE
+            film_x, film_y = (u - low[0]) / film_cell, (v - low[1]) / film_cell
+            depth = 0.0
+            if 0.0 <= film_x < film.shape[1] - 1 and 0.0 <= film_y < film.shape[0] - 1:
+                i, j = int(film_x), int(film_y)
+                right, above = film_x - i, film_y - j
+                upper = film[j + 1, i] * (1 - right) + film[j + 1, i + 1] * right
+                depth = (film[j, i] * (1 - right) + film[j, i + 1] * right) * (1 - above) + upper * above
+            wet = _FILM_SHARE * (1.0 - np.exp(-depth / _FILM_M)) if depth > 0.0 else 0.0
+            covered = 0.0
+            if blade >= 0.0 and from_pivot < OUTER_M:
+                half = 0.5 * (BLADE_M if from_pivot > INNER_M else _ARM_M)
+                du, dv = u - PIVOT_M[0], v - PIVOT_M[1]
+                if du * np.cos(blade) + dv * np.sin(blade) > 0.0:
+                    off = abs(dv * np.cos(blade) - du * np.sin(blade))
+                    covered = min(max((half - off) / 0.001 + 0.5, 0.0), 1.0)
+            if dirty + wet + covered <= 0.0:
+                continue
+            # The film, and dirt in front of it, spread the light of what is around.
+            i = min(max(int((column + 0.5 - margin) * cell / width * wide), 0), wide - 1)
+            j = min(max(int((row + 0.5 - margin) * cell / height * tall), 0), tall - 1)
+            behind = (1.0 - layer[row, column, 3]) * covered
+            for channel in range(3):
+                light = layer[row, column, channel] + behind * _BLADE_LIGHT
+                around = (1.0 - layer[row, column, 3] - behind) * wet
+                light += around * (0.7 * blurred[j, i, channel] + 0.3 * mean[channel])
+                layer[row, column, channel] = light * (1.0 - dirty) + dirty * mean[channel]
+            clear = (1.0 - layer[row, column, 3]) * (1.0 - covered) * (1.0 - wet) * (1.0 - dirty)
+            layer[row, column, 3] = 1.0 - clear
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _blurred(layer, radii):
+    """Average over disks, with the radius of each row in cells; the border goes on outside."""
+    rows, columns = layer.shape[0], layer.shape[1]
+    sums = np.zeros((rows, columns + 1, 4))
+    for row in numba.prange(rows):
+        for column in range(columns):
+            for channel in range(4):
+                sums[row, column + 1, channel] = sums[row, column, channel] + layer[row, column, channel]
+    made = np.empty_like(layer)
+    for row in numba.prange(rows):
+        radius = max(radii[row], 0.5)
+        reach = int(np.ceil(radius))
+        weights = np.zeros(2 * reach + 1)
+        halves = np.zeros(2 * reach + 1)
+        area = 0.0
+        for k in range(-reach, reach + 1):
+            # Mean half chord over the height of the cell, of the part that has one.
+            top, bottom = min(k + 0.5, radius), max(k - 0.5, -radius)
+            if top <= bottom:
+                continue
+            middle = 0.5 * (top + bottom)
+            halves[k + reach] = np.sqrt(max(radius * radius - middle * middle, 0.0))
+            weights[k + reach] = top - bottom
+            area += 2.0 * halves[k + reach] * (top - bottom)
+        total = np.empty(4)
+        for column in range(columns):
+            total[:] = 0.0
+            for k in range(-reach, reach + 1):
+                weight = weights[k + reach]
+                if weight <= 0.0:
+                    continue
+                other = min(max(row + k, 0), rows - 1)
+                low = min(max(column + 0.5 - halves[k + reach], 0.0), float(columns))
+                high = min(max(column + 0.5 + halves[k + reach], 0.0), float(columns))
+                i, j = min(int(low), columns - 1), min(int(high), columns - 1)
+                left, right = low - i, high - j
+                # Outside of the layer the disk has nothing; the margin keeps that from the picture.
+                for channel in range(4):
+                    total[channel] += weight * (
+                        sums[other, j, channel] + right * layer[other, j, channel]
+                        - sums[other, i, channel] - left * layer[other, i, channel]
+                    )  # fmt: skip
+            for channel in range(4):
+                made[row, column, channel] = total[channel] / area
+    return made
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check
+def _composite(image, layer, cell, margin, linear, tones, made):
+    """I (1 - c) + L, with the layer interpolated between its cells."""
+    height, width, top = image.shape[0], image.shape[1], np.float32(len(tones) - 1)
+    half, one, last = np.float32(0.5), np.float32(1), len(tones) - 1
+    for y in numba.prange(height):
+        place = np.float32((y + 0.5) / cell - 0.5) + np.float32(margin)
+        row = int(place)
+        below = place - np.float32(row)
+        between = np.empty((layer.shape[1], 4), np.float32)
+        for column in range(layer.shape[1]):
+            for channel in range(4):
+                upper = layer[row, column, channel]
+                lower = layer[row + 1, column, channel]
+                between[column, channel] = upper + below * (lower - upper)
+        for x in range(width):
+            place = np.float32((x + 0.5) / cell - 0.5) + np.float32(margin)
+            column = int(place)
+            right = place - np.float32(column)
+            cover = between[column, 3] + right * (between[column + 1, 3] - between[column, 3])
+            if cover < np.float32(1e-4):
+                for channel in range(3):
+                    made[y, x, channel] = image[y, x, channel]
+                continue
+            for channel in range(3):
+                light = between[column, channel] + right * (between[column + 1, channel] - between[column, channel])
+                value = (linear[image[y, x, channel]] * (one - cover) + light) * top + half
+                made[y, x, channel] = tones[min(int(value), last)]
