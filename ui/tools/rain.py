@@ -159,7 +159,7 @@ class SkyPickTool(DragTool):
 
     def options(self) -> None:
         own = self._document.rain.drop_color
-        red, green, blue = own or self._live_rain.sky
+        red, green, blue = own or self._live_rain.sky.drops
         imgui.color_button("##drops now", (red, green, blue, 1.0))
         imgui.same_line()
         inline_text("picked" if own is not None else "from the scene's sky")
