@@ -179,7 +179,8 @@ class FrameSequence:
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
-        draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
+        thinning = LodCut() if self.lod and look == "splats" else None
+        draw_view(renderer, self.scene, rainfall, color, shot, look=look, thinning=thinning, falls=self.falls)
         return read_picture(renderer, optics)
 
     def _optics_of(

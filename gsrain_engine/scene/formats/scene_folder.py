@@ -25,7 +25,7 @@ from ..gaussians import Gaussians
 from ..lod_tree import LodTree
 from ..scene import Actor, Layer, Scene
 from ._common import check_finite
-from .lod_file import lod_file_bytes, read_lod_tree, write_lod_tree
+from .lod_file import read_lod_tree, write_lod_tree
 from .ply import write_ply
 from .registry import check_writable, read_gaussians
 from .scene_json import SCENE_VERSION, SceneRecord, record_of, scene_of
@@ -106,7 +106,8 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
     record = _read_record(folder)
     try:
         places = _places(folder, record)
-        gaussians = [read_gaussians(places[file]) for file in record.files]
+        trees = _mapped_trees([places[file] for file in record.files]) if record.in_drawing_order else {}
+        gaussians = [_gaussians_of(places[file], trees) for file in record.files]
         wet = [
             None if file is None else read_harmonics(places[file], each.sh.shape)
             for file, each in zip(record.wet_files, gaussians, strict=True)
@@ -119,9 +120,13 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
         read = [*gaussians, *(each for each in wet if each is not None)]
         known.remember(folder, list(zip(read, places.values(), strict=True)))
     try:
-        return _with_trees(scene_of(record, gaussians, wet), [places[file] for file in record.files])
+        scene = scene_of(record, gaussians, wet)
     except ValueError as error:
         raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
+    for member, file in zip(scene.members, record.files, strict=True):
+        if places[file] in trees:
+            scene = scene.with_member(member.key, tree=trees[places[file]])
+    return scene
 
 
 def scene_folder_files(folder: Path) -> list[Path]:
@@ -284,12 +289,19 @@ class _Writer:
             beside.unlink(missing_ok=True)
 
     def _tree_written(self, tree: LodTree, file: Path) -> set[Path]:
-        """Write a tree next to the file of its Gaussians, unless it is there."""
+        """Write a tree next to the file of its Gaussians, or link it, unless it is there."""
         path = tree_file(file)
-        if path.is_file() and path.stat().st_size == lod_file_bytes(tree):
+        with suppress(SceneFormatError, OSError):
+            read_lod_tree(path, file)
             return set()
+        source = self.known.file_anywhere(tree.gaussians) if self.linking else None
+        if source is not None and source.samefile(file) and tree_file(source).is_file():
+            with suppress(OSError):  # another file system, or one without hard links
+                path.unlink(missing_ok=True)
+                os.link(tree_file(source).resolve(), path)
+                return {path}
         with whole_file(path) as beside:
-            write_lod_tree(tree, beside)
+            write_lod_tree(tree, beside, file)
         return {path}
 
     def _linked(self, contents: Contents, target: Path) -> str | None:
@@ -316,19 +328,24 @@ def tree_file(file: Path) -> Path:
     return file.with_suffix(".lod")
 
 
-def _with_trees(scene: Scene, files: list[Path]) -> Scene:
-    """Scene with those trees of its folder that are whole; the first other one is reported."""
+def _mapped_trees(files: Iterable[Path]) -> dict[Path, LodTree]:
+    """Trees next to files of Gaussians, with those Gaussians; the first one that can't be used is reported."""
+    trees: dict[Path, LodTree] = {}
     damages: list[Exception] = []
-    for member, file in zip(scene.members, files, strict=True):
+    for file in files:
         path = tree_file(file)
         if path.is_file():
             try:
-                scene = scene.with_member(member.key, tree=read_lod_tree(path, member.gaussians))
+                trees[file] = read_lod_tree(path, file)
             except (SceneFormatError, OSError) as error:  # the scene opens without it
                 damages.append(error)
     if damages:
         logger.warning("Level-of-detail trees are not used (%d): %s", len(damages), damages[0])
-    return scene
+    return trees
+
+
+def _gaussians_of(file: Path, trees: dict[Path, LodTree]) -> Gaussians:
+    return trees[file].gaussians if file in trees else read_gaussians(file)
 
 
 def _kind(member: Layer | Actor) -> str:
