@@ -122,7 +122,9 @@ class FrameSequence:
                 assert ego is not None
                 front = max(self.scene.rigs[rig], key=lambda each: each.camera_to_ego[0, 2])
                 place = rig_camera(self.scene, rig, front.name, float(ego.times[int(np.argmax(ego.valid))]))
-        return sky_color(renderer, self.scene, place, thinning=LodCut() if self.lod else None)
+        return sky_color(
+            renderer, self.scene, place, thinning=LodCut() if self.lod else None, dry=self.rainfall.is_never_overcast
+        )
 
     def frame(
         self,

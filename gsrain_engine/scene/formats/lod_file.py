@@ -1,7 +1,6 @@
 """Files of level-of-detail trees (.lod): a tree and its Gaussians as arrays that are mapped into memory, not read."""
 
 import hashlib
-import mmap
 from pathlib import Path
 
 import msgspec
@@ -11,6 +10,7 @@ from ...safe_io.limits import open_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..lod_tree import FAN_OUT, MAX_ROOTS, LodTree, level_starts
+from ..mapped_arrays import map_arrays
 from .ply import read_ply_parts
 from .registry import read_gaussians
 
@@ -94,24 +94,10 @@ def read_lod_tree(path: Path, source: Path) -> LodTree:
         if not _is_of(path, header.source, source):
             raise SceneFormatError(path, f"belongs to other Gaussians than those of {source.name}")
         _check_leaves(path, count, k)
-        mapped = _mapped(file.fileno())
-    arrays = [
-        np.frombuffer(mapped, dtype, int(np.prod(shape)), offset).reshape(shape)
-        for (shape, dtype), offset in zip(_layout(count, k), _offsets(count, k), strict=False)
-    ]
+        layout = zip(_layout(count, k), _offsets(count, k), strict=False)
+        arrays = map_arrays(file, [(shape, dtype, offset) for (shape, dtype), offset in layout])
     nodes, (radii, errors, leaves), own = arrays[:5], arrays[5:8], arrays[8:]
     return LodTree(Gaussians(*own), leaves, Gaussians(*nodes), radii, errors)
-
-
-def _mapped(file: int) -> mmap.mmap:
-    """Map a file, writable for kernels, but private: nothing is written back.
-
-    Without MAP_NORESERVE the system would refuse a file larger than the memory.
-    """
-    if not hasattr(mmap, "MAP_PRIVATE"):
-        return mmap.mmap(file, 0, access=mmap.ACCESS_COPY)
-    flags = mmap.MAP_PRIVATE | getattr(mmap, "MAP_NORESERVE", 0)
-    return mmap.mmap(file, 0, flags=flags, prot=mmap.PROT_READ | mmap.PROT_WRITE)
 
 
 def _check_leaves(path: Path, count: int, coefficients: int) -> None:

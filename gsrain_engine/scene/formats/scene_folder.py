@@ -23,6 +23,7 @@ from ...safe_io.text_files import check_finite as check_finite_values
 from ..files import SceneFormatError, hold_for_writing, lock_path, naming_path, sync, whole_file, whole_folder
 from ..gaussians import Gaussians
 from ..lod_tree import LodTree
+from ..mapped_arrays import map_arrays
 from ..scene import Actor, Layer, Scene
 from ._common import check_finite
 from .lod_file import read_lod_tree, write_lod_tree
@@ -109,8 +110,8 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
         trees = _mapped_trees([places[file] for file in record.files]) if record.in_drawing_order else {}
         gaussians = [_gaussians_of(places[file], trees) for file in record.files]
         wet = [
-            None if file is None else read_harmonics(places[file], each.sh.shape)
-            for file, each in zip(record.wet_files, gaussians, strict=True)
+            None if file is None else read_harmonics(places[file], each.sh.shape, maps=places[own] in trees)
+            for file, own, each in zip(record.wet_files, record.files, gaussians, strict=True)
         ]
     except (SceneFormatError, FileNotFoundError):
         if _read_record(folder) == record:
@@ -418,10 +419,11 @@ def _is_own(folder: Path, file: Path) -> bool:
 # Spherical harmonics as a NumPy array file (.npy, version 1.0).
 
 SUFFIX = ".wet.npy"
+_HARMONICS_ROWS = 1 << 18  # rows that are checked at a time before a file is mapped
 
 
-def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n k 3"]:
-    """Read harmonics of a given shape (n, k, 3), that of the clear colors.
+def read_harmonics(path: Path, shape: tuple[int, ...], *, maps: bool = False) -> Float32[np.ndarray, "n k 3"]:
+    """Read harmonics of a given shape (n, k, 3), that of the clear colors; with `maps`, map them into memory.
 
     Raises `SceneFormatError` if the file is damaged, or has other content or another shape.
     """
@@ -433,11 +435,17 @@ def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n
         if dtype != np.dtype("<f4") or is_fortran or found != shape:
             order = " in Fortran's order" if is_fortran else ""
             raise SceneFormatError(path, f"holds {dtype} {found}{order}, expected float32 {shape} as the clear colors")
-        sh = np.empty(shape, np.float32)
-        if file.readinto(sh.view(np.uint8).reshape(-1).data) != sh.nbytes or file.read(1):
-            raise SceneFormatError(path, f"does not end after the {sh.nbytes:,} bytes that {shape} numbers take")
-    check_finite(path, {"wet color": sh})
-    return sh
+        offset, step = file.tell(), _HARMONICS_ROWS if maps else shape[0]
+        sh = np.empty((min(step, shape[0]), *shape[1:]), np.float32)
+        for first in range(0, shape[0], max(step, 1)):
+            rows = sh[: shape[0] - first]
+            if file.readinto(rows.view(np.uint8).reshape(-1).data) != rows.nbytes:
+                break
+            check_finite(path, {"wet color": rows})
+        else:
+            if not file.read(1):
+                return map_arrays(file, [(shape, dtype, offset)])[0] if maps else sh
+        raise SceneFormatError(path, f"does not end after the {4 * int(np.prod(shape)):,} bytes that {shape} numbers take")
 
 
 def write_harmonics(sh: Float32[np.ndarray, "n k 3"], path: Path) -> None:
