@@ -16,10 +16,10 @@ from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.files import hold_for_writing
-from ..scene.lod_tree import MIN_GAUSSIANS
 from ..scene.open import with_lod_trees
 from ..scene.progress import Progress
 from ..scene.scene import Scene
+from .draw import lod_cut
 from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
 from .images import FrameWriter, open_frame_writer
 from .object_labels import draw_labels, label_legend
@@ -218,9 +218,8 @@ def export_sequences(
 
 def merges_details(recording: ExportSettings, scene: Scene) -> bool:
     """Return whether images of a scene are drawn with a level-of-detail cut, see `ExportSettings.lod`."""
-    if recording.lod is None:
-        return scene.gaussian_count >= MIN_GAUSSIANS and recording.format != "npy"
-    return recording.lod == "pixel"
+    is_exact = recording.lod is None and recording.format == "npy"
+    return not is_exact and lod_cut(scene, recording.lod) is not None
 
 
 def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequence]) -> range:

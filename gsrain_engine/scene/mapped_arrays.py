@@ -21,9 +21,7 @@ def map_arrays(file: BufferedReader, places: Iterable[ArrayPlace]) -> list[np.nd
         mapped = mmap.mmap(file.fileno(), 0, flags=flags, prot=mmap.PROT_READ | mmap.PROT_WRITE)
     else:
         mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
-    return [
-        np.frombuffer(mapped, dtype, int(np.prod(shape)), offset).reshape(shape) for shape, dtype, offset in places
-    ]
+    return [np.frombuffer(mapped, dtype, int(np.prod(shape)), offset).reshape(shape) for shape, dtype, offset in places]
 
 
 def is_mapped(array: np.ndarray) -> bool:

@@ -11,7 +11,7 @@ from jaxtyping import Float64, UInt8
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import RenderView, draw_view, read_picture
+from ..render.draw import LodCut, RenderView, draw_view, read_picture
 from ..render.object_labels import draw_labels
 from ..render.renderer import Renderer
 from ..render.sky_color import SkyColor, sky_color
@@ -25,10 +25,19 @@ class RigRenderer:
     """Renders the cameras that an agent needs. One rain simulation spans the whole drive."""
 
     def __init__(
-        self, renderer: Renderer, rain: RainSettings, cameras: Sequence[RigCamera], needs: SensorRequirements
+        self,
+        renderer: Renderer,
+        rain: RainSettings,
+        cameras: Sequence[RigCamera],
+        needs: SensorRequirements,
+        cut: LodCut | None = None,
     ) -> None:
-        """Use a renderer that must stay open as long as this object is in use."""
+        """Use a renderer that must stay open as long as this object is in use.
+
+        Images are drawn with a level-of-detail `cut`, but for agents that need depth, which is exact.
+        """
         self._renderer, self._cameras, self._needs = renderer, cameras, needs
+        self._cut = None if needs.depth else cut
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
         self._optics = CameraOptics()
@@ -44,7 +53,7 @@ class RigRenderer:
         for mounted in self._cameras:
             camera = mounted.camera(rig_to_world)
             if self._sky is None:  # computed once, so that all cameras and frames agree
-                self._sky = sky_color(self._renderer, scene, camera)
+                self._sky = sky_color(self._renderer, scene, camera, thinning=self._cut)
             velocity = self._drive[-1].of(mounted).velocity_m_s
             semantic = instances = None
             if self._needs.semantic:
@@ -57,7 +66,9 @@ class RigRenderer:
                 self._renderer, scene, self._rainfall, color, view,
                 camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
             )  # fmt: skip
-            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
+            draw_view(
+                self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth, thinning=self._cut
+            )
             depth = self._renderer.read().depth if self._needs.depth else None
             image = read_picture(self._renderer, optics)
             views[mounted.name] = CameraView(

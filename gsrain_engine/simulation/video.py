@@ -15,7 +15,8 @@ from ..evaluation.detection.detector import Detection
 from ..evaluation.detection.drawing import draw_boxes
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import RenderView, draw_view, read_picture
+from ..render.draw import RenderView, draw_view, lod_cut, read_picture
+from ..render.export_settings import Lod
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
@@ -56,19 +57,22 @@ _SURE = 0.3  # minimum confidence of detections that are drawn
 class RolloutVideo:
     """Video frames of a roll-out, all of one size. The same roll-out gives the same bytes."""
 
-    def __init__(self, played: RolloutPlayback, renderer: Renderer) -> None:
-        """Use the rig camera that faces forward most. Raises ValueError if the scene has no rig."""
+    def __init__(self, played: RolloutPlayback, renderer: Renderer, lod: Lod | None = None) -> None:
+        """Use the rig camera that faces forward most, and the level of detail of an export.
+
+        Raises ValueError if the scene has no rig.
+        """
         if not played.rig.cameras:
             raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
         (self._mounted,) = needed_cameras(played.rig.cameras, SensorRequirements(cameras=("front",)))
-        self._played, self._renderer = played, renderer
+        self._played, self._renderer, self._cut = played, renderer, lod_cut(played.base, lod)
         self._gaps_m, self._times_s = gaps_m(played.rollout), times_to_collision_s(played.rollout)
         self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
         self._optics = CameraOptics()
         start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0))
-        self._sky = sky_color(renderer, start, camera)
+        self._sky = sky_color(renderer, start, camera, thinning=self._cut)
         self._optics.meter(renderer, start, self._rainfall, RenderView(camera, played.scene_time_s(0.0)))
 
     def times(self, fps: float) -> list[float]:
@@ -94,7 +98,7 @@ class RolloutVideo:
             self._renderer, scene, self._rainfall, color, view,
             past=self._motion, camera_to_vehicle=self._mounted.camera_to_ego[:3, :3],
         )  # fmt: skip
-        draw_view(self._renderer, scene, self._rainfall, color, view)
+        draw_view(self._renderer, scene, self._rainfall, color, view, thinning=self._cut)
         step, pixels = played.step(time_s), read_picture(self._renderer, optics)
         picture = draw_boxes(pixels, (), _noted(step), _SURE)
         if step.plan:

@@ -234,7 +234,7 @@ def test_marked_parts_and_parts_of_other_gaussians_are_drawn_in_full() -> None:
 
 def large_scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Scene of 14,400 Gaussians that counts as large."""
-    for module in ("gsrain_engine.scene.open", "gsrain_engine.render.export"):
+    for module in ("gsrain_engine.scene.open", "gsrain_engine.render.draw"):
         monkeypatch.setattr(f"{module}.MIN_GAUSSIANS", 10_000)
     return Scene("wall", (Layer("wall", wall(120, 60.0)), Layer("small", wall(4, 9.0))))
 

@@ -95,7 +95,7 @@ class BlockCaches:
 
     def present(
         self, gaussians: Gaussians, wet_sh: WetColors, members: Int64[np.ndarray, " m"]
-    ) -> tuple[Gaussians, WetColors, Int64[np.ndarray, " m"]]:
+    ) -> tuple[Gaussians, Float32[np.ndarray, "r k 3"] | None, Int64[np.ndarray, " m"]]:
         """Gaussians and wet colors in memory, and the rows of `members` in them; unchanged if they are not mapped."""
         if not is_mapped(gaussians.means):
             return gaussians, wet_sh, members

@@ -445,7 +445,9 @@ def read_harmonics(path: Path, shape: tuple[int, ...], *, maps: bool = False) ->
         else:
             if not file.read(1):
                 return map_arrays(file, [(shape, dtype, offset)])[0] if maps else sh
-        raise SceneFormatError(path, f"does not end after the {4 * int(np.prod(shape)):,} bytes that {shape} numbers take")
+        raise SceneFormatError(
+            path, f"does not end after the {4 * int(np.prod(shape)):,} bytes that {shape} numbers take"
+        )
 
 
 def write_harmonics(sh: Float32[np.ndarray, "n k 3"], path: Path) -> None:

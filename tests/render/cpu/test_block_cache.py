@@ -36,7 +36,8 @@ def test_rows_are_those_of_the_sources_while_blocks_are_replaced() -> None:
         np.testing.assert_array_equal(cache.arrays[1][rows], opacities[members])
         assert cache.nbytes < 0.3 * whole
     members = np.arange(4999, -1, -1)  # grows for a frame that needs all, the short last block included
-    np.testing.assert_array_equal(cache.arrays[0][cache.rows(members)], means[members])
+    rows = cache.rows(members)
+    np.testing.assert_array_equal(cache.arrays[0][rows], means[members])
     assert cache.nbytes <= 1.01 * whole and len(cache.rows(members[:0])) == 0
 
 
