@@ -21,7 +21,7 @@ from .camera_response import PictureOptics
 from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
 from .mirror import draw_mirror, has_mirror, reflecting_items
-from .renderer import Renderer, RenderMode
+from .renderer import PendingImage, Renderer, RenderMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +100,12 @@ def read_picture(renderer: Renderer, optics: PictureOptics | None) -> UInt8[np.n
     """Read the drawn frame back as display color, as the camera stores it."""
     pixels = renderer.read_uint8()
     return pixels if optics is None else optics.picture(pixels)
+
+
+def request_picture(renderer: Renderer, optics: PictureOptics | None) -> PendingImage:
+    """Start to read the drawn frame back as `read_picture` does, so that the next one can be drawn meanwhile."""
+    pending = renderer.request_uint8()
+    return pending if optics is None else lambda: optics.picture(pending())
 
 
 def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
 from ..fields import option_words
 from ..rain.settings import RainSettings
@@ -23,8 +23,9 @@ from .draw import lod_cut
 from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
 from .images import FrameWriter, open_frame_writer
 from .object_labels import draw_labels, label_legend
-from .renderer import Frame, Renderer, RenderMode
+from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sequence import FrameSequence, RigCameraView, find_rig_cameras
+from .sky_color import SkyColor
 
 _PREVIEW_PX = 320
 _PREVIEW_EVERY_S = 0.5
@@ -57,31 +58,24 @@ def export_frames(
         ]
         yield Progress(0.0, "Looking at the sky")
         sky = next(iter(sequences.values())).sky(renderer)
-        estimator, frame = EtaEstimator(len(numbers)), None
-        for number in numbers:
+        estimator, drawn = EtaEstimator(len(numbers)), None
+        for number in (*numbers, None):  # each frame is read back and written while the next one is drawn
+            ahead = None
             try:
-                for sequence, writer, passes, is_clear in streams:
-                    labels = frame = None
-                    if "labels" in passes:
-                        shot = sequence.shot(number)
-                        labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
-                    if passes - {"labels"}:  # last, so that the renderer's image is the color pass
-                        rain_sky, with_depth = (
-                            None if is_clear and recording.twin == "sunny" else sky,
-                            "depth" in passes,
-                        )
-                        if writer.takes_bytes:
-                            frame = sequence.image(renderer, number, rain_sky, look=look)
-                        else:
-                            frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
-                    writer.write(number, frame, labels)
+                if number is not None:
+                    ahead = [_draw_stream(renderer, recording, each, number, sky, look) for each in streams]
+                frame = None
+                for each in drawn or ():
+                    frame = each.write()
             except OSError as error:
                 reason, done = error.strerror or str(error), estimator.done
                 raise OSError(
                     f"{recording.output} can't be written on after {done} frames: {reason}; "
                     "what was written before is whole"
                 ) from error
-            yield estimator.step(frame)
+            if drawn is not None:
+                yield estimator.step(frame)
+            drawn = ahead
 
 
 class _OutputStream(NamedTuple):
@@ -91,6 +85,43 @@ class _OutputStream(NamedTuple):
     writer: FrameWriter
     passes: Set[Pass]
     is_clear: bool
+
+
+class _DrawnFrame(NamedTuple):
+    """Frame of a stream that is read back and written later."""
+
+    number: int
+    writer: FrameWriter
+    frame: Frame | PendingImage | None
+    labels: UInt16[np.ndarray, "h w"] | None
+
+    def write(self) -> Frame | UInt8[np.ndarray, "h w 3"] | None:
+        """Wait for the frame, write it, and return what was written of its color."""
+        frame = self.frame if self.frame is None or isinstance(self.frame, Frame) else self.frame()
+        self.writer.write(self.number, frame, self.labels)
+        return frame
+
+
+def _draw_stream(
+    renderer: Renderer,
+    recording: ExportSettings,
+    stream: _OutputStream,
+    number: int,
+    sky: SkyColor,
+    look: RenderMode,
+) -> _DrawnFrame:
+    sequence, writer, passes, is_clear = stream
+    labels = frame = None
+    if "labels" in passes:
+        shot = sequence.shot(number)
+        labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
+    if passes - {"labels"}:  # last, so that the renderer's image is the color pass
+        rain_sky = None if is_clear and recording.twin == "sunny" else sky
+        if writer.takes_bytes:
+            frame = sequence.request(renderer, number, rain_sky, look=look)
+        else:
+            frame = sequence.frame(renderer, number, rain_sky, with_depth="depth" in passes, look=look)
+    return _DrawnFrame(number, writer, frame, labels)
 
 
 def _open_stream(

@@ -1,20 +1,22 @@
 """Simulated sensors: camera views of the scene in rain from the moving ego vehicle, and semantic labels."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import LodCut, RenderView, draw_view, read_picture
+from ..render.draw import LodCut, RenderView, draw_view, request_picture
 from ..render.object_labels import draw_labels
-from ..render.renderer import Renderer
+from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import SkyColor, sky_color
+from ..scene.camera import Camera
 from ..scene.objects import coco_class
 from ..scene.scene import Actor, RigCamera, Scene
 from ..water.glass import CameraMotion, PastMotion
@@ -48,7 +50,7 @@ class RigRenderer:
         yaw_rate_rad_s: float, time_s: float,
     ) -> dict[str, CameraView]:  # fmt: skip
         """Render the cameras at a scene time. `velocity_m_s` is the velocity of the rig origin in the world."""
-        views: dict[str, CameraView] = {}
+        drawn: dict[str, Callable[[], CameraView]] = {}
         self._drive.append(_RigMotion(time_s, rig_to_world, velocity_m_s, yaw_rate_rad_s))
         for mounted in self._cameras:
             camera = mounted.camera(rig_to_world)
@@ -70,16 +72,25 @@ class RigRenderer:
                 self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth, thinning=self._cut
             )
             depth = self._renderer.read().depth if self._needs.depth else None
-            image = read_picture(self._renderer, optics)
-            views[mounted.name] = CameraView(
-                image, camera, None if depth is None else depth.copy(), semantic, instances
-            )
-        return views
+            depth = None if depth is None else depth.copy()
+            image = request_picture(self._renderer, optics)  # read back while the next camera is drawn
+            drawn[mounted.name] = partial(_camera_view, image, camera, depth, semantic, instances)
+        return {name: view() for name, view in drawn.items()}
 
     def _past(self, mounted: RigCamera) -> PastMotion:
         """Motion of a camera during the drive: that of the last step, and before the first step that of the first."""
         times = [each.time_s for each in self._drive]
         return lambda time_s: self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)].of(mounted)
+
+
+def _camera_view(
+    image: PendingImage,
+    camera: Camera,
+    depth: Float32[np.ndarray, "h w"] | None,
+    semantic: UInt8[np.ndarray, "h w"] | None,
+    instances: UInt16[np.ndarray, "h w"] | None,
+) -> CameraView:
+    return CameraView(image(), camera, depth, semantic, instances)
 
 
 class _RigMotion(NamedTuple):

@@ -51,8 +51,9 @@ class Simulation:
     ) -> None:
         """Prepare the simulation. `renderer` is required if the agent needs cameras, and must stay open meanwhile.
 
-        `seed` is the rain seed; None takes the scenario's. `lod` is the level of detail of images, as of an export. A scenario of the built-in street in another scene logs a
-        warning. Raises ValueError if the scene lacks a drive, a rig or a model that the scenario needs.
+        `seed` is the rain seed; None takes the scenario's. `lod` is the level of detail of images, as of an export. A
+        scenario of the built-in street in another scene logs a warning. Raises ValueError if the scene lacks a drive, a
+        rig or a model that the scenario needs.
         """
         if scenario.scene == STREET != scene.name:
             logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,

@@ -54,11 +54,8 @@ def test_cameras_of_a_drive_draw_the_cut_of_large_scenes_except_with_depth(monke
         error = images["pixel", False].astype(float) - images["off", False]
         assert np.abs(error).max() > 0 and np.sqrt(np.mean(error**2)) < 5
         monkeypatch.setattr("gsrain_engine.render.draw.MIN_GAUSSIANS", 100)
-        (view,) = (
-            Simulation(scenario(picture_width_px=64), scene, SensorRequirements(("front",)), renderer)
-            .reset()
-            .views.values()
-        )
+        by_size = Simulation(scenario(picture_width_px=64), scene, SensorRequirements(("front",)), renderer)
+        (view,) = by_size.reset().views.values()
         assert view.image.tobytes() == images["pixel", False].tobytes()
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import no_type_check
 
 import numba
@@ -22,6 +23,7 @@ from ..renderer import (
     NEAREST_M,
     Color,
     Frame,
+    PendingImage,
     RenderMode,
     RenderStatistics,
     timed,
@@ -99,6 +101,9 @@ class CpuRenderer:
 
     def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         return self.read().to_uint8(background)
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        return partial(self.read().to_uint8, background)
 
 
 # Drawing
