@@ -25,7 +25,6 @@ from .images import FrameWriter, open_frame_writer
 from .object_labels import draw_labels, label_legend
 from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sequence import FrameSequence, RigCameraView, find_rig_cameras
-from .sky_color import SkyColor
 
 _PREVIEW_PX = 320
 _PREVIEW_EVERY_S = 0.5
@@ -58,23 +57,35 @@ def export_frames(
         ]
         yield Progress(0.0, "Looking at the sky")
         sky = next(iter(sequences.values())).sky(renderer)
-        estimator, drawn = EtaEstimator(len(numbers)), None
-        for number in (*numbers, None):  # each frame is read back and written while the next one is drawn
-            ahead = None
+        estimator, drawn = EtaEstimator(len(numbers)), list[_DrawnFrame]()
+        for number in (*numbers, None):  # each frame is read back and written after the next one was drawn
+            ahead = list[_DrawnFrame]()
             try:
-                if number is not None:
-                    ahead = [_draw_stream(renderer, recording, each, number, sky, look) for each in streams]
-                frame = None
-                for each in drawn or ():
-                    frame = each.write()
+                for sequence, writer, passes, is_clear in streams if number is not None else ():
+                    assert number is not None
+                    labels = frame = None
+                    if "labels" in passes:
+                        shot = sequence.shot(number)
+                        labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
+                    if passes - {"labels"}:  # last, so that the renderer's image is the color pass
+                        rain_sky, with_depth = (
+                            None if is_clear and recording.twin == "sunny" else sky,
+                            "depth" in passes,
+                        )
+                        if writer.takes_bytes:
+                            frame = sequence.request(renderer, number, rain_sky, look=look)
+                        else:
+                            frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
+                    ahead.append(_DrawnFrame(number, writer, frame, labels))
+                written = [each.write() for each in drawn]
             except OSError as error:
                 reason, done = error.strerror or str(error), estimator.done
                 raise OSError(
                     f"{recording.output} can't be written on after {done} frames: {reason}; "
                     "what was written before is whole"
                 ) from error
-            if drawn is not None:
-                yield estimator.step(frame)
+            if written:
+                yield estimator.step(written[-1])
             drawn = ahead
 
 
@@ -100,28 +111,6 @@ class _DrawnFrame(NamedTuple):
         frame = self.frame if self.frame is None or isinstance(self.frame, Frame) else self.frame()
         self.writer.write(self.number, frame, self.labels)
         return frame
-
-
-def _draw_stream(
-    renderer: Renderer,
-    recording: ExportSettings,
-    stream: _OutputStream,
-    number: int,
-    sky: SkyColor,
-    look: RenderMode,
-) -> _DrawnFrame:
-    sequence, writer, passes, is_clear = stream
-    labels = frame = None
-    if "labels" in passes:
-        shot = sequence.shot(number)
-        labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
-    if passes - {"labels"}:  # last, so that the renderer's image is the color pass
-        rain_sky = None if is_clear and recording.twin == "sunny" else sky
-        if writer.takes_bytes:
-            frame = sequence.request(renderer, number, rain_sky, look=look)
-        else:
-            frame = sequence.frame(renderer, number, rain_sky, with_depth="depth" in passes, look=look)
-    return _DrawnFrame(number, writer, frame, labels)
 
 
 def _open_stream(
