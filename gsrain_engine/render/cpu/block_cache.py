@@ -1,6 +1,7 @@
 """Cache of Gaussians that are mapped from a file: the CPU renderer holds only the blocks that its frames need."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import no_type_check
 
 import numba
@@ -30,7 +31,7 @@ class BlockCache:
     """
 
     def __init__(self, sources: Sequence[np.ndarray]) -> None:
-        self._sources = sources
+        self._sources = list(sources)
         self._count = len(sources[0])
         blocks = -(-self._count // BLOCK)
         self._slots = np.full(blocks, -1, np.int64)
@@ -57,40 +58,67 @@ class BlockCache:
         self._used[slots[slots >= 0]] = self._clock
         missing = needed[slots < 0]
         if len(missing):
-            self._read(missing)
+            self._replace(missing)
         rows = np.empty(len(members), np.int64)
         _translate(members, self._slots, rows)
         return rows
 
+    def add(self, source: np.ndarray) -> None:
+        """Add an array, as the last one of `arrays`, for all blocks in memory."""
+        self._sources.append(source)
+        self.arrays.append(self._empty(source))
+        held = np.flatnonzero(self._blocks >= 0)
+        self._read(self._blocks[held], held, len(self._sources) - 1)
+
+    def drop(self) -> None:
+        """Remove the last array."""
+        self._sources.pop()
+        self.arrays.pop()
+
     def _reserve(self, slots: int) -> None:
-        self.arrays = tuple(np.empty((BLOCK * slots, *each.shape[1:]), each.dtype) for each in self._sources)
         self._blocks = np.full(slots, -1, np.int64)
         """Block in each slot; -1 if it is free."""
         self._used = np.zeros(slots, np.int64)
         """Time of the last use of each slot."""
+        self.arrays: list[np.ndarray] = []
+        self.arrays = [self._empty(each) for each in self._sources]
 
-    def _read(self, missing: Int64[np.ndarray, " b"]) -> None:
+    def _empty(self, source: np.ndarray) -> np.ndarray:
+        return np.empty((BLOCK * len(self._used), *source.shape[1:]), source.dtype)
+
+    def _replace(self, missing: Int64[np.ndarray, " b"]) -> None:
         """Read blocks into the slots that were not used for the longest time."""
         slots = np.argsort(self._used, kind="stable")[: len(missing)]
         left = self._blocks[slots]
         self._slots[left[left >= 0]] = -1
         self._slots[missing], self._blocks[slots], self._used[slots] = slots, missing, self._clock
-        offsets = np.arange(BLOCK)
-        for first in range(0, len(missing), _READ_BLOCKS):
+        self._read(missing, slots)
+
+    def _read(self, blocks: Int64[np.ndarray, " b"], slots: Int64[np.ndarray, " b"], first_source: int = 0) -> None:
+        sources, arrays, offsets = self._sources[first_source:], self.arrays[first_source:], np.arange(BLOCK)
+        for first in range(0, len(blocks), _READ_BLOCKS):
             part = slice(first, first + _READ_BLOCKS)
-            rows = np.minimum(BLOCK * missing[part, None] + offsets, self._count - 1)
+            rows = np.minimum(BLOCK * blocks[part, None] + offsets, self._count - 1)
             places = BLOCK * slots[part, None] + offsets
-            for source, array in zip(self._sources, self.arrays, strict=True):
+            for source, array in zip(sources, arrays, strict=True):
                 array[places] = source[rows]
-            release_pages(self._sources)  # the system maps 16 pages for each that is read
+            release_pages(sources)  # the system maps 16 pages for each that is read
+
+
+@dataclass(slots=True)
+class _Entry:
+    cache: BlockCache
+    last_draw: int
+    wet_sh: WetColors = None
+    """Wet colors that the cache has, too."""
+    last_wet_draw: int = 0
 
 
 class BlockCaches:
-    """Caches of one renderer, by the identity of Gaussians and wet colors."""
+    """Caches of one renderer, by the identity of Gaussians; wet colors are added where they are drawn."""
 
     def __init__(self) -> None:
-        self._caches: dict[tuple[IdentityKey, IdentityKey], BlockCache] = {}
-        self._last_draws: dict[tuple[IdentityKey, IdentityKey], int] = {}
+        self._entries: dict[IdentityKey, _Entry] = {}
         self._draws = 0
 
     def present(
@@ -99,24 +127,40 @@ class BlockCaches:
         """Gaussians and wet colors in memory, and the rows of `members` in them; unchanged if they are not mapped."""
         if not is_mapped(gaussians.means):
             return gaussians, wet_sh, members
-        key = IdentityKey(gaussians), IdentityKey(wet_sh)
-        if key not in self._caches:
-            self._caches[key] = BlockCache((*gaussians.arrays, *([] if wet_sh is None else [wet_sh])))
-        self._last_draws[key] = self._draws
-        rows = self._caches[key].rows(members)
-        arrays = self._caches[key].arrays
+        key = IdentityKey(gaussians)
+        if key not in self._entries:
+            self._entries[key] = _Entry(BlockCache(gaussians.arrays), self._draws)
+        entry = self._entries[key]
+        entry.last_draw = self._draws
+        rows = entry.cache.rows(members)
+        if wet_sh is not None:
+            entry.last_wet_draw = self._draws
+            if entry.wet_sh is not wet_sh:
+                _forget_wet_colors(entry)
+                entry.wet_sh = wet_sh
+                entry.cache.add(wet_sh)
+        arrays = entry.cache.arrays
         return Gaussians(*arrays[:5]), None if wet_sh is None else arrays[5], rows
 
     @property
     def nbytes(self) -> int:
         """Maximum memory of all caches."""
-        return sum(each.nbytes for each in self._caches.values())
+        return sum(each.cache.nbytes for each in self._entries.values())
 
     def release_unused(self) -> None:
-        """Count a draw, and free caches that have not been used for some."""
+        """Count a draw, and free caches and wet colors that have not been used for some."""
         self._draws += 1
-        for key in [key for key, last in self._last_draws.items() if self._draws - last > _IDLE_DRAWS]:
-            del self._caches[key], self._last_draws[key]
+        for key, entry in list(self._entries.items()):
+            if self._draws - entry.last_draw > _IDLE_DRAWS:
+                del self._entries[key]
+            elif self._draws - entry.last_wet_draw > _IDLE_DRAWS:
+                _forget_wet_colors(entry)
+
+
+def _forget_wet_colors(entry: _Entry) -> None:
+    if entry.wet_sh is not None:
+        entry.wet_sh = None
+        entry.cache.drop()
 
 
 @numba.njit(cache=True)

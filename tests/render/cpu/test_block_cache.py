@@ -52,6 +52,25 @@ def test_blocks_in_use_are_not_read_again() -> None:
     assert cache.arrays[0][first].min() == 0
 
 
+def test_wet_colors_are_added_to_the_blocks_in_memory_and_dropped_when_they_are_idle(tmp_path, monkeypatch) -> None:
+    scene, _ = mapped_scene(tmp_path / "scene", monkeypatch)
+    layer, caches = scene.layers[0], BlockCaches()
+    g, wet, members = layer.gaussians, layer.wet_sh, np.arange(30, 300)
+    assert wet is not None
+    caches.present(g, None, members)
+    dry_bytes = caches.nbytes
+    for more, colors in ((0, wet), (1200, wet), (0, wet.copy())):  # blocks before, blocks read since, other colors
+        found, wet_found, rows = caches.present(g, colors, members + more)
+        assert wet_found is not None
+        np.testing.assert_array_equal(wet_found[rows], wet[members + more])
+        np.testing.assert_array_equal(found.sh[rows], g.sh[members + more])
+    assert caches.nbytes > dry_bytes
+    for _ in range(65):
+        assert caches.present(g, None, members)[1] is None
+        caches.release_unused()
+    assert caches.nbytes == dry_bytes
+
+
 def mapped_scene(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Scene, Scene]:
     """The same scene twice, mapped and in memory; with wet colors."""
     monkeypatch.setattr("gsrain_engine.scene.open.MIN_GAUSSIANS", 1000)
