@@ -37,7 +37,7 @@ def release_pages(arrays: Sequence[np.ndarray]) -> None:
 
 
 def _file_of(array: np.ndarray) -> mmap.mmap | None:
-    owner: object = array
+    owner: Any = array
     while isinstance(owner, np.ndarray | memoryview):
         owner = owner.base if isinstance(owner, np.ndarray) else owner.obj
     return owner if isinstance(owner, mmap.mmap) else None
