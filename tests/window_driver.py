@@ -28,13 +28,13 @@ class Driver:
     def __init__(self, tmp_path, scene=None, backend="auto"):
         self.editor = Editor(scene or small_scene())
         self.editor.playback.clock.playing = False
-        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False)
         self.window = MainWindow(lambda: self.editor, backend)
         self.folder = tmp_path
         self.ctx = None
         self._is_seen = False
 
     def run(self, script):
+        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False)
         parameters = self.window.parameters()
         parameters.ini_disable = True
         parameters.app_window_params.window_geometry.size = (1100, 720)  # px

@@ -183,6 +183,11 @@ def test_the_rain_panel_chooses_a_sensor_and_replaces_its_aperture(driver):
         assert document.rain.aperture_mm == 4.0
         driver.type_in("//Rain/##aperture_mm", 6.0)
         assert document.rain.aperture_mm == 6.0
+        driver.ctx.item_click("//Rain/##aperture_mm", 1)
+        driver.frames()
+        assert document.rain.aperture_mm is None
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
+        assert document.rain.aperture_mm == 6.0
         driver.click("//Rain/##aperture_mm given")
         assert document.rain.aperture_mm is None
         assert document.history.undo_label == "Aperture"

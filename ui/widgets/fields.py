@@ -61,6 +61,17 @@ def slider(document: Document, name: str, *, high: float | None = None, beside_p
     if changed:
         document.change_rain(info.title, name, **{name: value})
     end_gesture_when_released(document)
+    _reset_on_right_click(document, info)
+
+
+def _reset_on_right_click(document: Document, info: Field) -> None:
+    """Set a setting to its default if its widget, the last one, is right-clicked."""
+    default, unit = info.default_text or info.none, "" if info.default is None else f" {info.unit}"
+    reset = f" Right click: back to {default}{unit}." if default else ""
+    imgui.set_item_tooltip(f"Ctrl+click: type a value.{reset}")
+    is_other = getattr(document.rain, info.name) != info.default
+    if default and is_other and imgui.is_item_clicked(imgui.MouseButton_.right):
+        document.change_rain(info.title, **{info.name: info.default})
 
 
 def integer(document: Document, name: str) -> None:
