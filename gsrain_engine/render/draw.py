@@ -15,12 +15,13 @@ from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
-from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
+from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from .camera_response import PictureOptics
+from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
 from .mirror import draw_mirror, has_mirror, reflecting_items
-from .renderer import Renderer, RenderMode
+from .renderer import PendingImage, Renderer, RenderMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +100,12 @@ def read_picture(renderer: Renderer, optics: PictureOptics | None) -> UInt8[np.n
     """Read the drawn frame back as display color, as the camera stores it."""
     pixels = renderer.read_uint8()
     return pixels if optics is None else optics.picture(pixels)
+
+
+def request_picture(renderer: Renderer, optics: PictureOptics | None) -> PendingImage:
+    """Start to read the drawn frame back as `read_picture` does, so that the next one can be drawn meanwhile."""
+    pending = renderer.request_uint8()
+    return pending if optics is None else lambda: optics.picture(pending())
 
 
 def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
@@ -181,6 +188,12 @@ class LodCut:
         wet_sh = merged_harmonics(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None
         own = part._replace(members=found.leaves, tree=None)
         return [own, own._replace(gaussians=tree.nodes, members=found.nodes, wet_sh=wet_sh)]
+
+
+def lod_cut(scene: Scene, lod: Lod | None) -> LodCut | None:
+    """Cut with which images of a scene are drawn, None for all Gaussians; see `ExportSettings.lod`."""
+    is_cut = scene.gaussian_count >= MIN_GAUSSIANS if lod is None else lod == "pixel"
+    return LodCut() if is_cut else None
 
 
 @dataclass(slots=True)
