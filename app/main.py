@@ -72,7 +72,7 @@ def view(
     ] = "auto",
 ) -> None:
     """Open a scene in the window."""
-    if scene not in (None, "street", "street:night", "street:long") and not Path(str(scene)).exists():
+    if scene not in (None, "street", "street:overcast", "street:night", "street:long") and not Path(str(scene)).exists():
         from gsrain_engine.scene.open import load_scene
 
         load_scene(scene)  # its error suggests similar names
