@@ -125,7 +125,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         "table (published): those of the calibration's table.")] = "density"
     diameter_scale: Annotated[float, Meta(
         ge=0.25, le=4, title="Drop size", extra={
-            "group": "Physics", "scale": "log", "commands": "render, disdrometer, drive, evaluate detection"},
+            "group": "Physics", "scale": "log", "commands": "render, disdrometer, drive"},
         description="Multiplies all diameters. With the closure flux, fewer large or more small drops give the same "
         "mm/h.")] = 1.0
     velocity: Annotated[Literal["calibration", "atlas"], Meta(

@@ -1,1 +1,1 @@
-"""Attribution of what rain does to a detector or driver: the share of each factor, such as streaks or water on glass."""
+"""Attribution of what rain does to detectors and drivers: shares of its factors, such as streaks or water on glass."""

@@ -11,8 +11,8 @@ from ...rain.wetness import OVERCAST_MM_H, wetness
 from ...scene.open import is_built_in_street
 from .shapley import Coalition, Game
 
-ALL = "all"
-"""Stands for all factors that a rain has."""
+ALL, NO_FACTORS = "all", "none"
+"""Words for all factors that a rain has, and for no attribution."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,14 @@ def title_of(name: str) -> str:
 def overcast_twin(scene: str | None) -> str | None:
     """Name of the scene that has the dry colors of another one under clouds; None if there is none."""
     return _OVERCAST_TWINS.get(scene) if is_built_in_street(scene) else None
+
+
+def is_attributed(names: Sequence[str]) -> bool:
+    """Return whether a choice of factors asks for an attribution; raises ValueError for an unusable choice."""
+    if tuple(names) in ((), (NO_FACTORS,)):
+        return False
+    check_factors(names)
+    return True
 
 
 def check_factors(names: Sequence[str]) -> None:

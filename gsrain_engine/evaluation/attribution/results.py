@@ -75,9 +75,7 @@ class Attribution:
     @property
     def shares(self) -> dict[str, Interval]:
         """Share of each factor, over the seeds: variation of drops, and of sampled orders."""
-        return {
-            name: Interval(*student_interval(own)) for name, own in zip(self.factors, self.by_seed.T, strict=True)
-        }
+        return {name: Interval(*student_interval(own)) for name, own in zip(self.factors, self.by_seed.T, strict=True)}
 
     @property
     def title(self) -> str:
@@ -114,9 +112,7 @@ def attributions(
     seeds = tuple(sorted(values))
     shares = np.stack([plan.shares(seed, values[seed]) for seed in seeds])
     none: Coalition = frozenset()
-    without, rainy = (
-        np.stack([values[seed][each] for seed in seeds]) for each in (none, frozenset(plan.game.factors))
-    )
+    without, rainy = (np.stack([values[seed][each] for seed in seeds]) for each in (none, frozenset(plan.game.factors)))
     count = round(sum(len(values[seed]) for seed in seeds) / len(seeds))
     return [
         Attribution(
@@ -146,10 +142,10 @@ def share_rows(found: Iterable[Attribution]) -> list[tuple[str | float | None, .
 
 
 _SHAPLEY = (
-    "Shapley shares: the change when a factor is added, in the mean over the orders in which factors can be added; they "
-    "sum to the whole effect, the difference between this rain and the clear scene. "
+    "Shapley shares: the change when a factor is added, in the mean over the orders in which factors can be added; "
+    "they sum to the whole effect, the difference between this rain and the clear scene. "
 )
-_OVER = (
+OVER = (
     "Intervals: Student's, 95 %, over the seeds, which pair; they cover the variation of the drops and of sampled "
     "orders, not other places."
 )
@@ -158,7 +154,8 @@ _OVER = (
 def share_table(found: Sequence[Attribution]) -> ReportTable:
     """Return the table of all shares for a report."""
     columns = (*found[0].subject, "mm/h", "measure", "object", "factor", "share", "95 % from", "95 % to", "% of whole")
-    return ReportTable("Shares of the factors", columns, tuple(share_rows(found)), 4, _SHAPLEY + method_of(found) + _OVER)
+    caption = _SHAPLEY + method_of(found) + OVER
+    return ReportTable("Shares of the factors", columns, tuple(share_rows(found)), 4, caption)
 
 
 def method_of(found: Sequence[Attribution]) -> str:
@@ -196,7 +193,7 @@ def share_figure(found: Sequence[Attribution]) -> UInt8[np.ndarray, "h w 3"]:
     """
     measures = list(dict.fromkeys(each.measure for each in found))
     titles = list(dict.fromkeys(each.title for each in found))[:_MAX_SERIES]
-    names = [name for name in dict.fromkeys(name for each in found for name in each.factors)]
+    names = list(dict.fromkeys(name for each in found for name in each.factors))
     rows = len(names) + 1.4
     height = max(2.2, _ROW_IN * rows * max(1.0, 0.55 * len(titles))) + 0.75 + 0.2 * len(titles)
     figure = Figure(figsize=(_PANEL_WIDTH_IN * len(measures) + 0.9, height), layout="constrained", dpi=_DPI)

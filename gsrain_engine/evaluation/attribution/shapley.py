@@ -119,7 +119,7 @@ def _steps(order: Sequence[str]) -> Iterator[tuple[Coalition, Coalition]]:
 
 EXACT_UP_TO = 32
 """Number of coalitions up to which all of them are evaluated by default."""
-DEFAULT_PAIRS = 2
+DEFAULT_PAIRS, MAX_PAIRS = 2, 1000
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=20, title="Ego speed", extra={"unit": "m/s"})] = 10.0
     """The ego vehicle's constant speed."""
     time_of_day: Annotated[TimeOfDay, Meta(title="Time of day")] = "day"
-    """overcast: by day under clouds, also when it is dry. By night lanterns, windows and vehicles' lamps light the street."""
+    """overcast: by day under clouds, also when it is dry. By night lanterns, windows and vehicles' lamps are lit."""
     lead_gap_m: Annotated[float, Meta(ge=6, le=60, title="Gap to the lead car", extra={"unit": "m"})] = 18.0
     """From the ego's origin to the middle of the lead car at the start."""
 
