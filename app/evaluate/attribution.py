@@ -1,31 +1,51 @@
 """Shares of the factors of rain, printed as a table."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from gsrain_engine.evaluation.attribution.factors import title_of
-from gsrain_engine.evaluation.attribution.results import WHOLE, Attribution, Interval, method_of
+from gsrain_engine.evaluation.attribution.results import WHOLE, method_of
 
 from ..console import Console, table_of
 
+_MAX_MEASURES = 3
 
-def print_shares(found: Sequence[Attribution], console: Console) -> None:
-    """Print a row per factor, and one for the whole effect, of each subject and intensity; objects are left out."""
-    found = [each for each in found if each.measure.object is None]
-    measures = list(dict.fromkeys(each.measure for each in found))
-    columns = ",".join(["mm/h", *(text for each in measures for text in (each.title, "of it"))])
-    table = table_of(f"{','.join(found[0].subject)},factor", columns, wraps=True)
-    for title in dict.fromkeys(each.title for each in found):
-        own = {each.measure: each for each in found if each.title == title}
-        first = next(iter(own.values()))
-        for name in (*first.factors, WHOLE):
+
+def print_shares(found: Sequence[Mapping[str, Any]], subject: Sequence[str], console: Console) -> None:
+    """Print the shares of the first three measures: for each subject and intensity a row per factor, then the whole.
+
+    `found` are attributions as in JSON, `subject` the names of their columns that say what was measured; objects are
+    left out.
+    """
+    groups: dict[tuple[str, ...], dict[str, Mapping[str, Any]]] = {}
+    for each in found:
+        if each["object"] is None:
+            key = *(str(each[name]) for name in subject), f"{each['intensity_mm_h']:g}"
+            groups.setdefault(key, {})[each["title"]] = each
+    measures = list(dict.fromkeys(title for own in groups.values() for title in own))[:_MAX_MEASURES]
+    columns = [column for title in measures for column in (f"change of {title}", "of it")]
+    table = table_of(",".join((*subject, "factor")), ",".join(("mm/h", *columns)), wraps=True)
+    for key, own in groups.items():
+        factors = [share["factor"] for share in next(iter(own.values()))["shares"]]
+        for number, title in enumerate((*map(title_of, factors), WHOLE)):
             cells: list[str] = []
             for measure in measures:
                 each = own.get(measure)
-                share = Interval(0.0, 0.0, 0.0) if each is None else each.whole if name == WHOLE else each.shares[name]
-                whole = 0.0 if each is None else each.whole.mean
-                cells += [share.text, f"{100 * share.mean / whole:.0f} %"] if each is not None and whole else ["0", ""]
-            label = WHOLE if name == WHOLE else title_of(name)
-            rain = f"{first.intensity_mm_h:g}"
-            table.add_row(*first.subject.values(), label, rain, *cells, end_section=name == WHOLE)
+                share = (
+                    None
+                    if each is None
+                    else (*each["shares"], {**each["whole"], "part_of_whole": each["whole"]["mean"] and 1.0})[number]
+                )
+                cells += ["", ""] if share is None else [_interval(share), _part(share["part_of_whole"])]
+            table.add_row(*key[:-1], title, key[-1], *cells, end_section=title == WHOLE)
     console.print(table)
-    console.print(f"{method_of(found)}Change from the clear scene, ± 95 % over the seeds.", style="dim")
+    console.print(f"{method_of(found[0])}Changes from the clear scene, ± 95 % over the seeds.", style="dim")
+
+
+def _interval(share: Mapping[str, float | None]) -> str:
+    mean, low, high = share["mean"], share["low"], share["high"]
+    return f"{mean:+.3f}" if low is None or high is None else f"{mean:+.3f} ±{(high - low) / 2:.3f}"
+
+
+def _part(part: float | None) -> str:
+    return f"{100 * part:.0f} %" if part else ""

@@ -212,7 +212,7 @@ def detection(
     )
     print_scores(numbers.scores, Console(width=_COLUMNS))
     if numbers.shares:
-        print_shares(numbers.shares, Console(width=_COLUMNS))
+        print_shares(numbers.plain["attribution"], ("detector",), Console(width=_COLUMNS))
     if numbers.drop_sizes:
         print_drop_sizes(numbers.drop_sizes, Console(width=_COLUMNS))
     for sentence in unnamed_object_notes(numbers):
@@ -554,7 +554,9 @@ def _attribution_figures(numbers: DetectionNumbers, steps: _Sheet | None) -> dic
     figures: dict[str, ReportFigure] = {}
     if numbers.shares:
         every = [each for each in numbers.shares if each.measure.object is None]
-        figures["attribution.png"] = ReportFigure("Shares of the factors", share_figure(every), method_of(every) + OVER)
+        figures["attribution.png"] = ReportFigure(
+            "Shares of the factors", share_figure(every), method_of(every[0].plain) + OVER
+        )
     if steps is not None:
         added = "The heaviest rain with the first seed, while its factors are added one by one."
         figures["attribution_steps.png"] = ReportFigure("Factors of the rain", steps, added, is_photograph=True)

@@ -41,10 +41,6 @@ class Interval(NamedTuple):
     def half_width(self) -> float:
         return (self.high - self.low) / 2
 
-    @property
-    def text(self) -> str:
-        return f"{self.mean:+.3f}" if self.low != self.low else f"{self.mean:+.3f} ±{self.half_width:.3f}"
-
 
 @dataclass(frozen=True, eq=False)
 class Attribution:
@@ -91,7 +87,7 @@ class Attribution:
         ]
         return {
             **self.subject, "intensity_mm_h": self.intensity_mm_h, "measure": self.measure.name,
-            "object": self.measure.object, "seeds": list(self.seeds), "coalitions": self.coalitions,
+            "title": self.measure.title, "object": self.measure.object, "seeds": list(self.seeds), "coalitions": self.coalitions,
             "order_pairs": self.pairs, "without_rain": float(self.without.mean()),
             "in_rain": float(self.rainy.mean()), "whole": _finite(whole), "shares": shares,
         }  # fmt: skip
@@ -154,15 +150,15 @@ OVER = (
 def share_table(found: Sequence[Attribution]) -> ReportTable:
     """Return the table of all shares for a report."""
     columns = (*found[0].subject, "mm/h", "measure", "object", "factor", "share", "95 % from", "95 % to", "% of whole")
-    caption = _SHAPLEY + method_of(found) + OVER
+    caption = _SHAPLEY + method_of(found[0].plain) + OVER
     return ReportTable("Shares of the factors", columns, tuple(share_rows(found)), 4, caption)
 
 
-def method_of(found: Sequence[Attribution]) -> str:
-    """Return a sentence on how shares were computed."""
-    seeds, pairs = len(found[0].seeds), max(each.pairs for each in found)
+def method_of(attribution: Mapping[str, Any]) -> str:
+    """Return a sentence on how shares were computed, from an attribution's plain values."""
+    seeds, pairs = len(attribution["seeds"]), attribution["order_pairs"]
     orders = f"{2 * pairs} sampled orders a seed" if pairs else "all orders"
-    return f"{seeds} seed{'' if seeds == 1 else 's'}, {orders}, {found[0].coalitions} coalitions a seed. "
+    return f"{seeds} seed{'' if seeds == 1 else 's'}, {orders}, {attribution['coalitions']} coalitions a seed. "
 
 
 def write_share_csv(file: Path, found: Sequence[Attribution]) -> None:
