@@ -31,11 +31,8 @@ def print_shares(found: Sequence[Mapping[str, Any]], subject: Sequence[str], con
             cells: list[str] = []
             for measure in measures:
                 each = own.get(measure)
-                share = (
-                    None
-                    if each is None
-                    else (*each["shares"], {**each["whole"], "part_of_whole": each["whole"]["mean"] and 1.0})[number]
-                )
+                rows = [] if each is None else [*each["shares"], each["whole"] | {"part_of_whole": 1.0}]
+                share = rows[number] if rows else None
                 cells += ["", ""] if share is None else [_interval(share), _part(share["part_of_whole"])]
             table.add_row(*key[:-1], title, key[-1], *cells, end_section=title == WHOLE)
     console.print(table)

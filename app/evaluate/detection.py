@@ -1,13 +1,14 @@
 """`gsrain evaluate detection`: effect of rain on object detectors."""
 
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -157,7 +158,7 @@ def detection(
     intensities = parse_intensities(rain)
     scales = parse_scales(diameter_scale)
     factors = tuple(split_words(attribute))
-    with_attribution = is_attributed(factors)
+    with_attribution = _named(is_attributed, factors)
     check_within("--attribute-pairs", attribute_pairs, 0, MAX_PAIRS)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--frames", frames, 1, 10_000)
@@ -179,7 +180,7 @@ def detection(
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
         if with_attribution:
-            prepared, parts = taken_apart(prepared, chosen.source, factors, intensities, seeds, attribute_pairs)
+            prepared, parts = _named(taken_apart, prepared, chosen.source, factors, intensities, seeds, attribute_pairs)
         originals = all(frame.original is not None for frame in prepared.frames)
         trials = evaluation.conditions_of(
             tuple(intensities), tuple(range(seeds)), originals=originals, scene=not prepared.pictures.is_in_front
@@ -655,6 +656,8 @@ def _output_words(value: Any) -> object:
 
 # Rains that differ from the evaluation's own
 
+_Result = TypeVar("_Result")
+
 
 def parse_scales(text: str) -> list[float]:
     """Turn "0.5,1,2" into numbers, rising; raises ValueError, which names the option."""
@@ -670,6 +673,14 @@ def _number(word: str) -> float | str:
         return float(word)
     except ValueError:
         return word  # refused by the conversion, with the name of the option
+
+
+def _named(function: Callable[..., _Result], *arguments: Any) -> _Result:
+    """Call a function whose errors begin with the name of the setting `attribute`, which here is an option."""
+    try:
+        return function(*arguments)
+    except ValueError as error:
+        raise ValueError(re.sub("^attribute", "--attribute", str(error))) from None
 
 
 def taken_apart(

@@ -108,7 +108,7 @@ class RainFactors:
         if ALL in chosen:
             chosen |= {each.name for each in FACTORS if each.name == LIGHT or _is_on(each, rain)}
         for each in FACTORS:
-            if each.name not in chosen and each.off:
+            if each.name not in chosen and _is_on(each, rain):
                 rain = structs.replace(rain, **each.off)
             elif each.name in names and not _is_on(each, rain):
                 rain = structs.replace(rain, **each.on)
@@ -122,8 +122,8 @@ class RainFactors:
         elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
             absent.add(LIGHT)
         factors = tuple(each.name for each in FACTORS if each.name in chosen - absent)
-        links = {name: below for name in factors if (below := _BY_NAME[name].after) in factors}
-        return cls(rain, Game(factors, {name: below for name, below in links.items() if below is not None}), twin)
+        after = {each.name: each.after for each in FACTORS if each.name in factors and each.after is not None}
+        return cls(rain, Game(factors, {name: below for name, below in after.items() if below in factors}), twin)
 
     def weather(self, present: Coalition) -> "CoalitionWeather":
         """Return the rain and the scene with some factors."""

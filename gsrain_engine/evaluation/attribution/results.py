@@ -87,8 +87,8 @@ class Attribution:
         ]
         return {
             **self.subject, "intensity_mm_h": self.intensity_mm_h, "measure": self.measure.name,
-            "title": self.measure.title, "object": self.measure.object, "seeds": list(self.seeds), "coalitions": self.coalitions,
-            "order_pairs": self.pairs, "without_rain": float(self.without.mean()),
+            "title": self.measure.title, "object": self.measure.object, "seeds": list(self.seeds),
+            "coalitions": self.coalitions, "order_pairs": self.pairs, "without_rain": float(self.without.mean()),
             "in_rain": float(self.rainy.mean()), "whole": _finite(whole), "shares": shares,
         }  # fmt: skip
 

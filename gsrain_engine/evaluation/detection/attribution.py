@@ -130,11 +130,11 @@ def rain_attributions(
             at = structs.replace(rain, intensity_mm_h=intensity)
             factors = RainFactors.of(at, names, scene_name, tuple(lacking))
             if not factors.game.factors:
-                raise ValueError(f"--attribute: at {intensity:g} mm/h this rain has no factors")
+                raise ValueError(f"attribute: at {intensity:g} mm/h this rain has no factors")
             plan = AttributionPlan.of(factors.game, pairs)
             found.append(RainAttribution(intensity, factors, plan, tuple(seeds), in_front))
     if not found:
-        raise ValueError("--attribute: expected a --rain above 0 mm/h")
+        raise ValueError("attribute: expected a --rain above 0 mm/h")
     return found
 
 
