@@ -30,7 +30,7 @@ class Measure(NamedTuple):
     """Labeled object that it is about; None for all."""
 
 
-class Interval(NamedTuple):
+class ShareInterval(NamedTuple):
     """A mean over the seeds with its 95 % interval; its ends are NaN for one seed."""
 
     mean: float
@@ -64,14 +64,16 @@ class Attribution:
     """Share of each factor for each seed; a seed's sum to its whole effect."""
 
     @property
-    def whole(self) -> Interval:
+    def whole(self) -> ShareInterval:
         """Effect of all factors together."""
-        return Interval(*student_interval(self.rainy - self.without))
+        return ShareInterval(*student_interval(self.rainy - self.without))
 
     @property
-    def shares(self) -> dict[str, Interval]:
+    def shares(self) -> dict[str, ShareInterval]:
         """Share of each factor, over the seeds: variation of drops, and of sampled orders."""
-        return {name: Interval(*student_interval(own)) for name, own in zip(self.factors, self.by_seed.T, strict=True)}
+        return {
+            name: ShareInterval(*student_interval(own)) for name, own in zip(self.factors, self.by_seed.T, strict=True)
+        }
 
     @property
     def title(self) -> str:
@@ -93,7 +95,7 @@ class Attribution:
         }  # fmt: skip
 
 
-def _finite(interval: Interval) -> dict[str, float | None]:
+def _finite(interval: ShareInterval) -> dict[str, float | None]:
     return {name: None if value != value else value for name, value in interval._asdict().items()}
 
 
