@@ -180,7 +180,9 @@ def detection(
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
         if with_attribution:
-            prepared, parts = _named(taken_apart, prepared, chosen.source, factors, intensities, seeds, attribute_pairs)
+            prepared, parts = _named(
+                with_attribution_of, prepared, chosen.source, factors, intensities, seeds, attribute_pairs
+            )
         originals = all(frame.original is not None for frame in prepared.frames)
         trials = evaluation.conditions_of(
             tuple(intensities), tuple(range(seeds)), originals=originals, scene=not prepared.pictures.is_in_front
@@ -683,7 +685,7 @@ def _named(function: Callable[..., _Result], *arguments: Any) -> _Result:
         raise ValueError(re.sub("^attribute", "--attribute", str(error))) from None
 
 
-def taken_apart(
+def with_attribution_of(
     source: PreparedSource,
     name: str | None,
     factors: Sequence[str],
