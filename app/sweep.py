@@ -142,7 +142,9 @@ def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
         print(f"  {count} x {error}")
     if numbers["failed"] and folder.clients.is_dir():
         print(f"{folder.clients}: the output of each client, a file named by its job")
-    print("wrote table.parquet, table.csv, summary.json, report.html" + (", figures" if numbers["cells"] else ""))
+    further = ", figures" if numbers["cells"] else ""
+    further += ", attribution.png, attribution.csv, attribution_drives.csv" if numbers.get("attribution") else ""
+    print(f"wrote table.parquet, table.csv, summary.json, report.html{further}")
 
 
 # Table of drives, a row per agent and intensity

@@ -111,8 +111,9 @@ def detection(
         str, setting(RainSettings, "intensity_mm_h", "Several with commas; 0 is always included.")
     ] = "0,1.2,8.5,12",
     diameter_scale: Annotated[
-        str, setting(RainSettings, "diameter_scale", "Several with commas are compared at equal mm/h.")
-    ] = "1",
+        str | None,
+        setting(RainSettings, "diameter_scale", "Several with commas are compared at equal mm/h. Default: 1."),
+    ] = None,
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0 to N-1.")] = 5,
     attribute: Annotated[
         str,
@@ -156,9 +157,9 @@ def detection(
     view_choice = (views or ViewOptions()).settings(ViewChoice(width_px=960))
     check_within("--width", view_choice.width_px, 64, 16384, "px")
     intensities = parse_intensities(rain)
-    scales = parse_scales(diameter_scale)
+    scales = None if diameter_scale is None else parse_scales(diameter_scale)
     factors = tuple(split_words(attribute))
-    with_attribution = _named(is_attributed, factors)
+    is_decomposed = _named(is_attributed, factors)
     check_within("--attribute-pairs", attribute_pairs, 0, MAX_PAIRS)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--frames", frames, 1, 10_000)
@@ -174,14 +175,15 @@ def detection(
         max(intensities),
     )  # fmt: skip
     base = load_preset(preset) if preset is not None else RainSettings()
+    scales = scales or [base.diameter_scale]
     with open_renderer(backend) as renderer:
         own_scale = 1.0 if 1.0 in scales else scales[0]
         rain_of_all = (weather or WeatherOptions()).settings(base, diameter_scale=own_scale)
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
-        if with_attribution:
+        if is_decomposed:
             prepared, parts = _named(
-                with_attribution_of, prepared, chosen.source, factors, intensities, seeds, attribute_pairs
+                decomposed_source, prepared, chosen.source, factors, intensities, seeds, attribute_pairs
             )
         originals = all(frame.original is not None for frame in prepared.frames)
         trials = evaluation.conditions_of(
@@ -666,8 +668,8 @@ def parse_scales(text: str) -> list[float]:
     words = split_words(text)
     if not words:
         raise ValueError(f"--diameter-scale {text!r}: expected numbers with commas between, such as 0.5,1,2")
-    kind = RainSettings
-    return sorted({converted_options({"diameter_scale": _number(each)}, kind).diameter_scale for each in words})
+    found = [converted_options({"diameter_scale": _number(each)}, RainSettings) for each in words]
+    return sorted({each.diameter_scale for each in found})
 
 
 def _number(word: str) -> float | str:
@@ -685,7 +687,7 @@ def _named(function: Callable[..., _Result], *arguments: Any) -> _Result:
         raise ValueError(re.sub("^attribute", "--attribute", str(error))) from None
 
 
-def with_attribution_of(
+def decomposed_source(
     source: PreparedSource,
     name: str | None,
     factors: Sequence[str],
@@ -704,15 +706,13 @@ def with_attribution_of(
     )
     rain = msgspec.structs.replace(parts[-1].factors.rain, intensity_mm_h=rain.intensity_mm_h)
     own = evaluation.RainVariant(rain, pictures.scene, pictures.sky)
-    twin, inputs = None, source.inputs
+    twin = None
     if any("light" in part.factors.game.factors for part in parts):
-        twin_name = overcast_twin(name)
-        scene = load_sorted_scene(twin_name)
+        scene = load_sorted_scene(overcast_twin(name))  # its hash is not an input: it has the source of the street
         twin = own._replace(scene=scene, sky=sky_color(pictures.renderer, scene, view.camera, view.time_s))
-        inputs = inputs | {"scene_in_overcast_light": scene_hash(twin_name)}
     variants = {name: each for part in parts for name, each in part.variants(own, twin).items()}
     pictures = replace(pictures, rain=own.rain, variants=pictures.variants | variants)
-    return replace(source, pictures=pictures, inputs=inputs), parts
+    return replace(source, pictures=pictures), parts
 
 
 def size_conditions(
