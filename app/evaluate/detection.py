@@ -73,6 +73,7 @@ from ..options import (
     JsonFile,
     Preset,
     Wet,
+    as_number,
     check_within,
     converted_options,
     flag,
@@ -668,15 +669,8 @@ def parse_scales(text: str) -> list[float]:
     words = split_words(text)
     if not words:
         raise ValueError(f"--diameter-scale {text!r}: expected numbers with commas between, such as 0.5,1,2")
-    found = [converted_options({"diameter_scale": _number(each)}, RainSettings) for each in words]
+    found = [converted_options({"diameter_scale": as_number(each)}, RainSettings) for each in words]
     return sorted({each.diameter_scale for each in found})
-
-
-def _number(word: str) -> float | str:
-    try:
-        return float(word)
-    except ValueError:
-        return word  # refused by the conversion, with the name of the option
 
 
 def _named(function: Callable[..., _Result], *arguments: Any) -> _Result:
@@ -711,7 +705,7 @@ def decomposed_source(
         scene = load_sorted_scene(overcast_twin(name))  # its hash is not an input: it has the source of the street
         twin = own._replace(scene=scene, sky=sky_color(pictures.renderer, scene, view.camera, view.time_s))
     variants = {name: each for part in parts for name, each in part.variants(own, twin).items()}
-    pictures = replace(pictures, rain=own.rain, variants=pictures.variants | variants)
+    pictures = replace(pictures, rain=own.rain, variants={**pictures.variants, **variants})
     return replace(source, pictures=pictures), parts
 
 
@@ -736,7 +730,7 @@ def with_sizes(source: PreparedSource, scales: Sequence[float], own: float) -> P
         for scale in scales
         if scale != own
     }
-    return replace(source, pictures=replace(pictures, variants=pictures.variants | variants))
+    return replace(source, pictures=replace(pictures, variants={**pictures.variants, **variants}))
 
 
 # Sources of views
