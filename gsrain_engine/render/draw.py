@@ -18,11 +18,11 @@ from ..scene.ground_water import ground_heights
 from ..scene.lod_order import lod_growth
 from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
-from ..water.films import WaterFilms
+from ..water.films import WaterDepth, WaterFilms
 from ..water.splashes import Splashes
 from .camera_response import PictureOptics
 from .lamp_reflections import lamp_reflections
-from .mirror import draw_mirror, has_mirror, reflecting_items
+from .mirror import draw_mirror, has_mirror, reflecting_items, ring_waves, standing_water
 from .renderer import Renderer, RenderMode
 
 
@@ -79,8 +79,11 @@ def draw_view(
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
-    has_water = rainfall is not None and rainfall.rain.mirror and look == "splats"
-    has_water = has_water and has_mirror(scene, shot.camera, wetness)
+    has_water, standing, depth = False, (0.0, 0.0), WaterDepth(0.0, 0.0)
+    if rainfall is not None and rainfall.rain.mirror and look == "splats":
+        depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
+        standing = standing_water(rainfall.rain, depth, wetness)
+        has_water = has_mirror(scene, shot.camera, wetness, standing)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
     parts = list(subset_items(lit, thinning, shot.camera))
     if lamps and scene.ground_m is not None and look == "splats":
@@ -93,7 +96,8 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         mirror = draw_mirror(
             renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
-            flooded_share(WaterFilms.of(rainfall, scene.water).at(shot.time_s).film_mm), sky.drops, lit_lamps,
+            flooded_share(depth.film_mm), sky.drops, lit_lamps, standing,
+            ring_waves(scene, rainfall, shot.camera, shot.time_s, shot.focal_px) if falls else None,
         )  # fmt: skip
     if rain is not None and rainfall is not None and has_splashes(scene, rainfall, wetness):
         rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))

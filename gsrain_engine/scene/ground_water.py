@@ -29,7 +29,7 @@ class GroundWater:
     cover: UInt8[np.ndarray, "rows columns 2"]
     """Shares of the ground, in 1/255, that a film and standing water cover; rows along y. None outside."""
 
-    def at(self, points: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
+    def at(self, points: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
         """Shares of film and standing water, 0..1, at points of the ground (x and y in the world)."""
         inside, row, column = self.cells(points)
         shares = np.zeros((len(points), 2), np.float32)

@@ -110,6 +110,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     preset: str | None = None
     sensor: str | None = None
     mirror: bool | None = None
+    splashes: bool | None = None
     exposure_s: float | None = None
     start_speed_m_s: float | None = None
     gap_m: float | None = None
@@ -121,6 +122,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
         words += [] if self.sensor is None else [f"sensor {Path(self.sensor).stem}"]
         words += [] if self.mirror is None else ["mirror" if self.mirror else "no mirror"]
+        words += [] if self.splashes is None else ["splashes" if self.splashes else "no splashes"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
         words += [] if self.gap_m is None else [f"{self.gap_m:g} m"]
@@ -136,6 +138,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             rain = structs.replace(rain, sensor=self.sensor)
         if self.mirror is not None:
             rain = structs.replace(rain, mirror=self.mirror)
+        if self.splashes is not None:
+            rain = structs.replace(rain, splashes=self.splashes)
         if self.exposure_s is not None:
             rain = structs.replace(rain, exposure_s=self.exposure_s)
         if self.gap_m is not None:
@@ -186,6 +190,10 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         tuple[bool | None, ...],
         Meta(min_length=1, title="Mirror", description="Whether water on the ground reflects; null: the scenario's."),
     ] = (None,)
+    splashes: Annotated[
+        tuple[bool | None, ...],
+        Meta(min_length=1, title="Splashes", description="Splashes and rings, or none; null: the scenario's."),
+    ] = (None,)
     exposure_s: Annotated[
         Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
     ] = ()
@@ -202,14 +210,14 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     @property
     def variants(self) -> list[Variant]:
         """All combinations of the further axes."""
-        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.exposure_s or (None,)
+        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.splashes
         return [
             Variant(
-                wet=wet, preset=preset, sensor=sensor, mirror=mirror, exposure_s=exposure, start_speed_m_s=speed,
-                gap_m=gap,
+                wet=wet, preset=preset, sensor=sensor, mirror=mirror, splashes=splashes, exposure_s=exposure,
+                start_speed_m_s=speed, gap_m=gap,
             )
-            for wet, preset, sensor, mirror, exposure, speed, gap in product(
-                *axes, self.start_speed_m_s or (None,), self.gap_m or (None,)
+            for wet, preset, sensor, mirror, splashes, exposure, speed, gap in product(
+                *axes, self.exposure_s or (None,), self.start_speed_m_s or (None,), self.gap_m or (None,)
             )
         ]  # fmt: skip
 
