@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
@@ -112,13 +113,13 @@ def _is_level(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundHeights:
-    """Heights of open ground over the cells of a map of water. World frame, meters."""
+    """Heights of the ground over the cells of a map of water. World frame, meters."""
 
     ground_m: float
-    """Height outside of the map, and of cells without ground."""
+    """Height outside of the map."""
     water: GroundWater | None = None
     heights_m: Float32[np.ndarray, "rows columns"] | None = None
-    """Highest level Gaussian that belongs to the ground; -inf in cells without any."""
+    """Highest level Gaussian that belongs to the ground, in cells without any that of the nearest cell."""
 
     def at(self, points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
         """Height of the ground at points (x and y in the world)."""
@@ -126,15 +127,13 @@ class GroundHeights:
         if self.water is not None and self.heights_m is not None:
             inside, row, column = self.water.cells(points)
             heights[inside] = self.heights_m[row, column]
-        return np.where(np.isfinite(heights), heights, self.ground_m)
+        return heights
 
     def is_open(self, points: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Mask of points on ground of the map; all of them without a map."""
-        if self.water is None or self.heights_m is None:
+        """Mask of points where the map has water; all of them without a map."""
+        if self.water is None:
             return np.ones(len(points), np.bool_)
-        inside, row, column = self.water.cells(points)
-        inside[inside] = np.isfinite(self.heights_m[row, column])
-        return inside
+        return np.asarray(self.water.at(points).any(axis=1))
 
 
 def ground_heights(
@@ -163,9 +162,11 @@ def _heights(
         means = gaussians.means[own] @ to_world[:3, :3].T + to_world[:3, 3]
         inside, row, column = water.cells(means[:, :2])
         np.maximum.at(heights, (row, column), means[inside, 2].astype(np.float32))
-    # Gaussians may be further apart than cells.
-    filled = ndimage.grey_closing(np.maximum(heights, np.float32(-1e6)), size=3)
-    return GroundHeights(ground_m, water, np.where(filled > -1e5, filled, -np.inf).astype(np.float32))
+    is_empty = ~np.isfinite(heights)
+    if is_empty.all():
+        return GroundHeights(ground_m, water)
+    nearest: Any = ndimage.distance_transform_edt(is_empty, return_distances=False, return_indices=True)
+    return GroundHeights(ground_m, water, heights[nearest[0], nearest[1]])
 
 
 def matte_wet_sh(

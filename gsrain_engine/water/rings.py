@@ -116,7 +116,7 @@ class RingReach:
 
 
 FILM_RINGS = RingReach(300.0, 0.3)
-STANDING_RINGS = RingReach(100.0, 0.8)
+STANDING_RINGS = RingReach(300.0, 0.5)
 _FADE = 0.4  # last part of the distance up to which rings are followed, over which they turn into roughness
 _FARTHEST_M = 15.0
 _FROM_STANDING = 0.25  # share of standing water at the impact from which its ring runs over it

@@ -4,7 +4,7 @@ A drop splashes above a threshold of its Weber and Ohnesorge numbers and the dep
 up, the crown, grows in radius with the root of time and falls back; its rim sheds droplets, which fly on their own.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -30,6 +30,7 @@ _SEGMENTS = 8
 _RING_PX = 3.0  # radius from which a crown is drawn as a ring of segments
 _DROPLETS = 8
 _FLIGHT_S = 0.4
+_BEFORE_GROUND_M, _BEFORE_GROUND = 0.75, 0.15  # by which splashes are moved towards the camera, and largest share
 _G = 9.81
 _GOLDEN = 2.399963
 
@@ -61,8 +62,20 @@ class Splashes:
     heights: GroundHeights
 
     def gaussians(self) -> Gaussians:
-        """Crowns and droplets as Gaussians in the world, with the color of drops."""
-        return Gaussians.concatenate([self._crowns(), self._droplets()])
+        """Crowns and droplets as Gaussians in the world, with the color of drops.
+
+        Gaussians are sorted by their centers, and those of the ground reach over what lies behind theirs: splashes are
+        moved towards the camera and made smaller, so that the ground does not cover them.
+        """
+        return self._before_ground(Gaussians.concatenate([self._crowns(), self._droplets()]))
+
+    def _before_ground(self, gaussians: Gaussians) -> Gaussians:
+        eye = self.frame.shutter.camera.position
+        away = gaussians.means.astype(np.float64) - eye
+        distance = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
+        nearer = 1 - np.minimum(_BEFORE_GROUND_M / distance, _BEFORE_GROUND)
+        means, scales = eye + nearer * away, nearer * gaussians.scales
+        return replace(gaussians, means=means.astype(np.float32), scales=scales.astype(np.float32))
 
     def landed(self, past_s: float, reach_m: float) -> Impacts:
         """Impacts in view that splash, of the time `past_s` up to the end of the exposure."""
