@@ -112,8 +112,8 @@ def _is_level(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroundHeights:
-    """Heights of the ground over the cells of a map of water. World frame, meters."""
+class WetGround:
+    """Ground of a scene where it may be wet, with its heights over the cells of a map of water. World frame, meters."""
 
     ground_m: float
     """Height outside of the map."""
@@ -138,18 +138,16 @@ class GroundHeights:
 
 def ground_heights(
     items: Sequence[tuple[Gaussians, Float64[np.ndarray, "4 4"]]], ground_m: float, water: GroundWater | None
-) -> GroundHeights:
+) -> WetGround:
     """Heights of the ground by the Gaussians (with their poses) that hold water; the last results are cached."""
     if water is None:
-        return GroundHeights(ground_m)
+        return WetGround(ground_m)
     sets, poses = (tuple(IdentityKey(g) for g, _ in items), tuple(pose.tobytes() for _, pose in items))
     return _heights(sets, poses, ground_m, IdentityKey(water))
 
 
 @scene_cache(maxsize=4)
-def _heights(
-    sets: tuple[IdentityKey, ...], poses: tuple[bytes, ...], ground_m: float, key: IdentityKey
-) -> GroundHeights:
+def _heights(sets: tuple[IdentityKey, ...], poses: tuple[bytes, ...], ground_m: float, key: IdentityKey) -> WetGround:
     water: GroundWater = key.of  # pyright: ignore[reportAssignmentType]
     heights = np.full(water.cover.shape[:2], -np.inf, np.float32)
     for each, pose in zip(sets, poses, strict=True):
@@ -164,9 +162,9 @@ def _heights(
         np.maximum.at(heights, (row, column), means[inside, 2].astype(np.float32))
     is_empty = ~np.isfinite(heights)
     if is_empty.all():
-        return GroundHeights(ground_m, water)
+        return WetGround(ground_m, water)
     nearest: Any = ndimage.distance_transform_edt(is_empty, return_distances=False, return_indices=True)
-    return GroundHeights(ground_m, water, heights[nearest[0], nearest[1]])
+    return WetGround(ground_m, water, heights[nearest[0], nearest[1]])
 
 
 def matte_wet_sh(

@@ -31,7 +31,7 @@ _NODES = 1024
 _KNOTS = 512
 
 
-class Impacts(NamedTuple):
+class LandedDrops(NamedTuple):
     """Drops that land. World frame, meters."""
 
     places_m: Float64[np.ndarray, "n 2"]
@@ -45,8 +45,8 @@ class Impacts(NamedTuple):
     hashes: UInt32[np.ndarray, " n"]
     """Number of its own, for random properties of what follows."""
 
-    def only(self, mask: Bool[np.ndarray, " n"]) -> "Impacts":
-        return Impacts(*(each[mask] for each in self))
+    def only(self, mask: Bool[np.ndarray, " n"]) -> "LandedDrops":
+        return LandedDrops(*(each[mask] for each in self))
 
     @property
     def energies_j(self) -> Float64[np.ndarray, " n"]:
@@ -120,7 +120,7 @@ class GroundImpacts:
 
     def land(
         self, cells: Int64[np.ndarray, "m 2"], start_s: float, end_s: float, largest_per_m2_s: float = np.inf
-    ) -> Impacts:
+    ) -> LandedDrops:
         """Drops that land in cells of the lattice (x and y, in `CELL_M`) from a time to another.
 
         Only the largest drops, of which that many land on a square meter in a second.
@@ -142,7 +142,7 @@ class GroundImpacts:
         _fill(ground, first, last, seed, ends, tables, np.cumsum(counts), rows, hashes)
         found = np.flatnonzero((rows[:, 2] >= start_s) & (rows[:, 2] < end_s))
         rows = rows[found]
-        return Impacts(rows[:, :2], rows[:, 2], rows[:, 3], rows[:, 4], rows[:, 5], hashes[found])
+        return LandedDrops(rows[:, :2], rows[:, 2], rows[:, 3], rows[:, 4], rows[:, 5], hashes[found])
 
 
 def cells_around(low_m: Float64[np.ndarray, "2"], high_m: Float64[np.ndarray, "2"]) -> Int64[np.ndarray, "m 2"]:

@@ -16,7 +16,7 @@ from scipy import special
 
 from ..scene.ground_water import GroundWater
 from .films import WaterDepth
-from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, Impacts, cells_around
+from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
 
 PEAK_PER_M = 200.0
 """Wavenumber of the peak of the slope spectrum in deep water, rad/m (Craeye and Sobieski 1999)."""
@@ -224,7 +224,7 @@ class RingWaves:
 
 
 def _field_of(
-    found: Impacts, time_s: float, table: Float32[np.ndarray, "ages radii"], reach: RingReach, distance_m: float
+    found: LandedDrops, time_s: float, table: Float32[np.ndarray, "ages radii"], reach: RingReach, distance_m: float
 ) -> RingField:
     age = time_s - found.times_s
     at = np.clip(age / (_AGES[1] - _AGES[0]), 0, len(_AGES) - 1.001)

@@ -14,9 +14,9 @@ from ..rain.pcg_hash import pcg4d
 from ..rain.simulation import RainSimulation
 from ..rain.streaks import sh_of, streak_gaussians
 from ..scene.gaussians import Gaussians
-from ..scene.ground_water import GroundHeights
+from ..scene.ground_water import WetGround
 from .films import WaterFilms
-from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, Impacts, cells_around
+from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
 
 FARTHEST_M = 20.0
 """Distance beyond which splashes are not drawn."""
@@ -59,7 +59,7 @@ class Splashes:
     rainfall: RainSimulation
     frame: RainFrame
     films: WaterFilms
-    heights: GroundHeights
+    heights: WetGround
 
     def gaussians(self) -> Gaussians:
         """Crowns and droplets as Gaussians in the world, with the color of drops.
@@ -77,7 +77,7 @@ class Splashes:
         means, scales = eye + nearer * away, nearer * gaussians.scales
         return replace(gaussians, means=means.astype(np.float32), scales=scales.astype(np.float32))
 
-    def landed(self, past_s: float, reach_m: float) -> Impacts:
+    def landed(self, past_s: float, reach_m: float) -> LandedDrops:
         """Impacts in view that splash, of the time `past_s` up to the end of the exposure."""
         shutter, time_s = self.frame.shutter, self.frame.time_s
         impacts = GroundImpacts(self.rainfall)
@@ -115,7 +115,7 @@ class Splashes:
         seen &= np.hypot(*(middles - eye)[:, :2].T) < reach_m + margin
         return cells[seen]
 
-    def _places(self, of: Impacts) -> Float64[np.ndarray, "n 3"]:
+    def _places(self, of: LandedDrops) -> Float64[np.ndarray, "n 3"]:
         return np.column_stack([of.places_m, self.heights.at(of.places_m)])
 
     def _distances(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
@@ -229,7 +229,7 @@ class Droplets:
 
 
 def droplets(
-    found: Impacts, time_s: float, places_m: Float64[np.ndarray, "n 3"], film_mm: Float64[np.ndarray, " n"]
+    found: LandedDrops, time_s: float, places_m: Float64[np.ndarray, "n 3"], film_mm: Float64[np.ndarray, " n"]
 ) -> Droplets:
     """Fly the droplets of splashes: they leave the rim of the crown and slow down to their fall speed by linear drag.
 

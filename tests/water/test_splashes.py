@@ -13,7 +13,7 @@ from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, draw_splashes, draw_view, rain_camera
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.ground_water import GroundWater
-from gsrain_engine.water.impacts import GroundImpacts, Impacts, cells_around
+from gsrain_engine.water.impacts import GroundImpacts, LandedDrops, cells_around
 from gsrain_engine.water.splashes import (
     SMALLEST_PX,
     crown_life_s,
@@ -86,7 +86,7 @@ def test_crowns_grow_with_the_root_of_time_and_fall_back():
 
 
 def test_droplets_fly_up_and_come_down_on_their_own_paths():
-    one = Impacts(
+    one = LandedDrops(
         np.zeros((1, 2)), np.zeros(1), np.array([2.5]), np.array([7.0]), np.ones(1), np.array([77], np.uint32)
     )
     places, film = np.zeros((1, 3)), np.array([0.5])
