@@ -135,11 +135,15 @@ class GroundImpacts:
             tables[k, :, 0] = np.interp(knots, flux.larger_per_m2_s, flux.diameters_mm)
             tables[k, :, 1] = np.interp(knots, flux.larger_per_m2_s, flux.speeds_m_s)
         ground = np.ascontiguousarray(cells, np.int64)
-        seed = self.rainfall.rain.seed
-        counts = np.zeros(len(ground) + 1, np.int64)
-        _count(ground, first, last, seed, ends, counts)
-        rows, hashes = np.empty((np.sum(counts), 6)), np.empty(np.sum(counts), np.uint32)
-        _fill(ground, first, last, seed, ends, tables, np.cumsum(counts), rows, hashes)
+        expected = len(cells) * (last - first) * CELL_M**2 * TICK_S * float(ends.max(initial=0.0))
+        room = int(expected + 8 * np.sqrt(expected)) + 16
+        while True:
+            rows, hashes = np.empty((room, 6)), np.empty(room, np.uint32)
+            count = _land(ground, first, last, self.rainfall.rain.seed, ends, tables, rows, hashes)
+            if count <= room:
+                break
+            room = count
+        rows, hashes = rows[:count], hashes[:count]
         found = np.flatnonzero((rows[:, 2] >= start_s) & (rows[:, 2] < end_s))
         rows = rows[found]
         return LandedDrops(rows[:, :2], rows[:, 2], rows[:, 3], rows[:, 4], rows[:, 5], hashes[found])
@@ -168,30 +172,12 @@ def _drawn(cell_x, cell_y, tick, number, seed):
     return pcg4d_scalar(np.uint32(cell_x), np.uint32(cell_y), np.uint32(tick), mixed)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 @no_type_check
-def _count(cells, first, last, seed, ends, counts):
-    scale = 1 / (CELL_M * CELL_M * TICK_S)
-    for n in numba.prange(len(cells)):
-        found = 0
-        for tick in range(first, last):
-            end, larger, number = ends[tick // _EPOCH - first // _EPOCH], 0.0, 0
-            while True:
-                step, _, _, _ = _drawn(cells[n, 0], cells[n, 1], tick, number, seed)
-                larger -= np.log(step * _UNIT + _TINY) * scale
-                if larger >= end:
-                    break
-                number += 1
-            found += number
-        counts[n + 1] = found
-
-
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-@no_type_check
-def _fill(cells, first, last, seed, ends, tables, places, rows, hashes):
-    scale = 1 / (CELL_M * CELL_M * TICK_S)
-    for n in numba.prange(len(cells)):
-        at = places[n]
+def _land(cells, first, last, seed, ends, tables, rows, hashes):
+    """Write the drops as far as there is room, and return their number."""
+    scale, at = 1 / (CELL_M * CELL_M * TICK_S), 0
+    for n in range(len(cells)):
         for tick in range(first, last):
             epoch = tick // _EPOCH - first // _EPOCH
             end, larger, number = ends[epoch], 0.0, 0
@@ -200,16 +186,20 @@ def _fill(cells, first, last, seed, ends, tables, places, rows, hashes):
                 larger -= np.log(step * _UNIT + _TINY) * scale
                 if larger >= end:
                     break
+                number += 1
+                at += 1
+                if at > len(rows):
+                    continue
                 along = np.sqrt(np.sqrt(larger / end)) * (_KNOTS - 1)
                 k = min(int(along), _KNOTS - 2)
                 part = along - k
-                rows[at, 0] = (cells[n, 0] + x * _UNIT) * CELL_M
-                rows[at, 1] = (cells[n, 1] + y * _UNIT) * CELL_M
-                rows[at, 2] = (tick + later * _UNIT) * TICK_S
+                row = rows[at - 1]
+                row[0] = (cells[n, 0] + x * _UNIT) * CELL_M
+                row[1] = (cells[n, 1] + y * _UNIT) * CELL_M
+                row[2] = (tick + later * _UNIT) * TICK_S
                 for column in range(2):
                     low, high = tables[epoch, k, column], tables[epoch, k + 1, column]
-                    rows[at, 3 + column] = low + part * (high - low)
-                rows[at, 5] = larger
-                hashes[at] = step ^ x ^ np.uint32(y * _STRIDE)
-                at += 1
-                number += 1
+                    row[3 + column] = low + part * (high - low)
+                row[5] = larger
+                hashes[at - 1] = step ^ x ^ np.uint32(y * _STRIDE)
+    return at

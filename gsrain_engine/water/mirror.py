@@ -120,7 +120,7 @@ class Mirror:
         if self.rings is None:
             _weigh(shares, self.light, self.first_row, np.float32(SCALE), image)
         else:
-            _weigh_rings(shares, self.light, self.first_row, np.float32(SCALE), *self.rings, image)
+            _weigh_rings(shares, self.light, self.first_row, np.float32(SCALE), np.float32(SCALE), *self.rings, image)
         return image
 
     @property
@@ -358,8 +358,8 @@ def _weigh(film, light, first_row, scale, image):
 
 @numba.njit(inline="always", error_model="numpy")
 @no_type_check
-def _add_light(light, x, y, film, standing, image, row, column):
-    """Add shares of both lights at a place of the mirror, linear between pixels."""
+def _light_at(light, x, y, water, share):
+    """Share of the light at a place of the mirror, linear between pixels."""
     rows, columns = light.shape[:2]
     one = np.float32(1)
     y = min(max(y, np.float32(0)), np.float32(rows - 1))
@@ -367,21 +367,34 @@ def _add_light(light, x, y, film, standing, image, row, column):
     top, left = min(int(y), max(rows - 2, 0)), min(int(x), max(columns - 2, 0))
     v, u = y - np.float32(top), x - np.float32(left)
     bottom, right = min(top + 1, rows - 1), min(left + 1, columns - 1)
-    for c in range(3):
-        if film > 0:
-            upper = (one - u) * light[top, left, 0, c] + u * light[top, right, 0, c]
-            lower = (one - u) * light[bottom, left, 0, c] + u * light[bottom, right, 0, c]
-            image[row, column, c] += film * ((one - v) * upper + v * lower)
-        if standing > 0:
-            upper = (one - u) * light[top, left, 1, c] + u * light[top, right, 1, c]
-            lower = (one - u) * light[bottom, left, 1, c] + u * light[bottom, right, 1, c]
-            image[row, column, c] += standing * ((one - v) * upper + v * lower)
+    w00, w01 = share * (one - v) * (one - u), share * (one - v) * u
+    w10, w11 = share * v * (one - u), share * v * u
+    first, second = light[top, left, water], light[top, right, water]
+    third, fourth = light[bottom, left, water], light[bottom, right, water]
+    return (
+        w00 * first[0] + w01 * second[0] + w10 * third[0] + w11 * fourth[0],
+        w00 * first[1] + w01 * second[1] + w10 * third[1] + w11 * fourth[1],
+        w00 * first[2] + w01 * second[2] + w10 * third[2] + w11 * fourth[2],
+    )
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _weigh_rings(
-    film, light, first_row, scale, flooded, sines, ways, intrinsics, to_world, above_m, on_films, on_standing, image
+    film,
+    light,
+    first_row,
+    scale_x,
+    scale_y,
+    flooded,
+    sines,
+    ways,
+    intrinsics,
+    to_world,
+    above_m,
+    on_films,
+    on_standing,
+    image,
 ):
     """Sum as `_weigh` does, with standing water, and the flooded share of films, tilted by rings.
 
@@ -397,19 +410,22 @@ def _weigh_rings(
     far = max(on_films.distance_m, on_standing.distance_m)
     steep = above / np.sqrt(np.float32(far * far) + above * above) if far > 0 else np.float32(2)
     for row in numba.prange(height):
-        y = scale * (np.float32(row) + half) - np.float32(0.5 + first_row)
+        y = scale_y * (np.float32(row) + half) - np.float32(0.5 + first_row)
         near_row = min(max(int(y + half), 0), rows - 1)
         v = (y + half - cy) / fy
         for column in range(width):
-            image[row, column] = 0
             thin, standing = film[row, column, 0], film[row, column, 1]
             if thin <= 0 and standing <= 0:
+                for c in range(3):
+                    image[row, column, c] = 0
                 continue
-            x = scale * (np.float32(column) + half) - half
+            x = scale_x * (np.float32(column) + half) - half
             near_column = min(max(int(x + half), 0), columns - 1)
             sine = sines[near_row, near_column]
+            red, green, blue = _light_at(light, x, y, 0, thin * (one - q))
             if sine < steep:
-                _add_light(light, x, y, thin * (one - q), thin * q + standing, image, row, column)
+                r, g, b = _light_at(light, x, y, 1, thin * q + standing)
+                image[row, column, 0], image[row, column, 1], image[row, column, 2] = red + r, green + g, blue + b
                 continue
             u = (x + half - cx) / fx
             across = one / np.sqrt(u * u + v * v + one)
@@ -418,13 +434,13 @@ def _weigh_rings(
             sine = max(-(turn[2, 0] * u + turn[2, 1] * v + turn[2, 2]) * across, np.float32(1e-3))
             level = np.sqrt(max(one - sine * sine, np.float32(1e-6)))
             away = above / sine
-            across_m = np.float32(_FOOTPRINT_PX) * scale * away / fx
+            across_m = np.float32(_FOOTPRINT_PX) * scale_x * away / fx
             plain = np.float32(0)
             for water in range(2):
                 share = standing if water == 1 else thin * q
                 field = on_standing if water == 1 else on_films
                 fade = (np.float32(field.distance_m) - away * level) * np.float32(field.per_fade_m)
-                if share < np.float32(1 / 256) or fade <= 0:
+                if share < np.float32(1 / 64) or fade <= 0:
                     plain += share
                     continue
                 tilt, aside = ring_slope(
@@ -444,9 +460,10 @@ def _weigh_rings(
                 gain = reflectance(facing, WATER_INDEX) / reflectance(
                     min(max(there, np.float32(1e-3)), one), WATER_INDEX
                 )
-                brighter = share * np.float32(min(gain, 4.0))
-                _add_light(light, aside_x, lower, np.float32(0), brighter, image, row, column)
-            _add_light(light, x, y, thin * (one - q), plain, image, row, column)
+                r, g, b = _light_at(light, aside_x, lower, 1, share * np.float32(min(gain, 4.0)))
+                red, green, blue = red + r, green + g, blue + b
+            r, g, b = _light_at(light, x, y, 1, plain)
+            image[row, column, 0], image[row, column, 1], image[row, column, 2] = red + r, green + g, blue + b
 
 
 # Lamps

@@ -165,9 +165,9 @@ class RingWaves:
 
     @property
     def distance_m(self) -> float:
-        """Distance along the ground beyond which pixels are longer than the rings' waves: 0.4 d^2 / (f h) = 3.2 / k."""
+        """Distance along the ground beyond which pixels are longer than the waves: 0.4 d^2 / (f h) = 2 / k."""
         above_m = max(self.eye_m[2] - self.ground_m, 0.0)
-        return min(float(np.sqrt(3.2 / PEAK_PER_M * self.focal_px * above_m / _FOOTPRINT_PX)), _FARTHEST_M)
+        return min(float(np.sqrt(2.0 / PEAK_PER_M * self.focal_px * above_m / _FOOTPRINT_PX)), _FARTHEST_M)
 
     @property
     def _depths_mm(self) -> tuple[float, float]:

@@ -178,6 +178,8 @@ class Splashes:
         shutter, time_s, rain = self.frame.shutter, self.frame.time_s, self.frame.rain
         reach = min(FARTHEST_M, 1e-3 * shutter.focal_px / SMALLEST_PX)
         found = self.landed(_FLIGHT_S, reach)
+        if not len(found.times_s):
+            return Gaussians.empty()
         made = droplets(found, time_s, self._places(found), self.films.depth_mm(found.places_m, time_s))
         wide = 1e-3 * made.diameters_mm * shutter.focal_px > SMALLEST_PX * self._distances(made.positions_m)
         wide &= made.positions_m[:, 2] > np.repeat(self.heights.at(found.places_m), _DROPLETS)
