@@ -221,6 +221,10 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     mirror: Annotated[bool, Meta(
         title="Mirror", extra={"commands": "render, drive, evaluate detection"},
         description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = False
+    splashes: Annotated[bool, Meta(
+        title="Splashes and rings", extra={"commands": "render, drive, evaluate detection"},
+        description="Drops that land throw up crowns near the camera, in scenes with wet colors, and start rings in "
+        "water that mirrors.")] = True
     drying_s: Annotated[float, Meta(
         ge=0, le=7200, title="Drying", extra={"unit": "s", "group": "Appearance", "slider_to": 600.0},
         description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0

@@ -113,6 +113,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     preset: str | None = None
     sensor: str | None = None
     mirror: bool | None = None
+    splashes: bool | None = None
     exposure_s: float | None = None
     diameter_scale: float | None = None
     start_speed_m_s: float | None = None
@@ -125,6 +126,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
         words += [] if self.sensor is None else [f"sensor {Path(self.sensor).stem}"]
         words += [] if self.mirror is None else ["mirror" if self.mirror else "no mirror"]
+        words += [] if self.splashes is None else ["splashes" if self.splashes else "no splashes"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
         words += [] if self.diameter_scale is None else [f"diameters x{self.diameter_scale:g}"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
@@ -141,6 +143,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             rain = structs.replace(rain, sensor=self.sensor)
         if self.mirror is not None:
             rain = structs.replace(rain, mirror=self.mirror)
+        if self.splashes is not None:
+            rain = structs.replace(rain, splashes=self.splashes)
         if self.exposure_s is not None:
             rain = structs.replace(rain, exposure_s=self.exposure_s)
         if self.diameter_scale is not None:
@@ -193,6 +197,10 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         tuple[bool | None, ...],
         Meta(min_length=1, title="Mirror", description="Whether water on the ground reflects; null: the scenario's."),
     ] = (None,)
+    splashes: Annotated[
+        tuple[bool | None, ...],
+        Meta(min_length=1, title="Splashes", description="Splashes and rings, or none; null: the scenario's."),
+    ] = (None,)
     exposure_s: Annotated[
         Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
     ] = ()
@@ -235,15 +243,8 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     @property
     def variants(self) -> list[Variant]:
         """All combinations of the further axes."""
-        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.exposure_s or (None,)
-        further = self.diameter_scale or (None,), self.start_speed_m_s or (None,), self.gap_m or (None,)
-        return [
-            Variant(
-                wet=wet, preset=preset, sensor=sensor, mirror=mirror, exposure_s=exposure, diameter_scale=scale,
-                start_speed_m_s=speed, gap_m=gap,
-            )
-            for wet, preset, sensor, mirror, exposure, scale, speed, gap in product(*axes, *further)
-        ]  # fmt: skip
+        axes = {name: getattr(self, name) or (None,) for name in Variant.__struct_fields__}
+        return [Variant(**dict(zip(axes, values, strict=True))) for values in product(*axes.values())]
 
 
 class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
