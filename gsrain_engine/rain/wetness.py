@@ -46,6 +46,19 @@ def flooded_share(intensity_mm_h: float) -> float:
     return 0.5 * math.erfc(-above / math.sqrt(2)) if intensity_mm_h > 0 else 0.0
 
 
+def depth_over_texture_mm(intensity_mm_h: float) -> float:
+    """Mean depth of the water over a road's texture in steady rain: what a tire displaces.
+
+    The mean of max(h - depth of the texture, 0) with the distribution of `flooded_share`.
+    """
+    if intensity_mm_h <= 0:
+        return 0.0
+    sigma = TEXTURE_DEPTH_MM / 2
+    above = (water_depth_mm(intensity_mm_h) - TEXTURE_DEPTH_MM) / sigma
+    density = math.exp(-above * above / 2) / math.sqrt(2 * math.pi)
+    return sigma * (density + above * flooded_share(intensity_mm_h))
+
+
 def overcast(intensity_mm_h: float) -> float:
     """Share of the overcast sky in steady rain: 0 up to 0.3 mm/h, 1 from 0.5 mm/h on, and a smooth step between."""
     share = min(max((intensity_mm_h - OVERCAST_FROM_MM_H) / (OVERCAST_MM_H - OVERCAST_FROM_MM_H), 0.0), 1.0)

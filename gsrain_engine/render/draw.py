@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
 from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
+from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
 from .lamp_reflections import lamp_reflections
 from .mirror import draw_mirror, has_mirror, reflecting_items
@@ -76,6 +77,8 @@ def draw_view(
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
+            spray = spray_of(scene, rainfall, shot.time_s)
+            rain = replace(rain, spray=spray_gaussians(spray, rain.color)) if len(spray) else rain
     has_water = rainfall is not None and rainfall.rain.mirror and look == "splats"
     has_water = has_water and has_mirror(scene, shot.camera, wetness)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)

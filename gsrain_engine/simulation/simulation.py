@@ -1,7 +1,7 @@
 """Closed-loop simulation: observe, plan, control, step traffic, detect collisions. Deterministic."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,6 +15,7 @@ from ..rain.settings import RainSettings
 from ..render.renderer import Renderer
 from ..scene.open import STREET
 from ..scene.scene import Actor, PoseTrack, Scene
+from ..water.spray import LONGEST_S
 from .agents import base
 from .agents.base import Agent, CameraView, Observation, SensorRequirements, Trajectory
 from .agents.registry import AgentOptions, open_agent
@@ -28,7 +29,7 @@ from .scenario import Scenario, ScenarioUser, Traffic, start_state
 from .scenario_io import load_scenario
 from .sensors import RigRenderer, camera_of_width, needed_cameras, rig_cameras
 from .traffic.appearance import ACTOR, VehicleModel, scale_gaussians
-from .traffic.base import RoadUser, ego_user
+from .traffic.base import EGO, RoadUser, ego_user
 from .vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle, vehicle_box, yaw_rate
 
 logger = logging.getLogger("gsrain")
@@ -140,7 +141,9 @@ class Simulation:
     @property
     def scene_now(self) -> Scene:
         """The scene with all road users in their current places."""
-        return self._road.at(self.rig_to_world, self._traffic.users)
+        before = [step for step in self._steps if step.step < self._moment.step]
+        motions = past_motions(before, self._moment.time_s, self._traffic.users, self.rig_to_world, self.scenario)
+        return self._road.at(self.rig_to_world, self._traffic.users, motions)
 
     @property
     def rig_to_world(self) -> Float64[np.ndarray, "4 4"]:
@@ -343,10 +346,20 @@ class RoadScene:
         self._wet_sh = {id: look.wet_sh for id, look in looks.items()}
         self._recorded = {actor.id: actor for actor in scene.actors}
 
-    def at(self, rig_to_world: Float64[np.ndarray, "4 4"], users: tuple[RoadUser, ...]) -> Scene:
-        """Return the scene with the ego vehicle's rig and road users in their places, valid at any time."""
+    def at(
+        self,
+        rig_to_world: Float64[np.ndarray, "4 4"],
+        users: tuple[RoadUser, ...],
+        motions: Mapping[str, PoseTrack] | None = None,
+    ) -> Scene:
+        """Return the scene with the ego vehicle's rig and road users in their places, valid at any time.
+
+        `motions` in the world are what they did up to then, for their spray.
+        """
         actors = tuple(self._actor(user) for user in users)
-        return replace(self.scene, actors=actors, ego=PoseTrack.standing(self._world_to_scene @ rig_to_world))
+        past = {id: track.moved(self._world_to_scene) for id, track in (motions or {}).items()}
+        ego = PoseTrack.standing(self._world_to_scene @ rig_to_world)
+        return replace(self.scene, actors=actors, ego=ego, motions=past)
 
     def _actor(self, user: RoadUser) -> Actor:
         track = PoseTrack.standing(self._world_to_scene @ user.pose)
@@ -355,3 +368,43 @@ class RoadScene:
         length, width, height = (side / self.scene.metres_per_unit for side in user.size_lwh)
         gaussians, wet_sh = self._gaussians[user.id], self._wet_sh[user.id]
         return Actor(user.id, user.class_name, (length, width, height), gaussians, track, wet_sh=wet_sh)
+
+
+def past_motions(
+    steps: Sequence[RolloutStep], time_s: float, users: Sequence[RoadUser], rig_to_world: Float64[np.ndarray, "4 4"],
+    scenario: Scenario,
+) -> dict[str, PoseTrack]:  # fmt: skip
+    """Tracks (world, scene time) of the ego vehicle and of road users over the last seconds before a time of a drive.
+
+    `steps` are those before that time. Before the scenario all were moving straight ahead at their first speed.
+    """
+    recent = [each for each in steps if each.time_s > time_s - LONGEST_S - scenario.step_s]
+    rig_m = float(rig_to_world[2, 3])
+    egos = [
+        (step.time_s, step.ego.state.rig_to_world(rig_m), step.ego.speed_m_s) for step in recent
+    ]  # fmt: skip
+    moments = {EGO: [*egos, (time_s, rig_to_world, None)]}
+    for user in users:
+        moments[user.id] = [(time_s, user.pose, user.speed_m_s)]
+        for step in reversed(recent):
+            there = next((each for each in step.road_users if each.id == user.id), None)
+            if there is None:
+                break
+            placed = RoadUser(user.id, user.class_name, user.size_lwh, there.x_m, there.y_m, there.yaw_rad, z_m=there.z_m)
+            moments[user.id].insert(0, (step.time_s, placed.pose, there.speed_m_s))
+    return {id: _track(each, scenario.start_s) for id, each in moments.items()}
+
+
+def _track(moments: Sequence[tuple[float, Float64[np.ndarray, "4 4"], float | None]], start_s: float) -> PoseTrack:
+    """Track through poses at times, in scene time; at the start of a drive with a straight way that leads there."""
+    first_s, pose, speed = moments[0]
+    if first_s < 1e-9 and speed:
+        before = pose.copy()
+        before[:3, 3] -= speed * LONGEST_S * pose[:3, 0]
+        moments = [(-LONGEST_S, before, speed), *moments]
+    standing = [PoseTrack.standing(each) for _, each, _ in moments]
+    times = start_s + np.array([each for each, _, _ in moments])
+    positions, quaternions = (
+        np.concatenate(column) for column in zip(*((each.positions, each.quaternions_wxyz) for each in standing), strict=True)
+    )
+    return PoseTrack(times, positions, quaternions, np.ones(len(times), bool))
