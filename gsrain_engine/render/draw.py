@@ -17,6 +17,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.lod_order import lod_growth
 from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
+from ..water.films import WaterFilms
 from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
 from .lamp_reflections import lamp_reflections
@@ -93,7 +94,7 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         mirror = draw_mirror(
             renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
-            flooded_share(rainfall.state_at(shot.time_s).intensity_mm_h), sky.drops, lit_lamps,
+            flooded_share(WaterFilms.of(rainfall, scene.water).at(shot.time_s).film_mm), sky.drops, lit_lamps,
         )  # fmt: skip
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 

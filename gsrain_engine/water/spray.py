@@ -21,11 +21,11 @@ from ..rain.air import GRAVITY_M_S2, profile
 from ..rain.pcg_hash import pcg4d
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
-from ..rain.wetness import depth_over_texture_mm
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import matrices_from_quaternions
 from ..scene.objects import coco_class, is_vehicle
 from ..scene.scene import PoseTrack, Scene
+from .films import WaterFilms
 
 STILL_M_S, FULL_M_S = 40 / 3.6, 60 / 3.6
 """Speeds below which a tire lets water flow aside, and from which it throws all that it displaces."""
@@ -42,6 +42,10 @@ SPREAD = 0.6  # standard deviation of ln D
 _SMALLEST_MM, _LARGEST_MM = 0.05, 2.0
 MASS_SHARES = (0.08, 0.17, 0.25, 0.5)
 """Shares of the mass in the classes of drop sizes, from fine to coarse."""
+
+PICKUP_MM = 2.0
+"""Depth that the tread takes up: grooves of 8 mm over a quarter of its width. What is deeper is pushed aside as a splash
+of large drops (bow and side waves of Weir et al. 1978)."""
 
 GUARD_DEG = 25.0  # steepest angle of drops that leave a tire below the edge of the mudguard or wheel arch
 
@@ -107,8 +111,8 @@ class SprayParcels(NamedTuple):
         return cls(np.zeros((0, 3)), zeros, zeros, zeros, zeros, np.zeros((0, 3)), zeros)
 
 
-FilmDepth = Callable[[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]
-"""Depth in mm of the water over a road's texture, at places on the ground (world, meters) and times (s)."""
+FilmDepth = Callable[[Float64[np.ndarray, "n 2"]], Float64[np.ndarray, " n"]]
+"""Depth in mm of the water over a road's texture at places on the ground (x and y in the world, meters)."""
 
 
 def spray_parcels(scene: Scene, rain: RainSettings, film_mm: FilmDepth | float, time_s: float) -> SprayParcels:
@@ -126,9 +130,10 @@ def spray_parcels(scene: Scene, rain: RainSettings, film_mm: FilmDepth | float, 
 def spray_of(scene: Scene, rainfall: RainSimulation, time_s: float) -> SprayParcels:
     """Spray in a scene at a time: of wet colors, while it rains, if the rain has `spray`."""
     now = rainfall.frozen_at(time_s)
-    if not rainfall.rain.spray or now.state.is_clear or not scene.has_wet_colors or rainfall.wetness_at(time_s) <= 0:
+    if not rainfall.rain.spray or now.rain.intensity_mm_h == 0 or not scene.has_wet_colors or rainfall.wetness_at(time_s) <= 0:
         return SprayParcels.none()
-    return spray_parcels(scene, now.rain, depth_over_texture_mm(now.rain.intensity_mm_h), time_s)
+    films = WaterFilms.of(rainfall, scene.water)
+    return spray_parcels(scene, now.rain, lambda points_m: films.over_texture_mm(points_m, time_s), time_s)
 
 
 # Vehicles
@@ -270,10 +275,10 @@ def _of_vehicle(
     wheel = middle.copy()
     wheel[:, :2] += along[:, None] * forward + left[:, None] * np.stack([-forward[:, 1], forward[:, 0]], axis=1)
     age = time_s - (edges_s[cell] + u[0] * lasts[cell])
-    ground = (begins + vehicle.positions_m[cell + 1])[:, :2] / 2
-    film = film_mm if isinstance(film_mm, float | int) else film_mm(ground, edges_s[cell])
-    swept_m2 = wheels.width_m * length[cell]
-    thrown = 1e-3 * film * _WATER_KG_M3 * swept_m2 * throws[cell] * axle_share * share
+    film = film_mm if isinstance(film_mm, float | int) else film_mm(wheel[:, :2])
+    swept_m2 = wheels.width_m * length[cell] * throws[cell] * axle_share
+    taken_up = 1e-3 * _WATER_KG_M3 * swept_m2 * np.minimum(film, PICKUP_MM) * share
+    splashed = 1e-3 * _WATER_KG_M3 * swept_m2 * np.maximum(film - PICKUP_MM, 0) * (size == classes - 1)
 
     v, scale = speed[cell], float(np.sqrt(vehicle.size_lwh_m[1] * vehicle.size_lwh_m[2]))
     grown = np.cbrt(1 + v * age / scale)
@@ -296,9 +301,9 @@ def _of_vehicle(
     velocity[:, :2] = wind + (WAKE_DRAG * v / grown**2)[:, None] * forward
     velocity[:, 2] = -fall
     sigma = _OWN * np.sqrt(side * up)
-    masses = thrown * floats
-    extinction = 3 * masses / (_WATER_KG_M3 * 1e-3 * diameter_mm)  # Q = 2
-    parcels = SprayParcels(center, sigma, extinction, masses, diameter_mm, velocity, thrown)
+    thrown = taken_up + splashed
+    sections_m2 = 3 / (1e-3 * _WATER_KG_M3) * (taken_up / diameter_mm + splashed / _LARGEST_MM)  # Q = 2
+    parcels = SprayParcels(center, sigma, floats * sections_m2, floats * thrown, diameter_mm, velocity, thrown)
     return SprayParcels(*(column[floats > _NOTHING] for column in parcels))
 
 
