@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from ..backends import Backend, open_renderer
 from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
 from ..render.renderer import Renderer
 from ..scene.open import STREET
 from ..scene.scene import Actor, PoseTrack, Scene
@@ -20,6 +21,7 @@ from .agents import base
 from .agents.base import Agent, CameraView, Observation, SensorRequirements, Trajectory
 from .agents.registry import AgentOptions, open_agent
 from .controllers import open_controller
+from .friction import RoadGrip
 from .geometry import PlanarBox, Route, RouteCoordinates
 from .ground import RoadSurface, recorded_route, road_surface_of
 from .metrics.summary import ScoredRun
@@ -30,7 +32,7 @@ from .scenario_io import load_scenario
 from .sensors import RigRenderer, camera_of_width, needed_cameras, rig_cameras
 from .traffic.appearance import ACTOR, VehicleModel, scale_gaussians
 from .traffic.base import EGO, RoadUser, ego_user
-from .vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle, vehicle_box, yaw_rate
+from .vehicle import Control, Vehicle, VehicleState, grip_share, limit_control, step_bicycle, vehicle_box, yaw_rate
 
 logger = logging.getLogger("gsrain")
 _SEEDS = 2**32
@@ -70,6 +72,7 @@ class Simulation:
         self._traffic = Traffic(self.scenario, scene, self.route, self.ground)
         self._road = RoadScene(scene, self._traffic.looks, self.scenario.road_users)
         self._pictures: RigRenderer | None = None
+        self._grip = RoadGrip(RainSimulation.start(scenario.rain)) if scenario.friction == "wet" else None
         start = start_state(self.scenario, scene, self.route)
         self._start = self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
         self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
@@ -116,9 +119,15 @@ class Simulation:
         self._check_goes_on()
         before, dt = self._moment, self.scenario.step_s
         self._steps.append(self._recorded(plan))
-        control = limit_control(self.scenario.vehicle, before.state, control, dt)
-        state = step_bicycle(self.scenario.vehicle, before.state, control, dt)
-        self._traffic.advance(before.time_s, ego_user(self.scenario.vehicle, before.state), dt)
+        vehicle = self.scenario.vehicle
+        control = limit_control(vehicle, before.state, control, dt)
+        share = 1.0
+        if self._grip is not None:
+            grip = self._grip.acceleration_m_s2(before.state.speed_m_s, self.scenario.start_s + before.time_s)
+            share = grip_share(vehicle, before.state, control.acceleration_m_s2, grip)
+            control = control._replace(acceleration_m_s2=share * control.acceleration_m_s2)
+        state = step_bicycle(vehicle, before.state, control, dt, share)
+        self._traffic.advance(before.time_s, ego_user(vehicle, before.state), dt, self._grip)
         self._moment = _SimulationMoment(before.step + 1, (before.step + 1) * dt, state, control)
         self._judge()
 
@@ -390,7 +399,9 @@ def past_motions(
             there = next((each for each in step.road_users if each.id == user.id), None)
             if there is None:
                 break
-            placed = RoadUser(user.id, user.class_name, user.size_lwh, there.x_m, there.y_m, there.yaw_rad, z_m=there.z_m)
+            placed = RoadUser(
+                user.id, user.class_name, user.size_lwh, there.x_m, there.y_m, there.yaw_rad, z_m=there.z_m
+            )
             moments[user.id].insert(0, (step.time_s, placed.pose, there.speed_m_s))
     return {id: _track(each, scenario.start_s) for id, each in moments.items()}
 
@@ -405,6 +416,7 @@ def _track(moments: Sequence[tuple[float, Float64[np.ndarray, "4 4"], float | No
     standing = [PoseTrack.standing(each) for _, each, _ in moments]
     times = start_s + np.array([each for each, _, _ in moments])
     positions, quaternions = (
-        np.concatenate(column) for column in zip(*((each.positions, each.quaternions_wxyz) for each in standing), strict=True)
+        np.concatenate(column)
+        for column in zip(*((each.positions, each.quaternions_wxyz) for each in standing), strict=True)
     )
     return PoseTrack(times, positions, quaternions, np.ones(len(times), bool))

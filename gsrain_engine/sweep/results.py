@@ -37,7 +37,7 @@ _SHARED: dict[str, type] = {
 
 _DRIVE: dict[str, type] = {
     **_SHARED, "scenario": str, "agent": str, "agent_name": str, "wet": bool, "preset": str, "sensor": str,
-    "mirror": bool, "exposure_s": float, "start_speed_m_s": float, "gap_m": float,
+    "mirror": bool, "spray": bool, "friction": str, "exposure_s": float, "start_speed_m_s": float, "gap_m": float,
 }  # fmt: skip
 
 _RENDER: dict[str, type] = {
@@ -227,8 +227,9 @@ def _place(row: Row) -> tuple[object, ...]:
         for value in (group.variant.exposure_s, group.variant.start_speed_m_s, group.variant.gap_m)
     ]
     variant = group.variant
-    mirror = variant.mirror is not None, bool(variant.mirror)
-    own = variant.wet is not None, bool(variant.wet), variant.preset or "", variant.sensor or "", *mirror, *axes
+    switches = [(each is not None, bool(each)) for each in (variant.wet, variant.mirror, variant.spray)]
+    words = [each or "" for each in (variant.preset, variant.sensor, variant.friction)]
+    own = *switches[0], *words, *switches[1], *switches[2], *axes
     return *group[:3], *own, _number(row["intensity_mm_h"]), _number(row["seed"])
 
 

@@ -21,6 +21,7 @@ from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_names
+from ..simulation.friction import Friction
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
 
@@ -110,6 +111,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     preset: str | None = None
     sensor: str | None = None
     mirror: bool | None = None
+    spray: bool | None = None
+    friction: Friction | None = None
     exposure_s: float | None = None
     start_speed_m_s: float | None = None
     gap_m: float | None = None
@@ -121,6 +124,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
         words += [] if self.sensor is None else [f"sensor {Path(self.sensor).stem}"]
         words += [] if self.mirror is None else ["mirror" if self.mirror else "no mirror"]
+        words += [] if self.spray is None else ["spray" if self.spray else "no spray"]
+        words += [] if self.friction is None else [f"{self.friction} friction"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
         words += [] if self.gap_m is None else [f"{self.gap_m:g} m"]
@@ -136,6 +141,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             rain = structs.replace(rain, sensor=self.sensor)
         if self.mirror is not None:
             rain = structs.replace(rain, mirror=self.mirror)
+        if self.spray is not None:
+            rain = structs.replace(rain, spray=self.spray)
         if self.exposure_s is not None:
             rain = structs.replace(rain, exposure_s=self.exposure_s)
         if self.gap_m is not None:
@@ -144,7 +151,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             users = (structs.replace(users[0], ahead_m=self.gap_m), *users[1:])
         rain = with_wet_choice(rain, self.wet)
         speed = scenario.speed_m_s if self.start_speed_m_s is None else self.start_speed_m_s
-        return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed)
+        friction = self.friction or scenario.friction
+        return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed, friction=friction)
 
 
 class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
@@ -186,6 +194,13 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         tuple[bool | None, ...],
         Meta(min_length=1, title="Mirror", description="Whether water on the ground reflects; null: the scenario's."),
     ] = (None,)
+    spray: Annotated[
+        tuple[bool | None, ...],
+        Meta(min_length=1, title="Spray", description="Whether vehicles throw spray; null: the scenario's."),
+    ] = (None,)
+    friction: Annotated[
+        tuple[Friction, ...], Meta(title="Friction", description="dry or wet, to compare; none: the scenario's.")
+    ] = ()
     exposure_s: Annotated[
         Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
     ] = ()
@@ -202,15 +217,17 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     @property
     def variants(self) -> list[Variant]:
         """All combinations of the further axes."""
-        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.exposure_s or (None,)
+        axes = (
+            self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.spray,
+            self.friction or (None,), self.exposure_s or (None,), self.start_speed_m_s or (None,),
+            self.gap_m or (None,),
+        )  # fmt: skip
         return [
             Variant(
-                wet=wet, preset=preset, sensor=sensor, mirror=mirror, exposure_s=exposure, start_speed_m_s=speed,
-                gap_m=gap,
+                wet=wet, preset=preset, sensor=sensor, mirror=mirror, spray=spray, friction=friction,
+                exposure_s=exposure, start_speed_m_s=speed, gap_m=gap,
             )
-            for wet, preset, sensor, mirror, exposure, speed, gap in product(
-                *axes, self.start_speed_m_s or (None,), self.gap_m or (None,)
-            )
+            for wet, preset, sensor, mirror, spray, friction, exposure, speed, gap in product(*axes)
         ]  # fmt: skip
 
 

@@ -14,11 +14,10 @@ from typing import NamedTuple, no_type_check
 import numba
 import numpy as np
 from jaxtyping import Float64
-from scipy.special import ndtr
 
 from ..rain.keyframes import KeyframeCurve, RainKeyframes
 from ..rain.simulation import RainSimulation
-from ..rain.wetness import DEPTH_EXPONENT, OVERCAST_FROM_MM_H, OVERCAST_MM_H, TEXTURE_DEPTH_MM, water_depth_mm
+from ..rain.wetness import DEPTH_EXPONENT, OVERCAST_FROM_MM_H, OVERCAST_MM_H, water_depth_mm
 from ..scene.gaussians import IdentityKey, scene_cache
 from ..scene.ground_water import GroundWater
 
@@ -100,17 +99,6 @@ class WaterFilms:
             return np.full(len(points_m), now.film_mm)
         standing = self.ground.at(points_m.astype(np.float32))[:, 1].astype(np.float64)
         return now.film_mm + standing * (now.dip_mm - now.film_mm)
-
-    def over_texture_mm(self, points_m: Float64[np.ndarray, "n 2"], time_s: float) -> Float64[np.ndarray, " n"]:
-        """Mean depth in mm of the water over the road's texture at points: what a tire displaces.
-
-        The mean of max(h - depth of the texture, 0), with the distribution of `flooded_share`.
-        """
-        sigma = TEXTURE_DEPTH_MM / 2
-        depth = self.depth_mm(points_m, time_s)
-        above = (depth - TEXTURE_DEPTH_MM) / sigma
-        over = sigma * (np.exp(-above * above / 2) / np.sqrt(2 * np.pi) + above * ndtr(above))
-        return np.where(depth > 0, over, 0.0)
 
     @cached_property
     def dip_share(self) -> float:

@@ -7,20 +7,21 @@ alone (docs/physics.md, section 19).
 
 import math
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cache
+from itertools import product
 from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int64
 from scipy.special import ndtr, ndtri
 
 from ..rain.air import GRAVITY_M_S2, profile
 from ..rain.pcg_hash import pcg4d
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
+from ..rain.wetness import TEXTURE_DEPTH_MM, flooded_share
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import matrices_from_quaternions
 from ..scene.objects import coco_class, is_vehicle
@@ -43,19 +44,21 @@ _SMALLEST_MM, _LARGEST_MM = 0.05, 2.0
 MASS_SHARES = (0.08, 0.17, 0.25, 0.5)
 """Shares of the mass in the classes of drop sizes, from fine to coarse."""
 
-PICKUP_MM = 2.0
-"""Depth that the tread takes up: grooves of 8 mm over a quarter of its width. What is deeper is pushed aside as a splash
-of large drops (bow and side waves of Weir et al. 1978)."""
-
 GUARD_DEG = 25.0  # steepest angle of drops that leave a tire below the edge of the mudguard or wheel arch
 
 WAKE_DRAG, WAKE_SIDE, WAKE_UP, WAKE_RISE = 0.4, 0.16, 0.12, 0.1
 """Of a wake, in units of L = sqrt(width x height): initial speed over that of the vehicle, standard deviations of the
 plume of a tire across and up at its origin, and its rise by each doubling of the growth; ours."""
 
-_OWN, _APART = 0.6, 0.8  # standard deviations of a parcel, and of the places of parcels, in those of the plume
-_SWIRL_S = 0.7  # time in which a parcel turns by one radian around the middle of the plume
-_DRIFT_HEIGHT_M = 1.0  # at which wind carries spray
+OWN, APART = 0.6, 0.8  # standard deviations of a parcel, and of the places of parcels, in those of the plume
+SWIRL_S = 0.7  # time in which a parcel turns by one radian around the middle of the plume
+DRIFT_HEIGHT_M = 1.0  # at which wind carries spray
+MERGED_S, MERGE_S = (0.5, 1.2), 0.4
+"""Ages from which parcels of two neighboring cells merge to one, and the time that it takes."""
+
+LOWEST_M = 2.5
+"""Fall, in m, after which nothing of a class of drops floats any more."""
+
 _NOTHING = 1e-3  # floating share of a parcel that is left out
 
 EGO_SIZE_LWH, EGO_AXLE_M = (4.6, 1.85, 1.5), 1.5
@@ -99,8 +102,6 @@ class SprayParcels(NamedTuple):
     """Of the drops that float."""
     diameters_mm: Float64[np.ndarray, " n"]
     velocities_m_s: Float64[np.ndarray, "n 3"]
-    thrown_kg: Float64[np.ndarray, " n"]
-    """Mass at the tire; drops have settled since then."""
 
     def __len__(self) -> int:
         return len(self.sigmas_m)
@@ -108,32 +109,48 @@ class SprayParcels(NamedTuple):
     @classmethod
     def none(cls) -> "SprayParcels":
         zeros = np.zeros(0)
-        return cls(np.zeros((0, 3)), zeros, zeros, zeros, zeros, np.zeros((0, 3)), zeros)
+        return cls(np.zeros((0, 3)), zeros, zeros, zeros, zeros, np.zeros((0, 3)))
 
 
-FilmDepth = Callable[[Float64[np.ndarray, "n 2"]], Float64[np.ndarray, " n"]]
-"""Depth in mm of the water over a road's texture at places on the ground (x and y in the world, meters)."""
-
-
-def spray_parcels(scene: Scene, rain: RainSettings, film_mm: FilmDepth | float, time_s: float) -> SprayParcels:
+def spray_parcels(scene: Scene, rain: RainSettings, film_mm: float, time_s: float) -> SprayParcels:
     """Floating spray of all vehicles of a scene at a time: actors with tracks, and the ego vehicle.
 
-    `film_mm` is the depth of the water that tires meet; `rain` gives wind and seed. What the ego's front wheels throw
+    `film_mm` is the depth of the water that tires displace; `rain` gives wind and seed. What the ego's front wheels throw
     stays under it: all of its spray leaves the rear wheels.
     """
     cells = np.arange(int(np.floor((time_s - LONGEST_S) / STEP_S)), int(np.floor(time_s / STEP_S)) + 2)
     edges_s = np.minimum(cells * STEP_S, time_s)
-    found = [_of_vehicle(each, cells, edges_s, film_mm, rain, time_s) for each in vehicle_motions(scene, edges_s)]
+    found: list[SprayParcels] = []
+    for vehicle in vehicle_motions(scene, edges_s):
+        emitted = _emissions(vehicle, cells, edges_s, film_mm, rain.seed, time_s)
+        if emitted is not None:
+            found.append(_parcels(emitted, vehicle.size_lwh_m, rain))
     return SprayParcels(*(np.concatenate(column) for column in zip(SprayParcels.none(), *found, strict=True)))
 
 
 def spray_of(scene: Scene, rainfall: RainSimulation, time_s: float) -> SprayParcels:
     """Spray in a scene at a time: of wet colors, while it rains, if the rain has `spray`."""
     now = rainfall.frozen_at(time_s)
-    if not rainfall.rain.spray or now.rain.intensity_mm_h == 0 or not scene.has_wet_colors or rainfall.wetness_at(time_s) <= 0:
+    if (
+        not rainfall.rain.spray
+        or now.rain.intensity_mm_h == 0
+        or not scene.has_wet_colors
+        or rainfall.wetness_at(time_s) <= 0
+    ):
         return SprayParcels.none()
-    films = WaterFilms.of(rainfall, scene.water)
-    return spray_parcels(scene, now.rain, lambda points_m: films.over_texture_mm(points_m, time_s), time_s)
+    film_mm = WaterFilms.of(rainfall, scene.water).at(time_s).film_mm
+    return spray_parcels(scene, now.rain, displaced_mm(film_mm), time_s)
+
+
+def displaced_mm(film_mm: float) -> float:
+    """Depth in mm of the water that tires displace, from the mean depth of a film: what stands over the texture.
+
+    The mean of max(h - depth of the texture, 0) with the distribution of `flooded_share`. Dips in the tracks of tires
+    hold no more: traffic empties them.
+    """
+    sigma = TEXTURE_DEPTH_MM / 2
+    above = (film_mm - TEXTURE_DEPTH_MM) / sigma
+    return sigma * (math.exp(-above * above / 2) / math.sqrt(2 * math.pi) + above * flooded_share(film_mm))
 
 
 # Vehicles
@@ -152,7 +169,9 @@ def vehicle_motions(scene: Scene, times_s: Float64[np.ndarray, " n"]) -> list[Ve
         tracks_m = wheels_of("car", EGO_SIZE_LWH)
         assert tracks_m is not None
         wheels = Wheels((0.0,), (1.0,), tracks_m.tracks_m, tracks_m.width_m)
-        motions.append(_motion("ego", EGO_SIZE_LWH, wheels, scene.motions.get("ego", scene.ego), scene, times_s, EGO_AXLE_M))
+        motions.append(
+            _motion("ego", EGO_SIZE_LWH, wheels, scene.motions.get("ego", scene.ego), scene, times_s, EGO_AXLE_M)
+        )
     return [each for each in motions if each.is_there.any()]
 
 
@@ -236,78 +255,108 @@ def terminal_speed_m_s(diameter_mm: Float64[np.ndarray, " n"]) -> Float64[np.nda
 
 def thrown_share(speed_m_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """Share of the displaced water that tires throw: 0 up to 40, 1 from 60 km/h on, and a smooth step between."""
-    share = np.clip((speed_m_s - STILL_M_S) / (FULL_M_S - STILL_M_S), 0, 1)
-    return share * share * (3 - 2 * share)
+    return _smooth((speed_m_s - STILL_M_S) / (FULL_M_S - STILL_M_S))
 
 
 # Parcels
 
 
-def _of_vehicle(
-    vehicle: VehicleMotion, cells: np.ndarray, edges_s: Float64[np.ndarray, " edges"], film_mm: FilmDepth | float,
-    rain: RainSettings, time_s: float,
-) -> SprayParcels:  # fmt: skip
-    """Parcels of one vehicle: of each cell of time, one for each axle, track and class of sizes."""
+class _Emissions(NamedTuple):
+    """What leaves the tires of one vehicle: one parcel for each cell of time, axle, track and class of sizes."""
+
+    wheel_m: Float64[np.ndarray, "n 3"]
+    """Place on the ground."""
+    forward: Float64[np.ndarray, "n 2"]
+    speed_m_s: Float64[np.ndarray, " n"]
+    age_s: Float64[np.ndarray, " n"]
+    thrown_kg: Float64[np.ndarray, " n"]
+    diameter_mm: Float64[np.ndarray, " n"]
+    fall_m_s: Float64[np.ndarray, " n"]
+    randoms: Float64[np.ndarray, "8 n"]
+
+
+def _emissions(
+    vehicle: VehicleMotion, cells: Int64[np.ndarray, " cells"], edges_s: Float64[np.ndarray, " edges"], film_mm: float,
+    seed: int, time_s: float,
+) -> _Emissions | None:  # fmt: skip
     moved = np.diff(vehicle.positions_m[:, :2], axis=0)
-    length = np.hypot(*moved.T)
-    lasts = np.diff(edges_s)
+    length, lasts = np.hypot(*moved.T), np.diff(edges_s)
     speed = np.divide(length, lasts, out=np.zeros(len(length)), where=lasts > 1e-9)
     ahead = np.sum(moved * vehicle.forward[:-1], axis=1) > 0
     throws = thrown_share(speed) * (vehicle.is_there[:-1] & vehicle.is_there[1:] & ahead)
-    moving = np.flatnonzero(throws > 0)
-    if not len(moving):
-        return SprayParcels.none()
+    sizes = np.array([size_classes(round(2 * each) / 2) for each in speed.tolist()])  # cells, classes, numbers
+    oldest = time_s - edges_s[:-1, None] - lasts[:, None]
+    cell, size = np.nonzero((throws > 0)[:, None] & (oldest * sizes[:, :, 2] < LOWEST_M))
+    if not len(cell):
+        return None
     wheels = vehicle.wheels
-    places = [(x, share, y) for x, share in zip(wheels.axles_m, wheels.axle_shares, strict=True) for y in wheels.tracks_m]
-    classes = len(MASS_SHARES)
-    cell = np.repeat(moving, len(places) * classes)
-    place = np.tile(np.repeat(np.arange(len(places)), classes), len(moving))
-    size = np.tile(np.arange(classes), len(moving) * len(places))
-    sizes = np.array([size_classes(round(2 * each) / 2) for each in speed[moving]]).reshape(-1, 3)
-    share, diameter_mm, fall = sizes[np.repeat(np.arange(len(moving)), len(places) * classes) * classes + size].T
-    u = _randoms(cells[cell], place * classes + size, zlib.crc32(vehicle.name.encode()), rain.seed)
-
-    along, axle_share, left = np.array(places)[place].T
-    begins = vehicle.positions_m[cell]
+    axles = list(product(zip(wheels.axles_m, wheels.axle_shares, strict=True), wheels.tracks_m))
+    places = np.array([(along, share, left) for (along, share), left in axles])
+    place = np.repeat(np.arange(len(places)), len(cell))
+    cell, size = np.tile(cell, len(places)), np.tile(size, len(places))
+    randoms = _randoms(cells[cell], place * len(MASS_SHARES) + size, zlib.crc32(vehicle.name.encode()), seed)
+    along, axle_share, left = places[place].T
+    share, diameter_mm, fall = sizes[cell, size].T
     # Inside a cell the place follows from a random number, so that the lattice does not show.
-    middle = begins + u[0][:, None] * (vehicle.positions_m[cell + 1] - begins)
-    forward = vehicle.forward[cell]
-    wheel = middle.copy()
-    wheel[:, :2] += along[:, None] * forward + left[:, None] * np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    age = time_s - (edges_s[cell] + u[0] * lasts[cell])
-    film = film_mm if isinstance(film_mm, float | int) else film_mm(wheel[:, :2])
+    begins, forward = vehicle.positions_m[cell], vehicle.forward[cell]
+    wheel = begins + randoms[0][:, None] * (vehicle.positions_m[cell + 1] - begins)
+    wheel[:, :2] += along[:, None] * forward + left[:, None] * _left_of(forward)
+    age = time_s - (edges_s[cell] + randoms[0] * lasts[cell])
     swept_m2 = wheels.width_m * length[cell] * throws[cell] * axle_share
-    taken_up = 1e-3 * _WATER_KG_M3 * swept_m2 * np.minimum(film, PICKUP_MM) * share
-    splashed = 1e-3 * _WATER_KG_M3 * swept_m2 * np.maximum(film - PICKUP_MM, 0) * (size == classes - 1)
+    weight = _merged_weight(cells[cell], time_s - edges_s[cell])
+    thrown = 1e-3 * film_mm * _WATER_KG_M3 * swept_m2 * share * weight
+    found = _Emissions(wheel, forward, speed[cell], age, thrown, diameter_mm, fall, randoms)
+    left_over = weight > 0
+    return _Emissions(*(column[left_over] for column in found[:-1]), randoms[:, left_over])
 
-    v, scale = speed[cell], float(np.sqrt(vehicle.size_lwh_m[1] * vehicle.size_lwh_m[2]))
-    grown = np.cbrt(1 + v * age / scale)
-    up_m = _height(u[1], u[2], v, age, diameter_mm, fall, vehicle.size_lwh_m[2]) + WAKE_RISE * scale * (grown - 1)
+
+def _merged_weight(cells: Int64[np.ndarray, " n"], age_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Factor on parcels of cells: from each age of `MERGED_S` on every second one takes over the water of the next."""
+    weight, odd = np.ones(len(cells)), 1
+    for merged_s in MERGED_S:
+        share = _smooth((age_s - merged_s) / MERGE_S)
+        weight *= np.where(cells // odd % 2 == 0, 1 + share, np.where(cells % odd == 0, 1 - share, 1.0))
+        odd *= 2
+    return weight
+
+
+def _smooth(share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    share = np.clip(share, 0, 1)
+    return share * share * (3 - 2 * share)
+
+
+def _left_of(forward: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+    return np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+
+
+def _parcels(emitted: _Emissions, size_lwh_m: tuple[float, float, float], rain: RainSettings) -> SprayParcels:
+    """Move parcels to where they are at their age, in the wake of a vehicle and the wind."""
+    wheel, forward, speed, age, thrown, diameter_mm, fall, u = emitted
+    scale = float(np.sqrt(size_lwh_m[1] * size_lwh_m[2]))
+    grown = np.cbrt(1 + speed * age / scale)
     side, up = WAKE_SIDE * scale * grown, WAKE_UP * scale * grown
     normals = ndtri(np.clip(u[3:], 1e-6, 1 - 1e-6))
-    turn = age / _SWIRL_S
-    offsets = _APART * (normals[:3] * np.cos(turn) + normals[[3, 4, 0]] * np.sin(turn))
-    center = wheel
+    turn = age / SWIRL_S
+    offsets = APART * (normals[:3] * np.cos(turn) + normals[[3, 4, 0]] * np.sin(turn))
+    height = _thrown_height(u[1], u[2], speed, age, diameter_mm, fall, size_lwh_m[2])
+    height += WAKE_RISE * scale * (grown - 1) + offsets[2] * up
     drag = 3 * WAKE_DRAG * scale * (grown - 1) * (0.6 + 0.8 * u[1])
-    wind = np.array(rain.wind_vector_m_s) * float(profile(np.array([_DRIFT_HEIGHT_M]), rain.roughness_m)[0])
-    across = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    center[:, :2] += (drag + offsets[0] * side)[:, None] * forward + (offsets[1] * side)[:, None] * across
+    wind = np.array(rain.wind_vector_m_s) * float(profile(np.array([DRIFT_HEIGHT_M]), rain.roughness_m)[0])
+    center, velocity = wheel.copy(), np.zeros_like(wheel)
+    center[:, :2] += (drag + offsets[0] * side)[:, None] * forward + (offsets[1] * side)[:, None] * _left_of(forward)
     center[:, :2] += wind * age[:, None]
-    height = up_m + offsets[2] * up
-    fade = np.clip((LONGEST_S - age) / FADE_S, 0, 1)
-    floats = ndtr(height / up) * fade * fade * (3 - 2 * fade)
-    center[:, 2] = begins[:, 2] + np.maximum(height, 0.0)
-    velocity = np.zeros_like(center)
-    velocity[:, :2] = wind + (WAKE_DRAG * v / grown**2)[:, None] * forward
+    center[:, 2] += np.maximum(height, 0.0)
+    velocity[:, :2] = wind + (WAKE_DRAG * speed / grown**2)[:, None] * forward
     velocity[:, 2] = -fall
-    sigma = _OWN * np.sqrt(side * up)
-    thrown = taken_up + splashed
-    sections_m2 = 3 / (1e-3 * _WATER_KG_M3) * (taken_up / diameter_mm + splashed / _LARGEST_MM)  # Q = 2
-    parcels = SprayParcels(center, sigma, floats * sections_m2, floats * thrown, diameter_mm, velocity, thrown)
+    floats = ndtr(height / up) * _smooth((LONGEST_S - age) / FADE_S)
+    masses = thrown * floats
+    extinction = 3 * masses / (_WATER_KG_M3 * 1e-3 * diameter_mm)  # Q = 2
+    sigma = OWN * np.sqrt(side * up)
+    parcels = SprayParcels(center, sigma, extinction, masses, diameter_mm, velocity)
     return SprayParcels(*(column[floats > _NOTHING] for column in parcels))
 
 
-def _height(
+def _thrown_height(
     of_angle: Float64[np.ndarray, " n"], of_wheel: Float64[np.ndarray, " n"], speed_m_s: Float64[np.ndarray, " n"],
     age_s: Float64[np.ndarray, " n"], diameter_mm: Float64[np.ndarray, " n"], fall_m_s: Float64[np.ndarray, " n"],
     tall_m: float,
@@ -326,9 +375,11 @@ def _height(
     return wheel_m * (0.2 + 0.8 * of_wheel) + risen - fallen
 
 
-def _randoms(cells: np.ndarray, lane: np.ndarray, vehicle: int, seed: int) -> Float64[np.ndarray, "8 n"]:
+def _randoms(
+    cells: Int64[np.ndarray, " n"], lane: Int64[np.ndarray, " n"], vehicle: int, seed: int
+) -> Float64[np.ndarray, "8 n"]:
     """Eight uniform numbers in 0..1 for each parcel."""
-    where = cells.astype(np.int64).astype(np.uint32)
+    where = cells.astype(np.uint32)
     lanes = lane.astype(np.uint32)
     names, seeds = np.full_like(where, vehicle), np.full_like(where, seed)
     first = pcg4d(where, lanes, names, seeds)
