@@ -83,8 +83,8 @@ def lidar(
     """Rain on a lidar: returns kept, lost and made up, by range, over intensities and seeds.
 
     Rain and fog attenuate light in both directions (the same beta as haze in images), nearby drops of the same field
-    return echoes, as does the spray of fast vehicles in a scene, and a wet road mirrors. A capture's own sweeps count as those of clear weather. In a scene a virtual
-    sensor is on the ego's roof.
+    return echoes, as does the spray of fast vehicles in a scene, and a wet road mirrors. A capture's own sweeps count
+    as those of clear weather. In a scene a virtual sensor is on the ego's roof.
     """
     let_names_lead_outside(allow_outside)
     intensities = parse_intensities(rain)

@@ -113,8 +113,6 @@ class RainFrame:
     """Sheltered areas over the cell; None without any."""
     lamps: LitLamps | None = None
     """Lamps that light drops and medium, in the world; None without any."""
-    spray: Gaussians | None = None
-    """Spray of vehicles; None without any."""
 
     @property
     def is_clear(self) -> bool:
@@ -219,13 +217,10 @@ class RainFrame:
 
     @cached_property
     def drawn_haze(self) -> Gaussians:
-        """Haze Gaussians, then spray; with the light of lamps as their color, as `lit_streaks`: none on haze."""
-        haze, spray = self.haze, self.spray
-        if self.lamp_light is not None and self.is_linear:
-            haze = replace(haze, sh=sh_of(np.zeros(3), len(haze)))
-            if spray is not None and len(spray):
-                spray = replace(spray, sh=sh_from_color(light_of_drops(self.lamp_light, spray.means, self.view.camera)))
-        return haze if spray is None or not len(spray) else Gaussians.concatenate([haze, spray])
+        """Haze Gaussians; black if their color stands for light of lamps, as that of `lit_streaks` does."""
+        if self.lamp_light is None or not self.is_linear:
+            return self.haze
+        return replace(self.haze, sh=sh_of(np.zeros(3), len(self.haze)))
 
     @cached_property
     def medium(self) -> RainMedium | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -39,6 +39,11 @@ class RenderView:
     """Fraction of the shutter time, for one of several sub-frames that share it."""
 
 
+def has_spray(scene: Scene, rainfall: RainSimulation | None, time_s: float) -> bool:
+    """Return whether spray floats in a scene at a time."""
+    return rainfall is not None and len(spray_of(scene, rainfall, time_s)) > 0
+
+
 _STEP_S = 0.005  # half the time step of the velocity estimate
 
 
@@ -69,7 +74,8 @@ def draw_view(
 
     Wet colors follow the rain's wetness, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
     the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out
-    some of each part's Gaussians; `selection` tints selected ones.
+    some of each part's Gaussians; `selection` tints selected ones. Spray counts in depth: where `has_spray`, draw the
+    scene's own depth without rain.
     """
     rain, wetness, overcast = None, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
@@ -78,8 +84,6 @@ def draw_view(
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
-            spray = spray_of(scene, rainfall, shot.time_s)
-            rain = replace(rain, spray=spray_gaussians(spray, rain.color)) if len(spray) else rain
     has_water = rainfall is not None and rainfall.rain.mirror and look == "splats"
     has_water = has_water and has_mirror(scene, shot.camera, wetness)
     lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
@@ -96,6 +100,9 @@ def draw_view(
             renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
             flooded_share(WaterFilms.of(rainfall, scene.water).at(shot.time_s).film_mm), sky.drops, lit_lamps,
         )  # fmt: skip
+    if rain is not None and rainfall is not None:
+        spray = spray_of(scene, rainfall, shot.time_s)
+        parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 

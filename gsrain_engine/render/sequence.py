@@ -16,7 +16,7 @@ from ..scene.scene import RigCamera, Scene
 from ..water.glass import CameraMotion, GlassState
 from .camera_optics import CameraOptics, glass_state
 from .camera_response import PictureOptics
-from .draw import LodCut, RenderView, draw_view, read_picture
+from .draw import LodCut, RenderView, draw_view, has_spray, read_picture
 from .images import to_display, to_linear_light
 from .renderer import Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
@@ -142,6 +142,7 @@ class FrameSequence:
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
+        has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
         frame: Frame | None = None

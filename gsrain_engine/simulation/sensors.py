@@ -11,7 +11,7 @@ from jaxtyping import Float64, UInt8
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import RenderView, draw_view, read_picture
+from ..render.draw import RenderView, draw_view, has_spray, read_picture
 from ..render.object_labels import draw_labels
 from ..render.renderer import Renderer
 from ..render.sky_color import SkyColor, sky_color
@@ -57,9 +57,12 @@ class RigRenderer:
                 self._renderer, scene, self._rainfall, color, view,
                 camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
             )  # fmt: skip
-            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
-            depth = self._renderer.read().depth if self._needs.depth else None
+            has_own = self._needs.depth and not has_spray(scene, self._rainfall, time_s)
+            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=has_own)
             image = read_picture(self._renderer, optics)
+            if self._needs.depth and not has_own:
+                draw_view(self._renderer, scene, None, color, view, with_depth=True)
+            depth = self._renderer.read().depth if self._needs.depth else None
             views[mounted.name] = CameraView(
                 image, camera, None if depth is None else depth.copy(), semantic, instances
             )

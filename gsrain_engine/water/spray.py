@@ -18,12 +18,14 @@ from jaxtyping import Bool, Float, Float64, Int64
 from scipy.special import ndtr, ndtri
 
 from ..rain.air import GRAVITY_M_S2, profile
+from ..rain.frame import RainFrame
+from ..rain.lamp_light import light_of_drops
 from ..rain.pcg_hash import pcg4d
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import TEXTURE_DEPTH_MM, flooded_share
 from ..scene.gaussians import Gaussians, sh_from_color
-from ..scene.geometry import matrices_from_quaternions
+from ..scene.geometry import linear_to_srgb, matrices_from_quaternions
 from ..scene.objects import coco_class, is_vehicle
 from ..scene.scene import PoseTrack, Scene
 from .films import WaterFilms
@@ -59,6 +61,10 @@ MERGED_S, MERGE_S = (0.5, 1.2), 0.4
 LOWEST_M = 2.5
 """Fall, in m, after which nothing of a class of drops floats any more."""
 
+LIGHT = 0.55
+"""Light of spray over the mean of the sky: half of what its drops refract forward is sky, half a wet road; ours."""
+
+LEAST_ALPHA = 5e-4
 _NOTHING = 1e-3  # floating share of a parcel that is left out
 
 EGO_SIZE_LWH, EGO_AXLE_M = (4.6, 1.85, 1.5), 1.5
@@ -115,8 +121,8 @@ class SprayParcels(NamedTuple):
 def spray_parcels(scene: Scene, rain: RainSettings, film_mm: float, time_s: float) -> SprayParcels:
     """Floating spray of all vehicles of a scene at a time: actors with tracks, and the ego vehicle.
 
-    `film_mm` is the depth of the water that tires displace; `rain` gives wind and seed. What the ego's front wheels throw
-    stays under it: all of its spray leaves the rear wheels.
+    `film_mm` is the depth of the water that tires displace; `rain` gives wind and seed. What the ego's front wheels
+    throw stays under it: all of its spray leaves the rear wheels.
     """
     cells = np.arange(int(np.floor((time_s - LONGEST_S) / STEP_S)), int(np.floor(time_s / STEP_S)) + 2)
     edges_s = np.minimum(cells * STEP_S, time_s)
@@ -390,19 +396,26 @@ def _randoms(
 # As Gaussians
 
 
-def spray_gaussians(parcels: SprayParcels, color: Float64[np.ndarray, "3"]) -> Gaussians:
-    """Soft Gaussians of the parcels, of one display color.
+def spray_gaussians(parcels: SprayParcels, rain: RainFrame) -> Gaussians:
+    """Soft Gaussians of the parcels for a camera, to be drawn with the scene's.
 
-    The alpha at the center is 1 - exp(-tau), tau = A / (2 pi sigma^2) the optical depth along a line through it.
+    The alpha at the center is 1 - exp(-tau), tau = A / (2 pi sigma^2) the optical depth along a line through it, raised
+    by what renderers cut off at 1/255: the integral stays. Light is that of the sky and of the road, which drops
+    scatter forward, and of lamps.
     """
-    n = len(parcels)
     depth = parcels.extinction_m2 / (2 * np.pi * parcels.sigmas_m**2)
+    alpha = -np.expm1(-depth)
+    shown = np.flatnonzero(alpha > LEAST_ALPHA)
+    means = parcels.centers_m[shown].astype(np.float32)
+    light = np.tile(LIGHT * rain.light_linear, (len(shown), 1))
+    if rain.lamp_light is not None and rain.is_linear:
+        light += np.float32(0.5) * light_of_drops(rain.lamp_light, means, rain.view.camera)
     return Gaussians(
-        parcels.centers_m.astype(np.float32),
-        np.repeat(parcels.sigmas_m.astype(np.float32)[:, None], 3, axis=1),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-        -np.expm1(-depth).astype(np.float32),
-        sh_from_color(np.tile(np.asarray(color, np.float32), (n, 1))),
+        means,
+        np.repeat(parcels.sigmas_m[shown].astype(np.float32)[:, None], 3, axis=1),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (len(shown), 1)),
+        np.minimum(alpha[shown] + 1 / 255, 1).astype(np.float32),
+        sh_from_color(linear_to_srgb(np.minimum(light, 1)).astype(np.float32)),
     )
 
 

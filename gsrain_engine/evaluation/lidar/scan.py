@@ -82,8 +82,8 @@ def scan_in_rain(
     Extinction is beta(R) of `RainProperties`, for both directions. Drops are those of the rain's own field at the
     beams' time inside its streak region, which is placed in the frame `anchor_to_world`, and Poisson-sampled ones
     beyond. Of a beam's echoes the strongest (relative to the detection threshold at its range), the first or the last
-    is reported. `spray` takes light from echoes behind it, and returns its own. Range noise is the increase over clear air. The rain's seed determines everything; without rain and
-    wetness the points are unchanged, to the bit.
+    is reported. `spray` takes light from echoes behind it, and returns its own. Range noise is the increase over clear
+    air. The rain's seed determines everything; without rain and wetness the points are unchanged, to the bit.
     """
     rainfall = rainfall.frozen_at(beams.time_s)
     state, seed = rainfall.state, rainfall.rain.seed
