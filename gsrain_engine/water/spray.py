@@ -290,7 +290,8 @@ def _emissions(
     speed = np.divide(length, lasts, out=np.zeros(len(length)), where=lasts > 1e-9)
     ahead = np.sum(moved * vehicle.forward[:-1], axis=1) > 0
     throws = thrown_share(speed) * (vehicle.is_there[:-1] & vehicle.is_there[1:] & ahead)
-    sizes = np.array([size_classes(round(2 * each) / 2) for each in speed.tolist()])  # cells, classes, numbers
+    steps, of_cell = np.unique(np.rint(2 * speed), return_inverse=True)
+    sizes = np.array([size_classes(each / 2) for each in steps.tolist()])[of_cell]  # cells, classes, numbers
     oldest = time_s - edges_s[:-1, None] - lasts[:, None]
     cell, size = np.nonzero((throws > 0)[:, None] & (oldest * sizes[:, :, 2] < LOWEST_M))
     if not len(cell):

@@ -52,7 +52,7 @@ def spray_in_beams(
         rows = np.arange(len(depths))
         transmittance[part] = np.exp(-through[rows, whole] - (to_echo - whole) * depths[rows, whole])
         reflectances = 0.5 * depths * matt * fluctuation * np.exp(-2 * through[:, :-1] - depths)
-        signals = sensor.signal(middles, reflectances, extinction_per_m)
+        signals = sensor.signal(np.broadcast_to(middles, depths.shape), reflectances, extinction_per_m)
         signals[beams.untouched[part]] = 0
         beam, place = np.nonzero((signals >= 1) & (middles < clear[part, None] - step_m))
         found.append(RainReturns(beam + first, middles[place], reflectances[beam, place]))
