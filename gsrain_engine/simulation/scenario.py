@@ -105,7 +105,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     friction: Annotated[Friction, Meta(
         title="Friction", extra={"commands": "drive"},
         description="Of the road under all vehicles. dry: each has its own limits. wet: less by speed and water, which "
-        "agents don't know (docs/physics.md, 20).")] = "dry"  # fmt: skip
+        "agents don't know (docs/physics.md, 21).")] = "dry"  # fmt: skip
     vehicle: Vehicle = Vehicle()
     controller: ControllerSettings = ControllerSettings()
     step_s: Annotated[float, Meta(gt=0, le=1, title="Step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})] = (

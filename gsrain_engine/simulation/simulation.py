@@ -121,15 +121,25 @@ class Simulation:
         self._steps.append(self._recorded(plan))
         vehicle = self.scenario.vehicle
         control = limit_control(vehicle, before.state, control, dt)
-        share = 1.0
-        if self._grip is not None:
-            grip = self._grip.acceleration_m_s2(before.state.speed_m_s, self.scenario.start_s + before.time_s)
-            share = grip_share(vehicle, before.state, control.acceleration_m_s2, grip)
-            control = control._replace(acceleration_m_s2=share * control.acceleration_m_s2)
+        share = self._grip_share(before, control.acceleration_m_s2)
+        control = control._replace(acceleration_m_s2=share * control.acceleration_m_s2)
         state = step_bicycle(vehicle, before.state, control, dt, share)
         self._traffic.advance(before.time_s, ego_user(vehicle, before.state), dt, self._grip)
         self._moment = _SimulationMoment(before.step + 1, (before.step + 1) * dt, state, control)
         self._judge()
+
+    def _grip_share(self, moment: "_SimulationMoment", acceleration_m_s2: float) -> float:
+        """Return the share of a demanded acceleration, and of the turn, that the road transmits, 0..1."""
+        if self._grip is None:
+            return 1.0
+        grip = self._grip.acceleration_m_s2(moment.state.speed_m_s, self.scenario.start_s + moment.time_s)
+        return grip_share(self.scenario.vehicle, moment.state, acceleration_m_s2, grip)
+
+    @property
+    def _yaw_rate(self) -> float:
+        moment = self._moment
+        share = self._grip_share(moment, moment.control.acceleration_m_s2)
+        return share * yaw_rate(self.scenario.vehicle, moment.state)
 
     def observation(self) -> Observation:
         """Return the current observation, with the images that the agent needs."""
@@ -144,7 +154,7 @@ class Simulation:
         """Render the current state for any cameras of the rig."""
         state, time_s = self._moment.state, self.scenario.start_s + self._moment.time_s
         velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
-        turning = yaw_rate(self.scenario.vehicle, state)
+        turning = self._yaw_rate
         return pictures.views(self.scene_now, self.rig_to_world, velocity, turning, time_s)
 
     @property
@@ -201,7 +211,7 @@ class Simulation:
             ego=EgoRecord(
                 x_m=state.x_m, y_m=state.y_m, z_m=self._height_m, yaw_rad=state.yaw_rad, speed_m_s=state.speed_m_s,
                 steer_rad=state.steer_rad, acceleration_m_s2=moment.control.acceleration_m_s2,
-                steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=yaw_rate(self.scenario.vehicle, state),
+                steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=self._yaw_rate,
             ),
             road_users=tuple(
                 UserRecord(id=user.id, x_m=user.x_m, y_m=user.y_m, z_m=user.z_m, yaw_rad=user.yaw_rad,

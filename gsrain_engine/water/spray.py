@@ -2,7 +2,7 @@
 
 Parcels leave the tires at fixed places of a lattice in time, along the past track of each vehicle. Where one is later,
 how large it has grown and how much of it still floats are closed forms of its age, so that any frame can be computed
-alone (docs/physics.md, section 19).
+alone (docs/physics.md, section 20).
 """
 
 import math
@@ -278,7 +278,7 @@ class _Emissions(NamedTuple):
     thrown_kg: Float64[np.ndarray, " n"]
     diameter_mm: Float64[np.ndarray, " n"]
     fall_m_s: Float64[np.ndarray, " n"]
-    randoms: Float64[np.ndarray, "8 n"]
+    randoms: Float64[np.ndarray, "n 8"]
 
 
 def _emissions(
@@ -312,9 +312,8 @@ def _emissions(
     swept_m2 = wheels.width_m * length[cell] * throws[cell] * axle_share
     weight = _merged_weight(cells[cell], time_s - edges_s[cell])
     thrown = 1e-3 * film_mm * _WATER_KG_M3 * swept_m2 * share * weight
-    found = _Emissions(wheel, forward, speed[cell], age, thrown, diameter_mm, fall, randoms)
-    left_over = weight > 0
-    return _Emissions(*(column[left_over] for column in found[:-1]), randoms[:, left_over])
+    found = _Emissions(wheel, forward, speed[cell], age, thrown, diameter_mm, fall, randoms.T)
+    return _Emissions(*(column[weight > 0] for column in found))
 
 
 def _merged_weight(cells: Int64[np.ndarray, " n"], age_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
@@ -338,7 +337,8 @@ def _left_of(forward: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
 
 def _parcels(emitted: _Emissions, size_lwh_m: tuple[float, float, float], rain: RainSettings) -> SprayParcels:
     """Move parcels to where they are at their age, in the wake of a vehicle and the wind."""
-    wheel, forward, speed, age, thrown, diameter_mm, fall, u = emitted
+    wheel, forward, speed, age, thrown, diameter_mm, fall, randoms = emitted
+    u = randoms.T
     scale = float(np.sqrt(size_lwh_m[1] * size_lwh_m[2]))
     grown = np.cbrt(1 + speed * age / scale)
     side, up = WAKE_SIDE * scale * grown, WAKE_UP * scale * grown
