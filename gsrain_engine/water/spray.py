@@ -1,8 +1,8 @@
 """Spray: the water that tires throw from a wet road, as parcels of drops in the wake behind each vehicle.
 
-Parcels leave the tires at fixed places of a lattice in time, along the past track of each vehicle. Where one is later,
-how large it has grown and how much of it still floats are closed forms of its age, so that any frame can be computed
-alone (docs/physics.md, section 20).
+Parcels leave the tires at fixed places of a lattice in time, along the past track of each vehicle. Their places, sizes
+and floating shares later are closed forms of their age, so that any frame can be computed alone (docs/physics.md,
+section 20).
 """
 
 import math
@@ -39,7 +39,7 @@ LONGEST_S, FADE_S = 3.0, 0.8  # age that parcels reach, and the end of it in whi
 GROOVE_M = 0.008  # width of a tread's grooves, in the Weber number
 _SURFACE_N_M, _WATER_KG_M3, _AIR_KG_M3, _AIR_PA_S = 0.0728, 998.0, 1.2, 1.8e-5
 WEBER, WEBER_MEAN_MM = 2700.0, 0.8
-"""Mean diameter of the drops from a groove at a Weber number; it falls with the root of that (Plocher and Browne)."""
+"""Mean diameter of drops from a groove at a Weber number; it falls with the root of that (Radovich and Plocher 2009)."""
 
 SPREAD = 0.6  # standard deviation of ln D
 _SMALLEST_MM, _LARGEST_MM = 0.05, 2.0
@@ -233,7 +233,7 @@ class SizeClass(NamedTuple):
 def mean_diameter_mm(speed_m_s: float) -> float:
     """Mean diameter of drops that leave the grooves of a tire: 0.8 mm sqrt(2700 / We), We = rho V^2 w / sigma.
 
-    By Plocher and Browne (laboratory, We 2700 to 24400): 80 um to 9 mm with a mean of 0.8 mm at 2700, and the root law.
+    Radovich and Plocher 2009 (laboratory, We 2700 to 24400): 80 um to 9 mm, mean 0.8 mm at 2700, and the root law.
     """
     weber = _WATER_KG_M3 * max(speed_m_s, STILL_M_S) ** 2 * GROOVE_M / _SURFACE_N_M
     return WEBER_MEAN_MM * float(np.sqrt(WEBER / weber))
@@ -268,7 +268,7 @@ def thrown_share(speed_m_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " 
 
 
 class _Emissions(NamedTuple):
-    """What leaves the tires of one vehicle: one parcel for each cell of time, axle, track and class of sizes."""
+    """Water that leaves the tires of one vehicle: one parcel for each cell of time, axle, track and class of sizes."""
 
     wheel_m: Float64[np.ndarray, "n 3"]
     """Place on the ground."""
@@ -290,12 +290,12 @@ def _emissions(
     speed = np.divide(length, lasts, out=np.zeros(len(length)), where=lasts > 1e-9)
     ahead = np.sum(moved * vehicle.forward[:-1], axis=1) > 0
     throws = thrown_share(speed) * (vehicle.is_there[:-1] & vehicle.is_there[1:] & ahead)
+    if not throws.any():
+        return None
     steps, of_cell = np.unique(np.rint(2 * speed), return_inverse=True)
     sizes = np.array([size_classes(each / 2) for each in steps.tolist()])[of_cell]  # cells, classes, numbers
     oldest = time_s - edges_s[:-1, None] - lasts[:, None]
     cell, size = np.nonzero((throws > 0)[:, None] & (oldest * sizes[:, :, 2] < LOWEST_M))
-    if not len(cell):
-        return None
     wheels = vehicle.wheels
     axles = list(product(zip(wheels.axles_m, wheels.axle_shares, strict=True), wheels.tracks_m))
     places = np.array([(along, share, left) for (along, share), left in axles])
@@ -406,16 +406,16 @@ def spray_gaussians(parcels: SprayParcels, rain: RainFrame) -> Gaussians:
     """
     depth = parcels.extinction_m2 / (2 * np.pi * parcels.sigmas_m**2)
     alpha = -np.expm1(-depth)
-    shown = np.flatnonzero(alpha > LEAST_ALPHA)
-    means = parcels.centers_m[shown].astype(np.float32)
-    light = np.tile(LIGHT * rain.light_linear, (len(shown), 1))
+    drawn = np.flatnonzero(alpha > LEAST_ALPHA)
+    means = parcels.centers_m[drawn].astype(np.float32)
+    light = np.tile(LIGHT * rain.light_linear, (len(drawn), 1))
     if rain.lamp_light is not None and rain.is_linear:
         light += np.float32(0.5) * light_of_drops(rain.lamp_light, means, rain.view.camera)
     return Gaussians(
         means,
-        np.repeat(parcels.sigmas_m[shown].astype(np.float32)[:, None], 3, axis=1),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (len(shown), 1)),
-        np.minimum(alpha[shown] + 1 / 255, 1).astype(np.float32),
+        np.repeat(parcels.sigmas_m[drawn].astype(np.float32)[:, None], 3, axis=1),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (len(drawn), 1)),
+        np.minimum(alpha[drawn] + 1 / 255, 1).astype(np.float32),
         sh_from_color(linear_to_srgb(np.minimum(light, 1)).astype(np.float32)),
     )
 
