@@ -209,7 +209,7 @@ def street(speed_m_s=25.0, wet=True):
     colors = sh_from_color(np.full((n, 3), 0.2, np.float32))
     floor = Gaussians(ground, scales, upright, np.full(n, 0.99, np.float32), colors)
     car = box_actor(times=(0.0, 4.0), positions=[(9 + speed_m_s * t, 0, 0) for t in (-2, 2)])
-    layers = (Layer("road", floor, wet_sh=floor.sh if wet else None),)
+    layers = (Layer("road", floor, wet_sh=floor.sh.copy() if wet else None),)
     return Scene("street", layers, (car,), ground_m=0.0)
 
 
