@@ -216,7 +216,7 @@ class FrameSequence:
                 first_s = float(ego.times[int(np.argmax(ego.valid))])
         shot = self.shot_at(max(time_s, first_s))
         velocity = np.zeros(3) if shot.velocity_m_s is None else shot.velocity_m_s
-        return CameraMotion(shot.camera.camera_to_world[:3, :3], velocity)
+        return CameraMotion(shot.camera.camera_to_world[:3, :3], velocity, shot.camera.position)
 
     @property
     def _camera_to_vehicle(self) -> Float64[np.ndarray, "3 3"] | None:

@@ -71,7 +71,12 @@ class RigRenderer:
     def _past(self, mounted: RigCamera) -> PastMotion:
         """Motion of a camera during the drive: that of the last step, and before the first step that of the first."""
         times = [each.time_s for each in self._drive]
-        return lambda time_s: self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)].of(mounted)
+
+        def motion(time_s: float) -> CameraMotion:
+            then = self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)]
+            return then.of(mounted, time_s - then.time_s)
+
+        return motion
 
 
 class _RigMotion(NamedTuple):
@@ -82,12 +87,12 @@ class _RigMotion(NamedTuple):
     velocity_m_s: Float64[np.ndarray, "3"]
     yaw_rate_rad_s: float
 
-    def of(self, mounted: RigCamera) -> CameraMotion:
-        """Orientation and velocity of a camera of the rig."""
+    def of(self, mounted: RigCamera, later_s: float = 0.0) -> CameraMotion:
+        """Orientation and velocity of a camera of the rig, and its place a time later or earlier."""
         pose = self.rig_to_world @ mounted.camera_to_ego
         arm = pose[:3, 3] - self.rig_to_world[:3, 3]
         turning = self.yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
-        return CameraMotion(pose[:3, :3], self.velocity_m_s + turning)
+        return CameraMotion(pose[:3, :3], self.velocity_m_s + turning, pose[:3, 3] + later_s * self.velocity_m_s)
 
 
 def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:

@@ -16,7 +16,6 @@ from ..rain.simulation import RainSimulation
 from ..render.renderer import Renderer
 from ..scene.open import STREET
 from ..scene.scene import Actor, PoseTrack, Scene
-from ..water.spray import LONGEST_S
 from .agents import base
 from .agents.base import Agent, CameraView, Observation, SensorRequirements, Trajectory
 from .agents.registry import AgentOptions, open_agent
@@ -389,44 +388,43 @@ class RoadScene:
         return Actor(user.id, user.class_name, (length, width, height), gaussians, track, wet_sh=wet_sh)
 
 
+BEFORE_S = 30.0
+"""Seconds of the past that spray and water on glass may need."""
+
+
 def past_motions(
     steps: Sequence[RolloutStep], time_s: float, users: Sequence[RoadUser], rig_to_world: Float64[np.ndarray, "4 4"],
     scenario: Scenario,
 ) -> dict[str, PoseTrack]:  # fmt: skip
-    """Tracks (world, scene time) of the ego vehicle and of road users over the last seconds before a time of a drive.
+    """Tracks (world, scene time) of the ego vehicle's rig and of road users up to a time of a drive.
 
     `steps` are those before that time. Before the scenario all were moving straight ahead at their first speed.
     """
-    recent = [each for each in steps if each.time_s > time_s - LONGEST_S - scenario.step_s]
-    rig_m = float(rig_to_world[2, 3])
-    egos = [
-        (step.time_s, step.ego.state.rig_to_world(rig_m), step.ego.speed_m_s) for step in recent
-    ]  # fmt: skip
-    moments = {EGO: [*egos, (time_s, rig_to_world, None)]}
+    recent = [each for each in steps if each.time_s > time_s - BEFORE_S]
+    x, y, rig_m = (float(each) for each in rig_to_world[:3, 3])
+    yaw = float(np.arctan2(rig_to_world[1, 0], rig_to_world[0, 0]))
+    egos = [(each.time_s, each.ego.x_m, each.ego.y_m, rig_m, each.ego.yaw_rad) for each in recent]
+    speed = recent[0].ego.speed_m_s if recent else scenario.speed_m_s
+    found = {EGO: _track([*egos, (time_s, x, y, rig_m, yaw)], speed, scenario.start_s)}
     for user in users:
-        moments[user.id] = [(time_s, user.pose, user.speed_m_s)]
+        places, speed = [(time_s, user.x_m, user.y_m, user.z_m, user.yaw_rad)], user.speed_m_s
         for step in reversed(recent):
             there = next((each for each in step.road_users if each.id == user.id), None)
             if there is None:
                 break
-            placed = RoadUser(
-                user.id, user.class_name, user.size_lwh, there.x_m, there.y_m, there.yaw_rad, z_m=there.z_m
-            )
-            moments[user.id].insert(0, (step.time_s, placed.pose, there.speed_m_s))
-    return {id: _track(each, scenario.start_s) for id, each in moments.items()}
+            places.append((step.time_s, there.x_m, there.y_m, there.z_m, there.yaw_rad))
+            speed = there.speed_m_s
+        found[user.id] = _track(places[::-1], speed, scenario.start_s)
+    return found
 
 
-def _track(moments: Sequence[tuple[float, Float64[np.ndarray, "4 4"], float | None]], start_s: float) -> PoseTrack:
-    """Track through poses at times, in scene time; at the start of a drive with a straight way that leads there."""
-    first_s, pose, speed = moments[0]
-    if first_s < 1e-9 and speed:
-        before = pose.copy()
-        before[:3, 3] -= speed * LONGEST_S * pose[:3, 0]
-        moments = [(-LONGEST_S, before, speed), *moments]
-    standing = [PoseTrack.standing(each) for _, each, _ in moments]
-    times = start_s + np.array([each for each, _, _ in moments])
-    positions, quaternions = (
-        np.concatenate(column)
-        for column in zip(*((each.positions, each.quaternions_wxyz) for each in standing), strict=True)
-    )
-    return PoseTrack(times, positions, quaternions, np.ones(len(times), bool))
+def _track(places: Sequence[tuple[float, ...]], speed_m_s: float, start_s: float) -> PoseTrack:
+    """Track through rows of time, x, y, z and yaw, and a straight way to the first if a drive begins with it."""
+    rows = np.array(places)
+    if rows[0, 0] < 1e-9:
+        time_s, x, y, z, yaw = rows[0]
+        gone = speed_m_s * BEFORE_S
+        rows = np.concatenate([[(time_s - BEFORE_S, x - gone * np.cos(yaw), y - gone * np.sin(yaw), z, yaw)], rows])
+    half, none = rows[:, 4] / 2, np.zeros(len(rows))
+    quaternions = np.stack([np.cos(half), none, none, np.sin(half)], axis=1)
+    return PoseTrack(start_s + rows[:, 0], rows[:, 1:4].copy(), quaternions, np.ones(len(rows), bool))

@@ -39,7 +39,7 @@ LONGEST_S, FADE_S = 3.0, 0.8  # age that parcels reach, and the end of it in whi
 GROOVE_M = 0.008  # width of a tread's grooves, in the Weber number
 _SURFACE_N_M, _WATER_KG_M3, _AIR_KG_M3, _AIR_PA_S = 0.0728, 998.0, 1.2, 1.8e-5
 WEBER, WEBER_MEAN_MM = 2700.0, 0.8
-"""Mean diameter of drops from a groove at a Weber number; it falls with the root of that (Radovich and Plocher 2009)."""
+"""Mean diameter of drops from a groove at a Weber number; falls with the root of that (Radovich and Plocher 2009)."""
 
 SPREAD = 0.6  # standard deviation of ln D
 _SMALLEST_MM, _LARGEST_MM = 0.05, 2.0

@@ -24,6 +24,8 @@ from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.simulation import Simulation
 from gsrain_engine.simulation.vehicle import Control
 from gsrain_engine.water import spray
+from gsrain_engine.water.glass import CameraMotion, GlassHistory
+from gsrain_engine.water.pane import pane_of
 from gsrain_engine.water.spray import SprayParcels, depths_along, displaced_mm, pane_flux_m_s, spray_parcels
 from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box, track
 
@@ -268,3 +270,36 @@ def test_lamps_light_spray_by_night():
             draws.append(renderer.read().rgba[..., :3])
         light[name] = (draws[0] - draws[1]).max()
     assert light["lit"] > 0.02 > light["dark"]
+
+
+def followed(distance_m=15.0, wiper="off"):
+    """Windshield of a car that follows another at 25 m/s."""
+    scene = road(25.0)
+    pose = look_at(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    camera = Camera.from_fov(960, 640, 40.0, pose)
+
+    def past(time_s):
+        place = np.array([25.0 * time_s - distance_m, 0.0, 1.3])
+        return CameraMotion(camera.camera_to_world[:3, :3], np.array([25.0, 0.0, 0.0]), place)
+
+    rain = RainSimulation.start(CALM)
+    glass = GlassHistory(pane_of("windshield", camera), rain, past, contact_angle_deg=50.0, wet_s=2.0, wiper=wiper)
+    glass.spray = lambda time_s: spray_parcels(scene, CALM, FILM_MM, time_s)
+    return glass
+
+
+@pytest.mark.parametrize("wiper", ["off", "high"])
+def test_spray_lands_on_the_glass_of_a_follower(wiper):
+    """More water than rain brings; none is lost, any time alone has the same film, and it is less farther behind."""
+    glass = followed(wiper=wiper)
+    state = glass.at(0.5)
+    drops, rained = glass.drops, state.expected_impacts / state.area_m2 * np.mean(glass._impacts.volumes_m3)
+    assert drops.landed_m3 > 2 * rained * state.area_m2
+    assert abs(drops.landed_m3 - drops.left_m3 - drops.stored_m3) < 1e-5 * drops.landed_m3
+    alone = followed(wiper=wiper)
+    for time_s in (-1.0, 0.13, 0.5):
+        alone.at(time_s)
+    assert alone.drops.film_m.tobytes() == drops.film_m.tobytes()
+    far = followed(60.0, wiper)
+    far.at(0.5)
+    assert far.drops.film_m.mean() < 0.2 * drops.film_m.mean()
