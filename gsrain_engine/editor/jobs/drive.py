@@ -251,7 +251,7 @@ def rollout_video_job(scene: Scene, rollout: Rollout, video: Path, fps: float, k
         write_rollout(file, rollout)
         return write_copy(scene, folder, known), file, video, fps
 
-    return Job("drive video", f"Film {video.name}", render_video_in_worker, lambda _: video, inputs)
+    return Job("drive video", f"Film {video.name}", render_video_in_worker, lambda _: video, inputs, output=video)
 
 
 def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:
