@@ -24,7 +24,7 @@ from ..rain.pcg_hash import pcg4d
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import TEXTURE_DEPTH_MM, flooded_share
-from ..scene.gaussians import Gaussians, sh_from_color
+from ..scene.gaussians import Gaussians, IdentityKey, scene_cache, sh_from_color
 from ..scene.geometry import linear_to_srgb, matrices_from_quaternions
 from ..scene.objects import coco_class, is_vehicle
 from ..scene.scene import PoseTrack, Scene
@@ -135,17 +135,20 @@ def spray_parcels(scene: Scene, rain: RainSettings, film_mm: float, time_s: floa
 
 
 def spray_of(scene: Scene, rainfall: RainSimulation, time_s: float) -> SprayParcels:
-    """Spray in a scene at a time: of wet colors, while it rains, if the rain has `spray`."""
-    now = rainfall.frozen_at(time_s)
-    if (
-        not rainfall.rain.spray
-        or now.rain.intensity_mm_h == 0
-        or not scene.has_wet_colors
-        or rainfall.wetness_at(time_s) <= 0
-    ):
+    """Spray in a scene at a time: of wet colors, while it rains, if the rain has `spray`; the last ones are cached."""
+    return _spray_of(IdentityKey(scene), IdentityKey(rainfall), time_s)
+
+
+@scene_cache(maxsize=4)
+def _spray_of(scene_key: IdentityKey, rainfall_key: IdentityKey, time_s: float) -> SprayParcels:
+    scene: Scene = scene_key.of  # pyright: ignore[reportAssignmentType]
+    rainfall: RainSimulation = rainfall_key.of  # pyright: ignore[reportAssignmentType]
+    now = rainfall.frozen_at(time_s).rain
+    is_dry = now.intensity_mm_h == 0 or not scene.has_wet_colors or rainfall.wetness_at(time_s) <= 0
+    if is_dry or not rainfall.rain.spray:
         return SprayParcels.none()
     film_mm = WaterFilms.of(rainfall, scene.water).at(time_s).film_mm
-    return spray_parcels(scene, now.rain, displaced_mm(film_mm), time_s)
+    return spray_parcels(scene, now, displaced_mm(film_mm), time_s)
 
 
 def displaced_mm(film_mm: float) -> float:
