@@ -49,7 +49,7 @@ FACTORS = (
         {"mirror": True, "splashes": True},
         after=WET,
     ),
-    Factor("spray", "spray", {"spray": False}, {"spray": True}, after=WET),
+    Factor("spray", "spray", {"spray": False}, {"spray": True}, after="mirror"),  # of wet ground, too
     Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
 )
 """All factors, in the order of tables and figures."""
@@ -57,6 +57,9 @@ FACTORS = (
 _BY_NAME = {each.name: each for each in FACTORS}
 _OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
 """Scenes by name of which another has the light of rain without its water."""
+
+
+_ON_WET_GROUND = {LIGHT, WET, "mirror", "spray"}
 
 
 def factor_names() -> tuple[str, ...]:
@@ -85,7 +88,7 @@ def check_factors(names: Sequence[str]) -> None:
     for name in names:
         if name != ALL and name not in _BY_NAME:
             raise ValueError(f"attribute {name}: expected {ALL}, or some of {', '.join(_BY_NAME)}")
-        needed = WET if name == LIGHT else None if name in (ALL, WET) else _BY_NAME[name].after
+        needed = WET if name in _ON_WET_GROUND - {WET} else None
         if needed not in (None, *names) and ALL not in names:
             raise ValueError(f"attribute {name}: has a share only next to {needed}; name that, too")
 
@@ -125,12 +128,11 @@ class RainFactors:
         absent = set(lacking)
         is_wet = WET in chosen and WET not in absent
         if not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
-            absent |= {LIGHT, WET, *(each.name for each in FACTORS if each.after == WET)}
+            absent |= _ON_WET_GROUND
         elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
             absent.add(LIGHT)
         factors = tuple(each.name for each in FACTORS if each.name in chosen - absent)
-        after = {each.name: each.after for each in FACTORS if each.name in factors and each.after is not None}
-        return cls(rain, Game(factors, {name: below for name, below in after.items() if below in factors}), twin)
+        return cls(rain, Game(factors, {name: below for name in factors if (below := _below(name, factors))}), twin)
 
     def weather(self, present: Coalition) -> "CoalitionWeather":
         """Return the rain and the scene with some factors."""
@@ -153,6 +155,12 @@ class CoalitionWeather(NamedTuple):
 def clear_rain(rain: RainSettings) -> RainSettings:
     """Return the settings of the clear scene: no rain, no fog, dry, nothing in front of the camera."""
     return structs.replace(rain.without_rain, glass="none")
+
+
+def _below(name: str, factors: Sequence[str]) -> str | None:
+    """Return the nearest factor, of some, that another one acts on top of; None if there is none."""
+    below = _BY_NAME[name].after
+    return below if below is None or below in factors else _below(below, factors)
 
 
 def _is_on(factor: Factor, rain: RainSettings) -> bool:

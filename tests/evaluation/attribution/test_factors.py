@@ -40,6 +40,9 @@ def test_a_rain_has_the_factors_that_act_in_it():
         assert found.game.factors == expected and found.rain == rain
     assert RainFactors.of(RAIN, (ALL,), "street").game.after == {"wet": "light", "mirror": "wet"}
     assert RainFactors.of(RAIN, (ALL,), "my_scene").game.after == {"mirror": "wet"}
+    spray = structs.replace(RAIN, spray=True)
+    assert RainFactors.of(spray, (ALL,), "my_scene").game.after == {"mirror": "wet", "spray": "mirror"}
+    assert RainFactors.of(spray, (ALL,), "my_scene", lacking=("mirror",)).game.after == {"spray": "wet"}
     assert RainFactors.of(RAIN, (ALL,), "s", lacking=("mirror",)).game.factors == ("streaks", "medium", "wet", "glass")
 
 
