@@ -121,13 +121,14 @@ class CameraNoise:
 
 
 FITTED = (
-    "gain", "read_noise_e", "demosaic_px", "noise_reduction", "noise_reduction_px", "sharpening", "chroma_blur_px",
+    "gain", "read_noise_e", "demosaic_px", "noise_reduction", "noise_reduction_px", "sharpening", "chroma_noise",
+    "chroma_blur_px",
 )  # fmt: skip
 """Fields of a sensor that are fitted to its noise."""
 
 FIT_TRIALS = 150
-_LOW = np.array([1.0, 0.01, 0.01, 0.01, 0.3, 0.01, 0.2, 0.2])
-_HIGH = np.array([256.0, 1000.0, 4.0, 16.0, 8.0, 4.0, 8.0, 8.0])
+_LOW = np.array([1.0, 0.01, 0.01, 0.01, 0.3, 0.01, 0.1, 0.2, 0.2])
+_HIGH = np.array([256.0, 1000.0, 4.0, 16.0, 8.0, 4.0, 8.0, 8.0, 8.0])
 _STEP = 0.35  # of the logarithms: the first trials differ by a factor of 1.4
 
 

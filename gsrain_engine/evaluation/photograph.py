@@ -14,7 +14,7 @@ from ..rain.simulation import RainSimulation
 from ..render.camera_response import jpeg_of, light_of_display, stored_jpeg, to_levels, tone_curve
 from ..render.cpu.renderer import CpuRenderer
 from ..render.draw import RenderView, rain_camera
-from ..render.signal_processing import processed
+from ..render.signal_processing import processed, with_chroma_noise
 from ..scene.camera import Camera
 from ..scene.scene import Scene
 from ..scene.sensor import Sensor
@@ -108,13 +108,17 @@ def photographed(
     noise_levels: Float32[np.ndarray, "h w"],
     sensor: Sensor | None,
     random: np.random.Generator,
+    chroma_noise: float | Float32[np.ndarray, "h w 1"] = 1.0,
 ) -> Photograph:
     """Add rain and noise to a photographed background (display color, gray levels) as a camera stores them.
 
     The background has been through the camera once; rain and noise, of a standard deviation of `noise_levels` in each
-    channel, go through its signal processing, see `processed`. Then come rounding and the sensor's JPEG.
+    channel, go through its signal processing, see `processed`. Then come rounding and the sensor's JPEG. The noise of
+    color differences is multiplied by `chroma_noise` besides the sensor's own factor.
     """
-    signal = rise + noise_levels[..., None] * random.standard_normal(rise.shape, np.float32)
+    amplified = chroma_noise if sensor is None else sensor.chroma_noise * chroma_noise
+    noise = noise_levels[..., None] * random.standard_normal(rise.shape, np.float32)
+    signal = rise + with_chroma_noise(noise, amplified)
     if sensor is None or not sensor.processes_signal:
         color = to_levels(background + signal)
     else:

@@ -109,16 +109,9 @@ def slow_light(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "t h
     return slow
 
 
-def _fine_deviation(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "h w"]:
-    """Typical deviation around each pixel of residuals without what changes over more than some pixels, as daylight."""
-    fine = np.stack([np.abs(frame - cv2.blur(frame, (_FINE_PX,) * 2)) for frame in values])
-    middle = len(fine) // 2
-    return np.maximum(cv2.blur(np.partition(fine, middle, axis=0)[middle], (_NOISE_BLUR_PX,) * 2), np.float32(0.05))
-
-
 def simulated_frames(
     real: MedianResiduals,
-    color: Float32[np.ndarray, "h w 3"],
+    colors: Sequence[UInt8[np.ndarray, "h w 3"]],
     camera: Camera,
     rainfall: RainSimulation,
     times_s: Sequence[float],
@@ -127,29 +120,48 @@ def simulated_frames(
 ) -> list[Photograph]:
     """Render rain over the background of real frames, with their slow changes of light and as much noise as they have.
 
-    `color` is the background, in gray levels. The sensor's noise is scaled from place to place so that noise and rain
-    together deviate typically as in the real frames (`sigma`): how much of that is noise is unknown.
+    `colors` are the real frames (RGB), whose median is the background. The sensor's noise, and that of its color
+    differences, is scaled from place to place so that noise and rain together deviate typically as in the real frames:
+    how much of that is noise is unknown.
     """
     rain, sensor = rainfall.rain, rainfall.picture_sensor
+    color = np.median(colors, axis=0).astype(np.float32)
     backgrounds = list(np.clip(color + slow_light(real.values)[..., None], 0, 255))
     rises = [
         rain_over(background, share, drop_levels, rain, sensor)
         for background, share in zip(backgrounds, rain_shares(camera, rainfall, times_s), strict=True)
     ]
-    noise = real.sigma
+    plain = real.sigma
     if sensor is not None and sensor.full_well_e is not None:
-        noise = display_noise(sensor, native_height)[real.median]
+        plain = display_noise(sensor, native_height)[real.median]
 
     def frames() -> list[Photograph]:
-        random = noise_of(rain)
-        return [photographed(*each, noise, sensor, random) for each in zip(backgrounds, rises, strict=True)]
+        random, noise, factor = noise_of(rain), plain * gain, chroma[..., None]
+        return [photographed(*each, noise, sensor, random, factor) for each in zip(backgrounds, rises, strict=True)]
 
-    gain, plain, aim = np.ones_like(noise), noise, _fine_deviation(real.values)
+    gain, chroma = np.ones_like(plain), np.ones_like(plain)
+    aim, chroma_aim = _fine_deviation(real.values), _chroma_deviation(colors)
     for _ in range(_NOISE_PASSES):
-        made = _fine_deviation(median_residuals(np.stack([each.luma for each in frames()])).values)
-        gain = np.clip(gain * aim / made, *_NOISE_GAIN)
-        noise = plain * gain
+        made = frames()
+        luma_change = aim / _fine_deviation(median_residuals(np.stack([each.luma for each in made])).values)
+        gain = np.clip(gain * luma_change, *_NOISE_GAIN)
+        chroma_change = chroma_aim / _chroma_deviation([each.color for each in made])
+        chroma = np.clip(chroma * chroma_change / luma_change, *_NOISE_GAIN)
     return frames()
+
+
+def _fine_deviation(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "h w"]:
+    """Typical deviation around each pixel of residuals without what changes over more than some pixels, as daylight."""
+    fine = np.stack([np.abs(frame - cv2.blur(frame, (_FINE_PX,) * 2)) for frame in values])
+    middle = len(fine) // 2
+    return np.maximum(cv2.blur(np.partition(fine, middle, axis=0)[middle], (_NOISE_BLUR_PX,) * 2), np.float32(0.05))
+
+
+def _chroma_deviation(colors: Sequence[UInt8[np.ndarray, "h w 3"]]) -> Float32[np.ndarray, "h w"]:
+    """Typical deviation around each pixel of the color differences: the larger of those of Cr and Cb."""
+    values = np.stack([cv2.cvtColor(each, cv2.COLOR_RGB2YCrCb)[..., 1:] for each in colors]).astype(np.float32)
+    values -= np.mean(values, axis=0)
+    return np.maximum(_fine_deviation(values[..., 0]), _fine_deviation(values[..., 1]))
 
 
 # Comparison
@@ -261,7 +273,6 @@ def compare_with_real_rain(
     pictures = [sequence.gray_image(k) for k in numbers]
     frames = np.stack([picture[part] for picture in pictures])
     colors = [np.ascontiguousarray(sequence.picture(k)[part]) for k in numbers]
-    color = np.median(colors, axis=0).astype(np.float32)
     real = median_residuals(frames)
     horizon = above_horizon(sequence)[3]
     sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
@@ -274,7 +285,7 @@ def compare_with_real_rain(
         lens = falling.lens(camera)  # of the whole image: the window has the same lens
         fixed = {"aperture_mm": 1e3 * lens.aperture_m, "focus_distance_m": lens.focus_m}
         falling = falling.changed(msgspec.structs.replace(falling.rain, **fixed), 0.0)
-        made = simulated_frames(real, color, cropped_camera(camera, window), falling, times, drop, camera.height)
+        made = simulated_frames(real, colors, cropped_camera(camera, window), falling, times, drop, camera.height)
         rendered = np.stack([each.luma for each in made])
         found = replace(median_residuals(rendered), still=real.still)
         ours.append(MeasuredFrames.of(rendered, found, sky, exposure, light, [each.color for each in made]))

@@ -16,14 +16,14 @@ from ..scene.camera import Camera
 from ..scene.geometry import LUMINANCE, linear_to_srgb, srgb_to_linear
 from ..scene.sensor import Sensor
 from ..water.refraction import GlassView
-from .signal_processing import processed
+from .signal_processing import processed, with_chroma_noise
 
 cv2: Any = lazy_loader.load("cv2")  # only pictures of a sensor with JPEG need it
 
 MAX_GAIN = 4.0
 """Upper bound of the gain of automatic exposure, and its inverse the lower one."""
 
-CRUSH, GLARE = 0.25, 0.008
+CRUSH, GLARE = 0.25, 0.01
 """Constants of the tone curve `crushed`: the display value at which it has fallen to about half, and the veiling glare,
 light that the lens spreads over the picture, as a share of white, which is shown as black. Fitted to the rise of
 RainSense's streaks before backgrounds of gray 0 to 16 and 32 to 64 (docs/real_rain_method.md)."""
@@ -61,8 +61,10 @@ class CameraResponse:
             _normal_deviates(), _tone_table(sensor.tone_curve), *self._key(), made,
         )  # fmt: skip
         if sensor.processes_signal:
-            noise = display_noise(sensor, image.shape[0], self.exposure_gain)[cv2.cvtColor(made, cv2.COLOR_RGB2GRAY)]
-            made = to_levels(processed(made.astype(np.float32), noise, sensor))
+            clean = _tone_table(sensor.tone_curve)[np.clip(scale * light + 0.5, 0, _TONES - 1).astype(int)][image]
+            noise = with_chroma_noise(made.astype(np.float32) - clean, sensor.chroma_noise)
+            levels = display_noise(sensor, image.shape[0], self.exposure_gain)[cv2.cvtColor(clean, cv2.COLOR_RGB2GRAY)]
+            made = to_levels(processed(clean + noise, levels, sensor))
         return made if sensor.jpeg_quality is None else _compressed(made, sensor.jpeg_quality)
 
     def _key(self) -> tuple[np.uint32, np.uint32, np.uint32]:

@@ -54,6 +54,14 @@ def processed(
     return made if behind is None else behind + made
 
 
+def with_chroma_noise(
+    noise: Float32[np.ndarray, "h w 3"], factor: float | Float32[np.ndarray, "h w 1"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return noise (RGB) whose color differences are amplified, at equal luma."""
+    luma = cv2.transform(noise, _TO_YCC[:1])[..., None]
+    return luma + np.asarray(factor, np.float32) * (noise - luma)
+
+
 def _details(
     luma: Float32[np.ndarray, "h w"], spread: Float32[np.ndarray, "h w"], sensor: Sensor
 ) -> Float32[np.ndarray, "h w"]:

@@ -89,6 +89,9 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         description="Standard deviation of its window.")] = 1.2
     sharpening: Annotated[float, Meta(
         ge=0, le=4, title="Sharpening", description="Amount of an unsharp mask of 1 px; 0: none.")] = 0.0
+    chroma_noise: Annotated[float, Meta(
+        ge=0, le=8, title="Chroma noise",
+        description="Factor on the noise of color differences, which the correction of colors amplifies.")] = 1.0
     chroma_blur_px: Annotated[tuple[float, float], Meta(
         title="Chroma blur", extra={"unit": "px"},
         description="Blur of color differences across and down the picture (standard deviation).")] = (0.0, 0.0)
@@ -116,7 +119,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def processes_signal(self) -> bool:
         """True if noise reduction or sharpening acts on the picture."""
-        return max(self.demosaic_px, self.noise_reduction, self.sharpening, *self.chroma_blur_px) > 0
+        filters = max(self.demosaic_px, self.noise_reduction, self.sharpening, *self.chroma_blur_px)
+        return filters > 0 or self.chroma_noise != 1
 
     def lens(self, camera: Camera) -> ThinLens:
         """Lens with which a camera has this sensor.

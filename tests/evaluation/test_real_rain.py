@@ -162,9 +162,9 @@ def test_simulated_frames_have_the_noise_and_light_of_real_ones():
     real = noisy_frames(2.0)
     darker = replace(real, values=real.values + 3 * np.sin(np.arange(12))[:, None, None].astype(np.float32))
     rain = RainSettings(haze="none", sensor="rainsense", intensity_mm_h=0.0, exposure_s=0.008)
-    times, color = [0.1 * k for k in range(12)], np.full((240, 400, 3), 120, np.float32)
+    times, colors = [0.1 * k for k in range(12)], [np.full((240, 400, 3), 120, np.uint8)] * 12
     made = simulated_frames(
-        darker, color, narrow_camera(), RainSimulation.start(rain), times, np.full(3, SKY), 1080
+        darker, colors, narrow_camera(), RainSimulation.start(rain), times, np.full(3, SKY), 1080
     )  # fmt: skip
     lumas = np.stack([each.luma for each in made])
     assert np.std(lumas.mean(axis=(1, 2))) == pytest.approx(3 / np.sqrt(2), rel=0.1)

@@ -21,7 +21,9 @@ def even_and_striped():
 
 def residuals(sensor):
     """Luma of noise in the even and in the striped half."""
-    made = [CameraResponse(sensor, CAMERA, 0.1 * k).picture(even_and_striped()) @ [0.299, 0.587, 0.114] for k in range(12)]
+    made = [
+        CameraResponse(sensor, CAMERA, 0.1 * k).picture(even_and_striped()) @ [0.299, 0.587, 0.114] for k in range(12)
+    ]
     values = np.stack(made) - np.mean(made, axis=0)
     return values[:, 8:-8, 8:112], values[:, 8:-8, 128:-8]
 
