@@ -14,8 +14,9 @@ from ..datasets.rainsense import RainSequence
 from ..presets import load_config
 from ..rain.settings import HEAVIEST_MM_H, RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.camera_response import display_noise
+from ..render.camera_response import display_noise, light_of_display, tone_curve
 from ..scene.camera import Camera
+from ..scene.sensor import load_sensor
 from .photograph import Photograph, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
 from .streaks import (
     BANDS,
@@ -167,6 +168,11 @@ def _chroma_deviation(colors: Sequence[UInt8[np.ndarray, "h w 3"]]) -> Float32[n
 # Comparison
 
 _SKY_PERCENTILE = 90
+DROP_SHARE = 0.8
+"""Light of a drop as a share of that of the sky in the picture: a drop refracts light from up to 82 degrees around the
+line of sight, half of it from within 26 degrees, and reflects some. Integrated over the drop with Fresnel's
+transmittance, 7 degrees above the horizon, under the CIE's overcast sky over ground with 0.12 of its light."""
+
 _MAX_SPACING_S = 0.2
 
 
@@ -276,7 +282,7 @@ def compare_with_real_rain(
     real = median_residuals(frames)
     horizon = above_horizon(sequence)[3]
     sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
-    drop = _color_of_light(colors, frames, sky)
+    drop = light_of_drops(_color_of_light(colors, frames, sky), rain.sensor)
     times = [sequence.times_s[k] for k in numbers]
     light = slow_light(real.values)
     ours: list[MeasuredFrames] = []
@@ -299,6 +305,12 @@ def compare_with_real_rain(
         real=MeasuredFrames.of(frames, real, sky, None, colors=colors),
         ours=tuple(ours),
     )
+
+
+def light_of_drops(sky: Float64[np.ndarray, "3"], sensor: str | None) -> Float64[np.ndarray, "3"]:
+    """Display color of a drop under an overcast sky, from that of the sky in the picture: DROP_SHARE of its light."""
+    curve = "srgb" if sensor is None else load_sensor(sensor).tone_curve
+    return 255 * tone_curve(DROP_SHARE * light_of_display(sky / 255, curve), curve)
 
 
 def _color_of_light(

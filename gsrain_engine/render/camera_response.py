@@ -23,7 +23,7 @@ cv2: Any = lazy_loader.load("cv2")  # only pictures of a sensor with JPEG need i
 MAX_GAIN = 4.0
 """Upper bound of the gain of automatic exposure, and its inverse the lower one."""
 
-CRUSH, GLARE = 0.25, 0.01
+CRUSH, GLARE = 0.25, 0.006
 """Constants of the tone curve `crushed`: the display value at which it has fallen to about half, and the veiling glare,
 light that the lens spreads over the picture, as a share of white, which is shown as black. Fitted to the rise of
 RainSense's streaks before backgrounds of gray 0 to 16 and 32 to 64 (docs/real_rain_method.md)."""
