@@ -101,7 +101,8 @@ class Mirror:
     def reflected(self, film: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w 3"]:
         """Linear light that the visible shares of films and standing water reflect, at the picture's size."""
         image = np.empty((*film.shape[:2], 3), np.float32)
-        _weigh(np.ascontiguousarray(film), self.light, self.first_row, *np.float32(SCALES), image)
+        across, along = np.float32(SCALES[0]), np.float32(SCALES[1])
+        _weigh(np.ascontiguousarray(film), self.light, self.first_row, across, along, image)
         return image
 
 
