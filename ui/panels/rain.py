@@ -42,6 +42,7 @@ from ..widgets.fields import (
 )
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.text import readings
+from .glass import glass_fields
 from .lamps import lamp_fields
 
 _PRESETS = {
@@ -84,6 +85,9 @@ def rain_panel(
         if imgui.collapsing_header(group):
             if group == _WIND:
                 _wind(document, viewport, playback)
+            if group == "Glass":
+                glass_fields(document)
+                continue
             for each in fields_of(RainSettings):
                 if each.group != group or each.name in _WIND_FIELDS:
                     continue
