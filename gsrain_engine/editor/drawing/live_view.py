@@ -322,14 +322,7 @@ def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
         b"" if view.velocity_m_s is None or not raining else view.velocity_m_s.tobytes(),
         (frame.background, frame.gain_ev, frame.mode, frame.harmonics, frame.selection),
-        (
-            rainfall.wetness_at(time_s),
-            rainfall.soaked_share_at(time_s),
-            rainfall.overcast_at(time_s),
-            rainfall.rain.mirror,
-        )
-        if scene.has_wet_colors or scene.water is not None
-        else None,
+        ground if scene.has_wet_colors or scene.water is not None else None,
     )
 
 
