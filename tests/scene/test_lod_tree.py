@@ -273,6 +273,7 @@ def test_damaged_trees_are_reported_and_not_used(
         whole[:12] + b"}" + whole[13:]: "header is damaged",
         whole.replace(b'"version":2', b'"version":3'): "another version",
         whole.replace(b'"coefficients":1', b'"coefficients":2'): "of 2 coefficients a color",
+        whole.replace(b'"gaussians":14400', b'"gaussians":1' + 12 * b"0").replace(b"        ", b"", 1): "lists 10000",
         whole.replace(b'"max_roots":1024', b'"max_roots":1023'): "another version",
         too_high: f"names Gaussian {count} of {count}",
     }

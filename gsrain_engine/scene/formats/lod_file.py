@@ -87,7 +87,7 @@ def read_lod_tree(path: Path, source: Path) -> LodTree:
         count, k = header.gaussians, header.coefficients
         if (header.fan_out, header.max_roots) != (FAN_OUT, MAX_ROOTS):
             raise SceneFormatError(path, "belongs to another version of this program")
-        if count < 0 or k not in COEFFICIENTS_OF_DEGREE:
+        if not 0 <= count < 1 << 32 or k not in COEFFICIENTS_OF_DEGREE:
             raise SceneFormatError(path, f"the header lists {count} Gaussians of {k} coefficients a color")
         if path.stat().st_size != _offsets(count, k)[-1]:
             raise SceneFormatError(path, f"has {path.stat().st_size} bytes, expected {_offsets(count, k)[-1]}")
