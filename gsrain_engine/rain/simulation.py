@@ -237,7 +237,7 @@ class RainSimulation:
 
 _MOVING = (
     "intensity_mm_h", "wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s", "roughness_m", "seed",
-    "velocity", "calibration", "streak_reset",
+    "velocity", "calibration", "diameter_scale", "streak_reset",
 )  # fmt: skip
 """Fields of the rain that determine the fall and drift of drops under keyframes."""
 

@@ -72,6 +72,7 @@ def rain_panel(
     fields.toggle(document, "roofs")
     imgui.same_line()
     fields.toggle(document, "mirror")
+    fields.toggle(document, "splashes")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
