@@ -179,6 +179,8 @@ class LiveView:
             self._thinned = frame.scene
             self._upload.give_up()
             self._opengl.arrays.release_everything()
+            if self._cpu is not None:
+                self._cpu.renderer.release_scenes()
         self._is_empty = is_empty
         if self._thinned is not frame.scene:
             self._thinned = frame.scene

@@ -106,6 +106,10 @@ class CpuRenderer:
                 add_light(self._frame.rgba, mirror.reflected(film.visible))
         self.statistics.splats_drawn = len(order)
 
+    def release_scenes(self) -> None:
+        """Free what is kept of scenes that are mapped from files."""
+        self._caches = BlockCaches()
+
     def read(self) -> Frame:
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
