@@ -63,27 +63,35 @@ def other(request, open_kind):
     return open_kind(request.param)
 
 
-@pytest.fixture(
-    params=[
-        ("opengl", "small"),
-        ("opengl", "golden"),
-        ("opengl-tiles", "small"),
-        ("opengl-tiles", "golden"),
-        ("cuda", "small"),
-    ],
-    ids=" ".join,
-)
-def pair(request, open_kind):
-    """Two renderers, a scene and its view; the golden street is in meters, z up."""
-    kind, place = request.param
-    scene, shot = small_scene(), small_shot() if kind != "cuda" else small_shot(96, 60)
-    if place == "golden":
-        golden = request.getfixturevalue("golden")
-        scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
-        shot = RenderView(read_camera(golden / "street_sh3.camera.json"), 2.0)
-    return (open_kind(kind), CpuRenderer()), scene, shot
+PLACES = [("opengl", "small"), ("opengl", "golden"), ("opengl-tiles", "small"), ("opengl-tiles", "golden")]
+PLACES += [("cuda", "tiny")]
 
 
+@pytest.fixture(scope="module")
+def drawn_frames():
+    """Frames by renderer, place and rain: each is drawn once for all tests that compare it."""
+    return {}
+
+
+@pytest.fixture
+def frame_at(request, open_kind, drawn_frames):
+    """Draw a place in rain by a kind of renderer; the golden street is in meters, z up."""
+
+    def drawn_once(kind, place, rain):
+        if (kind, place, rain) not in drawn_frames:
+            scene, shot = small_scene(), small_shot(96, 60) if place == "tiny" else small_shot()
+            if place == "golden":
+                golden = request.getfixturevalue("golden")
+                scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
+                shot = RenderView(read_camera(golden / "street_sh3.camera.json"), 2.0)
+            renderer = open_kind(kind)
+            drawn_frames[kind, place, rain] = frame_of(renderer, scene, shot, rain), renderer.statistics
+        return drawn_frames[kind, place, rain]
+
+    return drawn_once
+
+
+@pytest.mark.parametrize(("kind", "place"), PLACES)
 @pytest.mark.parametrize(
     "changes",
     [
@@ -101,10 +109,11 @@ def pair(request, open_kind):
         },
     ],
 )
-def test_scenes_and_the_rains_own_light_agree(pair, changes):
-    renderers, scene, shot = pair
-    clear = [frame_of(each, scene, shot, load_preset("clear")) for each in renderers]
-    rainy = [frame_of(each, scene, shot, raining(**changes)) for each in renderers]
+def test_scenes_and_the_rains_own_light_agree(frame_at, kind, place, changes):
+    clear, rainy = (
+        [frame_at(each, place, rain)[0] for each in (kind, "cpu")]
+        for rain in (load_preset("clear"), raining(**changes))
+    )
     assert psnr_db(*clear) >= MIN_PSNR_DB
     assert psnr_db(*rainy) >= MIN_PSNR_DB
     ours, expected = (wet.rgba - dry.rgba for wet, dry in zip(rainy, clear, strict=True))
@@ -115,8 +124,8 @@ def test_scenes_and_the_rains_own_light_agree(pair, changes):
     assert ((found > 0) == (depth > 0)).mean() > 0.999
     both = (found > 0) & (depth > 0)
     assert np.quantile(np.abs(depth / np.where(both, found, 1) - 1)[both], 0.99) < 0.01
-    for renderer, wet, dry in zip(renderers, rainy, clear, strict=True):  # without the rain's
-        np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if renderer.name == "cuda" else 0)
+    for wet, dry in zip(rainy, clear, strict=True):  # without the rain's
+        np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if kind == "cuda" else 0)
 
 
 @pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
@@ -132,16 +141,12 @@ def test_wet_ground_mirrors_the_same_on_all(kind, open_kind):
     np.testing.assert_array_equal(frame_of(renderers[0], scene, shot, rain).rgba, found.rgba)
 
 
-def test_both_count_the_same(pair):
-    renderers, scene, shot = pair
-    statistics = []
-    for renderer in renderers:
-        frame_of(renderer, scene, shot, raining(haze="gaussians"))
-        statistics.append(renderer.statistics)
-    ours, cpu = statistics
+@pytest.mark.parametrize(("kind", "place"), PLACES)
+def test_both_count_the_same(frame_at, kind, place):
+    ours, cpu = (frame_at(each, place, raining(haze="gaussians"))[1] for each in (kind, "cpu"))
     assert ours.haze_drawn == cpu.haze_drawn > 0
     assert ours.drops_drawn == pytest.approx(cpu.drops_drawn, rel=2e-3)
-    if renderers[0].name == "opengl":
+    if kind.startswith("opengl"):
         assert ours.gaussians == cpu.gaussians
         assert ours.splats_drawn == pytest.approx(cpu.splats_drawn, rel=1e-3)
         assert set(ours.stages_ms) == set(cpu.stages_ms)
