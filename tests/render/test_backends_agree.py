@@ -79,7 +79,7 @@ def frame_at(request, open_kind, drawn_frames):
 
     def drawn_once(kind, place, rain):
         if (kind, place, rain) not in drawn_frames:
-            scene, shot = small_scene(), small_shot(96, 60) if place == "tiny" else small_shot()
+            scene, shot = small_scene(), small_shot(64, 40) if place == "tiny" else small_shot()
             if place == "golden":
                 golden = request.getfixturevalue("golden")
                 scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
@@ -132,7 +132,7 @@ def test_scenes_and_the_rains_own_light_agree(frame_at, kind, place, changes):
 def test_wet_ground_mirrors_the_same_on_all(kind, open_kind):
     cover = np.random.default_rng(3).integers(0, 120, (24, 40, 2), np.uint8)
     scene = replace(small_scene(), ground_m=0.0, water=GroundWater((0.0, -12.0), 1.0, cover))
-    shot, rain = small_shot() if kind != "cuda" else small_shot(96, 60), raining(mirror=True, exposure_s=0.003)
+    shot, rain = small_shot() if kind != "cuda" else small_shot(64, 40), raining(mirror=True, exposure_s=0.003)
     renderers = open_kind(kind), CpuRenderer()
     found, expected = (frame_of(each, scene, shot, rain) for each in renderers)
     plain = frame_of(renderers[1], scene, shot, raining(exposure_s=0.003))
@@ -154,7 +154,7 @@ def test_both_count_the_same(frame_at, kind, place):
 
 @pytest.mark.parametrize("mixing", ["linear", "display"])
 def test_the_same_frame_is_the_same_bytes_and_no_rain_is_no_rain(any_renderer, mixing):
-    scene, shot = small_scene(), small_shot(96, 60)
+    scene, shot = small_scene(), small_shot(64, 40)
     rain = raining(rain_light=mixing)
     first, _, again, none = (
         frame_of(any_renderer, scene, replace(shot, time_s=time_s), each).rgba.tobytes()
@@ -191,7 +191,7 @@ def test_nothing_is_nothing_and_rain_falls_before_it(any_renderer):
         assert not frame.rgba.any()
         assert not frame.depth.any()
     rainy, expected = (
-        frame_of(each, Scene("empty"), small_shot(96, 60), load_preset("12.0")).rgba
+        frame_of(each, Scene("empty"), small_shot(64, 40), load_preset("12.0")).rgba
         for each in (any_renderer, CpuRenderer())
     )
     assert expected[..., 3].max() > 0.02
