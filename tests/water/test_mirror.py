@@ -8,7 +8,7 @@ import pytest
 
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
-from gsrain_engine.rain.wetness import flooded_share
+from gsrain_engine.rain.wetness import flooded_share, water_depth_mm
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.scene.camera import Camera, look_at
@@ -207,8 +207,9 @@ def test_half_as_wet_ground_reflects_half_as_much():
 
 
 def test_heavy_rain_floods_films():
-    assert flooded_share(0.0) == 0 and 0.05 < flooded_share(1.0) < 0.1
-    assert flooded_share(8.5) == pytest.approx(0.5, abs=0.05) and flooded_share(30.0) > 0.95
+    dry, light, moderate, heavy = (flooded_share(water_depth_mm(rate)) for rate in (0.0, 1.0, 8.5, 30.0))
+    assert dry == 0 and 0.05 < light < 0.1
+    assert moderate == pytest.approx(0.5, abs=0.05) and heavy > 0.95
     view = camera()
     first, last = rows_of_ground(view)
     image = np.random.default_rng(4).random((last - first, 96, 3), np.float32)
