@@ -52,7 +52,7 @@ def rasterization(
 
 
 def may_reach(centers, covariances, opacities, camera):
-    """Whether Gaussians are above the least alpha at some pixel, by the boxes of their ellipses."""
+    """Mask of Gaussians that may be above the least alpha at some pixel, by the boxes of their ellipses."""
     reach = torch.sqrt(2 * torch.log(torch.clamp(opacities / ALPHA_CUT, min=1))) + 0.1
     half = reach[:, None] * torch.sqrt(torch.diagonal(covariances, dim1=1, dim2=2))
     size = torch.tensor([camera.width, camera.height])
