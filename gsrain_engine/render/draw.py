@@ -20,6 +20,7 @@ from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonic
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
 from ..water.splashes import Splashes
+from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
 from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
@@ -39,6 +40,11 @@ class RenderView:
     """Focal length of the output image if a smaller one is drawn; None uses the camera's."""
     exposure_share: float = 1.0
     """Fraction of the shutter time, for one of several sub-frames that share it."""
+
+
+def has_spray(scene: Scene, rainfall: RainSimulation | None, time_s: float) -> bool:
+    """Return whether spray floats in a scene at a time."""
+    return rainfall is not None and len(spray_of(scene, rainfall, time_s)) > 0
 
 
 _STEP_S = 0.005  # half the time step of the velocity estimate
@@ -71,7 +77,8 @@ def draw_view(
 
     Wet colors follow the rain's wetness, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
     the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out
-    some of each part's Gaussians; `selection` tints selected ones.
+    some of each part's Gaussians; `selection` tints selected ones. Spray counts in depth: where `has_spray`, draw the
+    scene's own depth without rain.
     """
     rain, wetness, overcast = None, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
@@ -102,6 +109,9 @@ def draw_view(
         )  # fmt: skip
     if rain is not None and rainfall is not None and has_splashes(scene, rainfall, wetness):
         rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
+    if rain is not None and rainfall is not None:
+        spray = spray_of(scene, rainfall, shot.time_s)
+        parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 

@@ -73,6 +73,7 @@ def rain_panel(
     imgui.same_line()
     fields.toggle(document, "mirror")
     fields.toggle(document, "splashes")
+    fields.toggle(document, "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
