@@ -149,7 +149,7 @@ class LiveView:
         if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
         share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
-        thinning = self._thinning(share, images.scene)
+        thinning = self.thinning(share, images.scene)
         name, view, turn = f"rig/{camera.name}", images.view_of(camera), camera.camera_to_ego[:3, :3]
         glass = self._glass.before(self._renderer, images.scene, images.rainfall, images.sky, view, name, turn)
         draw_view(self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning)
@@ -208,7 +208,7 @@ class LiveView:
             return False
         rainfall = side.rainfall if scene.members else None  # the rain has nothing to fall on yet
         selection = frame.selection and frame.screenshot is None
-        thinning = self._thinning(frame.quality.gaussians, scene, frame.mode, exact=frame.screenshot is not None)
+        thinning = self.thinning(frame.quality.gaussians, scene, frame.mode, exact=frame.screenshot is not None)
         glass, name = None, f"pane/{self._panes.index(pane)}"
         if rainfall is not None and has_glass(rainfall, frame.mode):
             glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
@@ -231,7 +231,7 @@ class LiveView:
         self._is_uploading = True
         return pane.scene
 
-    def _thinning(
+    def thinning(
         self, share: float, scene: Scene, mode: RenderMode = "splats", *, exact: bool = False
     ) -> Thinning | None:
         """Choose the drawn Gaussians: of a large scene a cut, whose number falls with the square of its error."""
@@ -264,7 +264,7 @@ class LiveView:
                 self._upload.give_up()
             elif self._pending is not None and self._pending.is_opened:
                 self._sky.forget()
-                self._opengl.arrays.release_all_but(_uploads(frame.scene.members))
+                self._opengl.arrays.release_all_but(uploads_of(frame.scene.members))
             self._pending, self._is_pending_ready = frame.pending, False
             self._preparing = iter(()) if frame.pending is None else self._preparations(frame.pending.scene)
         while self._pending is not None and not self._is_pending_ready:
@@ -342,12 +342,12 @@ class SceneUpload:
     def missing(self, scene: Scene) -> int:
         """Number of Gaussians a frame would have to upload to draw a scene."""
         arrays = self._renderer.arrays
-        return sum(arrays.missing(*each) for each in _uploads(each for each in scene.members if each.visible))
+        return sum(arrays.missing(*each) for each in uploads_of(each for each in scene.members if each.visible))
 
     def go_on(self, scene: Scene, until_s: float) -> bool:
         """Upload missing slices of a scene until a time of `time.perf_counter`; return whether all are uploaded."""
         if scene is not self._scene:
-            parts = list(_uploads(each for each in scene.members if each.visible))
+            parts = list(uploads_of(each for each in scene.members if each.visible))
             self._scene = scene
             self._slices = (
                 slice_
@@ -366,7 +366,7 @@ class SceneUpload:
         self._renderer.arrays.release_awaited()
 
 
-def _uploads(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]]:
+def uploads_of(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]]:
     """Gaussians and wet colors of members, and of their trees."""
     for each in members:
         yield each.gaussians, each.wet_sh
