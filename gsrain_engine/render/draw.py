@@ -16,14 +16,15 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
 from ..scene.ground_water import ground_heights
 from ..scene.lod_order import lod_growth
-from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
+from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
 from ..water.splashes import Splashes
 from .camera_response import PictureOptics
+from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
 from .mirror import draw_mirror, has_mirror, reflecting_items, ring_waves, standing_water
-from .renderer import Renderer, RenderMode
+from .renderer import PendingImage, Renderer, RenderMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,6 +126,12 @@ def read_picture(renderer: Renderer, optics: PictureOptics | None) -> UInt8[np.n
     return pixels if optics is None else optics.picture(pixels)
 
 
+def request_picture(renderer: Renderer, optics: PictureOptics | None) -> PendingImage:
+    """Start to read the drawn frame back as `read_picture` does, so that the next one can be drawn meanwhile."""
+    pending = renderer.request_uint8()
+    return pending if optics is None else lambda: optics.picture(pending())
+
+
 def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
     """Camera and surroundings of the rain for a view."""
     mounted = _ego_anchor(scene, rainfall, shot)
@@ -205,6 +212,12 @@ class LodCut:
         wet_sh = merged_harmonics(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None
         own = part._replace(members=found.leaves, tree=None)
         return [own, own._replace(gaussians=tree.nodes, members=found.nodes, wet_sh=wet_sh)]
+
+
+def lod_cut(scene: Scene, lod: Lod | None) -> LodCut | None:
+    """Cut with which images of a scene are drawn, None for all Gaussians; see `ExportSettings.lod`."""
+    is_cut = scene.gaussian_count >= MIN_GAUSSIANS if lod is None else lod == "pixel"
+    return LodCut() if is_cut else None
 
 
 @dataclass(slots=True)

@@ -40,6 +40,7 @@ from ..widgets.fields import (
     tint_keyframed,
     warn,
 )
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.text import readings
 from .lamps import lamp_fields
 
@@ -191,7 +192,7 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
         document.change_rain("Sensor", sensor=names[at])
     imgui.same_line()
     if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose sensor"):
-        fields.ask_what_to_open("Sensor", "Sensors{.yaml,.yml}", lambda chosen: _use(document, status, chosen[0]))
+        ask_what_to_open("Sensor", "Sensors{.yaml,.yml}", lambda chosen: _use(document, status, chosen[0]))
     imgui.set_item_tooltip("Choose a sensor file...")
     simulation, camera = live_rain.simulation, viewport.shot(960, 640).camera
     sensor, lens = simulation.sensor, simulation.lens(camera)
