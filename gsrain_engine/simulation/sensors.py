@@ -61,6 +61,7 @@ class RigRenderer:
             draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=has_own)
             image = read_picture(self._renderer, optics)
             if self._needs.depth and not has_own:
+                image = image.copy()  # the next draw may reuse its memory
                 draw_view(self._renderer, scene, None, color, view, with_depth=True)
             depth = self._renderer.read().depth if self._needs.depth else None
             views[mounted.name] = CameraView(
