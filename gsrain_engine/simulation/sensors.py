@@ -1,20 +1,22 @@
 """Simulated sensors: camera views of the scene in rain from the moving ego vehicle, and semantic labels."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import RenderView, draw_view, has_spray, read_picture
+from ..render.draw import LodCut, RenderView, draw_view, has_spray, request_picture
 from ..render.object_labels import draw_labels
-from ..render.renderer import Renderer
+from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import SkyColor, sky_color
+from ..scene.camera import Camera
 from ..scene.objects import coco_class
 from ..scene.scene import Actor, RigCamera, Scene
 from ..water.glass import CameraMotion, PastMotion
@@ -25,10 +27,19 @@ class RigRenderer:
     """Renders the cameras that an agent needs. One rain simulation spans the whole drive."""
 
     def __init__(
-        self, renderer: Renderer, rain: RainSettings, cameras: Sequence[RigCamera], needs: SensorRequirements
+        self,
+        renderer: Renderer,
+        rain: RainSettings,
+        cameras: Sequence[RigCamera],
+        needs: SensorRequirements,
+        cut: LodCut | None = None,
     ) -> None:
-        """Use a renderer that must stay open as long as this object is in use."""
+        """Use a renderer that must stay open as long as this object is in use.
+
+        Images are drawn with a level-of-detail `cut`, but for agents that need depth, which is exact.
+        """
         self._renderer, self._cameras, self._needs = renderer, cameras, needs
+        self._cut = None if needs.depth else cut
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
         self._optics = CameraOptics()
@@ -39,12 +50,12 @@ class RigRenderer:
         yaw_rate_rad_s: float, time_s: float,
     ) -> dict[str, CameraView]:  # fmt: skip
         """Render the cameras at a scene time. `velocity_m_s` is the velocity of the rig origin in the world."""
-        views: dict[str, CameraView] = {}
+        drawn: dict[str, Callable[[], CameraView]] = {}
         self._drive.append(_RigMotion(time_s, rig_to_world, velocity_m_s, yaw_rate_rad_s))
         for mounted in self._cameras:
             camera = mounted.camera(rig_to_world)
             if self._sky is None:  # computed once, so that all cameras and frames agree
-                self._sky = sky_color(self._renderer, scene, camera)
+                self._sky = sky_color(self._renderer, scene, camera, thinning=self._cut)
             velocity = self._drive[-1].of(mounted).velocity_m_s
             semantic = instances = None
             if self._needs.semantic:
@@ -58,16 +69,16 @@ class RigRenderer:
                 camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
             )  # fmt: skip
             has_own = self._needs.depth and not has_spray(scene, self._rainfall, time_s)
-            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=has_own)
-            image = read_picture(self._renderer, optics)
+            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=has_own, thinning=self._cut)
+            depth = self._renderer.read().depth if has_own else None
+            depth = None if depth is None else depth.copy()
+            image = request_picture(self._renderer, optics)  # read back while the next camera is drawn
             if self._needs.depth and not has_own:
-                image = image.copy()  # the next draw may reuse its memory
                 draw_view(self._renderer, scene, None, color, view, with_depth=True)
-            depth = self._renderer.read().depth if self._needs.depth else None
-            views[mounted.name] = CameraView(
-                image, camera, None if depth is None else depth.copy(), semantic, instances
-            )
-        return views
+                depth = self._renderer.read().depth
+                depth = None if depth is None else depth.copy()
+            drawn[mounted.name] = partial(_camera_view, image, camera, depth, semantic, instances)
+        return {name: view() for name, view in drawn.items()}
 
     def _past(self, mounted: RigCamera) -> PastMotion:
         """Motion of a camera during the drive: that of the last step, and before the first step that of the first."""
@@ -78,6 +89,16 @@ class RigRenderer:
             return then.of(mounted, time_s - then.time_s)
 
         return motion
+
+
+def _camera_view(
+    image: PendingImage,
+    camera: Camera,
+    depth: Float32[np.ndarray, "h w"] | None,
+    semantic: UInt8[np.ndarray, "h w"] | None,
+    instances: UInt16[np.ndarray, "h w"] | None,
+) -> CameraView:
+    return CameraView(image(), camera, depth, semantic, instances)
 
 
 class _RigMotion(NamedTuple):

@@ -13,8 +13,10 @@ from jaxtyping import Float64
 from ..backends import Backend, open_renderer
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
+from ..render.draw import lod_cut
+from ..render.export_settings import Lod
 from ..render.renderer import Renderer
-from ..scene.open import STREET
+from ..scene.open import STREET, with_lod_trees
 from ..scene.scene import Actor, PoseTrack, Scene
 from .agents import base
 from .agents.base import Agent, CameraView, Observation, SensorRequirements, Trajectory
@@ -47,11 +49,13 @@ class Simulation:
         needs: SensorRequirements = base.NOTHING,
         renderer: Renderer | None = None,
         seed: int | None = None,
+        lod: Lod | None = None,
     ) -> None:
         """Prepare the simulation. `renderer` is required if the agent needs cameras, and must stay open meanwhile.
 
-        `seed` is the rain seed; None takes the scenario's. A scenario of the built-in street in another scene logs a
-        warning. Raises ValueError if the scene lacks a drive, a rig or a model that the scenario needs.
+        `seed` is the rain seed; None takes the scenario's. `lod` is the level of detail of images, as of an export. A
+        scenario of the built-in street in another scene logs a warning. Raises ValueError if the scene lacks a drive, a
+        rig or a model that the scenario needs.
         """
         if scenario.scene == STREET != scene.name:
             logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,
@@ -59,6 +63,9 @@ class Simulation:
         if needs.cameras and renderer is None:
             raise ValueError("the agent needs pictures, and there is nothing that draws them")
         self.scenario = scenario if seed is None else _with_seed(scenario, seed)
+        self.cut = lod_cut(scene, lod) if renderer is not None else None
+        """Level-of-detail cut of the images; None draws all Gaussians."""
+        scene = scene if self.cut is None else with_lod_trees(scene)
         self.scene = scene
         self.route: Route = recorded_route(scene)
         self.ground = road_surface_of(scene)
@@ -88,7 +95,7 @@ class Simulation:
             self.scenario = _with_seed(self.scenario, seed)
         self._traffic.reset()
         if self._renderer is not None and self._needed:
-            self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._needed, self._needs)
+            self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._needed, self._needs, self.cut)
         self.end, self._steps, self._moment = None, [], self._start
         self._judge()
         return self.observation()

@@ -97,7 +97,7 @@ class WaterFilms:
         now = self.at(time_s)
         if self.ground is None:
             return np.full(len(points_m), now.film_mm)
-        standing = self.ground.at(points_m.astype(np.float32))[:, 1].astype(np.float64)
+        standing = self.ground.at(points_m)[:, 1].astype(np.float64)
         return now.film_mm + standing * (now.dip_mm - now.film_mm)
 
     @cached_property

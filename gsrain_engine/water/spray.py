@@ -146,7 +146,7 @@ def _spray_of(scene_key: IdentityKey, rainfall_key: IdentityKey, time_s: float) 
     scene: Scene = scene_key.of  # pyright: ignore[reportAssignmentType]
     rainfall: RainSimulation = rainfall_key.of  # pyright: ignore[reportAssignmentType]
     now = rainfall.frozen_at(time_s).rain
-    is_dry = now.intensity_mm_h == 0 or not scene.has_wet_colors or rainfall.wetness_at(time_s) <= 0
+    is_dry = now.intensity_mm_h == 0 or not scene.has_rainy_light or rainfall.wetness_at(time_s) <= 0
     if is_dry or not rainfall.rain.spray:
         return SprayParcels.none()
     film_mm = WaterFilms.of(rainfall, scene.water).at(time_s).film_mm

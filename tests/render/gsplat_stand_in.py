@@ -1,4 +1,4 @@
-"""Stand-in for `gsplat.rasterization`, differentiable, computed densely by torch."""
+"""Stand-in for `gsplat.rasterization`, differentiable, computed densely by torch, and for gsplat's Adam."""
 
 import torch
 
@@ -47,3 +47,15 @@ def rasterization(
         * drawn[None, :, None],
     }
     return image[None], weights.sum(dim=0)[None, ..., None], found
+
+
+def adam(param, param_grad, exp_avg, exp_avg_sq, valid, lr, b1, b2, eps):
+    """Adam of some rows without bias corrections: `gsplat.cuda._wrapper.adam` of gsplat 1.5."""
+    assert {each.dtype for each in (param, param_grad, exp_avg, exp_avg_sq)} == {torch.float32}
+    assert all(each.is_contiguous() for each in (param, param_grad, exp_avg, exp_avg_sq, valid))
+    assert valid.shape == param.shape[:1] and valid.dtype == torch.bool
+    rows = valid.reshape(-1, *[1] * (param.ndim - 1))
+    first, second = b1 * exp_avg + (1 - b1) * param_grad, b2 * exp_avg_sq + (1 - b2) * param_grad * param_grad
+    moved = param - lr * first / (torch.sqrt(second) + eps)
+    for target, values in ((param, moved), (exp_avg, first), (exp_avg_sq, second)):
+        target.copy_(torch.where(rows, values, target))

@@ -72,6 +72,8 @@ def rain_panel(
     fields.toggle(document, "roofs")
     imgui.same_line()
     fields.toggle(document, "mirror")
+    fields.toggle(document, "splashes")
+    imgui.same_line()
     fields.toggle(document, "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")

@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from ...backends import open_renderer
 from ...rain.settings import HEAVIEST_MM_H, RainSettings
+from ...render.draw import lod_cut
 from ...render.renderer import Renderer
 from ...safe_io.limits import read_file
 from ...scene.formats.scene_folder import FileCache
@@ -221,7 +222,8 @@ class _FrontCamera:
         self._simulation, cameras = simulation, simulation.rig.cameras
         front = needed_cameras(cameras, SensorRequirements(cameras=("front",))) if cameras else ()
         self._cameras = tuple(camera_of_width(each, _PREVIEW_PX) for each in front)
-        self._pictures = RigRenderer(renderer, simulation.scenario.rain, self._cameras, SensorRequirements())
+        rain, needs = simulation.scenario.rain, SensorRequirements()
+        self._pictures = RigRenderer(renderer, rain, self._cameras, needs, lod_cut(simulation.scene, None))
 
     def picture(self, observation: Observation) -> UInt8[np.ndarray, "h w 3"] | None:
         if not self._cameras:

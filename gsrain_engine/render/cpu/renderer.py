@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import no_type_check
 
 import numba
@@ -22,10 +23,12 @@ from ..renderer import (
     NEAREST_M,
     Color,
     Frame,
+    PendingImage,
     RenderMode,
     RenderStatistics,
     timed,
 )
+from .block_cache import BlockCaches
 from .compositing import add_light, composite, composite_film, composite_in_rain, dim_by_medium, expected, sky_layer
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
@@ -40,6 +43,7 @@ class CpuRenderer:
     def __init__(self) -> None:
         tune_malloc()
         self.statistics = RenderStatistics()
+        self._caches = BlockCaches()
         self._frame: Frame | None = None
 
     def draw(
@@ -62,7 +66,8 @@ class CpuRenderer:
                 falling = [DrawItem(each, np.eye(4)) for each in (rain.lit_streaks, rain.drawn_haze) if len(each)]
                 self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
-            splats = project([*parts, *falling], camera, flags, as_points=look == "points")
+            splats = project([*parts, *falling], camera, flags, as_points=look == "points", caches=self._caches)
+            self._caches.release_unused()
             splats = _color_by_mode(look, splats, parts, camera)
             medium = rain.medium if rain is not None and look == "splats" else None
             if rain is not None and medium is not None:
@@ -96,6 +101,9 @@ class CpuRenderer:
 
     def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         return self.read().to_uint8(background)
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        return partial(self.read().to_uint8, background)
 
 
 # Drawing
