@@ -68,15 +68,14 @@ class RigRenderer:
                 self._renderer, scene, self._rainfall, color, view,
                 camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
             )  # fmt: skip
-            has_own = self._needs.depth and not has_spray(scene, self._rainfall, time_s)
-            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=has_own, thinning=self._cut)
-            depth = self._renderer.read().depth if has_own else None
-            depth = None if depth is None else depth.copy()
-            image = request_picture(self._renderer, optics)  # read back while the next camera is drawn
+            has_own = not has_spray(scene, self._rainfall, time_s)  # spray has no depth of its own
+            with_depth = self._needs.depth and has_own
+            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=with_depth, thinning=self._cut)
+            depth = np.array(self._renderer.read().depth) if with_depth else None
+            image = request_picture(self._renderer, optics)  # read back while the next picture is drawn
             if self._needs.depth and not has_own:
                 draw_view(self._renderer, scene, None, color, view, with_depth=True)
-                depth = self._renderer.read().depth
-                depth = None if depth is None else depth.copy()
+                depth = np.array(self._renderer.read().depth)
             drawn[mounted.name] = partial(_camera_view, image, camera, depth, semantic, instances)
         return {name: view() for name, view in drawn.items()}
 

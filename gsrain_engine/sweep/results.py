@@ -226,8 +226,7 @@ def _place(row: Row) -> tuple[object, ...]:
     variant = group.variant
     numbers = variant.exposure_s, variant.diameter_scale, variant.start_speed_m_s, variant.gap_m
     axes = [(value is not None, value or 0) for value in numbers]
-    switches = variant.mirror, variant.splashes, variant.spray
-    water = [pair for on in switches for pair in (on is not None, bool(on))]
+    water = [pair for on in (variant.mirror, variant.splashes, variant.spray) for pair in (on is not None, bool(on))]
     words = [each or "" for each in (variant.preset, variant.sensor, variant.friction)]
     own = variant.wet is not None, bool(variant.wet), *words, *water, *axes
     return *group[:3], *own, _number(row["intensity_mm_h"]), _number(row["seed"])

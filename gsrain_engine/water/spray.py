@@ -167,6 +167,17 @@ def displaced_mm(film_mm: float) -> float:
 # Vehicles
 
 
+def has_fast_vehicles(scene: Scene) -> bool:
+    """Return whether a visible vehicle of a scene is ever fast enough to throw spray."""
+    times = [each.track.times for each in scene.actors] + [scene.ego.times if scene.ego is not None else np.zeros(0)]
+    times_s = np.unique(np.concatenate(times))
+    if len(times_s) < 2:
+        return False
+    motions = [each for each in vehicle_motions(scene, times_s) if each.is_there.sum() > 1]
+    speeds = [np.linalg.norm(np.diff(each.positions_m, axis=0), axis=1) / np.diff(times_s) for each in motions]
+    return any(bool((each > STILL_M_S).any()) for each in speeds)
+
+
 def vehicle_motions(scene: Scene, times_s: Float64[np.ndarray, " n"]) -> list[VehicleMotion]:
     """Motions of the visible vehicles of a scene at times."""
     unit, motions = scene.metres_per_unit, list[VehicleMotion]()

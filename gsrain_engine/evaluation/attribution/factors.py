@@ -42,7 +42,14 @@ FACTORS = (
     Factor("medium", "medium", {"haze": "none", "visibility_m": None}, {"haze": "medium"}),
     Factor(LIGHT, "overcast light"),
     Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}, after=LIGHT),
-    Factor("mirror", "mirror", {"mirror": False}, {"mirror": True}, after=WET),
+    Factor(
+        "mirror",
+        "mirror, rings, splashes",
+        {"mirror": False, "splashes": False},
+        {"mirror": True, "splashes": True},
+        after=WET,
+    ),
+    Factor("spray", "spray", {"spray": False}, {"spray": True}, after=WET),
     Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
 )
 """All factors, in the order of tables and figures."""
@@ -118,7 +125,7 @@ class RainFactors:
         absent = set(lacking)
         is_wet = WET in chosen and WET not in absent
         if not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
-            absent |= {LIGHT, WET, "mirror"}
+            absent |= {LIGHT, WET, *(each.name for each in FACTORS if each.after == WET)}
         elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
             absent.add(LIGHT)
         factors = tuple(each.name for each in FACTORS if each.name in chosen - absent)
