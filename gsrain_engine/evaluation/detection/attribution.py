@@ -19,7 +19,7 @@ from ...rain.properties import rain_properties
 from ...rain.settings import RainSettings
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
-from ..attribution.factors import FACTORS, RainFactors, title_of
+from ..attribution.factors import FACTORS, ON_WET_GROUND, RainFactors, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import AttributionPlan, Coalition
 from ..report_charts import series_styles
@@ -121,7 +121,7 @@ def rain_attributions(
     if in_front:
         lacking = {each.name for each in FACTORS} - {"streaks", "medium"}
     elif not scene.has_wet_colors:
-        lacking = {"light", "wet", "mirror"}
+        lacking = set(ON_WET_GROUND)
     elif scene.water is None:
         lacking = {"mirror"}
     found: list[RainAttribution] = []
