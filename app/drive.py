@@ -235,7 +235,7 @@ def drive(
         facts = run_provenance({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts), lod)
     print_lines(results_table(compare_drives(runs)).text)
-    if len(rains) > 1:
+    if len(rains) > 1 and test.friction == "dry":
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
             print(f"{name} uses no camera: rain changes nothing for it.")
     if any(len(run.rollout.steps) == 1 and run.rollout.steps[0].collision == BACKGROUND for run in runs if run.rollout):

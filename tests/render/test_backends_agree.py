@@ -22,6 +22,7 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from render.cpu.raster_scenes import drawn, psnr_db, random_gaussians, similarity, small_camera
+from simulation.small_drive import box_actor
 
 MIN_PSNR_DB = 50.0
 MAX_RAIN_DIFFERENCE = 0.05
@@ -130,6 +131,19 @@ def test_wet_ground_mirrors_the_same_on_all(kind, open_kind):
     assert psnr_db(found, expected) >= MIN_PSNR_DB
     assert np.abs(expected.rgba - plain.rgba).max() > 0.05
     np.testing.assert_array_equal(frame_of(renderers[0], scene, shot, rain).rgba, found.rgba)
+
+
+@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
+def test_spray_is_the_same_on_all(kind, open_kind):
+    """A block that drives ahead at 25 m/s, 10 m from the camera at 2 s."""
+    scene = small_scene()
+    wet = replace(scene.layers[0], wet_sh=scene.layers[0].gaussians.sh.copy())
+    block = box_actor(times=(0.0, 4.0), positions=((-40.0, 0, 0), (60.0, 0, 0)))
+    scene, shot = replace(scene, layers=(wet,), actors=(block,)), small_shot(96, 60)
+    found, expected = (frame_of(each, scene, shot, raining()) for each in (open_kind(kind), CpuRenderer()))
+    plain = frame_of(CpuRenderer(), scene, shot, raining(spray=False))
+    assert psnr_db(found, expected) >= MIN_PSNR_DB
+    assert np.abs(expected.rgba - plain.rgba).max() > 0.1
 
 
 def test_both_count_the_same(pair):

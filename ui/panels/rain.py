@@ -73,6 +73,7 @@ def rain_panel(
     imgui.same_line()
     fields.toggle(document, "mirror")
     fields.toggle(document, "splashes")
+    fields.toggle(document, "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
@@ -208,6 +209,9 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
             text = f"{sensor.full_well_e / sensor.gain:,.0f} e-, read noise {sensor.read_noise_e:g} e-"
             rows.append(("White", text, "Electrons of white; shot noise is the root of a pixel's electrons."))
         rows.append(("Tone curve", sensor.tone_curve, "In recorded images and videos; the viewport is without it."))
+        if sensor.processes_signal:
+            text = f"noise reduction {sensor.noise_reduction:g}, sharpening {sensor.sharpening:g}"
+            rows.append(("Processing", text, "Strengths. In recorded images and videos."))
         if sensor.jpeg_quality is not None:
             rows.append(("JPEG quality", f"{sensor.jpeg_quality}", "In recorded images and videos."))
     readings("sensor values", rows)

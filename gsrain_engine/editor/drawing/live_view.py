@@ -308,7 +308,7 @@ def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
         b"" if view.velocity_m_s is None or not raining else view.velocity_m_s.tobytes(),
         (frame.background, frame.gain_ev, frame.mode, frame.harmonics, frame.selection),
-        (rainfall.wetness_at(time_s), rainfall.overcast_at(time_s)) if scene.has_wet_colors else (0.0, 0.0),
+        (rainfall.soaked_share_at(time_s), rainfall.overcast_at(time_s)) if scene.has_wet_colors else (0.0, 0.0),
     )
 
 

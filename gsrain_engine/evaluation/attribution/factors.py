@@ -44,6 +44,7 @@ FACTORS = (
     Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}, after=LIGHT),
     Factor("mirror", "mirror", {"mirror": False}, {"mirror": True}, after=WET),
     Factor("splashes", "splashes and rings", {"splashes": False}, {"splashes": True}, after="mirror"),
+    Factor("spray", "spray", {"spray": False}, {"spray": True}, after="splashes"),  # of wet ground, too
     Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
 )
 """All factors, in the order of tables and figures."""

@@ -19,6 +19,7 @@ from ...rain.properties import rain_properties
 from ...rain.settings import RainSettings
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
+from ...water.spray import has_fast_vehicles
 from ..attribution.factors import FACTORS, ON_WET_GROUND, RainFactors, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import AttributionPlan, Coalition
@@ -122,8 +123,9 @@ def rain_attributions(
         lacking = {each.name for each in FACTORS} - {"streaks", "medium"}
     elif not scene.has_wet_colors:
         lacking = set(ON_WET_GROUND)
-    elif scene.water is None:
-        lacking = {"mirror"}
+    else:
+        lacking = {"mirror"} if scene.water is None else set()
+        lacking |= set() if has_fast_vehicles(scene) else {"spray"}
     found: list[RainAttribution] = []
     for intensity in intensities_mm_h:
         if intensity > 0:
