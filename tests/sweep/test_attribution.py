@@ -48,8 +48,8 @@ def test_coalitions_are_jobs_once_and_none_of_them_is_the_clear_drive(scenario):
     assert {job.id for job in plain} == {job.id for job in drives} < {job.id for job in jobs}
     without_glass = sweep_of([scenario], attribute=["streaks", "medium", "wet"], intensities_mm_h=[8.5])
     assert len(jobs_of(without_glass)) == 2 * 8
-    sampled = attributed_drives(sweep_of([scenario], attribute=ALL, attribute_pairs=1))
-    assert all(len(each.jobs) <= 12 for each in sampled) and sampled[0].jobs.keys() != sampled[1].jobs.keys()
+    sampled = attributed_drives(sweep_of([scenario], attribute=ALL, attribute_pairs=1, seeds=6))
+    assert all(len(each.jobs) <= 12 for each in sampled) and len({frozenset(each.jobs) for each in sampled}) > 1
 
 
 def test_the_street_has_a_scene_for_the_light_alone(scenario):
