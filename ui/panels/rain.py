@@ -74,6 +74,7 @@ def rain_panel(
     imgui.same_line()
     fields.toggle(document, "mirror")
     fields.toggle(document, "splashes")
+    imgui.same_line()
     fields.toggle(document, "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
