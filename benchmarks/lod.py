@@ -3,11 +3,7 @@
 import argparse
 import json
 import resource
-import subprocess
-import sys
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +11,6 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.render.draw import LodCut, RenderView, draw_view
 from gsrain_engine.render.renderer import Frame, describe_machine
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene, with_lod_trees
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
@@ -75,9 +70,11 @@ def measured(name: str, times_s: list[float], backend: str, frames: int, pixel: 
             taken = frame_ms(camera, time_s, None, 2)
             row |= {"all_ms": min(taken), "all_splats": renderer.statistics.splats_drawn}
             row["psnr_db"] = psnr_db(image, renderer.read())
-    count = scene.gaussian_count
+    size_mb = ply_mb(scene)
     return {
-        "gaussians": count,
+        "gaussians": scene.gaussian_count,
+        "ply_mb": size_mb,
+        "peak_over_ply": peak_mb / size_mb,
         "loaded_s": loaded_s,
         "imports_mb": empty_mb,
         "peak_mb": peak_mb,
@@ -86,12 +83,9 @@ def measured(name: str, times_s: list[float], backend: str, frames: int, pixel: 
     }
 
 
-def ply_mb(name: str) -> float:
-    """Size of a scene as one PLY of float32; also fills the cache of built-in streets."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.ply"
-        write_scene(load_scene(name), path)
-        return path.stat().st_size / 2**20
+def ply_mb(scene: Scene) -> float:
+    """Size of the scene as PLY files of float32, one for each layer and actor."""
+    return sum(4 * len(g) * (14 + 3 * g.sh.shape[1]) for g in (each.gaussians for each in scene.members)) / 2**20
 
 
 def main() -> None:
@@ -101,18 +95,10 @@ def main() -> None:
     parser.add_argument("--backend", default="cpu")
     parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--pixel", type=float, default=1.0, help="error of the cut in pixels")
-    parser.add_argument("--ply-only", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.ply_only:
-        print(ply_mb(arguments.scene))
-        return
-    command = [sys.executable, __file__, "--scene", arguments.scene, "--ply-only"]
-    size_mb = float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     times_s = [float(each) for each in arguments.times.split(",")]
     result = measured(arguments.scene, times_s, arguments.backend, arguments.frames, arguments.pixel)
-    peak = result["peak_mb"]
-    assert isinstance(peak, float)
-    result |= {"ply_mb": size_mb, "peak_over_ply": peak / size_mb, "machine": describe_machine()}
+    result |= {"machine": describe_machine()}
     print(json.dumps(result, indent=1))
 
 
