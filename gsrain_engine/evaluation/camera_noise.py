@@ -133,7 +133,7 @@ _STEP = 0.35  # of the logarithms: the first trials differ by a factor of 1.4
 
 
 def fitted_sensor(
-    noise: CameraNoise, sensor: Sensor, native_height: int, advance: Callable[[], None], trials: int = FIT_TRIALS
+    noise: CameraNoise, sensor: Sensor, native_height: int, advance: Callable[[], object], trials: int
 ) -> Sensor:
     """Return the sensor with the FITTED fields whose noise is most like that of a real camera (Nelder and Mead 1965).
 
