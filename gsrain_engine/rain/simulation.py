@@ -100,10 +100,19 @@ class RainSimulation:
         return self.frozen_at(time_s).state
 
     def wetness_at(self, time_s: float) -> float:
-        """Share of the soaked colors at a time, 0..1: the set value, or derived from the intensity."""
+        """Share of surfaces that is wet at a time, 0..1: the set value, or derived from the intensity."""
         if self.rain.wetness is not None:
             return self.rain.wetness
         return self._wetness.at(time_s) if isinstance(self._wetness, WetnessCurve) else self._wetness
+
+    def soaked_share_at(self, time_s: float) -> float:
+        """Share of a scene's soaked colors at a time, 0..1: the wetness, and in thick fog its share of clouds.
+
+        Only soaked colors are in the light of clouds, without the sun's shadows; in fog, surfaces are damp as well.
+        """
+        wet = self.wetness_at(time_s)
+        fog = fog_overcast(self.frozen_at(time_s).rain.visibility_m)
+        return wet if self.rain.wetness is not None else max(wet, fog)
 
     def overcast_at(self, time_s: float) -> float:
         """Share of the overcast sky at a time, 0..1: closed in rain and fog, and as long as anything is wet.
@@ -126,6 +135,11 @@ class RainSimulation:
     def can_rain(self) -> bool:
         """True if there is rain or fog at any time."""
         return self.weather.heaviest_mm_h(self.rain) > 0 or self.rain.visibility_m is not None
+
+    @property
+    def is_never_overcast(self) -> bool:
+        """True if `overcast_at` is 0 at any time."""
+        return self.rain.wetness == 0 or (self.rain.wetness is None and not self.can_rain)
 
     def exposure_s(self, camera: Camera) -> float:
         """Shutter time: the rain's own, else that of a sensor which the rain names, else the camera's."""
@@ -232,7 +246,7 @@ class RainSimulation:
 
 _MOVING = (
     "intensity_mm_h", "wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s", "roughness_m", "seed",
-    "velocity", "calibration", "streak_reset",
+    "velocity", "calibration", "diameter_scale", "streak_reset",
 )  # fmt: skip
 """Fields of the rain that determine the fall and drift of drops under keyframes."""
 
