@@ -154,7 +154,7 @@ def test_a_photograph_without_signal_is_its_background():
 
 
 def test_the_sensor_of_a_cameras_noise_is_found(monkeypatch):
-    monkeypatch.setattr("gsrain_engine.evaluation.camera_noise._MIN_PIXELS", 400)
+    monkeypatch.setattr("gsrain_engine.evaluation.camera_noise.MIN_PIXELS", 400)
     noise = CameraNoise.of([each.color for each in plain_and_detailed()])
     assert len(noise.classes) >= 2
     assert noise.difference(CAMERA, 1280) < 0.05
