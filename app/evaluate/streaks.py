@@ -132,7 +132,7 @@ def _fit(sequences: list[RainSequence], sensor: Sensor, frames: int, part: Windo
     colors = [sequence.picture(k)[rows, columns] for k in evenly_chosen(sequence, frames)]
     noise = CameraNoise.of(colors)
     with progress_bar("Fitting", FIT_TRIALS) as advance:
-        fitted = fitted_sensor(noise, sensor, sequence.camera.height, advance)
+        fitted = fitted_sensor(noise, sensor, sequence.camera.height, advance, FIT_TRIALS)
     write_text(file, msgspec.yaml.encode(fitted).decode())
 
 

@@ -21,7 +21,8 @@ CHROMA_LAGS = ((0, 1), (1, 0), (0, 2), (2, 0), (0, 3), (3, 0))
 
 _LEVEL_EDGES = (2, 16, 32, 64, 96, 140, 190, 240)
 _DEVIATION_EDGES = (0.4, 0.9, 1.3, 1.7, 2.2, 2.7, 3.2)
-_MIN_PIXELS = 2500
+MIN_PIXELS = 2500
+"""Smaller classes are left out."""
 _CLIP_LEVELS, _CLIP_CHROMA = 10.0, 7.0  # rare changes are no noise
 _SIMULATED = 2
 _WEIGHTS = np.array([1.0, *[1.0] * 5, *[0.6] * 4, 1.0, 1.0, *[0.5] * 6])
@@ -96,7 +97,7 @@ class CameraNoise:
         for low, high in pairwise(_LEVEL_EDGES):
             for least, largest in pairwise(_DEVIATION_EDGES):
                 pixels = still & (level >= low) & (level < high) & (deviation >= least) & (deviation < largest)
-                if np.count_nonzero(pixels) >= _MIN_PIXELS:
+                if np.count_nonzero(pixels) >= MIN_PIXELS:
                     real = noise_statistics(residuals, pixels)
                     classes.append(NoiseClass(pixels, (low, high), (least, largest), real))
         if not classes:
@@ -133,7 +134,7 @@ _STEP = 0.35  # of the logarithms: the first trials differ by a factor of 1.4
 
 
 def fitted_sensor(
-    noise: CameraNoise, sensor: Sensor, native_height: int, advance: Callable[[], None], trials: int = FIT_TRIALS
+    noise: CameraNoise, sensor: Sensor, native_height: int, advance: Callable[[], object], trials: int
 ) -> Sensor:
     """Return the sensor with the FITTED fields whose noise is most like that of a real camera (Nelder and Mead 1965).
 

