@@ -16,8 +16,9 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
+from gsrain_engine.render import export_settings
 from gsrain_engine.render.draw import lod_cut
-from gsrain_engine.render.export_settings import ExportSettings, Lod
+from gsrain_engine.render.export_settings import Lod
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word, shortened
@@ -149,7 +150,7 @@ class DriverOptions(options_of(AgentOptions, "drive")):
 
 
 RunOptions = options_of(Scenario, "drive", "Default: the scenario's.")
-DrawingOptions = options_of(ExportSettings, "drive")
+DrawingOptions = options_of(export_settings.ExportSettings, "drive")
 WeatherOptions = options_of(RainSettings, "drive", "Default: the scenario's.")
 
 

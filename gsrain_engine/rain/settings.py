@@ -220,7 +220,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
     mirror: Annotated[bool, Meta(
         title="Mirror", extra={"commands": "render, drive, evaluate detection"},
-        description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = False
+        description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = True
     splashes: Annotated[bool, Meta(
         title="Splashes and rings", extra={"commands": "render, drive, evaluate detection"},
         description="Drops that land throw up crowns near the camera, in scenes with wet colors, and start rings in "

@@ -53,9 +53,29 @@ class CameraOptics:
         motion up to the frame; None is a camera that does not move. Glass is dry unless rain `falls`.
         """
         response = self._response(renderer, scene, rainfall, shot, camera)
+        through = self.glass_view(
+            renderer, scene, rainfall, sky, shot,
+            camera=camera, past=past, camera_to_vehicle=camera_to_vehicle, falls=falls,
+        )  # fmt: skip
+        return None if through is None and response is None else PictureOptics(through, response)
+
+    def glass_view(
+        self,
+        renderer: Renderer,
+        scene: Scene,
+        rainfall: RainSimulation,
+        sky: SkyLight,
+        shot: RenderView,
+        *,
+        camera: Hashable = "",
+        past: PastMotion | None = None,
+        camera_to_vehicle: Float64[np.ndarray, "3 3"] | None = None,
+        falls: bool = True,
+    ) -> GlassView | None:
+        """Return the glass in front of a camera, as `of` does, without the sensor; None without glass."""
         pane = pane_in_front(rainfall, shot, camera_to_vehicle)
         if pane is None:
-            return None if response is None else PictureOptics(response=response)
+            return None
         glass = self._glass(pane, scene, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
         wide = wide_camera(shot.camera)
         if len(glass.drops):
@@ -67,8 +87,7 @@ class CameraOptics:
             self._thinning.forget_all_but(each.gaussians for each in scene.members)
         else:
             behind = np.zeros((wide.height, wide.width, 3), np.uint8)
-        through = GlassView(glass, shot.camera, rainfall.lens(shot.camera), behind)
-        return PictureOptics(through, response)
+        return GlassView(glass, shot.camera, rainfall.lens(shot.camera), behind)
 
     def meter(
         self, renderer: Renderer, scene: Scene, rainfall: RainSimulation, shot: RenderView, camera: Hashable = ""
@@ -96,7 +115,8 @@ class CameraOptics:
         drops, film_m, blade_rad = np.zeros((0, 10)), np.zeros((1, 1), np.float32), None
         if is_wet:
             known = self._water.get(camera)
-            if known is None or known[0] is not rainfall or known[1].pane.key != pane.key:
+            is_same = known is not None and (known[0].rain, known[1].pane.key) == (rain, pane.key)
+            if known is None or not is_same or known[0].weather is not rainfall.weather:
                 known = self._water[camera] = rainfall, glass_history(pane, rainfall, past)
             history = known[1]
             history.past, history.spray = past, partial(spray_of, scene, rainfall)

@@ -75,16 +75,17 @@ def draw_view(
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
-    Wet colors follow the rain's wetness, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
-    the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out
-    some of each part's Gaussians; `selection` tints selected ones. Spray counts in depth: where `has_spray`, draw the
-    scene's own depth without rain.
+    Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
+    `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
+    leaves out some of each part's Gaussians; `selection` tints selected ones. Spray counts in depth: where `has_spray`,
+    draw the scene's own depth without rain.
     """
-    rain, wetness, overcast = None, 0.0, 0.0
+    rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
     lit_lamps = scene.lamps_at(shot.time_s, lamps) if rainfall is not None and lamps else None
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
+        soaked = rainfall.soaked_share_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
     has_water, standing, depth = False, (0.0, 0.0), WaterDepth(0.0, 0.0)
@@ -92,7 +93,7 @@ def draw_view(
         depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
         standing = standing_water(rainfall.rain, depth, wetness)
         has_water = has_mirror(scene, shot.camera, wetness, standing)
-    lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
+    lit = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
     parts = list(subset_items(lit, thinning, shot.camera))
     if lamps and scene.ground_m is not None and look == "splats":
         fixed = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount == "scene"])

@@ -244,7 +244,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
             title="Pairs of orders",
             extra={"commands": "sweep", "ge": 0, "le": MAX_PAIRS},
             description="Pairs of opposite orders of these parts that each seed samples; 0 takes all orders. None: all "
-            "orders, if 32 subsets do.",
+            "orders, if 64 subsets do.",
         ),
     ] = None
     backend: DrawnBy = "auto"

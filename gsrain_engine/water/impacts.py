@@ -114,7 +114,7 @@ class GroundImpacts:
         rain = self.rainfall.weather.rain_at(self.rainfall.rain, float(middle))
         bare = RainSettings(
             intensity_mm_h=rain.intensity_mm_h, closure=rain.closure, velocity=rain.velocity,
-            turbulence_m_s=rain.turbulence_m_s,
+            turbulence_m_s=rain.turbulence_m_s, diameter_scale=rain.diameter_scale,
         )  # fmt: skip
         return impact_flux(bare, self.rainfall.calibration)
 

@@ -118,6 +118,7 @@ class RingReach:
 FILM_RINGS = RingReach(300.0, 0.3)
 STANDING_RINGS = RingReach(300.0, 0.5)
 _FADE = 0.4  # last part of the distance up to which rings are followed, over which they turn into roughness
+_NEARER = 0.6  # that distance on films, relative to that on standing water
 _FARTHEST_M = 15.0
 _FROM_STANDING = 0.25  # share of standing water at the impact from which its ring runs over it
 _HASH_M = 0.125
@@ -165,9 +166,9 @@ class RingWaves:
 
     @property
     def distance_m(self) -> float:
-        """Distance along the ground beyond which pixels are longer than the waves: 0.4 d^2 / (f h) = 2 / k."""
+        """Distance along the ground beyond which pixels are longer than the waves: 0.4 d^2 / (f h) = 2.6 / k."""
         above_m = max(self.eye_m[2] - self.ground_m, 0.0)
-        return min(float(np.sqrt(2.0 / PEAK_PER_M * self.focal_px * above_m / _FOOTPRINT_PX)), _FARTHEST_M)
+        return min(float(np.sqrt(2.6 / PEAK_PER_M * self.focal_px * above_m / _FOOTPRINT_PX)), _FARTHEST_M)
 
     @property
     def _depths_mm(self) -> tuple[float, float]:
@@ -175,11 +176,11 @@ class RingWaves:
 
     @cached_property
     def on_films(self) -> RingField:
-        return self._field(FILM_RINGS, self._depths_mm[0], 0)
+        return self._field(FILM_RINGS, self._depths_mm[0], _NEARER * self.distance_m, 0)
 
     @cached_property
     def on_standing(self) -> RingField:
-        return self._field(STANDING_RINGS, self._depths_mm[1], 1)
+        return self._field(STANDING_RINGS, self._depths_mm[1], self.distance_m, 1)
 
     def slopes_along(self, distances_m: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Standard deviation of slope along the view of standing water at distances along the ground.
@@ -205,13 +206,13 @@ class RingWaves:
         resolved = min(followed, whole) * kept * seen**2
         return np.sqrt(_CALM_SLOPE**2 + np.maximum(0.5 * whole - resolved, 0))
 
-    def _field(self, reach: RingReach, depth_mm: float, water: int) -> RingField:
-        found = self.impacts.land(self._cells(self.distance_m), self.time_s - reach.age_s, self.time_s, reach.per_m2_s)
+    def _field(self, reach: RingReach, depth_mm: float, distance_m: float, water: int) -> RingField:
+        found = self.impacts.land(self._cells(distance_m), self.time_s - reach.age_s, self.time_s, reach.per_m2_s)
         if water == 1:
             found = found.only(self.ground.at(found.places_m)[:, 1] >= _FROM_STANDING)
         if not len(found.times_s):
             return RingField.empty()
-        return _field_of(found, self.time_s, _at_depth(depth_mm), reach, self.distance_m)
+        return _field_of(found, self.time_s, _at_depth(depth_mm), reach, distance_m)
 
     def _cells(self, reach_m: float) -> "np.ndarray":
         """Cells of the ground ahead, within reach and 60 degrees of the heading."""

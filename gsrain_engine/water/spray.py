@@ -67,6 +67,8 @@ LIGHT = 0.55
 LEAST_ALPHA = 5e-4
 _NOTHING = 1e-3  # floating share of a parcel that is left out
 
+HEAVY_M = 2.8  # height above which a vehicle is a truck or a bus, whatever its class
+
 EGO_SIZE_LWH, EGO_AXLE_M = (4.6, 1.85, 1.5), 1.5
 """Size of the ego vehicle in a scene, and height of its rig over the ground under the rear axle, in meters."""
 
@@ -144,7 +146,7 @@ def _spray_of(scene_key: IdentityKey, rainfall_key: IdentityKey, time_s: float) 
     scene: Scene = scene_key.of  # pyright: ignore[reportAssignmentType]
     rainfall: RainSimulation = rainfall_key.of  # pyright: ignore[reportAssignmentType]
     now = rainfall.frozen_at(time_s).rain
-    is_dry = now.intensity_mm_h == 0 or not scene.has_wet_colors or rainfall.wetness_at(time_s) <= 0
+    is_dry = now.intensity_mm_h == 0 or not scene.has_rainy_light or rainfall.wetness_at(time_s) <= 0
     if is_dry or not rainfall.rain.spray:
         return SprayParcels.none()
     film_mm = WaterFilms.of(rainfall, scene.water).at(time_s).film_mm
@@ -198,16 +200,16 @@ def vehicle_motions(scene: Scene, times_s: Float64[np.ndarray, " n"]) -> list[Ve
 def wheels_of(class_name: str, size_lwh_m: Sequence[float]) -> Wheels | None:
     """Wheels of a vehicle by its class and size; None for what has no tires that throw water.
 
-    Trucks and buses have twin tires; the outer edge of a tire is 5 cm inside the vehicle's. A car's front wheels throw
-    less than those behind, which also throw what drips from the arches of the front ones.
+    Trucks and buses, and what is as high, have twin tires; the outer edge of a tire is 5 cm inside the vehicle's. Front
+    wheels throw less than those behind, which also throw what drips from the arches of the front ones.
     """
-    length, width, _ = size_lwh_m
+    length, width, height = size_lwh_m
     kind = coco_class(class_name)
     if kind in ("motorcycle", "bicycle"):
         return Wheels((0.3 * length, -0.3 * length), (0.5, 0.5), (0.0,), 0.12 if kind == "motorcycle" else 0.03)
     if not is_vehicle(class_name) or kind == "train":
         return None
-    tire_m = 0.5 if kind in ("truck", "bus") else 0.2
+    tire_m = 0.5 if kind in ("truck", "bus") or height > HEAVY_M else 0.2
     side = max(width / 2 - 0.05 - tire_m / 2, 0.0)
     return Wheels((0.3 * length, -0.3 * length), (0.3, 0.7), (side, -side), tire_m)
 

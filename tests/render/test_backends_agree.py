@@ -23,6 +23,7 @@ from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from render.cpu.raster_scenes import drawn, psnr_db, random_gaussians, similarity, small_camera
 from simulation.small_drive import box_actor
+from small_scene import patch
 
 MIN_PSNR_DB = 50.0
 MAX_RAIN_DIFFERENCE = 0.05
@@ -130,16 +131,26 @@ def test_scenes_and_the_rains_own_light_agree(frame_at, kind, place, changes):
 
 
 @pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
-def test_wet_ground_mirrors_the_same_on_all(kind, open_kind):
+def test_wet_ground_mirrors_and_splashes_the_same_on_all(kind, open_kind):
     cover = np.random.default_rng(3).integers(0, 120, (24, 40, 2), np.uint8)
     scene = replace(small_scene(), ground_m=0.0, water=GroundWater((0.0, -12.0), 1.0, cover))
-    shot, rain = small_shot() if kind != "cuda" else small_shot(64, 40), raining(mirror=True, exposure_s=0.003)
+    scene = replace(scene, layers=tuple(replace(each, wet_sh=each.gaussians.sh.copy()) for each in scene.layers))
+    shot, rain = small_shot() if kind != "cuda" else small_shot(96, 60), raining(mirror=True, exposure_s=0.003)
     renderers = open_kind(kind), CpuRenderer()
     found, expected = (frame_of(each, scene, shot, rain) for each in renderers)
     plain = frame_of(renderers[1], scene, shot, raining(exposure_s=0.003))
     assert psnr_db(found, expected) >= MIN_PSNR_DB
     assert np.abs(expected.rgba - plain.rgba).max() > 0.05
     np.testing.assert_array_equal(frame_of(renderers[0], scene, shot, rain).rgba, found.rgba)
+    ground = patch((7, -1.5, 0), np.array([4.0, 0, 0]), np.array([0, 3.0, 0]), 40, (0.05, 0.05, 0.05))
+    floor = replace(scene, layers=(Layer("floor", ground, wet_sh=ground.sh.copy()),))
+    eye = np.array([8.0, 0.0, 0.7])
+    low = look_at(eye, eye + np.array([1.5, 0.0, -0.6]), np.array([0.0, 0.0, 1.0]))
+    near = RenderView(Camera.from_fov(shot.camera.width, shot.camera.height, 40.0, low), 0.4)
+    found, expected = (frame_of(each, floor, near, raining(exposure_s=0.003)) for each in renderers)
+    calm = frame_of(renderers[1], floor, near, raining(exposure_s=0.003, splashes=False))
+    assert psnr_db(found, expected) >= MIN_PSNR_DB
+    assert np.abs(expected.rgba - calm.rgba).max() > 0.05
 
 
 @pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])

@@ -22,7 +22,7 @@ from gsrain_engine.water.splashes import (
     splash_number,
     splash_threshold,
 )
-from tests.small_scene import patch, small_scene
+from small_scene import patch, small_scene
 
 EYE = np.array([0.0, 0.0, 1.5])
 

@@ -20,7 +20,7 @@ from ...rain.settings import RainSettings
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
 from ...water.spray import has_fast_vehicles
-from ..attribution.factors import FACTORS, RainFactors, title_of
+from ..attribution.factors import FACTORS, ON_WET_GROUND, RainFactors, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import AttributionPlan, Coalition
 from ..report_charts import series_styles
@@ -122,9 +122,9 @@ def rain_attributions(
     if in_front:
         lacking = {each.name for each in FACTORS} - {"streaks", "medium"}
     elif not scene.has_wet_colors:
-        lacking = {"light", "wet", "mirror", "spray"}
+        lacking = set(ON_WET_GROUND)
     else:
-        lacking = {"mirror"} if scene.water is None and not rain.splashes else set()
+        lacking = {"mirror"} if scene.water is None else set()
         lacking |= set() if has_fast_vehicles(scene) else {"spray"}
     found: list[RainAttribution] = []
     for intensity in intensities_mm_h:

@@ -100,8 +100,8 @@ def scan_in_rain(
     signals = clear * faded
     # Threshold returns stay detected without attenuation: rounding must not lose them.
     heard = beams.is_echo & ((signals >= 1) | (faded == 1))
-    clouds_returns = RainReturns.none() if clouds is None else clouds.returns
-    drops, drop_signals = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer, clouds_returns)
+    cloud_returns = RainReturns.none() if clouds is None else clouds.returns
+    drops, drop_signals = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer, cloud_returns)
     if answer == "first":
         answers = np.ones(len(drops.beams), bool)
     else:  # always if the echo behind is not detected
