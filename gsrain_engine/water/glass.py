@@ -72,7 +72,8 @@ class GlassHistory:
         self._mode: WiperMode = wiper if pane.kind == "windshield" else "off"
         self._epoch: int | None = None
         self._tick = self._first = 0
-        self._impacts: Impacts | None = None
+        self.impacts: Impacts | None = None
+        """Rain on the pane at this moment."""
         self._forces = np.zeros(2), np.zeros(2)
         self._expected = self._spray_m_s = 0.0
         self.drops, self.wiper = GlassDrops(pane, self._wetting, 0), Wiper(self._mode)
@@ -86,10 +87,10 @@ class GlassHistory:
             self.drops = GlassDrops(self.pane, self._wetting, self._rainfall.rain.seed)
             self.wiper = Wiper(self._mode)
             self._epoch, self._tick, self._first, self._expected = epoch, first, first, 0.0
-            self._impacts = None
+            self.impacts = None
         while self._tick < goal:
             part = (self._tick - first) % _TICKS
-            if part == 0 or self._impacts is None:
+            if part == 0 or self.impacts is None:
                 self._look(self._tick * TICK_S)
             self._step(min(1 if self._spray_m_s > 0 else _TICKS - part, goal - self._tick))
         return GlassState(
@@ -105,7 +106,7 @@ class GlassHistory:
         motion = now.motion
         share = float(profile(np.array([_HEIGHT_M]), motion.wind.roughness_m)[0])
         wind = share * motion.wind.mean_m_s[0], share * motion.wind.mean_m_s[1]
-        self._impacts = impacts_on(
+        self.impacts = impacts_on(
             self.pane, turn, velocity, wind, now.state.density_m3, now.diameters_mm, motion.fall_speed_m_s
         )
         axes = turn @ np.stack([self.pane.right, self.pane.up], axis=1)
@@ -116,11 +117,11 @@ class GlassHistory:
             self._spray_m_s = pane_flux_m_s(self.spray(time_s), middle, turn @ self.pane.normal, velocity)
 
     def _step(self, ticks: int) -> None:
-        assert self._impacts is not None
-        water_m = (self._impacts.water_m_s + self._spray_m_s) * TICK_S
+        assert self.impacts is not None
+        water_m = (self.impacts.water_m_s + self._spray_m_s) * TICK_S
         if self._spray_m_s > 0:  # lands tick by tick, whatever the steps
             self.drops.add_film(self._spray_m_s * TICK_S)
         blade = np.array([self.wiper.advance(TICK_S, water_m) for _ in range(ticks)])
-        self.drops.advance(self._tick, self._impacts, *self._forces, blade)
-        self._expected += self._impacts.rate_s * TICK_S * ticks
+        self.drops.advance(self._tick, self.impacts, *self._forces, blade)
+        self._expected += self.impacts.rate_s * TICK_S * ticks
         self._tick += ticks

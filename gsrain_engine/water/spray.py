@@ -130,7 +130,7 @@ def spray_parcels(scene: Scene, rain: RainSettings, film_mm: float, time_s: floa
     edges_s = np.minimum(cells * STEP_S, time_s)
     found: list[SprayParcels] = []
     for vehicle in vehicle_motions(scene, edges_s):
-        emitted = _emissions(vehicle, cells, edges_s, film_mm, rain.seed, time_s)
+        emitted = emissions_of(vehicle, cells, edges_s, film_mm, rain.seed, time_s)
         if emitted is not None:
             found.append(_parcels(emitted, vehicle.size_lwh_m, rain))
     return SprayParcels(*(np.concatenate(column) for column in zip(SprayParcels.none(), *found, strict=True)))
@@ -297,10 +297,11 @@ class _Emissions(NamedTuple):
     randoms: Float64[np.ndarray, "n 8"]
 
 
-def _emissions(
+def emissions_of(
     vehicle: VehicleMotion, cells: Int64[np.ndarray, " cells"], edges_s: Float64[np.ndarray, " edges"], film_mm: float,
     seed: int, time_s: float,
 ) -> _Emissions | None:  # fmt: skip
+    """Parcels that a vehicle has thrown up until a time, from the cells of its track; None if there is none."""
     moved = np.diff(vehicle.positions_m[:, :2], axis=0)
     length, lasts = np.hypot(*moved.T), np.diff(edges_s)
     speed = np.divide(length, lasts, out=np.zeros(len(length)), where=lasts > 1e-9)
@@ -326,13 +327,13 @@ def _emissions(
     wheel[:, :2] += along[:, None] * forward + left[:, None] * _left_of(forward)
     age = time_s - (edges_s[cell] + randoms[0] * lasts[cell])
     swept_m2 = wheels.width_m * length[cell] * throws[cell] * axle_share
-    weight = _merged_weight(cells[cell], time_s - edges_s[cell])
+    weight = merged_weight(cells[cell], time_s - edges_s[cell])
     thrown = 1e-3 * film_mm * _WATER_KG_M3 * swept_m2 * share * weight
     found = _Emissions(wheel, forward, speed[cell], age, thrown, diameter_mm, fall, randoms.T)
     return _Emissions(*(column[weight > 0] for column in found))
 
 
-def _merged_weight(cells: Int64[np.ndarray, " n"], age_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+def merged_weight(cells: Int64[np.ndarray, " n"], age_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """Factor on parcels of cells: from each age of `MERGED_S` on every second one takes over the water of the next."""
     weight, odd = np.ones(len(cells)), 1
     for merged_s in MERGED_S:

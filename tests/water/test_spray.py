@@ -44,7 +44,7 @@ def thrown_kg(scene, seconds, rain=CALM, time_s=0.0):
     cells = np.arange(int(np.floor((time_s - seconds) / spray.STEP_S)), int(np.floor(time_s / spray.STEP_S)) + 2)
     edges = np.minimum(cells * spray.STEP_S, time_s)
     (motion,) = spray.vehicle_motions(scene, edges)
-    return spray._emissions(motion, cells, edges, FILM_MM, rain.seed, time_s).thrown_kg.sum()
+    return spray.emissions_of(motion, cells, edges, FILM_MM, rain.seed, time_s).thrown_kg.sum()
 
 
 @pytest.mark.parametrize(("kind", "size", "tires_m"), [("car", (4.6, 1.85, 1.45), 0.4), ("truck", (9, 2.5, 3.5), 1.0)])
@@ -57,10 +57,10 @@ def test_tires_throw_the_water_that_they_displace(kind, size, tires_m):
             assert thrown_kg(road(v, kind, size), seconds, time_s=time_s) == pytest.approx(
                 998e-3 * FILM_MM * tires_m * way_m, rel=0.01
             )
-    weights = spray._merged_weight(np.arange(400), np.full(400, 0.9))
+    weights = spray.merged_weight(np.arange(400), np.full(400, 0.9))
     assert weights.mean() == pytest.approx(1) and weights.min() == 0
     ages = np.linspace(0, 3, 400)
-    assert np.mean([spray._merged_weight(np.arange(400), np.full(400, each)).mean() for each in ages]) == pytest.approx(
+    assert np.mean([spray.merged_weight(np.arange(400), np.full(400, each)).mean() for each in ages]) == pytest.approx(
         1
     )
 
@@ -293,7 +293,7 @@ def test_spray_lands_on_the_glass_of_a_follower(wiper):
     """More water than rain brings; none is lost, any time alone has the same film, and it is less farther behind."""
     glass = followed(wiper=wiper)
     state = glass.at(0.5)
-    drops, rained = glass.drops, state.expected_impacts / state.area_m2 * np.mean(glass._impacts.volumes_m3)
+    drops, rained = glass.drops, state.expected_impacts / state.area_m2 * np.mean(glass.impacts.volumes_m3)
     assert drops.landed_m3 > 2 * rained * state.area_m2
     assert abs(drops.landed_m3 - drops.left_m3 - drops.stored_m3) < 1e-5 * drops.landed_m3
     alone = followed(wiper=wiper)
