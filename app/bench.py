@@ -132,7 +132,7 @@ class _Run:
     def render(self, number: int, *, counts: bool) -> None:
         sequence, shot = self.sequence, self.sequence.shot(number)
         rain = sequence.rainfall
-        wetness, overcast = rain.wetness_at(shot.time_s), rain.overcast_at(shot.time_s)
+        wetness, overcast = rain.soaked_share_at(shot.time_s), rain.overcast_at(shot.time_s)
         parts = sequence.scene.parts(shot.time_s, wetness=wetness, overcast=overcast)
         start = time.perf_counter()
         falling = sequence.rainfall.frame(shot.time_s, rain_camera(sequence.scene, sequence.rainfall, shot), self.sky)

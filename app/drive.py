@@ -16,8 +16,9 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
+from gsrain_engine.render import export_settings
 from gsrain_engine.render.draw import lod_cut
-from gsrain_engine.render.export_settings import ExportSettings, Lod
+from gsrain_engine.render.export_settings import Lod
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word, shortened
@@ -149,7 +150,7 @@ class DriverOptions(options_of(AgentOptions, "drive")):
 
 
 RunOptions = options_of(Scenario, "drive", "Default: the scenario's.")
-DrawingOptions = options_of(ExportSettings, "drive")
+DrawingOptions = options_of(export_settings.ExportSettings, "drive")
 WeatherOptions = options_of(RainSettings, "drive", "Default: the scenario's.")
 
 
@@ -235,7 +236,7 @@ def drive(
         facts = run_provenance({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts), lod)
     print_lines(results_table(compare_drives(runs)).text)
-    if len(rains) > 1:
+    if len(rains) > 1 and test.friction == "dry":
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
             print(f"{name} uses no camera: rain changes nothing for it.")
     if any(len(run.rollout.steps) == 1 and run.rollout.steps[0].collision == BACKGROUND for run in runs if run.rollout):

@@ -74,7 +74,7 @@ def _export_gaussians(
     shot = sequence.shot(0)
     with open_renderer("cpu") as renderer:
         sky = sequence.sky(renderer)
-    wetness, overcast = simulation.wetness_at(shot.time_s), simulation.overcast_at(shot.time_s)
+    wetness, overcast = simulation.soaked_share_at(shot.time_s), simulation.overcast_at(shot.time_s)
     frame = simulation.frame(shot.time_s, rain_camera(scene, simulation, shot), sky.at(overcast))
     found = transform_gaussians(frame.gaussians, world_to_file())
     if with_scene:

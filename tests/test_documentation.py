@@ -74,7 +74,7 @@ def test_keys_of_the_pages_are_those_of_the_window():
     named = [
         each for text in pages.values() for each in re.findall(r"(?:(?:Ctrl|Shift|Alt)\+)+(?:[A-Z]\w*|[][]|F\d+)", text)
     ]
-    assert len(named) > 20 and set(named) <= chords
+    assert len(named) > 20 and set(named) <= chords | {"Alt+Up"}  # of the file dialog
     rows = [
         row for text in pages.values() for row in re.findall(r"^\| (\w[\w ]*?)(?: \((\w)\))? \|", text, re.MULTILINE)
     ]

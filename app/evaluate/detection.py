@@ -126,7 +126,7 @@ def detection(
     ] = NO_FACTORS,
     attribute_pairs: Annotated[
         int | None,
-        option("Pairs of orders of these parts that each seed samples; 0: all orders. Default: all, if 32 subsets do."),
+        option("Pairs of orders of these parts that each seed samples; 0: all orders. Default: all, if 64 subsets do."),
     ] = None,
     frames: Annotated[int, option("Number of moments of the drive; of a capture, images of each camera.")] = 4,
     first: Annotated[float | None, option("First moment in seconds of scene time.", "--from")] = None,

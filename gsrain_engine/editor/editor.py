@@ -207,7 +207,7 @@ class Editor:
             sky=live_rain.sky_color,
             samples_sky=live_rain.needs_sky,
             overcast=live_rain.overcast_now,
-            picked=None if pick is None else (pick, rain.wetness_at(view.time_s), rain.overcast_at(view.time_s)),
+            picked=None if pick is None else (pick, rain.soaked_share_at(view.time_s), rain.overcast_at(view.time_s)),
             mode=options.look,
             background=options.background,
             gain_ev=options.gain_ev,

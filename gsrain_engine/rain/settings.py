@@ -220,11 +220,14 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
     mirror: Annotated[bool, Meta(
         title="Mirror", extra={"commands": "render, drive, evaluate detection"},
-        description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = False
+        description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = True
     splashes: Annotated[bool, Meta(
         title="Splashes and rings", extra={"commands": "render, drive, evaluate detection"},
         description="Drops that land throw up crowns near the camera, in scenes with wet colors, and start rings in "
         "water that mirrors.")] = True
+    spray: Annotated[bool, Meta(
+        title="Spray", extra={"commands": "render, drive, evaluate detection, evaluate lidar"},
+        description="Fast vehicles throw water from a wet road into a wake, in scenes with wet colors.")] = True
     drying_s: Annotated[float, Meta(
         ge=0, le=7200, title="Drying", extra={"unit": "s", "group": "Appearance", "slider_to": 600.0},
         description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0

@@ -100,10 +100,19 @@ class RainSimulation:
         return self.frozen_at(time_s).state
 
     def wetness_at(self, time_s: float) -> float:
-        """Share of the soaked colors at a time, 0..1: the set value, or derived from the intensity."""
+        """Share of surfaces that is wet at a time, 0..1: the set value, or derived from the intensity."""
         if self.rain.wetness is not None:
             return self.rain.wetness
         return self._wetness.at(time_s) if isinstance(self._wetness, WetnessCurve) else self._wetness
+
+    def soaked_share_at(self, time_s: float) -> float:
+        """Share of a scene's soaked colors at a time, 0..1: the wetness, and in thick fog its share of clouds.
+
+        Only soaked colors are in the light of clouds, without the sun's shadows; in fog, surfaces are damp as well.
+        """
+        wet = self.wetness_at(time_s)
+        fog = fog_overcast(self.frozen_at(time_s).rain.visibility_m)
+        return wet if self.rain.wetness is not None else max(wet, fog)
 
     def overcast_at(self, time_s: float) -> float:
         """Share of the overcast sky at a time, 0..1: closed in rain and fog, and as long as anything is wet.

@@ -20,6 +20,7 @@ from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonic
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
 from ..water.splashes import Splashes
+from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
 from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
@@ -39,6 +40,11 @@ class RenderView:
     """Focal length of the output image if a smaller one is drawn; None uses the camera's."""
     exposure_share: float = 1.0
     """Fraction of the shutter time, for one of several sub-frames that share it."""
+
+
+def has_spray(scene: Scene, rainfall: RainSimulation | None, time_s: float) -> bool:
+    """Return whether spray floats in a scene at a time."""
+    return rainfall is not None and len(spray_of(scene, rainfall, time_s)) > 0
 
 
 _STEP_S = 0.005  # half the time step of the velocity estimate
@@ -69,15 +75,17 @@ def draw_view(
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
-    Wet colors follow the rain's wetness, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
-    the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out
-    some of each part's Gaussians; `selection` tints selected ones.
+    Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
+    `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
+    leaves out some of each part's Gaussians; `selection` tints selected ones. Spray counts in depth: where `has_spray`,
+    draw the scene's own depth without rain.
     """
-    rain, wetness, overcast = None, 0.0, 0.0
+    rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
     lit_lamps = scene.lamps_at(shot.time_s, lamps) if rainfall is not None and lamps else None
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
+        soaked = rainfall.soaked_share_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
     has_water, standing, depth = False, (0.0, 0.0), WaterDepth(0.0, 0.0)
@@ -85,7 +93,7 @@ def draw_view(
         depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
         standing = standing_water(rainfall.rain, depth, wetness)
         has_water = has_mirror(scene, shot.camera, wetness, standing)
-    lit = scene.parts(shot.time_s, selection=selection, wetness=wetness, overcast=overcast)
+    lit = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
     parts = list(subset_items(lit, thinning, shot.camera))
     if lamps and scene.ground_m is not None and look == "splats":
         fixed = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount == "scene"])
@@ -102,6 +110,9 @@ def draw_view(
         )  # fmt: skip
     if rain is not None and rainfall is not None and has_splashes(scene, rainfall, wetness):
         rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
+    if rain is not None and rainfall is not None:
+        spray = spray_of(scene, rainfall, shot.time_s)
+        parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 

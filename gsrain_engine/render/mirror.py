@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from ..rain.frame import RainFrame
 from ..rain.settings import RainSettings
@@ -16,6 +16,7 @@ from ..scene.gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
 from ..scene.geometry import srgb_to_linear
 from ..scene.ground_water import GroundMembership, ground_membership, matte_wet_sh
 from ..scene.lamps import LitLamps
+from ..scene.lod_order import lod_sample
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
 from ..water.impacts import GroundImpacts
@@ -24,6 +25,8 @@ from ..water.rings import RingWaves
 from .renderer import Color, Renderer
 
 _MIN_HEIGHT_M = 0.05  # of a camera over the ground
+_SHARE = 0.35  # of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution
+_FEW = 20_000  # Gaussians of a member that is reflected whole
 
 
 def has_mirror(scene: Scene, camera: Camera, wetness: float, standing: tuple[float, float]) -> bool:
@@ -110,19 +113,29 @@ def draw_mirror(
 
 
 def _without_ground(item: DrawItem, found: GroundMembership) -> DrawItem:
-    """Leave out an item's Gaussians that lie on the ground or under it."""
-    if not found.is_low.any():
-        return item
+    """Leave out an item's Gaussians that lie on the ground or under it, and some others of a large one in full."""
     if item.members is not None:
         return item._replace(members=item.members[~found.is_low[item.members]])
-    low = _mask(IdentityKey(found.is_low))
-    return item._replace(left_out=low if not item.left_out else item.left_out | low)
+    share = _SHARE if item.limit is None and len(item.gaussians) >= _FEW else 1.0
+    left_out, growth = _left_out(item.gaussians, IdentityKey(found.is_low), share)
+    if item.left_out is not None:
+        left_out = item.left_out if left_out is None else item.left_out | left_out
+    return item._replace(left_out=left_out, growth=item.growth * growth)
 
 
 @scene_cache(maxsize=64)
-def _mask(key: IdentityKey) -> BitMask:
-    flags: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
-    return BitMask.of(flags)
+def _left_out(gaussians: Gaussians, key: IdentityKey, share: float) -> tuple[BitMask | None, float]:
+    """Mask of the Gaussians on the ground and of those outside of a sample, and the growth of the others."""
+    low: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
+    if share >= 1:
+        return (BitMask.of(low) if low.any() else None), 1.0
+    sampled, growth = _sample(gaussians, share)
+    return BitMask.of(low | ~sampled), growth
+
+
+@scene_cache(maxsize=64)
+def _sample(gaussians: Gaussians, share: float) -> tuple[Bool[np.ndarray, " n"], float]:
+    return lod_sample(gaussians, share)
 
 
 # Visible shares of films and standing water, drawn as colors

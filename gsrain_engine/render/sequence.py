@@ -16,7 +16,7 @@ from ..scene.scene import RigCamera, Scene
 from ..water.glass import CameraMotion, GlassState
 from .camera_optics import CameraOptics, glass_state
 from .camera_response import PictureOptics
-from .draw import LodCut, RenderView, draw_view, request_picture
+from .draw import LodCut, RenderView, draw_view, has_spray, request_picture
 from .images import to_display, to_linear_light
 from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
@@ -144,6 +144,7 @@ class FrameSequence:
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
+        has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
         frame: Frame | None = None
@@ -224,7 +225,7 @@ class FrameSequence:
                 first_s = float(ego.times[int(np.argmax(ego.valid))])
         shot = self.shot_at(max(time_s, first_s))
         velocity = np.zeros(3) if shot.velocity_m_s is None else shot.velocity_m_s
-        return CameraMotion(shot.camera.camera_to_world[:3, :3], velocity)
+        return CameraMotion(shot.camera.camera_to_world[:3, :3], velocity, shot.camera.position)
 
     @property
     def _camera_to_vehicle(self) -> Float64[np.ndarray, "3 3"] | None:

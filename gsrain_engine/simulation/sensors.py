@@ -12,7 +12,7 @@ from jaxtyping import Float32, Float64, UInt8, UInt16
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import LodCut, RenderView, draw_view, request_picture
+from ..render.draw import LodCut, RenderView, draw_view, has_spray, request_picture
 from ..render.object_labels import draw_labels
 from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import SkyColor, sky_color
@@ -68,19 +68,26 @@ class RigRenderer:
                 self._renderer, scene, self._rainfall, color, view,
                 camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
             )  # fmt: skip
-            draw_view(
-                self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth, thinning=self._cut
-            )
-            depth = self._renderer.read().depth if self._needs.depth else None
-            depth = None if depth is None else depth.copy()
-            image = request_picture(self._renderer, optics)  # read back while the next camera is drawn
+            has_own = not has_spray(scene, self._rainfall, time_s)  # spray has no depth of its own
+            with_depth = self._needs.depth and has_own
+            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=with_depth, thinning=self._cut)
+            depth = np.array(self._renderer.read().depth) if with_depth else None
+            image = request_picture(self._renderer, optics)  # read back while the next picture is drawn
+            if self._needs.depth and not has_own:
+                draw_view(self._renderer, scene, None, color, view, with_depth=True)
+                depth = np.array(self._renderer.read().depth)
             drawn[mounted.name] = partial(_camera_view, image, camera, depth, semantic, instances)
         return {name: view() for name, view in drawn.items()}
 
     def _past(self, mounted: RigCamera) -> PastMotion:
         """Motion of a camera during the drive: that of the last step, and before the first step that of the first."""
         times = [each.time_s for each in self._drive]
-        return lambda time_s: self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)].of(mounted)
+
+        def motion(time_s: float) -> CameraMotion:
+            then = self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)]
+            return then.of(mounted, time_s - then.time_s)
+
+        return motion
 
 
 def _camera_view(
@@ -101,12 +108,12 @@ class _RigMotion(NamedTuple):
     velocity_m_s: Float64[np.ndarray, "3"]
     yaw_rate_rad_s: float
 
-    def of(self, mounted: RigCamera) -> CameraMotion:
-        """Orientation and velocity of a camera of the rig."""
+    def of(self, mounted: RigCamera, later_s: float = 0.0) -> CameraMotion:
+        """Orientation and velocity of a camera of the rig, and its place a time later or earlier."""
         pose = self.rig_to_world @ mounted.camera_to_ego
         arm = pose[:3, 3] - self.rig_to_world[:3, 3]
         turning = self.yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
-        return CameraMotion(pose[:3, :3], self.velocity_m_s + turning)
+        return CameraMotion(pose[:3, :3], self.velocity_m_s + turning, pose[:3, 3] + later_s * self.velocity_m_s)
 
 
 def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:

@@ -132,7 +132,10 @@ class RolloutVideo:
         time_s = max(scene_time_s - self._played.scene_time_s(0.0), 0.0)
         rig = self._played.rig_to_world(time_s)
         speed_m_s = self._played.state(time_s).speed_m_s
-        return CameraMotion(self._mounted.camera(rig).camera_to_world[:3, :3], speed_m_s * rig[:3, 0])
+        camera, velocity_m_s = self._mounted.camera(rig), speed_m_s * rig[:3, 0]
+        before_s = min(scene_time_s - self._played.scene_time_s(0.0), 0.0)
+        place_m = camera.position + before_s * velocity_m_s
+        return CameraMotion(camera.camera_to_world[:3, :3], velocity_m_s, place_m)
 
     def _readout_panel(self, time_s: float, width: int) -> RgbImage:
         played, step = self._played, self._played.step(time_s)

@@ -23,6 +23,7 @@ from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_names
+from ..simulation.friction import Friction
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
 
@@ -114,6 +115,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     sensor: str | None = None
     mirror: bool | None = None
     splashes: bool | None = None
+    spray: bool | None = None
+    friction: Friction | None = None
     exposure_s: float | None = None
     diameter_scale: float | None = None
     start_speed_m_s: float | None = None
@@ -127,6 +130,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         words += [] if self.sensor is None else [f"sensor {Path(self.sensor).stem}"]
         words += [] if self.mirror is None else ["mirror" if self.mirror else "no mirror"]
         words += [] if self.splashes is None else ["splashes" if self.splashes else "no splashes"]
+        words += [] if self.spray is None else ["spray" if self.spray else "no spray"]
+        words += [] if self.friction is None else [f"{self.friction} friction"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
         words += [] if self.diameter_scale is None else [f"diameters x{self.diameter_scale:g}"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
@@ -145,6 +150,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             rain = structs.replace(rain, mirror=self.mirror)
         if self.splashes is not None:
             rain = structs.replace(rain, splashes=self.splashes)
+        if self.spray is not None:
+            rain = structs.replace(rain, spray=self.spray)
         if self.exposure_s is not None:
             rain = structs.replace(rain, exposure_s=self.exposure_s)
         if self.diameter_scale is not None:
@@ -155,7 +162,8 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             users = (structs.replace(users[0], ahead_m=self.gap_m), *users[1:])
         rain = with_wet_choice(rain, self.wet)
         speed = scenario.speed_m_s if self.start_speed_m_s is None else self.start_speed_m_s
-        return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed)
+        friction = self.friction or scenario.friction
+        return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed, friction=friction)
 
 
 class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
@@ -201,6 +209,13 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         tuple[bool | None, ...],
         Meta(min_length=1, title="Splashes", description="Splashes and rings, or none; null: the scenario's."),
     ] = (None,)
+    spray: Annotated[
+        tuple[bool | None, ...],
+        Meta(min_length=1, title="Spray", description="Whether vehicles throw spray; null: the scenario's."),
+    ] = (None,)
+    friction: Annotated[
+        tuple[Friction, ...], Meta(title="Friction", description="dry or wet, to compare; none: the scenario's.")
+    ] = ()
     exposure_s: Annotated[
         Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
     ] = ()
@@ -229,7 +244,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
             title="Pairs of orders",
             extra={"commands": "sweep", "ge": 0, "le": MAX_PAIRS},
             description="Pairs of opposite orders of these parts that each seed samples; 0 takes all orders. None: all "
-            "orders, if 32 subsets do.",
+            "orders, if 64 subsets do.",
         ),
     ] = None
     backend: DrawnBy = "auto"
@@ -243,17 +258,8 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     @property
     def variants(self) -> list[Variant]:
         """All combinations of the further axes."""
-        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.splashes
-        further = self.exposure_s or (None,), self.diameter_scale or (None,), self.start_speed_m_s or (None,)
-        return [
-            Variant(
-                wet=wet, preset=preset, sensor=sensor, mirror=mirror, splashes=splashes, exposure_s=exposure,
-                diameter_scale=scale, start_speed_m_s=speed, gap_m=gap,
-            )
-            for wet, preset, sensor, mirror, splashes, exposure, scale, speed, gap in product(
-                *axes, *further, self.gap_m or (None,)
-            )
-        ]  # fmt: skip
+        axes = {name: getattr(self, name) or (None,) for name in Variant.__struct_fields__}
+        return [Variant(**dict(zip(axes, values, strict=True))) for values in product(*axes.values())]
 
 
 class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):

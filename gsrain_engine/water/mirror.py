@@ -19,8 +19,8 @@ from ..scene.lamps import LitLamps
 from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
 from .rings import RingField, RingWaves, ring_slope
 
-SCALE = 0.5
-"""Size of the mirror image relative to the picture."""
+SCALES = 0.5, 0.25
+"""Width and height of the mirror image relative to the picture: rough water blurs much more along its columns."""
 SLOPES = FILM_SLOPE, STANDING_SLOPE
 _ANGLES = 128  # of the tables over the viewing angle
 _FOOTPRINT_PX = np.float32(0.4)  # standard deviation of a pixel of the mirror image
@@ -30,17 +30,17 @@ _MIN_SINE = np.float32(2e-3)  # of a ray's angle to the ground; others pass over
 _LAMP_REACH = 4.0  # of a lamp's image, in standard deviations of the slope
 
 
-def rows_of_ground(camera: Camera, scale: float = SCALE) -> tuple[int, int]:
-    """First and past-the-last row of a picture at a scale with rays to level ground; two equal ones without any."""
-    height = max(int(np.ceil(scale * camera.height)), 1)
+def rows_of_ground(camera: Camera) -> tuple[int, int]:
+    """First and past-the-last row of a mirror image with rays to level ground; two equal ones without any."""
+    height = max(int(np.ceil(SCALES[1] * camera.height)), 1)
     turn = camera.camera_to_world[2, :3]
-    y = ((np.arange(height)[:, None] + 0.5) / scale - camera.cy) / camera.fy
+    y = ((np.arange(height)[:, None] + 0.5) / SCALES[1] - camera.cy) / camera.fy
     x = (np.array([0.0, camera.width]) - camera.cx) / camera.fx
     found = np.flatnonzero((turn[0] * x + turn[1] * y + turn[2] < 0).any(axis=1))
     return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)
 
 
-def mirrored_camera(camera: Camera, ground_m: float, scale: float = SCALE) -> Camera:
+def mirrored_camera(camera: Camera, ground_m: float) -> Camera:
     """Camera that sees what level ground at a height reflects into another, rows from bottom to top.
 
     The reflection of the world in the ground, and a flip of the camera's y axis, so that the pose is a rotation. It has
@@ -48,15 +48,16 @@ def mirrored_camera(camera: Camera, ground_m: float, scale: float = SCALE) -> Ca
     """
     reflection, flip = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
     reflection[2, 3] = 2 * ground_m
-    first, last = rows_of_ground(camera, scale)
+    first, last = rows_of_ground(camera)
+    across, along = SCALES
     return replace(
         camera,
-        width=max(int(np.ceil(scale * camera.width)), 1),
+        width=max(int(np.ceil(across * camera.width)), 1),
         height=last - first,
-        fx=scale * camera.fx,
-        fy=scale * camera.fy,
-        cx=scale * camera.cx,
-        cy=last - scale * camera.cy,
+        fx=across * camera.fx,
+        fy=along * camera.fy,
+        cx=across * camera.cx,
+        cy=last - along * camera.cy,
         world_to_camera=flip @ camera.world_to_camera @ reflection,
     )
 
@@ -107,9 +108,9 @@ class Mirror:
     """Light that water on the ground would reflect into one camera, if it covered all of it."""
 
     first_row: int
-    """Row of the picture, at `SCALE`, of the first row of `light`; the ground is not visible above."""
+    """Row of the picture, at `SCALES`, of the first row of `light`; the ground is not visible above."""
     light: Float32[np.ndarray, "h w 2 3"]
-    """Linear light at `SCALE`: that of films, and that of standing water; 0 above the horizon."""
+    """Linear light at `SCALES`: that of films, and that of standing water; 0 above the horizon."""
     rings: "MirrorRings | None" = None
     """Rings that tilt the water, in which case `light` is that of films that are not flooded; None without any."""
 
@@ -117,16 +118,12 @@ class Mirror:
         """Linear light that the visible shares of films and standing water reflect, at the picture's size."""
         image = np.empty((*film.shape[:2], 3), np.float32)
         shares = np.ascontiguousarray(film)
+        across, along = np.float32(SCALES[0]), np.float32(SCALES[1])
         if self.rings is None:
-            _weigh(shares, self.light, self.first_row, np.float32(SCALE), image)
+            _weigh(shares, self.light, self.first_row, across, along, image)
         else:
-            _weigh_rings(shares, self.light, self.first_row, np.float32(SCALE), np.float32(SCALE), *self.rings, image)
+            _weigh_rings(shares, self.light, self.first_row, across, along, *self.rings, image)
         return image
-
-    @property
-    def first_picture_row(self) -> int:
-        """First row of the picture in which ground may be visible."""
-        return int(self.first_row / SCALE)
 
 
 class MirrorRings(NamedTuple):
@@ -169,7 +166,7 @@ def make_mirror(
     sines, distances, shares = (np.empty((height, width), np.float32) for _ in range(3))
     to_world = camera.camera_to_world
     first_row = rows_of_ground(camera)[0]
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) * SCALE - (0, 0, 0, first_row)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) * (*SCALES, *SCALES) - (0, 0, 0, first_row)
     above_m = float(to_world[2, 3]) - ground_m
     _geometry(depth, to_world[:3, :3], intrinsics, above_m, sines, distances, shares)
     columns, light = (np.zeros((height, width, 2, 3), np.float32) for _ in range(2))
@@ -327,13 +324,13 @@ def _blur_rows(light, sines, shares, slopes, fx, blurred):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _weigh(film, light, first_row, scale, image):
+def _weigh(film, light, first_row, across, along, image):
     """Sum of the light of films and standing water, linear between pixels, times their visible shares."""
     height, width = film.shape[:2]
     rows, columns = light.shape[:2]
     one = np.float32(1)
     for row in numba.prange(height):
-        y = scale * (np.float32(row) + np.float32(0.5)) - np.float32(0.5 + first_row)
+        y = along * (np.float32(row) + np.float32(0.5)) - np.float32(0.5 + first_row)
         y = min(max(y, np.float32(0)), np.float32(rows - 1))
         top = min(int(y), max(rows - 2, 0))
         v, bottom = y - np.float32(top), min(top + 1, rows - 1)
@@ -343,17 +340,23 @@ def _weigh(film, light, first_row, scale, image):
                 for c in range(3):
                     image[row, column, c] = 0
                 continue
-            x = scale * (np.float32(column) + np.float32(0.5)) - np.float32(0.5)
+            x = across * (np.float32(column) + np.float32(0.5)) - np.float32(0.5)
             x = min(max(x, np.float32(0)), np.float32(columns - 1))
             left = min(int(x), max(columns - 2, 0))
             u, right = x - np.float32(left), min(left + 1, columns - 1)
-            for c in range(3):
-                total = np.float32(0)
-                for water in range(2):
-                    upper = (one - u) * light[top, left, water, c] + u * light[top, right, water, c]
-                    lower = (one - u) * light[bottom, left, water, c] + u * light[bottom, right, water, c]
-                    total += (a if water == 0 else b) * ((one - v) * upper + v * lower)
-                image[row, column, c] = total
+            red = green = blue = np.float32(0)
+            for water in range(2):
+                share = a if water == 0 else b
+                if share <= 0:
+                    continue
+                w00, w01 = share * (one - v) * (one - u), share * (one - v) * u
+                w10, w11 = share * v * (one - u), share * v * u
+                first, second = light[top, left, water], light[top, right, water]
+                third, fourth = light[bottom, left, water], light[bottom, right, water]
+                red += w00 * first[0] + w01 * second[0] + w10 * third[0] + w11 * fourth[0]
+                green += w00 * first[1] + w01 * second[1] + w10 * third[1] + w11 * fourth[1]
+                blue += w00 * first[2] + w01 * second[2] + w10 * third[2] + w11 * fourth[2]
+            image[row, column, 0], image[row, column, 1], image[row, column, 2] = red, green, blue
 
 
 @numba.njit(inline="always", error_model="numpy")
@@ -454,7 +457,10 @@ def _weigh_rings(
                 fade *= fade * (np.float32(3) - two * fade)
                 way = two * ways[near_row, near_column] * fade
                 lower, aside_x = y + tilt * way * fy * (one + v * v), x + aside * way * fx * sine
-                there = sines[min(max(int(lower + half), 0), rows - 1), near_column]
+                bounded = min(max(lower, np.float32(0)), np.float32(rows - 1))
+                upper_row = min(int(bounded), max(rows - 2, 0))
+                upper, lower_row = sines[upper_row, near_column], min(upper_row + 1, rows - 1)
+                there = upper + (bounded - np.float32(upper_row)) * (sines[lower_row, near_column] - upper)
                 # sin(v + t) for a small t
                 facing = min(max(sine + fade * tilt * level, np.float32(1e-3)), one)
                 gain = reflectance(facing, WATER_INDEX) / reflectance(

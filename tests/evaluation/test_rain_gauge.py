@@ -43,8 +43,8 @@ def test_the_rate_that_was_set_is_read(rate, aperture_mm):
     found = measure_rain_rate(rain_frames(20, intensity_mm_h=rate, **lens), FOCAL_PX, SHUTTER_S, FALL_SPEED)
     assert found.intensity_mm_h == pytest.approx(rate, rel=0.25)
     assert found.streaks > 100
-    assert found.drop_light == pytest.approx(float(srgb_to_linear(np.array(SKY / 255))), rel=0.02)
-    assert found.error_mm_h == pytest.approx(found.intensity_mm_h / np.sqrt(found.streaks))
+    assert found.drop_light == pytest.approx(float(srgb_to_linear(np.array(SKY / 255))), rel=0.08)
+    assert found.intensity_mm_h / np.sqrt(found.streaks) < found.error_mm_h < 0.2 * found.intensity_mm_h
 
 
 def test_color_reads_as_gray_does():
@@ -59,9 +59,9 @@ def test_without_rain_there_is_no_reading():
         measure_rain_rate(rain_frames(8, intensity_mm_h=0.0), FOCAL_PX, SHUTTER_S, FALL_SPEED)
 
 
-def test_frames_without_sky_or_too_few_are_refused():
+def test_frames_of_dark_walls_alone_or_too_few_are_refused():
     frames = rain_frames(8, intensity_mm_h=10.0)
-    with pytest.raises(ValueError, match="no sky"):
+    with pytest.raises(ValueError, match="dark and bright"):
         measure_rain_rate(frames[:, HEIGHT // 2 :], FOCAL_PX, SHUTTER_S, FALL_SPEED)
     with pytest.raises(ValueError, match="4 frames"):
         light_residuals(frames[:4])
@@ -76,7 +76,8 @@ def test_blur_of_the_lens_is_not_taken_as_length():
     blurred = cv2.filter2D(light, -1, disk / disk.sum())
     frames = np.repeat(srgb_levels(0.02 + np.zeros_like(light))[None], 9, axis=0)
     frames[4] = srgb_levels(0.02 + blurred)
-    streaks = _Streaks.of(light_residuals(frames))
+    found = light_residuals(frames)
+    streaks = _Streaks.of(found.values[4], found)
     assert len(streaks.fall_px) == 1
     assert streaks.light_px2[0] == pytest.approx(16, rel=0.1)
     assert 8 < streaks.across_px[0] < 14

@@ -77,6 +77,17 @@ def test_thick_fog_closes_the_sky():
     assert RainSimulation.start(RainSettings(visibility_m=100.0)).wetness_at(0.0) == 0
 
 
+def test_thick_fog_has_the_colors_under_clouds_without_being_rain():
+    """Soaked colors are the only ones without the sun's shadows; roads stay dry for lidar and tires."""
+    fog = [RainSimulation.start(RainSettings(visibility_m=each)) for each in (5e3, 1500.0, 300.0)]
+    assert [each.soaked_share_at(0.0) for each in fog] == [0.0, 0.5, 1.0]
+    assert [each.wetness_at(0.0) for each in fog] == [0.0, 0.0, 0.0]
+    as_lit = RainSimulation.start(RainSettings(visibility_m=300.0, wetness=0.0))
+    assert as_lit.soaked_share_at(0.0) == 0
+    rainy = RainSimulation.start(RainSettings(visibility_m=1500.0, intensity_mm_h=8.5))
+    assert rainy.soaked_share_at(0.0) == rainy.wetness_at(0.0) > 0.9
+
+
 def test_without_fog_nothing_changes():
     rain = RainSettings(visibility_m=100.0)
     assert rain.without_rain == RainSettings() and rain.without_medium.visibility_m is None

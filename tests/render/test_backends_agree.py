@@ -22,6 +22,7 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from render.cpu.raster_scenes import drawn, psnr_db, random_gaussians, similarity, small_camera
+from simulation.small_drive import box_actor
 from small_scene import patch
 
 MIN_PSNR_DB = 50.0
@@ -64,27 +65,35 @@ def other(request, open_kind):
     return open_kind(request.param)
 
 
-@pytest.fixture(
-    params=[
-        ("opengl", "small"),
-        ("opengl", "golden"),
-        ("opengl-tiles", "small"),
-        ("opengl-tiles", "golden"),
-        ("cuda", "small"),
-    ],
-    ids=" ".join,
-)
-def pair(request, open_kind):
-    """Two renderers, a scene and its view; the golden street is in meters, z up."""
-    kind, place = request.param
-    scene, shot = small_scene(), small_shot() if kind != "cuda" else small_shot(96, 60)
-    if place == "golden":
-        golden = request.getfixturevalue("golden")
-        scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
-        shot = RenderView(read_camera(golden / "street_sh3.camera.json"), 2.0)
-    return (open_kind(kind), CpuRenderer()), scene, shot
+PLACES = [("opengl", "small"), ("opengl", "golden"), ("opengl-tiles", "small"), ("opengl-tiles", "golden")]
+PLACES += [("cuda", "tiny")]
 
 
+@pytest.fixture(scope="module")
+def drawn_frames():
+    """Frames by renderer, place and rain: each is drawn once for all tests that compare it."""
+    return {}
+
+
+@pytest.fixture
+def frame_at(request, open_kind, drawn_frames):
+    """Draw a place in rain by a kind of renderer; the golden street is in meters, z up."""
+
+    def drawn_once(kind, place, rain):
+        if (kind, place, rain) not in drawn_frames:
+            scene, shot = small_scene(), small_shot(64, 40) if place == "tiny" else small_shot()
+            if place == "golden":
+                golden = request.getfixturevalue("golden")
+                scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
+                shot = RenderView(read_camera(golden / "street_sh3.camera.json"), 2.0)
+            renderer = open_kind(kind)
+            drawn_frames[kind, place, rain] = frame_of(renderer, scene, shot, rain), renderer.statistics
+        return drawn_frames[kind, place, rain]
+
+    return drawn_once
+
+
+@pytest.mark.parametrize(("kind", "place"), PLACES)
 @pytest.mark.parametrize(
     "changes",
     [
@@ -102,10 +111,11 @@ def pair(request, open_kind):
         },
     ],
 )
-def test_scenes_and_the_rains_own_light_agree(pair, changes):
-    renderers, scene, shot = pair
-    clear = [frame_of(each, scene, shot, load_preset("clear")) for each in renderers]
-    rainy = [frame_of(each, scene, shot, raining(**changes)) for each in renderers]
+def test_scenes_and_the_rains_own_light_agree(frame_at, kind, place, changes):
+    clear, rainy = (
+        [frame_at(each, place, rain)[0] for each in (kind, "cpu")]
+        for rain in (load_preset("clear"), raining(**changes))
+    )
     assert psnr_db(*clear) >= MIN_PSNR_DB
     assert psnr_db(*rainy) >= MIN_PSNR_DB
     ours, expected = (wet.rgba - dry.rgba for wet, dry in zip(rainy, clear, strict=True))
@@ -116,8 +126,8 @@ def test_scenes_and_the_rains_own_light_agree(pair, changes):
     assert ((found > 0) == (depth > 0)).mean() > 0.999
     both = (found > 0) & (depth > 0)
     assert np.quantile(np.abs(depth / np.where(both, found, 1) - 1)[both], 0.99) < 0.01
-    for renderer, wet, dry in zip(renderers, rainy, clear, strict=True):  # without the rain's
-        np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if renderer.name == "cuda" else 0)
+    for wet, dry in zip(rainy, clear, strict=True):  # without the rain's
+        np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if kind == "cuda" else 0)
 
 
 @pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
@@ -143,16 +153,25 @@ def test_wet_ground_mirrors_and_splashes_the_same_on_all(kind, open_kind):
     assert np.abs(expected.rgba - calm.rgba).max() > 0.05
 
 
-def test_both_count_the_same(pair):
-    renderers, scene, shot = pair
-    statistics = []
-    for renderer in renderers:
-        frame_of(renderer, scene, shot, raining(haze="gaussians"))
-        statistics.append(renderer.statistics)
-    ours, cpu = statistics
+@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
+def test_spray_is_the_same_on_all(kind, open_kind):
+    """A block that drives ahead at 25 m/s, 10 m from the camera at 2 s."""
+    scene = small_scene()
+    wet = replace(scene.layers[0], wet_sh=scene.layers[0].gaussians.sh.copy())
+    block = box_actor(times=(0.0, 4.0), positions=((-40.0, 0, 0), (60.0, 0, 0)))
+    scene, shot = replace(scene, layers=(wet,), actors=(block,)), small_shot(64, 40)
+    found, expected = (frame_of(each, scene, shot, raining()) for each in (open_kind(kind), CpuRenderer()))
+    plain = frame_of(CpuRenderer(), scene, shot, raining(spray=False))
+    assert psnr_db(found, expected) >= MIN_PSNR_DB
+    assert np.abs(expected.rgba - plain.rgba).max() > 0.1
+
+
+@pytest.mark.parametrize(("kind", "place"), PLACES)
+def test_both_count_the_same(frame_at, kind, place):
+    ours, cpu = (frame_at(each, place, raining(haze="gaussians"))[1] for each in (kind, "cpu"))
     assert ours.haze_drawn == cpu.haze_drawn > 0
     assert ours.drops_drawn == pytest.approx(cpu.drops_drawn, rel=2e-3)
-    if renderers[0].name == "opengl":
+    if kind.startswith("opengl"):
         assert ours.gaussians == cpu.gaussians
         assert ours.splats_drawn == pytest.approx(cpu.splats_drawn, rel=1e-3)
         assert set(ours.stages_ms) == set(cpu.stages_ms)
@@ -160,7 +179,7 @@ def test_both_count_the_same(pair):
 
 @pytest.mark.parametrize("mixing", ["linear", "display"])
 def test_the_same_frame_is_the_same_bytes_and_no_rain_is_no_rain(any_renderer, mixing):
-    scene, shot = small_scene(), small_shot(96, 60)
+    scene, shot = small_scene(), small_shot(64, 40)
     rain = raining(rain_light=mixing)
     first, _, again, none = (
         frame_of(any_renderer, scene, replace(shot, time_s=time_s), each).rgba.tobytes()
@@ -197,7 +216,7 @@ def test_nothing_is_nothing_and_rain_falls_before_it(any_renderer):
         assert not frame.rgba.any()
         assert not frame.depth.any()
     rainy, expected = (
-        frame_of(each, Scene("empty"), small_shot(96, 60), load_preset("12.0")).rgba
+        frame_of(each, Scene("empty"), small_shot(64, 40), load_preset("12.0")).rgba
         for each in (any_renderer, CpuRenderer())
     )
     assert expected[..., 3].max() > 0.02

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from gsrain_engine.scene import open as scene_files
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
+from gsrain_engine.scene.formats import lod_file
 from gsrain_engine.scene.formats.lod_file import read_lod_tree
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
@@ -273,8 +275,10 @@ def test_damaged_trees_are_reported_and_not_used(
         whole[:12] + b"}" + whole[13:]: "header is damaged",
         whole.replace(b'"version":2', b'"version":3'): "another version",
         whole.replace(b'"coefficients":1', b'"coefficients":2'): "of 2 coefficients a color",
+        whole.replace(b'"gaussians":14400', b'"gaussians":1' + 12 * b"0").replace(b"        ", b"", 1): "lists 10000",
         whole.replace(b'"max_roots":1024', b'"max_roots":1023'): "another version",
         too_high: f"names Gaussian {count} of {count}",
+        whole[:-8] + np.array([np.nan], "<f4").tobytes() + whole[-4:]: "not finite",
     }
     for data, message in cases.items():
         file.write_bytes(data)
@@ -304,6 +308,19 @@ def test_a_tree_of_another_ply_is_not_used(tmp_path: Path, monkeypatch: pytest.M
     os.utime(ply, ns=(time_ns, time_ns + age_s * 10**9))
     read = read_scene(folder).layers[0]
     assert read.tree is not None and read.tree.gaussians is read.gaussians
+
+
+def test_numbers_of_a_tree_are_checked_once_and_not_those_of_own_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, checks = tmp_path / "scene", list[str]()
+    check = lod_file._check_values
+    monkeypatch.setattr(lod_file, "_check_values", lambda *arguments: (checks.append("checked"), check(*arguments)))
+    write_scene(sorted_with_trees(large_scene(monkeypatch)), folder, in_drawing_order=True)
+    assert read_scene(folder).layers[0].tree is not None and checks == []
+    shutil.copytree(folder, tmp_path / "copy")
+    for _ in range(2):
+        assert read_scene(tmp_path / "copy").layers[0].tree is not None and checks == ["checked"]
 
 
 def test_a_part_of_a_ply_that_changed_later_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -265,7 +265,7 @@ def _jumps(rollouts: RolloutPlayer) -> None:
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 _DRAG_PX, _FASTEST = 300.0, 0.1  # drag distance over the whole range in pixels, and the largest change per pixel
-_START = ("speed_m_s", "left_m", "duration_s", "step_s")
+_START = ("speed_m_s", "left_m", "duration_s", "step_s", "friction")
 _USER = ("ahead_m", "left_m", "turned_deg", "speed_m_s")
 
 

@@ -26,7 +26,7 @@ class Factor:
     on: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Settings that switch it on in a rain that lacks it."""
     after: str | None = None
-    """Factor that it acts on top of."""
+    """Factor that it acts on top of; in a rain without that one, on top of what that one does."""
 
     def __post_init__(self) -> None:
         if unknown := {*self.off, *self.on} - set(RainSettings.__struct_fields__):
@@ -43,11 +43,24 @@ FACTORS = (
     Factor(LIGHT, "overcast light"),
     Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}, after=LIGHT),
     Factor("mirror", "mirror", {"mirror": False}, {"mirror": True}, after=WET),
+    Factor("splashes", "splashes and rings", {"splashes": False}, {"splashes": True}, after="mirror"),
+    Factor("spray", "spray", {"spray": False}, {"spray": True}, after="splashes"),  # of wet ground, too
     Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
 )
 """All factors, in the order of tables and figures."""
 
 _BY_NAME = {each.name: each for each in FACTORS}
+
+
+def _below(name: str) -> list[str]:
+    """Factors that a factor acts on top of, the nearest first."""
+    after = _BY_NAME[name].after
+    return [] if after is None else [after, *_below(after)]
+
+
+ON_WET_GROUND = frozenset({LIGHT, WET, *(name for name in _BY_NAME if WET in _below(name))})
+"""Factors that need a wet scene; light is of one, too, as both have one set of colors but on the street."""
+
 _OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
 """Scenes by name of which another has the light of rain without its water."""
 
@@ -78,9 +91,8 @@ def check_factors(names: Sequence[str]) -> None:
     for name in names:
         if name != ALL and name not in _BY_NAME:
             raise ValueError(f"attribute {name}: expected {ALL}, or some of {', '.join(_BY_NAME)}")
-        needed = WET if name == LIGHT else None if name in (ALL, WET) else _BY_NAME[name].after
-        if needed not in (None, *names) and ALL not in names:
-            raise ValueError(f"attribute {name}: has a share only next to {needed}; name that, too")
+        if name in ON_WET_GROUND and not {WET, ALL} & set(names):
+            raise ValueError(f"attribute {name}: has a share only next to {WET}; name that, too")
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,7 @@ class RainFactors:
 
         `names` are the factors of which the rain is to consist: others are switched off, absent ones on; "all" are
         those that it has. `scene` is the scene's name as `load_scene` takes it. Factors that can't act are left out:
-        those `lacking` in the scene, light without a scene that has it alone, and wet ground below 0.3 mm/h.
+        those `lacking` in the scene, light without a scene that has it alone, and what needs wet ground below 0.3 mm/h.
         """
         check_factors(names)
         twin, chosen = overcast_twin(scene), set(names)
@@ -118,12 +130,12 @@ class RainFactors:
         absent = set(lacking)
         is_wet = WET in chosen and WET not in absent
         if not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
-            absent |= {LIGHT, WET, "mirror"}
+            absent |= ON_WET_GROUND
         elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
             absent.add(LIGHT)
         factors = tuple(each.name for each in FACTORS if each.name in chosen - absent)
-        after = {each.name: each.after for each in FACTORS if each.name in factors and each.after is not None}
-        return cls(rain, Game(factors, {name: below for name, below in after.items() if below in factors}), twin)
+        nearest = {name: [below for below in _below(name) if below in factors] for name in factors}
+        return cls(rain, Game(factors, {name: below[0] for name, below in nearest.items() if below}), twin)
 
     def weather(self, present: Coalition) -> "CoalitionWeather":
         """Return the rain and the scene with some factors."""

@@ -1,13 +1,16 @@
 """Shapley shares: how much each factor contributes to an effect, from all orders of the factors or from sampled ones.
 
 A factor's share is the change that it makes when it is added, averaged over the orders in which factors can be added
-(Shapley 1953). Some act only on top of another, such as a mirror on wet ground: orders in which they would come first
-are left out (Faigle and Kern 1992, Int. J. Game Theory 21). The shares sum to the whole effect.
+(Shapley 1953). Some act only on top of another, such as a mirror on wet ground: these form a chain, which is added as
+one, from bottom to top, and divides its own share among its members (a priori unions: Owen 1977). The shares sum to the
+whole effect, and a factor without effect leaves those of the others as they are.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
+from math import factorial
 
 import numpy as np
 from jaxtyping import Float64
@@ -33,37 +36,44 @@ class Game:
             raise ValueError(f"factors {', '.join(self.factors)}: each may bear one other of them, got {self.after}")
 
     @cached_property
+    def chains(self) -> list[tuple[str, ...]]:
+        """Factors that act on top of each other, from bottom to top; most are alone."""
+        upon = {below: above for above, below in self.after.items()}
+        chains: list[tuple[str, ...]] = []
+        for name in self.factors:
+            if name not in self.after:
+                chain = [name]
+                while chain[-1] in upon:
+                    chain.append(upon[chain[-1]])
+                chains.append(tuple(chain))
+        return chains
+
+    @cached_property
     def coalitions(self) -> list[Coalition]:
         """All coalitions that some order passes, from none to all."""
-        found: list[Coalition] = []
-        for bits in range(1 << len(self.factors)):
-            present = frozenset(name for k, name in enumerate(self.factors) if bits >> k & 1)
-            if all(self.after[each] in present for each in present if each in self.after):
-                found.append(present)
-        return sorted(found, key=len)
+        found = [frozenset(self.factors)]
+        for whole in self._unions(range(len(self.chains))):
+            for chain in self.chains:
+                if not whole & {*chain}:
+                    found += [whole.union(chain[:k]) for k in range(len(chain))]
+        return sorted(dict.fromkeys(found), key=lambda each: (len(each), [name not in each for name in self.factors]))
+
+    def _unions(self, numbers: Sequence[int]) -> list[Coalition]:
+        """Coalitions of whole chains, by their numbers."""
+        sets = [combinations(numbers, size) for size in range(len(self.chains) + 1)]
+        return [frozenset(name for k in chosen for name in self.chains[k]) for each in sets for chosen in each]
 
     def shares(self, values: Values) -> Float64[np.ndarray, "k m"]:
         """Return the share of each factor in the effect on each measure; exact, from the values of all coalitions."""
-        total = np.zeros((len(self.factors), len(values[frozenset()])))
-        before, behind = self._order_counts
-        for present in self.coalitions:
-            for k, name in enumerate(self.factors):
-                larger = present | {name}
-                if name not in present and larger in behind:
-                    weight = before[present] * behind[larger] / before[frozenset(self.factors)]
-                    total[k] += weight * (values[larger] - values[present])
+        total, n = np.zeros((len(self.factors), len(values[frozenset()]))), len(self.chains)
+        for own, chain in enumerate(self.chains):
+            for before in self._unions([k for k in range(n) if k != own]):
+                met = sum(other[0] in before for other in self.chains)
+                weight = factorial(met) * factorial(n - met - 1) / factorial(n)
+                for k, name in enumerate(chain):
+                    change = values[before.union(chain[: k + 1])] - values[before.union(chain[:k])]
+                    total[self.factors.index(name)] += weight * change
         return total
-
-    @cached_property
-    def _order_counts(self) -> tuple[dict[Coalition, int], dict[Coalition, int]]:
-        """Number of orders that lead to each coalition, and of those that lead from it to all factors."""
-        before, behind = dict.fromkeys(self.coalitions, 0), dict.fromkeys(self.coalitions, 0)
-        before[frozenset()] = behind[frozenset(self.factors)] = 1
-        for present in self.coalitions[1:]:
-            before[present] = sum(before.get(present - {each}, 0) for each in present)
-        for present in self.coalitions[-2::-1]:
-            behind[present] = sum(behind.get(present | {each}, 0) for each in self.factors if each not in present)
-        return before, behind
 
     def orders(self, pairs: int, seed: int) -> list[tuple[str, ...]]:
         """Draw orders uniformly, each with its opposite, which cancels much of the sampling error.
@@ -72,30 +82,8 @@ class Game:
         Frank and Holmes 2022, J. Machine Learning Research 23. A function of the seed.
         """
         random = np.random.default_rng([seed, len(self.factors)])
-        found: list[tuple[str, ...]] = []
-        for _ in range(pairs):
-            places = random.permutation(len(self.factors))
-            found += [self._in_order(places), self._in_order(len(places) - 1 - places)]
-        return found
-
-    def _in_order(self, places: np.ndarray) -> tuple[str, ...]:
-        """Factors by their places, where those of a chain take the places of that chain from bottom to top."""
-        places = places.copy()
-        for chain in self._chains:
-            places[chain] = np.sort(places[chain])
-        return tuple(self.factors[k] for k in np.argsort(places))
-
-    @cached_property
-    def _chains(self) -> list[list[int]]:
-        upon = {below: above for above, below in self.after.items()}
-        chains: list[list[int]] = []
-        for name in self.factors:
-            if name not in self.after:
-                chain = [name]
-                while chain[-1] in upon:
-                    chain.append(upon[chain[-1]])
-                chains.append([self.factors.index(each) for each in chain])
-        return chains
+        drawn = [random.permutation(len(self.chains)) for _ in range(pairs)]
+        return [tuple(name for k in each for name in self.chains[k]) for one in drawn for each in (one, one[::-1])]
 
 
 def sampled_shares(
@@ -117,7 +105,7 @@ def _steps(order: Sequence[str]) -> Iterator[tuple[Coalition, Coalition]]:
 
 # Plan of an attribution: coalitions of each seed
 
-EXACT_UP_TO = 32
+EXACT_UP_TO = 64
 """Number of coalitions up to which all of them are evaluated by default."""
 DEFAULT_PAIRS, MAX_PAIRS = 2, 1000
 
@@ -132,7 +120,7 @@ class AttributionPlan:
 
     @classmethod
     def of(cls, game: Game, pairs: int | None) -> "AttributionPlan":
-        """Plan a game; without `pairs`, all orders where they take at most 32 coalitions, else two pairs."""
+        """Plan a game; without `pairs`, all orders where they take at most 64 coalitions, else two pairs."""
         if pairs is None:
             pairs = 0 if len(game.coalitions) <= EXACT_UP_TO else DEFAULT_PAIRS
         return cls(game, pairs)

@@ -19,7 +19,8 @@ from ...rain.properties import rain_properties
 from ...rain.settings import RainSettings
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
-from ..attribution.factors import FACTORS, RainFactors, title_of
+from ...water.spray import has_fast_vehicles
+from ..attribution.factors import FACTORS, ON_WET_GROUND, RainFactors, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import AttributionPlan, Coalition
 from ..report_charts import series_styles
@@ -121,9 +122,10 @@ def rain_attributions(
     if in_front:
         lacking = {each.name for each in FACTORS} - {"streaks", "medium"}
     elif not scene.has_wet_colors:
-        lacking = {"light", "wet", "mirror"}
-    elif scene.water is None:
-        lacking = {"mirror"}
+        lacking = set(ON_WET_GROUND)
+    else:
+        lacking = {"mirror"} if scene.water is None else set()
+        lacking |= set() if has_fast_vehicles(scene) else {"spray"}
     found: list[RainAttribution] = []
     for intensity in intensities_mm_h:
         if intensity > 0:

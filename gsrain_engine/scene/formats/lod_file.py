@@ -1,10 +1,12 @@
 """Files of level-of-detail trees (.lod): a tree and its Gaussians as arrays that are mapped into memory, not read."""
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import platformdirs
 
 from ...safe_io.limits import open_file
 from ..files import SceneFormatError
@@ -64,12 +66,14 @@ def write_lod_tree(tree: LodTree, path: Path, source: Path) -> None:
                 file.seek(offset + first * (array.nbytes // max(len(part), 1)))
                 file.write(np.ascontiguousarray(array).data)
             first += len(part)
+    _note(_record_of_check(path))
 
 
 def read_lod_tree(path: Path, source: Path) -> LodTree:
     """Map a tree and its Gaussians, so that only what is used takes memory; `source` is the file of these Gaussians.
 
-    Only blocks of it are read, and all of it if it is newer, to check that they are the same.
+    Only blocks of it are read, and all of it if it is newer, to check that they are the same. The numbers of a tree
+    that this program has not written itself are read once, to check them.
 
     Raises `SceneFormatError` if the file is damaged, of another version, or of other Gaussians.
     """
@@ -87,26 +91,48 @@ def read_lod_tree(path: Path, source: Path) -> LodTree:
         count, k = header.gaussians, header.coefficients
         if (header.fan_out, header.max_roots) != (FAN_OUT, MAX_ROOTS):
             raise SceneFormatError(path, "belongs to another version of this program")
-        if count < 0 or k not in COEFFICIENTS_OF_DEGREE:
+        if not 0 <= count < 1 << 32 or k not in COEFFICIENTS_OF_DEGREE:
             raise SceneFormatError(path, f"the header lists {count} Gaussians of {k} coefficients a color")
         if path.stat().st_size != _offsets(count, k)[-1]:
             raise SceneFormatError(path, f"has {path.stat().st_size} bytes, expected {_offsets(count, k)[-1]}")
         if not _is_of(path, header.source, source):
             raise SceneFormatError(path, f"belongs to other Gaussians than those of {source.name}")
-        _check_leaves(path, count, k)
+        if not (record := _record_of_check(path)).is_file():
+            _check_values(path, count, k)
+            _note(record)
         layout = zip(_layout(count, k), _offsets(count, k), strict=False)
         arrays = map_arrays(file, [(shape, dtype, offset) for (shape, dtype), offset in layout])
     nodes, (radii, errors, leaves), own = arrays[:5], arrays[5:8], arrays[8:]
     return LodTree(Gaussians(*own), leaves, Gaussians(*nodes), radii, errors)
 
 
-def _check_leaves(path: Path, count: int, coefficients: int) -> None:
-    """Check the indices of the Gaussians, which kernels use without a check; reads them, a part at a time."""
+def _check_values(path: Path, count: int, coefficients: int) -> None:
+    """Check all indices and numbers, a part at a time: kernels use them without a check."""
     offset = _offsets(count, coefficients)[7]
     for first in range(0, count, _ROWS):
         leaves = np.fromfile(path, "<u4", min(_ROWS, count - first), offset=offset + 4 * first)
         if int(leaves.max(initial=0)) >= count:
             raise SceneFormatError(path, f"names Gaussian {int(leaves.max())} of {count}")
+    for (shape, dtype), offset in zip(_layout(count, coefficients), _offsets(count, coefficients), strict=False):
+        size = int(np.prod(shape))
+        for first in range(0, size if dtype.kind == "f" else 0, _ROWS):
+            numbers = np.fromfile(path, dtype, min(_ROWS, size - first), offset=offset + 4 * first)
+            if not np.isfinite(numbers).all():
+                raise SceneFormatError(path, "holds numbers that are not finite")
+
+
+def _record_of_check(path: Path) -> Path:
+    """File that exists if the numbers of a tree were checked in its present state, or written by this program."""
+    state = path.stat()
+    key = repr((_VERSION, state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)).encode()
+    name = hashlib.blake2b(key, digest_size=8).hexdigest()
+    return Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "checked-trees" / name
+
+
+def _note(record: Path) -> None:
+    with suppress(OSError):  # checked again at the next start
+        record.parent.mkdir(parents=True, exist_ok=True)
+        record.touch()
 
 
 def _is_of(path: Path, fingerprint: _Fingerprint, source: Path) -> bool:

@@ -22,38 +22,43 @@ from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.scene.camera import Camera, look_at
 from small_scene import small_scene
 
-RAIN = RainSettings(intensity_mm_h=12.0, mirror=True, glass="lens", visibility_m=2000.0)
+RAIN = RainSettings(intensity_mm_h=12.0, mirror=True, glass="lens", visibility_m=2000.0, spray=False)
 
 
 def test_a_rain_has_the_factors_that_act_in_it():
     for rain, scene, expected in (
-        (RAIN, "street", ("streaks", "medium", "light", "wet", "mirror", "glass")),
-        (RAIN, "my_scene", ("streaks", "medium", "wet", "mirror", "glass")),  # has no light without water
-        (RainSettings(intensity_mm_h=12.0), None, ("streaks", "medium", "light", "wet")),
+        (RAIN, "street", ("streaks", "medium", "light", "wet", "mirror", "splashes", "glass")),
+        (RAIN, "my_scene", ("streaks", "medium", "wet", "mirror", "splashes", "glass")),  # has no light without water
+        (RainSettings(intensity_mm_h=12.0), None, ("streaks", "medium", "light", "wet", "splashes", "spray")),
         (RainSettings(intensity_mm_h=0.2, mirror=True), "street", ("streaks", "medium")),  # dries where it falls
-        (RainSettings(intensity_mm_h=12.0, wetness=0.5), "street", ("streaks", "medium", "wet")),
+        (RainSettings(intensity_mm_h=12.0, wetness=0.5), "street", ("streaks", "medium", "wet", "splashes", "spray")),
         (RainSettings(intensity_mm_h=12.0, wetness=0.0, mirror=True), "street", ("streaks", "medium")),
         (RainSettings(intensity_mm_h=12.0, streaks=False, haze="none", wetness=0.0), "street", ()),
         (structs.replace(load_preset("paper"), wetness=0.0), "street", ("streaks", "medium")),
     ):
         found = RainFactors.of(rain, (ALL,), scene)
         assert found.game.factors == expected and found.rain == rain
-    assert RainFactors.of(RAIN, (ALL,), "street").game.after == {"wet": "light", "mirror": "wet"}
-    assert RainFactors.of(RAIN, (ALL,), "my_scene").game.after == {"mirror": "wet"}
-    assert RainFactors.of(RAIN, (ALL,), "s", lacking=("mirror",)).game.factors == ("streaks", "medium", "wet", "glass")
+    assert RainFactors.of(RAIN, (ALL,), "street").game.after == {"wet": "light", "mirror": "wet", "splashes": "mirror"}
+    assert RainFactors.of(RAIN, (ALL,), "my_scene").game.after == {"mirror": "wet", "splashes": "mirror"}
+    without_mirror = RainFactors.of(RAIN, (ALL,), "s", lacking=("mirror",)).game
+    assert without_mirror.after == {"splashes": "wet"}
+    assert without_mirror.factors == ("streaks", "medium", "wet", "splashes", "glass")
 
 
 def test_a_list_of_factors_makes_the_rain():
     found = RainFactors.of(RainSettings(intensity_mm_h=12.0, streaks=False), ("glass", "streaks"), "street")
     assert found.game.factors == ("streaks", "glass")
-    assert found.rain == RainSettings(intensity_mm_h=12.0, glass="windshield", haze="none", wetness=0.0)
+    dry = {"wetness": 0.0, "splashes": False, "spray": False}
+    assert found.rain == RainSettings(intensity_mm_h=12.0, glass="windshield", haze="none", **dry)
 
 
 def test_coalitions_switch_the_rest_off():
     found = RainFactors.of(RAIN, (ALL,), "street")
     assert found.weather(frozenset(found.game.factors)) == (RAIN, False)
     rain, in_twin = found.weather(frozenset({"medium", "light"}))
-    assert in_twin and rain == structs.replace(RAIN, streak_gain=0.0, wetness=0.0, mirror=False, glass="none")
+    assert in_twin and rain == structs.replace(
+        RAIN, streak_gain=0.0, wetness=0.0, mirror=False, splashes=False, glass="none"
+    )
     rain, in_twin = found.weather(frozenset({"light", "wet", "streaks"}))
     assert not in_twin and rain.wetness is None and (rain.haze, rain.visibility_m) == ("none", None)
     none = found.weather(frozenset()).rain
@@ -88,7 +93,7 @@ def test_streaks_and_medium_are_all_that_falls_and_neither_replaces_the_other():
 def test_choices_that_make_no_sense():
     assert not is_attributed(()) and not is_attributed((NO_FACTORS,)) and is_attributed((ALL,))
     for names, words in (
-        (("rain",), "expected all, or some of streaks, medium, light, wet, mirror, glass"),
+        (("rain",), "expected all, or some of streaks, medium, light, wet, mirror, splashes, spray, glass"),
         (("streaks", "mirror"), "mirror: has a share only next to wet"),
         (("light",), "light: has a share only next to wet"),
         ((NO_FACTORS, ALL), "none: expected"),

@@ -25,23 +25,29 @@ def test_known_games(worth, expected):
     np.testing.assert_allclose(ABC.shares(values_of(ABC, worth))[:, 0], expected, atol=1e-12)
 
 
-def test_what_acts_on_top_of_another_comes_after_it():
-    game = Game(("x", "light", "wet", "mirror"), {"wet": "light", "mirror": "wet"})
-    assert len(game.coalitions) == 8 and frozenset({"wet"}) not in game.coalitions
-    worth = {each: np.random.default_rng(len(each)).normal(size=2) + len(each & {"x"}) for each in game.coalitions}
-    allowed = [
-        order for order in permutations(game.factors)
-        if order.index("light") < order.index("wet") < order.index("mirror")
-    ]  # fmt: skip
-    assert len(allowed) == 4
+def test_what_acts_on_top_of_another_is_added_with_it():
+    game = Game(("x", "light", "y", "wet", "mirror"), {"wet": "light", "mirror": "wet"})
+    assert game.chains == [("x",), ("light", "wet", "mirror"), ("y",)] and len(game.coalitions) == 8 + 2 * 4
+    worth = {each: np.random.default_rng(number).normal(size=2) for number, each in enumerate(game.coalitions)}
+    allowed = [tuple(name for chain in each for name in chain) for each in permutations(game.chains)]
     np.testing.assert_allclose(game.shares(worth), sampled_shares(game.factors, allowed, worth), atol=1e-12)
-    drawn = game.orders(400, seed=1)
+    drawn = game.orders(600, seed=1)
     assert set(drawn) == set(allowed)
     counts = np.array([drawn.count(each) for each in allowed])
-    assert np.all(abs(counts - 200) < 4 * np.sqrt(200 * 3 / 4))  # uniform
+    assert np.all(abs(counts - 200) < 4 * np.sqrt(400))  # uniform; an order comes with its opposite
     for wrong in ({"wet": "light", "mirror": "light"}, {"wet": "rain"}):
         with pytest.raises(ValueError, match="each may bear one"):
             Game(game.factors, wrong)
+
+
+def test_a_factor_without_effect_leaves_the_shares_of_the_others():
+    def worth(present):
+        return float({"wet", "glass"} <= present)  # both are needed
+
+    for factors, after in ((("wet", "glass"), {}), (("wet", "rings", "glass"), {"rings": "wet"})):
+        game = Game(factors, after)
+        shares = dict(zip(factors, game.shares(values_of(game, worth))[:, 0], strict=True))
+        assert shares == pytest.approx({"wet": 0.5, "glass": 0.5} | ({"rings": 0.0} if after else {}))
 
 
 def random_worth(game, seed):
@@ -87,4 +93,5 @@ def test_shares_sum_to_the_whole_effect_with_any_orders(pairs):
 
 def test_all_orders_are_taken_where_they_are_few():
     assert AttributionPlan.of(ABC, None).pairs == 0 and AttributionPlan.of(ABC, 3).pairs == 3
-    assert AttributionPlan.of(SIX, None).pairs == 2 and AttributionPlan.of(SIX, 0).pairs == 0
+    seven = Game(tuple("abcdefg"))
+    assert AttributionPlan.of(SIX, None).pairs == 0 and AttributionPlan.of(seven, None).pairs == 2

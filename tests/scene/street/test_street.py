@@ -76,13 +76,16 @@ def test_the_road_is_flat_whole_and_marked_in_its_middle(street: Scene, surfaces
 @pytest.mark.parametrize(
     "parameters",
     [
-        StreetParameters(),
+        None,
         StreetParameters(seed=11, tree_spacing_m=8.0, parked_share=1.0),
         StreetParameters(seed=12, parking_width_m=2.6, pavement_width_m=2.5, parked_share=0.9),
     ],
 )
-def test_nothing_stands_in_the_lanes_or_where_a_truck_stands(parameters: StreetParameters) -> None:
-    p, layers = parameters, street_surfaces(parameters).layers
+def test_nothing_stands_in_the_lanes_or_where_a_truck_stands(
+    surfaces: StreetSurfaces, parameters: StreetParameters | None
+) -> None:
+    layers = (surfaces if parameters is None else street_surfaces(parameters)).layers
+    p = parameters = parameters or StreetParameters()
     for name in ("houses", "trees", "parked cars", "parked trucks", "furniture", "pavements"):
         at = layers[name].centers
         inside = (at[:, 0] > p.start_x_m + 0.5) & (at[:, 0] < p.end_x_m - 0.5) & (at[:, 2] < 2.4)
