@@ -26,9 +26,10 @@ ENERGY_SHARE = 0.01
 """Share of a drop's kinetic energy that rings carry away (Craeye and Sobieski 1999)."""
 TENSION_N_M, VISCOSITY_M2_S, _G = 0.0728, 1.0e-6, 9.81
 _CALM_SLOPE = 0.01  # of standing water without rings, by wind and run-off; our choice
-_WAVENUMBERS = np.linspace(15.0, 1000.0, 500)
-_AGES = np.arange(0.0, 1.02, 0.006)
-_RADII = np.arange(0.0, 0.302, 0.002)
+WAVENUMBERS_PER_M = np.linspace(15.0, 1000.0, 500)
+AGES_S = np.arange(0.0, 1.02, 0.006)
+RADII_M = np.arange(0.0, 0.302, 0.002)
+"""Wavenumbers, ages and radii of the tables of rings."""
 _DEPTHS_MM = 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 100.0
 _FOOTPRINT_PX = 0.4  # standard deviation of a pixel
 
@@ -56,23 +57,23 @@ def _spectrum() -> Float64[np.ndarray, " k"]:
 
     The energy of a packet is pi times the integral of (rho g + sigma k^2) a^2 k.
     """
-    k = _WAVENUMBERS
+    k = WAVENUMBERS_PER_M
     shape = np.exp(-0.5 * (np.log(k / PEAK_PER_M) / WIDTH) ** 2)
     return shape / (np.pi * np.trapezoid((WATER_KG_M3 * _G + TENSION_N_M * k**2) * shape, k))
 
 
 def slope_spectrum(power_w_m2: float, depth_m: float) -> Float64[np.ndarray, " k"]:
-    """Variance of slope per rad/m, at `_WAVENUMBERS`, of all rings of drops that bring a power to the ground.
+    """Variance of slope per rad/m, at `WAVENUMBERS_PER_M`, of all rings of drops that bring a power to the ground.
 
     Campbell's theorem: packets arrive at random, each with the mean over its phases, and decay.
     """
-    k = _WAVENUMBERS
+    k = WAVENUMBERS_PER_M
     return ENERGY_SHARE * power_w_m2 * np.pi * k**2 * _spectrum() / (2 * damping_per_s(k, depth_m))
 
 
 def slope_variance(power_w_m2: float, depth_m: float) -> float:
     """Mean square slope, of both directions together, of all rings."""
-    return float(np.trapezoid(slope_spectrum(power_w_m2, depth_m), _WAVENUMBERS))
+    return float(np.trapezoid(slope_spectrum(power_w_m2, depth_m), WAVENUMBERS_PER_M))
 
 
 @lru_cache(maxsize=len(_DEPTHS_MM))
@@ -81,12 +82,12 @@ def ring_table(depth_mm: float) -> Float32[np.ndarray, "ages radii"]:
 
     - integral of a k^2 J_1(k r) cos(w t) exp(-damping t) dk: the water begins with a dip that is let go.
     """
-    k, depth_m = _WAVENUMBERS, 1e-3 * depth_mm
+    k, depth_m = WAVENUMBERS_PER_M, 1e-3 * depth_mm
     amplitude = np.sqrt(ENERGY_SHARE * _spectrum() / k) * k**2 * (k[1] - k[0])
-    phases = np.cos(_AGES[:, None] * angular_frequency(k, depth_m)) * np.exp(
-        -_AGES[:, None] * damping_per_s(k, depth_m)
+    phases = np.cos(AGES_S[:, None] * angular_frequency(k, depth_m)) * np.exp(
+        -AGES_S[:, None] * damping_per_s(k, depth_m)
     )
-    return -(phases * amplitude @ special.j1(k[:, None] * _RADII)).astype(np.float32)
+    return -(phases * amplitude @ special.j1(k[:, None] * RADII_M)).astype(np.float32)
 
 
 def _at_depth(depth_mm: float) -> Float32[np.ndarray, "ages radii"]:
@@ -145,7 +146,7 @@ class RingField(NamedTuple):
         nothing = np.zeros((0, 2), np.float32)
         return cls(
             np.zeros(2), np.zeros((0, 0, 2), np.int32), np.zeros(0, np.int32), nothing, nothing[:, 0],
-            np.zeros((0, len(_RADII)), np.float32), 0.0, 1.0,
+            np.zeros((0, len(RADII_M)), np.float32), 0.0, 1.0,
         )  # fmt: skip
 
 
@@ -190,9 +191,9 @@ class RingWaves:
         reach, depth_m = STANDING_RINGS, 1e-3 * self._depths_mm[1]
         flux = self.impacts.flux_at(self.time_s)
         whole = slope_variance(float(flux.power_w_m2[-1]), depth_m)
-        table, seen = _at_depth(self._depths_mm[1]).astype(np.float64), reach.of_age(_AGES)
-        squares = 2 * np.pi * (table**2 @ _RADII) * (_RADII[1] - _RADII[0])
-        followed = float(seen**2 @ squares) * (_AGES[1] - _AGES[0])
+        table, seen = _at_depth(self._depths_mm[1]).astype(np.float64), reach.of_age(AGES_S)
+        squares = 2 * np.pi * (table**2 @ RADII_M) * (RADII_M[1] - RADII_M[0])
+        followed = float(seen**2 @ squares) * (AGES_S[1] - AGES_S[0])
         followed *= flux.power_of(lambda larger: reach.of_size(larger) ** 2)
         turns = np.pi * (np.arange(16) + 0.5) / 16
         above_m = self.eye_m[2] - self.ground_m
@@ -228,20 +229,20 @@ def _field_of(
     found: LandedDrops, time_s: float, table: Float32[np.ndarray, "ages radii"], reach: RingReach, distance_m: float
 ) -> RingField:
     age = time_s - found.times_s
-    at = np.clip(age / (_AGES[1] - _AGES[0]), 0, len(_AGES) - 1.001)
+    at = np.clip(age / (AGES_S[1] - AGES_S[0]), 0, len(AGES_S) - 1.001)
     low = at.astype(np.int64)
     part = (at - low).astype(np.float32)[:, None]
     highest = np.abs(table).max(axis=1, keepdims=True)
-    last = len(_RADII) - 1 - np.argmax((np.abs(table) > 0.02 * highest)[:, ::-1], axis=1)
-    ends = np.minimum(last[low + 1] + 1, len(_RADII) - 1)
+    last = len(RADII_M) - 1 - np.argmax((np.abs(table) > 0.02 * highest)[:, ::-1], axis=1)
+    ends = np.minimum(last[low + 1] + 1, len(RADII_M) - 1)
     used = table[:, : int(ends.max()) + 1]
     slopes = (1 - part) * used[low] + part * used[low + 1]
     strength = np.sqrt(found.energies_j) * reach.of_size(found.larger_per_m2_s) * reach.of_age(age)
     slopes *= strength.astype(np.float32)[:, None]
-    radii = _RADII[ends].astype(np.float32)
-    corner = np.floor(found.places_m.min(axis=0) - _RADII[-1])
+    radii = RADII_M[ends].astype(np.float32)
+    corner = np.floor(found.places_m.min(axis=0) - RADII_M[-1])
     centers = (found.places_m - corner).astype(np.float32)
-    columns, rows = (np.ceil((centers.max(axis=0) + _RADII[-1]) / _HASH_M).astype(int) + 1).tolist()
+    columns, rows = (np.ceil((centers.max(axis=0) + RADII_M[-1]) / _HASH_M).astype(int) + 1).tolist()
     starts = np.zeros((rows, columns, 2), np.int32)
     _count_reached(centers, radii, starts)
     starts[..., 1] = np.cumsum(starts[..., 0]).reshape(rows, columns)
@@ -275,7 +276,7 @@ def _list_reached(centers, radii, starts, members):
                 starts[row, column, 1] += 1
 
 
-_PER_CELL, _PER_RADIUS = np.float32(1 / _HASH_M), np.float32(1 / (_RADII[1] - _RADII[0]))
+_PER_CELL, _PER_RADIUS = np.float32(1 / _HASH_M), np.float32(1 / (RADII_M[1] - RADII_M[0]))
 _EIGHTH = np.float32(0.5 / 8 * PEAK_PER_M**2)
 
 

@@ -9,11 +9,11 @@ from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.water.films import DIP_MM, WaterDepth
 from gsrain_engine.water.impacts import GroundImpacts
 from gsrain_engine.water.rings import (
-    _AGES,
-    _RADII,
-    _WAVENUMBERS,
+    AGES_S,
     ENERGY_SHARE,
+    RADII_M,
     STANDING_RINGS,
+    WAVENUMBERS_PER_M,
     RingWaves,
     angular_frequency,
     damping_per_s,
@@ -55,13 +55,13 @@ def test_waves_run_and_decay_as_theory_says():
 
 def test_the_slope_spectrum_peaks_at_0_2_per_mm_and_falls_on_both_sides():
     spectrum = slope_spectrum(1.0, 1.0)
-    peak = _WAVENUMBERS[np.argmax(spectrum)]
+    peak = WAVENUMBERS_PER_M[np.argmax(spectrum)]
     assert peak == pytest.approx(200.0, rel=0.05)
-    half = np.interp([100.0, 400.0], _WAVENUMBERS, spectrum) / spectrum.max()
+    half = np.interp([100.0, 400.0], WAVENUMBERS_PER_M, spectrum) / spectrum.max()
     np.testing.assert_allclose(half, np.exp(-0.5 * (np.log(2) / 0.42) ** 2), rtol=0.02)
     # Bliven et al. 1997: a log-normal over f with its peak at 5.8 Hz for heights, that is k^-2 of slopes over ln k.
-    f = angular_frequency(_WAVENUMBERS, 1.0) / (2 * np.pi)
-    heights = spectrum / _WAVENUMBERS**2 / np.gradient(f, _WAVENUMBERS)
+    f = angular_frequency(WAVENUMBERS_PER_M, 1.0) / (2 * np.pi)
+    heights = spectrum / WAVENUMBERS_PER_M**2 / np.gradient(f, WAVENUMBERS_PER_M)
     assert 4.5 < f[np.argmax(heights)] < 7.5
 
 
@@ -71,18 +71,18 @@ def test_energy_of_slopes_is_that_of_the_drops():
     power = [float(each.power_w_m2[-1]) for each in fluxes]
     variance = [slope_variance(each, 1.0) for each in power]
     assert variance[1] / variance[0] == pytest.approx(power[1] / power[0], rel=1e-6)
-    table, k = ring_table(DEEP_MM).astype(float), _WAVENUMBERS
-    step = _RADII[1] - _RADII[0]
+    table, k = ring_table(DEEP_MM).astype(float), WAVENUMBERS_PER_M
+    step = RADII_M[1] - RADII_M[0]
     # Hankel transform of the slope: - a k^2 cos(w t) exp(-d t) / k dk
     from scipy.special import j1
 
     joules = []
     for age in range(20, 60, 2):  # before its front leaves the table; the mean of cos^2 is a half
-        transform = (table[age] * _RADII) @ j1(_RADII[:, None] * k) * step
+        transform = (table[age] * RADII_M) @ j1(RADII_M[:, None] * k) * step
         potential = 0.5 * np.trapezoid((998 * 9.81 / k**2 + 0.0728) * transform**2 * k, k) * 2 * np.pi
         joules.append(2 * potential)
     assert np.mean(joules) == pytest.approx(ENERGY_SHARE, rel=0.1)
-    squares = table**2 @ _RADII
+    squares = table**2 @ RADII_M
     assert squares[100:130].mean() < 0.9 * squares[20:50].mean()
 
 
@@ -112,10 +112,10 @@ def test_rings_turn_into_roughness_without_a_step():
 
 def test_a_ring_spreads_at_its_group_velocity():
     table = np.abs(ring_table(DEEP_MM).astype(float))
-    front = [_RADII[np.argmax(table[age] * np.sqrt(_RADII))] for age in (50, 100, 150)]
+    front = [RADII_M[np.argmax(table[age] * np.sqrt(RADII_M))] for age in (50, 100, 150)]
     k = np.array([190.0, 210.0])
     speed = float(np.diff(angular_frequency(k, 1.0))[0] / 20)
-    assert np.diff(front) / (50 * (_AGES[1] - _AGES[0])) == pytest.approx(speed, rel=0.35)
+    assert np.diff(front) / (50 * (AGES_S[1] - AGES_S[0])) == pytest.approx(speed, rel=0.35)
 
 
 def test_rings_are_functions_of_seed_and_time_and_change_smoothly():
