@@ -37,7 +37,8 @@ def rain_gauge(
 ) -> None:
     """Read the rain rate from streaks alone, as a camera rain gauge does: their number, widths and lengths.
 
-    Nothing else is known to it: neither the scene nor the rain that was set. The sky must be at the top of the frames.
+    Nothing else is known to it: neither the scene nor the rain that was set. Frames need dark and bright backgrounds, such
+    as trees and sky, which tell the light of drops.
     """
     check_within("--focal-px", focal_px, 10, 1e5, "px")
     check_within("--shutter", shutter, 1e-4, 0.1, "s")

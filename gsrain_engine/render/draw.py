@@ -65,9 +65,9 @@ def draw_view(
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
-    Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without `rainfall`
-    the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out
-    some of each part's Gaussians; `selection` tints selected ones.
+    Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
+    `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
+    leaves out some of each part's Gaussians; `selection` tints selected ones.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)

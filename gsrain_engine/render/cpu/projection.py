@@ -95,13 +95,15 @@ def project(
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
         scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
-        # What a part lacks has no rows: the kernels skip it.
-        wet_sh = part.wet_sh if part.is_wet and part.wet_sh is not None else np.zeros((0, 1, 3), np.float32)
+        # What a part lacks has no rows: the kernels skip it. When fully wet, its clear colors have no share.
+        sh, wet_sh = g.sh, np.zeros((0, 1, 3), np.float32)
+        if part.is_wet and part.wet_sh is not None:
+            wet = np.require(part.wet_sh, np.float32, ("C", "W"))
+            sh, wet_sh = (wet, wet_sh) if part.wetness == 1 else (sh, wet)
         change = np.zeros((0, 4)) if part.colors is None else part.colors
         fill = _project_range if len(own) < FEW else _project_chunks
         fill(
-            0, len(own), own, g.means, scales, g.quaternions, g.opacities, g.sh,
-            np.require(wet_sh, np.float32, ("C", "W")), np.float32(part.wetness),
+            0, len(own), own, g.means, scales, g.quaternions, g.opacities, sh, wet_sh, np.float32(part.wetness),
             np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity),
             np.ascontiguousarray(change, np.float32), _words(part.selected), as_points, pose,
             eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
