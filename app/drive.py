@@ -16,10 +16,13 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
+from gsrain_engine.render import export_settings
+from gsrain_engine.render.draw import lod_cut
+from gsrain_engine.render.export_settings import Lod
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word, shortened
-from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash
+from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash, with_lod_trees
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
@@ -147,6 +150,7 @@ class DriverOptions(options_of(AgentOptions, "drive")):
 
 
 RunOptions = options_of(Scenario, "drive", "Default: the scenario's.")
+DrawingOptions = options_of(export_settings.ExportSettings, "drive")
 WeatherOptions = options_of(RainSettings, "drive", "Default: the scenario's.")
 
 
@@ -174,6 +178,7 @@ def drive(
     export: Annotated[
         str, option("Also write runs as parquet, mcap (Foxglove), xosc (OpenSCENARIO), with commas.")
     ] = "",
+    drawing: DrawingOptions | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
 ) -> None:
@@ -210,13 +215,14 @@ def drive(
         if doubled is not None:
             raise ValueError(f"--agent: two agents are called {doubled!r}, and so would be their files")
         check_writable(json, *files.planned(test.name, names, rains_mm_h, rains[0].seed, films=films))
-        renderer = None
+        lod, renderer = (drawing or DrawingOptions()).changes().get("lod"), None
         if films or any(agent.needs.cameras for agent in agents):
+            opened = opened if lod_cut(opened, lod) is None else with_lod_trees(opened)
             renderer = stack.enter_context(open_renderer(backend))
         runs: list[ScoredRun] = []
         problem: str | None = None
         for agent, each in product(agents, rains):
-            simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer)
+            simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer, lod=lod)
             problem = _drive(simulation, agent)
             rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
             if problem is not None and rollout.steps[-1].step == 0:  # no step was driven: nothing to score or to draw
@@ -228,9 +234,9 @@ def drive(
         if not runs:
             raise ValueError(problem)
         facts = run_provenance({})  # the runs name their scene
-        written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts))
+        written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts), lod)
     print_lines(results_table(compare_drives(runs)).text)
-    if len(rains) > 1:
+    if len(rains) > 1 and test.friction == "dry":
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
             print(f"{name} uses no camera: rain changes nothing for it.")
     if any(len(run.rollout.steps) == 1 and run.rollout.steps[0].collision == BACKGROUND for run in runs if run.rollout):
@@ -349,6 +355,7 @@ def write_drives(
     scene: Scene,
     renderer: Renderer | None,
     settings: Mapping[str, object],
+    lod: Lod | None = None,
 ) -> list[str]:
     """Write all outputs of runs in one scene, with videos if there is a renderer. Returns the files' names.
 
@@ -359,7 +366,7 @@ def write_drives(
     from gsrain_engine.simulation.metrics.report import drive_report_page
 
     files.folder.mkdir(parents=True, exist_ok=True)
-    written = [path for run in runs for path in _write_run(files, run, scene, renderer)]
+    written = [path for run in runs for path in _write_run(files, run, scene, renderer, lod)]
     compared = compare_drives(runs)
     write_text(files.folder / "table.md", results_table(compared).markdown)
     write_metrics_csv(files.folder / "table.csv", [run.metrics for run in runs])
@@ -370,7 +377,9 @@ def write_drives(
     return ["report.html", "table.md", "table.csv", *(path.name for path in (*figures, *written))]
 
 
-def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None) -> list[Path]:
+def _write_run(
+    files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None
+) -> list[Path]:
     rollout, metrics = run.rollout, run.metrics
     assert rollout is not None
 
@@ -385,7 +394,7 @@ def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Render
     if "xosc" in files.exports:  # the road file that it refers to
         written.append(file(".xodr"))
     if renderer is not None:
-        video = RolloutVideo(RolloutPlayback(rollout, scene), renderer)
+        video = RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod)
         with progress_bar("Filming", len(video.times(files.fps)), draws=True) as advance:
             for _ in render_rollout_video(file(".mp4"), video, files.fps):
                 advance()

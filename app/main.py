@@ -5,7 +5,7 @@ import os
 import re
 import select
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
@@ -44,11 +44,19 @@ OLD_OPTIONS = {
 }
 """Options of version 0.1 and their names of today, by command."""
 
-_CHOICES = {
-    "haze": ({"medium", "gaussians", "none"}, "medium", "none"),
-    "clear-pair": ({"none", "sunny", "overcast"}, "sunny", "none"),
+
+def _factor_words() -> frozenset[str]:
+    from gsrain_engine.evaluation.attribution.factors import ALL, NO_FACTORS, factor_names  # loads the engine
+
+    return frozenset({ALL, NO_FACTORS, *factor_names()})
+
+
+_CHOICES: dict[str, tuple[Callable[[], frozenset[str]], str, str]] = {
+    "attribute": (_factor_words, "all", "none"),
+    "haze": (lambda: frozenset({"medium", "gaussians", "none"}), "medium", "none"),
+    "clear-pair": (lambda: frozenset({"none", "sunny", "overcast"}), "sunny", "none"),
 }
-"""Words after an option, what it is alone, and what --no- makes of it."""
+"""Words after an option, with commas if several, what it is alone, and what --no- makes of it."""
 
 app = App(
     name="gsrain",
@@ -72,7 +80,7 @@ def view(
     ] = "auto",
 ) -> None:
     """Open a scene in the window."""
-    if scene not in (None, "street", "street:night", "street:long") and not Path(str(scene)).exists():
+    if scene is not None and not re.fullmatch(r"street(:overcast|:night|:long)?", scene) and not Path(scene).exists():
         from gsrain_engine.scene.open import load_scene
 
         load_scene(scene)  # its error suggests similar names
@@ -203,10 +211,12 @@ def renamed_options(arguments: Sequence[str]) -> Iterator[str]:
             return
         option = re.fullmatch(r"--(no-)?([\w-]+)(=.*)?", argument, re.DOTALL)
         name = names.get(option[2], option[2]) if option else None
-        words, alone, negative = _CHOICES.get(name or "", (set[str](), "", ""))
-        if option and words and not option[3] and (option[1] or not words & set(arguments[number + 1 : number + 2])):
-            yield f"--{name}={negative if option[1] else alone}"
-            continue
+        if option and name in _CHOICES and not option[3]:
+            words, alone, negative = _CHOICES[name]
+            following = "".join(arguments[number + 1 : number + 2]).split(",")
+            if option[1] or not words().issuperset(following):
+                yield f"--{name}={negative if option[1] else alone}"
+                continue
         yield f"--{option[1] or ''}{name}{option[3] or ''}" if option and name else argument
 
 

@@ -152,7 +152,7 @@ def _values(kind: type, field: Field, value: Any) -> dict[str, Any]:
     if _is_struct(field.item):
         value = [{"path": str(each)} for each in value]
     elif field.item is not None:
-        value = [_as_number(each) if field.item is float else each for each in split_words(value)]
+        value = [as_number(each) if field.item is float else each for each in split_words(value)]
     elif field.is_size:
         value = parse_size(value, field.options[0])
     elif "spelling" in field.extra:
@@ -172,7 +172,7 @@ def _is_struct(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-def _as_number(word: str) -> float | str:
+def as_number(word: str) -> float | str:
     """Return a number, or the word itself, which the conversion refuses with the name of the option."""
     try:
         return float(word)

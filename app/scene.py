@@ -21,7 +21,7 @@ from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.formats.registry import format_of, unknown_format
+from gsrain_engine.scene.formats.registry import FORMATS, format_of, unknown_format
 from gsrain_engine.scene.formats.scene_files import (
     INNER_SCENE,
     is_foreign_scene_folder,
@@ -312,9 +312,13 @@ def _places(summary: CaptureSummary) -> str:
 # gsrain convert
 
 
+_READ = " ".join(each.suffix for each in FORMATS)
+_WRITTEN = " ".join(each.suffix for each in FORMATS if each.write is not None)
+
+
 def convert(
-    source: Annotated[str, option("Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
-    target: Annotated[Path, option("File to write (.ply .splat .spz), or a folder for a scene folder.")],
+    source: Annotated[str, option(f"Scene file ({_READ}) or folder.")],
+    target: Annotated[Path, option(f"File to write ({_WRITTEN}), or a folder for a scene folder.")],
     /,
     *,
     wetness: Annotated[float | None, option("Bake in the colors of a wetness, 0..1; default for a file: 0.")] = None,

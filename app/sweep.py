@@ -21,7 +21,8 @@ from gsrain_engine.sweep.settings import DriveSweep, Variant, load_sweep, sweep_
 from gsrain_engine.trusted_code import check_trusted
 
 from .console import Console, counted, print, run_with_progress, table_of
-from .options import JsonFile, Trust, check_within, flag, option, options_of, split_words, with_trust
+from .evaluate.attribution import print_shares
+from .options import JsonFile, Trust, check_within, converted_options, flag, option, options_of, split_words, with_trust
 from .outputs import check_writable, lock_outputs, write_numbers
 
 SOME_FAILED, INTERRUPTED = 1, 130
@@ -52,7 +53,10 @@ def sweep(
     started = time.perf_counter()
     chosen = (options or SweepOptions()).changes()
     output = chosen.pop("output", None)
-    settings = msgspec.structs.replace(load_sweep(sweep), **chosen)
+    loaded = load_sweep(sweep)
+    if wrong := [name for name in chosen if name not in loaded.__struct_fields__]:
+        raise ValueError(f"--{wrong[0].replace('_', '-')}: sweep {sweep} makes clips; only drives have it")
+    settings = converted_options(msgspec.to_builtins(loaded) | chosen, type(loaded))
     if output is None and settings.output is None:
         raise ValueError(f"sweep {sweep}: expected --output DIR, for it has no `output` of its own")
     folder = SweepFolder(Path(str(output or settings.output)))
@@ -128,13 +132,19 @@ def _sigterm_as_ctrl_c() -> Generator[None]:
 def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
     if numbers["cells"]:
         print_cells(numbers["cells"])
+    if shares := numbers.get("attribution"):
+        print_shares(
+            shares, [name for name in ("scene", "scenario", "agent") if name in shares[0]], Console(width=_COLUMNS)
+        )
     done = numbers["rows"] - numbers["failed"]
     print(f"{folder.path}: {done} of {counted(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
     for error, count in numbers["errors"].items():
         print(f"  {count} x {error}")
     if numbers["failed"] and folder.clients.is_dir():
         print(f"{folder.clients}: the output of each client, a file named by its job")
-    print("wrote table.parquet, table.csv, summary.json, report.html" + (", figures" if numbers["cells"] else ""))
+    further = ", figures" if numbers["cells"] else ""
+    further += ", attribution.png, attribution.csv, attribution_drives.csv" if numbers.get("attribution") else ""
+    print(f"wrote table.parquet, table.csv, summary.json, report.html{further}")
 
 
 # Table of drives, a row per agent and intensity

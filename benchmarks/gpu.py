@@ -35,7 +35,7 @@ from gsrain_engine.evaluation.image_metrics import psnr
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_camera
+from gsrain_engine.render.draw import LodCut, rain_camera, subset_items
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.opengl.renderer import Rasterizer, SplatRenderer
 from gsrain_engine.render.opengl.shaders import GpuTimers
@@ -43,7 +43,14 @@ from gsrain_engine.render.opengl.sort import check_sort
 from gsrain_engine.render.renderer import Renderer, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.open import is_random_scene, load_scene, load_street, random_scene, random_scene_camera
+from gsrain_engine.scene.open import (
+    is_random_scene,
+    load_scene,
+    load_street,
+    random_scene,
+    random_scene_camera,
+    with_lod_trees,
+)
 from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Scene
 
@@ -63,6 +70,9 @@ class Workload:
     rainy_scene: str = "street"
     read_size: Size = (1920, 1080)
     compared_scenes: tuple[str, ...] = ("street", "random-200k", "random-1m")
+    large_scene: str = "street:long"
+    ordinary_scene: str = "random-1m"
+    """Scene that a cut of the large one is compared with."""
     sorted_splats: tuple[int, ...] = (1_000_000, 3_000_000)
     trained_gaussians: int = 128_000
     training_size: Size = (640, 427)
@@ -76,7 +86,8 @@ class Workload:
 
 SMALL = Workload(
     scenes=("random-500",), sizes=((48, 32),), rainy_scene="random-500", read_size=(48, 32),
-    compared_scenes=("random-500",), sorted_splats=(1000,), trained_gaussians=300, training_size=(64, 43),
+    compared_scenes=("random-500",), large_scene="random-5k", ordinary_scene="random-500", sorted_splats=(1000,),
+    trained_gaussians=300, training_size=(64, 43),
     training_views=2, warm_up=1, timed=2,
 )  # fmt: skip
 """To try the program without a GPU; its times mean nothing."""
@@ -375,6 +386,17 @@ def read_back(options: Options) -> Iterator[Row]:
         for name, read in ways.items():
             yield {"way": name, "size": work.read_size, "ms": median_ms(partial(wall_ms, read), work)}
 
+        def while_drawing_ms() -> float:
+            """Wall time that is left for an image after the next one was drawn, as in videos and drives."""
+            renderer.draw(scene.parts(0.0), camera)
+            pending = renderer.request_uint8()
+            renderer.draw(scene.parts(0.0), camera)
+            renderer.finish()
+            return wall_ms(pending)
+
+        way = "bytes, copied by the GPU before it draws the next image"
+        yield {"way": way, "size": work.read_size, "ms": median_ms(while_drawing_ms, work)}
+
 
 def images(options: Options) -> Iterator[Row]:
     """PSNR of each back end's image against that of `cpu`; the images are written as PNG."""
@@ -397,6 +419,27 @@ def images(options: Options) -> Iterator[Row]:
                         Image.fromarray(frame.to_uint8()).save(folder / f"{name}_{intensity:g}_{backend}.png")
                         row["psnr_db"][backend] = psnr(np.clip(frame.over(), 0, 1), truth)
                 yield row
+
+
+def lod(options: Options) -> Iterator[Row]:
+    """Frames of a large scene by its level-of-detail cut, of all its Gaussians, and of an ordinary scene."""
+    work, size = options.work, options.work.sizes[0]
+    large, ordinary = with_lod_trees(timed_scene(work.large_scene)), timed_scene(work.ordinary_scene)
+    camera = sequence_of(large, size, 0.0).shot(0).camera
+    errors = dict[str, str]()
+    row: Row = {"scene": large.name, "size": size, "gaussians": large.gaussian_count, "ms": {}, "errors": errors}
+    with noted(errors, "opengl-tiles"), open_context() as context:
+        timed = timed_opengl(context, "tiles")
+        parts = large.parts(START_S)
+        cut = partial(subset_items, parts, LodCut(), camera)
+        row["drawn"] = sum(each.drawn_count for each in cut())
+        row["finding_ms"] = median_ms(partial(wall_ms, cut), work)
+        row["ms"]["cut"] = median_ms(partial(timed.draw_ms, cut(), camera), work)
+        row["ms"]["all"] = median_ms(partial(timed.draw_ms, parts, camera), work)
+        view = sequence_of(ordinary, size, 0.0).shot(0).camera
+        row["ms"]["ordinary"] = median_ms(partial(timed.draw_ms, ordinary.parts(0.0), view), work)
+        row["ordinary"] = ordinary.name
+    yield row
 
 
 # Training
@@ -518,7 +561,7 @@ def _tested(*arguments: str) -> Row:
 PARTS: dict[str, tuple[Callable[[Options], Iterator[Row]], float]] = {
     "machine": (machine, 60), "build": (build, 180), "sort": (sort, 60), "frames": (frames, 200), "rain": (rain, 90),
     "training": (training, 100), "read_back": (read_back, 60), "images": (images, 90), "gpu_tests": (gpu_tests, 120),
-    "opengl_tests": (opengl_tests, 120),
+    "opengl_tests": (opengl_tests, 120), "lod": (lod, 120),
 }  # fmt: skip
 """Parts in the order of their importance, each with its longest time in seconds."""
 

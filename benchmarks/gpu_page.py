@@ -1,7 +1,7 @@
 """Tables of `benchmarks/gpu.py` in Markdown, each figure with its target."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 Row = dict[str, Any]
 BEGIN, END = "<!-- figures: written by make gpu -->", "<!-- end of figures -->"
@@ -14,6 +14,8 @@ MAX_READ_MS = 1.5
 """8-bit read-back of 1920x1080."""
 MAX_OF_PLAIN = 1.4
 """Training step, as a multiple of the plain loop's."""
+MAX_OF_ORDINARY = 1.3
+"""Frame of a large scene's cut, as a multiple of that of a scene of 1 M Gaussians."""
 
 BACKENDS = ("opengl-tiles", "opengl-quads", "cuda", "gsplat")
 
@@ -27,7 +29,7 @@ def with_figures(page: str, text: str) -> str:
 
 
 def figures(results: dict[str, tuple[list[Row], str]]) -> str:
-    """Format the rows of each part and its error."""
+    """Format the rows of each part and its error, and what follows for the back end `cuda`."""
     lines: list[str] = []
     for name, (rows, error) in results.items():
         lines += [f"### {_TITLES.get(name, name)}", ""]
@@ -35,7 +37,53 @@ def figures(results: dict[str, tuple[list[Row], str]]) -> str:
             lines += [*_TABLES[name](rows), ""]
         if error:
             lines += [f"**This part is incomplete**: {_cell(error)}", ""]
+    if comparisons := list(_tiles_and_cuda(results)):
+        lines += ["### Is `cuda` needed for drawing?", "", *_verdict(comparisons), ""]
     return "\n".join(lines)
+
+
+class Comparison(NamedTuple):
+    """Times of a frame by tiles and by `cuda`, in ms."""
+
+    what: str
+    size: Any
+    tiles_ms: float
+    cuda_ms: float
+
+    @property
+    def is_met(self) -> bool:
+        return self.tiles_ms <= self.cuda_ms
+
+
+def _tiles_and_cuda(results: dict[str, tuple[list[Row], str]]) -> Iterator[Comparison]:
+    """All frames that both have drawn, clear and in rain."""
+    for row in results.get("frames", ([], ""))[0]:
+        if {"opengl-tiles", "cuda"} <= row["ms"].keys():
+            yield Comparison(row["scene"], row["size"], row["ms"]["opengl-tiles"], row["ms"]["cuda"])
+    by_size: dict[str, dict[str, Row]] = {}
+    for row in results.get("rain", ([], ""))[0]:
+        if "rainy_ms" in row:
+            by_size.setdefault(_cell(row["size"]), {})[row["backend"]] = row
+    for size, rows in by_size.items():
+        if {"opengl-tiles", "cuda"} <= rows.keys():
+            tiles, cuda = rows["opengl-tiles"], rows["cuda"]
+            for weather in ("clear", "rainy"):
+                took = tiles[f"{weather}_ms"], cuda[f"{weather}_ms"]
+                yield Comparison(f"{tiles['scene']}, {weather}", size, *took)
+
+
+def _verdict(comparisons: list[Comparison]) -> Iterator[str]:
+    slower = [f"{each.what} {_cell(each.size)}" for each in comparisons if not each.is_met]
+    if slower:
+        yield f"Yes: tiles are slower than `cuda` in {len(slower)} of {len(comparisons)} rows ({', '.join(slower)})."
+    else:
+        yield f"No: tiles are at least as fast in all {len(comparisons)} rows, so that `cuda` is left to training."
+    yield ""
+    cells = (
+        (each.what, each.size, each.tiles_ms, each.cuda_ms, _ratio(each.tiles_ms, each.cuda_ms), each.is_met)
+        for each in comparisons
+    )
+    yield from _table(["scene", "size", "tiles", "cuda", "tiles / cuda", "tiles at least as fast"], cells)
 
 
 def _machine(rows: list[Row]) -> Iterator[str]:
@@ -125,6 +173,25 @@ def _images(rows: list[Row]) -> Iterator[str]:
     yield from _errors(rows)
 
 
+def _lod(rows: list[Row]) -> Iterator[str]:
+    yield (
+        "Median GPU time of a frame of tiles in ms: the level-of-detail cut of a large scene, all its Gaussians, and a "
+        "scene of ordinary size. The processor finds the cut before, and uploads its masks."
+    )
+    yield ""
+    cells: list[Sequence[Any]] = []
+    for row in rows:
+        took = row["ms"]
+        share = _ratio(took.get("cut"), took.get("ordinary"))
+        counts = (f"{row['gaussians']:,}", f"{row.get('drawn', 0):,}")
+        times = (row.get("finding_ms"), took.get("cut"), took.get("all"), took.get("ordinary"))
+        cells.append((row["scene"], row["size"], *counts, *times, share, _met(share, MAX_OF_ORDINARY)))
+    other = rows[0].get("ordinary", "ordinary scene")
+    names = ["scene", "size", "Gaussians", "of the cut", "finding it", "frame, cut", "frame, all", f"frame, {other}"]
+    yield from _table([*names, f"cut / {other}", f"target: {MAX_OF_ORDINARY:g}"], cells)
+    yield from _errors(rows)
+
+
 def _tests(rows: list[Row]) -> Iterator[str]:
     cells = ((row["tests"], "<br>".join([row["summary"], *map(_cell, row["failed"])])) for row in rows)
     yield from _table(["tests", "result"], cells)
@@ -172,9 +239,9 @@ def _cell(value: Any) -> str:
 _TITLES = {
     "machine": "Machine", "build": "Kernels", "sort": "Depth sort", "frames": "Frames", "rain": "Rain",
     "training": "Training step", "read_back": "8-bit read-back", "images": "Images", "gpu_tests": "Tests on the GPU",
-    "opengl_tests": "OpenGL tests",
+    "opengl_tests": "OpenGL tests", "lod": "Level of detail",
 }  # fmt: skip
 _TABLES = {
     "machine": _machine, "build": _build, "sort": _sort, "frames": _frames, "rain": _rain, "training": _training,
-    "read_back": _read_back, "images": _images, "gpu_tests": _tests, "opengl_tests": _tests,
+    "read_back": _read_back, "images": _images, "gpu_tests": _tests, "opengl_tests": _tests, "lod": _lod,
 }  # fmt: skip

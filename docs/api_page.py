@@ -1,4 +1,4 @@
-"""Writes the tables of docs/python.md: python -m docs.api_page. Each row is a signature and what its docstring says."""
+"""Tables of docs/python.md, which `python -m docs.tables` writes: signatures, and what their docstrings say."""
 
 import ast
 import re
@@ -14,22 +14,6 @@ TOPICS = {
     "The window": "viewer",
 }
 """Headings of the page, and the module of `gsrain` whose names are listed below each."""
-PAGE = ROOT / "docs" / "python.md"
-_TABLES = re.compile(r"(?<=<!-- tables -->\n).*?(?=<!-- end of tables -->)", re.DOTALL)
-
-
-def main() -> None:
-    """Write the tables anew."""
-    text = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(_TABLES.sub(lambda _: tables(), text), encoding="utf-8")
-    print(f"wrote {PAGE}")
-
-
-def written_tables() -> str:
-    """Return the tables as the page has them."""
-    found = _TABLES.search(PAGE.read_text(encoding="utf-8"))
-    assert found is not None
-    return found[0]
 
 
 def tables() -> str:
@@ -101,7 +85,3 @@ def _parameters(arguments: ast.arguments) -> str:
     if arguments.kwarg is not None:
         words.append(f"**{arguments.kwarg.arg}")
     return ", ".join(words)
-
-
-if __name__ == "__main__":
-    main()

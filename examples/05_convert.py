@@ -2,7 +2,7 @@
 
     python examples/05_convert.py [OUT] [SCENE]
 
-`gsrain convert IN OUT` converts the same way; other formats can only be read: .compressed.ply, .ksplat, .sog.
+`gsrain convert IN OUT` converts the same way; its help lists the formats that can only be read.
 """
 
 import sys

@@ -48,8 +48,8 @@ def load(
     """Load a scene.
 
     Args:
-        path: A 3DGS file (.ply, .compressed.ply, .splat, .spz, .ksplat, .sog), a scene folder, or "street": the
-            built-in street.
+        path: A 3DGS file (.ply, .spz, .sog, and others that `gsrain convert --help` lists), a scene folder, or
+            "street": the built-in street.
         up: Axis of the file that points up, such as "-y". None is what the file says; files of Gaussians say nothing,
             and are taken as "-y".
         scale: Length of one unit of the file in meters; None is what the file says, else 1.

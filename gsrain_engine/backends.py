@@ -147,13 +147,14 @@ def _speed_file(context: moderngl.Context) -> Path:
 
 
 def _timed(context: moderngl.Context) -> DeviceSpeed:
-    frame_ms = {f"opengl-{each}": _frame_ms(SplatRenderer(context, rasterizer=each)) for each in ("tiles", "quads")}
+    frame_ms = {f"opengl-{each}": time_frame_ms(SplatRenderer(context, rasterizer=each)) for each in ("tiles", "quads")}
     if has_kernels() or min(frame_ms.values()) > _FAST_MS:
-        frame_ms["cpu"] = _frame_ms(CpuRenderer())
+        frame_ms["cpu"] = time_frame_ms(CpuRenderer())
     return DeviceSpeed(frame_ms=frame_ms)
 
 
-def _frame_ms(renderer: Renderer) -> float:
+def time_frame_ms(renderer: Renderer) -> float:
+    """Return the shortest time in ms of some frames of a random scene, each with its read-back."""
     scene = random_scene(_TIMED_SCENE)
     parts, camera = scene.parts(0.0), random_scene_camera(scene, *_TIMED_SIZE)
     times_s: list[float] = []

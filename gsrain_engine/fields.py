@@ -140,6 +140,14 @@ class Field:
         """Commands of the program that have the option."""
         return tuple(each.strip() for each in self.extra.get("commands", "").split(",") if each)
 
+    def value_text(self, value: Any) -> str:
+        """Return a value without its unit, as a person writes it: at most four digits, on and off, words for None."""
+        if value is None:
+            return str(self.none or self.extra.get("none", "none"))
+        if isinstance(value, bool):
+            return "on" if value else "off"
+        return number_text(float(f"{value:.4g}")) if isinstance(value, float) else str(value)
+
     @property
     def default_text(self) -> str:
         """Default as text; "" for none, off and a required setting."""

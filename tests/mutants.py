@@ -1,7 +1,8 @@
 """Measures the tests: changes one place of the program at a time and runs the tests of it; python -m tests.mutants.
 
-Places are drawn by a seed. A mutant that no test notices survives, and is printed as a line of code to be read: either
-the change makes no difference, or a test is missing. All runs are forks of this process in a copy of the checkout.
+Places are drawn by a seed; one whose change leaves the bytecode as it is, or disables a check of the code on itself, is
+none. A mutant that no test notices survives, and is printed as a line of code to be read: either the change makes no
+difference, or a test is missing. All runs are forks of this process in a copy of the checkout.
 First come all tests, as they are: which pass there, how long each takes, which lines it runs. A mutant gets those that
 run its line, nearest first, then the quickest; one in a compiled kernel, whose lines no tracer sees, or in what runs at
 import, those of its file or that name it, and kernels compiled anew. In the end tests that noticed anything run once
@@ -26,18 +27,21 @@ from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import CodeType
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = (
     "app", "ui", "gsrain", "gsrain_engine", "shaders", "sample_configs", "tests", "docs", "examples", "benchmarks",
 )  # fmt: skip
+TESTS = {"app": "tests/app", "ui": "tests/ui", "gsrain": "tests/python_api", "gsrain_engine": "tests"}
+"""Packages, and the folders of their tests; those of the engine have one for each folder of it."""
 BUDGET_S = 20.0
 """Tests of one mutant, added up as they took without it."""
 TIMEOUT_S = 60.0
 """So much longer than ten times its tests, and a mutant is one that never ends."""
 BROKEN = 70
-"""Exit code: pytest itself has failed, or it ran another engine than the copy's."""
+"""Exit code: pytest itself has failed, or it ran other packages than the copy's."""
 
 COMPARE = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -94,12 +98,13 @@ def main() -> int:
     verdicts = {Mutant(*fields): Verdict(Mutant(*fields), *others) for fields, *others in rows}
     files = sorted({name for subject in arguments.subjects for name in python_files(subject)})
     places = [mutant for name in files for mutant in mutants_of(name, (ROOT / name).read_text(encoding="utf-8"))]
-    chosen = random.Random(arguments.seed).sample(places, min(arguments.count, len(places)))
-    print(f"{len(files)} files, {len(places)} places, {len(chosen)} drawn", flush=True)
+    drawn = random.Random(arguments.seed).sample(places, min(arguments.count, len(places)))
+    chosen = [each for each in drawn if has_effect(each)]
+    print(f"{len(files)} files, {len(places)} places, {len(drawn)} drawn, {len(chosen)} with an effect", flush=True)
     with tempfile.TemporaryDirectory(prefix="gsrain-mutants-") as folder, file.open("a") as out:
         copy = Copy(Path(folder))
-        folders = {str(Path("tests", *Path(name).parts[1:-1])) for name in files}
-        tests = TestChoice(arguments.out / "coverage.json", arguments.tests or sorted(folders), copy)
+        folders = sorted({tests_folder(name) for name in files})
+        tests = TestChoice(arguments.out / "coverage.json", arguments.tests or folders, copy)
         for number, mutant in enumerate((each for each in chosen if each not in verdicts), 1):
             verdict = verdicts[mutant] = judge(mutant, tests, copy)
             out.write(json.dumps(verdict) + "\n")
@@ -119,6 +124,12 @@ def python_files(subject: str) -> list[str]:
     path = ROOT / subject
     found = path.rglob("*.py") if path.is_dir() else [path]
     return [str(each.relative_to(ROOT)) for each in found if each.name != "__init__.py"]
+
+
+def tests_folder(file: str) -> str:
+    """Return the folder with the tests of a file."""
+    package, *folders, _ = Path(file).parts
+    return "/".join([TESTS[package], *(folders if package == "gsrain_engine" else ())])
 
 
 # Places
@@ -152,7 +163,10 @@ def mutants_of(file: str, source: str) -> Iterator[Mutant]:
 
 
 def passive_parts(tree: ast.Module) -> Iterator[ast.AST]:
-    """Parts that decide nothing: annotations, decorators, error sentences, log lines, `if TYPE_CHECKING`."""
+    """Parts that decide nothing: annotations, decorators, error sentences, log lines, `if TYPE_CHECKING`.
+
+    Nor do checks of the code on itself, which no correct call fails: lengths of `zip`, immutable structs, assertions.
+    """
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield from node.decorator_list
@@ -160,7 +174,9 @@ def passive_parts(tree: ast.Module) -> Iterator[ast.AST]:
             yield node.returns
         if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation:
             yield node.annotation
-        if isinstance(node, ast.Raise | ast.JoinedStr):
+        if isinstance(node, ast.Raise | ast.JoinedStr | ast.Assert):
+            yield node
+        if isinstance(node, ast.keyword) and node.arg in ("strict", "frozen", "kw_only"):
             yield node
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             yield node
@@ -196,6 +212,23 @@ def changes(node: ast.AST) -> Iterator[str]:
             yield ast.unparse(ast.If(ast.Constant(False), body, [])).replace("\n", "\n" + " " * node.col_offset)
         case ast.Expr(ast.Call()):
             yield "pass"
+
+
+def has_effect(mutant: Mutant) -> bool:
+    """Return whether the change makes another program: the compiler folds constants and drops what is never reached."""
+    source = (ROOT / mutant.file).read_text(encoding="utf-8")
+    changed = source[: mutant.start] + mutant.text + source[mutant.end :]
+    return _instructions(source) != _instructions(changed)
+
+
+def _instructions(source: str | CodeType) -> tuple[Any, ...]:
+    """Return what a program executes, without its lines and columns."""
+    code = compile(source, "", "exec", dont_inherit=True) if isinstance(source, str) else source
+    constants = tuple(
+        _instructions(each) if isinstance(each, CodeType) else (type(each), repr(each)) for each in code.co_consts
+    )
+    names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
+    return code.co_code, constants, names, code.co_flags, code.co_exceptiontable
 
 
 # Runs
@@ -278,8 +311,8 @@ class Copy:
         os.dup2(output, 2)
         sys.path[0] = str(self.folder)
         sys.modules.pop("tests", None)
-        source = self.folder / "gsrain_engine"
-        measured = Coverage(data_file=None, source=[str(source)], config_file=False) if measures else None
+        sources = [str(self.folder / name) for name in TESTS]
+        measured = Coverage(data_file=None, source=sources, config_file=False) if measures else None
         recorder = Recorder(measured)
         if measured is not None:
             measured.start()
@@ -294,8 +327,8 @@ class Copy:
                 }
                 found["lines"][str(Path(file).relative_to(self.folder.resolve()))] = lines
         record.write_text(json.dumps(found))
-        engine = sys.modules.get("gsrain_engine")
-        is_other = engine is not None and not Path(engine.__file__).is_relative_to(self.folder)
+        loaded = [sys.modules[name] for name in TESTS if name in sys.modules]
+        is_other = not all(Path(each.__path__[0]).is_relative_to(self.folder) for each in loaded)
         sys.stdout.flush()
         return BROKEN if is_other else code
 
@@ -333,7 +366,7 @@ class TestChoice:
         lines = self.lines[mutant.file]
         found = lines[str(mutant.line)] | lines[str(mutant.statement_line)]
         path = Path(mutant.file)
-        folder, own = "tests/" + "/".join(path.parts[1:-1]) + "/", f"test_{path.stem}.py::"
+        folder, own = f"{tests_folder(mutant.file)}/", f"test_{path.stem}.py::"
         if mutant.has_no_line or not found:  # one that compares a file's constants runs none of its lines
             files = {name.split("::")[0] for name in self.seconds}
             naming = {file for file in files if f"{path.stem} import" in (ROOT / file).read_text(encoding="utf-8")}

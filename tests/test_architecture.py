@@ -113,6 +113,25 @@ def test_no_package_is_smaller_than_three_modules():
     assert [each for each in packages if len(list(each.glob("*.py"))) + len(list(each.glob("*/__init__.py"))) < 3] == []
 
 
+PUBLIC = {"_replace", "_asdict", "_fields", "_exit", "_make_wrapper_subclass"}
+"""Members whose underscore is not for privacy: those of named tuples, of `os`, and one that torch asks for."""
+
+
+def test_tests_touch_no_private_member():
+    """But for those of classes in the same file."""
+    found: list[str] = []
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        nodes = list(ast.walk(ast.parse(path.read_bytes())))
+        own = {each.attr for each in nodes if isinstance(each, ast.Attribute) and isinstance(each.ctx, ast.Store)}
+        found += [
+            f"{path.relative_to(ROOT)}:{each.lineno}: {ast.unparse(each)}"
+            for each in nodes
+            if isinstance(each, ast.Attribute) and re.match("_[a-z]", each.attr)
+            if each.attr not in PUBLIC | own and ast.unparse(each.value) not in ("self", "cls")
+        ]
+    assert found == []
+
+
 RIDDLE = re.compile(r'\s*"""(What|How|Where|Who|Which|When|Whether|Whose|Why)\b')
 
 

@@ -40,7 +40,7 @@ def test_the_fastest_is_chosen(frame_ms, rasterizer, is_cpu_fastest):
 def test_nothing_is_timed_on_a_software_rasterizer(context, monkeypatch):
     if not is_software(context):
         pytest.skip("a GPU executes OpenGL here")
-    monkeypatch.setattr(backends, "_frame_ms", lambda renderer: pytest.fail("timed"))
+    monkeypatch.setattr(backends, "time_frame_ms", lambda renderer: pytest.fail("timed"))
     assert measure_device(context) == DeviceSpeed()
     for backend, way in (("opengl", "quads"), ("opengl-tiles", "tiles"), ("opengl-quads", "quads")):
         with open_renderer(backend) as renderer:
@@ -56,7 +56,7 @@ def test_a_device_is_timed_once_and_a_damaged_file_once_more(context, monkeypatc
         timed.append(getattr(renderer, "rasterizer", renderer.name))
         return {"tiles": 20.0, "quads": 30.0, "cpu": 25.0}[timed[-1]]
 
-    monkeypatch.setattr(backends, "_frame_ms", frame_ms)
+    monkeypatch.setattr(backends, "time_frame_ms", frame_ms)
     monkeypatch.setattr(backends, "is_software", lambda context: False)
     first = measure_device(context)
     assert (first.rasterizer, first.is_cpu_fastest, timed) == ("tiles", False, ["tiles", "quads", "cpu"])
@@ -70,4 +70,4 @@ def test_a_device_is_timed_once_and_a_damaged_file_once_more(context, monkeypatc
 
 def test_a_frame_is_timed_with_its_read_back(monkeypatch):
     monkeypatch.setattr(backends, "_TIMED_SCENE", "random-100")
-    assert 0 < backends._frame_ms(CpuRenderer()) < 1000
+    assert 0 < backends.time_frame_ms(CpuRenderer()) < 1000

@@ -136,7 +136,7 @@ def test_gaussians_of_a_format_are_made_drawable(bad_lab, tmp_path):
     write_scene(small_scene(), tmp_path / "scene.ply")  # ours is not replaced
     assert read_scene(tmp_path / "scene.ply").gaussian_count > 0
     assert {each.name for each in tmp_path.iterdir()} == {"a.long", "scene.ply"}
-    assert writable_suffixes() == (".ply", ".splat", ".spz", ".smoke")
+    assert {".ply", ".splat", ".spz"} < {*writable_suffixes()} and writable_suffixes()[-1] == ".smoke"
 
 
 def test_unusable_methods_and_logs_are_reported_once(bad_lab, tmp_path, caplog):

@@ -35,7 +35,7 @@ class Person(Driver):
     def type_into(self, dialog, text):
         """Type a file's name into a dialog, and press Enter."""
         self.frames(4)
-        self.ctx.item_click(f"//{dialog}/##file_input")
+        self.ctx.item_click(f"//{dialog}/##name")
         self.ctx.key_chars_replace_enter(text)
         self.frames(4)
 

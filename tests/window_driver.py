@@ -6,6 +6,7 @@ import signal
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from PIL import Image, ImageGrab
 
 from gsrain_engine.editor.editor import Editor
@@ -33,6 +34,7 @@ class Driver:
         self._is_seen = False
 
     def run(self, script):
+        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False)
         parameters = self.window.parameters()
         parameters.ini_disable = True
         parameters.app_window_params.window_geometry.size = (1100, 720)  # px
@@ -143,10 +145,15 @@ class Driver:
     def choose_file(self, title, path, button="Save"):
         """Type a place into a file dialog."""
         self.frames(3)
-        self.ctx.item_click(f"//{title}/##file_input")
+        self.ctx.item_click(f"//{title}/##name")
         self.ctx.key_chars_replace(str(path))
-        self.ctx.item_click(f"//{title}/**/{button}")
+        self.ctx.item_click(f"//{title}/{button}")
         self.frames(3)
+
+    def is_open(self, title):
+        """Tell whether a dialog is on the screen."""
+        info = self.ctx.window_info(f"//{title}", imgui.test_engine.TestOpFlags_.no_error)
+        return info.window is not None and info.window.active
 
     def press(self, chord):
         self.ctx.key_press(chord)

@@ -17,7 +17,7 @@ from .commands.keys import chord_name, chords_of
 from .commands.table import COMMANDS
 from .shell import bring_to_front, panel_windows
 from .tools import TOOLS
-from .widgets.fields import SCENE_FOLDERS, ask_where_to_save
+from .widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
 
 
 @contextmanager
@@ -101,7 +101,10 @@ def draw_questions(viewport: ViewportState, files: Files, status: StatusBus) -> 
     """Draw the current question until it is answered, and the save dialog if one is requested."""
     save, files.place_request = files.place_request, None
     if save is not None:
-        ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: save(chosen[0]))
+        name = files.proposed_name()
+        ask_where_to_save(
+            "Save the scene", SCENE_FOLDERS, lambda chosen: save(chosen[0]), proposed=name, confirms=False
+        )
     question = status.question
     # Tab and arrows move between answers while a question is open; otherwise they are keys of the view.
     io, keyboard = imgui.get_io(), int(imgui.ConfigFlags_.nav_enable_keyboard)

@@ -10,6 +10,7 @@ from gsrain_engine.editor.files import Files
 
 from .commands.keys import chord, chords_of
 from .commands.table import COMMAND_GROUPS, COMMANDS, Command
+from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
 from .widgets.fields import WARNING
 from .widgets.text import label
@@ -119,15 +120,13 @@ def status_bar(editor: Editor) -> None:
     ):
         imgui.same_line()
         imgui.text_colored(WARNING, warning)
-    for job in editor.jobs.running:
-        imgui.same_line()
-        imgui.text(f"  {job.title}: {100 * job.progress.fraction:.0f} %")
     if editor.busy is not None:
         imgui.same_line()
         imgui.text(f"  {editor.busy}")
     tool = next((each for each in TOOLS if each.name == editor.viewport.options.tool), None)
     right = f"{imgui.get_io().framerate:.0f} fps ({editor.viewport.backend})"
     room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
+    fps_at, room = room, room - tray_width(editor.jobs)
     hint = f"{tool.name}: {tool.help}" if tool is not None else ""
     newest = editor.status.log.lines[-1] if editor.status.log.lines else None
     if newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW and newest.text:
@@ -139,5 +138,8 @@ def status_bar(editor: Editor) -> None:
         imgui.push_clip_rect(low, high, True)
         imgui.text_disabled(f"   {hint}")
         imgui.pop_clip_rect()
-    imgui.same_line(room)
+    if room < fps_at:
+        imgui.same_line(room)
+        job_tray(editor.viewport, editor.jobs)
+    imgui.same_line(fps_at)
     imgui.text_disabled(right)

@@ -182,14 +182,17 @@ class MainWindow:
         return parameters
 
     def drop(self, paths: list[str]) -> None:
-        """Open the roll-outs dropped on the window; else the first file or folder."""
+        """Open the roll-outs dropped on the window; else the first file or folder, or the folder of the first image."""
         if not paths or self.workspace is None:
             return
+        from gsrain_engine.datasets.io.images import is_image  # not before the window is there
+
+        first = Path(paths[0])
         rollouts = [Path(each) for each in paths if Path(each).suffix.lower() in ROLLOUT_SUFFIXES]
         for path in rollouts:
             self.workspace.editor.rollouts.open(path)
         if not rollouts:
-            self.workspace.editor.files.open(paths[0])
+            self.workspace.editor.files.open(str(first.parent if is_image(first) else first))
 
     def ask_to_close(self) -> None:
         """Let the editor decide about closing, since there may be unsaved changes."""

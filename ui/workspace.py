@@ -18,7 +18,7 @@ from .parts import bind_parts
 from .shell import act_on_keys, draw_menus, status_bar
 from .tools import TOOLS
 from .viewport.panel import viewport_panel
-from .widgets.fields import answer_dialogs
+from .widgets.file_dialogs import draw_file_dialogs, is_file_dialog_open
 
 _SPACES = {
     "left": "LeftSpace", "left bottom": "LeftBottomSpace", "right": "RightSpace", "right bottom": "RightBottomSpace",
@@ -77,7 +77,7 @@ class Workspace:
         # Poll workers at intervals: frames would take CPU time from them.
         idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
         resting = not (editor.playback.clock.playing or editor.is_bringing_in or viewport.budget.is_settling)
-        resting = resting and not (editor.rollouts.mosaic.is_behind or viewport.is_catching_up)
+        resting = resting and not (editor.rollouts.mosaic.is_behind or viewport.is_catching_up or is_file_dialog_open())
         idling.enable_idling = resting and self.view.is_settled
         is_alone = self.view.is_settled and editor.busy is None and not editor.jobs.running
         idling.fps_max = 0.0 if is_alone else _WAITING_FPS
@@ -92,9 +92,9 @@ class Workspace:
 
     def draw_viewport(self) -> None:
         editor = self.editor
-        if not editor.viewport.options.dialog and editor.status.question is None:
+        if not editor.viewport.options.dialog and editor.status.question is None and not is_file_dialog_open():
             act_on_keys(editor)
-        answer_dialogs(editor.status)
+        draw_file_dialogs(editor.status, editor.files.recent, use_desktop=editor.preferences.value.desktop_dialogs)
         capture = editor.captures.capture
         if capture is not self._capture:
             self._capture = capture

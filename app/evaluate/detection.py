@@ -1,12 +1,14 @@
 """`gsrain evaluate detection`: effect of rain on object detectors."""
 
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -25,8 +27,26 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.undistort import undistort_frame
+from gsrain_engine.evaluation.attribution.factors import NO_FACTORS, factor_names, is_attributed, overcast_twin
+from gsrain_engine.evaluation.attribution.results import (
+    OVER,
+    Attribution,
+    method_of,
+    share_figure,
+    share_table,
+    write_share_csv,
+)
+from gsrain_engine.evaluation.attribution.shapley import MAX_PAIRS
 from gsrain_engine.evaluation.detection import run as evaluation
 from gsrain_engine.evaluation.detection import summary
+from gsrain_engine.evaluation.detection.attribution import (
+    DropSizeScore,
+    RainAttribution,
+    drop_size_figure,
+    drop_size_scores,
+    rain_attributions,
+    size_variant,
+)
 from gsrain_engine.evaluation.detection.detector import Detector, open_detector
 from gsrain_engine.evaluation.detection.drawing import draw_truths
 from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_pixels, object_figure, precision_figure
@@ -53,17 +73,21 @@ from ..options import (
     JsonFile,
     Preset,
     Wet,
+    as_number,
     check_within,
+    converted_options,
     flag,
     let_names_lead_outside,
     option,
     options_of,
     parse_intensities,
     setting,
+    split_words,
 )
 from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
 from ..render import rainy_light
 from ..scene import missing_source, names_scene
+from .attribution import print_shares
 
 _COLUMNS = 150
 ViewOptions = options_of(
@@ -87,7 +111,23 @@ def detection(
     rain: Annotated[
         str, setting(RainSettings, "intensity_mm_h", "Several with commas; 0 is always included.")
     ] = "0,1.2,8.5,12",
+    diameter_scale: Annotated[
+        str | None,
+        setting(RainSettings, "diameter_scale", "Several with commas are compared at equal mm/h. Default: 1."),
+    ] = None,
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0 to N-1.")] = 5,
+    attribute: Annotated[
+        str,
+        option(
+            "Share of each part of the rain in its effect: all that it has, or those of a list, of which it then "
+            f"consists ({', '.join(factor_names())}).",
+            "--attribute",
+        ),
+    ] = NO_FACTORS,
+    attribute_pairs: Annotated[
+        int | None,
+        option("Pairs of orders of these parts that each seed samples; 0: all orders. Default: all, if 32 subsets do."),
+    ] = None,
     frames: Annotated[int, option("Number of moments of the drive; of a capture, images of each camera.")] = 4,
     first: Annotated[float | None, option("First moment in seconds of scene time.", "--from")] = None,
     last: Annotated[float | None, option("Last moment in seconds of scene time.", "--to")] = None,
@@ -118,6 +158,10 @@ def detection(
     view_choice = (views or ViewOptions()).settings(ViewChoice(width_px=960))
     check_within("--width", view_choice.width_px, 64, 16384, "px")
     intensities = parse_intensities(rain)
+    scales = None if diameter_scale is None else parse_scales(diameter_scale)
+    factors = tuple(split_words(attribute))
+    is_decomposed = _named(is_attributed, factors)
+    check_within("--attribute-pairs", attribute_pairs, 0, MAX_PAIRS)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--frames", frames, 1, 10_000)
     if first is not None and last is not None and not first < last:
@@ -132,13 +176,25 @@ def detection(
         max(intensities),
     )  # fmt: skip
     base = load_preset(preset) if preset is not None else RainSettings()
+    scales = scales or [base.diameter_scale]
     with open_renderer(backend) as renderer:
-        prepared = opened_source(renderer, chosen, (weather or WeatherOptions()).settings(base))
+        own_scale = 1.0 if 1.0 in scales else scales[0]
+        rain_of_all = (weather or WeatherOptions()).settings(base, diameter_scale=own_scale)
+        prepared = opened_source(renderer, chosen, rain_of_all)
+        parts: list[RainAttribution] = []
+        if is_decomposed:
+            prepared, parts = _named(
+                decomposed_source, prepared, chosen.source, factors, intensities, seeds, attribute_pairs
+            )
         originals = all(frame.original is not None for frame in prepared.frames)
         trials = evaluation.conditions_of(
             tuple(intensities), tuple(range(seeds)), originals=originals, scene=not prepared.pictures.is_in_front
         )
-        collector = DetectionVideo(video, prepared.frame_rate)
+        sizes = size_conditions(trials, scales, own_scale)
+        prepared = with_sizes(prepared, scales, own_scale)
+        further = [part.conditions for part in parts] + list(sizes.values())
+        trials = list(dict.fromkeys(chain(trials, *further)))
+        collector = DetectionVideo(video, prepared.frame_rate, parts[-1].steps if parts else ())
         with ExitStack() as open_files:
             cache = None
             if output is not None:
@@ -155,13 +211,22 @@ def detection(
                 advance()
             collector.finish_view()
     numbers = detection_numbers(collector.results, detectors, renderer.name, prepared, seeds)
+    numbers = replace(
+        numbers,
+        shares=[share for part in parts for share in part.attributed(collector.results)],
+        drop_sizes=drop_size_scores(collector.results, prepared.pictures.rain, sizes) if len(sizes) > 1 else [],
+    )
     print_scores(numbers.scores, Console(width=_COLUMNS))
+    if numbers.shares:
+        print_shares(numbers.plain["attribution"], ("detector",), Console(width=_COLUMNS))
+    if numbers.drop_sizes:
+        print_drop_sizes(numbers.drop_sizes, Console(width=_COLUMNS))
     for sentence in unnamed_object_notes(numbers):
         print(sentence)
     if video is not None:
         print(f"{video}: {collector.frames} frames")
     if output is not None:
-        print(f"{output}: {', '.join(write_outputs(output, numbers, collector.samples))}")
+        print(f"{output}: {', '.join(write_outputs(output, numbers, collector.samples, collector.step_sheet))}")
     write_numbers(json, numbers.plain)
 
 
@@ -258,9 +323,19 @@ class DetectionNumbers:
     settings: dict[str, Any]
     not_named: dict[str, dict[str, int]]
     """Number of objects by detector and class that the detector can't name; they are not scored."""
+    shares: Sequence[Attribution] = ()
+    """Shares of the factors of the rain, if it was taken apart."""
+    drop_sizes: Sequence[DropSizeScore] = ()
+    """Scores by drop size, if several were compared."""
 
     @property
     def plain(self) -> dict[str, Any]:
+        attribution = {"attribution": [each.plain for each in self.shares]} if self.shares else {}
+        sizes = {"drop_sizes": [each.plain for each in self.drop_sizes]} if self.drop_sizes else {}
+        return self._own | attribution | sizes
+
+    @property
+    def _own(self) -> dict[str, Any]:
         return {
             "settings": self.settings,
             "robustness": finite_numbers({name: asdict(each) for name, each in self.robustness.items()}),
@@ -278,7 +353,11 @@ def detection_numbers(
     source: PreparedSource,
     seeds: int,
 ) -> DetectionNumbers:
-    """Compute all numbers. Raises ValueError if no view shows a detectable object."""
+    """Compute the numbers of the evaluation's own conditions.
+
+    Raises ValueError if no view shows a detectable object.
+    """
+    judgements = [each for each in judgements if not each.trial.variant]
     rows = [row for each in judgements for row in evaluation.object_rows(each)]
     not_named = _not_named(judgements)
     if not rows and any(not_named.values()):
@@ -355,6 +434,19 @@ def print_scores(scored: Sequence[summary.ScoreByIntensity], console: Console) -
     )
 
 
+def print_drop_sizes(scores: Sequence[DropSizeScore], console: Console) -> None:
+    """Print one line for each detector, rain rate and scale of the diameters."""
+    columns = f"diameters x,mean mm,drops/m³,confidence,change,recall@{summary.FOUND_FROM:g}"
+    table = table_of("detector,mm/h", columns, wraps=True)
+    for each in scores:
+        table.add_row(
+            each.detector, f"{each.intensity_mm_h:g}", f"{each.diameter_scale:g}", f"{each.mean_diameter_mm:.2f}",
+            f"{each.drops_per_m3:,.0f}", f"{each.confidence.mean:.3f}",
+            _change(each.change.mean, each.change.low, each.change.high), f"{each.recall.mean:.0%}",
+        )  # fmt: skip
+    console.print(table)
+
+
 def _change(mean: float, low: float, high: float) -> str:
     return f"{mean:+.3f}" if low != low else f"{mean:+.3f} ({low:+.3f}..{high:+.3f})"
 
@@ -387,12 +479,13 @@ class DetectionVideo:
     A video frame shows a view in all its conditions, with the first seed.
     """
 
-    def __init__(self, file: Path | None, fps: float) -> None:
-        """`file` is the video to write, or None."""
+    def __init__(self, file: Path | None, fps: float, steps: Sequence[tuple[str, evaluation.Condition]] = ()) -> None:
+        """`file` is the video to write, or None; `steps` are the conditions of a sheet of the first view, by title."""
         self.results: list[evaluation.DetectionResult] = []
         self.samples: list[SampleView] = []
         self.frames = 0
-        self._file, self._fps = file, fps
+        self._file, self._fps, self._steps = file, fps, dict(steps)
+        self._step_images: dict[evaluation.Condition, evaluation.EvaluatedImage] = {}
         self._video: VideoWriter | None = None
         self._view: list[evaluation.EvaluatedImage] = []
 
@@ -401,7 +494,9 @@ class DetectionVideo:
         self.results += image.judgements.values()
         if self._view and self._view[0].frame is not image.frame:
             self.finish_view()
-        if image.trial.seeds[0] == 0:
+        if image.trial in self._steps.values() and not self.samples:
+            self._step_images[image.trial] = image
+        if image.trial.seeds[0] == 0 and not image.trial.variant:
             self._view.append(image)
 
     def finish_view(self) -> None:
@@ -421,12 +516,20 @@ class DetectionVideo:
                 self._video.write(sheet)
                 self.frames += 1
 
+    @property
+    def step_sheet(self) -> _Sheet | None:
+        """The first view while the parts of the rain are added one by one; None without an attribution."""
+        images = [self._step_images[each] for each in self._steps.values() if each in self._step_images]
+        return detection_sheet(images, list(self._steps), max_columns=4) if images else None
+
     def close(self) -> None:
         if self._video is not None:
             self._video.close()
 
 
-def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[SampleView]) -> list[str]:
+def write_outputs(
+    folder: Path, numbers: DetectionNumbers, samples: list[SampleView], steps: _Sheet | None = None
+) -> list[str]:
     """Write tables, figures and the report into a folder; returns the names of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = ["rows.csv", "detection.json"]
@@ -439,6 +542,10 @@ def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[SampleV
         "iou.png": ReportFigure("Overlap of boxes", figure_pixels(object_figure(numbers.rows, "iou")), _BANDS),
         "precision.png": ReportFigure("Average precision", figure_pixels(precision_figure(numbers.scores)), _BANDS),
     }
+    figures = _attribution_figures(numbers, steps) | figures
+    if numbers.shares:
+        write_share_csv(folder / "attribution.csv", numbers.shares)
+        written.append("attribution.csv")
     caption = "Full lines: found. Dashed: labelled, red where it was missed."
     for number, sample in enumerate(samples):
         figures[f"view_{number}.png"] = ReportFigure(sample.name, sample.sheet, caption, is_photograph=True)
@@ -447,6 +554,23 @@ def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[SampleV
         write_image(folder / name, Image.fromarray(pixels))
     write_report(folder / "report.html", _report(numbers, list(figures.values())))
     return [*written, *figures, *truths, "report.html"]
+
+
+def _attribution_figures(numbers: DetectionNumbers, steps: _Sheet | None) -> dict[str, ReportFigure]:
+    figures: dict[str, ReportFigure] = {}
+    if numbers.shares:
+        every = [each for each in numbers.shares if each.measure.object is None]
+        figures["attribution.png"] = ReportFigure(
+            "Shares of the factors", share_figure(every), method_of(every[0].plain) + OVER
+        )
+    if steps is not None:
+        added = "The heaviest rain with the first seed, while its factors are added one by one."
+        figures["attribution_steps.png"] = ReportFigure("Factors of the rain", steps, added, is_photograph=True)
+    if numbers.drop_sizes:
+        pixels = drop_size_figure(numbers.drop_sizes)
+        words = "At equal mm/h: larger drops are fewer. Student's intervals, 95 %, over the seeds."
+        figures["drop_sizes.png"] = ReportFigure("Drop sizes", pixels, words)
+    return figures
 
 
 def _report(numbers: DetectionNumbers, figures: list[ReportFigure]) -> RunReport:
@@ -463,7 +587,12 @@ def _report(numbers: DetectionNumbers, figures: list[ReportFigure]) -> RunReport
         settings={name: _output_words(value) for name, value in settings.items()},
         figures=tuple(figures),
         notes=tuple(unnamed_object_notes(numbers)),
-        tables=(_scores_table(numbers), _distance_table(numbers)),
+        tables=(
+            *([share_table(numbers.shares)] if numbers.shares else []),
+            *([_size_table(numbers.drop_sizes)] if numbers.drop_sizes else []),
+            _scores_table(numbers),
+            _distance_table(numbers),
+        ),
         headlines=headlines,
     )
 
@@ -504,10 +633,104 @@ def _distance_table(numbers: DetectionNumbers) -> ReportTable:
     )  # fmt: skip
 
 
+def _size_table(scores: Sequence[DropSizeScore]) -> ReportTable:
+    return ReportTable(
+        "Drop sizes",
+        (
+            "detector", "mm/h", "diameters x", "mean diameter (mm)", "drops per m3", "extinction (1/km)", "confidence",
+            "recall", "change", "95 % from", "95 % to",
+        ),
+        tuple(
+            (
+                each.detector, f"{each.intensity_mm_h:g}", f"{each.diameter_scale:g}", each.mean_diameter_mm,
+                each.drops_per_m3, 1000 * each.extinction_per_m, each.confidence.mean, each.recall.mean,
+                each.change.mean, each.change.low, each.change.high,
+            )
+            for each in scores
+        ),
+        caption="Rain of equal mm/h whose diameters are multiplied. Change: of the confidence from the scene without "
+        "rain, paired by seed, with Student's interval over the seeds.",
+    )  # fmt: skip
+
+
 def _output_words(value: Any) -> object:
     if isinstance(value, dict):
         return ", ".join(f"{name} {_output_words(each)}" for name, each in value.items())
     return ", ".join(map(str, value)) if isinstance(value, list) else value
+
+
+# Rains that differ from the evaluation's own
+
+_Result = TypeVar("_Result")
+
+
+def parse_scales(text: str) -> list[float]:
+    """Turn "0.5,1,2" into numbers, rising; raises ValueError, which names the option."""
+    words = split_words(text)
+    if not words:
+        raise ValueError(f"--diameter-scale {text!r}: expected numbers with commas between, such as 0.5,1,2")
+    found = [converted_options({"diameter_scale": as_number(each)}, RainSettings) for each in words]
+    return sorted({each.diameter_scale for each in found})
+
+
+def _named(function: Callable[..., _Result], *arguments: Any) -> _Result:
+    """Call a function whose errors begin with the name of the setting `attribute`, which here is an option."""
+    try:
+        return function(*arguments)
+    except ValueError as error:
+        raise ValueError(re.sub("^attribute", "--attribute", str(error))) from None
+
+
+def decomposed_source(
+    source: PreparedSource,
+    name: str | None,
+    factors: Sequence[str],
+    intensities: Sequence[float],
+    seeds: int,
+    pairs: int | None,
+) -> tuple[PreparedSource, list[RainAttribution]]:
+    """Return a source whose rain has the chosen factors, and the attribution at each intensity.
+
+    `name` is that of the scene. Raises ValueError for factors that it lacks.
+    """
+    pictures, view = source.pictures, source.frames[0].shot
+    rain = pictures.rain.without_medium if pictures.is_in_front else pictures.rain
+    parts = rain_attributions(
+        rain, factors, name, pictures.scene, intensities, range(seeds), pairs, in_front=pictures.is_in_front
+    )
+    rain = msgspec.structs.replace(parts[-1].factors.rain, intensity_mm_h=rain.intensity_mm_h)
+    own = evaluation.RainVariant(rain, pictures.scene, pictures.sky)
+    twin = None
+    if any("light" in part.factors.game.factors for part in parts):
+        scene = load_sorted_scene(overcast_twin(name))  # its hash is not an input: it has the source of the street
+        twin = own._replace(scene=scene, sky=sky_color(pictures.renderer, scene, view.camera, view.time_s))
+    variants = {name: each for part in parts for name, each in part.variants(own, twin).items()}
+    pictures = replace(pictures, rain=own.rain, variants={**pictures.variants, **variants})
+    return replace(source, pictures=pictures), parts
+
+
+def size_conditions(
+    trials: Sequence[evaluation.Condition], scales: Sequence[float], own: float
+) -> dict[float, list[evaluation.Condition]]:
+    """Return the rainy conditions with each scale of the diameters; `own` is that of the evaluation."""
+    rainy = [each for each in trials if each.kind == "rainy"]
+    return {
+        scale: [each._replace(variant="" if scale == own else size_variant(scale)) for each in rainy]
+        for scale in scales
+    }
+
+
+def with_sizes(source: PreparedSource, scales: Sequence[float], own: float) -> PreparedSource:
+    """Return a source that also has rains with the scaled diameters."""
+    pictures = source.pictures
+    variants = {
+        size_variant(scale): evaluation.RainVariant(
+            msgspec.structs.replace(pictures.rain, diameter_scale=scale), pictures.scene, pictures.sky
+        )
+        for scale in scales
+        if scale != own
+    }
+    return replace(source, pictures=replace(pictures, variants={**pictures.variants, **variants}))
 
 
 # Sources of views

@@ -65,6 +65,7 @@ def lidar(
     output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
     rain: Annotated[str, setting(RainSettings, "intensity_mm_h", "Several with commas.")] = "0,1.2,8.5,12",
     visibility: Annotated[float | None, setting(RainSettings, "visibility_m")] = None,
+    spray: Annotated[bool, setting(RainSettings, "spray")] = True,
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0, 1, ...")] = 5,
     sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
     sensor: Annotated[str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
@@ -82,8 +83,8 @@ def lidar(
     """Rain on a lidar: returns kept, lost and made up, by range, over intensities and seeds.
 
     Rain and fog attenuate light in both directions (the same beta as haze in images), nearby drops of the same field
-    return echoes, and a wet road mirrors. A capture's own sweeps count as those of clear weather. In a scene a virtual
-    sensor is on the ego's roof.
+    return echoes, as does the spray of fast vehicles in a scene, and a wet road mirrors. A capture's own sweeps count
+    as those of clear weather. In a scene a virtual sensor is on the ego's roof.
     """
     let_names_lead_outside(allow_outside)
     intensities = parse_intensities(rain)
@@ -101,7 +102,7 @@ def lidar(
     with progress_bar("Raining", count * len(intensities) * seeds) as advance:
         for turn in turns:
             for run in lidar_runs(
-                turn, intensities, range(seeds), answer=answer, wet_road=wet_road, visibility_m=visibility
+                turn, intensities, range(seeds), answer=answer, wet_road=wet_road, visibility_m=visibility, spray=spray
             ):
                 intensity = run.counts.state.intensity_mm_h
                 if write_sweeps:
@@ -123,6 +124,7 @@ def lidar(
         "answer": answer,
         "wet_road": wet_road,
         "visibility_m": visibility,
+        "spray": spray,
         **run_provenance(inputs, ("numba",)),
         "sensor": msgspec.to_builtins(strongest.turn.sensor),
         "rows": [_row(run) for runs in by_intensity.values() for run in runs],

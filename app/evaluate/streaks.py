@@ -7,11 +7,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
+
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
+from gsrain_engine.evaluation.camera_noise import FIT_TRIALS, CameraNoise, fitted_sensor
+from gsrain_engine.evaluation.photograph import Window
 from gsrain_engine.evaluation.real_rain import (
     FrameStatistics,
     RealRainComparison,
-    Window,
     above_horizon,
     compare_with_real_rain,
     evenly_chosen,
@@ -22,7 +25,7 @@ from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.images import write_png
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
-from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor
+from gsrain_engine.scene.sensor import DEFAULT_SENSOR, Sensor, load_sensor
 
 from ..console import Console, Table, progress_bar, table_of
 from ..options import JsonFileOrScreen, check_within, option, options_of, setting
@@ -60,19 +63,27 @@ def streaks(
         Path | None,
         option("Write 40 unlabeled pairs of pictures, real beside ours, to this folder; the key goes next to it."),
     ] = None,
+    fit_sensor: Annotated[
+        Path | None,
+        option("Only fit noise and signal processing of --sensor to the frames without rain; write it to this file."),
+    ] = None,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Measure rain streaks in the frames of a static camera, and in our rain over the same background."""
     check_within("--frames", frames, _MIN_FRAMES, _MAX_FRAMES)
     check_ending("--report", report, (".md",))
     key = None if pairs is None else pairs.with_name(f"{pairs.name}_key.json")
-    check_writable(report, key, json, folders=[pairs])
+    check_ending("--fit-sensor", fit_sensor, (".yaml", ".yml"))
+    check_writable(report, key, json, fit_sensor, folders=[pairs])
     exposures = _exposures(exposure) if exposure is not None else None
     part = _window(window) if window is not None else None
     known = load_conditions(conditions)
     sequences = _long_enough(real)
     options = rain or RenderedOptions()
     plain = options.settings(RainSettings(sensor="rainsense"))
+    if fit_sensor is not None:
+        _fit(sequences, load_sensor(plain.sensor or DEFAULT_SENSOR), frames, part, fit_sensor)
+        return
     knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "sensor", "aperture_mm", "seed")}
     rows: list[RealRainComparison] = []
     with progress_bar("Measuring", len(sequences)) as advance:
@@ -91,7 +102,7 @@ def streaks(
     if report is not None:
         write_text(report, markdown(rows))
     if pairs is not None and key is not None:
-        _write_pairs(list(zip(sequences, rows, strict=True)), pairs, key)
+        _write_pairs(rows, pairs, key)
 
 
 def _plain(row: RealRainComparison) -> dict[str, Any]:
@@ -100,15 +111,29 @@ def _plain(row: RealRainComparison) -> dict[str, Any]:
     return {name: getattr(row, name) for name in names} | measured
 
 
-def _write_pairs(rows: list[tuple[RainSequence, RealRainComparison]], folder: Path, key: Path) -> None:
+def _write_pairs(rows: list[RealRainComparison], folder: Path, key: Path) -> None:
     """Write pairs as PNG, and which side is real to another file."""
     folder.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
-    for number, pair in enumerate(unlabeled_pairs(rows, PAIRS)):
+    for number, pair in enumerate(unlabeled_pairs(rows, PAIRS), start=1):
         name = f"pair_{number:02}.png"
         write_png(folder / name, pair.picture)
         found.append({"picture": name, "real": pair.real_side, "sequence": pair.sequence, "frame": pair.frame})
     write_numbers(key, {"pairs": found})
+
+
+def _fit(sequences: list[RainSequence], sensor: Sensor, frames: int, part: Window | None, file: Path) -> None:
+    """Write a sensor whose noise is that of the first sequence, if it is one without rain."""
+    sequence = sequences[0]
+    if sequence.intensity_mm_h > 0:
+        raise ValueError(f"--fit-sensor {file}: takes a sequence without rain, {sequence.name} has rain")
+    x, y, width, height = part or above_horizon(sequence)
+    rows, columns = slice(y, y + height), slice(x, x + width)
+    colors = [sequence.picture(k)[rows, columns] for k in evenly_chosen(sequence, frames)]
+    noise = CameraNoise.of(colors)
+    with progress_bar("Fitting", FIT_TRIALS) as advance:
+        fitted = fitted_sensor(noise, sensor, sequence.camera.height, advance)
+    write_text(file, msgspec.yaml.encode(fitted).decode())
 
 
 def _exposures(text: str) -> list[float]:

@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 
+from ..fields import field_of
 from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
 from ..rain.settings import RainSettings
 from ..scene.scene import Scene
@@ -24,6 +25,21 @@ class DocumentState:
     def equals(self, other: "DocumentState") -> bool:
         """Return whether both have the same scene object, and equal rain and keyframes."""
         return self.scene is other.scene and self.rain == other.rain and self.keyframes == other.keyframes
+
+    def rain_change(self, after: "DocumentState") -> str:
+        """Old and new value of the rain setting in which a later document differs: "8.5 -> 13 mm/h".
+
+        "" if none or several differ, or if it is no single value.
+        """
+        if self.rain == after.rain:
+            return ""
+        old, new = (msgspec.structs.asdict(each.rain) for each in (self, after))
+        names = [name for name in new if old[name] != new[name]]
+        if len(names) != 1 or not isinstance(old[names[0]] or new[names[0]], str | float | int):
+            return ""
+        setting = field_of(RainSettings, names[0])
+        words = " -> ".join(setting.value_text(each[names[0]]) for each in (old, new))
+        return f"{words} {setting.unit}".rstrip()
 
 
 # Undo

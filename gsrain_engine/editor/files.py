@@ -1,6 +1,7 @@
 """Files of the editor: open, import, save, export, revert, recent files, autosave, and crash recovery."""
 
 import logging
+import re
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -273,6 +274,10 @@ class Files:
             self.save_to(self.home, act)
         else:
             self.place_request = lambda path: self.save_as(path, act)
+
+    def proposed_name(self, suffix: str = "") -> str:
+        """Name of the scene as that of a file or folder: letters that a file system may refuse become `_`."""
+        return re.sub(r"[^\w.+-]+", "_", self._document.scene.name).strip("._") + suffix
 
     def save_to(self, path: Path, act: Callable[[], None] = do_nothing) -> None:
         """Save to a scene folder; ask first if another program has changed it."""

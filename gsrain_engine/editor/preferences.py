@@ -91,6 +91,13 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
             extra={"unit": "s"},
         ),
     ] = 20.0
+    desktop_dialogs: Annotated[
+        bool,
+        Meta(
+            title="Desktop's file dialogs",
+            description="Choose files in the desktop's own dialogs (zenity or kdialog) where it has them.",
+        ),
+    ] = True
 
 
 def load_preferences() -> tuple[Preferences, str | None]:

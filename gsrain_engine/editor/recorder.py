@@ -65,6 +65,12 @@ class RenderQueue:
     def is_recording(self) -> bool:
         return self._jobs.is_running("export")
 
+    def proposed_name(self, suffix: str | None = None) -> str:
+        """Name of a recording's file or folder: the scene's, with a suffix or that of the chosen format."""
+        if suffix is None:
+            suffix = self.settings.default_suffix if self.settings.is_video else "_frames"
+        return self._files.proposed_name(suffix)
+
     def change(self, **fields: object) -> None:
         """Change settings; inconsistent ones are rejected and the error reported."""
         try:

@@ -1,26 +1,23 @@
 """Real rain in frames of a static camera, and simulated rain in front of the same background, with the same noise."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
 import cv2
 import msgspec
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Float64, UInt8
 from msgspec import Meta
 
 from ..datasets.rainsense import RainSequence
 from ..presets import load_config
-from ..rain.frame import SkyLight
 from ..rain.settings import HEAVIEST_MM_H, RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.camera_response import light_of_display, stored_jpeg, tone_curve
-from ..render.cpu.renderer import CpuRenderer
-from ..render.draw import RenderView, rain_camera
+from ..render.camera_response import display_noise, light_of_display, tone_curve
 from ..scene.camera import Camera
-from ..scene.scene import Scene
-from ..scene.sensor import Sensor
+from ..scene.sensor import load_sensor
+from .photograph import Photograph, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
 from .streaks import (
     BANDS,
     MedianResiduals,
@@ -32,10 +29,6 @@ from .streaks import (
     residual_statistics,
     streak_statistics,
 )
-
-Window = tuple[int, int, int, int]  # left, top, width, height of a part of an image, in pixels
-_NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))
-
 
 # Conditions of real sequences
 # YAML files; docs/real_rain_method.md says how those of RainSense were estimated.
@@ -97,105 +90,11 @@ def load_conditions(name: str) -> RealRainConditions:
     return load_config("real_rain", name, RealRainConditions, "conditions")
 
 
-# Simulated rain in front of a photograph
-
-
-def cropped_camera(camera: Camera, window: Window) -> Camera:
-    """Return the camera of a window of this one's image."""
-    x, y, width, height = window
-    return replace(camera, cx=camera.cx - x, cy=camera.cy - y, width=width, height=height)
-
-
-def rain_shares(
-    camera: Camera, rainfall: RainSimulation, times_s: Sequence[float]
-) -> Iterator[Float32[np.ndarray, "h w"]]:
-    """Render the rain's share of each pixel at each time, as the renderer composites it: 0 without rain."""
-    renderer = CpuRenderer()
-    for time_s in times_s:
-        shot = RenderView(camera, time_s=float(time_s))
-        view = rain_camera(_NO_SCENE, rainfall, shot)
-        renderer.draw([], camera, rainfall.frame(shot.time_s, view, SkyLight.uniform((1.0, 1.0, 1.0))))
-        yield renderer.read().rgba[..., 3].copy()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraNoise:
-    """Noise of a camera in gray levels: white noise, blurred by demosaicing and noise reduction to `correlation_px`."""
-
-    sigma: Float32[np.ndarray, "h w"]
-    correlation_px: float = 0.0
-    """Standard deviation of the Gaussian blur; 0 is white."""
-
-    def drawn(self, random: np.random.Generator) -> Float32[np.ndarray, "h w"]:
-        """Draw the noise of a frame."""
-        white = random.standard_normal(self.sigma.shape, np.float32)
-        if self.correlation_px > 0:
-            kernel = _blur_kernel(self.correlation_px)
-            white = cv2.sepFilter2D(white, -1, kernel, kernel) / np.float32((kernel**2).sum())
-        return self.sigma * white
-
-
-def _blur_kernel(sigma_px: float) -> Float32[np.ndarray, "k 1"]:
-    return cv2.getGaussianKernel(2 * int(np.ceil(3 * sigma_px)) + 1, sigma_px, cv2.CV_32F)
-
-
-def photographed(
-    backgrounds: Sequence[Float32[np.ndarray, "h w"]],
-    shares: Sequence[Float32[np.ndarray, "h w"]],
-    drop_levels: float,
-    noise: CameraNoise,
-    rain: RainSettings,
-    sensor: Sensor | None,
-) -> Iterator[UInt8[np.ndarray, "h w"]]:
-    """Composite rain and photographed backgrounds (gray levels) as a camera stores them.
-
-    `drop_levels` is a drop's display level (0-255). With W the rain's share of a pixel, B the background and S the
-    drop's light: enc((1 - W) dec(B) + W S), with the tone curve of the sensor; or a mix of display values, as set in
-    the rain. Then noise, seeded by the rain's seed, rounding to gray levels, and the sensor's JPEG.
-    """
-    curve = "srgb" if sensor is None else sensor.tone_curve
-    levels = np.linspace(0, 1, 1 << 12)
-    if rain.rain_light == "linear":
-        behind = light_of_display(levels, curve).astype(np.float32)
-        light = float(light_of_display(np.array([drop_levels / 255]), curve)[0])
-        shown = (255 * tone_curve(np.linspace(0, 1, 1 << 15), curve)).astype(np.float32)
-    else:
-        behind, light = levels.astype(np.float32), drop_levels / 255
-        shown = np.linspace(0, 255, 1 << 15, dtype=np.float32)
-    random = np.random.default_rng(rain.seed)
-    for background, share in zip(backgrounds, shares, strict=True):
-        before = behind[np.rint(np.clip(background / 255, 0, 1) * (len(behind) - 1)).astype(np.int32)]
-        after = before + share * (light - before)
-        steps = [np.rint(np.clip(each, 0, 1) * (len(shown) - 1)).astype(np.int32) for each in (before, after)]
-        levels_now = background + shown[steps[1]] - shown[steps[0]] + noise.drawn(random)
-        gray = np.clip(np.rint(levels_now), 0, 255).astype(np.uint8)
-        yield gray if sensor is None or sensor.jpeg_quality is None else stored_jpeg(gray, sensor.jpeg_quality)
-
-
-def render_rain_frames(
-    background: UInt8[np.ndarray, "h w"],
-    noise_levels: Float32[np.ndarray, "h w"],
-    camera: Camera,
-    rainfall: RainSimulation,
-    times_s: Sequence[float],
-    drop_levels: float,
-) -> Iterator[UInt8[np.ndarray, "h w"]]:
-    """Render gray frames of a static camera (world: meters, z up) with a background behind all rain and white noise.
-
-    See `photographed`; tone curve and JPEG are those of a sensor that the rain names.
-    """
-    behind, noise = background.astype(np.float32), CameraNoise(noise_levels)
-    shares = list(rain_shares(camera, rainfall, times_s))
-    yield from photographed([behind] * len(shares), shares, drop_levels, noise, rainfall.rain, rainfall.picture_sensor)
-
-
 # Light and noise of real frames
 
 _BLOCK_PX, _BLOCKS = 8, 11
-_BRIGHT_LEVELS = 96  # before brighter backgrounds rain is hardly visible: what changes there is noise
-_BLURS_PX = np.linspace(0.25, 2.0, 36)
-_NOISE_PASSES, _NOISE_BLUR_PX = 2, 31
-_LEAST_NOISE, _MOST_NOISE = 0.3, 2.0
+_NOISE_PASSES, _NOISE_BLUR_PX, _FINE_PX = 2, 15, 15
+_NOISE_GAIN = (0.4, 2.5)
 
 
 def slow_light(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "t h w"]:
@@ -211,52 +110,69 @@ def slow_light(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "t h
     return slow
 
 
-def noise_correlation_px(found: MedianResiduals, slow: Float32[np.ndarray, "t h w"]) -> float:
-    """Blur of the noise (standard deviation of a Gaussian in px), by the correlation of neighbors in a row.
-
-    Measured before bright backgrounds; 0 where there are none.
-    """
-    usable = found.still & (found.median >= _BRIGHT_LEVELS)
-    pairs = usable[:, 1:] & usable[:, :-1]
-    if pairs.sum() < 100:
-        return 0.0
-    noise = np.clip((found.values - slow) / found.sigma, -3, 3)
-    r = float((noise[:, :, 1:] * noise[:, :, :-1])[:, pairs].mean() / (noise[:, usable] ** 2).mean())
-    kernels = [_blur_kernel(float(each)) for each in _BLURS_PX]
-    correlations = [float((kernel[1:] * kernel[:-1]).sum() / (kernel**2).sum()) for kernel in kernels]
-    return float(np.interp(r, [0.0, *correlations], [0.0, *_BLURS_PX]))
-
-
 def simulated_frames(
-    real: MedianResiduals, camera: Camera, rainfall: RainSimulation, times_s: Sequence[float], drop_levels: float
-) -> UInt8[np.ndarray, "t h w"]:
+    real: MedianResiduals,
+    colors: Sequence[UInt8[np.ndarray, "h w 3"]],
+    camera: Camera,
+    rainfall: RainSimulation,
+    times_s: Sequence[float],
+    drop_levels: Float64[np.ndarray, "3"],
+    native_height: int,
+) -> list[Photograph]:
     """Render rain over the background of real frames, with their slow changes of light and as much noise as they have.
 
-    The noise is scaled so that noise and rain together deviate typically as in the real frames (`sigma`): how much of
-    that is noise is unknown.
+    `colors` are the real frames (RGB), whose median is the background. The sensor's noise, and that of its color
+    differences, is scaled from place to place so that noise and rain together deviate typically as in the real frames:
+    how much of that is noise is unknown.
     """
-    slow = slow_light(real.values)
-    backgrounds = list(np.clip(real.median + slow, 0, 255))
-    shares = list(rain_shares(camera, rainfall, times_s))
-    correlation_px = noise_correlation_px(real, slow)
-    square = (_NOISE_BLUR_PX,) * 2
-    aim, sigma = cv2.blur(real.sigma, square), real.sigma
     rain, sensor = rainfall.rain, rainfall.picture_sensor
+    color = np.median(colors, axis=0).astype(np.float32)
+    backgrounds = list(np.clip(color + slow_light(real.values)[..., None], 0, 255))
+    rises = [
+        rain_over(background, share, drop_levels, rain, sensor)
+        for background, share in zip(backgrounds, rain_shares(camera, rainfall, times_s), strict=True)
+    ]
+    plain = real.sigma
+    if sensor is not None and sensor.full_well_e is not None:
+        plain = display_noise(sensor, native_height)[real.median]
 
-    def frames() -> UInt8[np.ndarray, "t h w"]:
-        noise = CameraNoise(sigma, correlation_px)
-        return np.stack(list(photographed(backgrounds, shares, drop_levels, noise, rain, sensor)))
+    def frames() -> list[Photograph]:
+        random, noise, factor = noise_of(rain), plain * gain, chroma[..., None]
+        return [photographed(*each, noise, sensor, random, factor) for each in zip(backgrounds, rises, strict=True)]
 
+    gain, chroma = np.ones_like(plain), np.ones_like(plain)
+    aim, chroma_aim = _fine_deviation(real.values), _chroma_deviation(colors)
     for _ in range(_NOISE_PASSES):
-        excess = cv2.blur(median_residuals(frames()).sigma, square) ** 2 - aim**2
-        low, high = ((factor * real.sigma) ** 2 for factor in (_LEAST_NOISE, _MOST_NOISE))
-        sigma = np.sqrt(np.clip(sigma**2 - excess, low, high)).astype(np.float32)
+        made = frames()
+        luma_change = aim / _fine_deviation(median_residuals(np.stack([each.luma for each in made])).values)
+        gain = np.clip(gain * luma_change, *_NOISE_GAIN)
+        chroma_change = chroma_aim / _chroma_deviation([each.color for each in made])
+        chroma = np.clip(chroma * chroma_change / luma_change, *_NOISE_GAIN)
     return frames()
+
+
+def _fine_deviation(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "h w"]:
+    """Typical deviation around each pixel of residuals without what changes over more than some pixels, as daylight."""
+    fine = np.stack([np.abs(frame - cv2.blur(frame, (_FINE_PX,) * 2)) for frame in values])
+    middle = len(fine) // 2
+    return np.maximum(cv2.blur(np.partition(fine, middle, axis=0)[middle], (_NOISE_BLUR_PX,) * 2), np.float32(0.05))
+
+
+def _chroma_deviation(colors: Sequence[UInt8[np.ndarray, "h w 3"]]) -> Float32[np.ndarray, "h w"]:
+    """Typical deviation around each pixel of the color differences: the larger of those of Cr and Cb."""
+    values = np.stack([cv2.cvtColor(each, cv2.COLOR_RGB2YCrCb)[..., 1:] for each in colors]).astype(np.float32)
+    values -= np.mean(values, axis=0)
+    return np.maximum(_fine_deviation(values[..., 0]), _fine_deviation(values[..., 1]))
 
 
 # Comparison
 
 _SKY_PERCENTILE = 90
+DROP_SHARE = 0.8
+"""Light of a drop as a share of that of the sky in the picture: a drop refracts light from up to 82 degrees around the
+line of sight, half of it from within 26 degrees, and reflects some. Integrated over the drop with Fresnel's
+transmittance, 7 degrees above the horizon, under the CIE's overcast sky over ground with 0.12 of its light."""
+
 _MAX_SPACING_S = 0.2
 
 
@@ -278,6 +194,8 @@ class MeasuredFrames:
     """Frames of one sequence and everything measured in them."""
 
     frames: UInt8[np.ndarray, "t h w"]
+    colors: tuple[UInt8[np.ndarray, "h w 3"], ...]
+    """The frames in display color (RGB)."""
     found: MedianResiduals
     streaks: StreakTable
     statistics: FrameStatistics
@@ -289,7 +207,7 @@ class MeasuredFrames:
     @classmethod
     def of(
         cls, frames: UInt8[np.ndarray, "t h w"], found: MedianResiduals, drop_levels: float, exposure_s: float | None,
-        light: Float32[np.ndarray, "t h w"] | float = 0.0,
+        light: Float32[np.ndarray, "t h w"] | float = 0.0, colors: Sequence[UInt8[np.ndarray, "h w 3"]] = (),
     ) -> "MeasuredFrames":  # fmt: skip
         """Measure; `light` is a slow change of light that is not rain's."""
         bright, darker = find_streaks(found, drop_levels), find_streaks(found, drop_levels, darker=True)
@@ -302,8 +220,8 @@ class MeasuredFrames:
         clouds = slow_light((found.values - light).astype(np.float32))[:, found.still].std(axis=1)
         deviation = found.values[:, found.still].std(axis=1)
         return cls(
-            frames=frames, found=found, streaks=bright, statistics=statistics, cloud_levels=clouds,
-            deviation_levels=deviation,
+            frames=frames, colors=tuple(colors), found=found, streaks=bright, statistics=statistics,
+            cloud_levels=clouds, deviation_levels=deviation,
         )  # fmt: skip
 
 
@@ -357,11 +275,14 @@ def compare_with_real_rain(
         raise ValueError(
             f"window {x},{y},{width},{height}: must be 32 px or more within {camera.width}x{camera.height}"
         )
+    part = (slice(y, y + height), slice(x, x + width))
     pictures = [sequence.gray_image(k) for k in numbers]
-    frames = np.stack([picture[y : y + height, x : x + width] for picture in pictures])
+    frames = np.stack([picture[part] for picture in pictures])
+    colors = [np.ascontiguousarray(sequence.picture(k)[part]) for k in numbers]
     real = median_residuals(frames)
     horizon = above_horizon(sequence)[3]
     sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
+    drop = light_of_drops(_color_of_light(colors, frames, sky), rain.sensor)
     times = [sequence.times_s[k] for k in numbers]
     light = slow_light(real.values)
     ours: list[MeasuredFrames] = []
@@ -370,9 +291,10 @@ def compare_with_real_rain(
         lens = falling.lens(camera)  # of the whole image: the window has the same lens
         fixed = {"aperture_mm": 1e3 * lens.aperture_m, "focus_distance_m": lens.focus_m}
         falling = falling.changed(msgspec.structs.replace(falling.rain, **fixed), 0.0)
-        rendered = simulated_frames(real, cropped_camera(camera, window), falling, times, sky)
+        made = simulated_frames(real, colors, cropped_camera(camera, window), falling, times, drop, camera.height)
+        rendered = np.stack([each.luma for each in made])
         found = replace(median_residuals(rendered), still=real.still)
-        ours.append(MeasuredFrames.of(rendered, found, sky, exposure, light))
+        ours.append(MeasuredFrames.of(rendered, found, sky, exposure, light, [each.color for each in made]))
     return RealRainComparison(
         sequence=sequence.name,
         labelled_mm_h=sequence.intensity_mm_h,
@@ -380,6 +302,24 @@ def compare_with_real_rain(
         window=window,
         numbers=tuple(numbers),
         sky_levels=sky,
-        real=MeasuredFrames.of(frames, real, sky, None),
+        real=MeasuredFrames.of(frames, real, sky, None, colors=colors),
         ours=tuple(ours),
     )
+
+
+def light_of_drops(sky: Float64[np.ndarray, "3"], sensor: str | None) -> Float64[np.ndarray, "3"]:
+    """Display color of a drop under an overcast sky, from that of the sky in the picture: DROP_SHARE of its light."""
+    curve = "srgb" if sensor is None else load_sensor(sensor).tone_curve
+    return 255 * tone_curve(DROP_SHARE * light_of_display(sky / 255, curve), curve)
+
+
+def _color_of_light(
+    colors: Sequence[UInt8[np.ndarray, "h w 3"]], lumas: UInt8[np.ndarray, "t h w"], levels: float
+) -> Float64[np.ndarray, "3"]:
+    """Return the median color of the pixels within 4 gray levels of a luma, moved to it; gray if there is none."""
+    pairs = zip(colors, lumas.astype(np.float32), strict=True)
+    found = np.concatenate([color[np.abs(luma - levels) < 4] for color, luma in pairs])
+    if not len(found):
+        return np.full(3, levels)
+    color = np.median(found, axis=0)
+    return np.clip(color + levels - color @ np.array([0.299, 0.587, 0.114]), 0, 255)

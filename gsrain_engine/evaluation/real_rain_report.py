@@ -3,10 +3,11 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from ..datasets.rainsense import RainSequence
+from ..render.camera_response import to_levels
 from .real_rain import MeasuredFrames, RealRainComparison
 from .streaks import DARK_BAND, streaks_within
 
@@ -198,6 +199,7 @@ _GAP_PX = 12
 _MIN_STILL = 0.9
 _DARK_LEVELS, _MIN_DARK = 96, 0.4
 _TRIES = 300
+_SEAM_PX = 2.0  # width of the transition to places where something moves
 
 
 class Pair(NamedTuple):
@@ -210,34 +212,26 @@ class Pair(NamedTuple):
     """left or right."""
 
 
-def unlabeled_pairs(
-    rows: Sequence[tuple[RainSequence, RealRainComparison]], count: int, seed: int = 0
-) -> Iterator[Pair]:
+def unlabeled_pairs(rows: Sequence[RealRainComparison], count: int, seed: int = 0) -> Iterator[Pair]:
     """Choose crops before dark and still backgrounds from sequences with rain in turn, and pair real with ours.
 
-    Both are the color of the temporal median plus a frame's residual of luma, so that they differ by rain and noise
-    alone; where leaves or people move, both have no residual.
+    Where leaves or people move, ours has the pixels of the real frame: there, both are the same.
     """
     random = np.random.default_rng(seed)
-    rainy = [each for each in rows if each[1].labelled_mm_h > 0]
-    medians = [_color_median(sequence, row) for sequence, row in rainy]
+    rainy = [row for row in rows if row.labelled_mm_h > 0]
     for number in range(count):
-        k = number % len(rainy)
-        row = rainy[k][1]
-        corner = _dark_corner(row, random)
-        part = (slice(corner[1], corner[1] + PAIR_CROP[1]), slice(corner[0], corner[0] + PAIR_CROP[0]))
+        row = rainy[number % len(rainy)]
+        x, y = _dark_corner(row, random)
+        part = (slice(y, y + PAIR_CROP[1]), slice(x, x + PAIR_CROP[0]))
         frame = int(random.integers(len(row.numbers)))
-        crops = [_with_residual(medians[k][part], each, row, frame, part) for each in (row.real, row.ours[0])]
+        real, made = (each.colors[frame][part].astype(np.float32) for each in (row.real, row.ours[0]))
+        moves = cv2.GaussianBlur((~row.real.found.still[part]).astype(np.float32), (0, 0), _SEAM_PX)[..., None]
+        ours = made + np.minimum(2 * moves, 1) * (real - made)
         real_first = bool(random.integers(2))
-        left, right = crops if real_first else crops[::-1]
-        gap = np.full((left.shape[0], _GAP_PX, 3), 255, np.uint8)
-        picture = np.concatenate([left, gap, right], axis=1)
+        left, right = (real, ours) if real_first else (ours, real)
+        gap = np.full((left.shape[0], _GAP_PX, 3), 255, np.float32)
+        picture = to_levels(np.concatenate([left, gap, right], axis=1))
         yield Pair(picture, row.sequence, row.numbers[frame], "left" if real_first else "right")
-
-
-def _color_median(sequence: RainSequence, row: RealRainComparison) -> UInt8[np.ndarray, "h w 3"]:
-    x, y, width, height = row.window
-    return np.median([sequence.picture(k)[y : y + height, x : x + width] for k in row.numbers], axis=0).astype(np.uint8)
 
 
 def _dark_corner(row: RealRainComparison, random: np.random.Generator) -> tuple[int, int]:
@@ -255,12 +249,3 @@ def _dark_corner(row: RealRainComparison, random: np.random.Generator) -> tuple[
         tries.append((float(still + dark), x, y))
     _, x, y = max(tries)
     return x, y
-
-
-def _with_residual(
-    color: UInt8[np.ndarray, "h w 3"], measured: MeasuredFrames, row: RealRainComparison, frame: int,
-    part: tuple[slice, slice],
-) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
-    residual = measured.frames[frame][part].astype(np.float32) - row.real.found.median[part]
-    residual = np.where(row.real.found.still[part], residual, 0)
-    return np.clip(np.rint(color + residual[..., None]), 0, 255).astype(np.uint8)

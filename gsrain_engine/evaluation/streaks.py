@@ -165,6 +165,7 @@ def box_with_moments(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "
 
 VISIBLE_LEVELS = 8  # a pixel counts as changed if it differs from its median by more gray levels than this
 RESTLESS_LEVELS = 4.5  # larger typical deviations mean motion in most frames: leaves, water, people. Rain is in few
+LIMIT_OF_NOISE_LEVELS = 4.0  # deviations up to this are noise of a camera in good light
 _MIN_SIGMA = 0.5  # of a level: gray values are integers
 _RESTLESS_MARGIN_PX = 3
 

@@ -113,6 +113,8 @@ class RainFrame:
     """Sheltered areas over the cell; None without any."""
     lamps: LitLamps | None = None
     """Lamps that light drops and medium, in the world; None without any."""
+    splashes: Gaussians | None = None
+    """Splashes of drops that have landed; None without any."""
 
     @property
     def is_clear(self) -> bool:
@@ -217,10 +219,14 @@ class RainFrame:
 
     @cached_property
     def drawn_haze(self) -> Gaussians:
-        """Haze Gaussians; black if their color stands for light of lamps, as that of `lit_streaks` does."""
-        if self.lamp_light is None or not self.is_linear:
-            return self.haze
-        return replace(self.haze, sh=sh_of(np.zeros(3), len(self.haze)))
+        """Haze Gaussians, then splashes; with the light of lamps as their color, as `lit_streaks`: none on haze."""
+        haze, splashes = self.haze, self.splashes
+        if self.lamp_light is not None and self.is_linear:
+            haze = replace(haze, sh=sh_of(np.zeros(3), len(haze)))
+            if splashes is not None:
+                light = light_of_drops(self.lamp_light, splashes.means, self.view.camera)
+                splashes = replace(splashes, sh=sh_from_color(light))
+        return haze if splashes is None else Gaussians.concatenate([haze, splashes])
 
     @cached_property
     def medium(self) -> RainMedium | None:

@@ -176,6 +176,8 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
     intensity = rain.intensity_mm_h
     # At R = 0 there are no drops; their sizes stay those of the faintest rain to avoid division by zero.
     table_density, sizes = _interpolate_table(calibration, max(intensity, _MIN_MM_H))
+    if rain.diameter_scale != 1:
+        sizes = DropSizes(sizes.shape, rain.diameter_scale * sizes.scale_mm)
     velocity = fall_speed(rain, calibration)
     if intensity == 0:
         table_density = 0.0
@@ -306,7 +308,11 @@ class DropClassTable:
             nodes = np.unique(np.concatenate([low, grid, rows[(rows > grid[0]) & (rows < grid[-1])]]))
         rates = np.maximum(nodes, LOWEST_MM_H).tolist()
         diameters, speeds = zip(
-            *(_classes_at(rate, rain.velocity, rain.turbulence_m_s, calibration) for rate in rates), strict=True
+            *(
+                _classes_at(rate, rain.velocity, rain.turbulence_m_s, rain.diameter_scale, calibration)
+                for rate in rates
+            ),
+            strict=True,
         )
         return cls(nodes, diameters, speeds)
 
@@ -361,9 +367,15 @@ def _steps(intensity_mm_h: float) -> float:
 
 @lru_cache(maxsize=_CACHED_TABLES)
 def _classes_at(
-    intensity_mm_h: float, velocity: Literal["calibration", "atlas"], turbulence_m_s: float, calibration: Calibration
+    intensity_mm_h: float,
+    velocity: Literal["calibration", "atlas"],
+    turbulence_m_s: float,
+    diameter_scale: float,
+    calibration: Calibration,
 ) -> tuple[Float64[np.ndarray, " classes"], Float64[np.ndarray, " classes"]]:
-    rain = RainSettings(intensity_mm_h=intensity_mm_h, velocity=velocity, turbulence_m_s=turbulence_m_s)
+    rain = RainSettings(
+        intensity_mm_h=intensity_mm_h, velocity=velocity, turbulence_m_s=turbulence_m_s, diameter_scale=diameter_scale
+    )
     diameters = rain_properties(rain, calibration).sizes.class_diameters_mm
     return diameters, fall_speed(rain, calibration)(diameters)
 

@@ -123,6 +123,11 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             "spelling": {"flux": "density", "table": "published"}},
         description="flux (density): as many drops as the intensity needs. "
         "table (published): those of the calibration's table.")] = "density"
+    diameter_scale: Annotated[float, Meta(
+        ge=0.25, le=4, title="Drop size", extra={
+            "group": "Physics", "scale": "log", "commands": "render, disdrometer, drive"},
+        description="Multiplies all diameters. With the closure flux, fewer large or more small drops give the same "
+        "mm/h.")] = 1.0
     velocity: Annotated[Literal["calibration", "atlas"], Meta(
         title="Fall speed", extra={"group": "Physics"},
         description="V(D) (eq. 9): the calibration's fit, or Atlas 1973.")] = "calibration"
@@ -215,7 +220,14 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
     mirror: Annotated[bool, Meta(
         title="Mirror", extra={"commands": "render, drive, evaluate detection"},
-        description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = False
+        description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = True
+    splashes: Annotated[bool, Meta(
+        title="Splashes and rings", extra={"commands": "render, drive, evaluate detection"},
+        description="Drops that land throw up crowns near the camera, in scenes with wet colors, and start rings in "
+        "water that mirrors.")] = True
+    spray: Annotated[bool, Meta(
+        title="Spray", extra={"commands": "render, drive, evaluate detection, evaluate lidar"},
+        description="Fast vehicles throw water from a wet road into a wake, in scenes with wet colors.")] = True
     drying_s: Annotated[float, Meta(
         ge=0, le=7200, title="Drying", extra={"unit": "s", "group": "Appearance", "slider_to": 600.0},
         description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0

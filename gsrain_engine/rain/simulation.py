@@ -136,6 +136,11 @@ class RainSimulation:
         """True if there is rain or fog at any time."""
         return self.weather.heaviest_mm_h(self.rain) > 0 or self.rain.visibility_m is not None
 
+    @property
+    def is_never_overcast(self) -> bool:
+        """True if `overcast_at` is 0 at any time."""
+        return self.rain.wetness == 0 or (self.rain.wetness is None and not self.can_rain)
+
     def exposure_s(self, camera: Camera) -> float:
         """Shutter time: the rain's own, else that of a sensor which the rain names, else the camera's."""
         named = None if self.rain.sensor is None else self.sensor.shutter_s
@@ -241,7 +246,7 @@ class RainSimulation:
 
 _MOVING = (
     "intensity_mm_h", "wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s", "roughness_m", "seed",
-    "velocity", "calibration", "streak_reset",
+    "velocity", "calibration", "diameter_scale", "streak_reset",
 )  # fmt: skip
 """Fields of the rain that determine the fall and drift of drops under keyframes."""
 

@@ -22,7 +22,8 @@ SOAKING_DEPTH_MM = 0.05
 OVERCAST_FROM_MM_H, OVERCAST_MM_H = 0.3, 0.5
 """Intensity above which the sky closes, and from which it is closed. Below, rain dries where it falls."""
 
-_OF_INTENSITY = 0.59
+DEPTH_EXPONENT = 0.59
+"""Exponent of the rain rate in the depth of water on a road (Gallaway et al. 1979)."""
 _THIRDS = 60
 
 
@@ -33,17 +34,17 @@ def water_depth_mm(intensity_mm_h: float) -> float:
     Highway Administration report RD-79-31); they subtract MTD to measure from the texture's top.
     """
     road = TEXTURE_DEPTH_MM**0.11 * DRAINAGE_LENGTH_M**0.43 / CROSS_SLOPE**0.42
-    return 0.01485 * road * intensity_mm_h**_OF_INTENSITY
+    return 0.01485 * road * intensity_mm_h**DEPTH_EXPONENT
 
 
-def flooded_share(intensity_mm_h: float) -> float:
-    """Share of a road's texture that water covers in steady rain, so that it stands on it, 0..1.
+def flooded_share(depth_mm: float) -> float:
+    """Share of a road's texture that water of a mean depth covers, so that it stands on it, 0..1.
 
     The share of places whose texture is less deep than the water, with a normal distribution of depths of mean MTD and
-    standard deviation MTD / 2, our choice: 0.08 at 1, 0.5 at 8.5, 0.9 at 20 mm/h.
+    standard deviation MTD / 2, our choice: 0.08 in steady rain of 1, 0.5 of 8.5, 0.9 of 20 mm/h.
     """
-    above = (water_depth_mm(intensity_mm_h) - TEXTURE_DEPTH_MM) / (TEXTURE_DEPTH_MM / 2)
-    return 0.5 * math.erfc(-above / math.sqrt(2)) if intensity_mm_h > 0 else 0.0
+    above = (depth_mm - TEXTURE_DEPTH_MM) / (TEXTURE_DEPTH_MM / 2)
+    return 0.5 * math.erfc(-above / math.sqrt(2)) if depth_mm > 0 else 0.0
 
 
 def overcast(intensity_mm_h: float) -> float:
@@ -120,7 +121,7 @@ class WetnessCurve:
 
 
 def _log_wetness(intensities_mm_h: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    depths = water_depth_mm(1.0) * intensities_mm_h**_OF_INTENSITY
+    depths = water_depth_mm(1.0) * intensities_mm_h**DEPTH_EXPONENT
     closed = np.clip((intensities_mm_h - OVERCAST_FROM_MM_H) / (OVERCAST_MM_H - OVERCAST_FROM_MM_H), 0, 1)
     with np.errstate(divide="ignore"):  # ln 0 = -inf up to 0.3 mm/h
         return np.log(closed * closed * (3 - 2 * closed)) + np.log(-np.expm1(-depths / SOAKING_DEPTH_MM))

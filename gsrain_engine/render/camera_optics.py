@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import msgspec
@@ -15,6 +16,7 @@ from ..water.glass import CameraMotion, GlassHistory, GlassState, PastMotion
 from ..water.glass_drops import GlassDrops
 from ..water.pane import GlassKind, Pane, pane_of
 from ..water.refraction import GlassView, WetGlass, wide_camera
+from ..water.spray import spray_of
 from .camera_response import CameraResponse, PictureOptics, metered_gain
 from .draw import LodSubset, RenderView, draw_view, ego_view
 from .renderer import Renderer
@@ -51,10 +53,30 @@ class CameraOptics:
         motion up to the frame; None is a camera that does not move. Glass is dry unless rain `falls`.
         """
         response = self._response(renderer, scene, rainfall, shot, camera)
+        through = self.glass_view(
+            renderer, scene, rainfall, sky, shot,
+            camera=camera, past=past, camera_to_vehicle=camera_to_vehicle, falls=falls,
+        )  # fmt: skip
+        return None if through is None and response is None else PictureOptics(through, response)
+
+    def glass_view(
+        self,
+        renderer: Renderer,
+        scene: Scene,
+        rainfall: RainSimulation,
+        sky: SkyLight,
+        shot: RenderView,
+        *,
+        camera: Hashable = "",
+        past: PastMotion | None = None,
+        camera_to_vehicle: Float64[np.ndarray, "3 3"] | None = None,
+        falls: bool = True,
+    ) -> GlassView | None:
+        """Return the glass in front of a camera, as `of` does, without the sensor; None without glass."""
         pane = pane_in_front(rainfall, shot, camera_to_vehicle)
         if pane is None:
-            return None if response is None else PictureOptics(response=response)
-        glass = self._glass(pane, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
+            return None
+        glass = self._glass(pane, scene, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
         wide = wide_camera(shot.camera)
         if len(glass.drops):
             # The medium takes the place of streaks, which drops on glass shrink to nothing.
@@ -65,8 +87,7 @@ class CameraOptics:
             self._thinning.forget_all_but(each.gaussians for each in scene.members)
         else:
             behind = np.zeros((wide.height, wide.width, 3), np.uint8)
-        through = GlassView(glass, shot.camera, rainfall.lens(shot.camera), behind)
-        return PictureOptics(through, response)
+        return GlassView(glass, shot.camera, rainfall.lens(shot.camera), behind)
 
     def meter(
         self, renderer: Renderer, scene: Scene, rainfall: RainSimulation, shot: RenderView, camera: Hashable = ""
@@ -86,17 +107,19 @@ class CameraOptics:
         return CameraResponse(sensor, shot.camera, shot.time_s, rainfall.rain.seed, self._gains.get(camera, 1.0))
 
     def _glass(
-        self, pane: Pane, rainfall: RainSimulation, time_s: float, camera: Hashable, past: PastMotion, *, falls: bool
-    ) -> WetGlass:
+        self, pane: Pane, scene: Scene, rainfall: RainSimulation, time_s: float, camera: Hashable, past: PastMotion,
+        *, falls: bool,
+    ) -> WetGlass:  # fmt: skip
         rain = rainfall.rain
         is_wet = falls and rainfall.weather.heaviest_mm_h(rain) > 0
         drops, film_m, blade_rad = np.zeros((0, 10)), np.zeros((1, 1), np.float32), None
         if is_wet:
             known = self._water.get(camera)
-            if known is None or known[0] is not rainfall or known[1].pane.key != pane.key:
+            is_same = known is not None and (known[0].rain, known[1].pane.key) == (rain, pane.key)
+            if known is None or not is_same or known[0].weather is not rainfall.weather:
                 known = self._water[camera] = rainfall, glass_history(pane, rainfall, past)
             history = known[1]
-            history.past = past
+            history.past, history.spray = past, partial(spray_of, scene, rainfall)
             history.at(time_s)
             drops, film_m = history.drops.present(), history.drops.film_m
             blade_rad = history.wiper.angle_rad if pane.kind == "windshield" and rain.wiper != "off" else None
@@ -141,7 +164,7 @@ def glass_state(
 def at_rest(shot: RenderView) -> PastMotion:
     """Past motion of a camera that keeps the pose and the velocity of a view."""
     velocity = np.zeros(3) if shot.velocity_m_s is None else shot.velocity_m_s
-    motion = CameraMotion(shot.camera.camera_to_world[:3, :3], velocity)
+    motion = CameraMotion(shot.camera.camera_to_world[:3, :3], velocity, shot.camera.position)
     return lambda time_s: motion
 
 
@@ -167,6 +190,6 @@ def ego_motion(scene: Scene, shot: RenderView) -> EgoMotion:
         pose = then @ camera_to_ego
         camera = replace(shot.camera, world_to_camera=np.linalg.inv(pose))
         velocity = ego_view(scene, camera, time_s).velocity_m_s
-        return CameraMotion(pose[:3, :3], np.zeros(3) if velocity is None else velocity)
+        return CameraMotion(pose[:3, :3], np.zeros(3) if velocity is None else velocity, pose[:3, 3])
 
     return EgoMotion(motion, camera_to_ego[:3, :3])

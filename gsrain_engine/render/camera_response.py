@@ -16,15 +16,17 @@ from ..scene.camera import Camera
 from ..scene.geometry import LUMINANCE, linear_to_srgb, srgb_to_linear
 from ..scene.sensor import Sensor
 from ..water.refraction import GlassView
+from .signal_processing import processed, with_chroma_noise
 
 cv2: Any = lazy_loader.load("cv2")  # only pictures of a sensor with JPEG need it
 
 MAX_GAIN = 4.0
 """Upper bound of the gain of automatic exposure, and its inverse the lower one."""
 
-CRUSH = 0.2
-"""Display value at which the tone curve `crushed` has fallen to about half, fitted to the rise of RainSense's streaks
-before backgrounds of gray 0 to 16 (docs/real_rain_method.md)."""
+CRUSH, GLARE = 0.25, 0.006
+"""Constants of the tone curve `crushed`: the display value at which it has fallen to about half, and the veiling glare,
+light that the lens spreads over the picture, as a share of white, which is shown as black. Fitted to the rise of
+RainSense's streaks before backgrounds of gray 0 to 16 and 32 to 64 (docs/real_rain_method.md)."""
 
 _NORMALS, _TONES = 1 << 12, 1 << 14  # entries of the tables of normal deviates and of the tone curve
 
@@ -45,22 +47,24 @@ class CameraResponse:
 
         Linear light of 1, white, is full well over gain in electrons; noise is that of shot and readout (Gaussian, with
         the variance of Poisson's law: Foi et al. 2008). A pixel of a smaller picture than the sensor's is the mean of
-        several of the sensor's, each with its own noise. Then come exposure gain, clipping, tone curve and JPEG. Pixels
-        and channels have noise of their own; a color filter array and its interpolation are not simulated.
+        several of the sensor's, each with its own noise. Then come exposure gain, clipping, tone curve, signal
+        processing and JPEG. Pixels and channels have noise of their own; a color filter array is simulated by the blur
+        of its interpolation.
         """
-        sensor, levels = self.sensor, np.arange(256) / 255
-        light = srgb_to_linear(levels)
-        sigma = np.zeros(256)
-        if sensor.full_well_e is not None:
-            white_e = sensor.full_well_e / sensor.gain
-            binned = max(sensor.size_px[1] / image.shape[0], 1.0)  # native pixels along each side of a pixel
-            sigma = np.sqrt(light * white_e + sensor.read_noise_e**2) / (binned * white_e)
+        sensor = self.sensor
+        light = srgb_to_linear(np.arange(256) / 255)
+        sigma = light_noise(light, sensor, image.shape[0])
         scale = self.exposure_gain * (_TONES - 1)
         made = np.empty_like(image)
         _expose(
             np.ascontiguousarray(image), (scale * light).astype(np.float32), (scale * sigma).astype(np.float32),
             _normal_deviates(), _tone_table(sensor.tone_curve), *self._key(), made,
         )  # fmt: skip
+        if sensor.processes_signal:
+            clean = _tone_table(sensor.tone_curve)[np.clip(scale * light + 0.5, 0, _TONES - 1).astype(int)][image]
+            noise = with_chroma_noise(made.astype(np.float32) - clean, sensor.chroma_noise)
+            levels = display_noise(sensor, image.shape[0], self.exposure_gain)[cv2.cvtColor(clean, cv2.COLOR_RGB2GRAY)]
+            made = to_levels(processed(clean + noise, levels, sensor))
         return made if sensor.jpeg_quality is None else _compressed(made, sensor.jpeg_quality)
 
     def _key(self) -> tuple[np.uint32, np.uint32, np.uint32]:
@@ -93,16 +97,47 @@ def metered_gain(image: UInt8[np.ndarray, "h w 3"], sensor: Sensor) -> float:
     return float(np.clip(target / max(luminance, 1e-6), 1 / MAX_GAIN, MAX_GAIN))
 
 
+def light_noise(light: Float64[np.ndarray, " n"], sensor: Sensor, height: int) -> Float64[np.ndarray, " n"]:
+    """Standard deviation of the noise of linear light 0..1 in a picture with so many rows, before any gain."""
+    if sensor.full_well_e is None:
+        return np.zeros_like(light)
+    white_e = sensor.full_well_e / sensor.gain
+    glare = GLARE if sensor.tone_curve == "crushed" else 0.0
+    binned = max(sensor.size_px[1] / height, 1.0)  # native pixels along each side of a pixel
+    return np.sqrt((light + glare) * white_e + sensor.read_noise_e**2) / (binned * white_e)
+
+
+def display_noise(sensor: Sensor, height: int, exposure_gain: float = 1.0) -> Float32[np.ndarray, "256"]:
+    """Standard deviation, in gray levels, of the noise of each gray level before signal processing."""
+    light = light_of_display(np.arange(256) / 255, sensor.tone_curve)
+    sigma = exposure_gain * light_noise(light / exposure_gain, sensor, height)
+    # The slope of the tone curve over the range that the noise fills.
+    spread = np.maximum(sigma, 1e-6)
+    brighter, darker = (tone_curve(np.clip(light + sign * spread, 0, 1), sensor.tone_curve) for sign in (1, -1))
+    return (255 * sigma * (brighter - darker) / (2 * spread)).astype(np.float32)
+
+
+def to_levels(picture: Float32[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
+    """Round to gray levels."""
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
 def tone_curve(light: np.ndarray, name: str) -> np.ndarray:
-    """Display value 0..1 of linear light 0..1: y by sRGB's curve; `crushed` is y^2 (1 + k) / (y + k), k = `CRUSH`."""
-    display = linear_to_srgb(light)
-    return display if name == "srgb" else display**2 * (1 + CRUSH) / (display + CRUSH)
+    """Display value 0..1 of linear light L 0..1: y(L) by sRGB's curve.
+
+    `crushed` adds veiling glare g = `GLARE` and subtracts its display value as black: e = (y(L + g (1 - L)) - y(g)) /
+    (1 - y(g)). Its value is e^2 (1 + k) / (e + k), k = `CRUSH`.
+    """
+    if name == "srgb":
+        return linear_to_srgb(light)
+    black = float(linear_to_srgb(np.array([GLARE]))[0])
+    display = (linear_to_srgb(light + GLARE * (1 - light)) - black) / (1 - black)
+    return display**2 * (1 + CRUSH) / (display + CRUSH)
 
 
 def light_of_display(display: Float64[np.ndarray, "*n"], name: str) -> Float64[np.ndarray, "*n"]:
     """Linear light 0..1 of display values 0..1 by the inverse of `tone_curve`."""
-    levels = np.linspace(0, 1, 1 << 12)
-    light = srgb_to_linear(levels)
+    light = srgb_to_linear(np.linspace(0, 1, 1 << 12))
     return np.interp(display, tone_curve(light, name), light)
 
 
@@ -141,14 +176,18 @@ def _expose(image, means, sigmas, normals, tones, seed, moment, camera, made):
 
 def _compressed(image: UInt8[np.ndarray, "h w 3"], quality: int) -> UInt8[np.ndarray, "h w 3"]:
     """Compress as JPEG with halved chroma, and decompress."""
+    return np.ascontiguousarray(cv2.imdecode(jpeg_of(image, quality), cv2.IMREAD_COLOR)[..., ::-1])
+
+
+def jpeg_of(image: UInt8[np.ndarray, "h w 3"], quality: int) -> UInt8[np.ndarray, " n"]:
+    """Return a picture as the bytes of a JPEG file with halved chroma."""
     options = [
         cv2.IMWRITE_JPEG_QUALITY,
         quality,
         cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
         cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
     ]
-    _, data = cv2.imencode(".jpg", image[..., ::-1], options)
-    return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
+    return cv2.imencode(".jpg", image[..., ::-1], options)[1]
 
 
 def stored_jpeg(gray: UInt8[np.ndarray, "h w"], quality: int) -> UInt8[np.ndarray, "h w"]:

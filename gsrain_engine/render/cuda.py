@@ -8,6 +8,7 @@ gsplat based on our own rasterizer (tests/render/cuda/gsplat_stand_in.py), not w
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from .cpu.compositing import add_light, sky_layer
 from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
 from .cpu.tiles import MAX_ALPHA
 from .mirror import film_items
-from .renderer import MIN_WEIGHT, Color, Frame, RenderMode, RenderStatistics, timed
+from .renderer import MIN_WEIGHT, Color, Frame, PendingImage, RenderMode, RenderStatistics, timed
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -128,6 +129,9 @@ class CudaRenderer:
 
     def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         return self.read().to_uint8(background)
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        return partial(self.read().to_uint8, background)
 
     def _composited(
         self, scene: "CameraSpace", camera: Camera, slabs: "DepthSlabs | None", *, is_lit: bool

@@ -2,25 +2,30 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from ..rain.frame import RainCamera, SkyLight
+from ..rain.frame import RainCamera, RainFrame, SkyLight
 from ..rain.shelter_map import shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
+from ..scene.ground_water import ground_heights
 from ..scene.lod_order import lod_growth
-from ..scene.lod_tree import PIXEL, cut_lod_tree, merged_harmonics
+from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
+from ..water.films import WaterDepth, WaterFilms
+from ..water.splashes import Splashes
+from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
+from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
-from .mirror import draw_mirror, has_mirror, reflecting_items
-from .renderer import Renderer, RenderMode
+from .mirror import draw_mirror, has_mirror, reflecting_items, ring_waves, standing_water
+from .renderer import PendingImage, Renderer, RenderMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +40,11 @@ class RenderView:
     """Focal length of the output image if a smaller one is drawn; None uses the camera's."""
     exposure_share: float = 1.0
     """Fraction of the shutter time, for one of several sub-frames that share it."""
+
+
+def has_spray(scene: Scene, rainfall: RainSimulation | None, time_s: float) -> bool:
+    """Return whether spray floats in a scene at a time."""
+    return rainfall is not None and len(spray_of(scene, rainfall, time_s)) > 0
 
 
 _STEP_S = 0.005  # half the time step of the velocity estimate
@@ -67,7 +77,8 @@ def draw_view(
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
     `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
-    leaves out some of each part's Gaussians; `selection` tints selected ones.
+    leaves out some of each part's Gaussians; `selection` tints selected ones. Spray counts in depth: where `has_spray`,
+    draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
@@ -77,8 +88,11 @@ def draw_view(
         soaked = rainfall.soaked_share_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
-    has_water = rainfall is not None and rainfall.rain.mirror and look == "splats"
-    has_water = has_water and has_mirror(scene, shot.camera, wetness)
+    has_water, standing, depth = False, (0.0, 0.0), WaterDepth(0.0, 0.0)
+    if rainfall is not None and rainfall.rain.mirror and look == "splats":
+        depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
+        standing = standing_water(rainfall.rain, depth, wetness)
+        has_water = has_mirror(scene, shot.camera, wetness, standing)
     lit = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
     parts = list(subset_items(lit, thinning, shot.camera))
     if lamps and scene.ground_m is not None and look == "splats":
@@ -91,15 +105,42 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         mirror = draw_mirror(
             renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
-            flooded_share(rainfall.state_at(shot.time_s).intensity_mm_h), sky.drops, lit_lamps,
+            flooded_share(depth.film_mm), sky.drops, lit_lamps, standing,
+            ring_waves(scene, rainfall, shot.camera, shot.time_s, shot.focal_px) if falls else None,
         )  # fmt: skip
+    if rain is not None and rainfall is not None and has_splashes(scene, rainfall, wetness):
+        rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
+    if rain is not None and rainfall is not None:
+        spray = spray_of(scene, rainfall, shot.time_s)
+        parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
+
+
+def has_splashes(scene: Scene, rainfall: RainSimulation, wetness: float) -> bool:
+    """Return whether drops that land are drawn: on wet ground of a known height, where a scene has wet colors."""
+    return rainfall.rain.splashes and wetness > 0 and scene.ground_m is not None and scene.has_rainy_light
+
+
+def draw_splashes(scene: Scene, rainfall: RainSimulation, rain: RainFrame) -> Gaussians | None:
+    """Splashes on a scene's ground in front of a camera; None without any."""
+    layers = [layer for layer in scene.layers if layer.visible and layer.wet_sh is not None]
+    poses = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene) for layer in layers]
+    surfaces = [(layer.gaussians, pose) for layer, pose in zip(layers, poses, strict=True)]
+    heights = ground_heights(surfaces, scene.ground_m or 0.0, scene.water)
+    found = Splashes(rainfall, rain, WaterFilms.of(rainfall, scene.water), heights).gaussians()
+    return found if len(found) else None
 
 
 def read_picture(renderer: Renderer, optics: PictureOptics | None) -> UInt8[np.ndarray, "h w 3"]:
     """Read the drawn frame back as display color, as the camera stores it."""
     pixels = renderer.read_uint8()
     return pixels if optics is None else optics.picture(pixels)
+
+
+def request_picture(renderer: Renderer, optics: PictureOptics | None) -> PendingImage:
+    """Start to read the drawn frame back as `read_picture` does, so that the next one can be drawn meanwhile."""
+    pending = renderer.request_uint8()
+    return pending if optics is None else lambda: optics.picture(pending())
 
 
 def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
@@ -182,6 +223,12 @@ class LodCut:
         wet_sh = merged_harmonics(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None
         own = part._replace(members=found.leaves, tree=None)
         return [own, own._replace(gaussians=tree.nodes, members=found.nodes, wet_sh=wet_sh)]
+
+
+def lod_cut(scene: Scene, lod: Lod | None) -> LodCut | None:
+    """Cut with which images of a scene are drawn, None for all Gaussians; see `ExportSettings.lod`."""
+    is_cut = scene.gaussian_count >= MIN_GAUSSIANS if lod is None else lod == "pixel"
+    return LodCut() if is_cut else None
 
 
 @dataclass(slots=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
 from ..fields import option_words
 from ..rain.settings import RainSettings
@@ -16,14 +16,14 @@ from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.files import hold_for_writing
-from ..scene.lod_tree import MIN_GAUSSIANS
 from ..scene.open import with_lod_trees
 from ..scene.progress import Progress
 from ..scene.scene import Scene
+from .draw import lod_cut
 from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
 from .images import FrameWriter, open_frame_writer
 from .object_labels import draw_labels, label_legend
-from .renderer import Frame, Renderer, RenderMode
+from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sequence import FrameSequence, RigCameraView, find_rig_cameras
 
 _PREVIEW_PX = 320
@@ -57,10 +57,12 @@ def export_frames(
         ]
         yield Progress(0.0, "Looking at the sky")
         sky = next(iter(sequences.values())).sky(renderer)
-        estimator, frame = EtaEstimator(len(numbers)), None
-        for number in numbers:
+        estimator, drawn = EtaEstimator(len(numbers)), list[_DrawnFrame]()
+        for number in (*numbers, None):  # each frame is read back and written after the next one was drawn
+            ahead = list[_DrawnFrame]()
             try:
-                for sequence, writer, passes, is_clear in streams:
+                for sequence, writer, passes, is_clear in streams if number is not None else ():
+                    assert number is not None
                     labels = frame = None
                     if "labels" in passes:
                         shot = sequence.shot(number)
@@ -71,17 +73,20 @@ def export_frames(
                             "depth" in passes,
                         )
                         if writer.takes_bytes:
-                            frame = sequence.image(renderer, number, rain_sky, look=look)
+                            frame = sequence.request(renderer, number, rain_sky, look=look)
                         else:
                             frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
-                    writer.write(number, frame, labels)
+                    ahead.append(_DrawnFrame(number, writer, frame, labels))
+                written = [each.write() for each in drawn]
             except OSError as error:
                 reason, done = error.strerror or str(error), estimator.done
                 raise OSError(
                     f"{recording.output} can't be written on after {done} frames: {reason}; "
                     "what was written before is whole"
                 ) from error
-            yield estimator.step(frame)
+            if written:
+                yield estimator.step(written[-1])
+            drawn = ahead
 
 
 class _OutputStream(NamedTuple):
@@ -91,6 +96,21 @@ class _OutputStream(NamedTuple):
     writer: FrameWriter
     passes: Set[Pass]
     is_clear: bool
+
+
+class _DrawnFrame(NamedTuple):
+    """Frame of a stream that is read back and written later."""
+
+    number: int
+    writer: FrameWriter
+    frame: Frame | PendingImage | None
+    labels: UInt16[np.ndarray, "h w"] | None
+
+    def write(self) -> Frame | UInt8[np.ndarray, "h w 3"] | None:
+        """Wait for the frame, write it, and return what was written of its color."""
+        frame = self.frame if self.frame is None or isinstance(self.frame, Frame) else self.frame()
+        self.writer.write(self.number, frame, self.labels)
+        return frame
 
 
 def _open_stream(
@@ -218,9 +238,8 @@ def export_sequences(
 
 def merges_details(recording: ExportSettings, scene: Scene) -> bool:
     """Return whether images of a scene are drawn with a level-of-detail cut, see `ExportSettings.lod`."""
-    if recording.lod is None:
-        return scene.gaussian_count >= MIN_GAUSSIANS and recording.format != "npy"
-    return recording.lod == "pixel"
+    is_exact = recording.lod is None and recording.format == "npy"
+    return not is_exact and lod_cut(scene, recording.lod) is not None
 
 
 def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequence]) -> range:

@@ -70,7 +70,7 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         description="The same without drops and haze, as NAME.clear, for paired tests. sunny (alone, too): at 0 mm/h, "
         "as the scene is lit. overcast: in the light and the wet colors of the rain.")] = False
     lod: Annotated[Lod | None, Meta(
-        title="Level of detail", extra={"commands": "render"},
+        title="Level of detail", extra={"commands": "render, drive"},
         description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
         "Gaussian. None takes pixel from a million Gaussians on, except for NPY. Depth and labels are always exact.",
     )] = None

@@ -5,28 +5,58 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from ..rain.frame import RainFrame
+from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.flags import BitMask
 from ..scene.gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
 from ..scene.geometry import srgb_to_linear
 from ..scene.ground_water import GroundMembership, ground_membership, matte_wet_sh
 from ..scene.lamps import LitLamps
+from ..scene.lod_order import lod_sample
 from ..scene.scene import DrawItem, Scene
+from ..water.films import WaterDepth, WaterFilms
+from ..water.impacts import GroundImpacts
 from ..water.mirror import Mirror, make_mirror, mirrored_camera, rows_of_ground
+from ..water.rings import RingWaves
 from .renderer import Color, Renderer
 
 _MIN_HEIGHT_M = 0.05  # of a camera over the ground
+_SHARE = 0.35  # of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution
+_FEW = 20_000  # Gaussians of a member that is reflected whole
 
 
-def has_mirror(scene: Scene, camera: Camera, wetness: float) -> bool:
-    """Return whether wet ground reflects the scene into a camera: the scene has a map of its water, and it is wet."""
-    if scene.water is None or wetness <= 0:
+def has_mirror(scene: Scene, camera: Camera, wetness: float, standing: tuple[float, float]) -> bool:
+    """Return whether wet ground reflects the scene into a camera: the scene has a map of its water, and it is wet.
+
+    `standing` is the `standing_water` of that time.
+    """
+    if scene.water is None or (wetness <= 0 and min(standing) <= 0):
         return False
     first, last = rows_of_ground(camera)
     return last > first and bool(camera.position[2] > (scene.ground_m or 0.0) + _MIN_HEIGHT_M)
+
+
+def standing_water(rain: RainSettings, depth: WaterDepth, wetness: float) -> tuple[float, float]:
+    """Share of the area of dips that is under water, and how wet it is: as wet as can be, or as is set by hand."""
+    return depth.filled, 1.0 if rain.wetness is None else wetness
+
+
+def ring_waves(
+    scene: Scene, rainfall: RainSimulation, camera: Camera, time_s: float, focal_px: float | None
+) -> RingWaves | None:
+    """Rings of drops that land before a camera; None where there are none."""
+    if not rainfall.rain.splashes or scene.water is None:
+        return None
+    ahead, focal = camera.world_to_camera[2, :2], focal_px or float(np.sqrt(camera.fx * camera.fy))
+    length = float(np.hypot(*ahead))
+    heading = ahead / length if length > 1e-6 else np.array([1.0, 0.0])
+    depth = WaterFilms.of(rainfall, scene.water).at(time_s)
+    impacts = GroundImpacts(rainfall)
+    return RingWaves(impacts, time_s, depth, scene.water, camera.position, heading, scene.ground_m or 0.0, focal)
 
 
 def reflecting_items(items: Sequence[DrawItem], scene: Scene) -> list[DrawItem]:
@@ -56,6 +86,8 @@ def draw_mirror(
     flooded: float,
     sky: Color,
     lamps: LitLamps | None,
+    standing: tuple[float, float] | None = None,
+    waves: RingWaves | None = None,
 ) -> Mirror:
     """Draw the mirror image of a camera by the renderer, over the color of the sky, and blur it.
 
@@ -77,23 +109,33 @@ def draw_mirror(
     assert frame.depth is not None
     image = srgb_to_linear(np.maximum(frame.over(sky), 0)).astype(np.float32)
     extinction_per_m = 0.0 if medium is None else medium.extinction_per_m
-    return make_mirror(image, frame.depth, camera, ground_m, wetness, flooded, lamps, extinction_per_m)
+    return make_mirror(image, frame.depth, camera, ground_m, wetness, flooded, lamps, extinction_per_m, standing, waves)
 
 
 def _without_ground(item: DrawItem, found: GroundMembership) -> DrawItem:
-    """Leave out an item's Gaussians that lie on the ground or under it."""
-    if not found.is_low.any():
-        return item
+    """Leave out an item's Gaussians that lie on the ground or under it, and some others of a large one in full."""
     if item.members is not None:
         return item._replace(members=item.members[~found.is_low[item.members]])
-    low = _mask(IdentityKey(found.is_low))
-    return item._replace(left_out=low if not item.left_out else item.left_out | low)
+    share = _SHARE if item.limit is None and len(item.gaussians) >= _FEW else 1.0
+    left_out, growth = _left_out(item.gaussians, IdentityKey(found.is_low), share)
+    if item.left_out is not None:
+        left_out = item.left_out if left_out is None else item.left_out | left_out
+    return item._replace(left_out=left_out, growth=item.growth * growth)
 
 
 @scene_cache(maxsize=64)
-def _mask(key: IdentityKey) -> BitMask:
-    flags: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
-    return BitMask.of(flags)
+def _left_out(gaussians: Gaussians, key: IdentityKey, share: float) -> tuple[BitMask | None, float]:
+    """Mask of the Gaussians on the ground and of those outside of a sample, and the growth of the others."""
+    low: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
+    if share >= 1:
+        return (BitMask.of(low) if low.any() else None), 1.0
+    sampled, growth = _sample(gaussians, share)
+    return BitMask.of(low | ~sampled), growth
+
+
+@scene_cache(maxsize=64)
+def _sample(gaussians: Gaussians, share: float) -> tuple[Bool[np.ndarray, " n"], float]:
+    return lod_sample(gaussians, share)
 
 
 # Visible shares of films and standing water, drawn as colors

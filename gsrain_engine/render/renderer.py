@@ -3,7 +3,7 @@
 import os
 import platform
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -79,6 +79,10 @@ class Frame:
         return pixels if self.optics is None else self.optics.picture(pixels)
 
 
+PendingImage = Callable[[], UInt8[np.ndarray, "h w 3"]]
+"""Waits for an image that is being read back, and returns it."""
+
+
 @runtime_checkable
 class Renderer(Protocol):
     """Interface of the renderers: `SplatRenderer` (OpenGL), `CpuRenderer` and `CudaRenderer`."""
@@ -110,6 +114,10 @@ class Renderer(Protocol):
 
     def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         """Return what `read().to_uint8(background)` would; on a GPU the image is converted before it is read back."""
+        ...
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        """Start to read the last image back as `read_uint8` does, so that the next one can be drawn meanwhile."""
         ...
 
 

@@ -16,9 +16,9 @@ from ..scene.scene import RigCamera, Scene
 from ..water.glass import CameraMotion, GlassState
 from .camera_optics import CameraOptics, glass_state
 from .camera_response import PictureOptics
-from .draw import LodCut, RenderView, draw_view, read_picture
+from .draw import LodCut, RenderView, draw_view, has_spray, request_picture
 from .images import to_display, to_linear_light
-from .renderer import Frame, Renderer, RenderMode
+from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
 
 
@@ -122,7 +122,9 @@ class FrameSequence:
                 assert ego is not None
                 front = max(self.scene.rigs[rig], key=lambda each: each.camera_to_ego[0, 2])
                 place = rig_camera(self.scene, rig, front.name, float(ego.times[int(np.argmax(ego.valid))]))
-        return sky_color(renderer, self.scene, place, thinning=LodCut() if self.lod else None)
+        return sky_color(
+            renderer, self.scene, place, thinning=LodCut() if self.lod else None, dry=self.rainfall.is_never_overcast
+        )
 
     def frame(
         self,
@@ -142,6 +144,7 @@ class FrameSequence:
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
         shots, side = self.shots(number), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
+        has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
         frame: Frame | None = None
@@ -174,13 +177,20 @@ class FrameSequence:
         self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
     ) -> UInt8[np.ndarray, "h w 3"]:
         """Render a frame as bytes, those of `frame(...).to_uint8()`; one sample is converted before it is read back."""
+        return self.request(renderer, number, sky, look=look)()
+
+    def request(
+        self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
+    ) -> PendingImage:
+        """Draw a frame as `image` does, and start to read it back: others can be drawn meanwhile."""
         if self.motion_blur > 1 or self.supersampling > 1:
-            return self.frame(renderer, number, sky, look=look).to_uint8()
+            return self.frame(renderer, number, sky, look=look).to_uint8
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
-        draw_view(renderer, self.scene, rainfall, color, shot, look=look, falls=self.falls)
-        return read_picture(renderer, optics)
+        thinning = LodCut() if self.lod and look == "splats" else None
+        draw_view(renderer, self.scene, rainfall, color, shot, look=look, thinning=thinning, falls=self.falls)
+        return request_picture(renderer, optics)
 
     def _optics_of(
         self, renderer: Renderer, number: int, sky: SkyLight, look: RenderMode, *, falls: bool
@@ -215,7 +225,7 @@ class FrameSequence:
                 first_s = float(ego.times[int(np.argmax(ego.valid))])
         shot = self.shot_at(max(time_s, first_s))
         velocity = np.zeros(3) if shot.velocity_m_s is None else shot.velocity_m_s
-        return CameraMotion(shot.camera.camera_to_world[:3, :3], velocity)
+        return CameraMotion(shot.camera.camera_to_world[:3, :3], velocity, shot.camera.position)
 
     @property
     def _camera_to_vehicle(self) -> Float64[np.ndarray, "3 3"] | None:

@@ -36,7 +36,13 @@ class SkyColor(NamedTuple):
 
 
 def sky_color(
-    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: Thinning | None = None
+    renderer: Renderer,
+    scene: Scene,
+    place: Camera,
+    time_s: float = 0.0,
+    thinning: Thinning | None = None,
+    *,
+    dry: bool = False,
 ) -> SkyColor:
     """Render around a camera's position and average the sky in linear light.
 
@@ -44,7 +50,7 @@ def sky_color(
     neither, drops have the color of an overcast sky. Airlight is the mean of the lowest degrees of a sky layer;
     without one it has the color of drops.
     """
-    steps = sample_sky(renderer, scene, place, time_s, thinning)
+    steps = sample_sky(renderer, scene, place, time_s, thinning, dry=dry)
     while True:
         try:
             next(steps)
@@ -53,14 +59,21 @@ def sky_color(
 
 
 def sample_sky(
-    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: Thinning | None = None
+    renderer: Renderer,
+    scene: Scene,
+    place: Camera,
+    time_s: float = 0.0,
+    thinning: Thinning | None = None,
+    *,
+    dry: bool = False,
 ) -> Generator[None, None, SkyColor]:
     """Compute `sky_color` in steps of one image, so that frames can be drawn in between; returns the sky.
 
-    `thinning` leaves out some Gaussians, for a quick first answer. A scene with wet colors is sampled twice.
+    `thinning` leaves out some Gaussians, for a quick first answer. A scene with wet colors is sampled twice, unless it
+    stays `dry`.
     """
     clear = yield from _visible_sky(renderer, scene, place, time_s, thinning, wetness=0.0)
-    if clear is None or not scene.has_wet_colors:
+    if clear is None or not scene.has_wet_colors or dry:
         return SkyColor(clear or OVERCAST, clear is not None)
     return SkyColor(clear, True, (yield from _visible_sky(renderer, scene, place, time_s, thinning, wetness=1.0)))
 

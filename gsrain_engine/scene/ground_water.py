@@ -1,9 +1,12 @@
 """Water on level ground: a map of films and standing water, and the share of them on each Gaussian."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
+from scipy import ndimage
 
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache, sh_basis
 
@@ -27,15 +30,22 @@ class GroundWater:
     cover: UInt8[np.ndarray, "rows columns 2"]
     """Shares of the ground, in 1/255, that a film and standing water cover; rows along y. None outside."""
 
-    def at(self, points: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
+    def at(self, points: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
         """Shares of film and standing water, 0..1, at points of the ground (x and y in the world)."""
-        rows, columns = self.cover.shape[:2]
-        cells = np.floor((points - np.array(self.corner_m, np.float32)) / np.float32(self.cell_m))
-        inside = ((cells >= 0) & (cells < (columns, rows))).all(axis=1)  # false for NaN, too
+        inside, row, column = self.cells(points)
         shares = np.zeros((len(points), 2), np.float32)
-        column, row = cells[inside].astype(np.int64).T
         shares[inside] = self.cover[row, column] * np.float32(1 / 255)
         return shares
+
+    def cells(
+        self, points: Float[np.ndarray, "n 2"]
+    ) -> tuple[Bool[np.ndarray, " n"], Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
+        """Mask of points inside the map, and the rows and columns of their cells."""
+        rows, columns = self.cover.shape[:2]
+        cells = np.floor((points - np.array(self.corner_m, np.float32)) / np.float32(self.cell_m))
+        inside = np.all((cells >= 0) & (cells < (columns, rows)), axis=1)  # false for NaN, too
+        column, row = cells[inside].astype(np.int64).T
+        return inside, row, column
 
     def moved(self, x_m: float, y_m: float) -> "GroundWater":
         return replace(self, corner_m=(self.corner_m[0] + x_m, self.corner_m[1] + y_m))
@@ -99,6 +109,62 @@ def _is_level(
     upward = np.abs(normals @ pose[2, :3]) / max(float(np.linalg.norm(pose[2, :3])), 1e-12)
     ordered = np.sort(scales, axis=1)
     return (upward > _LEVEL) & (ordered[:, 0] < _FLAT * ordered[:, 1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WetGround:
+    """Ground of a scene where it may be wet, with its heights over the cells of a map of water. World frame, meters."""
+
+    ground_m: float
+    """Height outside of the map."""
+    water: GroundWater | None = None
+    heights_m: Float32[np.ndarray, "rows columns"] | None = None
+    """Highest level Gaussian that belongs to the ground, in cells without any that of the nearest cell."""
+
+    def at(self, points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
+        """Height of the ground at points (x and y in the world)."""
+        heights = np.full(len(points), self.ground_m)
+        if self.water is not None and self.heights_m is not None:
+            inside, row, column = self.water.cells(points)
+            heights[inside] = self.heights_m[row, column]
+        return heights
+
+    def is_open(self, points: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Mask of points where the map has water; all of them without a map."""
+        if self.water is None:
+            return np.ones(len(points), np.bool_)
+        return np.asarray(self.water.at(points).any(axis=1))
+
+
+def ground_heights(
+    items: Sequence[tuple[Gaussians, Float64[np.ndarray, "4 4"]]], ground_m: float, water: GroundWater | None
+) -> WetGround:
+    """Heights of the ground by the Gaussians (with their poses) that hold water; the last results are cached."""
+    if water is None:
+        return WetGround(ground_m)
+    sets, poses = (tuple(IdentityKey(g) for g, _ in items), tuple(pose.tobytes() for _, pose in items))
+    return _heights(sets, poses, ground_m, IdentityKey(water))
+
+
+@scene_cache(maxsize=4)
+def _heights(sets: tuple[IdentityKey, ...], poses: tuple[bytes, ...], ground_m: float, key: IdentityKey) -> WetGround:
+    water: GroundWater = key.of  # pyright: ignore[reportAssignmentType]
+    heights = np.full(water.cover.shape[:2], -np.inf, np.float32)
+    for each, pose in zip(sets, poses, strict=True):
+        gaussians: Gaussians = each.of  # pyright: ignore[reportAssignmentType]
+        to_world = np.frombuffer(pose, np.float64).reshape(4, 4)
+        film = ground_membership(gaussians, to_world, ground_m, water).film
+        if film is None:
+            continue
+        own = np.flatnonzero(film.any(axis=1))
+        means = gaussians.means[own] @ to_world[:3, :3].T + to_world[:3, 3]
+        inside, row, column = water.cells(means[:, :2])
+        np.maximum.at(heights, (row, column), means[inside, 2].astype(np.float32))
+    is_empty = ~np.isfinite(heights)
+    if is_empty.all():
+        return WetGround(ground_m, water)
+    nearest: Any = ndimage.distance_transform_edt(is_empty, return_distances=False, return_indices=True)
+    return WetGround(ground_m, water, heights[nearest[0], nearest[1]])
 
 
 def matte_wet_sh(

@@ -5,7 +5,7 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import UInt32
+from jaxtyping import Bool, UInt32
 
 from .gaussians import Gaussians
 from .scene import robust_bounds
@@ -69,6 +69,17 @@ def lod_growth(gaussians: Gaussians, share: float) -> float:
     contributions = _contributions(gaussians.scales, gaussians.opacities).astype(np.float64)
     kept = float(contributions[: math.ceil(share * len(gaussians))].sum())
     return math.sqrt(float(contributions.sum()) / kept) if kept > 0 else 1.0
+
+
+def lod_sample(gaussians: Gaussians, share: float) -> tuple[Bool[np.ndarray, " n"], float]:
+    """Mask of a weighted sample of the Gaussians in any order, as the levels of `lod_order`, and its `lod_growth`."""
+    contributions = _contributions(gaussians.scales, gaussians.opacities)
+    keys = _largest_first(_ranks(contributions).view(np.uint32))
+    keys.sort()
+    sampled = np.zeros(len(keys), np.bool_)
+    sampled[keys[: math.ceil(share * len(keys))].astype(np.uint32)] = True
+    total, kept = contributions.sum(dtype=np.float64), contributions[sampled].sum(dtype=np.float64)
+    return sampled, math.sqrt(total / kept) if kept > 0 else 1.0
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

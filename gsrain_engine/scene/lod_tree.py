@@ -9,6 +9,7 @@ from jaxtyping import Float32, Float64, Int64, UInt32
 
 from .camera import Camera
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
+from .mapped_arrays import release_pages
 
 FAN_OUT = 4
 """Number of children of a node: on a surface, each level has cells twice as wide as the one below."""
@@ -132,6 +133,7 @@ def _merged_harmonics(tree: LodTree, key: IdentityKey) -> Float32[np.ndarray, "m
             lower = slice(int(starts[level - 1]), int(starts[level]))
             nodes, no_order = tree.nodes, np.zeros(0, np.uint32)
             _average(nodes.scales[lower], nodes.opacities[lower], merged[lower], no_order, merged[own])
+    release_pages([*g.arrays, *tree.nodes.arrays, sh])
     return merged
 
 

@@ -450,6 +450,8 @@ class Scene:
     rigs: Mapping[str, tuple[RigCamera, ...]] = field(default_factory=dict[str, tuple[RigCamera, ...]])
     ego: PoseTrack | None = None
     """Track of the ego vehicle: the origin of the rig frame, which is at sensor height."""
+    motions: Mapping[str, PoseTrack] = field(default_factory=dict[str, PoseTrack])
+    """Motions that led to poses which are fixed, for spray: by the ids of actors, and "ego". Not saved."""
     path: CameraPath | None = None
     """The user's camera path, in scene units and axes."""
     rain: Mapping[str, Any] | None = None

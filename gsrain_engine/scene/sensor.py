@@ -78,6 +78,23 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         ge=1, le=256, title="Gain", description="ISO gain: white has so many times fewer electrons.")] = 1.0
     tone_curve: Annotated[Literal["srgb", "crushed"], Meta(
         title="Tone curve", description="srgb, or one with crushed blacks (docs/physics.md, 4).")] = "srgb"
+    demosaic_px: Annotated[float, Meta(
+        ge=0, le=4, title="Demosaicing", extra={"unit": "px"},
+        description="Blur by interpolation of the color filter array (standard deviation); 0: none.")] = 0.0
+    noise_reduction: Annotated[float, Meta(
+        ge=0, le=16, title="Noise reduction",
+        description="Local variance that the camera smooths, in multiples of the noise's; 0: none.")] = 0.0
+    noise_reduction_px: Annotated[float, Meta(
+        ge=0.3, le=8, title="Reach of the noise reduction", extra={"unit": "px"},
+        description="Standard deviation of its window.")] = 1.2
+    sharpening: Annotated[float, Meta(
+        ge=0, le=4, title="Sharpening", description="Amount of an unsharp mask of 1 px; 0: none.")] = 0.0
+    chroma_noise: Annotated[float, Meta(
+        ge=0, le=8, title="Chroma noise",
+        description="Factor on the noise of color differences, which the correction of colors amplifies.")] = 1.0
+    chroma_blur_px: Annotated[tuple[float, float], Meta(
+        title="Chroma blur", extra={"unit": "px"},
+        description="Blur of color differences across and down the picture (standard deviation).")] = (0.0, 0.0)
     jpeg_quality: Annotated[int | None, Meta(
         title="JPEG quality", extra={"none": "no JPEG", "ge": 1, "le": 100},
         description="Compression inside of the camera, before the picture is stored; none: none.")] = None
@@ -86,6 +103,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def __post_init__(self) -> None:
         if not all(16 <= side <= 65_536 for side in self.size_px):
             raise ValueError(f"size_px must be within 16..65536, got {self.size_px}")
+        if not all(0 <= blur <= 8 for blur in self.chroma_blur_px):
+            raise ValueError(f"chroma_blur_px must be within 0..8, got {self.chroma_blur_px}")
         for name, low, high in _OPTIONAL:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -95,7 +114,13 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def changes_picture(self) -> bool:
         """True if the sensor acts on the picture itself, and not only on drops."""
         plain = self.mean_gray is None and self.full_well_e is None and self.jpeg_quality is None
-        return not plain or self.tone_curve != "srgb"
+        return not plain or self.tone_curve != "srgb" or self.processes_signal
+
+    @property
+    def processes_signal(self) -> bool:
+        """True if noise reduction or sharpening acts on the picture."""
+        filters = max(self.demosaic_px, self.noise_reduction, self.sharpening, *self.chroma_blur_px)
+        return filters > 0 or self.chroma_noise != 1
 
     def lens(self, camera: Camera) -> ThinLens:
         """Lens with which a camera has this sensor.

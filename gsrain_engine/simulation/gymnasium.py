@@ -161,7 +161,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         if front.name in now.views:
             return now.views[front.name].image
         if self._front is None:
-            self._front = RigRenderer(self._renderer, simulation.scenario.rain, (front,), _FRONT)
+            self._front = RigRenderer(self._renderer, simulation.scenario.rain, (front,), _FRONT, simulation.cut)
         return simulation.render_cameras(self._front)[front.name].image
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """Playback of a roll-out with interpolation between steps. World frame, meters."""
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 
 import msgspec
 import numpy as np
@@ -13,7 +13,7 @@ from .ground import road_surface_of
 from .rollout import Rollout, RolloutStep
 from .scenario import Scenario
 from .sensors import camera_of_width, rig_cameras
-from .simulation import RoadScene
+from .simulation import RoadScene, past_motions
 from .traffic.appearance import vehicle_model
 from .traffic.base import RoadUser
 from .vehicle import VehicleState
@@ -72,7 +72,9 @@ class RolloutPlayback:
         return self.state(time_s).rig_to_world(_mixed(before.ego, after.ego, "z_m", part) + self.rig.height_m)
 
     def scene(self, time_s: float) -> Scene:
-        return self._road.at(self.rig_to_world(time_s), self.users(time_s))
+        users, rig = self.users(time_s), self.rig_to_world(time_s)
+        before = self.rollout.steps[: bisect_left(self._times, time_s)]
+        return self._road.at(rig, users, past_motions(before, time_s, users, rig, self.scenario))
 
     def scene_time_s(self, time_s: float) -> float:
         """Return the scene time, which drives the rain."""

@@ -1,6 +1,7 @@
 """Scenario settings (start, road users, weather, end), initial poses, and traffic."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, Literal
 
 import msgspec
@@ -10,6 +11,7 @@ from msgspec import Meta
 from ..rain.settings import RainSettings
 from ..scene.scene import Actor, Scene
 from .controller_base import ControllerSettings
+from .friction import Friction, RoadGrip
 from .geometry import Route
 from .ground import RoadSurface
 from .rollout import BACKGROUND
@@ -100,6 +102,10 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ] = ()
     road_users: tuple[ScenarioUser, ...] = ()
     rain: RainSettings = RainSettings()
+    friction: Annotated[Friction, Meta(
+        title="Friction", extra={"commands": "drive"},
+        description="Of the road under all vehicles. dry: each has its own limits. wet: less by speed and water, which "
+        "agents don't know (docs/physics.md, 21).")] = "dry"  # fmt: skip
     vehicle: Vehicle = Vehicle()
     controller: ControllerSettings = ControllerSettings()
     step_s: Annotated[float, Meta(gt=0, le=1, title="Step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})] = (
@@ -187,12 +193,17 @@ class Traffic:
         """Road users that are present."""
         return tuple(self._present.values())
 
-    def advance(self, time_s: float, ego: RoadUser, dt_s: float) -> None:
-        """Advance all road users simultaneously, each based on the previous states of the others."""
+    def advance(self, time_s: float, ego: RoadUser, dt_s: float, grip: RoadGrip | None = None) -> None:
+        """Advance all road users simultaneously, each based on the previous states of the others.
+
+        None of them brakes harder than `grip` allows.
+        """
+        scene_s = self._scenario.start_s + time_s
+        holds = None if grip is None else partial(grip.acceleration_m_s2, time_s=scene_s)
         moved: dict[str, RoadUser | None] = {}
         for id, rule in self._rules.items():
             others = tuple(user for key, user in self._present.items() if key != id)
-            moved[id] = rule.next(self._latest[id], TrafficState(time_s, ego, others, self._route), dt_s)
+            moved[id] = rule.next(self._latest[id], TrafficState(time_s, ego, others, self._route, holds), dt_s)
         self._meet(moved, time_s + dt_s)
 
     def _placed(self, user: ScenarioUser) -> RoadUser:

@@ -1,20 +1,22 @@
 """Simulated sensors: camera views of the scene in rain from the moving ego vehicle, and semantic labels."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import RenderView, draw_view, read_picture
+from ..render.draw import LodCut, RenderView, draw_view, has_spray, request_picture
 from ..render.object_labels import draw_labels
-from ..render.renderer import Renderer
+from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import SkyColor, sky_color
+from ..scene.camera import Camera
 from ..scene.objects import coco_class
 from ..scene.scene import Actor, RigCamera, Scene
 from ..water.glass import CameraMotion, PastMotion
@@ -25,10 +27,19 @@ class RigRenderer:
     """Renders the cameras that an agent needs. One rain simulation spans the whole drive."""
 
     def __init__(
-        self, renderer: Renderer, rain: RainSettings, cameras: Sequence[RigCamera], needs: SensorRequirements
+        self,
+        renderer: Renderer,
+        rain: RainSettings,
+        cameras: Sequence[RigCamera],
+        needs: SensorRequirements,
+        cut: LodCut | None = None,
     ) -> None:
-        """Use a renderer that must stay open as long as this object is in use."""
+        """Use a renderer that must stay open as long as this object is in use.
+
+        Images are drawn with a level-of-detail `cut`, but for agents that need depth, which is exact.
+        """
         self._renderer, self._cameras, self._needs = renderer, cameras, needs
+        self._cut = None if needs.depth else cut
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
         self._optics = CameraOptics()
@@ -39,12 +50,12 @@ class RigRenderer:
         yaw_rate_rad_s: float, time_s: float,
     ) -> dict[str, CameraView]:  # fmt: skip
         """Render the cameras at a scene time. `velocity_m_s` is the velocity of the rig origin in the world."""
-        views: dict[str, CameraView] = {}
+        drawn: dict[str, Callable[[], CameraView]] = {}
         self._drive.append(_RigMotion(time_s, rig_to_world, velocity_m_s, yaw_rate_rad_s))
         for mounted in self._cameras:
             camera = mounted.camera(rig_to_world)
             if self._sky is None:  # computed once, so that all cameras and frames agree
-                self._sky = sky_color(self._renderer, scene, camera)
+                self._sky = sky_color(self._renderer, scene, camera, thinning=self._cut)
             velocity = self._drive[-1].of(mounted).velocity_m_s
             semantic = instances = None
             if self._needs.semantic:
@@ -57,18 +68,36 @@ class RigRenderer:
                 self._renderer, scene, self._rainfall, color, view,
                 camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
             )  # fmt: skip
-            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=self._needs.depth)
-            depth = self._renderer.read().depth if self._needs.depth else None
-            image = read_picture(self._renderer, optics)
-            views[mounted.name] = CameraView(
-                image, camera, None if depth is None else depth.copy(), semantic, instances
-            )
-        return views
+            has_own = not has_spray(scene, self._rainfall, time_s)  # spray has no depth of its own
+            with_depth = self._needs.depth and has_own
+            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=with_depth, thinning=self._cut)
+            depth = np.array(self._renderer.read().depth) if with_depth else None
+            image = request_picture(self._renderer, optics)  # read back while the next picture is drawn
+            if self._needs.depth and not has_own:
+                draw_view(self._renderer, scene, None, color, view, with_depth=True)
+                depth = np.array(self._renderer.read().depth)
+            drawn[mounted.name] = partial(_camera_view, image, camera, depth, semantic, instances)
+        return {name: view() for name, view in drawn.items()}
 
     def _past(self, mounted: RigCamera) -> PastMotion:
         """Motion of a camera during the drive: that of the last step, and before the first step that of the first."""
         times = [each.time_s for each in self._drive]
-        return lambda time_s: self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)].of(mounted)
+
+        def motion(time_s: float) -> CameraMotion:
+            then = self._drive[max(bisect_right(times, time_s + 1e-6) - 1, 0)]
+            return then.of(mounted, time_s - then.time_s)
+
+        return motion
+
+
+def _camera_view(
+    image: PendingImage,
+    camera: Camera,
+    depth: Float32[np.ndarray, "h w"] | None,
+    semantic: UInt8[np.ndarray, "h w"] | None,
+    instances: UInt16[np.ndarray, "h w"] | None,
+) -> CameraView:
+    return CameraView(image(), camera, depth, semantic, instances)
 
 
 class _RigMotion(NamedTuple):
@@ -79,12 +108,12 @@ class _RigMotion(NamedTuple):
     velocity_m_s: Float64[np.ndarray, "3"]
     yaw_rate_rad_s: float
 
-    def of(self, mounted: RigCamera) -> CameraMotion:
-        """Orientation and velocity of a camera of the rig."""
+    def of(self, mounted: RigCamera, later_s: float = 0.0) -> CameraMotion:
+        """Orientation and velocity of a camera of the rig, and its place a time later or earlier."""
         pose = self.rig_to_world @ mounted.camera_to_ego
         arm = pose[:3, 3] - self.rig_to_world[:3, 3]
         turning = self.yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
-        return CameraMotion(pose[:3, :3], self.velocity_m_s + turning)
+        return CameraMotion(pose[:3, :3], self.velocity_m_s + turning, pose[:3, 3] + later_s * self.velocity_m_s)
 
 
 def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:

@@ -1,7 +1,7 @@
 """Closed-loop simulation: observe, plan, control, step traffic, detect collisions. Deterministic."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,13 +12,17 @@ from jaxtyping import Float64
 
 from ..backends import Backend, open_renderer
 from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
+from ..render.draw import lod_cut
+from ..render.export_settings import Lod
 from ..render.renderer import Renderer
-from ..scene.open import STREET
+from ..scene.open import STREET, with_lod_trees
 from ..scene.scene import Actor, PoseTrack, Scene
 from .agents import base
 from .agents.base import Agent, CameraView, Observation, SensorRequirements, Trajectory
 from .agents.registry import AgentOptions, open_agent
 from .controllers import open_controller
+from .friction import RoadGrip
 from .geometry import PlanarBox, Route, RouteCoordinates
 from .ground import RoadSurface, recorded_route, road_surface_of
 from .metrics.summary import ScoredRun
@@ -28,8 +32,8 @@ from .scenario import Scenario, ScenarioUser, Traffic, start_state
 from .scenario_io import load_scenario
 from .sensors import RigRenderer, camera_of_width, needed_cameras, rig_cameras
 from .traffic.appearance import ACTOR, VehicleModel, scale_gaussians
-from .traffic.base import RoadUser, ego_user
-from .vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle, vehicle_box, yaw_rate
+from .traffic.base import EGO, RoadUser, ego_user
+from .vehicle import Control, Vehicle, VehicleState, grip_share, limit_control, step_bicycle, vehicle_box, yaw_rate
 
 logger = logging.getLogger("gsrain")
 _SEEDS = 2**32
@@ -45,11 +49,13 @@ class Simulation:
         needs: SensorRequirements = base.NOTHING,
         renderer: Renderer | None = None,
         seed: int | None = None,
+        lod: Lod | None = None,
     ) -> None:
         """Prepare the simulation. `renderer` is required if the agent needs cameras, and must stay open meanwhile.
 
-        `seed` is the rain seed; None takes the scenario's. A scenario of the built-in street in another scene logs a
-        warning. Raises ValueError if the scene lacks a drive, a rig or a model that the scenario needs.
+        `seed` is the rain seed; None takes the scenario's. `lod` is the level of detail of images, as of an export. A
+        scenario of the built-in street in another scene logs a warning. Raises ValueError if the scene lacks a drive, a
+        rig or a model that the scenario needs.
         """
         if scenario.scene == STREET != scene.name:
             logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,
@@ -57,6 +63,9 @@ class Simulation:
         if needs.cameras and renderer is None:
             raise ValueError("the agent needs pictures, and there is nothing that draws them")
         self.scenario = scenario if seed is None else _with_seed(scenario, seed)
+        self.cut = lod_cut(scene, lod) if renderer is not None else None
+        """Level-of-detail cut of the images; None draws all Gaussians."""
+        scene = scene if self.cut is None else with_lod_trees(scene)
         self.scene = scene
         self.route: Route = recorded_route(scene)
         self.ground = road_surface_of(scene)
@@ -69,6 +78,7 @@ class Simulation:
         self._traffic = Traffic(self.scenario, scene, self.route, self.ground)
         self._road = RoadScene(scene, self._traffic.looks, self.scenario.road_users)
         self._pictures: RigRenderer | None = None
+        self._grip = RoadGrip(RainSimulation.start(scenario.rain)) if scenario.friction == "wet" else None
         start = start_state(self.scenario, scene, self.route)
         self._start = self._moment = _SimulationMoment(0, 0.0, start, Control(0.0, 0.0))
         self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
@@ -85,7 +95,7 @@ class Simulation:
             self.scenario = _with_seed(self.scenario, seed)
         self._traffic.reset()
         if self._renderer is not None and self._needed:
-            self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._needed, self._needs)
+            self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._needed, self._needs, self.cut)
         self.end, self._steps, self._moment = None, [], self._start
         self._judge()
         return self.observation()
@@ -115,11 +125,27 @@ class Simulation:
         self._check_goes_on()
         before, dt = self._moment, self.scenario.step_s
         self._steps.append(self._recorded(plan))
-        control = limit_control(self.scenario.vehicle, before.state, control, dt)
-        state = step_bicycle(self.scenario.vehicle, before.state, control, dt)
-        self._traffic.advance(before.time_s, ego_user(self.scenario.vehicle, before.state), dt)
+        vehicle = self.scenario.vehicle
+        control = limit_control(vehicle, before.state, control, dt)
+        share = self._grip_share(before, control.acceleration_m_s2)
+        control = control._replace(acceleration_m_s2=share * control.acceleration_m_s2)
+        state = step_bicycle(vehicle, before.state, control, dt, share)
+        self._traffic.advance(before.time_s, ego_user(vehicle, before.state), dt, self._grip)
         self._moment = _SimulationMoment(before.step + 1, (before.step + 1) * dt, state, control)
         self._judge()
+
+    def _grip_share(self, moment: "_SimulationMoment", acceleration_m_s2: float) -> float:
+        """Return the share of a demanded acceleration, and of the turn, that the road transmits, 0..1."""
+        if self._grip is None:
+            return 1.0
+        grip = self._grip.acceleration_m_s2(moment.state.speed_m_s, self.scenario.start_s + moment.time_s)
+        return grip_share(self.scenario.vehicle, moment.state, acceleration_m_s2, grip)
+
+    @property
+    def _yaw_rate(self) -> float:
+        moment = self._moment
+        share = self._grip_share(moment, moment.control.acceleration_m_s2)
+        return share * yaw_rate(self.scenario.vehicle, moment.state)
 
     def observation(self) -> Observation:
         """Return the current observation, with the images that the agent needs."""
@@ -134,13 +160,15 @@ class Simulation:
         """Render the current state for any cameras of the rig."""
         state, time_s = self._moment.state, self.scenario.start_s + self._moment.time_s
         velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
-        turning = yaw_rate(self.scenario.vehicle, state)
+        turning = self._yaw_rate
         return pictures.views(self.scene_now, self.rig_to_world, velocity, turning, time_s)
 
     @property
     def scene_now(self) -> Scene:
         """The scene with all road users in their current places."""
-        return self._road.at(self.rig_to_world, self._traffic.users)
+        before = [step for step in self._steps if step.step < self._moment.step]
+        motions = past_motions(before, self._moment.time_s, self._traffic.users, self.rig_to_world, self.scenario)
+        return self._road.at(self.rig_to_world, self._traffic.users, motions)
 
     @property
     def rig_to_world(self) -> Float64[np.ndarray, "4 4"]:
@@ -189,7 +217,7 @@ class Simulation:
             ego=EgoRecord(
                 x_m=state.x_m, y_m=state.y_m, z_m=self._height_m, yaw_rad=state.yaw_rad, speed_m_s=state.speed_m_s,
                 steer_rad=state.steer_rad, acceleration_m_s2=moment.control.acceleration_m_s2,
-                steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=yaw_rate(self.scenario.vehicle, state),
+                steer_rate_rad_s=moment.control.steer_rate_rad_s, yaw_rate_rad_s=self._yaw_rate,
             ),
             road_users=tuple(
                 UserRecord(id=user.id, x_m=user.x_m, y_m=user.y_m, z_m=user.z_m, yaw_rad=user.yaw_rad,
@@ -343,10 +371,20 @@ class RoadScene:
         self._wet_sh = {id: look.wet_sh for id, look in looks.items()}
         self._recorded = {actor.id: actor for actor in scene.actors}
 
-    def at(self, rig_to_world: Float64[np.ndarray, "4 4"], users: tuple[RoadUser, ...]) -> Scene:
-        """Return the scene with the ego vehicle's rig and road users in their places, valid at any time."""
+    def at(
+        self,
+        rig_to_world: Float64[np.ndarray, "4 4"],
+        users: tuple[RoadUser, ...],
+        motions: Mapping[str, PoseTrack] | None = None,
+    ) -> Scene:
+        """Return the scene with the ego vehicle's rig and road users in their places, valid at any time.
+
+        `motions` in the world are what they did up to then, for their spray.
+        """
         actors = tuple(self._actor(user) for user in users)
-        return replace(self.scene, actors=actors, ego=PoseTrack.standing(self._world_to_scene @ rig_to_world))
+        past = {id: track.moved(self._world_to_scene) for id, track in (motions or {}).items()}
+        ego = PoseTrack.standing(self._world_to_scene @ rig_to_world)
+        return replace(self.scene, actors=actors, ego=ego, motions=past)
 
     def _actor(self, user: RoadUser) -> Actor:
         track = PoseTrack.standing(self._world_to_scene @ user.pose)
@@ -355,3 +393,45 @@ class RoadScene:
         length, width, height = (side / self.scene.metres_per_unit for side in user.size_lwh)
         gaussians, wet_sh = self._gaussians[user.id], self._wet_sh[user.id]
         return Actor(user.id, user.class_name, (length, width, height), gaussians, track, wet_sh=wet_sh)
+
+
+BEFORE_S = 30.0
+"""Seconds of the past that spray and water on glass may need."""
+
+
+def past_motions(
+    steps: Sequence[RolloutStep], time_s: float, users: Sequence[RoadUser], rig_to_world: Float64[np.ndarray, "4 4"],
+    scenario: Scenario,
+) -> dict[str, PoseTrack]:  # fmt: skip
+    """Tracks (world, scene time) of the ego vehicle's rig and of road users up to a time of a drive.
+
+    `steps` are those before that time. Before the scenario all were moving straight ahead at their first speed.
+    """
+    recent = [each for each in steps if each.time_s > time_s - BEFORE_S]
+    x, y, rig_m = (float(each) for each in rig_to_world[:3, 3])
+    yaw = float(np.arctan2(rig_to_world[1, 0], rig_to_world[0, 0]))
+    egos = [(each.time_s, each.ego.x_m, each.ego.y_m, rig_m, each.ego.yaw_rad) for each in recent]
+    speed = recent[0].ego.speed_m_s if recent else scenario.speed_m_s
+    found = {EGO: _track([*egos, (time_s, x, y, rig_m, yaw)], speed, scenario.start_s)}
+    for user in users:
+        places, speed = [(time_s, user.x_m, user.y_m, user.z_m, user.yaw_rad)], user.speed_m_s
+        for step in reversed(recent):
+            there = next((each for each in step.road_users if each.id == user.id), None)
+            if there is None:
+                break
+            places.append((step.time_s, there.x_m, there.y_m, there.z_m, there.yaw_rad))
+            speed = there.speed_m_s
+        found[user.id] = _track(places[::-1], speed, scenario.start_s)
+    return found
+
+
+def _track(places: Sequence[tuple[float, ...]], speed_m_s: float, start_s: float) -> PoseTrack:
+    """Track through rows of time, x, y, z and yaw, and a straight way to the first if a drive begins with it."""
+    rows = np.array(places)
+    if rows[0, 0] < 1e-9:
+        time_s, x, y, z, yaw = rows[0]
+        gone = speed_m_s * BEFORE_S
+        rows = np.concatenate([[(time_s - BEFORE_S, x - gone * np.cos(yaw), y - gone * np.sin(yaw), z, yaw)], rows])
+    half, none = rows[:, 4] / 2, np.zeros(len(rows))
+    quaternions = np.stack([np.cos(half), none, none, np.sin(half)], axis=1)
+    return PoseTrack(start_s + rows[:, 0], rows[:, 1:4].copy(), quaternions, np.ones(len(rows), bool))

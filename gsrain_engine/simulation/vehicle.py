@@ -111,17 +111,30 @@ def limit_control(vehicle: Vehicle, state: VehicleState, control: Control, dt_s:
     return Control(float(np.clip(control.acceleration_m_s2, low, max(low, high))), (steer - state.steer_rad) / dt_s)
 
 
-def step_bicycle(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> VehicleState:
+def grip_share(vehicle: Vehicle, state: VehicleState, acceleration_m_s2: float, grip_m_s2: float) -> float:
+    """Return the share of the demanded acceleration, along and across the heading, that tires transmit, 0..1.
+
+    Both share a friction circle with the radius `grip_m_s2` (Rajamani 2012, section 13.6).
+    """
+    across = state.speed_m_s**2 * np.tan(state.steer_rad) / vehicle.wheelbase_m
+    demanded = float(np.hypot(acceleration_m_s2, across))
+    return 1.0 if demanded <= grip_m_s2 else grip_m_s2 / demanded
+
+
+def step_bicycle(
+    vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float, turn_share: float = 1.0
+) -> VehicleState:
     """Return the state after a time step under a constant control.
 
     The center of the rear axle follows its heading, which turns by v tan(steer) / wheelbase (Rajamani 2012, sec. 2.2,
     with the reference at the rear axle). Speed and steering are taken at the midpoint of the step: exact for straight
-    lines under constant acceleration and for circles at constant speed, second order otherwise.
+    lines under constant acceleration and for circles at constant speed, second order otherwise. Where the tires slip,
+    the vehicle turns by `turn_share` of that only.
     """
     control = limit_control(vehicle, state, control, dt_s)
     speed = state.speed_m_s + 0.5 * control.acceleration_m_s2 * dt_s
     steer = state.steer_rad + 0.5 * control.steer_rate_rad_s * dt_s
-    turn = speed * np.tan(steer) / vehicle.wheelbase_m * dt_s
+    turn = turn_share * speed * np.tan(steer) / vehicle.wheelbase_m * dt_s
     # The chord of an arc has sin(half) / half of the arc's length.
     distance = speed * dt_s * float(np.sinc(turn / (2 * np.pi)))
     heading = state.yaw_rad + 0.5 * turn
@@ -135,7 +148,7 @@ def step_bicycle(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: 
 
 
 def yaw_rate(vehicle: Vehicle, state: VehicleState) -> float:
-    """Return the yaw rate, rad/s, left positive: v tan(steer) / wheelbase."""
+    """Return the yaw rate, rad/s, left positive: v tan(steer) / wheelbase, if the tires do not slip."""
     return float(state.speed_m_s * np.tan(state.steer_rad) / vehicle.wheelbase_m)
 
 

@@ -1,7 +1,7 @@
 """Video of a roll-out: front camera, plan on the road, status line and top view."""
 
-from collections.abc import Iterator
-from itertools import pairwise
+from collections.abc import Iterable, Iterator
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +15,9 @@ from ..evaluation.detection.detector import Detection
 from ..evaluation.detection.drawing import draw_boxes
 from ..rain.simulation import RainSimulation
 from ..render.camera_optics import CameraOptics
-from ..render.draw import RenderView, draw_view, read_picture
-from ..render.renderer import Renderer
+from ..render.draw import RenderView, draw_view, lod_cut, request_picture
+from ..render.export_settings import Lod
+from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
 from ..scene.camera import Camera
@@ -56,19 +57,22 @@ _SURE = 0.3  # minimum confidence of detections that are drawn
 class RolloutVideo:
     """Video frames of a roll-out, all of one size. The same roll-out gives the same bytes."""
 
-    def __init__(self, played: RolloutPlayback, renderer: Renderer) -> None:
-        """Use the rig camera that faces forward most. Raises ValueError if the scene has no rig."""
+    def __init__(self, played: RolloutPlayback, renderer: Renderer, lod: Lod | None = None) -> None:
+        """Use the rig camera that faces forward most, and the level of detail of an export.
+
+        Raises ValueError if the scene has no rig.
+        """
         if not played.rig.cameras:
             raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
         (self._mounted,) = needed_cameras(played.rig.cameras, SensorRequirements(cameras=("front",)))
-        self._played, self._renderer = played, renderer
+        self._played, self._renderer, self._cut = played, renderer, lod_cut(played.base, lod)
         self._gaps_m, self._times_s = gaps_m(played.rollout), times_to_collision_s(played.rollout)
         self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
         self._optics = CameraOptics()
         start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0))
-        self._sky = sky_color(renderer, start, camera)
+        self._sky = sky_color(renderer, start, camera, thinning=self._cut)
         self._optics.meter(renderer, start, self._rainfall, RenderView(camera, played.scene_time_s(0.0)))
 
     def times(self, fps: float) -> list[float]:
@@ -76,14 +80,28 @@ class RolloutVideo:
         times = np.arange(0.0, self._played.end_s, 1 / fps).tolist()
         return [*times, *[self._played.end_s] * (1 + round(fps))]
 
+    def pictures(self, times_s: Iterable[float]) -> Iterator[RgbImage]:
+        """Frames at some times, each composed while the camera image of the next one is drawn."""
+        waiting: tuple[float, PendingImage] | None = None
+        for time_s in times_s:
+            ahead = time_s, self._camera_image(time_s)
+            if waiting is not None:
+                yield self._composed(*waiting)
+            waiting = ahead
+        if waiting is not None:
+            yield self._composed(*waiting)
+
     def picture(self, time_s: float) -> RgbImage:
-        ahead = self._camera_panel(time_s)
+        return self._composed(time_s, self._camera_image(time_s))
+
+    def _composed(self, time_s: float, image: PendingImage) -> RgbImage:
+        ahead = self._camera_panel(time_s, image())
         width = ahead.shape[1]
         whole = np.concatenate([ahead, self._readout_panel(time_s, width), self._above(time_s, width)])
         return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
 
-    def _camera_panel(self, time_s: float) -> RgbImage:
-        """Draw the camera image with the plan and the agent's latest detections."""
+    def _camera_image(self, time_s: float) -> PendingImage:
+        """Draw the camera image, and start to read it back."""
         played, rig = self._played, self._played.rig_to_world(time_s)
         camera, state = self._mounted.camera(rig), played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
@@ -94,8 +112,13 @@ class RolloutVideo:
             self._renderer, scene, self._rainfall, color, view,
             past=self._motion, camera_to_vehicle=self._mounted.camera_to_ego[:3, :3],
         )  # fmt: skip
-        draw_view(self._renderer, scene, self._rainfall, color, view)
-        step, pixels = played.step(time_s), read_picture(self._renderer, optics)
+        draw_view(self._renderer, scene, self._rainfall, color, view, thinning=self._cut)
+        return request_picture(self._renderer, optics)
+
+    def _camera_panel(self, time_s: float, pixels: RgbImage) -> RgbImage:
+        """Draw the plan and the agent's latest detections on the camera image."""
+        played, step, state = self._played, self._played.step(time_s), self._played.state(time_s)
+        camera = self._mounted.camera(played.rig_to_world(time_s))
         picture = draw_boxes(pixels, (), _noted(step), _SURE)
         if step.plan:
             points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
@@ -109,7 +132,10 @@ class RolloutVideo:
         time_s = max(scene_time_s - self._played.scene_time_s(0.0), 0.0)
         rig = self._played.rig_to_world(time_s)
         speed_m_s = self._played.state(time_s).speed_m_s
-        return CameraMotion(self._mounted.camera(rig).camera_to_world[:3, :3], speed_m_s * rig[:3, 0])
+        camera, velocity_m_s = self._mounted.camera(rig), speed_m_s * rig[:3, 0]
+        before_s = min(scene_time_s - self._played.scene_time_s(0.0), 0.0)
+        place_m = camera.position + before_s * velocity_m_s
+        return CameraMotion(camera.camera_to_world[:3, :3], velocity_m_s, place_m)
 
     def _readout_panel(self, time_s: float, width: int) -> RgbImage:
         played, step = self._played, self._played.step(time_s)
@@ -293,10 +319,10 @@ def render_rollout_video(path: Path, video: RolloutVideo, fps: float) -> Iterato
     if the file can't be written.
     """
     times = video.times(fps)
-    first = video.picture(times[0])
+    pictures = video.pictures(times)
+    first = next(pictures)
     every = max(first.shape[1] // _PREVIEW_PX, 1)
     with VideoWriter(path, first.shape[1], first.shape[0], fps) as writer:
-        for number, time_s in enumerate(times, start=1):
-            picture = first if number == 1 else video.picture(time_s)
+        for number, picture in enumerate(chain([first], pictures), start=1):
             writer.write(picture)
             yield Progress(number / len(times), f"Frame {number} of {len(times)}", picture[::every, ::every].copy())

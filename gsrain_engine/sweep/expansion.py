@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import metadata
@@ -13,6 +13,8 @@ import msgspec
 from msgspec import Struct, structs
 
 from ..backends import Backend
+from ..evaluation.attribution.factors import RainFactors, is_attributed
+from ..evaluation.attribution.shapley import AttributionPlan, Coalition
 from ..evaluation.detection.detector import find_detector
 from ..plugins import AGENTS, DECODERS, SCENE_FORMATS, find_extensions
 from ..rain.calibration import calibration_names
@@ -126,12 +128,15 @@ def jobs_of(sweep: Sweep) -> list[Job]:
 
     Raises ValueError for a missing scenario, agent or scene, and OSError for an unreadable file.
     """
-    jobs = _drives(sweep) if isinstance(sweep, DriveSweep) else _renders(sweep)
+    jobs: list[Job] = list(drives_of(sweep)) if isinstance(sweep, DriveSweep) else _renders(sweep)
+    if isinstance(sweep, DriveSweep):
+        jobs += [job for each in attributed_drives(sweep) for job in each.jobs.values()]
     jobs.sort(key=lambda job: job.scene)
     return list({job.id: job for job in jobs}.values())
 
 
-def _drives(sweep: DriveSweep) -> list[Job]:
+def drives_of(sweep: DriveSweep) -> list[DriveJob]:
+    """Return all combinations of a sweep of drives, without those in parts of their rain."""
     agents = [_complete(AgentChoice(name=each) if isinstance(each, str) else each) for each in sweep.agents]
     _check(agents)
     hashes, scenarios = _Hashes(), [load_scenario(name) for name in sweep.scenarios]
@@ -160,6 +165,8 @@ def _drive(
 ) -> DriveJob:
     scenario = variant.of(scenario)
     rain = structs.replace(scenario.rain, intensity_mm_h=intensity, seed=seed)
+    if is_attributed(sweep.attribute):
+        rain = RainFactors.of(rain, sweep.attribute, scenario.scene).rain
     scenario = structs.replace(apply_jitter(scenario, sweep.jitter, seed), rain=rain)
     models = [user.model for user in scenario.road_users]
     own = agent_file(agent.name)
@@ -177,6 +184,45 @@ def _drive(
         agent=agent,
         variant=variant,
     )
+
+
+class AttributedDrive(NamedTuple):
+    """A drive, and the same with parts of its rain."""
+
+    drive: DriveJob
+    plan: AttributionPlan
+    jobs: dict[Coalition, DriveJob]
+    """Jobs of the coalitions that the plan takes for the drive's seed; that of all factors is the drive itself."""
+
+
+def attributed_drives(sweep: DriveSweep) -> list[AttributedDrive]:
+    """Return the drives in rain of a sweep that attributes, each with the jobs of its coalitions; else none.
+
+    Raises ValueError for a rain without any factor.
+    """
+    if not is_attributed(sweep.attribute):
+        return []
+    hashes = cache(scene_hash)
+    found: list[AttributedDrive] = []
+    for drive in drives_of(sweep):
+        rain = drive.scenario.rain
+        if rain.intensity_mm_h > 0:
+            factors = RainFactors.of(rain, sweep.attribute, drive.scene)
+            if not factors.game.factors:
+                raise ValueError(f"attribute: the rain of {drive.title} has no factors")
+            plan = AttributionPlan.of(factors.game, sweep.attribute_pairs)
+            jobs = {each: _coalition(drive, factors, each, hashes) for each in plan.coalitions(drive.seed)}
+            found.append(AttributedDrive(drive, plan, jobs))
+    if not found:
+        raise ValueError("attribute: expected an intensity above 0 mm/h")
+    return found
+
+
+def _coalition(drive: DriveJob, factors: RainFactors, present: Coalition, hashes: Callable[[str], str]) -> DriveJob:
+    weather = factors.weather(present)
+    scene = factors.twin if weather.in_twin and factors.twin is not None else drive.scene
+    scenario = structs.replace(drive.scenario, rain=weather.rain, scene=scene)
+    return structs.replace(drive, scenario=scenario, scene=scene, scene_hash=hashes(scene))
 
 
 def _complete(agent: AgentChoice) -> AgentChoice:

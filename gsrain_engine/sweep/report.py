@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from msgspec import structs
 from PIL import Image
 
+from ..evaluation.attribution.results import Attribution, share_table
 from ..evaluation.report import ReportFigure, ReportTable, RunReport, write_report
 from ..evaluation.report_charts import SeriesStyle, series_styles
 from ..rain.settings import CALIBRATED_UP_TO_MM_H
@@ -23,9 +24,10 @@ from ..safe_io.text_files import figure_words
 from ..scene.files import shortened, whole_file
 from ..simulation.metrics.summary import table_csv
 from . import results
-from .expansion import DriveJob, Job
+from .attribution import drive_attributions, write_attribution
+from .expansion import DriveJob, Job, attributed_drives, drives_of
 from .results import MEASURED, MeanInterval95, Row, SummaryCell, SweepFolder, by_scenario
-from .settings import Sweep
+from .settings import DriveSweep, RenderSweep, Sweep
 
 
 def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict[str, Any]:
@@ -39,14 +41,23 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict
     if not rows:
         raise ValueError(f"{folder.path}: there are no rows of this sweep yet")
     kind = "drive" if isinstance(jobs[0], DriveJob) else "render"
-    cells = results.summarized(rows) if kind == "drive" else []
     failed = [str(row["error"]) for row in rows if row["status"] == results.FAILED]
     errors = sorted(Counter(failed).items(), key=lambda each: (-each[1], each[0]))  # most frequent first
-    numbers = {
+    numbers: dict[str, Any] = {
         "jobs": len(jobs), "rows": len(rows), "failed": len(failed), "other_rows": folder.others(jobs),
-        "errors": dict(errors), "cells": msgspec.to_builtins(cells),
+        "errors": dict(errors),
     }  # fmt: skip
-    figures = _written_figures(folder.path / "figures", by_scenario(cell for cell in cells if cell.runs))
+    figures: list[ReportFigure] = []
+    shares: list[Attribution] = []
+    if isinstance(sweep, DriveSweep) and (apart := attributed_drives(sweep)):
+        shares = drive_attributions(apart, found)
+        figures += write_attribution(folder.path, apart, found, shares)
+        numbers["attribution"] = [each.plain for each in shares]
+        whole = {job.id for job in drives_of(sweep)}
+        rows = [row for row in rows if row["id"] in whole]  # drives in parts of the rain have a table of their own
+    cells = results.summarized(rows) if kind == "drive" else []
+    numbers["cells"] = msgspec.to_builtins(cells)
+    figures += _written_figures(folder.path / "figures", by_scenario(cell for cell in cells if cell.runs))
     for name, data in (
         ("table.parquet", results.rows_parquet(rows, kind)),
         ("table.csv", table_csv(list(results.columns_of(kind)), rows).encode()),
@@ -54,7 +65,8 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict
     ):
         with whole_file(folder.path / name) as partial:
             partial.write_bytes(data)
-    write_report(folder.path / "report.html", sweep_report_page(folder.path.name, sweep, numbers, rows, cells, figures))
+    page = sweep_report_page(folder.path.name, sweep, numbers, rows, cells, figures, shares)
+    write_report(folder.path / "report.html", page)
     return numbers
 
 
@@ -173,7 +185,12 @@ def _dress(panel: Axes, title: str, cells: Sequence[SummaryCell], *, is_lowest: 
 
 # Boundary of failure: collisions over a grid of start speeds, gaps and exposures
 
-_GRID_AXES = {"start_speed_m_s": "V0 (m/s)", "gap_m": "d (m)", "exposure_s": "exposure (s)"}
+_GRID_AXES = {
+    "start_speed_m_s": "V0 (m/s)",
+    "gap_m": "d (m)",
+    "exposure_s": "exposure (s)",
+    "diameter_scale": "diameters x",
+}
 _MAX_CURVES = 12  # a figure over intensity with more curves shows nothing
 _CELL_IN = (2.6, 2.3)
 _COLLISION_COLORS = "RdYlBu_r"  # red: all collide, blue: none; distinguishable without seeing red and green
@@ -248,9 +265,9 @@ _CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
 
 def sweep_report_page(
     name: str, sweep: Sweep, numbers: dict[str, Any], rows: Sequence[Row], cells: Sequence[SummaryCell],
-    figures: Sequence[ReportFigure],
+    figures: Sequence[ReportFigure], shares: Sequence[Attribution] = (),
 ) -> RunReport:  # fmt: skip
-    """Return the report page of a sweep; `numbers` is its summary, `figures` one per scenario."""
+    """Return the report page of a sweep; `numbers` is its summary, `shares` its attribution, if it has one."""
     notes = [f"{count} of {numbers['rows']} failed: {error}" for error, count in list(numbers["errors"].items())]
     if numbers["rows"] < numbers["jobs"]:
         notes.insert(0, f"{numbers['jobs'] - numbers['rows']} of {numbers['jobs']} jobs have not been done yet.")
@@ -262,11 +279,11 @@ def sweep_report_page(
         for name, value in msgspec.to_builtins(sweep).items()
         if value is not None
     }
-    tables: list[ReportTable] = []
+    tables: list[ReportTable] = [share_table(shares)] if shares else []
     for own in by_scenario(cells):
         tables.append(scenario_table(own))
         tables += [change_table(own)] if any(cell.changes for cell in own) else []
-    if not cells:
+    if isinstance(sweep, RenderSweep):
         columns = ("scene", "intensity_mm_h", "seed", "cameras", "frames", "sizes_px", "drops", "clip", "error")
         tables.append(ReportTable("Clips", columns, tuple(tuple(row[name] for name in columns) for row in rows)))
     return RunReport(

@@ -37,7 +37,8 @@ _SHARED: dict[str, type] = {
 
 _DRIVE: dict[str, type] = {
     **_SHARED, "scenario": str, "agent": str, "agent_name": str, "wet": bool, "preset": str, "sensor": str,
-    "mirror": bool, "exposure_s": float, "start_speed_m_s": float, "gap_m": float,
+    "mirror": bool, "splashes": bool, "spray": bool, "friction": str, "exposure_s": float, "diameter_scale": float,
+    "start_speed_m_s": float, "gap_m": float,
 }  # fmt: skip
 
 _RENDER: dict[str, type] = {
@@ -222,13 +223,12 @@ def _group(row: Row) -> _Group:
 def _place(row: Row) -> tuple[object, ...]:
     """Position of a row in tables: by group, in numerical order, then by intensity and seed."""
     group = _group(row)
-    axes = [
-        (value is not None, value or 0)
-        for value in (group.variant.exposure_s, group.variant.start_speed_m_s, group.variant.gap_m)
-    ]
     variant = group.variant
-    mirror = variant.mirror is not None, bool(variant.mirror)
-    own = variant.wet is not None, bool(variant.wet), variant.preset or "", variant.sensor or "", *mirror, *axes
+    numbers = variant.exposure_s, variant.diameter_scale, variant.start_speed_m_s, variant.gap_m
+    axes = [(value is not None, value or 0) for value in numbers]
+    water = [pair for on in (variant.mirror, variant.splashes, variant.spray) for pair in (on is not None, bool(on))]
+    words = [each or "" for each in (variant.preset, variant.sensor, variant.friction)]
+    own = variant.wet is not None, bool(variant.wet), *words, *water, *axes
     return *group[:3], *own, _number(row["intensity_mm_h"]), _number(row["seed"])
 
 

@@ -9,6 +9,8 @@ import numpy as np
 from msgspec import Meta, Struct, structs
 
 from ..backends import Backend
+from ..evaluation.attribution.factors import factor_names, is_attributed
+from ..evaluation.attribution.shapley import MAX_PAIRS
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
@@ -21,6 +23,7 @@ from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_names
+from ..simulation.friction import Friction
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
 
@@ -100,6 +103,7 @@ class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 Speeds = tuple[Annotated[float, Meta(ge=0, le=60)], ...]
 Gaps = tuple[Annotated[float, Meta(ge=0, le=500)], ...]
+Scales = tuple[Annotated[float, Meta(ge=0.25, le=4)], ...]
 Exposures = tuple[Annotated[float, Meta(ge=1e-5, le=1.0)], ...]
 
 
@@ -110,7 +114,11 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     preset: str | None = None
     sensor: str | None = None
     mirror: bool | None = None
+    splashes: bool | None = None
+    spray: bool | None = None
+    friction: Friction | None = None
     exposure_s: float | None = None
+    diameter_scale: float | None = None
     start_speed_m_s: float | None = None
     gap_m: float | None = None
 
@@ -121,7 +129,11 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         words += [] if self.preset is None else [f"preset {Path(self.preset).stem}"]
         words += [] if self.sensor is None else [f"sensor {Path(self.sensor).stem}"]
         words += [] if self.mirror is None else ["mirror" if self.mirror else "no mirror"]
+        words += [] if self.splashes is None else ["splashes" if self.splashes else "no splashes"]
+        words += [] if self.spray is None else ["spray" if self.spray else "no spray"]
+        words += [] if self.friction is None else [f"{self.friction} friction"]
         words += [] if self.exposure_s is None else [f"{1000 * self.exposure_s:g} ms"]
+        words += [] if self.diameter_scale is None else [f"diameters x{self.diameter_scale:g}"]
         words += [] if self.start_speed_m_s is None else [f"{self.start_speed_m_s:g} m/s"]
         words += [] if self.gap_m is None else [f"{self.gap_m:g} m"]
         return ", ".join(words)
@@ -136,15 +148,22 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
             rain = structs.replace(rain, sensor=self.sensor)
         if self.mirror is not None:
             rain = structs.replace(rain, mirror=self.mirror)
+        if self.splashes is not None:
+            rain = structs.replace(rain, splashes=self.splashes)
+        if self.spray is not None:
+            rain = structs.replace(rain, spray=self.spray)
         if self.exposure_s is not None:
             rain = structs.replace(rain, exposure_s=self.exposure_s)
+        if self.diameter_scale is not None:
+            rain = structs.replace(rain, diameter_scale=self.diameter_scale)
         if self.gap_m is not None:
             if not users:
                 raise ValueError(f"scenario {scenario.name!r}: gap_m varies its first road user, and it has none")
             users = (structs.replace(users[0], ahead_m=self.gap_m), *users[1:])
         rain = with_wet_choice(rain, self.wet)
         speed = scenario.speed_m_s if self.start_speed_m_s is None else self.start_speed_m_s
-        return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed)
+        friction = self.friction or scenario.friction
+        return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed, friction=friction)
 
 
 class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
@@ -186,8 +205,22 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         tuple[bool | None, ...],
         Meta(min_length=1, title="Mirror", description="Whether water on the ground reflects; null: the scenario's."),
     ] = (None,)
+    splashes: Annotated[
+        tuple[bool | None, ...],
+        Meta(min_length=1, title="Splashes", description="Splashes and rings, or none; null: the scenario's."),
+    ] = (None,)
+    spray: Annotated[
+        tuple[bool | None, ...],
+        Meta(min_length=1, title="Spray", description="Whether vehicles throw spray; null: the scenario's."),
+    ] = (None,)
+    friction: Annotated[
+        tuple[Friction, ...], Meta(title="Friction", description="dry or wet, to compare; none: the scenario's.")
+    ] = ()
     exposure_s: Annotated[
         Exposures, Meta(title="Exposures", description="None: the scenario's.", extra={"unit": "s"})
+    ] = ()
+    diameter_scale: Annotated[
+        Scales, Meta(title="Drop sizes", description="Factors on all diameters, at equal mm/h. None: the scenario's.")
     ] = ()
     start_speed_m_s: Annotated[
         Speeds, Meta(title="Start speeds", description="Of the ego (V0). None: the scenario's.", extra={"unit": "m/s"})
@@ -196,22 +229,37 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         Gaps,
         Meta(title="Gaps", description="To the first road user (d). None: the scenario's.", extra={"unit": "m"}),
     ] = ()
+    attribute: Annotated[
+        tuple[str, ...],
+        Meta(
+            title="Attribute",
+            extra={"commands": "sweep"},
+            description="Also drive with parts of the rain, for the share of each in its effect: all that it has, or "
+            f"those of a list, of which it then consists ({', '.join(factor_names())}).",
+        ),
+    ] = ()
+    attribute_pairs: Annotated[
+        int | None,
+        Meta(
+            title="Pairs of orders",
+            extra={"commands": "sweep", "ge": 0, "le": MAX_PAIRS},
+            description="Pairs of opposite orders of these parts that each seed samples; 0 takes all orders. None: all "
+            "orders, if 32 subsets do.",
+        ),
+    ] = None
     backend: DrawnBy = "auto"
     output: OutputFolder = None
+
+    def __post_init__(self) -> None:
+        is_attributed(self.attribute)  # raises for an unusable choice
+        if self.attribute_pairs is not None and not 0 <= self.attribute_pairs <= MAX_PAIRS:
+            raise ValueError(f"attribute_pairs must be within 0..{MAX_PAIRS}, got {self.attribute_pairs}")
 
     @property
     def variants(self) -> list[Variant]:
         """All combinations of the further axes."""
-        axes = self.wet, self.preset or (None,), self.sensor or (None,), self.mirror, self.exposure_s or (None,)
-        return [
-            Variant(
-                wet=wet, preset=preset, sensor=sensor, mirror=mirror, exposure_s=exposure, start_speed_m_s=speed,
-                gap_m=gap,
-            )
-            for wet, preset, sensor, mirror, exposure, speed, gap in product(
-                *axes, self.start_speed_m_s or (None,), self.gap_m or (None,)
-            )
-        ]  # fmt: skip
+        axes = {name: getattr(self, name) or (None,) for name in Variant.__struct_fields__}
+        return [Variant(**dict(zip(axes, values, strict=True))) for values in product(*axes.values())]
 
 
 class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):

@@ -1,6 +1,6 @@
 """Trainable Gaussians: unconstrained torch tensors with their Adam moments, and the fused Adam step of each device."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, no_type_check
 
@@ -118,7 +118,7 @@ class SplatParameters:
             for name in moving
         ]
         if self.device.type != "cpu":
-            foreach_adam_step(fours, rows, steps)
+            fused_adam_step(fours, rows, steps)
             return
         mask = np.zeros(0, np.bool_) if rows is None else rows.numpy()
         for four, step in zip(fours, steps, strict=True):
@@ -231,7 +231,7 @@ def adam_step(values, gradients, first, second, rows, rate, first_share, second_
 
 
 # Adam step on a GPU
-# Few kernels for all tensors, since starting one takes longer than its work.
+# Few kernels, since starting one takes longer than its work.
 
 
 class AdamStep(NamedTuple):
@@ -245,6 +245,37 @@ class AdamStep(NamedTuple):
     def of(cls, rate: float, steps: int) -> "AdamStep":
         """Values of the step with this number, counted from 1."""
         return cls(rate, 1 - FIRST_DECAY**steps, 1 - SECOND_DECAY**steps)
+
+
+def fused_adam_step(
+    fours: Sequence[tuple[Tensor, Tensor, Tensor, Tensor]], rows: Tensor | None, steps: Sequence[AdamStep]
+) -> None:
+    """Do a step with one kernel for each tensor, gsplat's Adam for some rows (Mallick et al. 2024), if there is one.
+
+    That kernel has no bias corrections: they are in its learning rate and epsilon. Arguments are those of
+    `foreach_adam_step`, which does the step without it.
+    """
+    kernel = _gsplat_adam()
+    if kernel is None or not fours:
+        foreach_adam_step(fours, rows, steps)
+        return
+    with torch.no_grad():
+        count, device = len(fours[0][0]), fours[0][0].device
+        moving = torch.ones(count, dtype=torch.bool, device=device) if rows is None else rows
+        for (values, gradients, first, second), step in zip(fours, steps, strict=True):
+            spread = step.second_share**0.5
+            pace = step.rate * spread / step.first_share
+            kernel(
+                values, gradients.contiguous(), first, second, moving, pace, FIRST_DECAY, SECOND_DECAY, EPSILON * spread
+            )
+
+
+def _gsplat_adam() -> Callable[..., None] | None:
+    """Function of gsplat 1.5's SelectiveAdam; None without gsplat, or in a version without it."""
+    try:
+        return import_module("gsplat.cuda._wrapper").adam
+    except (ImportError, AttributeError):
+        return None
 
 
 def foreach_adam_step(

@@ -11,6 +11,7 @@ from ..rain.air import profile
 from ..rain.simulation import RainSimulation
 from .glass_drops import GRAVITY_M_S2, TICK_S, GlassDrops, Impacts, Wetting, impacts_on
 from .pane import Pane
+from .spray import SprayParcels, pane_flux_m_s
 from .wiper import Wiper, WiperMode
 
 _TICKS = 10
@@ -26,10 +27,15 @@ class CameraMotion(NamedTuple):
 
     camera_to_world: Float64[np.ndarray, "3 3"]
     velocity_m_s: Float64[np.ndarray, "3"]
+    position_m: Float64[np.ndarray, "3"] | None = None
+    """Place in the world; without it no spray lands."""
 
 
 PastMotion = Callable[[float], CameraMotion]
 """Motion of a camera at any time up to that of the frame."""
+
+PastSpray = Callable[[float], SprayParcels]
+"""Spray of vehicles at any time up to that of the frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +66,7 @@ class GlassHistory:
     ) -> None:
         """Describe a pane that is dry `wet_s` before time 0 (and before each further 10 minutes)."""
         self.pane, self.past = pane, past
+        self.spray: PastSpray | None = None
         self._rainfall, self._wet_s = rainfall, wet_s
         self._wetting = Wetting(contact_angle_deg)
         self._mode: WiperMode = wiper if pane.kind == "windshield" else "off"
@@ -67,7 +74,7 @@ class GlassHistory:
         self._tick = self._first = 0
         self._impacts: Impacts | None = None
         self._forces = np.zeros(2), np.zeros(2)
-        self._expected = 0.0
+        self._expected = self._spray_m_s = 0.0
         self.drops, self.wiper = GlassDrops(pane, self._wetting, 0), Wiper(self._mode)
 
     def at(self, time_s: float) -> GlassState:
@@ -84,7 +91,7 @@ class GlassHistory:
             part = (self._tick - first) % _TICKS
             if part == 0 or self._impacts is None:
                 self._look(self._tick * TICK_S)
-            self._step(min(_TICKS - part, goal - self._tick))
+            self._step(min(1 if self._spray_m_s > 0 else _TICKS - part, goal - self._tick))
         return GlassState(
             impacts=self.drops.impacts,
             expected_impacts=self._expected,
@@ -94,7 +101,7 @@ class GlassHistory:
 
     def _look(self, time_s: float) -> None:
         """Take the rain and the motion at a time."""
-        now, (turn, velocity) = self._rainfall.frozen_at(time_s), self.past(time_s)
+        now, (turn, velocity, place) = self._rainfall.frozen_at(time_s), self.past(time_s)
         motion = now.motion
         share = float(profile(np.array([_HEIGHT_M]), motion.wind.roughness_m)[0])
         wind = share * motion.wind.mean_m_s[0], share * motion.wind.mean_m_s[1]
@@ -103,10 +110,16 @@ class GlassHistory:
         )
         axes = turn @ np.stack([self.pane.right, self.pane.up], axis=1)
         self._forces = np.array([0.0, 0.0, -GRAVITY_M_S2]) @ axes, (np.array([*wind, 0.0]) - velocity) @ axes
+        self._spray_m_s = 0.0
+        if self.spray is not None and place is not None:
+            middle = place + turn @ self.pane.center_m
+            self._spray_m_s = pane_flux_m_s(self.spray(time_s), middle, turn @ self.pane.normal, velocity)
 
     def _step(self, ticks: int) -> None:
         assert self._impacts is not None
-        water_m = self._impacts.water_m_s * TICK_S
+        water_m = (self._impacts.water_m_s + self._spray_m_s) * TICK_S
+        if self._spray_m_s > 0:  # lands tick by tick, whatever the steps
+            self.drops.add_film(self._spray_m_s * TICK_S)
         blade = np.array([self.wiper.advance(TICK_S, water_m) for _ in range(ticks)])
         self.drops.advance(self._tick, self._impacts, *self._forces, blade)
         self._expected += self._impacts.rate_s * TICK_S * ticks

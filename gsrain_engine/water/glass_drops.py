@@ -177,6 +177,11 @@ class GlassDrops:
             u_m, v_m, volume_m3, 0.5,
         )  # fmt: skip
 
+    def add_film(self, depth_m: float) -> None:
+        """Spread a depth of water over the whole pane: fine spray, whose drops are too many to follow."""
+        self.film_m += np.float32(depth_m)
+        self.totals[LANDED] += float(np.float32(depth_m)) * self.film_m.size * _FILM_M**2
+
     def advance(
         self,
         tick: int,

@@ -7,7 +7,7 @@ reflections also move up on the reflected objects, the more the flatter the view
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -17,9 +17,10 @@ from ..scene.camera import Camera
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE
 from ..scene.lamps import LitLamps
 from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
+from .rings import RingField, RingWaves, ring_slope
 
-SCALE = 0.5
-"""Size of the mirror image relative to the picture."""
+SCALES = 0.5, 0.25
+"""Width and height of the mirror image relative to the picture: rough water blurs much more along its columns."""
 SLOPES = FILM_SLOPE, STANDING_SLOPE
 _ANGLES = 128  # of the tables over the viewing angle
 _FOOTPRINT_PX = np.float32(0.4)  # standard deviation of a pixel of the mirror image
@@ -29,17 +30,17 @@ _MIN_SINE = np.float32(2e-3)  # of a ray's angle to the ground; others pass over
 _LAMP_REACH = 4.0  # of a lamp's image, in standard deviations of the slope
 
 
-def rows_of_ground(camera: Camera, scale: float = SCALE) -> tuple[int, int]:
-    """First and past-the-last row of a picture at a scale with rays to level ground; two equal ones without any."""
-    height = max(int(np.ceil(scale * camera.height)), 1)
+def rows_of_ground(camera: Camera) -> tuple[int, int]:
+    """First and past-the-last row of a mirror image with rays to level ground; two equal ones without any."""
+    height = max(int(np.ceil(SCALES[1] * camera.height)), 1)
     turn = camera.camera_to_world[2, :3]
-    y = ((np.arange(height)[:, None] + 0.5) / scale - camera.cy) / camera.fy
+    y = ((np.arange(height)[:, None] + 0.5) / SCALES[1] - camera.cy) / camera.fy
     x = (np.array([0.0, camera.width]) - camera.cx) / camera.fx
     found = np.flatnonzero((turn[0] * x + turn[1] * y + turn[2] < 0).any(axis=1))
     return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)
 
 
-def mirrored_camera(camera: Camera, ground_m: float, scale: float = SCALE) -> Camera:
+def mirrored_camera(camera: Camera, ground_m: float) -> Camera:
     """Camera that sees what level ground at a height reflects into another, rows from bottom to top.
 
     The reflection of the world in the ground, and a flip of the camera's y axis, so that the pose is a rotation. It has
@@ -47,45 +48,59 @@ def mirrored_camera(camera: Camera, ground_m: float, scale: float = SCALE) -> Ca
     """
     reflection, flip = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
     reflection[2, 3] = 2 * ground_m
-    first, last = rows_of_ground(camera, scale)
+    first, last = rows_of_ground(camera)
+    across, along = SCALES
     return replace(
         camera,
-        width=max(int(np.ceil(scale * camera.width)), 1),
+        width=max(int(np.ceil(across * camera.width)), 1),
         height=last - first,
-        fx=scale * camera.fx,
-        fy=scale * camera.fy,
-        cx=scale * camera.cx,
-        cy=last - scale * camera.cy,
+        fx=across * camera.fx,
+        fy=along * camera.fy,
+        cx=across * camera.cx,
+        cy=last - along * camera.cy,
         world_to_camera=flip @ camera.world_to_camera @ reflection,
     )
 
 
 @lru_cache(maxsize=8)
 def facet_table(slope: float) -> Float32[np.ndarray, "angles 3"]:
+    """Table of `facet_rows` for water that is equally rough at all angles."""
+    return facet_rows(np.full(_ANGLES, slope))
+
+
+def facet_rows(slopes: Float64[np.ndarray, " angles"]) -> Float32[np.ndarray, "angles 3"]:
     """Share of light that rough water reflects, and mean and standard deviation of the tilt of facets that do.
 
-    By sine of the viewing angle to the ground, 0 to 1 in equal steps of its square root. Facets tilt along the line of
-    sight, with Gaussian slopes, weighted by visible area, Fresnel's law and Smith's shadowing of the reflected ray. A
-    ray that goes down again meets the ground, and is lost.
+    By sine of the viewing angle to the ground, 0 to 1 in equal steps of its square root, with a standard deviation of
+    slope for each. Facets tilt along the line of sight, with Gaussian slopes, weighted by visible area, Fresnel's law
+    and Smith's shadowing of the reflected ray. A ray that goes down again meets the ground, and is lost.
     """
-    table = np.zeros((_ANGLES, 3))
-    tilts = np.arctan(slope * np.linspace(-3.5, 3.5, _TILTS))
-    density = np.exp(-0.5 * (np.tan(tilts) / slope) ** 2) / np.cos(tilts)
-    for row, root in enumerate(np.linspace(0, 1, _ANGLES)):
-        view = np.arcsin(max(root * root, 1e-4))
-        visible = density * np.maximum(np.sin(view + tilts), 0)
-        rise = view + 2 * tilts
-        gain = np.array(
-            [
-                area * reflectance(np.sin(view + tilt), WATER_INDEX) * unshadowed(np.sin(min(up, np.pi / 2)), slope)
-                if area > 0 and 0 < up < np.pi
-                else 0.0
-                for area, tilt, up in zip(visible, tilts, rise, strict=True)
-            ]
-        )
-        mean = np.sum(gain * tilts) / gain.sum()
-        table[row] = gain.sum() / visible.sum(), mean, np.sqrt(np.sum(gain * (tilts - mean) ** 2) / gain.sum())
-    return table.astype(np.float32)
+    table = np.empty((_ANGLES, 3), np.float32)
+    _fill_facets(slopes, table)
+    return table
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _fill_facets(slopes, table):
+    for row in range(len(slopes)):
+        root = row / (len(slopes) - 1)
+        view, slope = np.arcsin(max(root * root, 1e-4)), slopes[row]
+        visible = gained = first = second = 0.0
+        for k in range(_TILTS):
+            steepness = 3.5 * (2 * k / (_TILTS - 1) - 1)
+            tilt = np.arctan(slope * steepness)
+            area = np.exp(-0.5 * steepness * steepness) / np.cos(tilt) * np.sin(view + tilt)
+            if area <= 0:
+                continue
+            visible += area
+            up = view + 2 * tilt
+            if 0 < up < np.pi:
+                gain = area * reflectance(np.sin(view + tilt), WATER_INDEX)
+                gain *= unshadowed(np.sin(min(up, np.pi / 2)), slope)
+                gained, first, second = gained + gain, first + gain * tilt, second + gain * tilt * tilt
+        mean = first / gained
+        table[row] = gained / visible, mean, np.sqrt(max(second / gained - mean * mean, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,20 +108,39 @@ class Mirror:
     """Light that water on the ground would reflect into one camera, if it covered all of it."""
 
     first_row: int
-    """Row of the picture, at `SCALE`, of the first row of `light`; the ground is not visible above."""
+    """Row of the picture, at `SCALES`, of the first row of `light`; the ground is not visible above."""
     light: Float32[np.ndarray, "h w 2 3"]
-    """Linear light at `SCALE`: that of films, and that of standing water; 0 above the horizon."""
+    """Linear light at `SCALES`: that of films, and that of standing water; 0 above the horizon."""
+    rings: "MirrorRings | None" = None
+    """Rings that tilt the water, in which case `light` is that of films that are not flooded; None without any."""
 
     def reflected(self, film: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w 3"]:
         """Linear light that the visible shares of films and standing water reflect, at the picture's size."""
         image = np.empty((*film.shape[:2], 3), np.float32)
-        _weigh(np.ascontiguousarray(film), self.light, self.first_row, np.float32(SCALE), image)
+        shares = np.ascontiguousarray(film)
+        across, along = np.float32(SCALES[0]), np.float32(SCALES[1])
+        if self.rings is None:
+            _weigh(shares, self.light, self.first_row, across, along, image)
+        else:
+            _weigh_rings(shares, self.light, self.first_row, across, along, *self.rings, image)
         return image
 
-    @property
-    def first_picture_row(self) -> int:
-        """First row of the picture in which ground may be visible."""
-        return int(self.first_row / SCALE)
+
+class MirrorRings(NamedTuple):
+    """Rings before one camera, as `Mirror.reflected` uses them."""
+
+    flooded: float
+    """Share of films on which rings run, as on standing water."""
+    sines: Float32[np.ndarray, "h w"]
+    ways: Float32[np.ndarray, "h w"]
+    """Shares of the way beyond the ground, of each pixel of the mirror's light."""
+    intrinsics: Float32[np.ndarray, "4"]
+    """Of the mirror's light."""
+    to_world: Float64[np.ndarray, "4 4"]
+    above_m: float
+    """Height of the camera over the ground."""
+    on_films: RingField
+    on_standing: RingField
 
 
 def make_mirror(
@@ -118,32 +152,50 @@ def make_mirror(
     flooded: float = 0.0,
     lamps: LitLamps | None = None,
     extinction_per_m: float = 0.0,
+    standing: tuple[float, float] | None = None,
+    waves: RingWaves | None = None,
 ) -> Mirror:
     """Mirror of a camera from the picture and the depth (m, 0 where empty) of its `mirrored_camera`.
 
     Both have the first row on top, as drawn. A share `flooded` of the films is as smooth as standing water. Lamps are
-    added as images of points, whose light the medium dims.
+    added as images of points, whose light the medium dims. Of `standing` water, the share of its area that is under
+    water now, and its wetness (None: all, as wet as films). Rings of `waves` tilt the water.
     """
     image, depth = image_linear[::-1], depth[::-1]
     height, width = depth.shape
     sines, distances, shares = (np.empty((height, width), np.float32) for _ in range(3))
     to_world = camera.camera_to_world
     first_row = rows_of_ground(camera)[0]
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) * SCALE - (0, 0, 0, first_row)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) * (*SCALES, *SCALES) - (0, 0, 0, first_row)
     above_m = float(to_world[2, 3]) - ground_m
     _geometry(depth, to_world[:3, :3], intrinsics, above_m, sines, distances, shares)
     columns, light = (np.zeros((height, width, 2, 3), np.float32) for _ in range(2))
-    tables, slopes = np.stack([facet_table(slope) for slope in SLOPES]), np.array(SLOPES, np.float32)
+    slopes = np.tile(np.array(SLOPES)[:, None], _ANGLES)
+    tables = np.stack([facet_table(slope) for slope in SLOPES])
+    if waves is not None:
+        angles = np.arcsin(np.maximum(np.linspace(0, 1, _ANGLES) ** 2, 1e-4))
+        slopes[1] = waves.slopes_along(above_m / np.tan(angles))
+        tables[1] = facet_rows(slopes[1])
     fx, fy, _, cy = intrinsics.astype(np.float32)
     _blur_columns(np.ascontiguousarray(image), sines, shares, tables, fy, cy, columns)
     _fill_films(sines, columns)
-    _blur_rows(columns, sines, shares, slopes, fx, light)
+    _blur_rows(columns, sines, shares, slopes.astype(np.float32), fx, light)
     if lamps is not None and len(lamps.positions_m):
         rows = _lamp_rows(lamps.brightest(camera.position))
-        _add_lamps(light, sines, distances, to_world, intrinsics, rows, np.array(SLOPES), ground_m, extinction_per_m)
-    light[:, :, 0] += np.float32(flooded) * (light[:, :, 1] - light[:, :, 0])
-    light *= np.float32(wetness)
-    return Mirror(first_row, light)
+        _add_lamps(light, sines, distances, to_world, intrinsics, rows, slopes, ground_m, extinction_per_m)
+    films = light[:, :, 0] + np.float32(flooded) * (light[:, :, 1] - light[:, :, 0])
+    filled, as_wet = standing or (1.0, wetness)
+    if filled < 1:
+        light[:, :, 1] += np.float32(1 - filled) * (np.float32(wetness / as_wet) * films - light[:, :, 1])
+    light[:, :, 1] *= np.float32(as_wet)
+    if waves is None:
+        light[:, :, 0] = np.float32(wetness) * films
+        return Mirror(first_row, light)
+    light[:, :, 0] *= np.float32(wetness)
+    rings = MirrorRings(
+        flooded, sines, shares, intrinsics.astype(np.float32), to_world, above_m, waves.on_films, waves.on_standing
+    )
+    return Mirror(first_row, light, rings)
 
 
 # Geometry of pixels
@@ -252,8 +304,9 @@ def _blur_rows(light, sines, shares, slopes, fx, blurred):
     height, width = sines.shape
     for row in numba.prange(height):
         for column in range(width):
+            at = np.sqrt(min(max(sines[row, column], np.float32(0)), np.float32(1))) * np.float32(slopes.shape[1] - 1)
             for water in range(2):
-                across = np.float32(2) * slopes[water] * sines[row, column] * fx * shares[row, column]
+                across = np.float32(2) * slopes[water, int(at)] * sines[row, column] * fx * shares[row, column]
                 reach = 2 if across > np.float32(0.4) else 0
                 red = green = blue = total = np.float32(0)
                 for tap in range(-reach, reach + 1):
@@ -271,13 +324,13 @@ def _blur_rows(light, sines, shares, slopes, fx, blurred):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _weigh(film, light, first_row, scale, image):
+def _weigh(film, light, first_row, across, along, image):
     """Sum of the light of films and standing water, linear between pixels, times their visible shares."""
     height, width = film.shape[:2]
     rows, columns = light.shape[:2]
     one = np.float32(1)
     for row in numba.prange(height):
-        y = scale * (np.float32(row) + np.float32(0.5)) - np.float32(0.5 + first_row)
+        y = along * (np.float32(row) + np.float32(0.5)) - np.float32(0.5 + first_row)
         y = min(max(y, np.float32(0)), np.float32(rows - 1))
         top = min(int(y), max(rows - 2, 0))
         v, bottom = y - np.float32(top), min(top + 1, rows - 1)
@@ -287,17 +340,136 @@ def _weigh(film, light, first_row, scale, image):
                 for c in range(3):
                     image[row, column, c] = 0
                 continue
-            x = scale * (np.float32(column) + np.float32(0.5)) - np.float32(0.5)
+            x = across * (np.float32(column) + np.float32(0.5)) - np.float32(0.5)
             x = min(max(x, np.float32(0)), np.float32(columns - 1))
             left = min(int(x), max(columns - 2, 0))
             u, right = x - np.float32(left), min(left + 1, columns - 1)
-            for c in range(3):
-                total = np.float32(0)
-                for water in range(2):
-                    upper = (one - u) * light[top, left, water, c] + u * light[top, right, water, c]
-                    lower = (one - u) * light[bottom, left, water, c] + u * light[bottom, right, water, c]
-                    total += (a if water == 0 else b) * ((one - v) * upper + v * lower)
-                image[row, column, c] = total
+            red = green = blue = np.float32(0)
+            for water in range(2):
+                share = a if water == 0 else b
+                if share <= 0:
+                    continue
+                w00, w01 = share * (one - v) * (one - u), share * (one - v) * u
+                w10, w11 = share * v * (one - u), share * v * u
+                first, second = light[top, left, water], light[top, right, water]
+                third, fourth = light[bottom, left, water], light[bottom, right, water]
+                red += w00 * first[0] + w01 * second[0] + w10 * third[0] + w11 * fourth[0]
+                green += w00 * first[1] + w01 * second[1] + w10 * third[1] + w11 * fourth[1]
+                blue += w00 * first[2] + w01 * second[2] + w10 * third[2] + w11 * fourth[2]
+            image[row, column, 0], image[row, column, 1], image[row, column, 2] = red, green, blue
+
+
+@numba.njit(inline="always", error_model="numpy")
+@no_type_check
+def _light_at(light, x, y, water, share):
+    """Share of the light at a place of the mirror, linear between pixels."""
+    rows, columns = light.shape[:2]
+    one = np.float32(1)
+    y = min(max(y, np.float32(0)), np.float32(rows - 1))
+    x = min(max(x, np.float32(0)), np.float32(columns - 1))
+    top, left = min(int(y), max(rows - 2, 0)), min(int(x), max(columns - 2, 0))
+    v, u = y - np.float32(top), x - np.float32(left)
+    bottom, right = min(top + 1, rows - 1), min(left + 1, columns - 1)
+    w00, w01 = share * (one - v) * (one - u), share * (one - v) * u
+    w10, w11 = share * v * (one - u), share * v * u
+    first, second = light[top, left, water], light[top, right, water]
+    third, fourth = light[bottom, left, water], light[bottom, right, water]
+    return (
+        w00 * first[0] + w01 * second[0] + w10 * third[0] + w11 * fourth[0],
+        w00 * first[1] + w01 * second[1] + w10 * third[1] + w11 * fourth[1],
+        w00 * first[2] + w01 * second[2] + w10 * third[2] + w11 * fourth[2],
+    )
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _weigh_rings(
+    film,
+    light,
+    first_row,
+    scale_x,
+    scale_y,
+    flooded,
+    sines,
+    ways,
+    intrinsics,
+    to_world,
+    above_m,
+    on_films,
+    on_standing,
+    image,
+):
+    """Sum as `_weigh` does, with standing water, and the flooded share of films, tilted by rings.
+
+    A facet that tilts by t towards the eye reflects what is 2 t fy k rows further down, with the reflectance of its own
+    angle; one that tilts sideways by t what is 2 t fx k times the sine of the viewing angle to the side.
+    """
+    height, width = film.shape[:2]
+    fx, fy, cx, cy = intrinsics
+    turn, eye_x, eye_y = to_world[:3, :3].astype(np.float32), to_world[0, 3], to_world[1, 3]
+    rows, columns = light.shape[:2]
+    one, half, two = np.float32(1), np.float32(0.5), np.float32(2)
+    above, q = np.float32(above_m), np.float32(flooded)
+    far = max(on_films.distance_m, on_standing.distance_m)
+    steep = above / np.sqrt(np.float32(far * far) + above * above) if far > 0 else np.float32(2)
+    for row in numba.prange(height):
+        y = scale_y * (np.float32(row) + half) - np.float32(0.5 + first_row)
+        near_row = min(max(int(y + half), 0), rows - 1)
+        v = (y + half - cy) / fy
+        for column in range(width):
+            thin, standing = film[row, column, 0], film[row, column, 1]
+            if thin <= 0 and standing <= 0:
+                for c in range(3):
+                    image[row, column, c] = 0
+                continue
+            x = scale_x * (np.float32(column) + half) - half
+            near_column = min(max(int(x + half), 0), columns - 1)
+            sine = sines[near_row, near_column]
+            red, green, blue = _light_at(light, x, y, 0, thin * (one - q))
+            if sine < steep:
+                r, g, b = _light_at(light, x, y, 1, thin * q + standing)
+                image[row, column, 0], image[row, column, 1], image[row, column, 2] = red + r, green + g, blue + b
+                continue
+            u = (x + half - cx) / fx
+            across = one / np.sqrt(u * u + v * v + one)
+            ahead_x = (turn[0, 0] * u + turn[0, 1] * v + turn[0, 2]) * across
+            ahead_y = (turn[1, 0] * u + turn[1, 1] * v + turn[1, 2]) * across
+            sine = max(-(turn[2, 0] * u + turn[2, 1] * v + turn[2, 2]) * across, np.float32(1e-3))
+            level = np.sqrt(max(one - sine * sine, np.float32(1e-6)))
+            away = above / sine
+            across_m = np.float32(_FOOTPRINT_PX) * scale_x * away / fx
+            plain = np.float32(0)
+            for water in range(2):
+                share = standing if water == 1 else thin * q
+                field = on_standing if water == 1 else on_films
+                fade = (np.float32(field.distance_m) - away * level) * np.float32(field.per_fade_m)
+                if share < np.float32(1 / 64) or fade <= 0:
+                    plain += share
+                    continue
+                tilt, aside = ring_slope(
+                    eye_x + away * ahead_x, eye_y + away * ahead_y, ahead_x / level, ahead_y / level, across_m / sine,
+                    across_m, field.corner_m, field.starts, field.members, field.centers_m, field.radii_m, field.slopes,
+                )  # fmt: skip
+                if tilt == 0 and aside == 0:
+                    plain += share
+                    continue
+                fade = min(fade, one)
+                fade *= fade * (np.float32(3) - two * fade)
+                way = two * ways[near_row, near_column] * fade
+                lower, aside_x = y + tilt * way * fy * (one + v * v), x + aside * way * fx * sine
+                bounded = min(max(lower, np.float32(0)), np.float32(rows - 1))
+                upper_row = min(int(bounded), max(rows - 2, 0))
+                upper, lower_row = sines[upper_row, near_column], min(upper_row + 1, rows - 1)
+                there = upper + (bounded - np.float32(upper_row)) * (sines[lower_row, near_column] - upper)
+                # sin(v + t) for a small t
+                facing = min(max(sine + fade * tilt * level, np.float32(1e-3)), one)
+                gain = reflectance(facing, WATER_INDEX) / reflectance(
+                    min(max(there, np.float32(1e-3)), one), WATER_INDEX
+                )
+                r, g, b = _light_at(light, aside_x, lower, 1, share * np.float32(min(gain, 4.0)))
+                red, green, blue = red + r, green + g, blue + b
+            r, g, b = _light_at(light, x, y, 1, plain)
+            image[row, column, 0], image[row, column, 1], image[row, column, 2] = red + r, green + g, blue + b
 
 
 # Lamps
@@ -325,6 +497,7 @@ def _add_lamps(light, sines, distances, to_world, intrinsics, lamps, slopes, gro
                 continue
             x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
             scale = 1 / np.sqrt(x * x + y * y + 1)
+            angle = int(np.sqrt(min(sine, 1.0)) * (slopes.shape[1] - 1))
             away = np.float64(distances[row, column])
             dx = (to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2]) * scale
             dy = (to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2]) * scale
@@ -337,7 +510,7 @@ def _add_lamps(light, sines, distances, to_world, intrinsics, lamps, slopes, gro
                 lx, ly, lz = lx / length, ly / length, lz / length
                 hx, hy, hz = lx - dx, ly - dy, lz + sine
                 squared = (hx * hx + hy * hy) / (hz * hz)
-                if squared > (_LAMP_REACH * slopes[0]) ** 2:
+                if squared > (_LAMP_REACH * slopes[0, angle]) ** 2:
                     continue
                 cosine = -(lamps[i, 3] * lx + lamps[i, 4] * ly + lamps[i, 5] * lz)
                 cone = (cosine - lamps[i, 9]) / max(lamps[i, 10] - lamps[i, 9], 1e-6)
@@ -350,7 +523,7 @@ def _add_lamps(light, sines, distances, to_world, intrinsics, lamps, slopes, gro
                 upright = hz / norm
                 dimmed = cone * np.exp(-extinction_per_m * (away + length)) / (length * length)
                 for water in range(2):
-                    slope = slopes[water]
+                    slope = slopes[water, angle]
                     if squared > (_LAMP_REACH * slope) ** 2:
                         continue
                     density = np.exp(-0.5 * squared / (slope * slope)) / (2 * np.pi * slope * slope * upright**4)

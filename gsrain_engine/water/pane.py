@@ -47,6 +47,12 @@ class Pane:
         return self.high_m[0] - self.low_m[0], self.high_m[1] - self.low_m[1]
 
     @property
+    def center_m(self) -> Float64[np.ndarray, "3"]:
+        """Middle of the rectangle."""
+        u, v = ((low + high) / 2 for low, high in zip(self.low_m, self.high_m, strict=True))
+        return self.origin_m + u * self.right + v * self.up
+
+    @property
     def area_m2(self) -> float:
         return self.size_m[0] * self.size_m[1]
 

@@ -78,6 +78,10 @@ sweep sweep.yaml --dask-resources GPU=1              | --dask ADDRESS
 sweep sweep.yaml --dask a:1 --dask-resources GPU     | --dask-resources GPU
 sweep sweep.yaml --summarize-only                    | no rows
 sweep folderless.yaml                                | --output DIR
+sweep sweep.yaml --attribute=rain                    | --attribute rain: expected all
+sweep sweep.yaml --attribute=mirror                  | --attribute mirror
+sweep sweep.yaml --attribute --attribute-pairs 2000  | --attribute-pairs
+sweep dataset -o out --attribute                     | --attribute: sweep dataset makes clips
 drive --agent nobody                                 | --agent nobody
 drive --rain "a lot"                                 | --rain a lot
 drive --export csv                                   | --export csv
@@ -112,6 +116,11 @@ evaluate detection boxy --detector x --from 2 --to 1 | --from 2 --to 1
 evaluate detection boxy --detector x --description a --description b | --description
 evaluate detection boxy --detector x --video v.avi   | --video v.avi
 evaluate detection pictures --detector x --wet       | x
+evaluate detection boxy --detector x --attribute=rain | --attribute rain: expected all
+evaluate detection boxy --detector x --attribute streaks,mirror | --attribute mirror
+evaluate detection boxy --detector x --attribute-pairs 2000 | --attribute-pairs 2000
+evaluate detection boxy --detector x --diameter-scale 1,9 | --diameter-scale
+evaluate detection boxy --detector x --diameter-scale much | --diameter-scale
 """
 """Command line, and a part of the error: an option, a file or a field, seldom more."""
 

@@ -126,6 +126,37 @@ def test_a_stopped_sweep_resumes_to_the_same_bytes_and_only_new_views_are_evalua
     assert len(asked) == 2 * (1 + 3)  # those of the other detector
 
 
+def test_the_rain_is_taken_apart_and_drop_sizes_are_compared(
+    project, detector, tmp_path, reported, monkeypatch, capsys
+):
+    out = tmp_path / "out"
+    options = ("--rain", "50", "--seeds", "2", "--frames", "1", "--attribute", "--diameter-scale", "1,2", "-o", out)
+    asked = counted(monkeypatch)
+    report = reported(*words(project, detector, *options))
+    assert len(asked) == 1 + 2 + (1 + 2 * 2) + 2  # clear, rainy; no factor, each of two with two seeds; larger drops
+    printed = capsys.readouterr().out
+    assert "whole effect" in printed and "diameters x" in printed
+    scores = {each["intensity_mm_h"]: each["confidence"]["mean"] for each in report["scores"]}
+    confidence, recall, near = report["attribution"]
+    assert (confidence["measure"], recall["measure"], near["object"]) == ("confidence", "recall", "near (car)")
+    assert [each["factor"] for each in confidence["shares"]] == ["streaks", "medium"]
+    assert sum(each["mean"] for each in confidence["shares"]) == pytest.approx(scores[50] - scores[0], abs=1e-12)
+    assert sum(each["part_of_whole"] for each in confidence["shares"]) == pytest.approx(1)
+    assert (confidence["coalitions"], confidence["order_pairs"], confidence["seeds"]) == (4, 0, [0, 1])
+    assert [each["diameter_scale"] for each in report["drop_sizes"]] == [1, 2]
+    for name in ("attribution.png", "attribution_steps.png", "drop_sizes.png"):
+        assert np.asarray(Image.open(out / name)).shape[1] > 64
+    with (out / "attribution.csv").open() as stream:
+        assert len(list(csv.DictReader(stream))) == 3 * 2 * 2  # measures, seeds, factors
+    assert "Shares of the factors" in (out / "report.html").read_text()
+    before = {name: (out / name).read_bytes() for name in ("attribution.csv", "attribution.png", "finished.jsonl")}
+    asked.clear()
+    reported(*words(project, detector, *options))
+    assert not asked and {name: (out / name).read_bytes() for name in before} == before
+    command = words(project, detector, "--rain", "50", "--seeds", "1", "--frames", "1", "--attribute", "wet")
+    assert run(command) == BAD_INPUT and "--attribute wet: " in capsys.readouterr().err  # it has no wet colors
+
+
 def test_pictures_of_a_folder_by_a_coco_file(detector, tmp_path, reported, capsys):
     (tmp_path / "pictures").mkdir()
     Image.fromarray(np.full((32, 64, 3), (200, 20, 20), np.uint8)).save(tmp_path / "pictures" / "one.png")

@@ -104,6 +104,24 @@ def test_no_option_takes_nan_however_deep_it_stands():
             reject_non_finite(None, value)
 
 
+@pytest.mark.parametrize(
+    ("words", "attribute"),
+    [
+        ("--attribute", ["all"]),
+        ("--attribute -o a", ["all"]),
+        ("--attribute streaks,glass", ["streaks", "glass"]),
+        ("--attribute=wet", ["wet"]),
+        ("--no-attribute", ["none"]),
+    ],
+)
+def test_factors_may_follow_attribute(words, attribute):
+    _, bound, _ = app.parse_args(list(renamed_options(f"sweep tiny {words}".split())), exit_on_error=False)
+    assert bound.arguments["options"].changes()["attribute"] == attribute
+    line = ["evaluate", "detection", "--detector", "a.onnx", *words.split(), "street"]
+    _, bound, _ = app.parse_args(list(renamed_options(line)), exit_on_error=False)
+    assert bound.arguments["attribute"].split(",") == attribute and bound.arguments["source"] == "street"
+
+
 @pytest.mark.parametrize(("line", "wet"), [("", None), ("--wet", True), ("--no-wet", False)])
 @pytest.mark.parametrize("command", ["render", "drive", "evaluate detection --detector a.onnx"])
 def test_wet_has_three_states(command, line, wet):

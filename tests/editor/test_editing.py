@@ -8,24 +8,27 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from editor.edits.edited_scene import edited_scene, turned
 from editor.files.open_document import answer, keep_now, settle
+from gsrain_engine.editor.document import DocumentState
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits import actors, gaussians, layers, level, members, rain_keyframes, transform
 from gsrain_engine.editor.edits.gaussians import CropBox
 from gsrain_engine.editor.selection import candidates, commands
 from gsrain_engine.editor.selection.volume import Sphere, in_volume, near_selection
 from gsrain_engine.rain.keyframes import NO_KEYFRAMES, RainKeyframes
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene import camera_path_edit
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.formats.scene_json import record_of
-from gsrain_engine.scene.scene import ColorGrading
+from gsrain_engine.scene.scene import ColorGrading, Scene
 
 
 def arrays_of(scene):
@@ -277,6 +280,20 @@ def test_a_drag_after_an_undo_drops_the_redo_steps(editor):
     document.change_rain("Rain", "drag", intensity_mm_h=3.0)
     assert [each.label for each in document.history.steps] == ["Open", "Rain"]
     assert document.rain.intensity_mm_h == 3.0 and document.history.redo_label is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"intensity_mm_h": 13.0}, "8.5 -> 13 mm/h"), ({"sensor": "rainsense"}, "none -> rainsense"),
+        ({"haze": "none"}, "medium -> none"), ({"streaks": False}, "on -> off"),
+        ({"exposure_s": 0.004}, "none -> 0.004 s"),
+        ({"intensity_mm_h": 1.0, "seed": 3}, ""), ({"drop_color": (1.0, 1.0, 1.0)}, ""), ({}, ""),
+    ],
+)  # fmt: skip
+def test_a_step_of_the_rain_tells_its_old_and_new_value(fields, text):
+    before = DocumentState(Scene("scene"), RainSettings(intensity_mm_h=8.5))
+    assert before.rain_change(replace(before, rain=msgspec.structs.replace(before.rain, **fields))) == text
 
 
 def test_what_a_change_refuses_is_reported_and_what_changes_nothing_is_no_step(editor):

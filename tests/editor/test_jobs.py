@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from editor.files.open_document import full_disk
-from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves
+from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, duration_text
 from gsrain_engine.editor.jobs.process import SharedImage
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.threads import WORKER_NICENESS, usable_cores
@@ -237,6 +237,23 @@ def test_a_program_that_ends_while_a_worker_is_at_it_leaves_no_process_no_file_a
 
 
 # Parts
+
+
+def test_the_time_left_is_estimated_from_what_was_done_since_the_first_progress(monkeypatch):
+    job = Places().job(lambda folder: iter(()))
+    now = [100.0]
+    monkeypatch.setattr("gsrain_engine.editor.jobs.job.monotonic", lambda: now[0])
+    job.state, job.started_s, job.progress = "running", 0.0, Progress(0.1, "")
+    assert job.remaining_s is None  # 100 s of preparation tell nothing
+    job.first_step = 100.0, 0.1
+    now[0], job.progress = 101.0, Progress(0.3, "")
+    assert job.remaining_s is None  # too early
+    now[0] = 110.0
+    assert job.remaining_s == pytest.approx(35.0) and job.seconds == 110.0
+    job.state, job.ended_s, now[0] = "finished", 112.0, 500.0
+    assert job.remaining_s is None and job.seconds == 112.0
+    texts = {0.44: "0.4 s", 41.6: "42 s", 60: "1:00 min", 3599.4: "59:59 min", 3600: "1:00 h", 9000: "2:30 h"}
+    assert {seconds: duration_text(seconds) for seconds in texts} == texts
 
 
 def test_curves_are_the_means_of_many_steps_by_metric():

@@ -24,8 +24,6 @@ from .reader import Reader, one_file
 _PLY = damaged_header(b"end_header\n")
 _DAMAGE: dict[str, Damage] = {
     ".ply": _PLY,
-    ".splat": damaged_bytes,
-    ".ksplat": damaged_bytes,
     ".spz": inside_gzip(),
     ".sog": inside_zip(lambda name: damaged_json if name == "meta.json" else damaged_bytes),
 }
@@ -124,7 +122,7 @@ SCENE_READERS = (
             name,
             partial(write_small, name),
             lambda path: assert_valid(read_gaussians(path)),
-            ("*", damaged_bytes if name == "spz-4" else _DAMAGE[Path(file).suffix]),
+            ("*", damaged_bytes if name == "spz-4" else _DAMAGE.get(Path(file).suffix, damaged_bytes)),
         )
         for name, (file, _) in SMALL_FILES.items()
     ),

@@ -6,7 +6,8 @@ CROSSING = "saved/crossing"
 """The saved scene: 1,000 Gaussians, wet colors, a vehicle, a rig, marks, a camera path, rain with keys."""
 
 WEATHERS = {
-    "clear": "--rain 0", "8.5": "--rain 8.5", "paper": "--preset paper", "wet": "--rain 8.5 --wetness 0.8",
+    "clear": "--rain 0", "8.5": "--rain 8.5 --no-mirror", "paper": "--preset paper",
+    "wet": "--rain 8.5 --wetness 0.8 --no-mirror",
 }  # fmt: skip
 BACKENDS = "cpu", "opengl"
 LOOKS = "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"
@@ -77,9 +78,8 @@ def street() -> Chain:
 
 def street_stills() -> Chain:
     """Return stills of the street; wet by one back end only, since its wet colors take longest and need none."""
-    return tuple(
-        case for case in stills("street", "street", "--rain 8.5 --wet") if case.name != "still/street.opengl.wet"
-    )
+    every = stills("street", "street", "--rain 8.5 --wet --no-mirror")
+    return tuple(case for case in every if case.name != "still/street.opengl.wet")
 
 
 def conversions() -> Chain:
@@ -143,7 +143,8 @@ def drives(scenario: str) -> Case:
 def own_drives() -> Chain:
     """Return a drive with one road user of each behavior, and drives by an agent that looks at pictures."""
     traffic = f"drive saved/settings/scenario.yaml --scene {CROSSING} --agent oracle-idm --no-video --backend cpu"
-    seen = "drive stationary-lead --agent saved/brightness_agent.py --rain 0,12 --duration 1 --width 96 --no-video"
+    agent = "--agent saved/brightness_agent.py --duration 1 --width 96 --no-video"
+    seen = f"drive stationary-lead {agent} --rain 0,12 --no-mirror"
     return (
         Case(
             "drive/own scenario",

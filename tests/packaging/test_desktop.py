@@ -3,6 +3,7 @@
 import configparser
 import os
 import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -20,28 +21,26 @@ def test_icons_have_their_sizes_and_show_a_drop():
         assert drop[2] > 150 and drop[3] == 255 and corner[3] < 128  # a drop in the middle, round corners
 
 
-def test_the_desktop_entry_opens_what_the_program_reads():
-    entry = configparser.ConfigParser(interpolation=None)
-    entry.optionxform = str
-    entry.read(PACKAGING / "gsrain.desktop")
-    types = {each for each in entry["Desktop Entry"]["MimeType"].split(";") if each}
-    space = "{http://www.freedesktop.org/standards/shared-mime-info}"
-    declared = ElementTree.parse(PACKAGING / "gsrain-mime.xml").getroot()
-    assert types == {each.get("type") for each in declared.iter(f"{space}mime-type")}
-    known = {f"*{each.suffix}" for each in FORMATS if each.suffix[0] == "."}
-    assert {each.get("pattern") for each in declared.iter(f"{space}glob")} == known - {"*.ply"}  # by its first bytes
-    assert entry["Desktop Entry"]["StartupWMClass"] == "GSRAIN"
-
-
-def test_the_entry_is_put_into_the_menu_and_taken_out_of_it(tmp_path):
-    script, environment = str(PACKAGING / "install_desktop.sh"), {**os.environ, "PREFIX": str(tmp_path)}
-    subprocess.run(["sh", script], env=environment, check=True)
-    placed = {str(each.relative_to(tmp_path / "share")) for each in tmp_path.rglob("gsrain*")}
-    assert placed == {
+def test_the_entry_opens_what_the_program_reads_and_is_removed(tmp_path):
+    script, share = [sys.executable, str(PACKAGING / "install_desktop.py")], tmp_path / "share"
+    environment = {**os.environ, "PREFIX": str(tmp_path), "PYTHONPATH": str(PACKAGING.parent)}
+    subprocess.run(script, env=environment, check=True)
+    assert {str(each.relative_to(share)) for each in tmp_path.rglob("gsrain*")} == {
         "applications/gsrain.desktop",
         "mime/packages/gsrain-mime.xml",
         "icons/hicolor/scalable/apps/gsrain.svg",
         *(f"icons/hicolor/{size}x{size}/apps/gsrain.png" for size in SIZES_PX),
     }
-    subprocess.run(["sh", script, "--remove"], env=environment, check=True)
+    entry = configparser.ConfigParser(interpolation=None)
+    entry.optionxform = str
+    entry.read(share / "applications" / "gsrain.desktop")
+    types = {each for each in entry["Desktop Entry"]["MimeType"].split(";") if each}
+    space = "{http://www.freedesktop.org/standards/shared-mime-info}"
+    declared = ElementTree.parse(share / "mime" / "packages" / "gsrain-mime.xml").getroot()
+    assert types == {each.get("type") for each in declared.iter(f"{space}mime-type")}
+    known = {f"*{each.suffix}" for each in FORMATS if each.suffix[0] == "."}
+    assert {each.get("pattern") for each in declared.iter(f"{space}glob")} == known - {"*.ply"}  # by its first bytes
+    assert [each.get("value") for each in declared.iter(f"{space}match")][:2] == ["ply\\n", "f_dc_0"]
+    assert entry["Desktop Entry"]["StartupWMClass"] == "GSRAIN"
+    subprocess.run([*script, "--remove"], env=environment, check=True)
     assert not list(tmp_path.rglob("gsrain*"))

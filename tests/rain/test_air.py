@@ -70,7 +70,7 @@ def test_velocities_are_the_derivatives_of_positions(rain, time_s):
 
 def test_gusts_are_smooth_bounded_and_steady_from_frame_to_frame():
     """Of one amplitude in space and time: velocities of drops without any other motion reach it, but not beyond 1.5."""
-    rain = msgspec.structs.replace(BREEZE, **STILL | {"gust_m_s": 3.0})
+    rain = msgspec.structs.replace(BREEZE, intensity_mm_h=0.1, **STILL | {"gust_m_s": 3.0})
     rainfall, seen = RainSimulation.start(rain), []
     for time_s in np.arange(0.0, 60.0, 0.5):
         field = rainfall.frame(float(time_s), HERE)

@@ -126,6 +126,19 @@ def test_every_calibration_closes_goes_on_smoothly_and_is_found_again_by_its_den
     assert found.density_m3 == pytest.approx(here.density_m3, rel=1e-6)
 
 
+@pytest.mark.parametrize("scale", [0.5, 1.5])
+def test_scaled_diameters_keep_the_rate(scale):
+    usual, rain = RainSettings(intensity_mm_h=8.5), RainSettings(intensity_mm_h=8.5, diameter_scale=scale)
+    before, scaled = (rain_properties(each, load_calibration("published")) for each in (usual, rain))
+    velocity = fall_speed(rain, load_calibration("published"))
+    assert flux_mm_h(scaled.density_m3, scaled.sizes, velocity) == pytest.approx(8.5, rel=1e-12)
+    assert scaled.scale_mm == scale * before.scale_mm and scaled.shape == before.shape
+    assert (scaled.density_m3 > before.density_m3) == (scaled.extinction_per_m > before.extinction_per_m) == (scale < 1)
+    steady, growing = RainSimulation.start(rain), RainSimulation.start(usual).changed(rain, 3.0)
+    assert steady.diameters_mm.mean() == pytest.approx(scaled.mean_diameter_mm, rel=1e-3)
+    assert np.array_equal(steady.diameters_mm, growing.diameters_mm)
+
+
 def test_more_drops_than_149_mm_h_have_no_intensity():
     assert intensity_for_density(0.0, RainSettings(), PUBLISHED) == 0
     assert intensity_for_density(1190, RainSettings(closure="published"), PUBLISHED) == pytest.approx(8.5)

@@ -1,9 +1,9 @@
-"""Stand-in for `gsplat.rasterization`, differentiable, computed densely by torch."""
+"""Stand-in for `gsplat.rasterization`, differentiable, computed densely by torch, and for gsplat's Adam."""
 
 import torch
 
 from gsrain_engine.scene.camera import Camera
-from oracles.dense_gradients import alphas_of, display_colors, in_image, weights_of
+from oracles.dense_gradients import ALPHA_CUT, alphas_of, display_colors, in_image, weights_of
 
 
 def rasterization(
@@ -31,14 +31,16 @@ def rasterization(
     before_camera = torch.where(seen[:, None], before_camera, torch.ones_like(before_camera))
     means2d, covariances = in_image(before_camera, scales, quats, pose, camera)
     means2d = means2d[None] + 0  # a tensor of its own between projection and picture, as in gsplat
-    alphas = alphas_of(means2d[0], covariances, opacities, camera) * seen[:, None, None]
+    near = seen & may_reach(means2d[0].detach(), covariances.detach(), opacities.detach(), camera)
     order = torch.argsort(before_camera[:, 2].detach(), stable=True)
+    order = order[near[order]] if near.any() else order[:1]
+    alphas = alphas_of(means2d[0, order], covariances[order], opacities[order], camera) * seen[order, None, None]
     channels = display_colors(means, colors, pose)
     if render_mode == "RGB+D":
         channels = torch.cat([channels, before_camera[:, 2:]], dim=1)
-    weights = weights_of(alphas[order])
+    weights = weights_of(alphas)
     image = torch.einsum("nhw,nc->hwc", weights, channels[order])
-    drawn = (alphas > 0).any(dim=(1, 2))
+    drawn = torch.zeros(n, dtype=torch.bool).index_put((order,), (alphas > 0).any(dim=(1, 2)))
     inverse = torch.linalg.inv(covariances)
     found = {
         "means2d": means2d,
@@ -47,3 +49,23 @@ def rasterization(
         * drawn[None, :, None],
     }
     return image[None], weights.sum(dim=0)[None, ..., None], found
+
+
+def may_reach(centers, covariances, opacities, camera):
+    """Mask of Gaussians that may be above the least alpha at some pixel, by the boxes of their ellipses."""
+    reach = torch.sqrt(2 * torch.log(torch.clamp(opacities / ALPHA_CUT, min=1))) + 0.1
+    half = reach[:, None] * torch.sqrt(torch.diagonal(covariances, dim1=1, dim2=2))
+    size = torch.tensor([camera.width, camera.height])
+    return ((centers + half >= 0) & (centers - half <= size)).all(dim=1)
+
+
+def adam(param, param_grad, exp_avg, exp_avg_sq, valid, lr, b1, b2, eps):
+    """Adam of some rows without bias corrections: `gsplat.cuda._wrapper.adam` of gsplat 1.5."""
+    assert {each.dtype for each in (param, param_grad, exp_avg, exp_avg_sq)} == {torch.float32}
+    assert all(each.is_contiguous() for each in (param, param_grad, exp_avg, exp_avg_sq, valid))
+    assert valid.shape == param.shape[:1] and valid.dtype == torch.bool
+    rows = valid.reshape(-1, *[1] * (param.ndim - 1))
+    first, second = b1 * exp_avg + (1 - b1) * param_grad, b2 * exp_avg_sq + (1 - b2) * param_grad * param_grad
+    moved = param - lr * first / (torch.sqrt(second) + eps)
+    for target, values in ((param, moved), (exp_avg, first), (exp_avg_sq, second)):
+        target.copy_(torch.where(rows, values, target))

@@ -22,6 +22,8 @@ from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from render.cpu.raster_scenes import drawn, psnr_db, random_gaussians, similarity, small_camera
+from simulation.small_drive import box_actor
+from small_scene import patch
 
 MIN_PSNR_DB = 50.0
 MAX_RAIN_DIFFERENCE = 0.05
@@ -63,27 +65,35 @@ def other(request, open_kind):
     return open_kind(request.param)
 
 
-@pytest.fixture(
-    params=[
-        ("opengl", "small"),
-        ("opengl", "golden"),
-        ("opengl-tiles", "small"),
-        ("opengl-tiles", "golden"),
-        ("cuda", "small"),
-    ],
-    ids=" ".join,
-)
-def pair(request, open_kind):
-    """Two renderers, a scene and its view; the golden street is in meters, z up."""
-    kind, place = request.param
-    scene, shot = small_scene(), small_shot() if kind != "cuda" else small_shot(96, 60)
-    if place == "golden":
-        golden = request.getfixturevalue("golden")
-        scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
-        shot = RenderView(read_camera(golden / "street_sh3.camera.json"), 2.0)
-    return (open_kind(kind), CpuRenderer()), scene, shot
+PLACES = [("opengl", "small"), ("opengl", "golden"), ("opengl-tiles", "small"), ("opengl-tiles", "golden")]
+PLACES += [("cuda", "tiny")]
 
 
+@pytest.fixture(scope="module")
+def drawn_frames():
+    """Frames by renderer, place and rain: each is drawn once for all tests that compare it."""
+    return {}
+
+
+@pytest.fixture
+def frame_at(request, open_kind, drawn_frames):
+    """Draw a place in rain by a kind of renderer; the golden street is in meters, z up."""
+
+    def drawn_once(kind, place, rain):
+        if (kind, place, rain) not in drawn_frames:
+            scene, shot = small_scene(), small_shot(64, 40) if place == "tiny" else small_shot()
+            if place == "golden":
+                golden = request.getfixturevalue("golden")
+                scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
+                shot = RenderView(read_camera(golden / "street_sh3.camera.json"), 2.0)
+            renderer = open_kind(kind)
+            drawn_frames[kind, place, rain] = frame_of(renderer, scene, shot, rain), renderer.statistics
+        return drawn_frames[kind, place, rain]
+
+    return drawn_once
+
+
+@pytest.mark.parametrize(("kind", "place"), PLACES)
 @pytest.mark.parametrize(
     "changes",
     [
@@ -101,10 +111,11 @@ def pair(request, open_kind):
         },
     ],
 )
-def test_scenes_and_the_rains_own_light_agree(pair, changes):
-    renderers, scene, shot = pair
-    clear = [frame_of(each, scene, shot, load_preset("clear")) for each in renderers]
-    rainy = [frame_of(each, scene, shot, raining(**changes)) for each in renderers]
+def test_scenes_and_the_rains_own_light_agree(frame_at, kind, place, changes):
+    clear, rainy = (
+        [frame_at(each, place, rain)[0] for each in (kind, "cpu")]
+        for rain in (load_preset("clear"), raining(**changes))
+    )
     assert psnr_db(*clear) >= MIN_PSNR_DB
     assert psnr_db(*rainy) >= MIN_PSNR_DB
     ours, expected = (wet.rgba - dry.rgba for wet, dry in zip(rainy, clear, strict=True))
@@ -115,14 +126,15 @@ def test_scenes_and_the_rains_own_light_agree(pair, changes):
     assert ((found > 0) == (depth > 0)).mean() > 0.999
     both = (found > 0) & (depth > 0)
     assert np.quantile(np.abs(depth / np.where(both, found, 1) - 1)[both], 0.99) < 0.01
-    for renderer, wet, dry in zip(renderers, rainy, clear, strict=True):  # without the rain's
-        np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if renderer.name == "cuda" else 0)
+    for wet, dry in zip(rainy, clear, strict=True):  # without the rain's
+        np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if kind == "cuda" else 0)
 
 
 @pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
-def test_wet_ground_mirrors_the_same_on_all(kind, open_kind):
+def test_wet_ground_mirrors_and_splashes_the_same_on_all(kind, open_kind):
     cover = np.random.default_rng(3).integers(0, 120, (24, 40, 2), np.uint8)
     scene = replace(small_scene(), ground_m=0.0, water=GroundWater((0.0, -12.0), 1.0, cover))
+    scene = replace(scene, layers=tuple(replace(each, wet_sh=each.gaussians.sh.copy()) for each in scene.layers))
     shot, rain = small_shot() if kind != "cuda" else small_shot(96, 60), raining(mirror=True, exposure_s=0.003)
     renderers = open_kind(kind), CpuRenderer()
     found, expected = (frame_of(each, scene, shot, rain) for each in renderers)
@@ -130,18 +142,36 @@ def test_wet_ground_mirrors_the_same_on_all(kind, open_kind):
     assert psnr_db(found, expected) >= MIN_PSNR_DB
     assert np.abs(expected.rgba - plain.rgba).max() > 0.05
     np.testing.assert_array_equal(frame_of(renderers[0], scene, shot, rain).rgba, found.rgba)
+    ground = patch((7, -1.5, 0), np.array([4.0, 0, 0]), np.array([0, 3.0, 0]), 40, (0.05, 0.05, 0.05))
+    floor = replace(scene, layers=(Layer("floor", ground, wet_sh=ground.sh.copy()),))
+    eye = np.array([8.0, 0.0, 0.7])
+    low = look_at(eye, eye + np.array([1.5, 0.0, -0.6]), np.array([0.0, 0.0, 1.0]))
+    near = RenderView(Camera.from_fov(shot.camera.width, shot.camera.height, 40.0, low), 0.4)
+    found, expected = (frame_of(each, floor, near, raining(exposure_s=0.003)) for each in renderers)
+    calm = frame_of(renderers[1], floor, near, raining(exposure_s=0.003, splashes=False))
+    assert psnr_db(found, expected) >= MIN_PSNR_DB
+    assert np.abs(expected.rgba - calm.rgba).max() > 0.05
 
 
-def test_both_count_the_same(pair):
-    renderers, scene, shot = pair
-    statistics = []
-    for renderer in renderers:
-        frame_of(renderer, scene, shot, raining(haze="gaussians"))
-        statistics.append(renderer.statistics)
-    ours, cpu = statistics
+@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
+def test_spray_is_the_same_on_all(kind, open_kind):
+    """A block that drives ahead at 25 m/s, 10 m from the camera at 2 s."""
+    scene = small_scene()
+    wet = replace(scene.layers[0], wet_sh=scene.layers[0].gaussians.sh.copy())
+    block = box_actor(times=(0.0, 4.0), positions=((-40.0, 0, 0), (60.0, 0, 0)))
+    scene, shot = replace(scene, layers=(wet,), actors=(block,)), small_shot(64, 40)
+    found, expected = (frame_of(each, scene, shot, raining()) for each in (open_kind(kind), CpuRenderer()))
+    plain = frame_of(CpuRenderer(), scene, shot, raining(spray=False))
+    assert psnr_db(found, expected) >= MIN_PSNR_DB
+    assert np.abs(expected.rgba - plain.rgba).max() > 0.1
+
+
+@pytest.mark.parametrize(("kind", "place"), PLACES)
+def test_both_count_the_same(frame_at, kind, place):
+    ours, cpu = (frame_at(each, place, raining(haze="gaussians"))[1] for each in (kind, "cpu"))
     assert ours.haze_drawn == cpu.haze_drawn > 0
     assert ours.drops_drawn == pytest.approx(cpu.drops_drawn, rel=2e-3)
-    if renderers[0].name == "opengl":
+    if kind.startswith("opengl"):
         assert ours.gaussians == cpu.gaussians
         assert ours.splats_drawn == pytest.approx(cpu.splats_drawn, rel=1e-3)
         assert set(ours.stages_ms) == set(cpu.stages_ms)
@@ -149,7 +179,7 @@ def test_both_count_the_same(pair):
 
 @pytest.mark.parametrize("mixing", ["linear", "display"])
 def test_the_same_frame_is_the_same_bytes_and_no_rain_is_no_rain(any_renderer, mixing):
-    scene, shot = small_scene(), small_shot(96, 60)
+    scene, shot = small_scene(), small_shot(64, 40)
     rain = raining(rain_light=mixing)
     first, _, again, none = (
         frame_of(any_renderer, scene, replace(shot, time_s=time_s), each).rgba.tobytes()
@@ -186,7 +216,7 @@ def test_nothing_is_nothing_and_rain_falls_before_it(any_renderer):
         assert not frame.rgba.any()
         assert not frame.depth.any()
     rainy, expected = (
-        frame_of(each, Scene("empty"), small_shot(96, 60), load_preset("12.0")).rgba
+        frame_of(each, Scene("empty"), small_shot(64, 40), load_preset("12.0")).rgba
         for each in (any_renderer, CpuRenderer())
     )
     assert expected[..., 3].max() > 0.02

@@ -37,9 +37,11 @@ def test_every_part_measures_every_back_end(rows_of, tmp_path):
         assert row["psnr_db"].pop("cpu") == float("inf")
         assert set(row["psnr_db"]) == BACKENDS and min(row["psnr_db"].values()) > 50
     assert len(list((tmp_path / "images").iterdir())) == 8
-    assert rows["sort"][0]["is_right"] and len(rows["read_back"]) == 2
+    assert rows["sort"][0]["is_right"] and len(rows["read_back"]) == 3
+    (large,) = rows["lod"]
+    assert set(large["ms"]) == {"cut", "all", "ordinary"} and 0 < large["drawn"] <= large["gaussians"] == 5000
     assert step["gsrain_ms"] > 0 and step["plain_ms"] > 0 and step["gaussians"] >= SMALL.trained_gaussians
-    assert figures(results).count("\n### ") == len(results) - 1
+    assert figures(results).count("\n### ") == len(results)  # and whether cuda is needed
 
 
 def test_a_back_end_that_fails_is_named_and_the_others_are_measured(rows_of):
@@ -82,6 +84,22 @@ def test_figures_are_compared_with_their_targets():
         lines = [line for line in figures({part: (rows, "")}).splitlines() if line.startswith("| ")]
         assert [line.endswith(" not met |") for line in lines[2:]] == [False, True]
         assert lines[2].endswith(" met |")
+
+
+def test_the_page_decides_whether_cuda_is_needed_for_drawing():
+    def found(rainy_ms):
+        frame = {"scene": "a", "size": [9, 6], "ms": {"opengl-tiles": 1.0, "cuda": 1.0}, "errors": {}}
+        other = frame | {"ms": {"opengl-tiles": 1.0}}  # cuda failed: nothing to compare
+        rain = [
+            {"scene": "b", "size": (9, 6), "backend": name, "clear_ms": 1.0, "rainy_ms": took, "creating_ms": 1.0,
+             "errors": {}} for name, took in (("opengl-tiles", rainy_ms), ("cuda", 2.0))
+        ]  # fmt: skip
+        return figures({"frames": ([frame, other], ""), "rain": (rain, "")}).partition("needed for drawing?")[2]
+
+    assert "No: tiles are at least as fast in all 3 rows" in found(1.9)
+    text = found(2.1)
+    assert "Yes: tiles are slower than `cuda` in 1 of 3 rows (b, rainy 9x6)." in text
+    assert text.count("| met |") == 2 and text.count("| not met |") == 1
 
 
 def test_a_page_without_marks_becomes_the_figures():

@@ -1,6 +1,7 @@
 """All back ends draw the light of lamps that the CPU's does, around a stand-in for gsplat on torch's CPU."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -36,6 +37,14 @@ def light_of(renderer, lamps, shot, **changes):
     return images[0] - images[1], images[1]
 
 
+@pytest.fixture(scope="module")
+def on_the_cpu():
+    """Light by size and settings, computed once for all back ends."""
+    return cache(lambda width, height, **changes: light_of(
+        CpuRenderer(), HEADLIGHTS + BULBS, small_shot(width, height), **changes
+    ))  # fmt: skip
+
+
 @pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
 @pytest.mark.parametrize(
     "changes",
@@ -48,24 +57,23 @@ def light_of(renderer, lamps, shot, **changes):
         {"intensity_mm_h": 50.0, "haze_region": RegionBox(minimum_m=(-2, -9, -1), maximum_m=(18, 9, 7))},
     ],
 )
-def test_light_of_lamps_agrees(open_kind, kind, changes):
-    shot = small_shot() if kind != "cuda" else small_shot(96, 60)
-    (ours, clear), (expected, _) = (
-        light_of(each, HEADLIGHTS + BULBS, shot, **changes) for each in (open_kind(kind), CpuRenderer())
-    )
+def test_light_of_lamps_agrees(open_kind, on_the_cpu, kind, changes):
+    size = (64, 40) if kind == "cuda" else (240, 150)
+    ours, clear = light_of(open_kind(kind), HEADLIGHTS + BULBS, small_shot(*size), **changes)
+    expected, _ = on_the_cpu(*size, **changes)
     assert np.linalg.norm(expected) > 1e-3 * np.linalg.norm(clear)
     assert np.linalg.norm(ours - expected) <= 0.05 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("kind", ["cpu", "opengl", "opengl-tiles", "cuda"])
 def test_light_in_display_values_has_no_lamps(open_kind, kind):
-    shot = small_shot(96, 60)
+    shot = small_shot(64, 40)
     light, _ = light_of(open_kind(kind), BULBS, shot, rain_light="display")
     assert np.all(light == 0)
 
 
 @pytest.mark.parametrize("kind", ["cpu", "opengl", "opengl-tiles", "cuda"])
 def test_a_lamp_without_intensity_adds_nothing(open_kind, kind):
-    light, clear = light_of(open_kind(kind), (Lamp(position=(12.0, 2.0, 4.0), intensity_m2=0.0),), small_shot(96, 60))
+    light, clear = light_of(open_kind(kind), (Lamp(position=(12.0, 2.0, 4.0), intensity_m2=0.0),), small_shot(64, 40))
     assert clear.max() > 0.05
     assert np.abs(light).max() < 1e-5

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -197,6 +198,30 @@ def test_a_path_of_the_scene_goes_by_the_scene_s_time(scene, rainfall):
     speeds = [shot.velocity_m_s for shot in replace(sequence, motion_blur=3).shots(10)]  # at 2 s, where the path begins
     assert np.allclose(speeds, speeds[0])
     assert np.linalg.norm(speeds[0]) > 1
+
+
+def test_each_frame_is_read_while_the_next_is_drawn_and_the_last_one_too(scene, rainfall, path, tmp_path, context):
+    """The files hold the images of single frames, in their order; each is written after the next one was drawn."""
+    numbers, events = [4, 0, 9, 2], []
+    recording = ExportSettings(output=str(tmp_path / "frames"), size_px=SIZE, fps=10.0)
+    for name, renderer in (("opengl", SplatRenderer(context)), ("cpu", CpuRenderer())):
+        sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=True)
+        (sequence,) = sequences.values()
+        sky = sequence.sky(renderer)
+        expected = {number: sequence.image(renderer, number, sky) for number in numbers}
+        draw = renderer.draw
+
+        def counted(*items, draw=draw, **options):
+            events.append(len(list((tmp_path / "frames").glob("*.png"))))
+            draw(*items, **options)
+
+        renderer.draw = counted
+        progress = list(export_frames(renderer, recording, sequences, numbers))
+        assert [each.message[:10] for each in progress[1:]] == [f"Frame {k} of" for k in (1, 2, 3, 4)]
+        assert events[-4:] == [0, 0, 1, 2], name
+        for number, image in expected.items():
+            np.testing.assert_array_equal(pixels(tmp_path / "frames" / f"{number:06d}.png"), image)
+        shutil.rmtree(tmp_path / "frames")
 
 
 def test_a_recording_that_is_left_can_be_played(scene, rainfall, path, tmp_path):

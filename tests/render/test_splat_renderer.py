@@ -104,6 +104,37 @@ def test_bytes_made_on_the_gpu_are_those_of_the_floats(context, renderer, width,
         assert expected.std() > 10
 
 
+def test_requested_bytes_are_those_of_their_image_while_others_are_drawn_and_requested(context, renderer):
+    images, requests = [], []
+    for count in (20, 100, 400, 800, 1600):  # more than the ring has buffers
+        renderer.draw([DrawItem(cloud(count), np.eye(4))], CAMERA.resized(64 + count % 7, 48))
+        requests.append(renderer.request_uint8())
+        images.append(renderer.read().to_uint8())
+    order = [3, 0, 4, 2, 1]
+    assert len({each.tobytes() for each in images}) == 5
+    for number in order + order:  # any number of times
+        np.testing.assert_array_equal(requests[number](), images[number])
+
+
+@pytest.mark.parametrize("between", ["nothing", "a drawing", "a reading"])
+def test_a_requested_image_whose_pairs_had_no_room_is_drawn_again(context, tiles, monkeypatch, between):
+    monkeypatch.setattr("gsrain_engine.render.opengl.tiles._FIRST_PAIRS", 1)
+    few, many = ([DrawItem(each, np.eye(4))] for each in (cloud(50), larger(cloud(400), 20)))
+    whole = SplatRenderer(context, rasterizer="tiles")
+    whole.draw(many, CAMERA)
+    expected = whole.read_uint8()
+    tiles.draw(few, CAMERA)
+    tiles.read()
+    tiles.draw(many, CAMERA)
+    requests = [tiles.request_uint8(), tiles.request_uint8()]
+    if between == "a drawing":
+        tiles.draw(few, CAMERA)
+    elif between == "a reading":
+        tiles.read()
+    for request in requests:
+        np.testing.assert_array_equal(request(), expected)
+
+
 def test_harmonics_in_fewer_bits_show_nearly_the_same_and_change_their_storage_in_place(context):
     renderer = SplatRenderer(context)
     for coefficients in (1, 4, 9, 16):

@@ -326,8 +326,8 @@ HINTS = re.compile(r"\b(open|load|fromfile|memmap|ZipFile|is_zipfile|read_bytes|
 """Files without any of these words need no closer look."""
 STREAMS = ("stream", "io.BytesIO(", "BytesIO(")
 """Names of what `open_file` gives, and bytes in memory."""
-OTHERS = ("im_file_dialog.FileDialog.instance()", "archive")
-"""Of theirs, `open` opens something else: a dialog, a member of an archive that is open."""
+OTHERS = ("archive",)
+"""Of theirs, `open` opens something else: a member of an archive that is open."""
 
 
 def opened_unbounded(source: str) -> Iterator[int]:

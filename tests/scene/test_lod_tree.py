@@ -1,6 +1,8 @@
 """Level-of-detail trees: merged moments, cuts that cover everything once, images, files, and scenes with them."""
 
 import logging
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,8 +20,10 @@ from gsrain_engine.scene import open as scene_files
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
-from gsrain_engine.scene.formats.lod_file import read_lod_tree, write_lod_tree
+from gsrain_engine.scene.formats import lod_file
+from gsrain_engine.scene.formats.lod_file import read_lod_tree
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.lod_tree import FAN_OUT, LodTree, build_lod_tree, cut_lod_tree, level_starts, merged_harmonics
@@ -232,7 +236,7 @@ def test_marked_parts_and_parts_of_other_gaussians_are_drawn_in_full() -> None:
 
 def large_scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Scene of 14,400 Gaussians that counts as large."""
-    for module in ("gsrain_engine.scene.open", "gsrain_engine.render.export"):
+    for module in ("gsrain_engine.scene.open", "gsrain_engine.render.draw"):
         monkeypatch.setattr(f"{module}.MIN_GAUSSIANS", 10_000)
     return Scene("wall", (Layer("wall", wall(120, 60.0)), Layer("small", wall(4, 9.0))))
 
@@ -260,30 +264,97 @@ def test_damaged_trees_are_reported_and_not_used(
 ) -> None:
     folder = tmp_path / "scene"
     write_scene(sorted_with_trees(large_scene(monkeypatch)), folder, in_drawing_order=True)
-    (file,) = folder.rglob("*.lod")
-    whole, g = file.read_bytes(), read_scene(folder).layers[0].gaussians
-    too_high = np.array([len(g)], "<u4").tobytes()
+    (file,), (ply,) = folder.rglob("*.lod"), folder.rglob("000-*.ply")
+    whole, count = file.read_bytes(), 14_400
+    leaves = len(whole) - 4 * 14 * count - 4
+    too_high = whole[:leaves] + np.array([count], "<u4").tobytes() + whole[leaves + 4 :]
     cases = {
         b"": "is not a level-of-detail tree",
         whole[:-100]: "bytes, expected",
         whole + b"1": "bytes, expected",
         whole[:12] + b"}" + whole[13:]: "header is damaged",
-        whole.replace(b'"version":1', b'"version":2'): "another version",
-        whole[:-4] + too_high: f"names Gaussian {len(g)} of {len(g)}",
+        whole.replace(b'"version":2', b'"version":3'): "another version",
+        whole.replace(b'"coefficients":1', b'"coefficients":2'): "of 2 coefficients a color",
+        whole.replace(b'"gaussians":14400', b'"gaussians":1' + 12 * b"0").replace(b"        ", b"", 1): "lists 10000",
+        whole.replace(b'"max_roots":1024', b'"max_roots":1023'): "another version",
+        too_high: f"names Gaussian {count} of {count}",
+        whole[:-8] + np.array([np.nan], "<f4").tobytes() + whole[-4:]: "not finite",
     }
     for data, message in cases.items():
         file.write_bytes(data)
         with pytest.raises(SceneFormatError, match=message):
-            read_lod_tree(file, g)
+            read_lod_tree(file, ply)
         caplog.clear()
         with caplog.at_level(logging.WARNING, "gsrain"):
             assert read_scene(folder).layers[0].tree is None
         assert message in caplog.text and caplog.text.count("\n") == 1
-    assert load_drawable_scene(folder).layers[0].tree is not None  # built again
-    other = tmp_path / "other.lod"
-    write_lod_tree(build_lod_tree(wall(120, 50.0)), other)
-    with pytest.raises(SceneFormatError, match="other Gaussians"):
-        read_lod_tree(other, g)
+    known = FileCache()
+    read = load_drawable_scene(folder, known)
+    assert read.layers[0].tree is not None  # built again
+    write_scene(read, folder, known, in_drawing_order=True)  # and written where the damaged one was
+    assert file.read_bytes()[:9] == b"GSRAINLOD" and read_scene(folder).layers[0].tree is not None
+
+
+@pytest.mark.parametrize("age_s", [-100, 100])
+def test_a_tree_of_another_ply_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, age_s: int) -> None:
+    folder = tmp_path / "scene"
+    write_scene(sorted_with_trees(large_scene(monkeypatch)), folder, in_drawing_order=True)
+    (ply,) = folder.rglob("000-*.ply")
+    data, time_ns = ply.read_bytes(), ply.stat().st_mtime_ns
+    ply.write_bytes(data[:-4000] + bytes(40) + data[-3960:])
+    os.utime(ply, ns=(time_ns, time_ns + age_s * 10**9))
+    assert read_scene(folder).layers[0].tree is None
+    ply.write_bytes(data)
+    os.utime(ply, ns=(time_ns, time_ns + age_s * 10**9))
+    read = read_scene(folder).layers[0]
+    assert read.tree is not None and read.tree.gaussians is read.gaussians
+
+
+def test_numbers_of_a_tree_are_checked_once_and_not_those_of_own_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, checks = tmp_path / "scene", list[str]()
+    check = lod_file._check_values
+    monkeypatch.setattr(lod_file, "_check_values", lambda *arguments: (checks.append("checked"), check(*arguments)))
+    write_scene(sorted_with_trees(large_scene(monkeypatch)), folder, in_drawing_order=True)
+    assert read_scene(folder).layers[0].tree is not None and checks == []
+    shutil.copytree(folder, tmp_path / "copy")
+    for _ in range(2):
+        assert read_scene(tmp_path / "copy").layers[0].tree is not None and checks == ["checked"]
+
+
+def test_a_part_of_a_ply_that_changed_later_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsrain_engine.scene.formats.lod_file._BLOCKS", 2)
+    folder = tmp_path / "scene"
+    write_scene(sorted_with_trees(large_scene(monkeypatch)), folder, in_drawing_order=True)
+    (ply,) = folder.rglob("000-*.ply")
+    data = ply.read_bytes()
+    ply.write_bytes(data[:100_000] + bytes(4) + data[100_004:])
+    os.utime(ply, ns=(0, ply.stat().st_mtime_ns + 10**9))
+    assert read_scene(folder).layers[0].tree is None
+
+
+def test_gaussians_with_a_tree_are_mapped_and_equal_those_of_the_ply(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, copy = tmp_path / "scene", tmp_path / "copy"
+    write_scene(sorted_with_trees(large_scene(monkeypatch)), folder, in_drawing_order=True)
+    before = {file.name: file.read_bytes() for file in folder.rglob("*.*")}
+    with monkeypatch.context() as patched:
+        patched.setattr("gsrain_engine.scene.formats.scene_folder.read_gaussians", lambda _: wall(4, 9.0))  # small
+        known = FileCache()
+        mapped = read_scene(folder, known)
+    (file,) = folder.rglob("*.lod")
+    file.rename(tmp_path / "away.lod")
+    plain = read_scene(folder).layers[0].gaussians
+    for found, array in zip(mapped.layers[0].gaussians.arrays, plain.arrays, strict=True):
+        assert found.tobytes() == array.tobytes()
+    (tmp_path / "away.lod").rename(file)
+    mapped.layers[0].gaussians.means[:] = 0  # private: no kernel can change the file
+    assert {each.name: each.read_bytes() for each in folder.rglob("*.*")} == before
+    write_scene_folder(mapped, copy, known, linking=True, in_drawing_order=True)
+    linked = next(copy.rglob("*.lod"))
+    assert linked.samefile(file) and read_scene(copy).layers[0].tree is not None
 
 
 def test_large_scenes_are_drawn_with_a_cut_by_default(monkeypatch: pytest.MonkeyPatch) -> None:

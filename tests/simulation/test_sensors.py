@@ -40,6 +40,25 @@ def test_a_drive_hands_speed_turn_and_time_to_its_cameras(monkeypatch):
     assert shots[0].time_s == pytest.approx(1.5 + 0.25)
 
 
+def test_cameras_of_a_drive_draw_the_cut_of_large_scenes_except_with_depth(monkeypatch):
+    monkeypatch.setattr("gsrain_engine.scene.open._MIN_FOR_TREE", 100)
+    scene = small_scene()
+    counts, images = {}, {}
+    with open_renderer("cpu") as renderer:
+        for lod, depth in (("off", False), ("pixel", False), (None, False), ("pixel", True)):
+            needs = SensorRequirements(("front",), depth=depth)
+            simulation = Simulation(scenario(picture_width_px=64), scene, needs, renderer, lod=lod)
+            (view,) = simulation.reset().views.values()
+            counts[lod, depth], images[lod, depth] = renderer.statistics.gaussians, view.image
+        assert counts["pixel", False] < counts["off", False] == counts[None, False] == counts["pixel", True]
+        error = images["pixel", False].astype(float) - images["off", False]
+        assert np.abs(error).max() > 0 and np.sqrt(np.mean(error**2)) < 5
+        monkeypatch.setattr("gsrain_engine.render.draw.MIN_GAUSSIANS", 100)
+        by_size = Simulation(scenario(picture_width_px=64), scene, SensorRequirements(("front",)), renderer)
+        (view,) = by_size.reset().views.values()
+        assert view.image.tobytes() == images["pixel", False].tobytes()
+
+
 def test_every_layer_of_the_street_and_every_actor_has_a_class():
     street = load_street()
     ids = dict(zip(("nothing", *(each.name for each in street.members)), semantic_ids(street).tolist(), strict=True))

@@ -71,6 +71,16 @@ def test_the_mirror_is_an_axis_of_drives(tmp_path):
     assert [job.variant.title for job in jobs] == ["no mirror", "mirror"] and len({job.id for job in jobs}) == 2
 
 
+def test_spray_and_friction_are_axes_of_drives(tmp_path):
+    jobs = small_jobs(
+        tmp_path, spray=[True, False], friction=["dry", "wet"], seeds=1, intensities_mm_h=[8.5], jitter={}
+    )
+    found = [(job.scenario.rain.spray, job.scenario.friction) for job in jobs]
+    assert found == [(job.parameters["spray"], job.parameters["friction"]) for job in jobs]
+    assert found == [(True, "dry"), (True, "wet"), (False, "dry"), (False, "wet")]
+    assert jobs[3].variant.title == "no spray, wet friction" and len({job.id for job in jobs}) == 4
+
+
 def test_a_scenario_without_road_users_has_no_gap(tmp_path):
     scenario = write_scenario(tmp_path / "alone.yaml", write_road(tmp_path / "road"), road_users=[])
     with pytest.raises(ValueError, match="gap_m"):

@@ -1,5 +1,6 @@
 """Background jobs in the real window: the wet look, reconstruction and recoloring, recordings."""
 
+import os
 import shlex
 
 import av
@@ -228,8 +229,13 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
     driver.run(script)
 
 
-def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
-    target = tmp_path / "clip.mp4"
+def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypatch):
+    target, opened = tmp_path / "clip.mp4", tmp_path / "opened"
+    (tmp_path / "bin").mkdir()
+    opener = tmp_path / "bin" / "xdg-open"
+    opener.write_text(f'#!/bin/sh\necho "$1" >> {opened}\n')
+    opener.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{opener.parent}{os.pathsep}{os.environ['PATH']}")
 
     def script():
         editor = driver.editor
@@ -248,6 +254,11 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         driver.until(lambda: job.state != "running", 100_000)
         assert (job.state, job.error) == ("finished", None)
         driver.frames(2)
+        driver.tap("//**/###open output")
+        driver.tap("//**/###show output")
+        driver.tap("//**/###dismiss")
+        driver.until(lambda: opened.exists() and len(opened.read_text().splitlines()) == 2)
+        assert set(opened.read_text().splitlines()) == {str(target), str(target.parent)} and job.is_noticed
         assert editor.viewport.job_previews == {}
         driver.ctx.window_focus("//View")
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
@@ -255,6 +266,12 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path):
         assert editor.status.question.text == "clip.mp4 is there already."
         driver.tap("//Replace?/Cancel")
         assert (editor.status.question, len(editor.jobs.all)) == (None, 1)
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
+        driver.choose_file("Record the timeline", tmp_path / "other.mp4")
+        driver.until(lambda: len(editor.jobs.running) == 1)
+        driver.frames(3)
+        driver.tap("//**/###cancel job")  # of the status bar
+        assert editor.jobs.all[-1].state == "cancelled"
 
     driver.run(script)
     with av.open(str(target)) as container:

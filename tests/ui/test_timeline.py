@@ -237,7 +237,7 @@ def test_haze_has_a_form_and_maybe_a_region(driver):
         driver.ctx.window_focus("//View")
         driver.frames(4)
         driver.tap("//View/**/Haze region")
-        assert tool._region == "haze_region"
+        assert tool.region == "haze_region"
         driver.tap("//View/**/Reset##region")
         assert document.rain.haze_region is None
         driver.frames(4)

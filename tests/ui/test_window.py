@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
@@ -69,6 +70,10 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     good, bad = tmp_path / "wall.ply", tmp_path / "bad.ply"
     write_scene(small_scene(), good)
     bad.write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
+    photograph = tmp_path / "photographs" / "a.png"
+    photograph.parent.mkdir()
+    for name in ("a.png", "b.png"):
+        Image.new("RGB", (32, 24), "gray").save(photograph.with_name(name))
 
     def script():
         first = driver.editor.document.scene
@@ -81,6 +86,10 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
         assert driver.editor.document.scene.name == "wall"
         driver.ctx.window_focus("//Log")
         driver.frames(3)
+        driver.window.drop([str(photograph)])
+        driver.until(lambda: driver.editor.status.question is not None)
+        assert driver.editor.status.question.title == "Open a capture"
+        driver.press(imgui.Key.escape)
 
     driver.run(script)
     assert driver.editor.viewport.backend in ("opengl-tiles", "opengl-quads", "cpu")
@@ -173,6 +182,11 @@ def test_the_rain_panel_chooses_a_sensor_and_replaces_its_aperture(driver):
         driver.click("//Rain/##aperture_mm given")
         assert document.rain.aperture_mm == 4.0
         driver.type_in("//Rain/##aperture_mm", 6.0)
+        assert document.rain.aperture_mm == 6.0
+        driver.ctx.item_click("//Rain/##aperture_mm", 1)
+        driver.frames()
+        assert document.rain.aperture_mm is None
+        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
         assert document.rain.aperture_mm == 6.0
         driver.click("//Rain/##aperture_mm given")
         assert document.rain.aperture_mm is None

@@ -8,7 +8,7 @@ import pytest
 
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
-from gsrain_engine.rain.wetness import flooded_share
+from gsrain_engine.rain.wetness import flooded_share, water_depth_mm
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.scene.camera import Camera, look_at
@@ -18,7 +18,7 @@ from gsrain_engine.scene.ground_water import GroundWater, ground_membership
 from gsrain_engine.scene.lamps import Lamp, lit_lamps
 from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.water_surface import WATER_INDEX, reflectance
-from gsrain_engine.water.mirror import facet_table, make_mirror, mirrored_camera, rows_of_ground
+from gsrain_engine.water.mirror import SCALES, facet_table, make_mirror, mirrored_camera, rows_of_ground
 
 UP = np.array([0.0, 0.0, 1.0])
 EYE_M = 1.5
@@ -70,14 +70,14 @@ def test_a_mirrored_camera_sees_points_where_the_ground_reflects_them():
 
     last = rows_of_ground(seen_from)[1]
     found = projected(below, points)
-    expected = 0.5 * projected(seen_from, image)
+    expected = SCALES * projected(seen_from, image)
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-9)
     np.testing.assert_allclose(last - found[:, 1], expected[:, 1], atol=1e-9)
 
 
 def test_only_rows_with_rays_to_the_ground_are_mirrored():
     first, last = rows_of_ground(camera(down=0.0))
-    assert (first, last) == (30, 60)
+    assert (first, last) == (15, 30)
     assert rows_of_ground(camera(down=-3.0)) == (0, 0)
 
 
@@ -141,7 +141,7 @@ def test_lamps_have_long_reflections_under_their_mirror_image():
     dimmed = make_mirror(image, depth, view, 0.0, 1.0, lamps=lamps, extinction_per_m=0.05).light[..., 0]
     film, standing = light[..., 0], light[..., 1]
     _, y, z = (view.world_to_camera @ np.array([14.0, 0.0, -0.8, 1.0]))[:3]
-    at = 0.5 * (view.fy * y / z + view.cy) - first
+    at = SCALES[1] * (view.fy * y / z + view.cy) - first
     row, column = np.unravel_index(np.argmax(standing), standing.shape)
     assert abs(row + 0.5 - at) < 2 and abs(column + 0.5 - 96) < 2
     assert standing.max() > 2 * film.max() > 0
@@ -152,7 +152,7 @@ def test_lamps_have_long_reflections_under_their_mirror_image():
         mean = (weights * places).sum() / weights.sum()
         return np.sqrt((weights * (places - mean) ** 2).sum() / weights.sum())
 
-    assert spread(film, 1) > 3 * spread(film, 0)  # along columns
+    assert spread(film, 1) / SCALES[1] > 3 * spread(film, 0) / SCALES[0]  # along columns
     assert 0 < dimmed[..., 1].max() < 0.5 * standing.max()  # about 20 m through the medium
 
 
@@ -163,9 +163,9 @@ def test_all_reflections_of_a_lamp_are_as_bright_as_its_mirror_image():
     lamps = lit_lamps([(Lamp(position=(8.0, 0.0, 4.0), intensity_m2=10.0), np.eye(4))])
     dark = np.zeros((last - first, 200, 3), np.float32)
     standing = make_mirror(dark, dark[..., 0], view, 0.0, 1.0, lamps=lamps).light[:, :, 1, 0]
-    x, y = np.meshgrid(np.arange(200) + 0.5 - 100, np.arange(first, last) + 0.5 - 100)
-    f = 0.5 * view.fx
-    steradians = (1 + (x * x + y * y) / f**2) ** -1.5 / f**2
+    x, y = np.meshgrid(np.arange(200) + 0.5 - 100, np.arange(first, last) + 0.5 - 50)
+    fx, fy = np.array(SCALES) * (view.fx, view.fy)
+    steradians = (1 + (x / fx) ** 2 + (y / fy) ** 2) ** -1.5 / (fx * fy)
     irradiance = 10.0 / (8.0**2 + 8.0**2) * reflectance(np.sqrt(0.5), WATER_INDEX)
     assert (standing * steradians).sum() == pytest.approx(irradiance, rel=0.05)
 
@@ -207,8 +207,9 @@ def test_half_as_wet_ground_reflects_half_as_much():
 
 
 def test_heavy_rain_floods_films():
-    assert flooded_share(0.0) == 0 and 0.05 < flooded_share(1.0) < 0.1
-    assert flooded_share(8.5) == pytest.approx(0.5, abs=0.05) and flooded_share(30.0) > 0.95
+    dry, light, moderate, heavy = (flooded_share(water_depth_mm(rate)) for rate in (0.0, 1.0, 8.5, 30.0))
+    assert dry == 0 and 0.05 < light < 0.1
+    assert moderate == pytest.approx(0.5, abs=0.05) and heavy > 0.95
     view = camera()
     first, last = rows_of_ground(view)
     image = np.random.default_rng(4).random((last - first, 96, 3), np.float32)

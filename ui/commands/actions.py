@@ -8,9 +8,9 @@ from gsrain_engine.editor.edits import gaussians, layers
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.scene.formats.registry import scene_suffixes
+from gsrain_engine.scene.formats.registry import scene_suffixes, writable_suffixes
 
-from ..widgets.fields import SCENE_FOLDERS, ask_what_to_open, ask_where_to_save, exported_kinds
+from ..widgets.file_dialogs import SCENE_FOLDERS, ask_what_to_open, ask_where_to_save, exported_kinds
 
 # Preconditions
 
@@ -27,7 +27,7 @@ def has_deleted(document: Document) -> bool:
 
 
 def ask_what_to_open_scene(files: Files) -> None:
-    ask_what_to_open("Open a scene", _scene_kinds(), lambda chosen: files.open(_opened(chosen[0])))
+    ask_what_to_open("Open a scene", _scene_kinds(), lambda chosen: files.open(_opened(chosen[0])), takes_scenes=True)
 
 
 def ask_what_to_import(files: Files) -> None:
@@ -35,15 +35,19 @@ def ask_what_to_import(files: Files) -> None:
         for path in chosen:
             files.import_from(_opened(path))
 
-    ask_what_to_open("Import into this scene", _scene_kinds(), take, several=True)
+    ask_what_to_open("Import into this scene", _scene_kinds(), take, several=True, takes_scenes=True)
 
 
 def ask_where_to_save_scene(files: Files) -> None:
-    ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: files.save_as(chosen[0]))
+    save, name = files.save_as, files.proposed_name()
+    ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: save(chosen[0]), proposed=name, confirms=False)
 
 
 def ask_where_to_export(files: Files) -> None:
-    ask_where_to_save("Export a file", exported_kinds(), lambda chosen: files.export_to(chosen[0]))
+    export, name = files.export_to, files.proposed_name(writable_suffixes()[0])
+    ask_where_to_save(
+        "Export a file", exported_kinds(), lambda chosen: export(chosen[0]), proposed=name, confirms=False
+    )
 
 
 def _opened(path: Path) -> str:

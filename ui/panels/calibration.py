@@ -14,7 +14,8 @@ from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.properties import calibration_curves, spectrum_at
 
 from ..widgets.draw import line, plot, points
-from ..widgets.fields import LOGARITHMIC, ask_what_to_open, button, combo, number, plain_label, warn
+from ..widgets.fields import LOGARITHMIC, button, combo, number, plain_label, warn
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.text import readings, visible_name
 
 _FAINTEST = 1e-2

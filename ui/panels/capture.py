@@ -11,7 +11,8 @@ from gsrain_engine.editor.viewport.options import Mode
 
 from ..commands.table import help_of
 from ..widgets.draw import DIM, TEXT, color, draw_image
-from ..widgets.fields import WARNING, ask_what_to_open, button, checkbox, combo, disabled, text_color
+from ..widgets.fields import WARNING, button, checkbox, combo, disabled, text_color
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.text import label
 from .training import reconstruct_fields
 

@@ -37,6 +37,8 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     imgui.separator_text("Window")
     if (changed := edit_field(preferences.value, "theme")) is not preferences.value:
         preferences.set(theme=changed.theme)
+    if (changed := edit_field(preferences.value, "desktop_dialogs")) is not preferences.value:
+        preferences.set(desktop_dialogs=changed.desktop_dialogs)
     for name, form in (("font_scale", "%.2f"), ("ui_scale", "%.2f"), ("autosave_s", "%.0f")):
         # It applies when the slider is released, so that the layout doesn't change during the drag.
         info, present = field_label(name, Preferences), _dragged.get(name, getattr(preferences.value, name))

@@ -20,21 +20,18 @@ from gsrain_engine.simulation.scenario import ScenarioUser
 from ..commands.table import help_of
 from ..widgets.draw import color
 from ..widgets.fields import (
-    ALL_FILES,
     CLAMPED,
-    ask_what_to_open,
-    ask_where_to_save,
     button,
     checkbox,
     edit_choice,
     edit_field,
     field_label,
-    path_field,
     plain_label,
     share_of_width,
     square_button,
     warn,
 )
+from ..widgets.file_dialogs import ALL_FILES, ask_what_to_open, ask_where_to_save, path_field
 from ..widgets.text import visible_name
 from .drive_plots import curve_colors, drive_metrics
 from .jobs import job_fields
@@ -89,7 +86,8 @@ def ask_for_scenario(rollouts: RolloutPlayer) -> None:
 
 
 def ask_where_to_save_scenario(setup: DriveSetup) -> None:
-    ask_where_to_save("Save the scenario", "Scenario{.yaml}", lambda chosen: setup.save(chosen[0]))
+    kinds, name = "Scenario{.yaml}", "scenario.yaml"
+    ask_where_to_save("Save the scenario", kinds, lambda chosen: setup.save(chosen[0]), proposed=name)
 
 
 def ask_for_rollout(rollouts: RolloutPlayer) -> None:
@@ -101,12 +99,16 @@ def ask_for_rollout(rollouts: RolloutPlayer) -> None:
 
 
 def ask_where_to_save_rollout(rollouts: RolloutPlayer) -> None:
-    ask_where_to_save("Save the roll-out", _ROLLOUTS, lambda chosen: rollouts.save_as(chosen[0]))
+    save = rollouts.save_as
+    ask_where_to_save(
+        "Save the roll-out", _ROLLOUTS, lambda chosen: save(chosen[0]), proposed="drive.jsonl", confirms=False
+    )
 
 
 def ask_where_to_render_drive(rollouts: RolloutPlayer) -> None:
     kinds = "MP4{.mp4},WebM{.webm}"
-    ask_where_to_save("Render video of the drive", kinds, lambda chosen: rollouts.video_to(chosen[0]))
+    render, title = rollouts.video_to, "Render video of the drive"
+    ask_where_to_save(title, kinds, lambda chosen: render(chosen[0]), proposed="drive.mp4", confirms=False)
 
 
 # Start of a drive
@@ -263,7 +265,7 @@ def _jumps(rollouts: RolloutPlayer) -> None:
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 _DRAG_PX, _FASTEST = 300.0, 0.1  # drag distance over the whole range in pixels, and the largest change per pixel
-_START = ("speed_m_s", "left_m", "duration_s", "step_s")
+_START = ("speed_m_s", "left_m", "duration_s", "step_s", "friction")
 _USER = ("ahead_m", "left_m", "turned_deg", "speed_m_s")
 
 

@@ -1,17 +1,25 @@
 """Jobs panel and Log panel."""
 
 import logging
+import os
+import subprocess
+import sys
+import threading
 import webbrowser
+from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from gsrain_engine.editor.jobs.job import Job, JobRunner
+from gsrain_engine.editor.jobs.job import Job, JobRunner, duration_text
 from gsrain_engine.editor.status import LogLine, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, faint, warn
+
+logger = logging.getLogger("gsrain")
 
 
 def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
@@ -76,6 +84,101 @@ def _metrics(job: Job[Any]) -> None:
         with plot(title, "step", "", legend=len(curves) > 1) as is_visible:
             for name, (steps, values) in curves.items() if is_visible else ():
                 line(name.replace("_", ", "), steps, values)
+
+
+# Tray in the status bar: the newest running job, else notices of jobs that have ended
+
+_TRAY_EM, _BAR_EM = 27.0, 12.0
+_NOTICED_S = 60.0  # a notice goes by itself after this time
+
+
+def tray_width(jobs: JobRunner) -> float:
+    """Width of the tray in pixels; 0 while it has nothing to show. It is constant, so that Cancel does not move."""
+    return _TRAY_EM * imgui.get_font_size() if jobs.running or _notice(jobs) is not None else 0.0
+
+
+def job_tray(viewport: ViewportState, jobs: JobRunner) -> None:
+    """Draw progress, time left and Cancel of the newest running job; a click on its bar lists all jobs."""
+    em = imgui.get_font_size()
+    start = imgui.get_cursor_pos_x()
+    running = jobs.running
+    if running:
+        job, others = running[-1], len(running) - 1
+        opens = imgui.invisible_button("###list jobs", ImVec2(_BAR_EM * em, imgui.get_text_line_height()))
+        imgui.set_item_tooltip(f"{job.title}: {job.progress.message}\nClick: all jobs.")
+        words = f"{100 * job.progress.fraction:.0f} %  {job.title}{f', {others} more' if others else ''}"
+        _fill_bar(job.progress.fraction, words)
+        imgui.same_line()
+        left_s = job.remaining_s
+        imgui.text_disabled("" if left_s is None else f"{duration_text(left_s)} left")
+        imgui.same_line(start + (_BAR_EM + 8.0) * em)
+        if imgui.small_button("Cancel###cancel job"):
+            job.cancel()
+        imgui.set_item_tooltip(f"Stop {job.title}; the scene does not change.")
+        if opens:
+            imgui.open_popup("jobs")
+    elif (job := _notice(jobs)) is not None:
+        _clipped_text(f"{job.title}: done", (_BAR_EM - 0.5) * em)
+        imgui.set_item_tooltip(f"{job.title}: {job.progress.message}, after {duration_text(job.seconds)}.")
+        imgui.same_line(start + _BAR_EM * em)
+        if job.output is not None:
+            if imgui.small_button("Open file###open output"):
+                open_in_desktop(job.output)
+            imgui.set_item_tooltip(str(job.output))
+            imgui.same_line()
+            if imgui.small_button("Show in folder###show output"):
+                open_in_desktop(job.output.parent)
+            imgui.same_line()
+        if imgui.small_button("x###dismiss"):
+            job.is_noticed = True
+        imgui.set_item_tooltip("Dismiss.")
+    if imgui.begin_popup("jobs"):
+        if imgui.begin_child("all jobs", ImVec2(24 * em, 20 * em)):
+            jobs_panel(viewport, jobs)
+        imgui.end_child()
+        imgui.end_popup()
+
+
+def _fill_bar(fraction: float, words: str) -> None:
+    """Paint the last item as a progress bar; a widget of that kind would move the rest of the line down."""
+    low, high, draw = imgui.get_item_rect_min(), imgui.get_item_rect_max(), imgui.get_window_draw_list()
+    background, bar, text = map(imgui.get_color_u32, (imgui.Col_.frame_bg, imgui.Col_.plot_histogram, imgui.Col_.text))
+    draw.add_rect_filled(low, high, background)
+    draw.add_rect_filled(low, ImVec2(low.x + fraction * (high.x - low.x), high.y), bar)
+    imgui.push_clip_rect(low, high, True)
+    draw.add_text(ImVec2(low.x + 0.4 * imgui.get_font_size(), low.y), text, words)
+    imgui.pop_clip_rect()
+
+
+def _clipped_text(text: str, width: float) -> None:
+    corner = imgui.get_cursor_screen_pos()
+    imgui.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + 2 * imgui.get_font_size()), True)
+    imgui.text(text)
+    imgui.pop_clip_rect()
+
+
+def _notice(jobs: JobRunner) -> Job[Any] | None:
+    """Return the job whose end is to be noticed: the newest one that has finished lately."""
+    done = (each for each in reversed(jobs.all) if each.state == "finished" and each.kind != "preview")
+    newest = next(done, None)
+    is_new = newest is not None and newest.ended_s is not None and monotonic() - newest.ended_s < _NOTICED_S
+    return newest if newest is not None and is_new and not newest.is_noticed else None
+
+
+def open_in_desktop(path: Path) -> None:
+    """Open a file or folder in the program that the desktop has for it, without waiting."""
+    threading.Thread(target=_open, args=(path,), daemon=True).start()
+
+
+def _open(path: Path) -> None:
+    program = "open" if sys.platform == "darwin" else "xdg-open"
+    try:
+        if sys.platform == "win32":
+            os.startfile(path)
+        else:
+            subprocess.run([program, str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+    except OSError as error:
+        logger.warning("%s can't be opened: %s: %s", path, program, error.strerror)
 
 
 # Log panel

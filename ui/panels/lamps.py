@@ -19,6 +19,7 @@ from gsrain_engine.scene.scene import Scene
 
 from ..widgets import fields
 from ..widgets.fields import CLAMPED, LOGARITHMIC, button, checkbox, plain_label, share_of_width
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.text import visible_name
 
 _TITLES = {
@@ -53,7 +54,7 @@ def _choice(document: Document, status: StatusBus) -> None:
     imgui.same_line()
     if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose lamps"):
         kinds = "Lamps{.json,.yaml,.yml}"
-        fields.ask_what_to_open("Lamps", kinds, lambda chosen: _use(document, status, chosen[0]))
+        ask_what_to_open("Lamps", kinds, lambda chosen: _use(document, status, chosen[0]))
     imgui.set_item_tooltip("Choose a file of lamps...")
 
 

@@ -40,7 +40,9 @@ from ..widgets.fields import (
     tint_keyframed,
     warn,
 )
+from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.text import readings
+from .glass import glass_fields
 from .lamps import lamp_fields
 
 _PRESETS = {
@@ -71,6 +73,9 @@ def rain_panel(
     fields.toggle(document, "roofs")
     imgui.same_line()
     fields.toggle(document, "mirror")
+    fields.toggle(document, "splashes")
+    imgui.same_line()
+    fields.toggle(document, "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
@@ -81,6 +86,9 @@ def rain_panel(
         if imgui.collapsing_header(group):
             if group == _WIND:
                 _wind(document, viewport, playback)
+            if group == "Glass":
+                glass_fields(document)
+                continue
             for each in fields_of(RainSettings):
                 if each.group != group or each.name in _WIND_FIELDS:
                     continue
@@ -190,7 +198,7 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
         document.change_rain("Sensor", sensor=names[at])
     imgui.same_line()
     if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose sensor"):
-        fields.ask_what_to_open("Sensor", "Sensors{.yaml,.yml}", lambda chosen: _use(document, status, chosen[0]))
+        ask_what_to_open("Sensor", "Sensors{.yaml,.yml}", lambda chosen: _use(document, status, chosen[0]))
     imgui.set_item_tooltip("Choose a sensor file...")
     simulation, camera = live_rain.simulation, viewport.shot(960, 640).camera
     sensor, lens = simulation.sensor, simulation.lens(camera)
@@ -206,6 +214,9 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
             text = f"{sensor.full_well_e / sensor.gain:,.0f} e-, read noise {sensor.read_noise_e:g} e-"
             rows.append(("White", text, "Electrons of white; shot noise is the root of a pixel's electrons."))
         rows.append(("Tone curve", sensor.tone_curve, "In recorded images and videos; the viewport is without it."))
+        if sensor.processes_signal:
+            text = f"noise reduction {sensor.noise_reduction:g}, sharpening {sensor.sharpening:g}"
+            rows.append(("Processing", text, "Strengths. In recorded images and videos."))
         if sensor.jpeg_quality is not None:
             rows.append(("JPEG quality", f"{sensor.jpeg_quality}", "In recorded images and videos."))
     readings("sensor values", rows)

@@ -30,7 +30,8 @@ from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H
 
 from ..commands.table import help_of
 from ..widgets.draw import draw_diamond
-from ..widgets.fields import LOGARITHMIC, ask_what_to_open, button, square_button, toggle_keyframe, warn
+from ..widgets.fields import LOGARITHMIC, button, square_button, toggle_keyframe, warn
+from ..widgets.file_dialogs import ask_what_to_open
 
 _IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 149."
 _SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"

@@ -1,7 +1,5 @@
 """Record panel: format, duration, samples and passes of a video, frames or an image."""
 
-from pathlib import Path
-
 from imgui_bundle import imgui
 
 from gsrain_engine.editor.document import Document
@@ -17,7 +15,6 @@ from ..commands.table import help_of
 from ..widgets.fields import (
     CLAMPED,
     LOGARITHMIC,
-    ask_where_to_save,
     button,
     checkbox,
     combo,
@@ -28,6 +25,7 @@ from ..widgets.fields import (
     share_of_width,
     warn,
 )
+from ..widgets.file_dialogs import ask_where_to_save
 from ..widgets.text import label, visible_name
 from .drive import ask_where_to_render_drive
 
@@ -87,20 +85,20 @@ def record_panel(
 
 
 def ask_where_to_record(render_queue: RenderQueue) -> None:
-    def record(chosen: list[Path]) -> None:
-        # The dialog's filter appends a suffix to a folder's name.
-        render_queue.record_to(chosen[0].with_suffix("") if chosen[0].suffix == ".*" else chosen[0])
-
-    ask_where_to_save("Record the timeline", _KINDS.get(render_queue.settings.codec, _FRAMES), record)
+    kinds, name = _KINDS.get(render_queue.settings.codec, _FRAMES), render_queue.proposed_name()
+    record = render_queue.record_to
+    ask_where_to_save("Record the timeline", kinds, lambda chosen: record(chosen[0]), proposed=name, confirms=False)
 
 
 def ask_where_to_render_image(render_queue: RenderQueue) -> None:
-    kinds = "PNG{.png},JPEG{.jpg},EXR{.exr}"
-    ask_where_to_save("Render image", kinds, lambda chosen: render_queue.record_still_to(chosen[0]))
+    kinds, name = "PNG{.png},JPEG{.jpg},EXR{.exr}", render_queue.proposed_name(".png")
+    render = render_queue.record_still_to
+    ask_where_to_save("Render image", kinds, lambda chosen: render(chosen[0]), proposed=name, confirms=False)
 
 
 def ask_where_to_draw_sheet(render_queue: RenderQueue) -> None:
-    ask_where_to_save("Intensity sheet", "PNG{.png}", lambda chosen: render_queue.draw_sheet_to(chosen[0]))
+    draw, name = render_queue.draw_sheet_to, render_queue.proposed_name("_rain.png")
+    ask_where_to_save("Intensity sheet", "PNG{.png}", lambda chosen: draw(chosen[0]), proposed=name, confirms=False)
 
 
 def _extent(render_queue: RenderQueue) -> bool:

@@ -39,6 +39,10 @@ class Panel:
     """Draws it; gets the editor's parts that its parameters name."""
     id: str = ""
     """Identity of its window in saved layouts if the title is not: a former title."""
+    help: str = ""
+    """Its contents in one sentence, which docs/guide/panels.md has, too."""
+    page: str = ""
+    """Page with more about it, relative to that one."""
 
     @property
     def window_name(self) -> str:
@@ -48,27 +52,47 @@ class Panel:
 # Table of panels
 
 BUILT_IN_PANELS = (
-    Panel("Layers", "left", layers_panel),
-    Panel("History", "left", history_panel),
-    Panel("Statistics", "left", statistics_panel),
-    Panel("Edit", "left bottom", edit_panel),
-    Panel("Select", "left bottom", select_panel),
-    Panel("Rain", "right", rain_panel),
-    Panel("Wet look", "right", wet_look_panel, "Make it rainy"),
-    Panel("Drive", "right", drive_panel),
-    Panel("Capture", "right", capture_panel),
-    Panel("Record", "right", record_panel),
-    Panel("Display", "right", display_panel),
-    Panel("Rain properties", "right bottom", rain_properties_panel, "Read-out"),
-    Panel("Disdrometer", "right bottom", disdrometer_panel),
-    Panel("Calibration", "right bottom", calibration_panel),
-    Panel("Camera rig", "right bottom", camera_mosaic_panel, "Rig cameras"),
-    Panel("Timeline", "bottom", timeline_panel),
-    Panel("Rain keyframes", "bottom", rain_keyframes_panel, "Shower"),
-    Panel("Drive plots", "bottom", drive_plots),
-    Panel("Jobs", "bottom", jobs_panel),
-    Panel("Log", "bottom", log_panel),
-)
+    Panel("Layers", "left", layers_panel, page="selecting_and_editing.md",
+          help="Layers and actors: visibility, locks, number of Gaussians."),
+    Panel("History", "left", history_panel,
+          help="Every step; a click goes to it."),
+    Panel("Statistics", "left", statistics_panel,
+          help="Frame time by stage, and what is drawn."),
+    Panel("Edit", "left bottom", edit_panel, page="selecting_and_editing.md",
+          help="The selection, and the layer or actor chosen above."),
+    Panel("Select", "left bottom", select_panel,
+          help="By attribute (opacity, size, height, ...) and by color; grow, shrink, invert, selection sets."),
+    Panel("Rain", "right", rain_panel, page="rain.md",
+          help="Intensity, exposure, regions, wind, drop color, wetness."),
+    Panel("Wet look", "right", wet_look_panel, "Make it rainy", page="wet_colors.md",
+          help="Wet colors of the scene, and fine-tuning of the diffusion model that can make them."),
+    Panel("Drive", "right", drive_panel, page="../driving.md",
+          help="A scenario driven by an agent; roll-outs side by side."),
+    Panel("Capture", "right", capture_panel, page="captures.md",
+          help="Recorded images next to the scene; reconstruct, recolor."),
+    Panel("Record", "right", record_panel, page="timeline_and_recording.md",
+          help="A flythrough as video, frames, depth, labels; an image, or a sheet of intensities."),
+    Panel("Display", "right", display_panel, page="looking_around.md",
+          help="Rendering quality and speed; theme, text size."),
+    Panel("Rain properties", "right bottom", rain_properties_panel, "Read-out", page="../physics.md",
+          help="Quantities that follow from the intensity."),
+    Panel("Disdrometer", "right bottom", disdrometer_panel, page="rain.md",
+          help="Counts the simulated drops."),
+    Panel("Calibration", "right bottom", calibration_panel, page="calibration.md",
+          help="The calibration of the rain, compared with another one."),
+    Panel("Camera rig", "right bottom", camera_mosaic_panel, "Rig cameras", page="../driving.md",
+          help="The images of the vehicle's cameras."),
+    Panel("Timeline", "bottom", timeline_panel, page="timeline_and_recording.md",
+          help="Keyframes of the camera and of every field with a diamond."),
+    Panel("Rain keyframes", "bottom", rain_keyframes_panel, "Shower", page="rain.md",
+          help="Intensity over time."),
+    Panel("Drive plots", "bottom", drive_plots, page="../driving.md",
+          help="Speed, acceleration, time to collision and gap of all roll-outs; a click goes to that time."),
+    Panel("Jobs", "bottom", jobs_panel,
+          help="Background jobs with progress, *Cancel*, result and report."),
+    Panel("Log", "bottom", log_panel,
+          help="Messages of the program, newest at the bottom; filtered by level and words."),
+)  # fmt: skip
 
 
 def all_panels() -> tuple[Panel, ...]:

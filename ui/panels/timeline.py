@@ -17,8 +17,6 @@ from ..widgets import draw as hues
 from ..widgets.draw import color
 from ..widgets.fields import (
     CLAMPED,
-    ask_what_to_open,
-    ask_where_to_save,
     button,
     checkbox,
     combo,
@@ -28,6 +26,7 @@ from ..widgets.fields import (
     plain_label,
     text_color,
 )
+from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
 from ..widgets.text import label
 
 _FA = icons_fontawesome_6
@@ -171,7 +170,8 @@ def ask_for_import(camera_path: CameraPathEditor) -> None:
 
 
 def ask_for_export(camera_path: CameraPathEditor) -> None:
-    ask_where_to_save("Export the camera path", _JSON, lambda chosen: camera_path.export_path(chosen[0]))
+    title, name = "Export the camera path", "camera_path.json"
+    ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(chosen[0]), proposed=name)
 
 
 def _path_menu(document: Document, playback: Playback, camera_path: CameraPathEditor) -> None:
@@ -208,11 +208,13 @@ def _export_menu(camera_path: CameraPathEditor) -> None:
         ask_for_export(camera_path)
     if menu_item("Every frame (nerfstudio)...", "A camera_path.json for ns-render, at the timeline's frame rate."):
         title = "Export for nerfstudio"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(chosen[0], "nerfstudio"))
+        name, export = "camera_path.json", camera_path.export_path
+        ask_where_to_save(title, _JSON, lambda chosen: export(chosen[0], "nerfstudio"), proposed=name)
     help_text = "A list of cameras at the timeline's frame rate; it has no times."
     if menu_item("Every frame (3DGS cameras.json)...", help_text):
         title = "Export as 3DGS cameras"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(chosen[0], "training cameras"))
+        name, export = "cameras.json", camera_path.export_path
+        ask_where_to_save(title, _JSON, lambda chosen: export(chosen[0], "training cameras"), proposed=name)
 
 
 def _drive_menu(camera_path: CameraPathEditor) -> None:

@@ -16,16 +16,8 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import field_of
 from gsrain_engine.training.settings import TrainingSettings, settings_names
 
-from ..widgets.fields import (
-    ALL_FILES,
-    ask_what_to_open,
-    button,
-    combo,
-    edit_choice,
-    edit_field,
-    path_field,
-    plain_label,
-)
+from ..widgets.fields import button, combo, edit_choice, edit_field, plain_label
+from ..widgets.file_dialogs import ALL_FILES, ask_what_to_open, path_field
 from .jobs import job_fields
 
 _PRESETS = {

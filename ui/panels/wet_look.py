@@ -19,7 +19,8 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
 from ..widgets import fields
-from ..widgets.fields import ALL_FILES, button, combo, edit_choice, edit_field, faint, path_field, warn
+from ..widgets.fields import button, combo, edit_choice, edit_field, faint, warn
+from ..widgets.file_dialogs import ALL_FILES, path_field
 from .jobs import job_fields
 from .rain import wetness_fields
 from .training import transfer_training_fields

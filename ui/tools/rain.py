@@ -37,7 +37,7 @@ class RegionTool(Tool):
     name = "Rain regions"
     icon = icons_fontawesome_6.ICON_FA_CLOUD_SHOWERS_HEAVY
     help = "Drag the dots: each moves one face of the region that drops, or haze, stand in."
-    _region: RegionName = "streak_region"
+    region: RegionName = "streak_region"
     _drag: regions.BoxFaceDrag | None = None
     _frozen: RenderView | None = None
 
@@ -46,9 +46,9 @@ class RegionTool(Tool):
 
     def draw(self, canvas: Canvas) -> bool:
         """Draw the region with a dot on each visible face, and an outside view; handle the mouse."""
-        box = regions.region_box(self._document.rain, self._region)
+        box = regions.region_box(self._document.rain, self.region)
         anchor = rain_anchor(self._rollouts.displayed_scene, self._live_rain.displayed, canvas.shot)
-        color, edges = _COLORS[self._region], partial(regions.project_edges, box, anchor)
+        color, edges = _COLORS[self.region], partial(regions.project_edges, box, anchor)
         draw_lines(canvas, edges(canvas.shot.camera).tolist(), color, 2.0)
         inset = self._inset(canvas, box, anchor)
         handles = regions.face_handles(box, anchor, canvas.shot.camera)
@@ -56,7 +56,7 @@ class RegionTool(Tool):
         place, there = (inset, outside) if inset.hovered else (canvas, handles)
         under = _under_mouse(place, there)
         if under is not None and self._drag is None and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            self._drag = regions.BoxFaceDrag(under, box, self._region, place.shot.camera, place.mouse_px)
+            self._drag = regions.BoxFaceDrag(under, box, self.region, place.shot.camera, place.mouse_px)
             self._frozen = inset.shot
         self._move_face(canvas, inset)
         lit = self._drag.handle if self._drag is not None else under
@@ -76,7 +76,7 @@ class RegionTool(Tool):
     ) -> None:
         for handle in handles:
             is_lit = lit is not None and handle.face == lit.face
-            draw_point(canvas, handle.point_m, *((WHITE, 7.0) if is_lit else (_COLORS[self._region], 5.5)))
+            draw_point(canvas, handle.point_m, *((WHITE, 7.0) if is_lit else (_COLORS[self.region], 5.5)))
             if is_lit and labeled:
                 place = (box.maximum_m if handle.upper else box.minimum_m)[handle.axis]
                 draw_words(canvas, handle.point_m, f"{'xyz'[handle.axis]} {place:.2f} m")
@@ -93,20 +93,20 @@ class RegionTool(Tool):
 
     def options(self) -> None:
         for region, label in _LABELS.items():
-            if imgui.radio_button(label, self._region == region):
-                self._region, self._drag = region, None
+            if imgui.radio_button(label, self.region == region):
+                self.region, self._drag = region, None
             imgui.set_item_tooltip(_HELP[region])
             imgui.same_line()
-        x, y, z = regions.region_box(self._document.rain, self._region).size_m
+        x, y, z = regions.region_box(self._document.rain, self.region).size_m
         imgui.align_text_to_frame_padding()
-        is_limited = getattr(self._document.rain, self._region) is not None
+        is_limited = getattr(self._document.rain, self.region) is not None
         imgui.text_disabled(f"{x:.1f} x {y:.1f} x {z:.1f} m" if is_limited else "everywhere; drag a dot to limit it")
         imgui.set_item_tooltip("Ahead, across, upward; numbers of both corners are in the Rain panel under Regions.")
         imgui.same_line()
-        help_text = "The region of the paper's setup." if self._region == "streak_region" else "Haze everywhere."
+        help_text = "The region of the paper's setup." if self.region == "streak_region" else "Haze everywhere."
         if button("Reset##region", help_text):
-            label = f"Reset the {_LABELS[self._region].lower()}"
-            self._document.change_rain(label, None, **{self._region: _WHOLE[self._region]})
+            label = f"Reset the {_LABELS[self.region].lower()}"
+            self._document.change_rain(label, None, **{self.region: _WHOLE[self.region]})
 
     def _move_face(self, canvas: Canvas, inset: Canvas) -> None:
         """Move the dragged face with the mouse, until the button is released."""
@@ -121,7 +121,7 @@ class RegionTool(Tool):
             place = inset if self._drag.camera is inset.shot.camera else canvas
             changed = self._drag.pulled(*place.mouse_px)
             self._document.change_rain(
-                f"Drag the {_LABELS[self._region].lower()}", "region face", **{self._region: changed}
+                f"Drag the {_LABELS[self.region].lower()}", "region face", **{self.region: changed}
             )
 
 

@@ -1,13 +1,11 @@
-"""Widgets for settings (title, unit, bounds and help come from a field's `Meta`), keyframes, and file dialogs."""
+"""Widgets for settings (title, unit, bounds and help come from a field's `Meta`) and keyframes."""
 
-import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, im_file_dialog, imgui
+from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
 
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.status import StatusBus
@@ -16,7 +14,6 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import Field, field_of
 from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, RegionBox
-from gsrain_engine.scene.formats.registry import writable_suffixes
 
 _LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
@@ -64,6 +61,17 @@ def slider(document: Document, name: str, *, high: float | None = None, beside_p
     if changed:
         document.change_rain(info.title, name, **{name: value})
     end_gesture_when_released(document)
+    _reset_on_right_click(document, info)
+
+
+def _reset_on_right_click(document: Document, info: Field) -> None:
+    """Set a setting to its default if its widget, the last one, is right-clicked."""
+    default, unit = info.default_text or info.none, "" if info.default is None else f" {info.unit}"
+    reset = f" Right click: back to {default}{unit}." if default else ""
+    imgui.set_item_tooltip(f"Ctrl+click: type a value.{reset}")
+    is_other = getattr(document.rain, info.name) != info.default
+    if default and is_other and imgui.is_item_clicked(imgui.MouseButton_.right):
+        document.change_rain(info.title, **{info.name: info.default})
 
 
 def integer(document: Document, name: str) -> None:
@@ -139,28 +147,6 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
             changed, value = imgui.slider_float(f"##{name}", value, info.low, info.high, "%.4g", flags)
     imgui.set_item_tooltip(info.help)
     return msgspec.structs.replace(settings, **{name: value}) if changed else settings
-
-
-def path_field(
-    settings: msgspec.Struct, name: str, kinds: str, take: Callable[[Path | None], None], *, label: str | None = None
-) -> None:
-    """Draw a path with a button that opens a dialog: `kinds` as in a file dialog, "" for a folder.
-
-    `take` gets the typed or chosen path, a chosen one in a later frame; None for an empty text.
-    """
-    info, present = field_of(type(settings), name), getattr(settings, name)
-    value = "" if present is None else str(present)
-    plain_label(label or info.title, info.help)
-    imgui.set_next_item_width(-keyframe_button_width())
-    _, typed = imgui.input_text_with_hint(f"##{name}", "none chosen", value)
-    # A half-typed path doesn't exist yet: accept it only after editing.
-    if imgui.is_item_deactivated_after_edit():
-        take(Path(typed).expanduser() if typed.strip() else None)
-    imgui.set_item_tooltip(f"{info.help}\n{value}".strip())
-    imgui.same_line()
-    if square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, f"choose {name}"):
-        ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(chosen[0]))
-    imgui.set_item_tooltip("Choose a file..." if kinds else "Choose a folder...")
 
 
 def _optional_toggle(name: str, info: Field, value: float | None) -> tuple[bool, float | None]:
@@ -241,46 +227,6 @@ def keyframed_slider(
     slider(document, name, high=high, beside_px=keyframe_button_width())
     imgui.pop_style_color(colors)
     keyframe_button(document, viewport, playback, name)
-
-
-# File dialogs, answered by a callback in a later frame
-
-Answer = Callable[[list[Path]], None]
-_open: dict[str, tuple[Answer, list[str]]] = {}
-"""Answers to open dialogs by title, and names that a save dialog returns for an empty one, such as `.ply` or `.*`."""
-
-ALL_FILES = "All files{.*}"
-SCENE_FOLDERS = "Scene folders{.*}"
-
-
-def exported_kinds() -> str:
-    """Return the file types that a scene can be exported to, including those of installed packages."""
-    return ",".join(f"{suffix.lstrip('.').upper()} files{{{suffix}}}" for suffix in writable_suffixes())
-
-
-def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:
-    """Open a dialog for existing files; `kinds` as in "Scenes{.ply,.spz},All files{.*}"."""
-    _open[title] = answer, []
-    im_file_dialog.FileDialog.instance().open(title, title, kinds, several)
-
-
-def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
-    _open[title] = answer, re.findall(r"[{,](\.[^,{}]*)", kinds)
-    im_file_dialog.FileDialog.instance().save(title, title, kinds)
-
-
-def answer_dialogs(status: StatusBus) -> None:
-    """Handle closed dialogs. Call it once per frame."""
-    dialogs = im_file_dialog.FileDialog.instance()
-    for title in [each for each in _open if dialogs.is_done(each)]:
-        answer, suffixes = _open.pop(title)
-        chosen = [Path(each.path()) for each in dialogs.get_results()] if dialogs.has_result() else []
-        dialogs.close()
-        if any(path.name in suffixes for path in chosen):
-            status.report(f"{title}: no name was typed; choose a folder, then type a name behind File name.")
-        elif chosen:
-            # The dialog appends the chosen type's suffix to a name without one, even `.*`.
-            answer([path.with_suffix("") if path.suffix == ".*" else path for path in chosen])
 
 
 def square_button(icon: str, name: str) -> bool:

@@ -245,7 +245,7 @@ def start_finetuning(
     guided = settings.pictures.guide != "none"
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        model = _model(settings, guided).to(device)
+        model = model_to_train(settings, guided).to(device)
         is_tiny, clip = settings.architecture == "tiny", None if settings.clip is None else Path(settings.clip)
         features = ClipFeatures.tiny() if is_tiny and clip is None else ClipFeatures.read(clip)
         channels = 32 if is_tiny else 256
@@ -259,7 +259,8 @@ def start_finetuning(
     return FinetuneTrainer(model, (judges[0], judges[1]), order, settings, perceptual)
 
 
-def _model(settings: FinetuningSettings, guided: bool) -> Any:
+def model_to_train(settings: FinetuningSettings, guided: bool) -> Any:
+    """Open or build the model that settings name; `guided` ones take normals."""
     ranks = LoraRanks(settings.lora.unet, settings.lora.vae)
     if settings.architecture == "tiny" and settings.start is None:
         return build_random_model(tiny(), normals=guided, lora=ranks, seed=settings.seed)

@@ -15,21 +15,23 @@ from ...backends import measure_device, rasterizer_for
 from ...compile_cache import has_kernels
 from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
-from ...render.draw import LodCut, LodSubset, RenderView, Thinning, draw_view
+from ...render.draw import LodCut, LodSubset, Thinning, draw_view
 from ...render.images import write_png
 from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
-from ...render.renderer import Renderer, RenderMode
+from ...render.renderer import Color, Renderer, RenderMode
 from ...render.sky_color import SkyColor, sample_sky
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
-from ...scene.scene import Actor, Layer, Scene
+from ...scene.scene import Actor, Layer, RigCamera, Scene
+from ...water.refraction import GlassView
 from ..viewport.options import Texture
 from ..viewport.picking import mean_color_in_rectangle
 from ..viewport_state import PendingScene
 from .frame import DrawnImage, DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
+from .live_glass import LiveGlass, has_glass
 from .textures import CpuTexture
 
 logger = logging.getLogger("gsrain")
@@ -62,6 +64,7 @@ class LiveView:
             self._waits_until = time.perf_counter() + _LOADING_S
         self._on_cpu = self._gpu_is_full = self._can_draw = self._is_empty = False
         self._panes = (_PaneImage(context), _PaneImage(context))
+        self._glass = LiveGlass(context)
         self._pane_count = 1
         self._sky = SkyColorSampler()
         self._pending: PendingScene | None = None
@@ -141,14 +144,16 @@ class LiveView:
         """Last textures, one per pane."""
         return tuple(pane.texture for pane in self._panes[-self._pane_count :])
 
-    def draw_aside(self, images: MosaicInput, camera: RenderView, screen: Screen) -> moderngl.Texture | None:
+    def draw_aside(self, images: MosaicInput, camera: RigCamera, screen: Screen) -> moderngl.Texture | None:
         """Draw a small image next to the viewport after `draw`, with fewer Gaussians in playback, or None."""
         if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
         share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
-        thinning = self._thinning(share, images.scene)
-        draw_view(self._renderer, images.scene, images.rainfall, images.sky, camera, thinning=thinning)
-        return screen.show(self._picture(), images.background, 2.0**images.gain_ev)
+        thinning = self.thinning(share, images.scene)
+        name, view, turn = f"rig/{camera.name}", images.view_of(camera), camera.camera_to_ego[:3, :3]
+        glass = self._glass.before(self._renderer, images.scene, images.rainfall, images.sky, view, name, turn)
+        draw_view(self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning)
+        return screen.show(self._picture(glass, name, images.background), images.background, 2.0**images.gain_ev)
 
     def _substitutes_cpu(self, scene: Scene) -> bool:
         """Return whether OpenGL draws until the CPU renderer is ready."""
@@ -159,8 +164,10 @@ class LiveView:
     def _renderer(self) -> Renderer:
         return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
 
-    def _picture(self) -> moderngl.Texture:
-        """Texture of the renderer's last image."""
+    def _picture(self, glass: GlassView | None, camera: Hashable, background: Color) -> moderngl.Texture:
+        """Texture of the renderer's last image, through the glass in front of a camera."""
+        if glass is not None:
+            return self._glass.texture(glass, self._renderer, background, camera)
         return self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
 
     def _release_closed_scene(self, frame: RenderInput) -> None:
@@ -172,6 +179,8 @@ class LiveView:
             self._thinned = frame.scene
             self._upload.give_up()
             self._opengl.arrays.release_everything()
+            if self._cpu is not None:
+                self._cpu.renderer.release_scenes()
         self._is_empty = is_empty
         if self._thinned is not frame.scene:
             self._thinned = frame.scene
@@ -199,11 +208,15 @@ class LiveView:
             return False
         rainfall = side.rainfall if scene.members else None  # the rain has nothing to fall on yet
         selection = frame.selection and frame.screenshot is None
-        thinning = self._thinning(frame.quality.gaussians, scene, frame.mode, exact=frame.screenshot is not None)
+        thinning = self.thinning(frame.quality.gaussians, scene, frame.mode, exact=frame.screenshot is not None)
+        glass, name = None, f"pane/{self._panes.index(pane)}"
+        if rainfall is not None and has_glass(rainfall, frame.mode):
+            glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
         draw_view(
             self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning, selection=selection
         )
-        pane.texture = pane.screen.show(self._picture(), frame.background, 2.0**frame.gain_ev)
+        picture = self._picture(glass, name, frame.background)
+        pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev)
         pane.state, pane.scene = state, scene
         return True
 
@@ -218,7 +231,7 @@ class LiveView:
         self._is_uploading = True
         return pane.scene
 
-    def _thinning(
+    def thinning(
         self, share: float, scene: Scene, mode: RenderMode = "splats", *, exact: bool = False
     ) -> Thinning | None:
         """Choose the drawn Gaussians: of a large scene a cut, whose number falls with the square of its error."""
@@ -251,7 +264,7 @@ class LiveView:
                 self._upload.give_up()
             elif self._pending is not None and self._pending.is_opened:
                 self._sky.forget()
-                self._opengl.arrays.release_all_but(_uploads(frame.scene.members))
+                self._opengl.arrays.release_all_but(uploads_of(frame.scene.members))
             self._pending, self._is_pending_ready = frame.pending, False
             self._preparing = iter(()) if frame.pending is None else self._preparations(frame.pending.scene)
         while self._pending is not None and not self._is_pending_ready:
@@ -299,7 +312,10 @@ class _PaneImage:
 def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: SkyLight) -> Hashable:
     """Everything that a pane's image depends on; scenes and rains are values and compare by identity."""
     view, camera, time_s = frame.view, frame.view.camera, frame.view.time_s
-    raining = frame.mode == "splats" and not rainfall.state_at(time_s).is_clear
+    raining = has_glass(rainfall, frame.mode)
+    raining = raining or (frame.mode == "splats" and not rainfall.state_at(time_s).is_clear)
+    wet = rainfall.wetness_at(time_s), rainfall.soaked_share_at(time_s)
+    ground = (*wet, rainfall.overcast_at(time_s), rainfall.rain.mirror)
     return (
         scene.appearance,
         rainfall if raining else None,
@@ -308,7 +324,7 @@ def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky
         (camera.world_to_camera.tobytes(), camera.width, camera.height, camera.fx),
         b"" if view.velocity_m_s is None or not raining else view.velocity_m_s.tobytes(),
         (frame.background, frame.gain_ev, frame.mode, frame.harmonics, frame.selection),
-        (rainfall.soaked_share_at(time_s), rainfall.overcast_at(time_s)) if scene.has_wet_colors else (0.0, 0.0),
+        ground if scene.has_wet_colors or scene.water is not None else None,
     )
 
 
@@ -326,12 +342,12 @@ class SceneUpload:
     def missing(self, scene: Scene) -> int:
         """Number of Gaussians a frame would have to upload to draw a scene."""
         arrays = self._renderer.arrays
-        return sum(arrays.missing(*each) for each in _uploads(each for each in scene.members if each.visible))
+        return sum(arrays.missing(*each) for each in uploads_of(each for each in scene.members if each.visible))
 
     def go_on(self, scene: Scene, until_s: float) -> bool:
         """Upload missing slices of a scene until a time of `time.perf_counter`; return whether all are uploaded."""
         if scene is not self._scene:
-            parts = list(_uploads(each for each in scene.members if each.visible))
+            parts = list(uploads_of(each for each in scene.members if each.visible))
             self._scene = scene
             self._slices = (
                 slice_
@@ -350,7 +366,7 @@ class SceneUpload:
         self._renderer.arrays.release_awaited()
 
 
-def _uploads(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]]:
+def uploads_of(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]]:
     """Gaussians and wet colors of members, and of their trees."""
     for each in members:
         yield each.gaussians, each.wet_sh
@@ -454,7 +470,7 @@ class MosaicImages:
             return MosaicResult(dict(self._pictures), is_behind=False)
         name = stale[0]
         screen = self._screens.setdefault(name, Screen(self._context))
-        texture = view.draw_aside(images, images.view_of(cameras[name]), screen)
+        texture = view.draw_aside(images, cameras[name], screen)
         if texture is not None:
             self._pictures[name] = Texture(texture.glo, texture.width, texture.height)
             self._states[name] = images.state_of(cameras[name])

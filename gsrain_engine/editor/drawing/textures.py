@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, get_args
 
 import moderngl
@@ -12,15 +13,19 @@ from jaxtyping import UInt8
 from ...compile_cache import mark_kernels
 from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
-from ...rain.simulation import RainSimulation
+from ...rain.simulation import OVERCAST, RainSimulation
+from ...render.camera_optics import CameraOptics
 from ...render.cpu.projection import FEW
 from ...render.cpu.renderer import CpuRenderer
+from ...render.draw import RenderView, draw_view
 from ...render.opengl.shaders import load_program
 from ...render.renderer import RenderMode
-from ...scene.camera import Camera
+from ...scene.camera import Camera, look_at
 from ...scene.gaussians import Gaussians
+from ...scene.ground_water import GroundWater
+from ...scene.lamps import Lamp
 from ...scene.lod_order import sort_into_lod_order
-from ...scene.scene import DrawItem, Scene
+from ...scene.scene import DrawItem, Layer, Scene
 from ..capture_view import CaptureController, ImageRequest, PointSample
 from ..jobs.job import Job
 from ..matching import MatchingController
@@ -209,10 +214,29 @@ def compile_kernels() -> None:
     for mixing in ("linear", "display"):
         rain = RainSettings(intensity_mm_h=1.0, rain_light=mixing)
         renderer.draw(parts, camera, RainSimulation.start(rain).frame(0.0, view))
+    _draw_water(renderer)
     sort_into_lod_order(one)
     for look in get_args(RenderMode):
         renderer.draw(parts, camera, look=look)
     mark_kernels()
+
+
+def _draw_water(renderer: CpuRenderer) -> None:
+    """Draw the mirror of a puddle under a lamp, and what glass with a drop shows of it, with rain and without."""
+    ground = replace(_balls(1), means=np.array([[3.0, 0.0, 0.0]], np.float32))
+    water = GroundWater((0.0, -5.0), 10.0, np.full((1, 1, 2), 255, np.uint8))
+    lamp = Lamp(position=(4.0, 0.0, 1.0), intensity_m2=1.0)
+    scene = Scene("puddle", (Layer("ground", ground),), ground_m=0.0, water=water, lamps=(lamp,))
+    pose = look_at(np.array([0.0, 0.0, 1.5]), np.array([4.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]))
+    shot = RenderView(Camera.from_fov(64, 48, 50.0, pose), 0.02)
+    for intensity, wetness in ((4.0, None), (0.0, 1.0)):
+        for lamps in ("none", None):
+            rain = RainSettings(intensity_mm_h=intensity, wetness=wetness, lamps=lamps, glass="windshield")
+            rainfall = RainSimulation.start(rain)
+            glass = CameraOptics().glass_view(renderer, scene, rainfall, OVERCAST, shot)
+            draw_view(renderer, scene, rainfall, OVERCAST, shot)
+            if glass is not None:
+                glass.picture(renderer.read_uint8())
 
 
 def _balls(count: int) -> Gaussians:

@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from ...backends import open_renderer
 from ...rain.settings import HEAVIEST_MM_H, RainSettings
+from ...render.draw import lod_cut
 from ...render.renderer import Renderer
 from ...safe_io.limits import read_file
 from ...scene.formats.scene_folder import FileCache
@@ -221,7 +222,8 @@ class _FrontCamera:
         self._simulation, cameras = simulation, simulation.rig.cameras
         front = needed_cameras(cameras, SensorRequirements(cameras=("front",))) if cameras else ()
         self._cameras = tuple(camera_of_width(each, _PREVIEW_PX) for each in front)
-        self._pictures = RigRenderer(renderer, simulation.scenario.rain, self._cameras, SensorRequirements())
+        rain, needs = simulation.scenario.rain, SensorRequirements()
+        self._pictures = RigRenderer(renderer, rain, self._cameras, needs, lod_cut(simulation.scene, None))
 
     def picture(self, observation: Observation) -> UInt8[np.ndarray, "h w 3"] | None:
         if not self._cameras:
@@ -251,7 +253,7 @@ def rollout_video_job(scene: Scene, rollout: Rollout, video: Path, fps: float, k
         write_rollout(file, rollout)
         return write_copy(scene, folder, known), file, video, fps
 
-    return Job("drive video", f"Film {video.name}", render_video_in_worker, lambda _: video, inputs)
+    return Job("drive video", f"Film {video.name}", render_video_in_worker, lambda _: video, inputs, output=video)
 
 
 def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:

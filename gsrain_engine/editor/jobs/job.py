@@ -24,6 +24,7 @@ from .process import JobState, Work, WorkerProcess, WorkerThread
 logger = logging.getLogger("gsrain")
 _Result = TypeVar("_Result")
 _SAVING = Progress(0.0, "Saving the scene for the worker")
+_ESTIMATED_FROM, _ESTIMATED_AFTER_S = 0.02, 2.0  # fraction and time from which the time left is estimated
 JobKind = Literal[
     "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "lamps", "drive", "drive video",
     "export",
@@ -75,6 +76,8 @@ class Job(Generic[_Result]):
     """True for work in a thread instead of another process."""
     report: Path | None = None
     """HTML page that the worker writes, if any."""
+    output: Path | None = None
+    """File or folder that the worker writes at a place that the user chose, if any."""
     progress: Progress = _SAVING
     plots: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     """Metrics to draw as curves, by the title of their plot."""
@@ -86,6 +89,28 @@ class Job(Generic[_Result]):
     details: str | None = field(default=None, init=False)
     runner: "JobRunner | None" = field(default=None, init=False, repr=False)
     """Runner that has started it."""
+    started_s: float = field(default=0.0, init=False)
+    ended_s: float | None = field(default=None, init=False)
+    """Start and end on the monotonic clock."""
+    first_step: tuple[float, float] | None = field(default=None, init=False)
+    """Time and fraction of the first progress, before which the worker prepared."""
+    is_noticed: bool = field(default=False, init=False)
+    """True once the user has dismissed the notice of its end."""
+
+    @property
+    def seconds(self) -> float:
+        """Duration so far, or until its end."""
+        return (monotonic() if self.ended_s is None else self.ended_s) - self.started_s
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Estimate of the time left, from what was done since the first progress; None while that is too little."""
+        if self.state != "running" or self.first_step is None:
+            return None
+        seconds, done = monotonic() - self.first_step[0], self.progress.fraction - self.first_step[1]
+        if done < _ESTIMATED_FROM or seconds < _ESTIMATED_AFTER_S:
+            return None
+        return seconds * (1 - self.progress.fraction) / done
 
     def cancel(self) -> None:
         """Stop without waiting; the document stays unchanged. Does nothing before the start and after the end."""
@@ -112,6 +137,16 @@ class Job(Generic[_Result]):
         """Free what its functions refer to, such as scenes."""
         self.work = self.inputs = self.read = _ended
         self.snapshot = None
+
+
+def duration_text(seconds: float) -> str:
+    """Duration as people write it: 0.4 s, 42 s, 3:05 min, 2:10 h."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d} h"
 
 
 def no_result(_: Path) -> None:
@@ -146,7 +181,9 @@ class JobRunner:
 
     def start(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> Job[_Result]:
         """Start a job. `on_result` takes its result (True) and snapshots (False); it may return the last message."""
-        job.state, job.runner = "running", self
+        job.state, job.runner, job.started_s = "running", self, monotonic()
+        if job.kind != "preview":
+            logger.info("%s: started", job.title)
         self.all.append(job)
         self._advance(job, self._stages_of(job, on_result))
         return job
@@ -215,11 +252,13 @@ class JobRunner:
             self._report_problem(f"{job.title} failed: {job.error}")
 
     def _end(self, job: Job[Any], state: JobState) -> None:
-        job.state = state
+        job.state, job.ended_s = state, monotonic()
         job.forget_work()
         self._stages.pop(job, None)
-        if state == "finished" and job.report is not None:
-            logger.info("%s: done; report: %s", job.title, _short(job.report))
+        if job.kind != "preview" and state != "failed":  # a failure is reported as a problem
+            words = "canceled" if state == "cancelled" else "done"
+            report = f"; report: {_short(job.report)}" if state == "finished" and job.report is not None else ""
+            logger.info("%s: %s after %s%s", job.title, words, duration_text(job.seconds), report)
 
     def _stages_of(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> _Stages:
         """Prepare the input, follow the worker, read the result; cleans up behind itself wherever it is closed."""
@@ -239,6 +278,8 @@ class JobRunner:
                 yield worker.wait if snapshot is None else partial(wait_for, [snapshot])
                 steps = worker.poll()
                 job.progress, is_due = worker.progress, is_due or bool(steps)
+                if job.first_step is None and job.progress.fraction > 0:
+                    job.first_step = monotonic(), job.progress.fraction
                 for step in steps:
                     job.curves.add(step)
                 if snapshot is not None and snapshot.done():

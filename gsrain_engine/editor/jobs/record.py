@@ -41,6 +41,7 @@ def export_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job
     return Job(
         "export", f"Record {recording.path.name}", record_in_worker, lambda _: recording.output,
         lambda folder: (write_copy(scene, folder, known), recording), on_cancel=log_stopped, ends_with_scene=False,
+        output=recording.path,
     )  # fmt: skip
 
 
@@ -69,7 +70,7 @@ def sheet_job(scene: Scene, still: ExportSettings, known: FileCache) -> Job[str]
     """Create a job that draws a sheet of intensities, as `gsrain render --sheet` does, whose result is the output."""
     return Job(
         "export", f"Draw {still.path.name}", sheet_in_worker, lambda _: still.output,
-        lambda folder: (write_copy(scene, folder, known), still), ends_with_scene=False,
+        lambda folder: (write_copy(scene, folder, known), still), ends_with_scene=False, output=still.path,
     )  # fmt: skip
 
 

@@ -204,14 +204,16 @@ _PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (160, 162, 170)
 _SHEET_WORDS = {"original": "as taken", "clear": "without rain"}
 
 
-def detection_sheet(pictures: Sequence[EvaluatedImage]) -> UInt8[np.ndarray, "h w 3"]:
+def detection_sheet(
+    pictures: Sequence[EvaluatedImage], titles: Sequence[str] = (), max_columns: int = 100
+) -> UInt8[np.ndarray, "h w 3"]:
     """Lay the images of one view side by side, with a row of detections and misses for each detector.
 
     Further conditions continue below in blocks of rows. Width and height are even, as videos require; at most 1920 px
-    wide.
+    wide. Without `titles`, images are titled by their weather.
     """
-    first = pictures[0]
-    columns, detectors = min(len(pictures), (WIDEST_PX - _GAP_PX) // (_NARROWEST_PX + _GAP_PX)), list(first.judgements)
+    first, detectors = pictures[0], list(pictures[0].judgements)
+    columns = min(len(pictures), (WIDEST_PX - _GAP_PX) // (_NARROWEST_PX + _GAP_PX), max_columns)
     wide = min(first.image.shape[1], (WIDEST_PX - (columns + 1) * _GAP_PX) // columns)
     tall = round(wide * first.image.shape[0] / first.image.shape[1])
     width = columns * (wide + _GAP_PX) + _GAP_PX
@@ -223,7 +225,7 @@ def detection_sheet(pictures: Sequence[EvaluatedImage]) -> UInt8[np.ndarray, "h 
         line, column = divmod(place, columns)
         left = _GAP_PX + column * (wide + _GAP_PX)
         weather = _SHEET_WORDS.get(picture.trial.kind) or f"{picture.trial.intensity_mm_h:g} mm/h"
-        draw.text((left, line * block + 4), weather, _INK, font)
+        draw.text((left, line * block + 4), titles[place] if titles else weather, _INK, font)
         for row, detector in enumerate(detectors):
             top = line * block + _LINE_PX + row * (_LINE_PX + tall + _GAP_PX)
             judgement = picture.judgements[detector]

@@ -59,6 +59,16 @@ class Condition(NamedTuple):
     intensity_mm_h: float
     seeds: tuple[int, ...]
     """Seeds that it represents: one for rain, all for an image without rain."""
+    variant: str = ""
+    """Name of another rain or scene among `ConditionRenderer.variants`; empty for the evaluation's own."""
+
+
+class RainVariant(NamedTuple):
+    """Rain that differs from that of an evaluation, such as by its factors or drop sizes, and where it falls."""
+
+    rain: RainSettings
+    scene: Scene
+    sky: SkyColor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +131,10 @@ class ConditionRenderer:
     sky: SkyColor
     is_in_front: bool = False
     """Draw rain in front of the original photographs."""
-    _rains: dict[tuple[float, int], RainSimulation] = field(default_factory=dict[tuple[float, int], RainSimulation])
+    variants: Mapping[str, RainVariant] = field(default_factory=dict[str, RainVariant])
+    _rains: dict[tuple[float, int, str], RainSimulation] = field(
+        default_factory=dict[tuple[float, int, str], RainSimulation]
+    )
 
     _optics: CameraOptics = field(default_factory=CameraOptics)
 
@@ -130,32 +143,39 @@ class ConditionRenderer:
         if trial.kind == "original":
             assert frame.original is not None
             return frame.original()
-        if trial.kind == "clear":
-            return self._drawn(frame, self._rainfall(0.0, trial.seeds[0]), is_clear=True)
-        rainfall = self._rainfall(trial.intensity_mm_h, trial.seeds[0])
-        if not self.is_in_front:
-            return self._drawn(frame, rainfall)
-        assert frame.original is not None
-        return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.light)
+        rainfall = self._rainfall(trial)
+        if self.is_in_front:
+            assert frame.original is not None
+            return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.light)
+        return self._drawn(frame, rainfall, self._variant(trial), is_clear=trial.kind == "clear")
 
-    def _rainfall(self, intensity_mm_h: float, seed: int) -> RainSimulation:
-        key = intensity_mm_h, seed
+    def _variant(self, trial: Condition) -> RainVariant:
+        return self.variants[trial.variant] if trial.variant else RainVariant(self.rain, self.scene, self.sky)
+
+    def _rainfall(self, trial: Condition) -> RainSimulation:
+        key = trial.intensity_mm_h, trial.seeds[0], trial.variant
         if key not in self._rains:
-            rain = structs.replace(self.rain, intensity_mm_h=intensity_mm_h, seed=seed)
+            while len(self._rains) >= _MAX_RAINS:
+                del self._rains[next(iter(self._rains))]
+            rain = structs.replace(self._variant(trial).rain, intensity_mm_h=key[0], seed=key[1])
             self._rains[key] = RainSimulation.start(rain.without_medium if self.is_in_front else rain)
         return self._rains[key]
 
     def _drawn(
-        self, frame: EvaluatedFrame, rainfall: RainSimulation, *, is_clear: bool = False
+        self, frame: EvaluatedFrame, rainfall: RainSimulation, variant: RainVariant, *, is_clear: bool
     ) -> UInt8[np.ndarray, "h w 3"]:
         overcast = 0.0 if is_clear else rainfall.overcast_at(frame.shot.time_s)
-        sky, past = self.sky.at(overcast), ego_motion(self.scene, frame.shot)
+        sky, past = variant.sky.at(overcast), ego_motion(self.scene, frame.shot)
+        self._optics.meter(self.renderer, self.scene, rainfall, frame.shot, frame.name)  # in the same light for all
         optics = self._optics.of(
-            self.renderer, self.scene, rainfall, sky, frame.shot,
+            self.renderer, variant.scene, rainfall, sky, frame.shot,
             camera=frame.name, past=past.motion, camera_to_vehicle=past.camera_to_ego, falls=not is_clear,
         )  # fmt: skip
-        draw_view(self.renderer, self.scene, None if is_clear else rainfall, sky, frame.shot)
+        draw_view(self.renderer, variant.scene, None if is_clear else rainfall, sky, frame.shot)
         return read_picture(self.renderer, optics)
+
+
+_MAX_RAINS = 256  # number of rains kept ready
 
 
 def evaluate_images(
@@ -249,7 +269,7 @@ def object_rows(judgement: DetectionResult) -> Iterator[ObjectRow]:
 FINISHED_FILE = "finished.jsonl"
 _FORM = b"2"  # format version; increased if the evaluation of the same inputs changes
 _DIGITS = 16
-_Image = tuple[str, str, float, int]  # key of detector and view, kind of image, rain rate, first seed
+_Image = tuple[str, str, float, int, str]  # key of detector and view, kind of image, rain rate, first seed, variant
 
 
 class _CacheLine(msgspec.Struct, frozen=True, kw_only=True):
@@ -321,7 +341,7 @@ class ResultCache:
 
 
 def _image(key: str, trial: Condition) -> _Image:
-    return key, trial.kind, trial.intensity_mm_h, trial.seeds[0]
+    return key, trial.kind, trial.intensity_mm_h, trial.seeds[0], trial.variant
 
 
 def _content_bytes(value: Any) -> list[bytes]:

@@ -16,6 +16,7 @@ from ...rain.properties import RainProperties
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
 from ...scene.files import whole_file
+from ...water.spray import spray_of
 from ..report_charts import Color, shades
 from .rain_echoes import DropReturnModel
 from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
@@ -103,10 +104,15 @@ def rain_runs(
     answer: Answer,
     wet_road: bool,
     visibility_m: float | None = None,
+    spray: bool = True,
 ) -> Iterator[RainRun]:
-    """Simulate rain, and fog of a visibility, on a turn: all seeds of the first rain rate, then of the next."""
+    """Simulate rain, and fog of a visibility, on a turn: all seeds of the first rain rate, then of the next.
+
+    With `spray` that of the scene's vehicles, too, on a wet road.
+    """
     beams, sensor = turn.beams, turn.sensor
-    rains = [RainSettings(intensity_mm_h=each, visibility_m=visibility_m) for each in intensities_mm_h]
+    settings = RainSettings(visibility_m=visibility_m, spray=spray and wet_road)
+    rains = [msgspec.structs.replace(settings, intensity_mm_h=each) for each in intensities_mm_h]
     states = [RainSimulation.start(rain).state for rain in rains]
     reach_m = max(_MIN_NEAR_M, *(DropReturnModel(sensor, state).reach_m for state in states))
     near_edges = tuple(float(NEAR_STEP_M * k) for k in range(int(np.ceil(reach_m / NEAR_STEP_M)) + 1))
@@ -115,7 +121,10 @@ def rain_runs(
     for rain in rains:
         for seed in seeds:
             rainfall = RainSimulation.start(msgspec.structs.replace(rain, seed=seed))
-            rainy = scan_in_rain(beams, sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road)
+            clouds = None if turn.scene is None else spray_of(turn.scene, rainfall, beams.time_s)
+            rainy = scan_in_rain(
+                beams, sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road, spray=clouds
+            )
             wetness = rainfall.wetness_at(beams.time_s) if wet_road else 0.0
             tallies = ReturnCounts.of(beams, rainy), ReturnCounts.of(beams, rainy, near_edges)
             state = rainfall.state

@@ -28,8 +28,10 @@ from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import DrawItem, Layer, PoseTrack, Scene
+from ...water.spray import SprayParcels
 from .rain_echoes import DropReturnModel, RainReturns, box_span, drop_field_returns, sample_far_returns, wet_road_share
 from .sensor import STATED_REFLECTANCE, Beams, LidarSensor
+from .spray_echoes import spray_in_beams
 
 Answer = Literal["strongest", "first", "last"]
 Pose = Float64[np.ndarray, "4 4"]
@@ -73,14 +75,15 @@ def scan_in_rain(
     *,
     answer: Answer = "strongest",
     wet_road: bool = True,
+    spray: SprayParcels | None = None,
 ) -> RainyScan:
     """Return a sensor's output in rain, given its beams in clear air.
 
     Extinction is beta(R) of `RainProperties`, for both directions. Drops are those of the rain's own field at the
     beams' time inside its streak region, which is placed in the frame `anchor_to_world`, and Poisson-sampled ones
     beyond. Of a beam's echoes the strongest (relative to the detection threshold at its range), the first or the last
-    is reported. Range noise is the increase over clear air. The rain's seed determines everything; without rain and
-    wetness the points are unchanged, to the bit.
+    is reported. `spray` takes light from echoes behind it, and returns its own. Range noise is the increase over clear
+    air. The rain's seed determines everything; without rain and wetness the points are unchanged, to the bit.
     """
     rainfall = rainfall.frozen_at(beams.time_s)
     state, seed = rainfall.state, rainfall.rain.seed
@@ -88,11 +91,17 @@ def scan_in_rain(
     faded = np.exp(-2 * state.extinction_per_m * ranges)
     if wet_road:
         faded *= _wet_road(beams, sensor, rainfall)
+    clouds = None
+    if spray is not None and len(spray):
+        drawn = np.random.default_rng([seed, _moment(beams.time_s), 3]).integers(2**63)
+        clouds = spray_in_beams(beams, sensor, spray, state.extinction_per_m, int(drawn))
+        faded *= clouds.transmittance**2
     clear = np.where(beams.is_echo, sensor.signal(ranges, beams.reflectances, 0.0), 0.0)
     signals = clear * faded
     # Threshold returns stay detected without attenuation: rounding must not lose them.
     heard = beams.is_echo & ((signals >= 1) | (faded == 1))
-    drops, drop_signals = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer)
+    cloud_returns = RainReturns.none() if clouds is None else clouds.returns
+    drops, drop_signals = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer, cloud_returns)
     if answer == "first":
         answers = np.ones(len(drops.beams), bool)
     else:  # always if the echo behind is not detected
@@ -144,9 +153,10 @@ def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: RainSimulation) -> Fl
 
 
 def _answering_drops(
-    beams: Beams, sensor: LidarSensor, rainfall: RainSimulation, anchor_to_world: Pose, answer: Answer
-) -> tuple[RainReturns, Float64[np.ndarray, " m"]]:
-    """The drop of each beam that would be reported without another echo, and its signal."""
+    beams: Beams, sensor: LidarSensor, rainfall: RainSimulation, anchor_to_world: Pose, answer: Answer,
+    spray: RainReturns,
+) -> tuple[RainReturns, Float64[np.ndarray, " m"]]:  # fmt: skip
+    """The drop or spray of each beam that would be reported without another echo, and its signal."""
     if rainfall.state.intensity_mm_h == 0:
         return RainReturns.none(), np.zeros(0)
     signals = DropReturnModel(sensor, rainfall.state)
@@ -159,6 +169,7 @@ def _answering_drops(
     found = RainReturns.joined(
         drop_field_returns(field, beams, listened, signals),
         sample_far_returns(beams, listened, simulated, signals, int(seed)),
+        spray,
     )
     strength = sensor.signal(found.ranges_m, found.reflectances, rainfall.state.extinction_per_m)
     first = {"strongest": -strength, "first": found.ranges_m, "last": -found.ranges_m}[answer]
@@ -471,6 +482,8 @@ class LidarTurn:
     anchor_to_world: Pose
     """Frame of the rain's regions: the vehicle's, leveled."""
     sensor: LidarSensor
+    scene: Scene | None = None
+    """Scene of a virtual turn, whose vehicles throw spray; None for a capture."""
 
 
 def capture_turns(
@@ -510,7 +523,7 @@ def scene_turns(
         frame = leveled_frame(ego[:3, 0], ego[:3, 3])
         pose = frame.copy()
         pose[2, 3] += ROOF_M - EGO_HEIGHT_M
-        yield LidarTurn(f"scan{number:04d}", scan_scene(scene, time_s, pose, sensor, matt), frame, sensor)
+        yield LidarTurn(f"scan{number:04d}", scan_scene(scene, time_s, pose, sensor, matt), frame, sensor, scene)
 
 
 def evenly_spaced(total: int, count: int) -> list[int]:

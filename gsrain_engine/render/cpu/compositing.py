@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -39,6 +39,29 @@ def composite(
     return rgba, fourth
 
 
+class Film(NamedTuple):
+    """Water on the ground in a picture: the visible shares of films and of standing water in each pixel."""
+
+    of_splats: Float32[np.ndarray, "m 2"]
+    visible: Float32[np.ndarray, "h w 2"]
+    """Written by `composite_wet` and `composite_in_rain`."""
+
+    @classmethod
+    def on(cls, of_splats: Float32[np.ndarray, "m 2"], tiles: TileLists) -> "Film":
+        """Film whose shares are to be written, for a picture with these tiles."""
+        return cls(of_splats, np.empty((tiles.height, tiles.width, 2), np.float32))
+
+
+def composite_wet(
+    shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], tiles: TileLists, film: Film
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"]]:
+    """Blend as `composite` does, and the film as two more channels. Rain must not be among the splats."""
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    _composite_wet(tiles, shapes, np.hstack([channels, film.of_splats]), (rgba, fourth, film.visible))
+    return rgba, fourth
+
+
 def composite_in_rain(
     shapes: Float32[np.ndarray, "m 8"],
     channels: Float32[np.ndarray, "m 4"],
@@ -46,6 +69,7 @@ def composite_in_rain(
     tiles: TileLists,
     sky: Float32[np.ndarray, "h w 4"] | None = None,
     lamp_light: Float32[np.ndarray, "h w 3"] | None = None,
+    film: Film | None = None,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
@@ -53,29 +77,23 @@ def composite_in_rain(
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
     combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
     premultiplied layer behind the scene and before the background. If `lamp_light` is there, the channels of rain are
-    its light of lamps in linear light, and what is visible of that is written there.
+    its light of lamps in linear light, and what is visible of that is written there. The `film` is blended without
+    the rain in front of it.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
     behind = np.empty((0, 0, 4), np.float32) if sky is None else sky
+    visible = np.empty((0, 0, 2), np.float32) if film is None else film.visible
+    channels = channels if film is None else np.hstack([channels, film.of_splats])
     if lamp_light is None:
-        _composite_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear, behind))
+        _composite_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, behind))
     else:
-        _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, alpha, light_linear, behind, lamp_light))
+        _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, behind, lamp_light))
     return rgba, fourth, alpha
 
 
-def composite_film(
-    splats: Splats, tiles: TileLists, film: Float32[np.ndarray, "m 2"], first_row: int = 0
-) -> Float32[np.ndarray, "h w 2"]:
-    """Blend two channels per splat of the scene as `composite` does, without rain; 0 above a row."""
-    image = np.empty((tiles.height, tiles.width, 2), np.float32)
-    _composite_film(tiles, splats.shapes, film, (image, first_row))
-    return image
-
-
-# Lines of a tile's column, TILE numbers each: transmittance, four channels, alpha; with rain the open share, the
-# rain's share and the scene's share before rain; with a veil only the rain's share.
+# Lines of a tile's column, TILE numbers each: transmittance, four channels, alpha; then two of the film; with rain the
+# open share, the rain's share and the scene's share before rain; with a veil only the rain's share, and no film.
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -104,45 +122,8 @@ def _composite_veil(tiles, shapes, channels, images):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite_film(tiles, shapes, film, images):
-    walk_tiles(tiles, shapes, film, 3, 0, _close_above, _visit_film, _store_film, images)
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def _close_above(state, x0, y0, images):
-    state[:, : min(max(images[1] - y0, 0), TILE)] = 0
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def _visit_film(shapes, film, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] >= MIN_SCENE_CUT:
-        _blend_film(shapes[j], film[j], x, y, state)
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_film(shape, film, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_film, (film[0], film[1]))
-
-
-@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
-@no_type_check
-def _share_film(line, v, dx, dy, falloff, lanes, film):
-    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
-    line[v + TILE] += weight * film[0]
-    line[v + 2 * TILE] += weight * film[1]
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def _store_film(state, x0, y0, images):
-    height, width = images[0].shape[:2]
-    for v in range(min(TILE, height - y0)):
-        for u in range(min(TILE, width - x0)):
-            images[0][y0 + v, x0 + u, 0] = state[u, TILE + v]
-            images[0][y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
+def _composite_wet(tiles, shapes, channels, images):
+    walk_tiles(tiles, shapes, channels, 8, 0, nothing, _visit_wet, _store_wet, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -153,11 +134,20 @@ def _visit(shapes, channels, j, x, y, state, lanes, k, images):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
+def _visit_wet(shapes, channels, j, x, y, state, lanes, k, images):
+    if channels.shape[1] > 4 and channels[j, 4] + channels[j, 5] > 0:
+        _blend_film(shapes[j], channels[j], x, y, state)
+    else:
+        _blend_scene(shapes[j], channels[j], x, y, state)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
 def _visit_in_rain(shapes, channels, j, x, y, state, lanes, k, images):
     if shapes[j, 6] < MIN_SCENE_CUT:
         _blend_rain(shapes[j], x, y, state)
     else:
-        _blend_scene(shapes[j], channels[j], x, y, state)
+        _visit_wet(shapes, channels, j, x, y, state, lanes, k, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -166,7 +156,7 @@ def _visit_in_lit_rain(shapes, channels, j, x, y, state, lanes, k, images):
     if shapes[j, 6] < MIN_SCENE_CUT:
         _blend_lit_rain(shapes[j], channels[j], x, y, state)
     else:
-        _blend_scene(shapes[j], channels[j], x, y, state)
+        _visit_wet(shapes, channels, j, x, y, state, lanes, k, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -182,6 +172,13 @@ def _visit_behind_veil(shapes, channels, j, x, y, state, lanes, k, images):
 @no_type_check
 def _blend_scene(shape, channels, x, y, state):
     walk_pixels(shape, x, y, state, (), _blend, (channels[0], channels[1], channels[2], channels[3]))
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_film(shape, channels, x, y, state):
+    light = channels[0], channels[1], channels[2], channels[3], channels[4], channels[5]
+    walk_pixels(shape, x, y, state, (), _share_film, light)
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -211,6 +208,19 @@ def _blend(line, v, dx, dy, falloff, lanes, channels):
     line[v + 3 * TILE] += weight * channels[2]
     line[v + 4 * TILE] += weight * channels[3]
     line[v + 5 * TILE] += weight
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _share_film(line, v, dx, dy, falloff, lanes, channels):
+    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+    line[v + TILE] += weight * channels[0]
+    line[v + 2 * TILE] += weight * channels[1]
+    line[v + 3 * TILE] += weight * channels[2]
+    line[v + 4 * TILE] += weight * channels[3]
+    line[v + 5 * TILE] += weight
+    line[v + FILM] += weight * channels[4]
+    line[v + FILM + TILE] += weight * channels[5]
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
@@ -272,8 +282,20 @@ def _store(state, x0, y0, images):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
+def _store_wet(state, x0, y0, images):
+    film = images[2]
+    height, width = film.shape[:2]
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
+            film[y0 + v, x0 + u, 0] = state[u, FILM + v]
+            film[y0 + v, x0 + u, 1] = state[u, FILM + TILE + v]
+    _store(state, x0, y0, images)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
 def _store_rain(state, x0, y0, images):
-    clear_alpha, light_linear, sky = images[2], images[3], images[4]
+    clear_alpha, light_linear, sky = images[3], images[4], images[5]
     height, width = clear_alpha.shape
     for u in range(min(TILE, width - x0)):
         for v in range(min(TILE, height - y0)):
@@ -285,13 +307,13 @@ def _store_rain(state, x0, y0, images):
                 state[u, 3 * TILE + v] += open_share * sky[y0 + v, x0 + u, 2]
                 state[u, 5 * TILE + v] += open_share * sky[y0 + v, x0 + u, 3]
         add_rain_light(state[u], light_linear)
-    _store(state, x0, y0, images)
+    _store_wet(state, x0, y0, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _store_lit_rain(state, x0, y0, images):
-    lamp_light = images[5]
+    lamp_light = images[6]
     height, width = lamp_light.shape[:2]
     for u in range(min(TILE, width - x0)):
         for v in range(min(TILE, height - y0)):
@@ -318,19 +340,20 @@ def _store_veil(state, x0, y0, images):
 # Rain light
 # Adds the rain's light to the scene's in linear space (docs/physics.md, section 6), as in rain_resolve.frag.
 
-OPEN, RAIN_SHARE, SCENE_SHARE = 6 * TILE, 7 * TILE, 8 * TILE
-"""Offsets in a tile's column, after the lines of `composite`: the product of 1 - alpha of the rain alone, the rain's
-share, and the scene's share before rain; TILE numbers each.
-"""
+FILM = 6 * TILE
+"""Offset in a tile's column, after the lines of `composite`, of the visible shares of films and of standing water."""
+
+OPEN, RAIN_SHARE, SCENE_SHARE = 8 * TILE, 9 * TILE, 10 * TILE
+"""Offsets of the product of 1 - alpha of the rain alone, of the rain's share, and of the scene's share before rain."""
 
 VEIL_SHARE = 6 * TILE  # offset of the rain's share in a column if its color is added at the end
-RAIN_LINES = 9  # lines of a column in rain
+RAIN_LINES = 11  # lines of a column in rain
 LAMP_LIGHT = RAIN_LINES * TILE  # offset of the three lines of the rain's light of lamps
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
-def add_rain_light(line: Float32[np.ndarray, " nine_tiles"], light_linear: Float32[np.ndarray, "3"]) -> None:
+def add_rain_light(line: Float32[np.ndarray, " tiles"], light_linear: Float32[np.ndarray, "3"]) -> None:
     """Combine a column's scene and rain, replacing the scene's color and alpha.
 
     With the scene's premultiplied color B and alpha A, its share W_s, the rain's share W_r and a drop's color S in

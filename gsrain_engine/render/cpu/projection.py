@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt32
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
+from .block_cache import BlockCaches
 from .fast_math import sh_basis
 
 NEAR_M = 0.2  # Gaussians with nearer centers are skipped, as in the reference rasterizer
@@ -70,6 +71,7 @@ def project(
     rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None,
     *,
     as_points: bool = False,
+    caches: BlockCaches | None = None,
 ) -> Splats:
     """Project Gaussians.
 
@@ -83,6 +85,7 @@ def project(
         rain: For each part, the mask of its rain Gaussians (None: none). Rain keeps its integral over the image,
             opacity * sqrt(det / dilated det) (Yu et al. 2024), and is cut at `RAIN_ALPHA_CUT`.
         as_points: Make each an opaque dot with a standard deviation of one pixel instead.
+        caches: Holds those members of parts in memory whose Gaussians are mapped from a file.
     """
     intrinsics = intrinsics_of(camera)
     poses = [np.ascontiguousarray(camera.world_to_camera @ part.to_world, np.float64) for part in parts]
@@ -95,21 +98,25 @@ def project(
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
         scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
+        wet_sh, rows = part.wet_sh if part.is_wet else None, own
+        if caches is not None and part.members is not None and part.selected is None and part.growth == 1:
+            g, wet_sh, rows = caches.present(g, wet_sh, own)
+            scales = g.scales
         # What a part lacks has no rows: the kernels skip it. When fully wet, its clear colors have no share.
-        sh, wet_sh = g.sh, np.zeros((0, 1, 3), np.float32)
-        if part.is_wet and part.wet_sh is not None:
-            wet = np.require(part.wet_sh, np.float32, ("C", "W"))
-            sh, wet_sh = (wet, wet_sh) if part.wetness == 1 else (sh, wet)
+        sh, wet = g.sh, np.zeros((0, 1, 3), np.float32)
+        if wet_sh is not None:
+            soaked = np.require(wet_sh, np.float32, ("C", "W"))
+            sh, wet = (soaked, wet) if part.wetness == 1 else (sh, soaked)
         change = np.zeros((0, 4)) if part.colors is None else part.colors
         fill = _project_range if len(own) < FEW else _project_chunks
         fill(
-            0, len(own), own, g.means, scales, g.quaternions, g.opacities, sh, wet_sh, np.float32(part.wetness),
+            0, len(own), rows, g.means, scales, g.quaternions, g.opacities, sh, wet, np.float32(part.wetness),
             np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity),
             np.ascontiguousarray(change, np.float32), _words(part.selected), as_points, pose,
             eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
         )  # fmt: skip
         indices[first:last] = own + counted
-        first, counted = last, counted + len(g)
+        first, counted = last, counted + len(part.gaussians)
     return Splats(shapes, colors, indices)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import no_type_check
 
 import numba
@@ -22,11 +23,22 @@ from ..renderer import (
     NEAREST_M,
     Color,
     Frame,
+    PendingImage,
     RenderMode,
     RenderStatistics,
     timed,
 )
-from .compositing import add_light, composite, composite_film, composite_in_rain, dim_by_medium, expected, sky_layer
+from .block_cache import BlockCaches
+from .compositing import (
+    Film,
+    add_light,
+    composite,
+    composite_in_rain,
+    composite_wet,
+    dim_by_medium,
+    expected,
+    sky_layer,
+)
 from .fast_math import FAST
 from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
 from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
@@ -40,6 +52,7 @@ class CpuRenderer:
     def __init__(self) -> None:
         tune_malloc()
         self.statistics = RenderStatistics()
+        self._caches = BlockCaches()
         self._frame: Frame | None = None
 
     def draw(
@@ -62,7 +75,8 @@ class CpuRenderer:
                 falling = [DrawItem(each, np.eye(4)) for each in (rain.lit_streaks, rain.drawn_haze) if len(each)]
                 self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
-            splats = project([*parts, *falling], camera, flags, as_points=look == "points")
+            splats = project([*parts, *falling], camera, flags, as_points=look == "points", caches=self._caches)
+            self._caches.release_unused()
             splats = _color_by_mode(look, splats, parts, camera)
             medium = rain.medium if rain is not None and look == "splats" else None
             if rain is not None and medium is not None:
@@ -72,23 +86,29 @@ class CpuRenderer:
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
         with timed(stages, "draw"):
             sky = sky_layer(medium, camera) if medium is not None else None
+            film = None if mirror is None else Film.on(_film(splats, parts), tiles)
             if rain is not None and lit is not None:
-                self._frame = _draw_lit(splats, tiles, rain, lit, sky, with_depth=with_depth)
+                self._frame = _draw_lit(splats, tiles, rain, lit, sky, film, with_depth=with_depth)
             elif rain is not None and falling and rain.is_linear:
-                rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles, sky)
+                rgba, weighted, weight = composite_in_rain(
+                    splats.shapes, splats.colors, rain.light_linear, tiles, sky, film=film
+                )
                 self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
             else:
                 if rain is None or not falling:
-                    self._frame = _draw_mode(look, splats, tiles, with_depth=with_depth)
+                    self._frame = _draw_mode(look, splats, tiles, film, with_depth=with_depth)
                 else:
-                    self._frame = _draw_behind_veil(splats, order, tiles, rain, with_depth=with_depth)
+                    self._frame = _draw_behind_veil(splats, order, tiles, rain, film, with_depth=with_depth)
                 if sky is not None:
                     rgba = self._frame.rgba
                     rgba += (1 - rgba[..., 3:]) * sky
-            if mirror is not None:
-                film = composite_film(splats, tiles, _film(splats, parts), mirror.first_picture_row)
-                add_light(self._frame.rgba, mirror.reflected(film))
+            if mirror is not None and film is not None:
+                add_light(self._frame.rgba, mirror.reflected(film.visible))
         self.statistics.splats_drawn = len(order)
+
+    def release_scenes(self) -> None:
+        """Free what is kept of scenes that are mapped from files."""
+        self._caches = BlockCaches()
 
     def read(self) -> Frame:
         assert self._frame is not None, "draw before reading the picture"
@@ -97,16 +117,22 @@ class CpuRenderer:
     def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         return self.read().to_uint8(background)
 
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        return partial(self.read().to_uint8, background)
+
 
 # Drawing
 
 
-def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
+def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, film: Film | None, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
     depth = None
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     if with_depth or look not in ("ellipsoids", "overdraw"):
-        rgba, weighted = composite(splats.shapes, splats.colors, tiles)
+        if film is None:
+            rgba, weighted = composite(splats.shapes, splats.colors, tiles)
+        else:
+            rgba, weighted = composite_wet(splats.shapes, splats.colors, tiles, film)
         depth = expected(weighted, rgba[..., 3], MIN_WEIGHT) if with_depth or look == "depth" else None
     if look == "ellipsoids":
         _cover(tiles, splats.shapes, splats.colors, rgba)
@@ -126,6 +152,7 @@ def _draw_lit(
     rain: RainFrame,
     lit: LampLight,
     sky: Float32[np.ndarray, "h w 4"] | None,
+    film: Film | None,
     *,
     with_depth: bool,
 ) -> Frame:
@@ -133,7 +160,7 @@ def _draw_lit(
     light = np.zeros((tiles.height, tiles.width, 3), np.float32)
     channels = splats.colors.copy()
     channels[:, 3] = share_of_depth(channels[:, 3])
-    rgba, shares, weight = composite_in_rain(splats.shapes, channels, rain.light_linear, tiles, sky, light)
+    rgba, shares, weight = composite_in_rain(splats.shapes, channels, rain.light_linear, tiles, sky, light, film)
     if sky is not None:
         light += light_in_picture(lit, shares, weight)
     add_light(rgba, light)
@@ -155,16 +182,22 @@ def _film(splats: Splats, parts: Sequence[DrawItem]) -> Float32[np.ndarray, "m 2
 
 
 def _draw_behind_veil(
-    splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: RainFrame, *, with_depth: bool
+    splats: Splats,
+    order: Int32[np.ndarray, " drawn"],
+    tiles: TileLists,
+    rain: RainFrame,
+    film: Film | None,
+    *,
+    with_depth: bool,
 ) -> Frame:
     """Draw scene and rain, which is blended as a display color (the paper's form); `tiles` have that order."""
     rgba, _ = composite(splats.shapes, splats.colors, tiles, veil=rain.color.astype(np.float32))
-    if not with_depth:
+    if not with_depth and film is None:
         return Frame(rgba)
     is_rain = splats.shapes[order, 6] < MIN_SCENE_CUT
     alone = bin_into_tiles(splats.shapes, order[~is_rain], tiles.width, tiles.height)
-    clear, weighted = composite(splats.shapes, splats.colors, alone)
-    return Frame(rgba, expected(weighted, clear[..., 3], MIN_WEIGHT))
+    clear = _draw_mode("splats", splats, alone, film, with_depth=with_depth)
+    return Frame(rgba, clear.depth)
 
 
 def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float32[np.ndarray, "h w 4"]:

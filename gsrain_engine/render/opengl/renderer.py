@@ -18,7 +18,17 @@ from ...scene.scene import DrawItem
 from ...water.mirror import Mirror
 from ..cpu.compositing import expected
 from ..mirror import film_items
-from ..renderer import FARTHEST_M, MAX_FRAGMENTS, MIN_WEIGHT, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
+from ..renderer import (
+    FARTHEST_M,
+    MAX_FRAGMENTS,
+    MIN_WEIGHT,
+    NEAREST_M,
+    Color,
+    Frame,
+    PendingImage,
+    RenderMode,
+    RenderStatistics,
+)
 from .buffers import LONGEST_DISPATCH, GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
 from .projection import ProjectionPass, medium_uniforms
@@ -118,6 +128,8 @@ class SplatRenderer:
         self._programs: dict[tuple[object, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._targets: dict[str, Framebuffer] = {}
         self._bytes = _ByteReader(context)
+        self._requests: list[_ByteRequest] = []
+        """Requests of the last image, until the next one is drawn."""
         self._image: moderngl.Texture | None = None
         self._light: moderngl.Texture | None = None
         self.statistics = RenderStatistics()
@@ -166,6 +178,9 @@ class SplatRenderer:
         look: RenderMode = "splats",
         mirrored: moderngl.Texture | None = None,
     ) -> None:
+        if self._requests:
+            self._complete()
+            self._requests.clear()
         self._take_stock()
         self._drawn = RenderStatistics(
             gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
@@ -216,18 +231,35 @@ class SplatRenderer:
 
     def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         """Fetch the last image as bytes over a background; raises as `read` does."""
+        return self.request_uint8(background)()
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        """Start to fetch the last image as bytes over a background: the GPU copies it before it draws the next.
+
+        The returned function waits for it and raises as `read` does; before the call, other images may be drawn.
+        """
         with self._active:
-            self._complete()
-            image = self._bytes.read(self.picture, background)
-            check_context(self.context)
-            return image
+            request = self._bytes.start(self.picture, background)
+        self._requests.append(request)
+
+        def result() -> UInt8[np.ndarray, "h w 3"]:
+            with self._active:
+                if request in self._requests:
+                    self._complete()
+                image = request.image()
+                check_context(self.context)
+                return image
+
+        return result
 
     def _complete(self) -> None:
-        """Read the statistics of the last image, and draw it once more if pairs had no room."""
+        """Read the statistics of the last image; draw it once more, and copy it as requested, if pairs had no room."""
         self._take_stock()
         while self.statistics.pairs_left_out:
             self._redraw()
             self.statistics.pairs_left_out = self._pairs_left_out()
+            for request in self._requests:
+                self._bytes.copy(self.picture, request)
 
     def finish(self) -> None:
         """Wait for the last image without reading it, and bring `statistics` up to date."""
@@ -416,26 +448,62 @@ def _switches(
     return {name: 1 for name, is_set in switches.items() if is_set}
 
 
+_BYTE_BUFFERS = 2  # images that may be on their way to the processor at once
+
+
+class _ByteRequest:
+    """Image on its way from the GPU, in a buffer that only reading uses, so that drivers put it into main memory."""
+
+    def __init__(self, buffer: GrowableBuffer, size: tuple[int, int], background: Color) -> None:
+        self.buffer, self.size, self.background = buffer, size, background
+        self._image: UInt8[np.ndarray, "h w 3"] | None = None
+
+    @property
+    def nbytes(self) -> int:
+        return 3 * self.size[0] * self.size[1]
+
+    def image(self) -> UInt8[np.ndarray, "h w 3"]:
+        """Wait for the image; from then on its buffer is free."""
+        if self._image is None:
+            width, height = self.size
+            pixels = np.frombuffer(self.buffer.buffer.read(self.nbytes), np.uint8)
+            self._image = pixels.reshape(height, width, 3)
+        return self._image
+
+
 class _ByteReader:
-    """Converts images to bytes on the GPU and reads them back."""
+    """Converts images to bytes on the GPU, and copies them to a ring of buffers from which they are read later."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._shader = load_compute_shader(context, "picture_bytes.comp")
         self._words = GrowableBuffer(context)
+        self._ring = [GrowableBuffer(context) for _ in range(_BYTE_BUFFERS)]
+        self._requests: dict[int, _ByteRequest] = {}
+        """Last request of each buffer of the ring."""
+        self._count = 0
 
-    def read(self, picture: moderngl.Texture, background: Color) -> UInt8[np.ndarray, "h w 3"]:
-        width, height = picture.size
-        fours = -(-width * height // 4)
+    def start(self, picture: moderngl.Texture, background: Color) -> _ByteRequest:
+        place = self._count % _BYTE_BUFFERS
+        self._count += 1
+        if place in self._requests:
+            self._requests[place].image()  # or the new image would replace it
+        request = self._requests[place] = _ByteRequest(self._ring[place], picture.size, background)
+        self.copy(picture, request)
+        return request
+
+    def copy(self, picture: moderngl.Texture, request: _ByteRequest) -> None:
+        """Convert an image and copy it into the buffer of a request."""
+        fours = -(-picture.size[0] * picture.size[1] // 4)
         self._words.reserve(12 * fours)
         self._words.bind(0)
         picture.use(0)
-        set_uniforms(self._shader, picture=0, size=picture.size, background=background)
+        set_uniforms(self._shader, picture=0, size=picture.size, background=request.background)
         groups = -(-fours // 256)
         self._shader.run(min(groups, LONGEST_DISPATCH), -(-groups // LONGEST_DISPATCH))
         self._context.memory_barrier()
-        image = np.frombuffer(self._words.buffer.read(3 * width * height), np.uint8)
-        return image.reshape(height, width, 3)
+        target = request.buffer.reserve(request.nbytes)
+        self._context.copy_buffer(target, self._words.buffer, size=request.nbytes)
 
 
 class Screen:

@@ -167,6 +167,7 @@ class Format(NamedTuple):
     write: Callable[[Gaussians, Path], None] | None
     """Writes to exactly this path, a temporary one; None for read-only formats."""
     description: str
+    """Half a sentence for the documentation: contents, versions."""
     keeps_harmonics: bool = True
     """True if colors may depend on the viewing direction."""
 

@@ -6,7 +6,7 @@
 import logging
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, no_type_check
@@ -59,10 +59,19 @@ def read_ply(path: Path) -> Gaussians:
         elements = read_ply_header(path, file)
         if is_compressed(elements):
             return read_compressed(path, file, elements)
-        if "vertex" not in elements:
-            found = ", ".join(elements) or "none"
-            raise SceneFormatError(path, f"a PLY of Gaussians has an element 'vertex', not {found}")
-        return _read_vertices(path, file, elements)
+        return _read_vertices(path, file, elements, slice(None))
+
+
+def read_ply_parts(path: Path, rows: int) -> Iterator[Gaussians]:
+    """Read a PLY as `read_ply` does, `rows` Gaussians at a time; one that is text or compressed all at once."""
+    with open_file(path) as file:
+        elements = read_ply_header(path, file)
+        vertex = elements.get("vertex")
+        if vertex is None or vertex.is_text or is_compressed(elements):
+            yield read_ply(path)
+            return
+        for first in range(0, vertex.rows, rows):
+            yield _read_vertices(path, file, elements, slice(first, first + rows))
 
 
 def write_ply(gaussians: Gaussians, path: Path) -> None:
@@ -99,20 +108,24 @@ class PlyElement(NamedTuple):
         return self.rows * self.dtype.itemsize if self.dtype is not None else 0
 
 
-def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElement]) -> Gaussians:
+def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElement], rows: slice) -> Gaussians:
+    if "vertex" not in elements:
+        found = ", ".join(elements) or "none"
+        raise SceneFormatError(path, f"a PLY of Gaussians has an element 'vertex', not {found}")
     vertex = elements["vertex"]
     if vertex.is_text and vertex.dtype is not None:
         dtype, offset = vertex.dtype, None
     else:
         dtype, offset = element_rows(path, vertex)
     coefficients = _coefficients(path, dtype, has_faces="face" in elements)
-    n = vertex.rows
+    first, last, _ = rows.indices(vertex.rows)
+    n = last - first
     check_room(path, n, coefficients)
     means, scales, quaternions = (np.empty((n, size), np.float32) for size in (3, 3, 4))
     opacities = np.empty(n, np.float32)
     sh = np.empty((n, coefficients, 3), np.float32)
     if offset is not None:
-        file.seek(offset)
+        file.seek(offset + first * dtype.itemsize)
     # Numbers too large for 32 bits become infinite, and are reported below.
     with np.errstate(over="ignore", invalid="ignore"):
         arrays = means, scales, quaternions, opacities, sh

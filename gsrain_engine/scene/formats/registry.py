@@ -22,15 +22,18 @@ from .sog import read_sog
 from .spz import read_spz, write_spz
 
 FORMATS = (
-    Format(".compressed.ply", read_ply, None, "SuperSplat's compressed PLY: 16 bytes a Gaussian and its harmonics"),
-    Format(".ply", read_ply, write_ply, "3D Gaussian Splatting (Kerbl et al. 2023), lossless, SH degree 0 to 3"),
-    Format(".splat", read_splat, write_splat, "32 bytes a Gaussian, without view-dependent color", False),
-    Format(".spz", read_spz, write_spz, "Niantic's compressed format, versions 1 to 4; version 3 is written"),
-    Format(".ksplat", read_ksplat, None, "GaussianSplats3D's format, SH degree 0 to 2"),
+    Format(".compressed.ply", read_ply, None, "SuperSplat's: 16 bytes per Gaussian plus its harmonics"),
+    Format(".ply", read_ply, write_ply, "3D Gaussian Splatting, lossless, SH degree 0 to 3; ignores other properties"),
+    Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", False),
+    Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 3 is written"),
+    Format(".ksplat", read_ksplat, None, "GaussianSplats3D's, SH degree 0 to 2"),
     Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
     Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
 )
-"""Built-in formats; `scene_suffixes` includes those of installed packages."""
+"""Built-in formats; `scene_suffixes` includes those of installed packages.
+
+Help texts, the table in docs/formats.md and the desktop's file types derive from this one.
+"""
 
 
 def format_of(path: Path) -> Format | None:

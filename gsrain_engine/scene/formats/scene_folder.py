@@ -23,9 +23,10 @@ from ...safe_io.text_files import check_finite as check_finite_values
 from ..files import SceneFormatError, hold_for_writing, lock_path, naming_path, sync, whole_file, whole_folder
 from ..gaussians import Gaussians
 from ..lod_tree import LodTree
+from ..mapped_arrays import map_arrays
 from ..scene import Actor, Layer, Scene
 from ._common import check_finite
-from .lod_file import lod_file_bytes, read_lod_tree, write_lod_tree
+from .lod_file import read_lod_tree, write_lod_tree
 from .ply import write_ply
 from .registry import check_writable, read_gaussians
 from .scene_json import SCENE_VERSION, SceneRecord, record_of, scene_of
@@ -106,10 +107,11 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
     record = _read_record(folder)
     try:
         places = _places(folder, record)
-        gaussians = [read_gaussians(places[file]) for file in record.files]
+        trees = _mapped_trees([places[file] for file in record.files]) if record.in_drawing_order else {}
+        gaussians = [_gaussians_of(places[file], trees) for file in record.files]
         wet = [
-            None if file is None else read_harmonics(places[file], each.sh.shape)
-            for file, each in zip(record.wet_files, gaussians, strict=True)
+            None if file is None else read_harmonics(places[file], each.sh.shape, maps=places[own] in trees)
+            for file, own, each in zip(record.wet_files, record.files, gaussians, strict=True)
         ]
     except (SceneFormatError, FileNotFoundError):
         if _read_record(folder) == record:
@@ -119,9 +121,13 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
         read = [*gaussians, *(each for each in wet if each is not None)]
         known.remember(folder, list(zip(read, places.values(), strict=True)))
     try:
-        return _with_trees(scene_of(record, gaussians, wet), [places[file] for file in record.files])
+        scene = scene_of(record, gaussians, wet)
     except ValueError as error:
         raise SceneFormatError(folder / SCENE_FILE, str(error)) from None
+    for member, file in zip(scene.members, record.files, strict=True):
+        if places[file] in trees:
+            scene = scene.with_member(member.key, tree=trees[places[file]])
+    return scene
 
 
 def scene_folder_files(folder: Path) -> list[Path]:
@@ -284,12 +290,19 @@ class _Writer:
             beside.unlink(missing_ok=True)
 
     def _tree_written(self, tree: LodTree, file: Path) -> set[Path]:
-        """Write a tree next to the file of its Gaussians, unless it is there."""
+        """Write a tree next to the file of its Gaussians, or link it, unless it is there."""
         path = tree_file(file)
-        if path.is_file() and path.stat().st_size == lod_file_bytes(tree):
+        with suppress(SceneFormatError, OSError):
+            read_lod_tree(path, file)
             return set()
+        source = self.known.file_anywhere(tree.gaussians) if self.linking else None
+        if source is not None and source.samefile(file) and tree_file(source).is_file():
+            with suppress(OSError):  # another file system, or one without hard links
+                path.unlink(missing_ok=True)
+                os.link(tree_file(source).resolve(), path)
+                return {path}
         with whole_file(path) as beside:
-            write_lod_tree(tree, beside)
+            write_lod_tree(tree, beside, file)
         return {path}
 
     def _linked(self, contents: Contents, target: Path) -> str | None:
@@ -316,19 +329,24 @@ def tree_file(file: Path) -> Path:
     return file.with_suffix(".lod")
 
 
-def _with_trees(scene: Scene, files: list[Path]) -> Scene:
-    """Scene with those trees of its folder that are whole; the first other one is reported."""
+def _mapped_trees(files: Iterable[Path]) -> dict[Path, LodTree]:
+    """Trees next to files of Gaussians, with those Gaussians; the first one that can't be used is reported."""
+    trees: dict[Path, LodTree] = {}
     damages: list[Exception] = []
-    for member, file in zip(scene.members, files, strict=True):
+    for file in files:
         path = tree_file(file)
         if path.is_file():
             try:
-                scene = scene.with_member(member.key, tree=read_lod_tree(path, member.gaussians))
+                trees[file] = read_lod_tree(path, file)
             except (SceneFormatError, OSError) as error:  # the scene opens without it
                 damages.append(error)
     if damages:
         logger.warning("Level-of-detail trees are not used (%d): %s", len(damages), damages[0])
-    return scene
+    return trees
+
+
+def _gaussians_of(file: Path, trees: dict[Path, LodTree]) -> Gaussians:
+    return trees[file].gaussians if file in trees else read_gaussians(file)
 
 
 def _kind(member: Layer | Actor) -> str:
@@ -401,10 +419,11 @@ def _is_own(folder: Path, file: Path) -> bool:
 # Spherical harmonics as a NumPy array file (.npy, version 1.0).
 
 SUFFIX = ".wet.npy"
+_HARMONICS_ROWS = 1 << 18  # rows that are checked at a time before a file is mapped
 
 
-def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n k 3"]:
-    """Read harmonics of a given shape (n, k, 3), that of the clear colors.
+def read_harmonics(path: Path, shape: tuple[int, ...], *, maps: bool = False) -> Float32[np.ndarray, "n k 3"]:
+    """Read harmonics of a given shape (n, k, 3), that of the clear colors; with `maps`, map them into memory.
 
     Raises `SceneFormatError` if the file is damaged, or has other content or another shape.
     """
@@ -416,11 +435,19 @@ def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n
         if dtype != np.dtype("<f4") or is_fortran or found != shape:
             order = " in Fortran's order" if is_fortran else ""
             raise SceneFormatError(path, f"holds {dtype} {found}{order}, expected float32 {shape} as the clear colors")
-        sh = np.empty(shape, np.float32)
-        if file.readinto(sh.view(np.uint8).reshape(-1).data) != sh.nbytes or file.read(1):
-            raise SceneFormatError(path, f"does not end after the {sh.nbytes:,} bytes that {shape} numbers take")
-    check_finite(path, {"wet color": sh})
-    return sh
+        offset, step = file.tell(), _HARMONICS_ROWS if maps else shape[0]
+        sh = np.empty((min(step, shape[0]), *shape[1:]), np.float32)
+        for first in range(0, shape[0], max(step, 1)):
+            rows = sh[: shape[0] - first]
+            if file.readinto(rows.view(np.uint8).reshape(-1).data) != rows.nbytes:
+                break
+            check_finite(path, {"wet color": rows})
+        else:
+            if not file.read(1):
+                return map_arrays(file, [(shape, dtype, offset)])[0] if maps else sh
+        raise SceneFormatError(
+            path, f"does not end after the {4 * int(np.prod(shape)):,} bytes that {shape} numbers take"
+        )
 
 
 def write_harmonics(sh: Float32[np.ndarray, "n k 3"], path: Path) -> None:

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-TimeOfDay = Literal["day", "night"]
+TimeOfDay = Literal["day", "overcast", "night"]
 
 
 class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -40,7 +40,7 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=20, title="Ego speed", extra={"unit": "m/s"})] = 10.0
     """The ego vehicle's constant speed."""
     time_of_day: Annotated[TimeOfDay, Meta(title="Time of day")] = "day"
-    """By night there is no sun: lanterns, windows and vehicles' lamps light the street."""
+    """overcast: by day under clouds, also when it is dry. By night lanterns, windows and vehicles' lamps are lit."""
     lead_gap_m: Annotated[float, Meta(ge=6, le=60, title="Gap to the lead car", extra={"unit": "m"})] = 18.0
     """From the ego's origin to the middle of the lead car at the start."""
 
@@ -73,11 +73,12 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 STREETS = {
     "street": StreetParameters(),
+    "street:overcast": StreetParameters(time_of_day="overcast"),
     "street:night": StreetParameters(time_of_day="night"),
     "street:long": StreetParameters(length_m=1200.0, detail=0.4, ego_speed_m_s=20.0),
 }
-"""Built-in streets by name. By night it is the same street, lit by its lamps; the long one, of 1.2 km and about 5
-million Gaussians, tests large scenes."""
+"""Built-in streets by name. Overcast, it is the same street under the clouds that it has in rain; by night it is lit by
+its lamps; the long one, of 1.2 km and about 5 million Gaussians, tests large scenes."""
 
 # Semantic classes
 

@@ -101,6 +101,7 @@ NIGHT = Lighting(
 LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "night": NIGHT}
 LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {
     "day": ("sunny", "overcast"),
+    "overcast": ("overcast", "overcast"),
     "night": ("night", "night"),
 }
 """Lighting in dry weather, and in rain."""

@@ -66,7 +66,8 @@ class HugsimAgent:
         self._channels: protocol.ChannelOrder = channel_order
         self._first_wait_s, self._later_wait_s = first_wait_s, later_wait_s
         self._pipes = protocol.Pipes(self.folder)
-        self._client: ClientProcess | None = None
+        self.client: ClientProcess | None = None
+        """Client that drives, or was started for the next drive."""
         self._drive: _HugsimDrive | None = None
 
     @property
@@ -79,11 +80,11 @@ class HugsimAgent:
 
         Raises ClientError if the command can't be run, or ends at once.
         """
-        if self._command is None or self._client is not None:
+        if self._command is None or self.client is not None:
             return
-        self._client = ClientProcess(self._command, self.folder, self._output)
-        if self._client.wait(_START_S):
-            raise ClientError(f"the client {self._client.ended} as soon as it was started")
+        self.client = ClientProcess(self._command, self.folder, self._output)
+        if self.client.wait(_START_S):
+            raise ClientError(f"the client {self.client.ended} as soon as it was started")
 
     def reset(self, seed: int, rig: Rig) -> None:
         """Begin a drive with a new client, or with that of `start`.
@@ -93,11 +94,11 @@ class HugsimAgent:
         if self._drive is not None:
             self.close()
         self._drive = _HugsimDrive(rig)
-        if self._client is not None:
-            if (ended := self._client.ended) is not None:
+        if self.client is not None:
+            if (ended := self.client.ended) is not None:
                 raise ClientError(f"the client {ended} before the drive began")
         elif self._command is not None:
-            self._client = ClientProcess(self._command, self.folder, self._output)
+            self.client = ClientProcess(self._command, self.folder, self._output)
         else:
             names = f"{protocol.OBSERVATIONS}, {protocol.PLANS}"
             _log.info("waiting for a HUGSIM client at %s (%s)", self.folder, names)
@@ -132,13 +133,13 @@ class HugsimAgent:
         """Send "Done", and wait until a client started by this agent has ended."""
         drive, self._drive = self._drive, None
         try:
-            if drive is not None and drive.world is not None and self._say_done(drive) and self._client is not None:
-                self._client.wait(_LEAVE_WAIT_S)
+            if drive is not None and drive.world is not None and self._say_done(drive) and self.client is not None:
+                self.client.wait(_LEAVE_WAIT_S)
         finally:
             self._break_off()
 
     def _ended(self) -> str | None:
-        return None if self._client is None else self._client.ended
+        return None if self.client is None else self.client.ended
 
     def _say_done(self, drive: "_HugsimDrive") -> bool:
         """Send "Done"; returns whether the client is going to end."""
@@ -154,9 +155,9 @@ class HugsimAgent:
     def _break_off(self) -> None:
         """Drop the drive, and stop a client started by this agent."""
         self._drive = None
-        if self._client is not None:
-            self._client.stop()
-            self._client = None
+        if self.client is not None:
+            self.client.stop()
+            self.client = None
 
 
 class _HugsimDrive:

@@ -1,5 +1,6 @@
 """Road users, the behavior protocol, lane positions and gaps. World frame, meters."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +51,11 @@ class TrafficState:
     ego: RoadUser
     others: tuple[RoadUser, ...]  # all other road users present
     route: Route  # the ego vehicle's route, which represents the road
+    grip_m_s2: Callable[[float], float] | None = None  # acceleration that tires transmit, by speed; None has no limit
+
+    def braking_m_s2(self, speed_m_s: float, asked_m_s2: float) -> float:
+        """Return the deceleration that the road allows at a speed, at most what is asked for."""
+        return asked_m_s2 if self.grip_m_s2 is None else min(asked_m_s2, self.grip_m_s2(speed_m_s))
 
 
 class Behavior:

@@ -170,6 +170,7 @@ def _idm_speed(idm: IntelligentDriver, me: RoadUser, around: TrafficState, dt_s:
     ahead = find_vehicle_ahead(around.route, me, (around.ego, *around.others))
     closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
     rate = idm.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
+    rate = max(rate, -around.braking_m_s2(me.speed_m_s, idm.most_braking_m_s2))
     to = me.speed_m_s + rate * dt_s
     return changed_speed(me.speed_m_s, max(0.0, to) if rate < 0 else to, abs(rate), dt_s)
 
@@ -179,7 +180,7 @@ def _braking_speed(
 ) -> tuple[float, float]:
     is_off = trigger.watch(me, around) is None
     to = me.speed_m_s if is_off else min(me.speed_m_s, brake.to_speed_m_s)
-    return changed_speed(me.speed_m_s, to, brake.deceleration_m_s2, dt_s)
+    return changed_speed(me.speed_m_s, to, around.braking_m_s2(me.speed_m_s, brake.deceleration_m_s2), dt_s)
 
 
 class _ConstantVelocityBehavior(Behavior):
@@ -220,7 +221,8 @@ class _CutInBehavior(Behavior):
         since = self._trigger.watch(me, around)
         keeps = since is None or settings.to_speed_m_s is None or around.time_s < since + settings.speed_delay_s - 1e-9
         to = self._speed_m_s if keeps or settings.to_speed_m_s is None else settings.to_speed_m_s
-        self._speed_m_s, distance = changed_speed(self._speed_m_s, to, settings.acceleration_m_s2, dt_s)
+        rate = around.braking_m_s2(self._speed_m_s, settings.acceleration_m_s2)
+        self._speed_m_s, distance = changed_speed(self._speed_m_s, to, rate, dt_s)
         place = self._place.ahead(route, distance)
         share = 0.0 if since is None else min((around.time_s + dt_s - since) / settings.duration_s, 1.0)
         across = -self._from_left_m if settings.offset_m is None else settings.offset_m

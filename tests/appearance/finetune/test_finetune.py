@@ -57,10 +57,10 @@ def test_the_weights_that_are_written_are_those_that_were_trained_and_can_be_tra
         model.base = "0123456789abcdef"
         return model
 
-    build = training_run._model
+    build = training_run.model_to_train
     settings = small_settings(tmp_path, steps=1)
     with monkeypatch.context() as patch:
-        patch.setattr(training_run, "_model", model_with_base)
+        patch.setattr(training_run, "model_to_train", model_with_base)
         result = run(FinetuneTask(settings=settings, output=tmp_path / "run"))
     record = read_record(result.weights)
     split = open_images(settings.pictures)

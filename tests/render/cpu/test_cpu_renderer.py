@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from given_rain import GivenRain, given_rain
-from gsrain_engine.render.cpu.compositing import RAIN_LINES, add_rain_light
+from gsrain_engine.render.cpu.compositing import OPEN, RAIN_LINES, RAIN_SHARE, SCENE_SHARE, add_rain_light
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.cpu.tiles import TILE
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
@@ -86,7 +86,8 @@ def test_the_curve_of_light_is_the_standards():
     for some in values.reshape(-1, TILE):
         rain, scene, passed = (r.uniform(*ends, TILE).astype(np.float32) for ends in ((1e-6, 0.5), (0, 1), (0.1, 0.2)))
         row = np.zeros((RAIN_LINES, TILE), np.float32)
-        row[1:4], row[5], row[6], row[7], row[8] = some, 1, passed, rain, scene
+        row[1:4], row[5] = some, 1
+        row[OPEN // TILE], row[RAIN_SHARE // TILE], row[SCENE_SHARE // TILE] = passed, rain, scene
         add_rain_light(row.ravel(), LIGHT)
         share, rain = scene.astype(np.float64) + passed, rain.astype(np.float64)
         light = np.minimum(share, 1) * srgb_to_linear(some.astype(np.float64)) + rain * LIGHT[:, None]

@@ -6,6 +6,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +16,7 @@ import numpy as np
 import zstandard
 from PIL import Image
 
-from gsrain_engine.scene.formats.registry import write_gaussians
+from gsrain_engine.scene.formats.registry import writable_suffixes, write_gaussians
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
 from gsrain_engine.scene.geometry import normalized
@@ -258,7 +259,10 @@ SMALL_FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "sog-1": ("a.sog", lambda: zipped(sog_version_1(sog_scene()[0]), sog_scene()[1])),
     "sog-2": ("a.sog", lambda: zipped(*sog_scene()[:2])),
 }
-"""Name of a file, and its content."""
+"""Name of a file, and its content; formats below that GSRAIN writes need no row."""
+for _suffix in writable_suffixes():
+    if all(not file.endswith(_suffix) for file, _ in SMALL_FILES.values()):
+        SMALL_FILES[_suffix] = (f"a{_suffix}", partial(written, _SMALL, _suffix))
 
 
 def write_small(name: str, folder: Path) -> Path:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.scene.files import SceneFormatError
-from gsrain_engine.scene.formats.registry import read_gaussians
+from gsrain_engine.scene.formats.registry import FORMATS, read_gaussians
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
 
 from .sample_files import (
@@ -42,6 +42,11 @@ def refusal(path: Path) -> str:
         read_gaussians(path)
     assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
     return str(error.value).removeprefix(f"{path}: ")
+
+
+def test_every_format_has_a_small_file() -> None:
+    suffixes = [each.suffix for each in FORMATS if each.suffix != "meta.json"]
+    assert all(any(file.endswith(suffix) for file, _ in SMALL_FILES.values()) for suffix in suffixes)
 
 
 @pytest.mark.parametrize("name", SMALL_FILES)

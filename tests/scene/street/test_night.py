@@ -101,8 +101,8 @@ def test_days_do_not_depend_on_lamps(surfaces):
         assert by_day.tobytes() == switched_off.tobytes()
         assert wet_colors(quads, clouds).tobytes() == wet_colors(quads.shining(0.0), clouds).tobytes()
         assert quads_to_gaussians(quads, surfaces.light()).sh[:, 0].mean() > by_day[:, 0].mean()
-    by_night = STREETS["street:night"]
-    assert msgspec.structs.replace(by_night, time_of_day="day") == STREETS["street"]
+    for name in ("street:night", "street:overcast"):
+        assert msgspec.structs.replace(STREETS[name], time_of_day="day") == STREETS["street"]
 
 
 def test_the_sky_is_dark_dry_and_wet(night):

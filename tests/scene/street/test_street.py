@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gsrain_engine.scene.gaussians import SH_C0, evaluate_sh
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.scene import Scene, is_sky
 from gsrain_engine.scene.street.build import (
     PARKED_CARS,
     StreetSurfaces,
@@ -76,13 +76,16 @@ def test_the_road_is_flat_whole_and_marked_in_its_middle(street: Scene, surfaces
 @pytest.mark.parametrize(
     "parameters",
     [
-        StreetParameters(),
+        None,
         StreetParameters(seed=11, tree_spacing_m=8.0, parked_share=1.0),
         StreetParameters(seed=12, parking_width_m=2.6, pavement_width_m=2.5, parked_share=0.9),
     ],
 )
-def test_nothing_stands_in_the_lanes_or_where_a_truck_stands(parameters: StreetParameters) -> None:
-    p, layers = parameters, street_surfaces(parameters).layers
+def test_nothing_stands_in_the_lanes_or_where_a_truck_stands(
+    surfaces: StreetSurfaces, parameters: StreetParameters | None
+) -> None:
+    layers = (surfaces if parameters is None else street_surfaces(parameters)).layers
+    p = parameters = parameters or StreetParameters()
     for name in ("houses", "trees", "parked cars", "parked trucks", "furniture", "pavements"):
         at = layers[name].centers
         inside = (at[:, 0] > p.start_x_m + 0.5) & (at[:, 0] < p.end_x_m - 0.5) & (at[:, 2] < 2.4)
@@ -155,6 +158,18 @@ def test_another_street_can_be_built() -> None:
     assert scene.layers[1].gaussians.means[:, 2].max() == pytest.approx(CURB_HEIGHT_M)
     widths = [[house.width for house in plan_street(StreetParameters(seed=seed)).left] for seed in (7, 8)]
     assert widths[0] != widths[1]
+
+
+def test_the_overcast_street_has_the_light_of_rain_without_its_water() -> None:
+    small = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
+    sunny, overcast = (build_street(msgspec.structs.replace(small, time_of_day=each)) for each in ("day", "overcast"))
+    for one, other in zip(sunny.members, overcast.members, strict=True):
+        for name in ("means", "scales", "quaternions", "opacities"):
+            assert getattr(one.gaussians, name).tobytes() == getattr(other.gaussians, name).tobytes()
+        assert one.wet_sh is not None and other.wet_sh is not None
+        assert one.wet_sh.tobytes() == other.wet_sh.tobytes()
+        assert not np.array_equal(one.gaussians.sh, other.gaussians.sh)
+        assert is_sky(one) == np.array_equal(other.gaussians.sh, other.wet_sh)  # clouds are neither wet nor dry
 
 
 def test_a_long_street_is_lit_in_sections_as_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:

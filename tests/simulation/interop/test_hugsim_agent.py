@@ -112,12 +112,12 @@ def test_a_failing_client_is_an_error(mode, word, moment, tmp_path):
 def test_a_client_started_early_drives_the_first_drive(moment, tmp_path):
     agent = HugsimAgent(tmp_path, command("keep"))
     agent.start()
-    early = agent._client
+    early = agent.client
     agent.start()
     agent.reset(0, moment[0])
-    assert agent._client is early and len(agent.plan(moment[1]).points) == 6
+    assert agent.client is early and len(agent.plan(moment[1]).points) == 6
     agent.reset(0, moment[0])  # each drive needs a client of its own
-    assert agent._client is not early and len(agent.plan(moment[1]).points) == 6
+    assert agent.client is not early and len(agent.plan(moment[1]).points) == 6
     agent.close()
 
 

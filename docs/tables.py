@@ -1,0 +1,66 @@
+"""Writes the tables of pages that are made from the program: python -m docs.tables. A test compares them."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from docs import api_page
+from gsrain_engine.scene.formats.registry import FORMATS
+from ui.panels.registry import BUILT_IN_PANELS, DockSide, Panel
+
+DOCS = Path(__file__).resolve().parent
+_TABLES = re.compile(r"(?<=<!-- tables -->\n).*?(?=<!-- end of tables -->)", re.DOTALL)
+_SIDES: dict[DockSide, str] = {
+    "left": "## Left: the scene",
+    "left bottom": "Below them, what is done with a part of it:",
+    "right": "## Right: rain, and the work on the scene",
+    "right bottom": "Below them, the rain in numbers, and the vehicle's cameras:",
+    "bottom": "## Bottom: time",
+}
+
+
+def formats() -> str:
+    """Return the table of scene formats."""
+    rows = [f"| `{each.suffix}` | {'yes' if each.write else 'no'} | {each.description} |" for each in FORMATS]
+    return "\n".join(["", "| file | written | contents |", "|---|---|---|", *rows, "", ""])
+
+
+def panels() -> str:
+    """Return the panels of each side of the window in two columns; in one at the bottom, where they are wide."""
+    parts: list[str] = []
+    for side, heading in _SIDES.items():
+        there = [each for each in BUILT_IN_PANELS if each.side == side]
+        columns = 1 if side == "bottom" else 2
+        parts += ["", heading]
+        for start in range(0, len(there), columns):
+            row = there[start : start + columns]
+            cells = [[_picture(each) for each in row], ["---"] * len(row), [_described(each) for each in row]]
+            parts += ["", *(f"| {' | '.join(line)} |" for line in cells)]
+    return "\n".join([*parts, "", ""])
+
+
+def _picture(panel: Panel) -> str:
+    file = f"images/panel_{panel.title.lower().replace(' ', '_')}.jpg"
+    return f"![{panel.title}](../{file})" if (DOCS / file).is_file() else ""
+
+
+def _described(panel: Panel) -> str:
+    return f"**{panel.title}.** {panel.help}{f' [More]({panel.page})' if panel.page else ''}"
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "formats.md": formats,
+    "guide/panels.md": panels,
+    "python.md": api_page.tables,
+}
+
+
+def updated(page: str) -> str:
+    """Return the text of a page with its tables anew."""
+    return _TABLES.sub(lambda _: PAGES[page](), (DOCS / page).read_text(encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    for name in PAGES:
+        (DOCS / name).write_text(updated(name), encoding="utf-8")
+        print(f"wrote {DOCS / name}")

@@ -1,0 +1,168 @@
+"""Factors of rain, which an attribution switches: what switches each off, and the rain and the scene of a coalition."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from msgspec import structs
+
+from ...rain.settings import RainSettings
+from ...rain.wetness import OVERCAST_MM_H, wetness
+from ...scene.open import is_built_in_street
+from .shapley import Coalition, Game
+
+ALL, NO_FACTORS = "all", "none"
+"""Words for all factors that a rain has, and for no attribution."""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One part of what rain does to a picture or a drive."""
+
+    name: str
+    title: str
+    off: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Settings of the rain that switch it off; none for the light, which belongs to the scene."""
+    on: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Settings that switch it on in a rain that lacks it."""
+    after: str | None = None
+    """Factor that it acts on top of."""
+
+    def __post_init__(self) -> None:
+        if unknown := {*self.off, *self.on} - set(RainSettings.__struct_fields__):
+            raise ValueError(f"factor {self.name}: rain has no setting {', '.join(sorted(unknown))}")
+
+
+LIGHT = "light"
+WET = "wet"
+
+FACTORS = (
+    # Without streaks, the medium must not take their place: together they extinguish what all drops do.
+    Factor("streaks", "streaks", {"streak_gain": 0.0}, {"streaks": True, "streak_gain": 1.0}),
+    Factor("medium", "medium", {"haze": "none", "visibility_m": None}, {"haze": "medium"}),
+    Factor(LIGHT, "overcast light"),
+    Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}, after=LIGHT),
+    Factor(
+        "mirror",
+        "mirror, rings, splashes",
+        {"mirror": False, "splashes": False},
+        {"mirror": True, "splashes": True},
+        after=WET,
+    ),
+    Factor("spray", "spray", {"spray": False}, {"spray": True}, after="mirror"),  # of wet ground, too
+    Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
+)
+"""All factors, in the order of tables and figures."""
+
+_BY_NAME = {each.name: each for each in FACTORS}
+_OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
+"""Scenes by name of which another has the light of rain without its water."""
+
+
+_ON_WET_GROUND = {LIGHT, WET, "mirror", "spray"}
+
+
+def factor_names() -> tuple[str, ...]:
+    return tuple(_BY_NAME)
+
+
+def title_of(name: str) -> str:
+    return _BY_NAME[name].title
+
+
+def overcast_twin(scene: str | None) -> str | None:
+    """Name of the scene that has the dry colors of another one under clouds; None if there is none."""
+    return _OVERCAST_TWINS.get(scene) if is_built_in_street(scene) else None
+
+
+def is_attributed(names: Sequence[str]) -> bool:
+    """Return whether a choice of factors asks for an attribution; raises ValueError for an unusable choice."""
+    if tuple(names) in ((), (NO_FACTORS,)):
+        return False
+    check_factors(names)
+    return True
+
+
+def check_factors(names: Sequence[str]) -> None:
+    """Raise ValueError for an unknown factor, or one that has no effect or no share of its own without another."""
+    for name in names:
+        if name != ALL and name not in _BY_NAME:
+            raise ValueError(f"attribute {name}: expected {ALL}, or some of {', '.join(_BY_NAME)}")
+        needed = WET if name in _ON_WET_GROUND - {WET} else None
+        if needed not in (None, *names) and ALL not in names:
+            raise ValueError(f"attribute {name}: has a share only next to {needed}; name that, too")
+
+
+@dataclass(frozen=True)
+class RainFactors:
+    """Rain as a sum of factors, and the coalitions of them."""
+
+    rain: RainSettings
+    """With all factors."""
+    game: Game
+    twin: str | None
+    """Scene with the light of this rain, dry."""
+
+    @classmethod
+    def of(
+        cls, rain: RainSettings, names: Sequence[str], scene: str | None, lacking: Sequence[str] = ()
+    ) -> "RainFactors":
+        """Take a rain apart.
+
+        `names` are the factors of which the rain is to consist: others are switched off, absent ones on; "all" are
+        those that it has. `scene` is the scene's name as `load_scene` takes it. Factors that can't act are left out:
+        those `lacking` in the scene, light without a scene that has it alone, and wet ground below 0.3 mm/h.
+        """
+        check_factors(names)
+        twin, chosen = overcast_twin(scene), set(names)
+        if ALL in chosen:
+            chosen |= {each.name for each in FACTORS if each.name == LIGHT or _is_on(each, rain)}
+        for each in FACTORS:
+            if each.name not in chosen and _is_on(each, rain):
+                rain = structs.replace(rain, **each.off)
+            elif each.name in names and not _is_on(each, rain):
+                rain = structs.replace(rain, **each.on)
+        for name in names:
+            if name in lacking:
+                raise ValueError(f"attribute {name}: {scene or 'the scene'} has none")
+        absent = set(lacking)
+        is_wet = WET in chosen and WET not in absent
+        if not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
+            absent |= _ON_WET_GROUND
+        elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
+            absent.add(LIGHT)
+        factors = tuple(each.name for each in FACTORS if each.name in chosen - absent)
+        return cls(rain, Game(factors, {name: below for name in factors if (below := _below(name, factors))}), twin)
+
+    def weather(self, present: Coalition) -> "CoalitionWeather":
+        """Return the rain and the scene with some factors."""
+        if not present:
+            return CoalitionWeather(clear_rain(self.rain), False)
+        rain = self.rain
+        for each in self.game.factors:
+            if each not in present:
+                rain = structs.replace(rain, **_BY_NAME[each].off)
+        return CoalitionWeather(rain, LIGHT in present and WET not in present)
+
+
+class CoalitionWeather(NamedTuple):
+    """Rain, and whether it falls in the scene that has the light of rain and is dry."""
+
+    rain: RainSettings
+    in_twin: bool
+
+
+def clear_rain(rain: RainSettings) -> RainSettings:
+    """Return the settings of the clear scene: no rain, no fog, dry, nothing in front of the camera."""
+    return structs.replace(rain.without_rain, glass="none")
+
+
+def _below(name: str, factors: Sequence[str]) -> str | None:
+    """Return the nearest factor, of some, that another one acts on top of; None if there is none."""
+    below = _BY_NAME[name].after
+    return below if below is None or below in factors else _below(below, factors)
+
+
+def _is_on(factor: Factor, rain: RainSettings) -> bool:
+    is_on = any(getattr(rain, name) != value for name, value in factor.off.items())
+    return is_on and (factor.name != "streaks" or rain.streaks)

@@ -1,0 +1,112 @@
+"""Factors of rain: which a rain has, the rain of each coalition, and choices that make no sense."""
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from gsrain_engine.evaluation.attribution.factors import (
+    ALL,
+    FACTORS,
+    NO_FACTORS,
+    Factor,
+    RainFactors,
+    clear_rain,
+    is_attributed,
+)
+from gsrain_engine.rain.frame import RainCamera, SkyLight
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.rain.wetness import wetness
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.scene.camera import Camera, look_at
+from small_scene import small_scene
+
+RAIN = RainSettings(intensity_mm_h=12.0, mirror=True, glass="lens", visibility_m=2000.0, spray=False)
+
+
+def test_a_rain_has_the_factors_that_act_in_it():
+    for rain, scene, expected in (
+        (RAIN, "street", ("streaks", "medium", "light", "wet", "mirror", "glass")),
+        (RAIN, "my_scene", ("streaks", "medium", "wet", "mirror", "glass")),  # has no light without water
+        (RainSettings(intensity_mm_h=12.0), None, ("streaks", "medium", "light", "wet", "mirror", "spray")),
+        (RainSettings(intensity_mm_h=0.2, mirror=True), "street", ("streaks", "medium")),  # dries where it falls
+        (RainSettings(intensity_mm_h=12.0, wetness=0.5), "street", ("streaks", "medium", "wet", "mirror", "spray")),
+        (RainSettings(intensity_mm_h=12.0, wetness=0.0, mirror=True), "street", ("streaks", "medium")),
+        (RainSettings(intensity_mm_h=12.0, streaks=False, haze="none", wetness=0.0), "street", ()),
+        (structs.replace(load_preset("paper"), wetness=0.0), "street", ("streaks", "medium")),
+    ):
+        found = RainFactors.of(rain, (ALL,), scene)
+        assert found.game.factors == expected and found.rain == rain
+    assert RainFactors.of(RAIN, (ALL,), "street").game.after == {"wet": "light", "mirror": "wet"}
+    assert RainFactors.of(RAIN, (ALL,), "my_scene").game.after == {"mirror": "wet"}
+    spray = structs.replace(RAIN, spray=True)
+    assert RainFactors.of(spray, (ALL,), "my_scene").game.after == {"mirror": "wet", "spray": "mirror"}
+    assert RainFactors.of(spray, (ALL,), "my_scene", lacking=("mirror",)).game.after == {"spray": "wet"}
+    assert RainFactors.of(RAIN, (ALL,), "s", lacking=("mirror",)).game.factors == ("streaks", "medium", "wet", "glass")
+
+
+def test_a_list_of_factors_makes_the_rain():
+    found = RainFactors.of(RainSettings(intensity_mm_h=12.0, streaks=False), ("glass", "streaks"), "street")
+    assert found.game.factors == ("streaks", "glass")
+    dry = {"haze": "none", "wetness": 0.0, "mirror": False, "splashes": False, "spray": False}
+    assert found.rain == RainSettings(intensity_mm_h=12.0, glass="windshield", **dry)
+
+
+def test_coalitions_switch_the_rest_off():
+    found = RainFactors.of(RAIN, (ALL,), "street")
+    assert found.weather(frozenset(found.game.factors)) == (RAIN, False)
+    rain, in_twin = found.weather(frozenset({"medium", "light"}))
+    assert in_twin and rain == structs.replace(
+        RAIN, streak_gain=0.0, wetness=0.0, mirror=False, splashes=False, glass="none"
+    )
+    rain, in_twin = found.weather(frozenset({"light", "wet", "streaks"}))
+    assert not in_twin and rain.wetness is None and (rain.haze, rain.visibility_m) == ("none", None)
+    none = found.weather(frozenset()).rain
+    assert none == clear_rain(RAIN) and (none.intensity_mm_h, none.glass, none.visibility_m) == (0.0, "none", None)
+    assert wetness(none.intensity_mm_h) == 0
+
+
+def test_streaks_and_medium_are_all_that_falls_and_neither_replaces_the_other():
+    scene, renderer = small_scene(), CpuRenderer()
+    camera = Camera.from_fov(96, 64, 60.0, look_at(np.array([0.0, 0.0, 1.5]), np.array([5.0, 0, 1.5]), np.eye(3)[2]))
+    found = RainFactors.of(
+        RainSettings(intensity_mm_h=100.0, exposure_s=0.02, streak_gain=20.0), ("streaks", "medium"), "s"
+    )
+
+    def drawn(rain):
+        simulation = RainSimulation.start(rain)
+        draw_view(renderer, scene, simulation, SkyLight.uniform((0.9, 0.9, 0.9)), RenderView(camera))
+        medium = simulation.frame(0.0, RainCamera(camera, np.eye(4), np.zeros(3))).medium
+        return renderer.read().rgba[..., :3].copy(), medium
+
+    coalitions = [(), ("streaks",), ("medium",), ("streaks", "medium")]
+    (none, _), (streaks, nothing), (medium, own), (_, same) = (
+        drawn(found.weather(frozenset(each)).rain) for each in coalitions
+    )
+    assert nothing is None and own.drawn.max() > 0
+    np.testing.assert_array_equal(own.drawn, same.drawn)
+    assert abs(streaks - none).max() > 0.01 < abs(medium - none).max()
+    hidden, _ = drawn(structs.replace(found.rain, streak_gain=0.0, haze="none"))
+    np.testing.assert_array_equal(hidden, none)
+
+
+def test_choices_that_make_no_sense():
+    assert not is_attributed(()) and not is_attributed((NO_FACTORS,)) and is_attributed((ALL,))
+    for names, words in (
+        (("rain",), "expected all, or some of streaks, medium, light, wet, mirror, spray, glass"),
+        (("streaks", "mirror"), "mirror: has a share only next to wet"),
+        (("light",), "light: has a share only next to wet"),
+        ((NO_FACTORS, ALL), "none: expected"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            is_attributed(names)
+    with pytest.raises(ValueError, match="mirror: my_scene has none"):
+        RainFactors.of(RAIN, ("wet", "mirror"), "my_scene", lacking=("mirror",))
+
+
+def test_rows_name_settings_that_are_there():
+    with pytest.raises(ValueError, match="rain has no setting puddles"):
+        Factor("puddles", "puddles", {"puddles": False})
+    names = [each.name for each in FACTORS]
+    assert all(each.after in (None, *names[:k]) for k, each in enumerate(FACTORS))  # so that steps add them in order
