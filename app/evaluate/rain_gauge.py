@@ -37,7 +37,8 @@ def rain_gauge(
 ) -> None:
     """Read the rain rate from streaks alone, as a camera rain gauge does: their number, widths and lengths.
 
-    Nothing else is known to it: neither the scene nor the rain that was set. The sky must be at the top of the frames.
+    Nothing else is known to it: neither the scene nor the rain that was set. Frames need dark and bright backgrounds,
+    such as trees and sky, which tell the light of drops.
     """
     check_within("--focal-px", focal_px, 10, 1e5, "px")
     check_within("--shutter", shutter, 1e-4, 0.1, "s")
@@ -49,7 +50,8 @@ def rain_gauge(
     print(
         f"{found.intensity_mm_h:.2f} mm/h ({rain_class(found.intensity_mm_h)}), counting error {found.error_mm_h:.2f}: "
         f"{found.streaks} streaks wider than {found.cutoff_px:.1f} px in {found.frames} frames, "
-        f"{found.water_g_m3:.3f} g/m3 of water, drops of {found.diameter_mm:.1f} mm at {found.speed_m_s:.1f} m/s"
+        f"{found.water_g_m3:.3f} g/m3 of water, drops of {found.diameter_mm:.1f} mm at {found.speed_m_s:.1f} m/s; "
+        f"light of drops {found.drop_light:.2f}, {found.recovered_share:.0%} of artificial streaks found"
     )
     write_numbers(json, asdict(found))
 

@@ -51,7 +51,7 @@ class WetLookController:
         """Start with the method that has no requirements, and few views, for a first result within seconds."""
         self.method = METHODS[0].name
         self.settings = TransferSettings()
-        self.choice = ViewChoice(count=8, width_px=480)
+        self.choice = ViewChoice(count=8)
         self.preview_width_px = 640
         self.previewed: PreviewedView | None = None
         self.textures: dict[PreviewPicture, Texture] = {}

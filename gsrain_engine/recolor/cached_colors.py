@@ -2,18 +2,19 @@
 
 import hashlib
 import logging
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import platformdirs
 
+from ..appearance.scene_views import ViewChoice
 from ..appearance.wet_look.settings import WetSettings
 from ..scene.files import SceneFormatError
 from ..scene.progress import Progress
 from ..scene.scene import Layer, Scene
-from .recolor import wet_scene
+from .recolor import QUICK_VIEWS, wet_scene
 from .result import read_recolored, with_colors, write_recolored
 
 logger = logging.getLogger("gsrain")
@@ -25,14 +26,26 @@ _MAX_FILES = 24
 def cached_wet_scene(
     scene: Scene, settings: WetSettings | None = None, folder: Path | None = None
 ) -> Generator[Progress, None, Scene]:
-    """Give a scene wet colors as `wet_scene` does, unless it has some; computed ones are kept in a cache folder.
-
-    Files are named by a hash of the scene's content and the settings, and replaced atomically. A damaged file is
-    reported and computed again; a folder that can't be written costs the cache only.
-    """
+    """Give a scene wet colors as `wet_scene` does, unless it has some; computed ones are kept, see `cached_scene`."""
     if scene.has_rainy_light:
         return scene
     file = (folder or wet_color_folder()) / f"{wet_color_key(scene, settings)}.npz"
+    return (yield from cached_scene(scene, file, lambda: wet_scene(scene, settings)))
+
+
+def wet_color_file(scene: Scene, settings: WetSettings, choice: ViewChoice) -> Path:
+    """File in the cache for wet colors that are made from a choice of a scene's own views."""
+    return wet_color_folder() / f"{wet_color_key(scene, settings, choice)}.npz"
+
+
+def cached_scene(
+    scene: Scene, file: Path, compute: Callable[[], Generator[Progress, None, Scene]]
+) -> Generator[Progress, None, Scene]:
+    """Give a scene the wet colors of a file in the cache, or compute them and write it.
+
+    Files are named by a hash of what the colors depend on, and replaced atomically. A damaged file is reported and
+    computed again; a folder that can't be written costs the cache only.
+    """
     if file.is_file():
         try:
             found = with_colors(scene, read_recolored(file))
@@ -40,7 +53,7 @@ def cached_wet_scene(
             return found
         except (SceneFormatError, OSError, KeyError, ValueError) as error:
             logger.warning("%s: these wet colors are unusable and are computed again (%s)", file, error)
-    wet = yield from wet_scene(scene, settings)
+    wet = yield from compute()
     try:
         write_recolored(file, {each.key: each.wet_sh for each in wet.members if each.wet_sh is not None})
         _forget_oldest(file.parent)
@@ -54,10 +67,10 @@ def wet_color_folder() -> Path:
     return Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "wet-colors"
 
 
-def wet_color_key(scene: Scene, settings: WetSettings | None = None) -> str:
+def wet_color_key(scene: Scene, settings: WetSettings | None = None, choice: ViewChoice = QUICK_VIEWS) -> str:
     """Hash (SHA-256, 32 hex digits) of everything that wet colors depend on: Gaussians, places, views, settings."""
     digest = hashlib.sha256(f"{_VERSION} ".encode())
-    digest.update(msgspec.json.encode(settings or WetSettings()))
+    digest.update(msgspec.json.encode((settings or WetSettings(), choice)))
     plain = scene.metres_per_unit, scene.up, scene.ground_m, [each.key for each in scene.members]
     digest.update(msgspec.json.encode(plain))
     for each in scene.members:

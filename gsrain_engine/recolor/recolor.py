@@ -421,11 +421,15 @@ def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Pr
         preview = thumbnail(made.image)
 
 
+QUICK_VIEWS = ViewChoice(count=8)
+"""Views of the quick wet look."""
+
+
 def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Progress, None, Scene]:
     """Give a scene the quick wet look from 8 small views, without network weights; as `rainy_scene`."""
     from ..appearance.wet_look.environment import SceneEnvironment
     from ..appearance.wet_look.translator import WetTransfer  # loads slow parts of scipy
 
-    views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=8)))
+    views = scene_views(scene, chosen_cameras(scene, QUICK_VIEWS))
     transfer = WetTransfer(settings or WetSettings(), SceneEnvironment(scene))
     return rainy_scene(scene, views, transfer)

@@ -565,7 +565,7 @@ class Scene:
             opacity=member.opacity,
             colors=None if member.grading == UNCHANGED else member.grading.matrix,
             wet_sh=member.wet_sh,
-            wetness=0.0 if member.wet_sh is None else wetness,
+            wetness=0.0 if member.wet_sh is None else 1.0 if wetness > _AS_WET_AS_SOAKED else wetness,
             tree=member.tree if member.tree is not None and member.tree.fits(member.gaussians) else None,
         )
 
@@ -593,6 +593,10 @@ class Scene:
             if mount is not None:
                 placed.append((lamp, mount))
         return lit_lamps(placed)
+
+
+_AS_WET_AS_SOAKED = 1 - 2**-11
+"""Wetness above which a member is fully wet: an eighth of a gray level at most, and one set of colors to evaluate."""
 
 
 def is_sky(member: Layer | Actor) -> bool:

@@ -12,9 +12,18 @@ from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.jobs import training
-from gsrain_engine.editor.jobs.make_rainy import PreviewImages, TransferRequest, make_rainy, preview_view
+from gsrain_engine.editor.jobs.make_rainy import (
+    PreviewImages,
+    TransferRequest,
+    make_rainy,
+    make_rainy_job,
+    preview_view,
+)
+from gsrain_engine.editor.jobs.training import COLORS_FILE
+from gsrain_engine.recolor import cached_colors
+from gsrain_engine.recolor.recolor import QUICK_VIEWS
 from gsrain_engine.recolor.result import read_recolored
-from gsrain_engine.scene.formats.scene_folder import write_scene_folder
+from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.trusted_code import answers_file
 from small_scene import small_scene
@@ -40,6 +49,22 @@ def test_the_work_writes_wet_colors_of_every_member_and_a_report(saved, tmp_path
     road = small_scene().member("layers/road").gaussians.sh
     assert (colors["layers/road"][:, 0] < road[:, 0]).mean() > 0.8  # wet, it is darker
     assert (tmp_path / "report.html").read_text().count("data:image") >= 2
+
+
+def test_the_work_reads_the_colors_that_the_command_keeps_and_keeps_its_own(saved, tmp_path, monkeypatch):
+    cache = tmp_path / "cache"
+    monkeypatch.setattr(cached_colors, "wet_color_folder", lambda: cache)
+    scene = small_scene()
+    known = {each.key: each.gaussians.sh * np.float32(0.5) for each in scene.members}
+    cached_colors.write_recolored(cache / f"{cached_colors.wet_color_key(scene)}.npz", known)
+    for choice, count in ((QUICK_VIEWS, 1), (CHOICE, 2)):
+        order = TransferRequest("wet", TransferSettings(), choice)
+        copy = tmp_path / f"copy_{count}"
+        copy.mkdir()
+        list(make_rainy(*make_rainy_job(scene, FileCache(), order).inputs(copy)))
+        colors = read_recolored(copy / COLORS_FILE)
+        assert np.array_equal(colors["layers/road"], known["layers/road"]) == (choice is QUICK_VIEWS)
+        assert len(list(cache.iterdir())) == count
 
 
 def test_a_preview_is_the_view_that_the_job_would_make(saved):

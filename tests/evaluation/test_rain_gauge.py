@@ -37,7 +37,7 @@ def rain_frames(number, **rain):
     return np.stack(list(render_rain_frames(backdrop(), noise, CAMERA, falling, times, SKY)))
 
 
-@pytest.mark.parametrize(("rate", "aperture_mm"), [(2.5, 0.0), (10.0, 3.0), (40.0, 0.0)])
+@pytest.mark.parametrize(("rate", "aperture_mm"), [(10.0, 3.0), (40.0, 0.0)])
 def test_the_rate_that_was_set_is_read(rate, aperture_mm):
     lens = {"aperture_mm": aperture_mm, "focus_distance_m": 1000.0}
     found = measure_rain_rate(rain_frames(20, intensity_mm_h=rate, **lens), FOCAL_PX, SHUTTER_S, FALL_SPEED)

@@ -12,9 +12,11 @@ from jaxtyping import Float32, UInt8
 from ...appearance.base import ClearView, RainyView, Transfer, TransferSettings
 from ...appearance.registry import find_method, open_transfer
 from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
+from ...appearance.wet_look.settings import WetSettings
 from ...datasets.open_capture import open_capture
 from ...evaluation.report import RunReport, write_report
 from ...evaluation.report_charts import ImageComparison
+from ...recolor.cached_colors import cached_scene, wet_color_file
 from ...recolor.problem import RecolorSettings
 from ...recolor.recolor import QUICK, rainy_scene
 from ...recolor.result import read_recolored, with_colors
@@ -48,11 +50,18 @@ class TransferRequest:
 
 
 def make_rainy_job(scene: Scene, known: FileCache, order: TransferRequest) -> Job[Scene]:
-    """Create the job for a scene; `known` are its files."""
+    """Create the job for a scene; `known` are its files.
+
+    The wet look of a scene's own views is read from the cache of `gsrain render --wet`, or computed and written there.
+    """
     report = new_report(f"{scene.name} made rainy")
 
-    def inputs(folder: Path) -> tuple[Path, TransferRequest, Path, Path]:
-        return write_copy(scene, folder, known), order, folder / COLORS_FILE, report
+    def inputs(folder: Path) -> tuple[Path, TransferRequest, Path, Path, Path | None]:
+        cache = None
+        if order.method == "wet" and order.capture is None:
+            settings = WetSettings(wetness=order.settings.wetness, seed=order.settings.seed)
+            cache = wet_color_file(scene, settings, order.choice)
+        return write_copy(scene, folder, known), order, folder / COLORS_FILE, report, cache
 
     def read(folder: Path) -> Scene:
         return with_colors(scene, read_recolored(folder / COLORS_FILE))
@@ -164,12 +173,19 @@ def preview_job(
 _READ, _RENDERED = 0.2, 0.6  # progress after reading and after rendering
 
 
-def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path) -> Iterator[Progress]:
-    """Worker of "Make it rainy": transfer views of a saved scene, solve for its wet colors and write them."""
+def make_rainy(
+    copy: Path, order: TransferRequest, output: Path, report: Path, cache: Path | None = None
+) -> Iterator[Progress]:
+    """Worker of "Make it rainy": transfer views of a saved scene, solve for its wet colors and write them.
+
+    Colors are read from `cache`, if that file is there, or written to it.
+    """
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
     compared = ComparisonReport(_opened(order.method, order.settings, scene))
     steps = rainy_by(scene, order, compared)
+    if cache is not None:
+        steps = cached_scene(scene, cache, lambda: rainy_by(scene, order, compared))
     while True:
         try:
             step = next(steps)
@@ -262,7 +278,8 @@ class ComparisonReport:
     def report(self, scene: Scene, method: str) -> RunReport:
         return RunReport(
             f"{scene.name} made rainy",
-            {"method": method} | ({"network": self.note} if self.note else {}),
+            {"method": method if self._count else f"{method}, colors from the cache"}
+            | ({"network": self.note} if self.note else {}),
             comparisons=tuple(_compared(scene, each) for each in self._views),
             timings={"Views and their transfer": self._seconds},
             headlines={"Gaussians": f"{scene.gaussian_count:,}", "Views": f"{self._count:,}"},

@@ -102,13 +102,15 @@ def project(
         if caches is not None and part.members is not None and part.selected is None and part.growth == 1:
             g, wet_sh, rows = caches.present(g, wet_sh, own)
             scales = g.scales
-        # What a part lacks has no rows: the kernels skip it.
-        wet_sh = np.zeros((0, 1, 3), np.float32) if wet_sh is None else wet_sh
+        # What a part lacks has no rows: the kernels skip it. When fully wet, its clear colors have no share.
+        sh, wet = g.sh, np.zeros((0, 1, 3), np.float32)
+        if wet_sh is not None:
+            soaked = np.require(wet_sh, np.float32, ("C", "W"))
+            sh, wet = (soaked, wet) if part.wetness == 1 else (sh, soaked)
         change = np.zeros((0, 4)) if part.colors is None else part.colors
         fill = _project_range if len(own) < FEW else _project_chunks
         fill(
-            0, len(own), rows, g.means, scales, g.quaternions, g.opacities, g.sh,
-            np.require(wet_sh, np.float32, ("C", "W")), np.float32(part.wetness),
+            0, len(own), rows, g.means, scales, g.quaternions, g.opacities, sh, wet, np.float32(part.wetness),
             np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity),
             np.ascontiguousarray(change, np.float32), _words(part.selected), as_points, pose,
             eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
