@@ -25,6 +25,7 @@ WIDTH = 0.42
 ENERGY_SHARE = 0.01
 """Share of a drop's kinetic energy that rings carry away (Craeye and Sobieski 1999)."""
 TENSION_N_M, VISCOSITY_M2_S, _G = 0.0728, 1.0e-6, 9.81
+_THINNEST_M = 1e-6  # of a film, where friction stops waves at once
 _CALM_SLOPE = 0.01  # of standing water without rings, by wind and run-off; our choice
 WAVENUMBERS_PER_M = np.linspace(15.0, 1000.0, 500)
 AGES_S = np.arange(0.0, 1.02, 0.006)
@@ -45,7 +46,7 @@ def damping_per_s(wavenumber: Float64[np.ndarray, " k"], depth_m: float) -> Floa
 
     Lamb 1932; Hunt 1952 for the layer on the ground.
     """
-    k = wavenumber
+    k, depth_m = wavenumber, max(depth_m, _THINNEST_M)
     bottom = (
         k * np.sqrt(0.5 * VISCOSITY_M2_S * angular_frequency(k, depth_m)) / np.sinh(np.minimum(2 * k * depth_m, 300))
     )
