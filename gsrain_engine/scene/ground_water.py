@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
-from scipy import ndimage
 
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache, sh_basis
 
@@ -163,6 +162,8 @@ def _heights(sets: tuple[IdentityKey, ...], poses: tuple[bytes, ...], ground_m: 
     is_empty = ~np.isfinite(heights)
     if is_empty.all():
         return WetGround(ground_m, water)
+    from scipy import ndimage  # takes long to load
+
     nearest: Any = ndimage.distance_transform_edt(is_empty, return_distances=False, return_indices=True)
     return WetGround(ground_m, water, heights[nearest[0], nearest[1]])
 

@@ -108,7 +108,7 @@ def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
 
 
 def test_the_sensor_is_fitted_to_frames_without_rain(real, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("app.evaluate.streaks.FIT_TRIALS", 2)
+    monkeypatch.setattr("app.evaluate.streaks.FIT_TRIALS", 12)
     write_sequence(tmp_path / "clear", 0)
     file = tmp_path / "mine.yaml"
     assert run(["evaluate", "streaks", str(tmp_path / "clear"), "--frames", "7", "--fit-sensor", str(file)]) == 0

@@ -32,15 +32,15 @@ def test_coalitions_are_jobs_once_and_none_of_them_is_the_clear_drive(scenario):
     assert [(each.drive.scenario.rain.intensity_mm_h, each.drive.seed) for each in apart] == [(8.5, 0), (8.5, 1)]
     for each in apart:
         assert (
-            each.plan.game.factors == ("streaks", "medium", "wet", "splashes", "spray", "glass")
+            each.plan.game.factors == ("streaks", "medium", "wet", "mirror", "splashes", "spray", "glass")
             and each.plan.pairs == 0
         )
-        assert len({job.id for job in each.jobs.values()}) == len(each.jobs) == 32
+        assert len({job.id for job in each.jobs.values()}) == len(each.jobs) == 40
         assert each.jobs[frozenset(each.plan.game.factors)].id == each.drive.id in {job.id for job in drives}
         rain = each.jobs[frozenset({"medium"})].scenario.rain
         assert (rain.streak_gain, rain.wetness, rain.glass, rain.seed) == (0.0, 0.0, "none", each.drive.seed)
         assert all(job.scenario.road_users == each.drive.scenario.road_users for job in each.jobs.values())
-    assert len(jobs) == 2 * 32 + 2  # the two drives at 0 mm/h have a dry pane before the camera
+    assert len(jobs) == 2 * 40 + 2  # the two drives at 0 mm/h have a dry pane before the camera
     assert [job.id for job in jobs] == [job.id for job in jobs_of(sweep)]
     shares = [Shard(i, 3).of(jobs) for i in (1, 2, 3)]
     assert sorted(job.id for share in shares for job in share) == sorted(job.id for job in jobs)
@@ -49,12 +49,12 @@ def test_coalitions_are_jobs_once_and_none_of_them_is_the_clear_drive(scenario):
     without_glass = sweep_of([scenario], attribute=["streaks", "medium", "wet"], intensities_mm_h=[8.5])
     assert len(jobs_of(without_glass)) == 2 * 8
     sampled = attributed_drives(sweep_of([scenario], attribute=ALL, attribute_pairs=1, seeds=6))
-    assert all(len(each.jobs) <= 12 for each in sampled) and len({frozenset(each.jobs) for each in sampled}) > 1
+    assert all(len(each.jobs) <= 14 for each in sampled) and len({frozenset(each.jobs) for each in sampled}) > 1
 
 
 def test_the_street_has_a_scene_for_the_light_alone(scenario):
     (drive,) = attributed_drives(sweep_of([scenario], attribute=ALL, scenes=["street"], seeds=1))
-    assert drive.plan.game.factors == ("streaks", "medium", "light", "wet", "splashes", "spray", "glass")
+    assert drive.plan.game.factors == ("streaks", "medium", "light", "wet", "mirror", "splashes", "spray", "glass")
     scenes = {
         present: job.scene for present, job in drive.jobs.items() if job.scene == job.scenario.scene
     }  # fmt: skip
@@ -88,7 +88,8 @@ def test_shares_follow_from_the_rows_of_whole_seeds(scenario):
     assert list(found) == ["collision", "min_ttc_s", "collision_speed_m_s", "hardest_braking_m_s2"]
     assert found["collision"].seeds == (0, 1, 2, 3)
     means = {name: share.mean for name, share in found["collision"].shares.items()}
-    assert means == pytest.approx({"streaks": 0, "medium": 0, "wet": 0.5, "splashes": 0, "spray": 0, "glass": 0.5})
+    none = dict.fromkeys(("streaks", "medium", "mirror", "splashes", "spray"), 0)
+    assert means == pytest.approx(none | {"wet": 0.5, "glass": 0.5})
     assert all(share.mean == pytest.approx(-1) for share in found["min_ttc_s"].shares.values())
     assert found["collision_speed_m_s"].whole.mean == pytest.approx(4) and found["collision"].plain["in_rain"] == 1
     del rows[apart[1].jobs[frozenset({"wet"})].id]  # of seed 1

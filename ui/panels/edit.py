@@ -198,13 +198,14 @@ def history_panel(document: Document, files: Files, status: StatusBus) -> None:
     _copy_buttons(document, files, status)
     for number, step in enumerate(history.labels):
         with text_color(imgui.Col_.text_disabled if number > history.cursor else imgui.Col_.text):
-            change = history.steps[number - 1].document.rain_change(history.steps[number].document) if number else ""
-            text = f"{step}: {change}" if change else step
-            if imgui.selectable(label(text, str(number)), number == history.cursor)[0]:
+            if imgui.selectable(label(step, str(number)), number == history.cursor)[0]:
                 chosen = number
         imgui.set_item_tooltip("Go to this step." if number != history.cursor else "The present document.")
         if number == history.cursor != _State.scrolled_to:
             imgui.set_scroll_here_y(0.8)
+        if number and (change := history.steps[number - 1].document.rain_change(history.steps[number].document)):
+            imgui.same_line()
+            imgui.text_disabled(change)
     _State.scrolled_to = history.cursor
     if chosen is not None:
         document.go_to_step(chosen)

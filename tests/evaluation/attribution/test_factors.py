@@ -29,9 +29,13 @@ def test_a_rain_has_the_factors_that_act_in_it():
     for rain, scene, expected in (
         (RAIN, "street", ("streaks", "medium", "light", "wet", "mirror", "splashes", "glass")),
         (RAIN, "my_scene", ("streaks", "medium", "wet", "mirror", "splashes", "glass")),  # has no light without water
-        (RainSettings(intensity_mm_h=12.0), None, ("streaks", "medium", "light", "wet", "splashes", "spray")),
+        (RainSettings(intensity_mm_h=12.0), None, ("streaks", "medium", "light", "wet", "mirror", "splashes", "spray")),
         (RainSettings(intensity_mm_h=0.2, mirror=True), "street", ("streaks", "medium")),  # dries where it falls
-        (RainSettings(intensity_mm_h=12.0, wetness=0.5), "street", ("streaks", "medium", "wet", "splashes", "spray")),
+        (
+            RainSettings(intensity_mm_h=12.0, wetness=0.5, spray=False),
+            "street",
+            ("streaks", "medium", "wet", "mirror", "splashes"),
+        ),
         (RainSettings(intensity_mm_h=12.0, wetness=0.0, mirror=True), "street", ("streaks", "medium")),
         (RainSettings(intensity_mm_h=12.0, streaks=False, haze="none", wetness=0.0), "street", ()),
         (structs.replace(load_preset("paper"), wetness=0.0), "street", ("streaks", "medium")),
@@ -48,7 +52,7 @@ def test_a_rain_has_the_factors_that_act_in_it():
 def test_a_list_of_factors_makes_the_rain():
     found = RainFactors.of(RainSettings(intensity_mm_h=12.0, streaks=False), ("glass", "streaks"), "street")
     assert found.game.factors == ("streaks", "glass")
-    dry = {"wetness": 0.0, "splashes": False, "spray": False}
+    dry = {"wetness": 0.0, "mirror": False, "splashes": False, "spray": False}
     assert found.rain == RainSettings(intensity_mm_h=12.0, glass="windshield", haze="none", **dry)
 
 
