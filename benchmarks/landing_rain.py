@@ -19,7 +19,7 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.open import load_drawable_scene
 
 KINDS = {
-    "none": {"splashes": False}, "splashes": {"splashes": True},
+    "none": {"splashes": False, "mirror": False}, "splashes": {"splashes": True, "mirror": False},
     "mirror": {"splashes": False, "mirror": True}, "mirror, splashes and rings": {"splashes": True, "mirror": True},
 }  # fmt: skip
 
