@@ -112,12 +112,12 @@ def measure_rain_rate(
     20 streaks.
     """
     found = light_residuals(frames)
-    in_frames = [_Streaks.of(values, found) for values in found.values]
+    in_frames = [GaugedStreaks.of(values, found) for values in found.values]
     if (number := sum(map(len, in_frames))) < _MIN_STREAKS:
         raise ValueError(f"{number} streaks: too few for a rain rate; take more frames or a longer exposure")
     light = drop_light_of(found)
     areas = _OpenAreas(found.still & (found.background < _MAX_BACKGROUND * light.value))
-    streaks = _Streaks.joined(in_frames)
+    streaks = GaugedStreaks.joined(in_frames)
     streaks = streaks[areas.are_open(streaks.center_px, streaks.half_box_px)]
     cutoff = _cutoff_px(streaks.width_px(light.value))
     counted = streaks[streaks.width_px(light.value) > cutoff]
@@ -285,7 +285,7 @@ class _Candidate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Streaks:
+class GaugedStreaks:
     """Streaks in px and linear luminance."""
 
     center_px: Float64[np.ndarray, "n 2"]
@@ -303,13 +303,13 @@ class _Streaks:
     """From the vertical, in radians."""
 
     @classmethod
-    def of(cls, values: Float32[np.ndarray, "h w"], found: LightResiduals) -> "_Streaks":
+    def of(cls, values: Float32[np.ndarray, "h w"], found: LightResiduals) -> "GaugedStreaks":
         """Find and measure the streaks of one frame, given as its difference to the background."""
         table = np.array(list(_measured(values, found)), np.float64).reshape(-1, 9)
         return cls(table[:, :2], table[:, 2:4], *(np.ascontiguousarray(table[:, k]) for k in range(4, 9)))
 
     @classmethod
-    def joined(cls, parts: Sequence["_Streaks"]) -> "_Streaks":
+    def joined(cls, parts: Sequence["GaugedStreaks"]) -> "GaugedStreaks":
         return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
 
     def __len__(self) -> int:
@@ -331,8 +331,8 @@ class _Streaks:
         """Lengths over widths: numbers of its own diameters that each drop falls during the exposure."""
         return self.sharp_fall_px(drop_light) / self.width_px(drop_light)
 
-    def __getitem__(self, chosen: Bool[np.ndarray, " n"]) -> "_Streaks":
-        return _Streaks(*(getattr(self, each.name)[chosen] for each in fields(self)))
+    def __getitem__(self, chosen: Bool[np.ndarray, " n"]) -> "GaugedStreaks":
+        return GaugedStreaks(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
 class _OpenAreas:
@@ -371,7 +371,7 @@ class _OpenAreas:
 
 
 def _measured(values: Float32[np.ndarray, "h w"], found: LightResiduals) -> Iterator[tuple[float, ...]]:
-    """Rows of `_Streaks` of one frame."""
+    """Rows of `GaugedStreaks` of one frame."""
     accepted: list[_Candidate] = []
     for each in sorted(_candidates(np.where(found.still, values / found.sigma, 0)), key=lambda each: -each.response):
         if not any(_overlap(each, other) for other in accepted):
@@ -487,7 +487,7 @@ class _Recovery(NamedTuple):
 
 
 def _recovery(
-    found: LightResiduals, in_frames: Sequence[_Streaks], shapes: _Streaks, areas: _OpenAreas, cutoff: float,
+    found: LightResiduals, in_frames: Sequence[GaugedStreaks], shapes: GaugedStreaks, areas: _OpenAreas, cutoff: float,
     drop_light: float,
 ) -> _Recovery:  # fmt: skip
     """Add artificial streaks to each frame and count those that are found above the cutoff.
@@ -505,7 +505,7 @@ def _recovery(
         changed = values.copy()
         for each in added:
             each.draw(changed, found.background, drop_light)
-        after = _Streaks.of(changed, found)
+        after = GaugedStreaks.of(changed, found)
         is_open, width_px = areas.are_open(after.center_px, after.half_box_px), after.width_px(drop_light)
         ratio = after.slowness(drop_light)
         for each in added:
@@ -569,7 +569,7 @@ class _ArtificialStreak:
         alpha = np.minimum(self.light_px2 / profile.sum() * profile, 1.0)
         values[part] += (alpha * (drop_light - background[part] - values[part])).astype(np.float32)
 
-    def found_in(self, after: _Streaks, before: _Streaks) -> int | None:
+    def found_in(self, after: GaugedStreaks, before: GaugedStreaks) -> int | None:
         """Index of the streak that is found in its place; None if there is none, or a brighter one was there before."""
         if (at := _index_at(np.array([self.x, self.y]), self.box_px, after)) is None:
             return None
@@ -578,7 +578,7 @@ class _ArtificialStreak:
         return None if other is not None and before.light_px2[other] >= own else at
 
 
-def _index_at(center_px: Float64[np.ndarray, "2"], box_px: tuple[float, float], streaks: _Streaks) -> int | None:
+def _index_at(center_px: Float64[np.ndarray, "2"], box_px: tuple[float, float], streaks: GaugedStreaks) -> int | None:
     """Index of the streak with the nearest center, in units of half a box; None if it is not the same place."""
     if not len(streaks):
         return None
@@ -588,7 +588,7 @@ def _index_at(center_px: Float64[np.ndarray, "2"], box_px: tuple[float, float], 
 
 
 def _artificial(
-    random: np.random.Generator, shapes: _Streaks, areas: _OpenAreas, cutoff: float, drop_light: float
+    random: np.random.Generator, shapes: GaugedStreaks, areas: _OpenAreas, cutoff: float, drop_light: float
 ) -> list[_ArtificialStreak]:
     """Draw streaks that lie in the open and apart from each other."""
     width_px, fall_px = shapes.width_px(drop_light), shapes.sharp_fall_px(drop_light)

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.rain_gauge import _Streaks, light_residuals, measure_rain_rate
-from gsrain_engine.evaluation.real_rain import render_rain_frames
+from gsrain_engine.evaluation.photograph import render_rain_frames
+from gsrain_engine.evaluation.rain_gauge import GaugedStreaks, light_residuals, measure_rain_rate
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
@@ -77,7 +77,7 @@ def test_blur_of_the_lens_is_not_taken_as_length():
     frames = np.repeat(srgb_levels(0.02 + np.zeros_like(light))[None], 9, axis=0)
     frames[4] = srgb_levels(0.02 + blurred)
     found = light_residuals(frames)
-    streaks = _Streaks.of(found.values[4], found)
+    streaks = GaugedStreaks.of(found.values[4], found)
     assert len(streaks.fall_px) == 1
     assert streaks.light_px2[0] == pytest.approx(16, rel=0.1)
     assert 8 < streaks.across_px[0] < 14
