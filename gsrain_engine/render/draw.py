@@ -108,9 +108,9 @@ def draw_view(
             flooded_share(depth.film_mm), sky.drops, lit_lamps, standing,
             ring_waves(scene, rainfall, shot.camera, shot.time_s, shot.focal_px) if falls else None,
         )  # fmt: skip
-    if rain is not None and rainfall is not None and has_splashes(scene, rainfall, wetness):
-        rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
     if rain is not None and rainfall is not None:
+        if has_splashes(scene, rainfall, wetness):
+            rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
         spray = spray_of(scene, rainfall, shot.time_s)
         parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
     renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)

@@ -18,6 +18,7 @@ from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, faint, warn
+from ..widgets.text import visible_name
 
 logger = logging.getLogger("gsrain")
 
@@ -146,7 +147,7 @@ def _fill_bar(fraction: float, words: str) -> None:
     draw.add_rect_filled(low, high, background)
     draw.add_rect_filled(low, ImVec2(low.x + fraction * (high.x - low.x), high.y), bar)
     imgui.push_clip_rect(low, high, True)
-    draw.add_text(ImVec2(low.x + 0.4 * imgui.get_font_size(), low.y), text, words)
+    draw.add_text(ImVec2(low.x + 0.4 * imgui.get_font_size(), low.y), text, visible_name(words))
     imgui.pop_clip_rect()
 
 

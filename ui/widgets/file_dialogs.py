@@ -21,6 +21,7 @@ from gsrain_engine.scene.formats.registry import writable_suffixes
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE
 
 from .fields import keyframe_button_width, plain_label, square_button, warn
+from .text import label
 
 Answer = Callable[[list[Path]], None]
 
@@ -380,7 +381,7 @@ class FileBrowser:
         if self._used:
             imgui.separator_text("Recent")
         for n, folder in enumerate(self._used):
-            if imgui.selectable(f"{icon} {folder.name or folder}##{n}", folder == self._listing.folder)[0]:
+            if imgui.selectable(label(f"{icon} {folder.name or folder}", str(n)), folder == self._listing.folder)[0]:
                 self._enter(folder)
             imgui.set_item_tooltip(str(folder))
         imgui.separator()
@@ -427,7 +428,9 @@ class FileBrowser:
         imgui.table_next_column()
         flags = imgui.SelectableFlags_.span_all_columns | imgui.SelectableFlags_.allow_double_click
         flags |= imgui.SelectableFlags_.no_auto_close_popups
-        clicked, _ = imgui.selectable(f"{icon} {entry.name}##{n}", entry.name in self._chosen or n == self._line, flags)
+        clicked, _ = imgui.selectable(
+            label(f"{icon} {entry.name}", str(n)), entry.name in self._chosen or n == self._line, flags
+        )
         answer = None
         if clicked:
             self._choose(entry, n, adds=self._request.several and imgui.get_io().key_ctrl)
