@@ -68,7 +68,7 @@ class SplatModel:
         if self.sky is not None:  # only its colors are trained
             part = _ActivatedPart.of(self.sky, sh_degree)
             sky = render_gaussians(*_ActivatedPart(*(each.detach() for each in part))._replace(sh=part.sh), camera)
-        color = front.color if sky is None else front.color + (1 - front.alpha)[..., None] * sky.color
+        color = front.color if sky is None else torch.addcmul(front.color, (1 - front.alpha)[..., None], sky.color)
         return TrainingRender(color, front, slice(0, len(self.background)), rows, sky)
 
     @property

@@ -140,8 +140,9 @@ def test_targets_stay_on_the_device_up_to_a_bound_on_memory(device) -> None:
             for level in (0, 1):
                 found = cache.target(view, level)
                 expected = TargetCache(views, "cpu").target(view, level)
-                for mine, theirs in zip(found, expected, strict=True):
+                for mine, theirs in zip(found[:-1], expected[:-1], strict=True):
                     assert mine.tolist() == theirs.tolist()
+                assert found.pixels == expected.pixels == 32 * 22
     assert 0 < len(cache) < 4 and one.image.max() <= 1
 
 
