@@ -4,10 +4,10 @@ Autograd would start several small kernels for each operation and for its gradie
 than the GPU. Here a loss and its gradients are computed together, and share their intermediate results.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,52 +20,50 @@ from .targets import TrainingTarget
 
 torch: Any = import_module("torch")
 Tensor = Any
-Measured = tuple[Tensor, tuple[Tensor | None, ...]]
-"""A loss () and its gradients by some tensors; None where it does not depend on one."""
 
 _MIN_ALPHA = 0.05  # alpha below which depth is undefined
 
 
-class _Loss(torch.autograd.Function):
-    """Loss with gradients that were computed with it: by each of `inputs`, of which `measure` is a function."""
+class ViewLoss(NamedTuple):
+    """Loss of one view."""
 
-    @staticmethod
-    def forward(context: Any, measure: Callable[..., Measured], *inputs: Tensor) -> Tensor:
-        value, gradients = measure(*inputs)
-        context.save_for_backward(*gradients)
-        return value
+    value: Tensor
+    """() on the device."""
+    gradients: Sequence[tuple[Tensor, Tensor]]
+    """Each tensor that the loss depends on, and its gradient."""
 
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(context: Any, by_value: Tensor) -> tuple[Tensor | None, ...]:
-        return None, *(None if each is None else each * by_value for each in context.saved_tensors)
+    def backward(self, regularization: Tensor | None) -> None:
+        """Go back through everything that the loss and another term () depend on."""
+        pairs = [*self.gradients, *([(regularization, None)] if regularization is not None else [])]
+        tensors, gradients = zip(*pairs, strict=True)
+        torch.autograd.backward(tensors, gradients)
 
 
-def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Tensor:
+def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> ViewLoss:
     """Loss of one render against its target: the sum of color, depth and cover.
 
     Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `exposed`, the render with its camera's exposure. Depth
     is |d - m| / (d + m) of expected depth d and measured depth m: independent of scale, and bounded, since a beam that
     grazes an edge may be meters off. Cover is the missing alpha at measured surfaces, and the alpha in front of known
-    sky. Differentiable once.
+    sky.
     """
-    _check_sizes(exposed, truth.image, truth.mask, has_windows=settings.d_ssim > 0)
-    has_sky = picture.sky is not None
-
-    def measured(exposed: Tensor, alpha: Tensor, depth: Tensor) -> Measured:
+    alpha, depth = picture.front.alpha, picture.front.depth
+    by_alpha: Tensor | None = None
+    with torch.no_grad():
         value, by_color = _color(exposed, truth.image, truth.mask, settings.d_ssim)
-        by_alpha = by_depth = None
+        gradients = [(exposed, by_color)]
         if len(truth.hits) and (settings.depth or settings.cover):
-            more, by_alpha, by_depth = _surfaces(alpha, depth, truth, settings)
-            value = value + more
-        if truth.sky is not None and has_sky and settings.cover:
+            surfaces, by_alpha, by_depth = _surfaces(alpha, depth, truth, settings)
+            value = value + surfaces
+            gradients.append((depth, by_depth))
+        if truth.sky is not None and picture.sky is not None and settings.cover:
             sky = truth.sky if truth.mask is None else truth.sky & truth.mask
             share = sky * (settings.cover / sky.sum().clamp_min(1))
             value = value + (alpha * share).sum()
             by_alpha = share if by_alpha is None else by_alpha.add_(share)
-        return value, (by_color, by_alpha, by_depth)
-
-    return _Loss.apply(measured, exposed, picture.front.alpha, picture.front.depth)
+    if by_alpha is not None:
+        gradients.append((alpha, by_alpha))
+    return ViewLoss(value, gradients)
 
 
 def _surfaces(
@@ -98,8 +96,7 @@ def l1(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
 
     Differentiable once in `rendered`.
     """
-    _check_sizes(rendered, truth, mask, has_windows=False)
-    return _color_loss(rendered, truth, mask, 0.0)
+    return _ColorLoss.apply(rendered, truth, mask, 0.0)
 
 
 def d_ssim(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -109,53 +106,72 @@ def d_ssim(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tenso
     A term of 3DGS's loss (Kerbl et al. 2023, eq. 7). 0 if the mask is empty. Differentiable once in `rendered`. Raises
     ValueError for other shapes and for images smaller than the window (11 px).
     """
-    _check_sizes(rendered, truth, mask, has_windows=True)
-    return _color_loss(rendered, truth, mask, 1.0)
+    return _ColorLoss.apply(rendered, truth, mask, 1.0)
 
 
-def _check_sizes(rendered: Tensor, truth: Tensor, mask: Tensor | None, *, has_windows: bool) -> None:
-    check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
-    if has_windows and min(rendered.shape[:2]) < WINDOW_PX:
-        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {tuple(rendered.shape[:2])}")
+class _ColorLoss(torch.autograd.Function):
+    """Loss (1 - share) L1 + share D-SSIM for autograd."""
 
-
-def _color_loss(rendered: Tensor, truth: Tensor, mask: Tensor | None, share: float) -> Tensor:
-    def measured(rendered: Tensor) -> Measured:
+    @staticmethod
+    def forward(context: Any, rendered: Tensor, truth: Tensor, mask: Tensor | None, share: float) -> Tensor:
         value, gradient = _color(rendered, truth, mask, share)
-        return value, (gradient,)
+        context.save_for_backward(gradient)
+        return value
 
-    return _Loss.apply(measured, rendered)
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(context: Any, by_value: Tensor) -> tuple[Tensor | None, ...]:
+        return context.saved_tensors[0] * by_value, None, None, None
 
 
 def _color(rendered: Tensor, truth: Tensor, mask: Tensor | None, share: float) -> tuple[Tensor, Tensor]:
     """Loss (1 - share) L1 + share D-SSIM and its gradient (h, w, 3) by `rendered`."""
-    x, y = rendered.permute(2, 0, 1), truth.permute(2, 0, 1)
-    weights = None if mask is None else mask.to(x.dtype)
-    difference = x - y
-    if weights is not None:
+    check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
+    height, width = rendered.shape[:2]
+    if share and min(height, width) < WINDOW_PX:
+        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {(height, width)}")
+    x, y, dtype, device = rendered.permute(2, 0, 1), truth.permute(2, 0, 1), rendered.dtype, rendered.device
+    inner = max(height - _EDGE, 0) * max(width - _EDGE, 0)
+    difference, weights = x - y, None
+    if mask is None:
+        count: Any = inner
+        paces = _constants((1 - share) / (3 * height * width), 4 * share / (3 * max(inner, 1)), dtype, device)
+    else:
+        weights = mask.to(dtype)
         difference *= weights
-    pace: Any = (1 - share) / difference.numel() if weights is None else (1 - share) / (3 * weights.sum()).clamp_min(1)
-    value, gradient = difference.abs().sum() * pace, torch.sgn(difference).mul_(pace)
-    if share:
-        distance, slope = _structure(x, y, weights)
-        value, gradient = value + share * distance, gradient.add_(slope, alpha=share)
-    return value, gradient.permute(1, 2, 0)
+        count = weights[_INSIDE, _INSIDE].sum()
+        counts = torch.stack([weights.sum(), count]).clamp_min_(1)
+        paces = _constants((1 - share) / 3, 4 * share / 3, dtype, device) / counts
+    value = difference.abs().sum() * paces[0]
+    signs = torch.sgn(difference)
+    if not share:
+        return value, (signs * paces[0]).permute(1, 2, 0)
+    quarters, gradient = _structure(x, y, weights)
+    # D-SSIM is 1 - 4 / 3 of the mean of the sums of quarters, and 3 / 4 - 3 / 4 of them is 0 in an empty mask.
+    value.addcmul_(quarters - 0.75 * count, paces[1], value=-1)
+    gradient *= paces[1] if weights is None else weights * paces[1]
+    return value, gradient.addcmul_(signs, paces[0]).permute(1, 2, 0)
+
+
+@lru_cache(maxsize=64)
+def _constants(first: float, second: float, dtype: Any, device: Any) -> Tensor:
+    """Two numbers as a tensor on a device."""
+    return uploaded(np.array([first, second]), device).to(dtype)
 
 
 def _structure(x: Tensor, y: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
-    """D-SSIM of images (3, h, w) over the pixels of a mask of 0 and 1 (h, w), and its gradient by `x`.
+    """Sum of a quarter of SSIM over the pixels of a mask of 0 and 1 (h, w), and of its gradient by `x` with weight -1.
 
-    With window means a, b of both images, s of the sum of their squares and p of their product, SSIM is 4 (ab + C1 / 2)
-    (p - ab + C2 / 2) / ((aa + bb + C1) (s - aa - bb + C2)). Only the sum of both variances is needed, which saves one
-    filter pass. Derivatives by a, s and p are spread over the windows again: SSIM's is symmetric.
+    With window means a, b of images (3, h, w), s of the sum of their squares and p of their product, SSIM is 4 (ab + C1
+    / 2) (p - ab + C2 / 2) / ((aa + bb + C1) (s - aa - bb + C2)). Only the sum of both variances is needed, which saves
+    one filter pass. Derivatives by a, s and p are spread over the windows again: SSIM's is symmetric.
     """
     own, other = (x, y) if weights is None else (x * weights, y * weights)
     products = [own, other, torch.addcmul(own * x, other, y), own * y]
-    means = window_means(torch.cat(products if weights is None else [*products, weights[None]]))
+    means, cover = window_means(torch.cat(products if weights is None else [*products, weights[None]])), None
     size = means.shape[1:]
-    cover, inside = None, None
     if weights is not None:
-        cover, inside = means[12:].clamp_min_(MIN_WEIGHT), weights[_INSIDE, _INSIDE]
+        cover = means[12:].clamp_min_(MIN_WEIGHT)
         means = means[:12].div_(cover)
     a, b, squares, product = means.view(4, 3, *size)
     crossed, both = a * b, torch.addcmul(a * a, b, b)
@@ -163,21 +179,13 @@ def _structure(x: Tensor, y: Tensor, weights: Tensor | None) -> tuple[Tensor, Te
         [crossed + C1 / 2, (squares - both).add_(C2), (product - crossed).add_(C2 / 2), both.add_(C1)]
     )
     quarter = (factors[0] * factors[2]).div_(factors[1] * factors[3])
-    if inside is None:
-        pace: Any = 4 / quarter.numel()
-        value = 1 - pace * quarter.sum()
-    else:
-        quarter *= inside
-        count = inside.sum()
-        pace = 4 / (3 * count).clamp_min(1)
-        value = pace * (0.75 * count - quarter.sum())
+    if weights is not None:
+        quarter *= weights[_INSIDE, _INSIDE]
     slopes = quarter / factors
-    by_mean = (b * slopes[2].sub(slopes[0])).addcmul_(a, slopes[3] - slopes[1], value=2)
-    slopes[0] = by_mean
-    spread = slopes[:3] if cover is None else slopes[:3].div_(cover)
-    by_mean, by_squares, by_product = spread_over_windows(spread.view(9, *size)).view(3, *x.shape)
-    gradient = by_mean.addcmul_(x, by_squares, value=2).addcmul_(y, by_product, value=-1).mul_(pace)
-    return value, gradient if weights is None else gradient.mul_(weights)
+    slopes[0] = (slopes[2] - slopes[0]).mul_(b).addcmul_(a, slopes[3] - slopes[1], value=2)
+    by_windows = slopes[:3] if cover is None else slopes[:3].div_(cover)
+    by_mean, by_squares, by_product = spread_over_windows(by_windows.view(9, *size)).view(3, *x.shape)
+    return quarter.sum(), by_mean.addcmul_(x, by_squares, value=2).addcmul_(y, by_product, value=-1)
 
 
 _INSIDE = slice(HALF_WINDOW_PX, -HALF_WINDOW_PX)

@@ -81,12 +81,10 @@ class Trainer:
         exposed = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
         if self.schedule.leaves_out(number):
             truth = truth._replace(mask=robust_mask(exposed.detach(), truth, settings.transients))
-        loss = total = view_loss(picture, exposed, truth, settings)
+        loss = view_loss(picture, exposed, truth, settings)
         regularization = self._control.regularization(self.model.background)
-        if regularization is not None:
-            total = total + regularization
         clock.stop("forward")
-        total.backward()
+        loss.backward(regularization)
         clock.stop("backward")
         self._control.observe(number, picture.front, picture.background_rows)
         self._move(number, picture, everything=regularization is not None)
@@ -97,7 +95,7 @@ class Trainer:
             cleared = clear_free_space(number, settings.steps, self.model.background, self._free)
             change = ", ".join(filter(None, (change, cleared))) or None
         clock.stop("density")
-        return TrainingStepResult(loss.detach(), change, exposed.detach(), truth.image)
+        return TrainingStepResult(loss.value, change, exposed.detach(), truth.image)
 
     def losses(self, results: Sequence[Tensor]) -> list[float]:
         """Read the losses of the steps since the last call at once; waits until those steps are done."""
@@ -212,6 +210,7 @@ class ExposureAffine:
         self.changes = torch.zeros((count, 3, 4), device=device, requires_grad=True)
         """(count, 3, 4): added to the identity."""
         self._identity = torch.eye(3, 4, device=device)
+        self._everyone = torch.ones(count, dtype=torch.bool, device=device)
         self._first, self._second = torch.zeros((2, count, 3, 4), device=device).unbind()
         self._pull, self._steps = pull, 0
 
@@ -226,8 +225,9 @@ class ExposureAffine:
             return
         self._steps += 1
         with torch.no_grad():
-            move = foreach_adam_step if self.changes.device.type == "cpu" else fused_adam_step
-            move([(self.changes, slope, self._first, self._second)], None, [AdamStep.of(rate, self._steps)])
+            move = fused_adam_step if self.changes.is_cuda else foreach_adam_step
+            four = (self.changes, slope, self._first, self._second)
+            move([four], self._everyone, [AdamStep.of(rate, self._steps)])
             self.changes -= self.changes.mean(dim=0, keepdim=True)
         self.changes.grad = None
 

@@ -102,7 +102,8 @@ class DefaultStrategy(Strategy):
         if len(self._notes.get("count", ())) != len(drawn):
             zeros = torch.zeros((3, len(drawn)), device=drawn.device)
             self._notes = dict(zip(("pull", "count", "radius"), zeros.unbind(), strict=True))
-        self._notes = {name: each.to(drawn.device) for name, each in self._notes.items()}
+        if self._notes["count"].device != drawn.device:  # restored
+            self._notes = {name: each.to(drawn.device) for name, each in self._notes.items()}
         half = 0.5 * float(np.sqrt(width * height))
         self._notes["pull"].add_(rendered.footprint.screen_gradients[rows], alpha=half)  # 0 where not drawn
         self._notes["count"] += drawn

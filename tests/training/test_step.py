@@ -87,7 +87,28 @@ def test_holes_before_a_surface_and_veils_before_the_sky_cost_and_so_does_wrong_
         settings = TrainingSettings(d_ssim=0.0, depth=weights[0], cover=weights[1])
         alpha = torch.cat([torch.full((10, 20), above), torch.full((10, 20), below)])
         loss = view_loss(flat_picture(alpha, distance * alpha), black, truth, settings)
-        assert float(loss) == pytest.approx(cost, rel=1e-4, abs=1e-6)
+        assert float(loss.value) == pytest.approx(cost, rel=1e-4, abs=1e-6)
+
+
+def test_gradients_of_depth_and_cover_are_those_of_finite_differences():
+    r, step, settings = np.random.default_rng(3), 1e-6, TrainingSettings(depth=0.7, cover=0.3)
+    depth, sky, mask = np.zeros(SHAPE, np.float32), np.zeros(SHAPE, bool), r.random(SHAPE) > 0.2
+    depth[5:], sky[:8] = np.where(r.random((15, 20)) > 0.4, 3, 0), True
+    level = PyramidLevel(CAMERA, r.integers(0, 255, (*SHAPE, 3), np.uint8), mask, depth, sky)
+    truth = TrainingTarget.of(level, "cpu")
+    truth = truth._replace(image=truth.image.double(), depths=truth.depths.double())
+    alpha, color = torch.tensor(r.random(SHAPE)), torch.tensor(r.random((*SHAPE, 3)))
+    values = [color, alpha, alpha * torch.tensor(r.uniform(1, 5, SHAPE))]
+    turns = [torch.tensor(r.normal(size=tuple(each.shape))) for each in values]
+
+    def loss(offset):
+        color, alpha, depth = (value + offset * turn for value, turn in zip(values, turns, strict=True))
+        return view_loss(flat_picture(alpha, depth), color, truth, settings)
+
+    picture = flat_picture(*values[1:])
+    found = {id(each): gradient for each, gradient in view_loss(picture, values[0], truth, settings).gradients}
+    slope = sum(float((found[id(value)] * turn).sum()) for value, turn in zip(values, turns, strict=True))
+    assert slope == pytest.approx(float(loss(step).value - loss(-step).value) / (2 * step), rel=1e-5)
 
 
 # Transient objects, which other images of the training contradict

@@ -244,7 +244,7 @@ def render_with_gsplat(
         directions = means - eye if degree else means.detach()
         colors = gsplat.spherical_harmonics(degree, directions, colors, masks=sound) + 0.5
     images, alphas, found = gsplat.rasterization(
-        means=means, quats=quaternions, scales=scales, opacities=torch.where(sound, opacities, 0),
+        means=means, quats=quaternions, scales=scales, opacities=torch.where(sound, opacities, _nothing(means.device)),
         colors=torch.relu(colors), viewmats=pose, packed=False, render_mode="RGB+D", **arguments,
     )  # fmt: skip
     if found["means2d"].requires_grad:
@@ -258,6 +258,12 @@ def _uploaded_view(camera: Camera, device: Any) -> tuple[Tensor, Tensor, dict[st
     """Pose (1, 4, 4) and position (3,) of a camera, and gsplat's other arguments: uploaded at a camera's first use."""
     pose = uploaded(camera.world_to_camera[None].astype(np.float32), device)
     return pose, uploaded(camera.position.astype(np.float32), device), view_arguments(camera, device)
+
+
+@lru_cache(maxsize=8)
+def _nothing(device: Any) -> Tensor:
+    """() 0: a number of Python would be uploaded at each use in `torch.where`."""
+    return torch.zeros((), dtype=torch.float32, device=device)
 
 
 def _sound(*values: Tensor) -> Tensor:
@@ -289,7 +295,7 @@ class _GsplatFootprint(Footprint):
         a, b, c = self._conics[0].unbind(-1)
         double = torch.hypot(a - c, b + b).add_(a).add_(c)  # twice the larger eigenvalue of a conic
         variances = double.div_(torch.addcmul(a * c, b, b, value=-1))  # twice that of the covariance
-        return torch.where(self.drawn, variances.sqrt_().mul_(4.5**0.5), 0.0)
+        return torch.where(self.drawn, variances.sqrt_().mul_(4.5**0.5), _nothing(a.device))
 
     @property
     def screen_gradients(self) -> Tensor:
