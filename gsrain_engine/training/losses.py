@@ -245,19 +245,23 @@ def robust_mask(exposed: Tensor, truth: TrainingTarget, max_share: float) -> Ten
     """
     with torch.no_grad():
         difference = (exposed - truth.image).abs_().mean(dim=2)
-        reach = max(round(_WINDOW * truth.image.shape[1] / 2), 1)
-        pool, side = torch.nn.functional.avg_pool2d, 2 * reach + 1
         if truth.mask is None:
-            mean = pool(difference[None], side, 1, reach, count_include_pad=False)[0]
-            ordered = mean
+            mean = ordered = _patch_means(difference[None])[0]
         else:
-            both = torch.stack([difference * truth.mask, truth.mask.to(difference.dtype)])
-            mean, part = pool(both[None], side, 1, reach)[0]
-            mean = mean / part.clamp_min(1e-6)
+            counts = truth.mask.to(difference.dtype)
+            mean, part = _patch_means(torch.stack([difference * counts, counts]))
+            mean /= part.clamp_min_(1e-6)
             ordered = torch.where(truth.mask, mean, torch.inf)  # pixels that don't count come last
         ordered = ordered.reshape(-1).sort().values
-        last = truth.pixels - 1
-        bound, median = (ordered[max(each, 0)] for each in (min(int((1 - max_share) * truth.pixels), last),
-                                                             truth.pixels // 2))  # fmt: skip
-        fits = mean <= torch.maximum(bound, (_TIMES * median).clamp_min(_THRESHOLDS))
+        rank = min(int((1 - max_share) * truth.pixels), truth.pixels - 1)
+        bound, median = ordered[max(rank, 0)], ordered[truth.pixels // 2]
+        fits = mean <= torch.maximum(bound, (_TIMES * median).clamp_min_(_THRESHOLDS))
         return fits if truth.mask is None else fits & truth.mask
+
+
+def _patch_means(planes: Tensor) -> Tensor:
+    """Means of planes (c, h, w) around each pixel, over the part of a square that is in the image."""
+    reach = max(round(_WINDOW * planes.shape[2] / 2), 1)
+    side, pool = 2 * reach + 1, torch.nn.functional.avg_pool2d
+    columns = pool(planes, (side, 1), 1, (reach, 0), count_include_pad=False)
+    return pool(columns, (1, side), 1, (0, reach), count_include_pad=False)
