@@ -1,7 +1,7 @@
-// A pass of the radix sort looks at DIGIT_BITS bits of each key; a workgroup of 256 threads takes 4096 keys, in 16 rounds.
+// A pass of the radix sort looks at DIGIT_BITS bits of each key; a workgroup of 256 threads takes 2048 keys, in 8 rounds.
 // Count, then scan, then scatter: no workgroup waits for another, so it runs on every OpenGL 4.3.
 
-const uint DIGIT_BITS = 7u, DIGITS = 1u << DIGIT_BITS, ROUNDS = 16u, KEYS_BY_GROUP = 256u * ROUNDS;
+const uint DIGIT_BITS = 7u, DIGITS = 1u << DIGIT_BITS, ROUNDS = 8u, KEYS_BY_GROUP = 256u * ROUNDS;
 
 layout(local_size_x = 256) in;
 

@@ -32,7 +32,7 @@ from ..renderer import (
 from .buffers import LONGEST_DISPATCH, GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
 from .projection import ProjectionPass, medium_uniforms
-from .shaders import GpuTimers, Switches, load_compute_shader, load_program, set_uniforms
+from .shaders import GpuTimers, Switches, load_compute_shader, load_program
 from .sort import SLOTS, CpuSort, RadixSort, count_in
 from .tiles import TileRasterizer
 
@@ -498,7 +498,7 @@ class _ByteReader:
         self._words.reserve(12 * fours)
         self._words.bind(0)
         picture.use(0)
-        set_uniforms(self._shader, picture=0, size=picture.size, background=request.background)
+        self._shader.set(picture=0, size=picture.size, background=request.background)
         groups = -(-fours // 256)
         self._shader.run(min(groups, LONGEST_DISPATCH), -(-groups // LONGEST_DISPATCH))
         self._context.memory_barrier()

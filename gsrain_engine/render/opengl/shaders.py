@@ -35,13 +35,33 @@ def load_program(context: moderngl.Context, *names: str, switches: Switches | No
         raise ShaderError(source.explain(str(error))) from None
 
 
+class ComputeShader:
+    """Compiled compute shader; writes only the uniforms that changed, since a GPU waits for each call of a frame."""
+
+    def __init__(self, shader: moderngl.ComputeShader) -> None:
+        self._shader = shader
+        self._written: dict[str, Any] = {}
+
+    def run(self, *groups: int) -> None:
+        self._shader.run(*groups)
+
+    def run_indirect(self, work: moderngl.Buffer, offset: int) -> None:
+        self._shader.run_indirect(work, offset)
+
+    def set(self, **values: Any) -> None:
+        """Set uniforms to numbers or tuples."""
+        for name, value in values.items():
+            if self._written.get(name) != value:
+                self._shader[name] = self._written[name] = value
+
+
 def load_compute_shader(
     context: moderngl.Context, name: str, switches: Switches | None = None
-) -> moderngl.ComputeShader:
+) -> ComputeShader:
     """Compile a compute shader (`name.comp`) of the folder `shaders`."""
     source = ShaderSource(name, switches or {})
     try:
-        return context.compute_shader(source.text)
+        return ComputeShader(context.compute_shader(source.text))
     except moderngl.Error as error:
         raise ShaderError(source.explain(str(error))) from None
 
@@ -51,18 +71,13 @@ class ShaderVariants:
 
     def __init__(self, context: moderngl.Context, name: str) -> None:
         self._context, self._name = context, name
-        self._compiled: dict[tuple[tuple[str, int], ...], moderngl.ComputeShader] = {}
+        self._compiled: dict[tuple[tuple[str, int], ...], ComputeShader] = {}
 
-    def __call__(self, switches: Switches) -> moderngl.ComputeShader:
+    def __call__(self, switches: Switches) -> ComputeShader:
         key = tuple(switches.items())
         if key not in self._compiled:
             self._compiled[key] = load_compute_shader(self._context, self._name, switches)
         return self._compiled[key]
-
-
-def set_uniforms(shader: moderngl.ComputeShader, **values: Any) -> None:
-    for name, value in values.items():
-        shader[name] = value
 
 
 class ShaderSource:

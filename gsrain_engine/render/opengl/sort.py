@@ -9,11 +9,11 @@ from jaxtyping import UInt32
 from ..cpu.projection import NEAR_M
 from .buffers import COUNT_OFFSET, GROUPS_OFFSET, TOTAL_OFFSET, WORK_BYTES, GrowableBuffer
 from .context import is_software
-from .shaders import load_compute_shader, set_uniforms
+from .shaders import load_compute_shader
 
 KEY_BITS = 28
 DIGIT_BITS = 7  # as in common_radix.glsl and radix_scan.comp
-KEYS_BY_GROUP = 4096  # keys per workgroup; as in common_radix.glsl
+KEYS_BY_GROUP = 2048  # keys per workgroup; as in common_radix.glsl
 KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7  # storage bindings of the shaders
 _TOTALS = 5
 
@@ -31,9 +31,11 @@ class RadixSort:
 
     def __init__(self, context: moderngl.Context, max_bytes: int | None = None) -> None:
         self._context = context
-        self._count, self._scan = (load_compute_shader(context, f"radix_{name}.comp") for name in ("count", "scan"))
-        scatter = "radix_scatter_subgroups.comp" if has_subgroups_of_32(context) else "radix_scatter.comp"
-        self._scatter = load_compute_shader(context, scatter)
+        variant = "_subgroups" if has_subgroups_of_32(context) else ""
+        self._count, self._scatter = (
+            load_compute_shader(context, f"radix_{name}{variant}.comp") for name in ("count", "scatter")
+        )
+        self._scan = load_compute_shader(context, "radix_scan.comp")
         self._max_bytes = max_bytes
         self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
         self._counts = GrowableBuffer(context)
@@ -66,8 +68,9 @@ class RadixSort:
         for shift in range(0, key_bits, DIGIT_BITS):
             for binding, buffer in zip((KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS), (*here, *there), strict=True):
                 buffer.bind(binding)
-            self._count["shift"] = self._scatter["shift"] = shift
-            self._count["turn"] = self._scan["turn"] = self._turn
+            self._count.set(shift=shift, turn=self._turn)
+            self._scan.set(turn=self._turn)
+            self._scatter.set(shift=shift)
             self._count.run_indirect(work, GROUPS_OFFSET)
             self._context.memory_barrier()
             self._scan.run(1 << DIGIT_BITS)
@@ -82,18 +85,21 @@ class RadixSort:
 _SUBGROUPS_OF_32 = """#version 430
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x = 256) in;
 layout(std430, binding = 0) buffer Result { uint result[]; };
 void main() {
     uint thread = gl_LocalInvocationIndex, whole = subgroupBallot(true).x;
     bool fits = gl_SubgroupSize == 32u && gl_SubgroupID == thread / 32u && gl_SubgroupInvocationID == thread % 32u;
-    if (fits && whole == 0xFFFFFFFFu) atomicAdd(result[0], 1u);
+    bool works = subgroupShuffle(thread, 5u) % 32u == 5u && subgroupInclusiveAdd(1u) == thread % 32u + 1u;
+    if (fits && works && whole == 0xFFFFFFFFu) atomicAdd(result[0], 1u);
 }
 """
 
 
 def has_subgroups_of_32(context: moderngl.Context) -> bool:
-    """Return whether a workgroup's threads run in subgroups of 32, in their order, which can ballot."""
+    """Return whether a workgroup's threads run in subgroups of 32, in their order, which can exchange numbers."""
     if is_software(context) or "GL_KHR_shader_subgroup" not in context.extensions:
         return False
     try:
@@ -237,8 +243,7 @@ class PrefixSum:
         and the number of blocks for each 256 of them: all other blocks are empty.
         """
         found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
-        set_uniforms(
-            self._shader, blocks=blocks, fixed_blocks=fixed, found_copies=copies, by_group=by_group,
+        self._shader.set(blocks=blocks, fixed_blocks=fixed, found_copies=copies, by_group=by_group,
             max_elements=max_elements,
         )  # fmt: skip
         for binding, buffer in ((_COUNTS, counts), (_FOUND_WORK, found_work), (_WORK, work)):

@@ -18,7 +18,7 @@ from .buffers import (
     GrowableBuffer,
     ProjectedSplatBuffer,
 )
-from .shaders import GpuTimers, ShaderVariants, Switches, load_compute_shader, set_uniforms
+from .shaders import ComputeShader, GpuTimers, ShaderVariants, Switches, load_compute_shader
 from .sort import KEYS, KEYS_BY_GROUP, WORK, PrefixSum, RadixSort, total_in
 
 _ORDER, _SLOTS, _COUNTS, _BLOCK_COUNTS, _PAIRS = 1, 2, 4, 5, 6  # storage bindings
@@ -182,7 +182,7 @@ class TileRasterizer:
         slots.bind_to_storage_buffer(_SLOTS)
         self._starts.bind(_COUNTS)
         self._work.bind_to_storage_buffer(WORK)
-        self._ranges["tile_count"] = tile_count
+        self._ranges.set(tile_count=tile_count)
         self._ranges.run(-(-(tile_count + 1) // SLOTS_BY_BLOCK))
         self._context.memory_barrier()
 
@@ -195,8 +195,7 @@ class TileRasterizer:
         lights: Mapping[str, Any],
     ) -> None:
         shader = self._with_tiles(self._blend(switches), strip)
-        shader["image_size"] = self._size
-        set_uniforms(shader, **lights)
+        shader.set(image_size=self._size, **lights)
         store.bind_records()
         self._starts.bind(_COUNTS)
         picture, depths, lamp_lights = image
@@ -208,6 +207,6 @@ class TileRasterizer:
         shader.run(self._tiles[0], len(strip))
         self._context.memory_barrier()
 
-    def _with_tiles(self, shader: moderngl.ComputeShader, strip: range) -> moderngl.ComputeShader:
-        set_uniforms(shader, tiles=(self._tiles[0], len(strip)), first_row=strip.start)
+    def _with_tiles(self, shader: ComputeShader, strip: range) -> ComputeShader:
+        shader.set(tiles=(self._tiles[0], len(strip)), first_row=strip.start)
         return shader
