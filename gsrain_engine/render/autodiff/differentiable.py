@@ -37,12 +37,12 @@ class Footprint:
         self.gradients: Tensor | None = None
         """(n,) set by the backward pass."""
 
-    @property
+    @cached_property
     def radii_px(self) -> Tensor:
         """(n,) three standard deviations of the longer axis in px; 0 where not drawn."""
         return self._radii_px
 
-    @property
+    @cached_property
     def drawn(self) -> Tensor:
         """(n,) bool: Gaussians drawn in the image."""
         return self.radii_px > 0
