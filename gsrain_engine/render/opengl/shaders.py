@@ -55,7 +55,9 @@ class ComputeShader:
                 self._shader[name] = self._written[name] = value
 
 
-def load_compute_shader(context: moderngl.Context, name: str, switches: Switches | None = None) -> ComputeShader:
+def load_compute_shader(
+    context: moderngl.Context, name: str, switches: Switches | None = None
+) -> ComputeShader:
     """Compile a compute shader (`name.comp`) of the folder `shaders`."""
     source = ShaderSource(name, switches or {})
     try:
