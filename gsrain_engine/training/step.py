@@ -60,7 +60,7 @@ class Trainer:
         self.is_asynchronous = device != "cpu"
         """True if steps are queued on a GPU, where reading a loss waits for all of them."""
         self._clock = (_EventClock if self.is_asynchronous else _StageClock)(self.seconds_by_stage)
-        self._control, self._device = control, device
+        self._control = control
         self._free = DeviceFreeSpace(free, device) if free is not None and self.is_asynchronous else free
         self._targets = TargetCache(views, device)
         settings = schedule.settings
