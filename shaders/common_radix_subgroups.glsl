@@ -9,7 +9,7 @@
 const uint SUBGROUPS = 8u, STRIDE = DIGITS + 1u;  // one more: rows start in different banks of memory
 
 uint first_key() {
-    return gl_WorkGroupID.x * KEYS_BY_GROUP + (gl_LocalInvocationIndex >> 5) * 32u * ROUNDS + (gl_LocalInvocationIndex & 31u);
+    return group() * KEYS_BY_GROUP + (gl_LocalInvocationIndex >> 5) * 32u * ROUNDS + (gl_LocalInvocationIndex & 31u);
 }
 
 // Counts one key of each thread. Returns how many keys of the same digit the subgroup had before this one.
@@ -22,7 +22,7 @@ uint tally_key(uint key, bool held, inout uvec2 tally) {
     }
     for (uint b = 0u; b < 5u; ++b) mine &= ballots[b] ^ (((lane >> b) & 1u) - 1u);
     uint by_lane_x = subgroupShuffle(tally.x, digit & 31u), by_lane_y = subgroupShuffle(tally.y, digit & 31u);
-    uint before = bitfieldExtract((digit & 64u) != 0u ? by_lane_y : by_lane_x, int(digit & 32u) >> 1, 16);
+    uint before = (((digit & 64u) != 0u ? by_lane_y : by_lane_x) >> ((digit & 32u) >> 1)) & 0xFFFFu;
     uint high = mine & ballots[6], low = mine & ~ballots[6];
     tally.x += uint(bitCount(low & ~ballots[5])) | uint(bitCount(low & ballots[5])) << 16;
     tally.y += uint(bitCount(high & ~ballots[5])) | uint(bitCount(high & ballots[5])) << 16;

@@ -14,6 +14,7 @@ layout(std430, binding = 5) buffer Totals { uint totals[]; };            // digi
 uniform uint turn;  // which of the two
 
 void main() {
+    if (group() >= groups()) return;
     uint thread = gl_LocalInvocationIndex, first = first_key(), key[ROUNDS];
     for (uint r = 0u; r < ROUNDS; ++r) key[r] = first + r * 32u < key_count ? keys[first + r * 32u] : 0u;
     uvec2 tally = uvec2(0u);
@@ -23,7 +24,7 @@ void main() {
     if (thread < DIGITS) {
         uint sum = 0u;
         for (uint k = 0u; k < SUBGROUPS; ++k) sum += place[k * STRIDE + thread];
-        counts[thread * groups + gl_WorkGroupID.x] = sum;
+        counts[thread * groups() + group()] = sum;
         atomicAdd(totals[turn * DIGITS + thread], sum);
     }
 }

@@ -20,6 +20,7 @@ shared uint ordered_keys[KEYS_BY_GROUP];
 shared uint ordered_slots[KEYS_BY_GROUP];
 
 void main() {
+    if (group() >= groups()) return;
     uint thread = gl_LocalInvocationIndex, row = (thread >> 5) * STRIDE, first = first_key();
     uint key[ROUNDS], slot[ROUNDS], rank[ROUNDS];
     for (uint r = 0u; r < ROUNDS; ++r) {
@@ -27,7 +28,7 @@ void main() {
         key[r] = at < key_count ? keys[at] : 0u;
         slot[r] = at < key_count ? slots[at] : 0u;
     }
-    uint to = thread < DIGITS ? places[thread * groups + gl_WorkGroupID.x] : 0u;
+    uint to = thread < DIGITS ? places[thread * groups() + group()] : 0u;
     uvec2 tally = uvec2(0u);
     for (uint r = 0u; r < ROUNDS; ++r) rank[r] = tally_key(key[r], first + r * 32u < key_count, tally);
     share_tally(tally);
@@ -56,7 +57,7 @@ void main() {
         }
     }
     barrier();
-    uint count = min(KEYS_BY_GROUP, key_count - gl_WorkGroupID.x * KEYS_BY_GROUP);
+    uint count = min(KEYS_BY_GROUP, key_count - group() * KEYS_BY_GROUP);
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint at = r * 256u + thread;
         if (at < count) {

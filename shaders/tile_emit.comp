@@ -68,7 +68,8 @@ void main() {
         }
         while (row < rows.y && at - passed >= columns.y - columns.x) {
             passed += columns.y - columns.x;
-            columns = columns_of(e, ++row);
+            row += 1u;
+            columns = columns_of(e, row);
         }
         // No tile where the driver rounds otherwise than when it counted.
         keys[first + at] = row < rows.y ? row * tiles.x + columns.x + at - passed : tiles.x * tiles.y;

@@ -14,10 +14,10 @@ from ...scene.scene import DrawItem
 from ..cpu.projection import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
-from .buffers import CHUNK, LONGEST_DISPATCH, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
+from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
 from .shaders import ComputeShader, ShaderVariants, load_compute_shader
-from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, PrefixSum, RadixSort
+from .sort import KEYS, SLOTS, CpuSort, PrefixSum, RadixSort
 
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
@@ -93,12 +93,12 @@ class ProjectionPass:
         blocks = slots.all // SLOTS_BY_BLOCK
         sort.reserve(max(slots.all, 1))
         found = (self.drops.work, slots.fixed // SLOTS_BY_BLOCK, slots.copies) if slots.copies else None
-        self._scan.run(store.counts.buffer, store.work, blocks, by_group=KEYS_BY_GROUP, found=found)
+        self._scan.run(store.counts.buffer, store.work, blocks, found=found)
         store.bind()
         for binding, buffer in zip((KEYS, SLOTS), sort.unsorted, strict=True):
             buffer.bind_to_storage_buffer(binding)
         self._gather.set(blocks=blocks)
-        self._gather.run(min(blocks, LONGEST_DISPATCH), -(-blocks // LONGEST_DISPATCH))
+        self._gather.run_all(blocks)
         self._context.memory_barrier()
 
     def _dispatch(self, shader: ComputeShader, part: DrawItem, camera: Camera, first: int) -> None:

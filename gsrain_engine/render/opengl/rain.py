@@ -9,7 +9,7 @@ from ...rain.frame import RainFrame
 from ...rain.properties import CLASSES
 from ...rain.shelter_map import ShelterMap
 from ..cpu.projection import NEAR_M
-from .buffers import GROUPS_OFFSET, SLOTS_BY_BLOCK, WORK_BYTES, GrowableBuffer, ProjectedSplatBuffer
+from .buffers import SLOTS_BY_BLOCK, WORK_BYTES, GrowableBuffer, ProjectedSplatBuffer
 from .lamps import LampTextures
 from .shaders import ComputeShader, ShaderVariants
 from .sort import PrefixSum, count_in
@@ -31,7 +31,7 @@ class RainPass:
         self._class_arrays: tuple[Shaped[np.ndarray, "classes ..."], ...] = ()
         self._masks_by_class = 1
         self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
-        """Number of found drops and the indirect dispatch; see `WORK_BYTES`."""
+        """Number of found drops; see `WORK_BYTES`."""
 
     def find(self, field: RainFrame) -> None:
         """Find the drops that may be visible to the camera."""
@@ -50,7 +50,7 @@ class RainPass:
             self._set_roofs(shader, field, field.roofs)
         shader.run(masks // 256)
         self._context.memory_barrier()
-        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, max_elements=field.max_drops)
+        self._scan.run(self._counts.buffer, self.work, masks, max_elements=field.max_drops)
 
     def project(self, store: ProjectedSplatBuffer, field: RainFrame, first_slot: int) -> None:
         """Turn the found drops into streaks and write the visible ones."""
@@ -73,7 +73,7 @@ class RainPass:
         store.bind()
         self._bind(_PLACES)
         self.work.bind_to_storage_buffer(_FOUND_WORK)
-        shader.run_indirect(self.work, GROUPS_OFFSET)
+        shader.run(-(-field.max_drops // SLOTS_BY_BLOCK))
 
     def found_count(self) -> int:
         """Number of drops found last; waits for the GPU."""
@@ -107,10 +107,8 @@ class RainPass:
         """Upload what has moved; and the constants of the classes, if they changed."""
         words = moved_words(field)
         self._moved.reserve(words.nbytes).write(words)
-        culling = field.culling
-        arrays = (
-            culling.class_far_m, culling.class_margin_m, field.diameters_mm, field.fall_speed_m_s, field.where.air.by_class
-        )  # fmt: skip
+        far_m, margin_m, air = field.culling.class_far_m, field.culling.class_margin_m, field.where.air
+        arrays = far_m, margin_m, field.diameters_mm, field.fall_speed_m_s, air.by_class
         if not (self._class_arrays and all(map(np.array_equal, arrays, self._class_arrays))):
             rows = class_rows(field)
             self._classes.reserve(rows.nbytes).write(rows)

@@ -12,6 +12,9 @@ import moderngl
 from ...presets import shipped_folder
 from .context import is_software
 
+_LONGEST_DISPATCH = 1 << 15
+"""Workgroups along one axis, half of the limit guaranteed by OpenGL."""
+
 _INCLUDE = re.compile(r'^\s*#include "(\w+\.glsl)"\s*$')
 
 # Mesa "0:7(3): error", NVIDIA "0(7) : error", others "ERROR: 0:7: ...".
@@ -42,11 +45,17 @@ class ComputeShader:
         self._shader = shader
         self._written: dict[str, Any] = {}
 
-    def run(self, *groups: int) -> None:
-        self._shader.run(*groups)
+    def run(self, columns: int = 1, rows: int = 1) -> None:
+        """Run a number of workgroups."""
+        self._shader.run(columns, rows)
 
-    def run_indirect(self, work: moderngl.Buffer, offset: int) -> None:
-        self._shader.run_indirect(work, offset)
+    def run_all(self, groups: int) -> None:
+        """Run any number of workgroups, over two axes: gl_WorkGroupID.x + gl_WorkGroupID.y * gl_NumWorkGroups.x.
+
+        Where only the GPU knows how many are needed, more are run, which return at once: NVIDIA's driver takes 40 us
+        for an indirect dispatch.
+        """
+        self._shader.run(min(groups, _LONGEST_DISPATCH), -(-groups // _LONGEST_DISPATCH))
 
     def set(self, **values: Any) -> None:
         """Set uniforms to numbers or tuples."""
@@ -55,9 +64,7 @@ class ComputeShader:
                 self._shader[name] = self._written[name] = value
 
 
-def load_compute_shader(
-    context: moderngl.Context, name: str, switches: Switches | None = None
-) -> ComputeShader:
+def load_compute_shader(context: moderngl.Context, name: str, switches: Switches | None = None) -> ComputeShader:
     """Compile a compute shader (`name.comp`) of the folder `shaders`."""
     source = ShaderSource(name, switches or {})
     try:

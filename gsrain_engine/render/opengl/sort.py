@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import UInt32
 
 from ..cpu.projection import NEAR_M
-from .buffers import COUNT_OFFSET, GROUPS_OFFSET, TOTAL_OFFSET, WORK_BYTES, GrowableBuffer
+from .buffers import COUNT_OFFSET, TOTAL_OFFSET, WORK_BYTES, GrowableBuffer
 from .context import is_software
 from .shaders import load_compute_shader
 
@@ -40,6 +40,7 @@ class RadixSort:
         self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
         self._counts = GrowableBuffer(context)
         self._totals = context.buffer(np.zeros(2 << DIGIT_BITS, np.uint32))
+        self._groups = 0
         self._turn = 0
 
     def reserve(self, capacity: int) -> None:
@@ -47,7 +48,8 @@ class RadixSort:
         for pair in self._pairs:
             for buffer in pair:
                 buffer.reserve(4 * capacity, at_most=self._max_bytes)
-        self._counts.reserve(4 * -(-capacity // KEYS_BY_GROUP) << DIGIT_BITS)
+        self._groups = -(-capacity // KEYS_BY_GROUP)
+        self._counts.reserve(4 * self._groups << DIGIT_BITS)
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
@@ -71,11 +73,11 @@ class RadixSort:
             self._count.set(shift=shift, turn=self._turn)
             self._scan.set(turn=self._turn)
             self._scatter.set(shift=shift)
-            self._count.run_indirect(work, GROUPS_OFFSET)
+            self._count.run_all(self._groups)
             self._context.memory_barrier()
             self._scan.run(1 << DIGIT_BITS)
             self._context.memory_barrier()
-            self._scatter.run_indirect(work, GROUPS_OFFSET)
+            self._scatter.run_all(self._groups)
             self._context.memory_barrier()
             here, there = there, here
             self._turn = 1 - self._turn
@@ -146,8 +148,7 @@ def check_sort(context: moderngl.Context, count: int) -> SortCheck:
     depths_m[::2] = np.ceil(depths_m[::2])  # makes many keys equal
     keys, slots = depths_m.view(np.uint32) - np.float32(NEAR_M).view(np.uint32), np.arange(count, dtype=np.uint32)
     numbers = np.zeros(WORK_BYTES // 4, np.uint32)
-    numbers[COUNT_OFFSET // 4], numbers[GROUPS_OFFSET // 4] = count, -(-count // KEYS_BY_GROUP)
-    numbers[GROUPS_OFFSET // 4 + 1 :] = 1
+    numbers[COUNT_OFFSET // 4] = count
     work, sorter = context.buffer(numbers), RadixSort(context)
     sorter.reserve(count)
     orders: list[UInt32[np.ndarray, " n"]] = []
@@ -203,7 +204,7 @@ def nearest_first(keys: UInt32[np.ndarray, " n"], slots: UInt32[np.ndarray, " n"
 
 
 def count_in(work: moderngl.Buffer) -> int:
-    """Read the number of elements from indirect work; waits for the GPU."""
+    """Read the number of elements; waits for the GPU."""
     return int(np.frombuffer(work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
 
 
@@ -213,7 +214,7 @@ def total_in(work: moderngl.Buffer) -> int:
 
 
 # Prefix sum
-# Over blocks of 256 counts; it also writes the arguments of the indirect draw and dispatch.
+# Over blocks of 256 counts; it also writes the arguments of the indirect draw.
 
 _COUNTS, _FOUND_WORK, _WORK = 5, 6, 7
 
@@ -232,20 +233,17 @@ class PrefixSum:
         work: moderngl.Buffer,
         blocks: int,
         *,
-        by_group: int,
         max_elements: int = 0xFFFFFFFF,
         found: tuple[moderngl.Buffer, int, int] | None = None,
     ) -> None:
         """Scan the counts of blocks in place and fill in `work`.
 
-        Each workgroup of the dispatch processes `by_group` elements, of at most `max_elements`; all others are only
-        counted. `found` consists of the work buffer of other elements, such as found drops, the first of their blocks,
-        and the number of blocks for each 256 of them: all other blocks are empty.
+        Elements beyond `max_elements` are only counted. `found` consists of the work buffer of other elements, such as
+        found drops, the first of their blocks, and the number of blocks for each 256 of them: all other blocks are
+        empty.
         """
         found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
-        self._shader.set(blocks=blocks, fixed_blocks=fixed, found_copies=copies, by_group=by_group,
-            max_elements=max_elements,
-        )  # fmt: skip
+        self._shader.set(blocks=blocks, fixed_blocks=fixed, found_copies=copies, max_elements=max_elements)
         for binding, buffer in ((_COUNTS, counts), (_FOUND_WORK, found_work), (_WORK, work)):
             buffer.bind_to_storage_buffer(binding)
         self._shader.run()
