@@ -4,8 +4,6 @@
 
 #include "common_radix.glsl"
 
-#pragma optionNV(unroll all)
-
 const uint SUBGROUPS = 8u, STRIDE = DIGITS + 1u;  // one more: rows start in different banks of memory
 
 uint first_key() {

@@ -131,7 +131,7 @@ def _tokens(text, places):
             active[-1] = not active[-1][1], True
         elif word == "#endif":
             active.pop()
-        elif not all(each for each, _ in active) or word in ("#version", "#extension", "#pragma"):
+        elif not all(each for each, _ in active) or word in ("#version", "#extension"):
             continue
         elif word == "#define":
             name, _, value = rest.partition(" ")
