@@ -6,13 +6,14 @@ from typing import Any, Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
 from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from .shaders import Switches
 
-CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
+CHUNK = 1 << 19
+"""Gaussians per buffer, as in splat_project.comp: 96 MiB at SH degree 3; llvmpipe's storage blocks have up to 128."""
 
 RESTING_BYTES = 1 << 29
 """Memory for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
@@ -68,7 +69,7 @@ class GpuArrays:
         self._arrays: dict[_Key, _Upload] = {}
         """Least recently drawn first."""
         self.masks: dict[_Key, _Upload] = {}
-        """Masks of the current frame, by the identity of their words."""
+        """Masks and lists of members of the current frame, by the identity of their words."""
         self._used: set[_Key] = set()
         self._leaving: list[moderngl.Buffer] = []
 
@@ -144,6 +145,17 @@ class GpuArrays:
             chunks = [self._context.buffer(pairs[start : start + step]) for start in range(0, len(pairs), step)]
             self.masks[key] = _Upload(tuple(words), chunks)
         return self.masks[key].buffers
+
+    def members(self, members: Int64[np.ndarray, " m"], selected: BitMask | None) -> moderngl.Buffer:
+        """Return the numbers of a part's members, in the layout of splat_project.comp."""
+        key = (id(members), id(selected))
+        self._used.add(key)
+        if key not in self.masks:
+            numbers = members.astype(np.uint32)
+            if selected is not None:
+                numbers |= selected.flags[members].astype(np.uint32) << np.uint32(31)
+            self.masks[key] = _Upload((members, selected), [self._context.buffer(numbers)])
+        return self.masks[key].buffers[0]
 
     def release_unused(self) -> None:
         """Free arrays that were not used since the last call, one buffer per call, since freeing takes time.
