@@ -162,23 +162,6 @@ def test_misses_each_barrier(monkeypatch, without_barrier, one_digit, name, numb
             drops.project(store, field, 0)
 
 
-def test_misses_each_barrier_of_a_subgroup(monkeypatch, one_digit):
-    use_subgroups(monkeypatch, True)
-    read = shaders.read_shader
-    for number in (0, 1):
-        parts = "\n".join(read("radix_scatter_subgroups.comp")).split("subgroupBarrier();")
-        text = ("subgroupBarrier();".join(parts[: number + 1]) + "subgroupBarrier();".join(parts[number + 1 :])).split(
-            "\n"
-        )
-        monkeypatch.setattr(
-            shaders,
-            "read_shader",
-            lambda name, text=text: text if name == "radix_scatter_subgroups.comp" else read(name),
-        )
-        with pytest.raises(AwaitedFaultError):
-            order_of(InterpretedContext(number, awaited="subgroups"), keys_of(700))
-
-
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_misses_each_memory_barrier_of_the_sort(one_digit, number, monkeypatch):
     """Between counting, scanning, scattering, and what reads the order."""
