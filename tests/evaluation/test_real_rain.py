@@ -184,10 +184,9 @@ def test_simulated_frames_have_the_noise_and_light_of_real_ones():
     real = noisy_frames(2.0)
     darker = replace(real, values=real.values + 3 * np.sin(np.arange(12))[:, None, None].astype(np.float32))
     rain = RainSettings(haze="none", sensor="rainsense", intensity_mm_h=0.0, exposure_s=0.008)
-    times, colors = [0.1 * k for k in range(12)], [np.full((240, 400, 3), 120, np.uint8)] * 12
-    made = simulated_frames(
-        darker, colors, narrow_camera(), RainSimulation.start(rain), times, np.full(3, SKY), 1080
-    )  # fmt: skip
+    colors = [np.full((240, 400, 3), 120, np.uint8)] * 12
+    shares = [np.zeros((240, 400), np.float32)] * 12
+    made = simulated_frames(darker, colors, shares, RainSimulation.start(rain), np.full(3, SKY), 1080)
     lumas = np.stack([each.luma for each in made])
     assert np.std(lumas.mean(axis=(1, 2))) == pytest.approx(3 / np.sqrt(2), rel=0.1)
     assert median_residuals(lumas).sigma.mean() == pytest.approx(real.sigma.mean(), rel=0.2)
@@ -230,7 +229,7 @@ def comparison():
     real, ours = measured(1, 2, 14), measured(2, 1, 14)
     return RealRainComparison(
         sequence="light", labelled_mm_h=2.5, rendered_mm_h=2.5, window=(0, 0, 240, 160), numbers=tuple(range(12)),
-        sky_levels=SKY, real=real, ours=(ours,),
+        sky_levels=SKY, real=real, ours=(ours,), photographs=ours.colors,
     )  # fmt: skip
 
 
