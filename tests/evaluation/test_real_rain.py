@@ -11,6 +11,7 @@ from given_rain import STILL
 from gsrain_engine.datasets.rainsense import RainSequence
 from gsrain_engine.evaluation.camera_noise import CameraNoise, fitted_sensor
 from gsrain_engine.evaluation.photograph import cropped_camera, photographed, rain_over, render_rain_frames
+from gsrain_engine.evaluation.rain_free import below_black, rain_free_frames
 from gsrain_engine.evaluation.real_rain import (
     DROP_SHARE,
     MeasuredFrames,
@@ -269,3 +270,29 @@ def test_pairs_differ_by_rain_and_noise_alone(monkeypatch):
         assert abs(np.median(left) - np.median(right)) <= 1
         assert (pair.picture[:, 80:92] == 255).all()
     assert [pair.real_side for pair in unlabeled_pairs([row], 12)] == [pair.real_side for pair in pairs]
+
+
+# Frames without rain
+
+
+def test_streaks_are_replaced_and_noise_remains():
+    random = np.random.default_rng(3)
+    levels = 60 + 2.0 * random.standard_normal((8, 120, 200))
+    for k in range(8):
+        levels[k, 30:70, 20 * k + 15 : 20 * k + 18] += 25
+    gray = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    colors = [np.repeat(each[..., None], 3, axis=2) for each in gray]
+    found = median_residuals(gray)
+    made = np.stack(rain_free_frames(colors, found, np.zeros(gray.shape, np.float32)))[..., 0].astype(float)
+    for k in range(8):
+        streak = (slice(30, 70), slice(20 * k + 15, 20 * k + 18))
+        assert levels[k][streak].mean() > 80 and made[k][streak].mean() == pytest.approx(60, abs=1)
+    assert made.std() == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("below", [-1.0, -3.0, -6.0])
+def test_the_levels_below_black_follow_from_the_noise(below):
+    """Of a normal law with a deviation of 4, values below 0 have this mean."""
+    noise = below + 4 * np.random.default_rng(1).standard_normal((60, 40, 40, 3))
+    colors = list(np.clip(np.rint(noise), 0, 255).astype(np.uint8))
+    assert np.median(below_black(colors)) == pytest.approx(noise[noise < 0].mean(), abs=0.8)
