@@ -41,15 +41,20 @@ class WetTransfer:
         def look(each: ClearView) -> Image:
             return rainy_light(each, light, settings, self._surroundings.ground(each))
 
-        has_surfaces = view.has_surfaces
+        has_surfaces, matte = view.has_surfaces, None
         rainy, film = look(view) if has_surfaces else rainy_image(view, settings), np.zeros_like(view.sky)
         if has_surfaces:
             water = water_layer_of(view, rainy, self._surroundings, look, settings.wetness, settings.seed)
             if water is not None:
+                matte = _displayed(water.through[..., None] * rainy)
                 remaining = ((1 - water.share) * water.through)[..., None]
                 rainy, film = remaining * rainy + water.color, water.share
-        image = np.clip(linear_to_srgb(rainy), 0, 1).astype(np.float32)
-        return RainyView(view, image, film, "" if has_surfaces else LIGHT_AND_SKY)
+        left_out = "" if has_surfaces else LIGHT_AND_SKY
+        return RainyView(view, _displayed(rainy), film, left_out, matte=matte)
+
+
+def _displayed(linear: Image) -> Image:
+    return np.clip(linear_to_srgb(linear), 0, 1).astype(np.float32)
 
 
 def rainy_image(view: ClearView, settings: WetSettings) -> Image:
