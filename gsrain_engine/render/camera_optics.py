@@ -18,7 +18,7 @@ from ..water.pane import GlassKind, Pane, pane_of
 from ..water.refraction import GlassView, WetGlass, wide_camera
 from ..water.spray import spray_of
 from .camera_response import CameraResponse, PictureOptics, metered_gain
-from .draw import LodSubset, RenderView, draw_view, ego_view
+from .draw import LodSample, RenderView, draw_view, ego_view
 from .renderer import Renderer
 
 WIDE_SHARE = 0.1
@@ -31,7 +31,6 @@ class CameraOptics:
     def __init__(self) -> None:
         self._gains: dict[Hashable, float] = {}
         self._water: dict[Hashable, tuple[RainSimulation, GlassHistory]] = {}
-        self._thinning = LodSubset(WIDE_SHARE)
 
     def of(
         self,
@@ -82,9 +81,8 @@ class CameraOptics:
             # The medium takes the place of streaks, which drops on glass shrink to nothing.
             calm = replace(rainfall, rain=msgspec.structs.replace(rainfall.rain, streaks=False))
             view = replace(shot, camera=wide, focal_px=None)
-            draw_view(renderer, scene, calm, sky, view, thinning=self._thinning)
+            draw_view(renderer, scene, calm, sky, view, thinning=LodSample(WIDE_SHARE))
             behind = renderer.read_uint8().copy()
-            self._thinning.forget_all_but(each.gaussians for each in scene.members)
         else:
             behind = np.zeros((wide.height, wide.width, 3), np.uint8)
         return GlassView(glass, shot.camera, rainfall.lens(shot.camera), behind)

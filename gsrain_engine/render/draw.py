@@ -6,16 +6,16 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 
 from ..rain.frame import RainCamera, RainFrame, SkyLight
 from ..rain.shelter_map import shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import Gaussians, IdentityKey, scene_cache
 from ..scene.ground_water import ground_heights
-from ..scene.lod_order import lod_growth
+from ..scene.lod_order import lod_growth, lod_sample
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
@@ -263,6 +263,38 @@ class LodSubset:
     def forget_all_but(self, used: Iterable[Gaussians]) -> None:
         keys = {_shape(each) for each in used}
         self._growths = {key: known for key, known in self._growths.items() if key in keys}
+
+
+@dataclass(frozen=True, slots=True)
+class LodSample:
+    """Draws a weighted sample of each part's Gaussians, which may be in any order, enlarged to cover as much as all."""
+
+    share: float
+
+    def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
+        """Replace a part by its sample."""
+        rows, gaussians = _sampled(part.gaussians, self.share)
+        marks = ((mask and mask.take(rows)) for mask in (part.left_out, part.selected))
+        wet_sh = None if part.wet_sh is None else _rows_of(IdentityKey(part.wet_sh), IdentityKey(rows))
+        left_out, selected = marks
+        return [
+            part._replace(gaussians=gaussians, wet_sh=wet_sh, left_out=left_out, selected=selected, tree=None)
+        ]
+
+
+@scene_cache(maxsize=64)
+def _sampled(gaussians: Gaussians, share: float) -> tuple[Int64[np.ndarray, " m"], Gaussians]:
+    mask, growth = lod_sample(gaussians, share)
+    rows = np.flatnonzero(mask)
+    sample = gaussians.take(rows)
+    return rows, replace(sample, scales=sample.scales * np.float32(growth))
+
+
+@scene_cache(maxsize=64)
+def _rows_of(array: IdentityKey, rows: IdentityKey) -> Float32[np.ndarray, "m k 3"]:
+    whole: np.ndarray = array.of  # pyright: ignore[reportAssignmentType]
+    chosen: np.ndarray = rows.of  # pyright: ignore[reportAssignmentType]
+    return whole[chosen]
 
 
 def _shape(gaussians: Gaussians) -> tuple[int, int]:
