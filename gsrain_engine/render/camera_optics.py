@@ -117,7 +117,8 @@ class CameraOptics:
             if known is None or not is_same or known[0].weather is not rainfall.weather:
                 known = self._water[camera] = rainfall, glass_history(pane, rainfall, past)
             history = known[1]
-            history.past, history.spray = past, partial(spray_of, scene, rainfall)
+            history.follow(past)
+            history.spray = partial(spray_of, scene, rainfall)
             history.at(time_s)
             drops, film_m = history.drops.present(), history.drops.film_m
             blade_rad = history.wiper.angle_rad if pane.kind == "windshield" and rain.wiper != "off" else None
