@@ -78,8 +78,8 @@ class CameraOptics:
         glass = self._glass(pane, scene, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
         wide = wide_camera(shot.camera)
         if len(glass.drops):
-            # The medium takes the place of streaks, which drops on glass shrink to nothing.
-            calm = replace(rainfall, rain=msgspec.structs.replace(rainfall.rain, streaks=False))
+            # Drops on glass shrink streaks, splashes and rings to nothing. The medium takes the place of streaks.
+            calm = replace(rainfall, rain=msgspec.structs.replace(rainfall.rain, streaks=False, splashes=False))
             view = replace(shot, camera=wide, focal_px=None)
             draw_view(renderer, scene, calm, sky, view, thinning=LodSample(WIDE_SHARE))
             behind = renderer.read_uint8().copy()
@@ -117,8 +117,7 @@ class CameraOptics:
             if known is None or not is_same or known[0].weather is not rainfall.weather:
                 known = self._water[camera] = rainfall, glass_history(pane, rainfall, past)
             history = known[1]
-            history.follow(past)
-            history.spray = partial(spray_of, scene, rainfall)
+            history.past, history.spray = past, partial(spray_of, scene, rainfall)
             history.at(time_s)
             drops, film_m = history.drops.present(), history.drops.film_m
             blade_rad = history.wiper.angle_rad if pane.kind == "windshield" and rain.wiper != "off" else None

@@ -56,6 +56,14 @@ class GlassState:
     """Simulated part of the pane: the camera's view of it."""
 
 
+class _SavedState(NamedTuple):
+    drops: GlassDrops
+    wiper: Wiper
+    expected: float
+    motion: CameraMotion
+    """Of the camera at that time: another past may have another one."""
+
+
 class GlassHistory:
     """Water on one pane over time. The state at a time is a function of that time: it is the same for any order."""
 
@@ -77,7 +85,8 @@ class GlassHistory:
         self._mode: WiperMode = wiper if pane.kind == "windshield" else "off"
         self._epoch: int | None = None
         self._tick = 0
-        self._saved: dict[int, tuple[GlassDrops, Wiper, float]] = {}
+        self._saved: dict[int, _SavedState] = {}
+        """By tick, in the order in which they were reached."""
         self.impacts: Impacts | None = None
         """Rain on the pane at this moment."""
         self._impacts_of: Hashable = None
@@ -95,18 +104,16 @@ class GlassHistory:
             self._saved.clear()
         if epoch != self._epoch or goal < self._tick:
             self._epoch = epoch
-            tick = max((each for each in self._saved if each <= goal), default=None)
+            tick = self._saved_before(goal)
             if tick is None:
                 seed = self._rainfall.rain.seed
                 self._start(first, GlassDrops(self.pane, self._wetting, seed), Wiper(self._mode), 0.0)
             else:
-                self._start(tick, *copy.deepcopy(self._saved[tick]))
+                self._start(tick, *copy.deepcopy(self._saved[tick][:3]))
         while self._tick < goal:
             part = (self._tick - first) % _TICKS
             if (self._tick - first) % _SAVED_TICKS == 0 and self._tick not in self._saved:
-                self._saved[self._tick] = copy.deepcopy((self.drops, self.wiper, self._expected))
-                if len(self._saved) > _MAX_SAVED:  # the first one stays
-                    self._saved.pop(list(self._saved)[1])
+                self._save()
             if part == 0 or self.impacts is None:
                 self._look(self._tick * TICK_S)
             self._step(min(1 if self._spray_m_s > 0 else _TICKS - part, goal - self._tick))
@@ -120,12 +127,21 @@ class GlassHistory:
     def _start(self, tick: int, drops: GlassDrops, wiper: Wiper, expected: float) -> None:
         self._tick, self.drops, self.wiper, self._expected, self.impacts = tick, drops, wiper, expected, None
 
-    def follow(self, past: PastMotion) -> None:
-        """Go on with another past; saved states are forgotten if it moves otherwise at the present moment."""
-        before, after = (each(self._tick * TICK_S) for each in (self.past, past))
-        if not all(np.allclose(*pair, atol=1e-6) for pair in zip(before[:2], after[:2], strict=True)):
-            self._saved.clear()
-        self.past = past
+    def _save(self) -> None:
+        state = copy.deepcopy((self.drops, self.wiper, self._expected))
+        self._saved[self._tick] = _SavedState(*state, self.past(self._tick * TICK_S))
+        if len(self._saved) > _MAX_SAVED:  # the first one stays
+            self._saved.pop(list(self._saved)[1])
+
+    def _saved_before(self, goal: int) -> int | None:
+        """Latest saved tick up to another; states of a past that moved otherwise are forgotten."""
+        tick = max((each for each in self._saved if each <= goal), default=None)
+        if tick is not None:
+            then, now = self._saved[tick].motion, self.past(tick * TICK_S)
+            if not all(np.allclose(*pair, atol=1e-6) for pair in zip(then[:2], now[:2], strict=True)):
+                self._saved.clear()
+                return None
+        return tick
 
     def _look(self, time_s: float) -> None:
         """Take the rain and the motion at a time."""

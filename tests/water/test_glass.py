@@ -106,7 +106,7 @@ def test_the_past_begins_anew_each_minute_and_what_is_wiped_goes_on():
     late.at(61.234)
     assert glass.drops.present().tobytes() == late.drops.present().tobytes()
     assert glass.wiper.angle_rad == late.wiper.angle_rad
-    glass.follow(past_at(20.0))
+    glass.past = past_at(20.0)
     glass.at(60.5)
     late = history(20.0, wiper="low", intensity=3.0, wet_s=4.0)
     late.at(60.5)
