@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, no_type_check
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
@@ -35,9 +36,9 @@ class GroundWater:
 
     def at(self, points: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
         """Shares of film and standing water, 0..1, at points of the ground (x and y in the world)."""
-        inside, row, column = self.cells(points)
-        shares = np.zeros((len(points), 2), np.float32)
-        shares[inside] = self.cover[row, column] * np.float32(1 / 255)
+        shares = np.empty((len(points), 2), np.float32)
+        x, y = np.float32(self.corner_m)
+        _look_up(points[:, 0], points[:, 1], x, y, np.float32(self.cell_m), self.cover, shares)
         return shares
 
     def cells(
@@ -73,6 +74,20 @@ class GroundWater:
             self, corner_m=(x * factor, y * factor), cell_m=self.cell_m * factor, scatter_m=self.scatter_m * factor,
             heights_m=None if heights is None else heights * np.float32(factor),
         )  # fmt: skip
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _look_up(x, y, corner_x, corner_y, cell, cover, shares):
+    """As `GroundWater.cells` finds them, one by one."""
+    rows, columns = cover.shape[:2]
+    for n in range(len(x)):
+        column, row = np.floor((x[n] - corner_x) / cell), np.floor((y[n] - corner_y) / cell)
+        if column >= 0 and column < columns and row >= 0 and row < rows:
+            for water in range(2):
+                shares[n, water] = np.float32(cover[int(row), int(column), water]) * np.float32(1 / 255)
+        else:
+            shares[n, 0] = shares[n, 1] = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
