@@ -22,8 +22,8 @@ from .draw import LodSample, RenderView, draw_view, ego_view
 from .renderer import Renderer
 
 WIDE_SHARE = 1 / 16
-"""Share of the Gaussians in the wide view behind the glass: more of them change pictures of the street by less than 42 dB
-by day and 45 dB by night."""
+"""Share of the Gaussians in the wide view behind the glass. Against all of them, pictures of the street have at least
+42 dB by day and 43 dB by night."""
 
 
 class CameraOptics:

@@ -277,9 +277,7 @@ class LodSample:
         marks = ((mask and mask.take(rows)) for mask in (part.left_out, part.selected))
         wet_sh = None if part.wet_sh is None else _rows_of(IdentityKey(part.wet_sh), IdentityKey(rows))
         left_out, selected = marks
-        return [
-            part._replace(gaussians=gaussians, wet_sh=wet_sh, left_out=left_out, selected=selected, tree=None)
-        ]
+        return [part._replace(gaussians=gaussians, wet_sh=wet_sh, left_out=left_out, selected=selected, tree=None)]
 
 
 @scene_cache(maxsize=64)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool
 
 from ..rain.frame import RainFrame
 from ..rain.settings import RainSettings
@@ -121,9 +121,7 @@ def draw_mirror(
         medium = rain.medium
     # Wet colors of what reflects, too, though it is left out: the same arrays as for the picture itself.
     items = [
-        leveled_item(
-            _without_ground(item, _member_of(item, scene)), view, scene.water, is_fixed=_is_fixed(item, scene)
-        )
+        leveled_item(_without_ground(item, _member_of(item, scene)), view, scene.water, is_fixed=_is_fixed(item, scene))
         for item in reflecting_items(items_for(below), scene)
     ]
     renderer.draw(items, below, rain if medium is not None else None, with_depth=True)

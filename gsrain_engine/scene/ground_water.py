@@ -37,8 +37,8 @@ class GroundWater:
     def at(self, points: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
         """Shares of film and standing water, 0..1, at points of the ground (x and y in the world)."""
         shares = np.empty((len(points), 2), np.float32)
-        x, y = np.float32(self.corner_m)
-        _look_up(points[:, 0], points[:, 1], x, y, np.float32(self.cell_m), self.cover, shares)
+        x, y = self.corner_m
+        _look_up(points[:, 0], points[:, 1], np.float32(x), np.float32(y), np.float32(self.cell_m), self.cover, shares)
         return shares
 
     def cells(
@@ -57,7 +57,8 @@ class GroundWater:
         rows, columns = self.heights_m.shape
         x, y = ((points - np.array(self.corner_m)) / self.cell_m - 0.5).astype(np.float32).T
         x, y = np.clip(np.nan_to_num(x), 0, columns - 1), np.clip(np.nan_to_num(y), 0, rows - 1)
-        left, low = np.minimum(x.astype(np.int64), max(columns - 2, 0)), np.minimum(y.astype(np.int64), max(rows - 2, 0))
+        left = np.minimum(x.astype(np.int64), max(columns - 2, 0))
+        low = np.minimum(y.astype(np.int64), max(rows - 2, 0))
         u, v, right, high = x - left, y - low, np.minimum(left + 1, columns - 1), np.minimum(low + 1, rows - 1)
         h = self.heights_m
         nearer, farther = (1 - u) * h[low, left] + u * h[low, right], (1 - u) * h[high, left] + u * h[high, right]

@@ -21,8 +21,8 @@ _TICKS = 10
 
 _HEIGHT_M = 1.3  # of a windshield above the road, for the wind
 _EPOCH_TICKS = 6000
-"""Time after which the past begins anew, so that a late frame needs no long replay: the covered area of a pane is steady
-after 20 to 40 s. A wiper that is on has just swept it then, so that what it wipes goes on as before."""
+"""Time after which the past begins anew, so that a late frame needs no long replay: the covered area of a pane is
+steady after 20 to 40 s. A wiper that is on has just swept it then, so that what it wipes goes on as before."""
 _SAVED_TICKS, _MAX_SAVED = 200, 40
 """Time between states that are saved, to go back to, and their greatest number."""
 
@@ -151,9 +151,12 @@ class GlassHistory:
         wind = share * motion.wind.mean_m_s[0], share * motion.wind.mean_m_s[1]
         key = turn.tobytes(), velocity.tobytes(), wind, now.state.density_m3, IdentityKey(now.diameters_mm)
         if self.impacts is None or key != self._impacts_of:  # steady rain on a steady camera has the same ones
-            self.impacts, self._impacts_of = impacts_on(
-                self.pane, turn, velocity, wind, now.state.density_m3, now.diameters_mm, motion.fall_speed_m_s
-            ), key
+            self.impacts, self._impacts_of = (
+                impacts_on(
+                    self.pane, turn, velocity, wind, now.state.density_m3, now.diameters_mm, motion.fall_speed_m_s
+                ),
+                key,
+            )
         axes = turn @ np.stack([self.pane.right, self.pane.up], axis=1)
         self._forces = np.array([0.0, 0.0, -GRAVITY_M_S2]) @ axes, (np.array([*wind, 0.0]) - velocity) @ axes
         self._spray_m_s = 0.0

@@ -138,8 +138,8 @@ class GlassDrops:
         self._heads = np.full(cells, -1, np.int64)
         self._free = np.arange(4096)[::-1].copy()  # slots; the number of them is in `_counts`
         self._counts = np.array([4096, 0, 0, 0, 0])
-        """Free slots, end of those in use, 1 if there may be a film, radius in um that none exceeds, and that which none
-        exceeded since the last look at all."""
+        """Free slots, end of those in use, 1 if there may be a film, radius in um that no drop exceeds, and that which
+        none exceeded since the last look at all."""
         self._on_blade = np.zeros(1)
 
     film_cell_m = _FILM_M

@@ -19,11 +19,11 @@ from .films import WaterDepth
 from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
 
 PEAK_PER_M = 200.0
-"""Wavenumber of the peak of the slope spectrum in deep water, rad/m (Craeye and Sobieski 1999)."""
+"""Wavenumber of the peak of the slope spectrum in deep water, rad/m (Craeye and co-authors 1999: 0.2 per mm)."""
 WIDTH = 0.42
 """Standard deviation of the spectrum over ln k: 0.31 over ln f (Bliven, Sobieski and Craeye 1997), by dispersion."""
 ENERGY_SHARE = 0.01
-"""Share of a drop's kinetic energy that rings carry away (Craeye and Sobieski 1999)."""
+"""Share of a drop's kinetic energy that rings carry away (Craeye and co-authors 1999: of the order of 1 %)."""
 TENSION_N_M, VISCOSITY_M2_S, _G = 0.0728, 1.0e-6, 9.81
 _THINNEST_M = 1e-6  # of a film, where friction stops waves at once
 _CALM_SLOPE = 0.01  # of standing water without rings, by wind and run-off; our choice
