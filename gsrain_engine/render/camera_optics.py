@@ -79,10 +79,11 @@ class CameraOptics:
         glass = self._glass(pane, scene, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
         wide = wide_camera(shot.camera)
         if len(glass.drops):
-            # Drops on glass shrink streaks, splashes and rings to nothing. The medium takes the place of streaks.
-            calm = replace(rainfall, rain=msgspec.structs.replace(rainfall.rain, streaks=False, splashes=False))
+            # Drops on glass shrink streaks and splashes to nothing, and of the mirror leave what wet colors have baked
+            # in. The medium takes the place of streaks.
+            calm = msgspec.structs.replace(rainfall.rain, streaks=False, splashes=False, mirror=False)
             view = replace(shot, camera=wide, focal_px=None)
-            draw_view(renderer, scene, calm, sky, view, thinning=LodSample(WIDE_SHARE))
+            draw_view(renderer, scene, replace(rainfall, rain=calm), sky, view, thinning=LodSample(WIDE_SHARE))
             behind = renderer.read_uint8().copy()
         else:
             behind = np.zeros((wide.height, wide.width, 3), np.uint8)
