@@ -113,6 +113,7 @@ class ProjectionPass:
         set_uniforms(
             shader, growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),
             has_marks=bool(marks), coefficients=gaussians.sh.shape[1],
+            antialiased=gaussians.antialiased,
             object_to_camera=tuple(object_to_camera.T.ravel()),
             camera_in_object=tuple(np.linalg.inv(object_to_camera)[:3, 3]),
         )  # fmt: skip

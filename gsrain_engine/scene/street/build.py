@@ -17,6 +17,7 @@ from .ground import build_road, build_sidewalks, build_surroundings
 from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
+from .refinement import ego_view, refined
 from .night import Windows, ego_lamps, lanterns, vehicle_lamps
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
@@ -66,6 +67,8 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),
     }
+    view = ego_view(layout.parameters)
+    layers = {name: quads if name == "sky" else refined(quads, view) for name, quads in layers.items()}
     return StreetSurfaces(layout, layers, Quads.joined([car_shadow(_LEAD_SHAPE), build_car(_LEAD_SHAPE, _LEAD_PAINT)]))
 
 
@@ -145,7 +148,10 @@ def quads_to_gaussians(quads: Quads, light: Illumination) -> Gaussians:
 
     def converted(part: Quads) -> Gaussians:
         colors = light.display_colors(part, part.centers)
-        return Gaussians(part.centers, *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients))
+        return Gaussians(
+            part.centers, *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients),
+            antialiased=True,
+        )  # fmt: skip
 
     return Gaussians.concatenate([converted(part) for part in _chunks(quads)])
 

@@ -51,7 +51,7 @@ def _roof(house: House) -> Quads:
     rng = np.random.default_rng(house.seed + 2)
     moss = layered_noise(center[:, :2] + house.seed % 887, 2.2, house.seed % 883)
     row = np.sin(center[:, 1] * 12.0)
-    along = even_lines(0.0, house.width, 0.8)
+    along = even_lines(0.0, house.width, 0.4 * house.detail)
     gutter_path = np.stack(np.broadcast_arrays(along, -_OVERHANG - 0.05, house.eaves - 0.08), axis=1)
     gutter = tube(gutter_path, np.full(len(along), 0.07), (0.15, 0.155, 0.16), Label.BUILDING, sides=5)
     tinted = roof.tinted((0.72 + 0.42 * moss + 0.1 * rng.uniform(-1, 1, len(roof)) + 0.05 * row)[:, None])
@@ -80,7 +80,7 @@ def _back(house: House) -> Quads:
 
 def _lining(house: House) -> Quads:
     """A wall inside the house in the front's color, which hides gaps between the front's Gaussians."""
-    x, z = even_lines(0.0, house.width, 1.2), even_lines(0.0, house.eaves, 1.2)
+    x, z = even_lines(0.0, house.width, 0.6), even_lines(0.0, house.eaves, 0.6)
     return panel((0, _LINING_DEPTH, 0), _X, _Z, x, z, house.color, Label.BUILDING, spread=0.7)
 
 
@@ -287,7 +287,7 @@ def _weathered(front: Quads, house: House) -> Quads:
 
 def _cornices(house: House, trim: Any) -> list[Quads]:
     w = house.width
-    coarse = 0.7 * house.detail
+    coarse = 0.4 * house.detail
     lower = box((w / 2, -0.06, house.ground_height), (w, 0.16, 0.2), trim, Label.BUILDING, edge=0.1, coarse=coarse,
                 faces="yzZxX")  # fmt: skip
     upper = box((w / 2, -0.14, house.eaves - 0.13), (w, 0.34, 0.26), trim, Label.BUILDING, edge=0.12, coarse=coarse,

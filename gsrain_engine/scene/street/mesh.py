@@ -13,7 +13,7 @@ from .layout import Label
 INNER_SPREAD = 0.63
 """Standard deviation of a Gaussian in cell widths, inside a surface: leaves 2 to 4 % of gaps between four cells."""
 
-EDGE_SPREAD = 0.42
+EDGE_SPREAD = 0.39
 """The same across the edge of a surface, or for an isolated one: keeps outlines in place."""
 
 
@@ -78,6 +78,19 @@ class Quads:
 
     def take(self, chosen: Any) -> "Quads":
         return Quads(*(getattr(self, name)[chosen] for name in _FIELDS))
+
+    def split(self, counts: Int64[np.ndarray, "n 2"]) -> "Quads":
+        """Cut each quad into even cells: their numbers along u and v."""
+        total = counts[:, 0] * counts[:, 1]
+        parent = np.repeat(np.arange(len(self)), total)
+        number = np.arange(len(parent)) - np.repeat(np.cumsum(total) - total, total)
+        step = 1.0 / counts[parent]
+        low = np.stack([number // counts[parent, 1], number % counts[parent, 1]], axis=1) * step
+        corners = self.corners[parent].astype(np.float64)
+        a, b = low[:, None, :1] + [[[0], [1], [1], [0]]] * step[:, None, :1], low[:, None, 1:] + [[[0], [0], [1], [1]]] * step[:, None, 1:]
+        bottom = corners[:, :1] + a * (corners[:, 1:2] - corners[:, :1])
+        top = corners[:, 3:] + a * (corners[:, 2:3] - corners[:, 3:])
+        return replace(self.take(parent), corners=(bottom + b * (top - bottom)).astype(np.float32))
 
     def tinted(self, factors: Any) -> "Quads":
         """Multiply the albedo by one color or one factor per quad, clamped to 0 .. 0.95."""
@@ -147,7 +160,7 @@ def even_lines(start: float, stop: float, spacing: float) -> Float64[np.ndarray,
 
 def graded_lines(breaks: Sequence[float | int], edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
     """Grid lines through every break, `edge` apart there and up to `coarse` in the middle between breaks."""
-    parts = [start + _graded(stop - start, edge, coarse)[1:] for start, stop in pairwise(breaks)]
+    parts = [even_lines(start, stop, coarse)[1:] for start, stop in pairwise(breaks)]
     return np.concatenate([np.array(breaks[:1], np.float64), *parts])
 
 
