@@ -17,8 +17,8 @@ from .ground import build_road, build_sidewalks, build_surroundings
 from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
-from .refinement import ego_view, refined
 from .night import Windows, ego_lamps, lanterns, vehicle_lamps
+from .refinement import FOLLOWING, ego_way, refined, split_at_shadows
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
 from .water_map import street_water
@@ -55,21 +55,23 @@ class StreetSurfaces:
 
 def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurfaces:
     layout = plan_street(parameters or StreetParameters())
-    sun = Illumination.over(layout.parameters).sun
+    light = Illumination.over(layout.parameters, layout)
     layers = {
         "road": build_road(layout),
         "pavements": build_sidewalks(layout),
         "houses": build_houses(layout),
-        "trees": build_trees(layout, sun),
+        "trees": build_trees(layout, light.sun),
         PARKED_CARS: build_parked_cars(layout),
         PARKED_TRUCKS: build_parked_trucks(layout),
         "furniture": build_furniture(layout),
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),
     }
-    view = ego_view(layout.parameters)
-    layers = {name: quads if name == "sky" else refined(quads, view) for name, quads in layers.items()}
-    return StreetSurfaces(layout, layers, Quads.joined([car_shadow(_LEAD_SHAPE), build_car(_LEAD_SHAPE, _LEAD_PAINT)]))
+    way, edge_px = ego_way(layout.parameters), layout.parameters.edge_px
+    for name in layers.keys() - {"sky"}:
+        layers[name] = refined(split_at_shadows(layers[name], way, light, edge_px), way, edge_px)
+    lead = Quads.joined([car_shadow(_LEAD_SHAPE), refined(build_car(_LEAD_SHAPE, _LEAD_PAINT), FOLLOWING)])
+    return StreetSurfaces(layout, layers, lead)
 
 
 def build_street(parameters: StreetParameters | None = None) -> Scene:

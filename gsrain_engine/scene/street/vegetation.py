@@ -176,8 +176,8 @@ def _lamp(x: float, y: float) -> Quads:
     arm = np.stack([np.full_like(turn, x), arm_y, arm_z], axis=1)
     _, head_y, head_z = lantern_position(x, y)
     curve = tube(arm, np.linspace(0.05, 0.04, 7), _IRON, Label.POLE, sides=6, gloss=0.06)
-    head = box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, edge=0.06, coarse=0.16)
-    glass = box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, edge=0.06, coarse=0.16,
+    head = box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, coarse=0.16)
+    glass = box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, coarse=0.16,
                 faces="xXyYz", emission=LANTERN_LIGHT)  # fmt: skip
     return Quads.joined([_pole(x, y, 5.82, 0.075, _IRON), curve, head, glass])
 
