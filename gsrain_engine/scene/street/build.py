@@ -18,7 +18,7 @@ from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_stre
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .night import Windows, ego_lamps, lanterns, vehicle_lamps
-from .refinement import FOLLOWING, ego_way, refined, split_at_shadows
+from .refinement import ego_way, refined, refined_vehicle, split_at_shadows
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
 from .water_map import street_water
@@ -70,7 +70,7 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
     way, edge_px = ego_way(layout.parameters), layout.parameters.edge_px
     for name in layers.keys() - {"sky"}:
         layers[name] = refined(split_at_shadows(layers[name], way, light, edge_px), way, edge_px)
-    lead = Quads.joined([car_shadow(_LEAD_SHAPE), refined(build_car(_LEAD_SHAPE, _LEAD_PAINT), FOLLOWING)])
+    lead = Quads.joined([car_shadow(_LEAD_SHAPE), refined_vehicle(build_car(_LEAD_SHAPE, _LEAD_PAINT))])
     return StreetSurfaces(layout, layers, lead)
 
 
@@ -207,7 +207,7 @@ def _ellipses(quads: Quads) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndar
     large, small = np.sqrt(middle + swing), np.sqrt(np.maximum(middle - swing, 1e-8))
     cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
     rotation = np.stack([cosine * first + sine * second, cosine * second - sine * first, normal], axis=2)
-    scales = np.stack([large, small, np.maximum(_THICKNESS * small, 5e-4)], axis=1)
+    scales = np.stack([large, small, np.maximum(_THICKNESS * small, 1e-4)], axis=1)
     return scales.astype(np.float32), quaternions_from_matrices(rotation).astype(np.float32)
 
 

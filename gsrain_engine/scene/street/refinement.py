@@ -47,11 +47,19 @@ def ego_way(p: StreetParameters) -> CameraWay:
     return CameraWay(_AHEAD_M, _AHEAD_M + p.ego_speed_m_s * p.drive_seconds, -0.5 * p.lane_width_m, _HEIGHT_M)
 
 
-FOLLOWING = CameraWay(_AHEAD_M - 18.0, _AHEAD_M - 15.5, 0.0, _HEIGHT_M)
-"""Line of the camera of a follower, in the frame of a vehicle at its center."""
+_VEHICLE_PX = 1.0
 
 
-def refined(quads: Quads, way: CameraWay, edge_px: float = 1.0) -> Quads:
+def refined_vehicle(quads: Quads) -> Quads:
+    """Cut a vehicle in its own frame for the camera of a follower, who sees its rear."""
+    return refined(quads, _FOLLOWING, _VEHICLE_PX)
+
+
+_FOLLOWING = CameraWay(_AHEAD_M - 18.0, _AHEAD_M - 15.5, 0.0, _HEIGHT_M)
+"""Line of the camera of a follower, in the frame of a vehicle."""
+
+
+def refined(quads: Quads, way: CameraWay, edge_px: float) -> Quads:
     """Cut quads next to color edges and outlines into cells of `edge_px` that double with each step away from them.
 
     Translucent quads stay as they are, in their place.
@@ -195,9 +203,7 @@ _SHADE_CONTRAST = 0.08
 _MAX_SHADE_CELLS = 6
 
 
-def split_at_shadows(
-    quads: Quads, way: CameraWay, light: Illumination, edge_px: float = 1.0
-) -> Quads:
+def split_at_shadows(quads: Quads, way: CameraWay, light: Illumination, edge_px: float) -> Quads:
     """Cut quads that the edge of a shadow cast by the sun crosses into even cells of six times `edge_px`."""
     lengths, facing = _view(quads, way)
     lit = np.maximum(quads.normals @ light.sun.astype(np.float32), 0) * quads.sun_access
