@@ -49,6 +49,7 @@ uint find_class(uint n, out uint i) {
 
 void main() {
     uint n = gl_GlobalInvocationID.x;
+    if (gl_WorkGroupID.x * 256u >= found_count) return;  // there was room for more
     bool there = n < found_count;
     vec3 p = vec3(0.0), direction = vec3(0.0, 0.0, 1.0);
     float opacity = 0.0, across_sigma = 0.0, along_sigma = 0.0, spacing = 0.0;

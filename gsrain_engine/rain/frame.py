@@ -166,7 +166,7 @@ class RainFrame:
         velocities[:, 2] = -self.fall_speed_m_s[c]
         return FallingDrops(drops.numbers, c, positions, self.diameters_mm[c], velocities)
 
-    @property
+    @cached_property
     def max_drops(self) -> int:
         """Upper bound on the number of visible drops, exceeded with a chance of one in millions; sizes GPU buffers."""
         left, right, top, bottom = np.abs(self.culling.slopes)

@@ -12,7 +12,6 @@ from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from .shaders import Switches
 
-LONGEST_DISPATCH = 1 << 15  # workgroups along one axis, half of the limit guaranteed by OpenGL
 CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
 
 RESTING_BYTES = 1 << 29
@@ -301,13 +300,13 @@ class GrowableBuffer:
 
 SLOTS_BY_BLOCK = 256  # slots that one workgroup of a projection fills, from the front; each dispatch starts a new block
 
-WORK_BYTES = 4 * 13
-"""The draw's command (5 numbers), the number of elements, two indirect dispatches (3 each), and the number of elements
-including those beyond the limit; as in visible_scan.comp.
+WORK_BYTES = 4 * 7
+"""The draw's command (5 numbers), the number of elements, and that including those beyond the limit; as in
+visible_scan.comp.
 """
 
-COUNT_OFFSET, GROUPS_OFFSET, BLOCK_GROUPS_OFFSET, TOTAL_OFFSET = 20, 24, 36, 48
-"""Byte offsets in it; workgroups of the second dispatch process `SLOTS_BY_BLOCK` elements each."""
+COUNT_OFFSET, TOTAL_OFFSET = 20, 24
+"""Byte offsets in it."""
 
 _SPLAT_BYTES, _MAX_RECORD_BLOCKS = 32, 4
 _RECORDS, _SPARSE_KEYS, _COUNTS, _WORK = 8, 4, 5, 7
@@ -325,7 +324,7 @@ class ProjectedSplatBuffer:
         self.counts = GrowableBuffer(context)
         """Visible splats per block; after the prefix sum, the offset of each block."""
         self.work = context.buffer(reserve=WORK_BYTES)
-        """Indirect work; see `WORK_BYTES`."""
+        """Number of visible splats, and the draw's command; see `WORK_BYTES`."""
 
     @property
     def switches(self) -> Switches:

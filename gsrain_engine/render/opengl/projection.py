@@ -14,10 +14,10 @@ from ...scene.scene import DrawItem
 from ..cpu.projection import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
-from .buffers import CHUNK, LONGEST_DISPATCH, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
+from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
-from .shaders import ShaderVariants, load_compute_shader, set_uniforms
-from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, PrefixSum, RadixSort
+from .shaders import ComputeShader, ShaderVariants, load_compute_shader
+from .sort import KEYS, SLOTS, CpuSort, PrefixSum, RadixSort
 
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
@@ -71,17 +71,16 @@ class ProjectionPass:
         dims = {"MEDIUM": 1} if medium is not None else {}
         shader = self._projector({**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims})
         if rain is not None and medium is not None:
-            set_uniforms(shader, is_linear=rain.is_linear, **medium_uniforms(medium))
-        set_uniforms(
-            shader, intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
+            shader.set(is_linear=rain.is_linear, **medium_uniforms(medium))
+        shader.set(intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
             near=NEAR_M, camera_to_world=tuple(camera.camera_to_world[:3, :3].T.ravel()), look=_LOOKS.get(look, 0),
         )  # fmt: skip
         store.bind()
         first = 0
         for number, (part, is_rain) in enumerate(rows):
-            set_uniforms(shader, layer_color=layer_color(number), is_rain=is_rain)
+            shader.set(layer_color=layer_color(number), is_rain=is_rain)
             if is_wet:
-                shader["wetness"] = part.wetness if part.is_wet else 0.0
+                shader.set(wetness=part.wetness if part.is_wet else 0.0)
             self._dispatch(shader, part, camera, first)
             first += _slots(part.drawn_count)
         if field is not None:
@@ -94,15 +93,15 @@ class ProjectionPass:
         blocks = slots.all // SLOTS_BY_BLOCK
         sort.reserve(max(slots.all, 1))
         found = (self.drops.work, slots.fixed // SLOTS_BY_BLOCK, slots.copies) if slots.copies else None
-        self._scan.run(store.counts.buffer, store.work, blocks, by_group=KEYS_BY_GROUP, found=found)
+        self._scan.run(store.counts.buffer, store.work, blocks, found=found)
         store.bind()
         for binding, buffer in zip((KEYS, SLOTS), sort.unsorted, strict=True):
             buffer.bind_to_storage_buffer(binding)
-        self._gather["blocks"] = blocks
-        self._gather.run(min(blocks, LONGEST_DISPATCH), -(-blocks // LONGEST_DISPATCH))
+        self._gather.set(blocks=blocks)
+        self._gather.run_all(blocks)
         self._context.memory_barrier()
 
-    def _dispatch(self, shader: moderngl.ComputeShader, part: DrawItem, camera: Camera, first: int) -> None:
+    def _dispatch(self, shader: ComputeShader, part: DrawItem, camera: Camera, first: int) -> None:
         gaussians = part.gaussians
         object_to_camera = camera.world_to_camera @ part.to_world
         colors = np.eye(3, 4) if part.colors is None else part.colors
@@ -110,8 +109,7 @@ class ProjectionPass:
         buffers = self._arrays.buffers(gaussians, part.wet_sh if part.is_wet else None)
         if not part.is_wet:
             self._arrays.keep(part.wet_sh)
-        set_uniforms(
-            shader, growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),
+        shader.set(growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),
             has_marks=bool(marks), coefficients=gaussians.sh.shape[1],
             antialiased=gaussians.antialiased,
             object_to_camera=tuple(object_to_camera.T.ravel()),
@@ -127,7 +125,7 @@ class ProjectionPass:
                 marks[index].bind_to_storage_buffer(_MARKS)
             if buffers.wet_sh:
                 buffers.wet_sh[index].bind_to_storage_buffer(_WET)
-            set_uniforms(shader, count=count, first_slot=first + index * CHUNK)
+            shader.set(count=count, first_slot=first + index * CHUNK)
             shader.run(-(-count // SLOTS_BY_BLOCK))
 
 
