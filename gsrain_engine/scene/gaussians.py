@@ -34,7 +34,8 @@ class Gaussians:
     """Spherical harmonics of display color, k = 1, 4, 9 or 16, in the order and sign of 3DGS."""
     antialiased: bool = False
     """True if they are to be drawn through the pixel's filter of Mip-Splatting (Yu et al. 2024), as they were trained:
-    sharper than that of 3DGS, and with the integral of alpha over the image kept, so that thin ones don't grow."""
+    sharper than that of 3DGS, and with the integral of alpha over the image kept, so that thin ones don't grow.
+    `cuda` and training draw them like others."""
 
     def __post_init__(self) -> None:
         n, k = len(self.means), self.sh.shape[1]
