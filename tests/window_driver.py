@@ -44,7 +44,7 @@ class Driver:
             self.ctx = ctx
             engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
             engine.config_watchdog_kill_test = engine.config_watchdog_warning = 600.0  # s; the machine may be busy
-            self.until(lambda: self.window.workspace is not None and self.view.is_settled, 100_000)
+            self.until(lambda: self.window.workspace is not None and self.pictures.is_settled, 100_000)
             self.frames(3)
             try:
                 script()
@@ -58,15 +58,18 @@ class Driver:
             signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
     @property
-    def view(self):
-        return self.window.workspace.view
+    def pictures(self):
+        return self.window.workspace.pictures
 
     def tool(self, name):
         return next(each for each in self.window.workspace.tools if each.name == name)
 
     def frames(self, count=2):
+        """Let frames go by, and at rest also those until the picture shows what they have changed."""
         for _ in range(count):
             self.ctx.yield_()
+        if not self.editor.playback.clock.playing:
+            self.until(lambda: self.pictures.is_current)
 
     def until(self, condition, most=4000):
         for _ in range(most):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot
 
 import glfw  # isort: skip
+import ctypes
 import os
 import shutil
 import subprocess
@@ -136,6 +137,7 @@ class MainWindow:
         self._on_frame = on_frame
         self._backend: WindowBackend = backend
         self._context: moderngl.Context | None = None
+        self._pictures: SharedContext | None = None
         self._editor: Editor | None = None
         self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
         self.workspace: Workspace | None = None
@@ -221,16 +223,19 @@ class MainWindow:
         """Stop all background work. Further calls do nothing."""
         if self._loader.is_alive():
             self._loader.join()
+        if self.workspace is not None:
+            self.workspace.close()
         if self._editor is not None:
             self._editor.close()
 
     def _start(self) -> None:
-        """Set the icon, share the OpenGL context, create the plot context, accept dropped files, start loading."""
+        """Set the icon, create the contexts of OpenGL and plots, accept dropped files, start loading."""
         window = glfw_utils.glfw_window_hello_imgui()
         set_window_icon(window)
         implot.create_context()
         self._context = moderngl.create_context(require=430)
         monitor_context(self._context, glfw.get_proc_address)
+        self._pictures = SharedContext(window)
         glfw.set_drop_callback(window, lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(window, lambda _: self.ask_to_close())
         self._loader.start()
@@ -244,22 +249,24 @@ class MainWindow:
             self.failure = failure
 
     def _update(self) -> None:
-        assert self._context is not None
+        assert self._context is not None and self._pictures is not None
         try:
             check_context(self._context)
             if self._ended_by is not None:
                 raise InterruptedError(f"the window was ended from outside ({signal.Signals(self._ended_by).name})")
-            self.advance(self._context)
+            self.advance(self._context, self._pictures)
         except Exception as failure:  # a lost context takes precedence over other errors
             watcher = context_monitor(self._context)
             self.fail(DeviceLostError() if watcher is not None and watcher.is_lost() else failure)
             if watcher is not None:
                 watcher.wait_for_driver(_DRIVER_RESTARTS_S)
         if self.failure is not None:
+            if self.workspace is not None:
+                self.workspace.close()
             self.workspace = None
             hello_imgui.get_runner_params().app_shall_exit = True
 
-    def advance(self, context: moderngl.Context) -> None:
+    def advance(self, context: moderngl.Context, pictures: "SharedContext") -> None:
         if self.workspace is not None:
             preferences = self.workspace.editor.preferences.value
             if preferences != self._style:
@@ -274,7 +281,7 @@ class MainWindow:
         elif self._editor is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
-            self.workspace = Workspace(self._editor, context, self._backend)
+            self.workspace = Workspace(self._editor, context, pictures, self._backend)
             self._style = self._editor.preferences.value
             for panel in self.workspace.dockable_windows():
                 hello_imgui.add_dockable_window(panel)
@@ -290,7 +297,58 @@ class MainWindow:
 
     def _end(self) -> None:
         self.close()
+        if self._pictures is not None:
+            self._pictures.release()
         implot.destroy_context()
+
+
+# OpenGL context of the pictures
+
+
+_SHARED_ATTRIBUTES = (
+    glfw.CONTEXT_ROBUSTNESS, glfw.CONTEXT_VERSION_MAJOR, glfw.CONTEXT_VERSION_MINOR, glfw.OPENGL_PROFILE,
+)  # fmt: skip
+
+
+class SharedContext:
+    """OpenGL context of an invisible window, which shares textures with the visible one. Created on the main thread."""
+
+    def __init__(self, window: Any) -> None:
+        """Raises `OSError` if the driver opens no second context."""
+        glfw.window_hint(glfw.VISIBLE, False)
+        for hint in (
+            glfw.CONTEXT_ROBUSTNESS,
+            glfw.CONTEXT_VERSION_MAJOR,
+            glfw.CONTEXT_VERSION_MINOR,
+            glfw.OPENGL_PROFILE,
+        ):
+            glfw.window_hint(hint, glfw.get_window_attrib(window, hint))
+        self._window: Any = glfw.create_window(16, 16, "GSRAIN", None, window)
+        glfw.default_window_hints()
+        if not self._window:
+            raise OSError("the graphics driver opens no second OpenGL context, which the viewport needs")
+        self._finish: Callable[[], None] = lambda: None
+
+    def enter(self) -> moderngl.Context:
+        """Make it current on the calling thread."""
+        glfw.make_context_current(self._window)
+        context = moderngl.create_context(require=430)
+        monitor_context(context, glfw.get_proc_address)
+        # Called through ctypes, unlike moderngl's, it lets other threads run.
+        self._finish = ctypes.CFUNCTYPE(None)(glfw.get_proc_address("glFinish"))
+        return context
+
+    def finish(self) -> None:
+        """Wait until everything is drawn; other Python threads go on meanwhile."""
+        self._finish()
+
+    def leave(self) -> None:
+        """Release it from the calling thread."""
+        glfw.make_context_current(None)
+
+    def release(self) -> None:
+        """Destroy it, on the main thread, after the thread that used it has left it."""
+        glfw.destroy_window(self._window)
 
 
 # Window icon
