@@ -163,7 +163,7 @@ class MainWindow:
             hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25),
             hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5),
         ]
-        viewport = hello_imgui.DockableWindow("View", "MainDockSpace", self._draw_viewport)
+        viewport = hello_imgui.DockableWindow("View", "MainDockSpace", self._guarded(self._draw_viewport))
         viewport.can_be_closed = viewport.include_in_view_menu = False
         # Overlays never make the viewport scroll; a scroll bar that comes and goes would change its size.
         viewport.imgui_window_flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
@@ -172,9 +172,9 @@ class MainWindow:
         callbacks.post_init = self._start
         callbacks.setup_imgui_style = lambda: apply_style(load_preferences()[0])
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
-        callbacks.pre_new_frame = self._update
-        callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
-        callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None
+        callbacks.pre_new_frame = self._guarded(self._update)
+        callbacks.show_menus = self._guarded(lambda: self.workspace.draw_menus() if self.workspace else None)
+        callbacks.show_status = self._guarded(lambda: self.workspace.draw_status() if self.workspace else None)
         callbacks.before_exit = self._end
         # ImGui antialiases its own edges: multisampling would only slow down software rendering.
         parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
@@ -284,7 +284,21 @@ class MainWindow:
             self.workspace = Workspace(self._editor, context, pictures, self._backend)
             self._style = self._editor.preferences.value
             for panel in self.workspace.dockable_windows():
+                panel.gui_function = self._guarded(panel.gui_function)
                 hello_imgui.add_dockable_window(panel)
+
+    def _guarded(self, draw: Callable[[], None]) -> Callable[[], None]:
+        """Return a callback that, before an error ends the window and its contexts, ends the drawing in them."""
+
+        def guarded() -> None:
+            try:
+                draw()
+            except BaseException:
+                if self.workspace is not None:
+                    self.workspace.close()
+                raise
+
+        return guarded
 
     def _draw_viewport(self) -> None:
         if self.workspace is not None:

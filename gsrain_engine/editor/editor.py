@@ -246,6 +246,8 @@ class Editor:
             viewport.detail = result.drawn.quality
             viewport.backend, viewport.backend_reason = result.drawn.backend, result.drawn.backend_reason
             viewport.statistics = dict(result.drawn.statistics)
+            if result.drawn.quality.is_exact:
+                viewport.full_ms_per_megapixel = result.drawn.frame_ms / viewport.statistics["megapixels"]
         scene = self.document.scene
         is_same = frame.scene is scene or frame.scene.geometry_key == scene.geometry_key
         if result.sky is not None and is_same:

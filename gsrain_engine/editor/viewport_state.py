@@ -66,6 +66,8 @@ class ViewportState:
         """True if the camera has moved since the last frame."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
+        self.full_ms_per_megapixel: float | None = None
+        """Drawing time of the last picture of full quality, by its size."""
         self.backend = self.backend_reason = ""
         self.is_compiling = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""

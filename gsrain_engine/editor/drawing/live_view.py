@@ -37,7 +37,7 @@ from .textures import CpuTexture
 logger = logging.getLogger("gsrain")
 WindowBackend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]
 _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
-_LOADING_S = 10.0  # time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling
+_LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, they are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _ASIDE = 1 / 4  # share of the Gaussians in small images next to the viewport, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
