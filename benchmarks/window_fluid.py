@@ -1,9 +1,10 @@
-"""Does the window stay fluid while its viewport plays and a job works? Prints JSON, then two lines.
+"""Does the window stay fluid while its viewport plays and a job works? Prints JSON, then a line for each phase.
 
-The real window plays the built-in street in 8.5 mm/h: alone, then while a job works in its own process. `record` renders
-a video of the drive, `recolor` makes the street rainy, `training` reconstructs a capture of the street. A second client of the X server moves the mouse; the
-time until the window has shown a frame at its new place is the feedback. Without a display:
-`xvfb-run -s "-screen 0 1600x1000x24"`. `taskset -c 0,1` gives it two cores.
+The real window plays the built-in street in 8.5 mm/h: alone, then while a job works in its own process; first a second
+client of the X server moves the mouse, then nobody does. The time until the window has shown a frame with the mouse at
+its new place is the feedback. `record` renders a video of the drive, `recolor` makes the street rainy, `training`
+reconstructs a capture of the street. Without a display: `xvfb-run -s "-screen 0 1600x1000x24"`; `taskset -c 0,1` gives
+it two cores.
 """
 
 import argparse
@@ -34,6 +35,7 @@ from gsrain_engine.training.settings import load_settings
 from ui.window import MainWindow
 from ui.workspace import Workspace
 
+_PHASES = ("mouse", "watched", "job, mouse", "job, watched")
 _SETTLING_S = 6.0  # the quality of pictures has settled then
 _LONGEST_S = 900.0
 _MOVES_EVERY_S = (0.1, 0.5)
@@ -75,10 +77,11 @@ class Measurement:
     """Measures a playing window, then the same with a job. `frame` is called once per frame of the interface."""
 
     def __init__(self, seconds: float, start: Callable[[Editor], None]) -> None:
-        self.alone, self.with_job = Phase(), Phase()
+        self.phases = {name: Phase() for name in _PHASES}
         self.last_message = ""
         self.viewport_px = (0, 0)
         self._seconds, self._start = seconds, start
+        self._name = ""
         self._phase: Phase | None = None
         self._mouse = Mouse()
         self._is_counting = False
@@ -91,33 +94,31 @@ class Measurement:
         if not editor.document.scene.gaussian_count or (self._phase is None and editor.busy is not None):
             return
         if self._phase is None:
-            self._begin(self.alone, now)
+            self._begin(_PHASES[0], now)
         elif now >= self._phase.ends_s:
-            self._end()
-            if self._phase is self.with_job:
+            self._phase.job_s += _worker_s()
+            if self._name == _PHASES[-1]:
                 hello_imgui.get_runner_params().app_shall_exit = True
-            else:
+                return
+            self._begin(_PHASES[_PHASES.index(self._name) + 1], now)
+            if not editor.jobs.all and self._name.startswith("job"):
                 self._start(editor)
-                self._begin(self.with_job, now)
-        if self._phase is self.with_job and len(editor.jobs.all) and editor.jobs.all[-1].state != "running":
+        if editor.jobs.all and editor.jobs.all[-1].state != "running":
             raise RuntimeError(f"the job ended early: {editor.jobs.all[-1].state}; measure fewer --seconds")
         if now >= self._phase.begins_s:
             if not self._phase.frames_s:
                 self._phase.job_s = -_worker_s()
             self._phase.frames_s.append(now)
             self._phase.feedback_s += self._mouse.answered(now)
-            self._mouse.move_at_times()
+            if self._name.endswith("mouse"):
+                self._mouse.move_at_times()
             self.last_message = editor.jobs.all[-1].progress.message if len(editor.jobs.all) else ""
 
-    def _begin(self, phase: Phase, now: float) -> None:
-        self._phase = phase
+    def _begin(self, name: str, now: float) -> None:
+        self._name, self._phase = name, self.phases[name]
+        phase = self._phase
         phase.begins_s = now + _SETTLING_S
         phase.ends_s = phase.begins_s + self._seconds
-
-    def _end(self) -> None:
-        assert self._phase is not None
-        self._phase.job_s += _worker_s()
-        self._mouse.rest()
 
     def _count(self, result: Any) -> None:
         phase = self._phase
@@ -157,9 +158,6 @@ class Mouse:
         took, self._moved_s, self._next_s = now - self._moved_s, None, 0.0
         return [took]
 
-    def rest(self) -> None:
-        self._moved_s, self._next_s = None, 0.0
-
     def _move(self) -> None:
         x, y = self._random.randint(300, 1100), self._random.randint(100, 700)
         self._moved_s = time.perf_counter()
@@ -171,7 +169,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("job", choices=("record", "recolor", "training"))
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each of the two measurements")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each phase")
     parser.add_argument("--backend", default="auto")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -194,10 +192,9 @@ def main() -> None:
         window.close()
     if window.failure is not None:
         raise window.failure
-    alone, with_job = measurement.alone.summary(), measurement.with_job.summary()
+    rows = {name: phase.summary() for name, phase in measurement.phases.items()}
     found = {
-        "alone": alone,
-        "with job": with_job,
+        **rows,
         "window_px": _WINDOW_PX,
         "viewport_px": measurement.viewport_px,
         "last_message": measurement.last_message,
@@ -205,11 +202,11 @@ def main() -> None:
         "usable_cores": len(psutil.Process().cpu_affinity() or []),
     }
     print(json.dumps(found, indent=1))
-    for name, row in (("alone", alone), ("with job", with_job)):
+    for name, row in rows.items():
         print(
             f"{name}: interface {row['interface_frames_per_s']} frames/s, "
             f"feedback {row['feedback_ms'].get('median')} ms (95 %: {row['feedback_ms'].get('95 %')}), "
-            f"{row['pictures_per_s']} pictures/s, job {row['job_cores']} cores"
+            f"{row['pictures_per_s']} pictures/s of {row['picture_size_median']}, job {row['job_cores']} cores"
         )
 
 

@@ -16,8 +16,8 @@ A worker beside a window that plays on all cores gets 3 parts of them in 10, so 
 niceness of background work, it would be 1 part in 10, and minutes without progress (docs/performance.md).
 """
 
-PICTURE_NICENESS = WORKER_NICENESS
-"""Priority of the thread that draws the viewport: below the interface, and the same as that of a job."""
+PICTURE_NICENESS = 1
+"""Priority of the thread that draws the viewport: between those of the interface and a job, which gets a third then."""
 
 
 def lower_thread_priority() -> None:

@@ -11,7 +11,7 @@ from gsrain_engine.editor.drawing.picture_thread import PictureContext, PictureT
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
-from gsrain_engine.render.opengl.context import DeviceLostError
+from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
 from .panels.registry import all_panels
@@ -28,7 +28,8 @@ _SPACES = {
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
-_WAITING_FPS = 30.0  # maximum frame rate while a job runs or a bar is animated: the work needs the CPU more
+_PLAYING_FPS = 20.0  # frame rate of a software rasterizer while time plays without user input: more than of the picture
+_SOFTWARE_FPS = 33.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
 
 
 class Workspace:
@@ -40,6 +41,7 @@ class Workspace:
         """`context` is that of the window; the viewport is drawn in that of `pictures`."""
         self.editor = editor
         self.pictures = PictureThread(pictures, backend)
+        self._is_software = is_software(context)
         self.tools = tuple(bind_parts(each, editor)() for each in TOOLS)
         self._previews = JobPreviews(context)
         self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
@@ -79,13 +81,12 @@ class Workspace:
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
-        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
         plays = editor.playback.clock.playing and editor.has_time
-        resting = not (plays or editor.is_bringing_in or viewport.budget.is_settling)
+        idling.fps_idle = _PLAYING_FPS if plays else _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
+        resting = not (editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
-        idling.enable_idling = resting and self.pictures.is_current
-        is_alone = self.pictures.is_settled and editor.busy is None and not editor.jobs.running
-        idling.fps_max = 0.0 if is_alone else _WAITING_FPS
+        idling.enable_idling = self._is_software if plays else resting and self.pictures.is_current
+        idling.fps_max = _SOFTWARE_FPS if self._is_software else 0.0
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
 
