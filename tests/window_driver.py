@@ -44,7 +44,9 @@ class Driver:
             self.ctx = ctx
             engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
             engine.config_watchdog_kill_test = engine.config_watchdog_warning = 600.0  # s; the machine may be busy
-            self.until(lambda: self.window.workspace is not None and self.pictures.is_settled, 100_000)
+            self.until(lambda: self.window.workspace is not None, 100_000)
+            self.window.workspace.max_fps = 0.0
+            self.until(lambda: self.pictures.is_settled, 100_000)
             self.frames(3)
             try:
                 script()
@@ -53,6 +55,10 @@ class Driver:
 
         try:
             testing.run(test_function=act, runner_params=parameters)
+        except AssertionError:
+            if self.window.failure is not None:
+                raise self.window.failure from None
+            raise
         finally:
             # The test engine takes all signals of a crash, and a closed pipe for one: what Python does is set again.
             signal.signal(signal.SIGPIPE, signal.SIG_IGN)
@@ -69,7 +75,14 @@ class Driver:
         for _ in range(count):
             self.ctx.yield_()
         if not self.editor.playback.clock.playing:
-            self.until(lambda: self.pictures.is_current)
+            results = [self.pictures.last]
+
+            def is_current():
+                if self.pictures.last is not results[-1]:
+                    results.append(self.pictures.last)
+                return len(results) > 2 and self.pictures.is_current  # the second was begun after those frames
+
+            self.until(is_current)
 
     def until(self, condition, most=4000):
         for _ in range(most):

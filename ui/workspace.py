@@ -42,6 +42,8 @@ class Workspace:
         self.editor = editor
         self.pictures = PictureThread(pictures, backend)
         self._is_software = is_software(context)
+        self.max_fps = _SOFTWARE_FPS if self._is_software else 0.0
+        """Maximum frame rate of the interface; 0 is that of the display."""
         self.tools = tuple(bind_parts(each, editor)() for each in TOOLS)
         self._previews = JobPreviews(context)
         self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
@@ -86,7 +88,7 @@ class Workspace:
         resting = not (editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
         idling.enable_idling = self._is_software if plays else resting and self.pictures.is_current
-        idling.fps_max = _SOFTWARE_FPS if self._is_software else 0.0
+        idling.fps_max = self.max_fps
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
 

@@ -1,7 +1,7 @@
 """The viewport's pictures, drawn on a thread of their own, so that the interface never waits for one."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import moderngl
 
@@ -10,6 +10,7 @@ from .frame import DrawResult, MosaicInput, MosaicResult, RenderInput
 from .live_view import LiveView, MosaicImages, WindowBackend
 
 
+@runtime_checkable
 class PictureContext(Protocol):
     """OpenGL context that shares its textures with that of the window."""
 
@@ -60,7 +61,8 @@ class PictureThread:
     @property
     def is_current(self) -> bool:
         """True if nothing is being drawn, and nothing had changed when the last picture was begun."""
-        return not (self.is_drawing or self._last.drawn or self._last.is_catching_up) and self.is_settled
+        is_busy = self._drawing is not None and not self._drawing.done()
+        return not (is_busy or self._last.drawn or self._last.is_catching_up) and self.is_settled
 
     @property
     def last(self) -> DrawResult:
