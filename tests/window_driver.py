@@ -80,7 +80,9 @@ class Driver:
             def is_current():
                 if self.pictures.last is not results[-1]:
                     results.append(self.pictures.last)
-                return len(results) > 2 and self.pictures.is_current  # the second was begun after those frames
+                is_dragged = self.editor.viewport.drawn_preview is not None  # a new value in each frame
+                # The second was begun after those frames.
+                return len(results) > 2 and (is_dragged or self.pictures.is_current)
 
             self.until(is_current)
 

@@ -201,8 +201,9 @@ class Editor:
 
     @property
     def has_time(self) -> bool:
-        """True if playing changes anything: the picture, or the place on the user's camera path or among keyframes."""
-        return self.is_animated or self.document.scene.path is not None or len(self.document.keyframes.keys) > 1
+        """True if anything happens in time: in the picture, on the ego vehicle's or the user's path, or in the rain."""
+        scene, keyframes = self.document.scene, self.document.keyframes.keys
+        return self.is_animated or scene.ego is not None or scene.path is not None or len(keyframes) > 1
 
     def render_input(self, width: int, height: int) -> RenderInput:
         """The next frame for a viewport of a size in pixels."""

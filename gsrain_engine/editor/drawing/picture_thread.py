@@ -1,6 +1,6 @@
 """The viewport's pictures, drawn on a thread of their own, so that the interface never waits for one."""
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import moderngl
@@ -77,6 +77,11 @@ class PictureThread:
         picture = drawn.result()
         self._last = picture.result
         return picture
+
+    def wait(self) -> None:
+        """Wait until `take` has an answer."""
+        if self._drawing is not None:
+            wait([self._drawing])
 
     def begin(self, frame: RenderInput, mosaic: MosaicInput | None) -> None:
         """Begin to draw a picture, after the last one was taken."""
