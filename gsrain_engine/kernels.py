@@ -3,12 +3,12 @@
 from contextlib import suppress
 from importlib import import_module
 
-import numba
+from numba.core import config
 
 
 def _take_concurrent_calls() -> bool:
     """Return whether two threads may run parallel kernels at once; Numba's own layer, `workqueue`, ends the process."""
-    if numba.config.THREADING_LAYER == "workqueue":
+    if getattr(config, "THREADING_LAYER", "") == "workqueue":
         return False
     for pool in ("tbbpool", "omppool"):
         with suppress(ImportError):  # its library, such as libgomp, is missing

@@ -42,7 +42,8 @@ class PictureThread:
     """
 
     def __init__(self, context: PictureContext, backend: WindowBackend) -> None:
-        self._context, self._backend = context, backend
+        self._context = context
+        self._backend: WindowBackend = backend
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pictures", initializer=lower_thread_priority)
         self._opening: Future[tuple[LiveView, MosaicImages]] = self._thread.submit(self._open)
         self._drawing: Future[Picture] | None = None
