@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from ..kernels import NOGIL
 from ..scene.camera import Camera
 from ..scene.lamps import LitLamps
 from .medium import RainMedium, optical_depth
@@ -277,7 +278,7 @@ def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
     return True
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _fill_blocks(corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Light of each lamp, over its intensity, up to each slice at the corners of blocks of cells."""
@@ -312,7 +313,7 @@ def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, s
     return True
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Sum the light of all lamps up to each slice along the ray of each corner of the cells.
@@ -486,7 +487,7 @@ def _lamps_near(x, y, intrinsics, lamps, near):
     return found
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _light_in_picture(
     depth_share, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
@@ -533,7 +534,7 @@ def light_of_drops(
     return light
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _light_drops(points, lamps, numbers, drawn, phase, light):
     for n in numba.prange(len(points)):

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt32
 
+from ...kernels import NOGIL
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
@@ -171,7 +172,7 @@ def _candidates(
     return np.flatnonzero(flags)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
     for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
@@ -180,7 +181,7 @@ def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, s
         _flag_range(start, end, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _flag_range(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
     """Flag Gaussians near the image, each treated as a ball with the radius of its longest axis."""
@@ -209,7 +210,7 @@ def _has(words, i):
     return (words[i >> 5] >> np.uint32(i & 31)) & np.uint32(1) == np.uint32(1)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _project_chunks(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
@@ -223,7 +224,7 @@ def _project_chunks(
         )  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _project_range(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,

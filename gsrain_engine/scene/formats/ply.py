@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64, UInt
 
+from ...kernels import NOGIL
 from ...safe_io.limits import open_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
@@ -379,7 +380,7 @@ def _copy_rows(rows: Float32[np.ndarray, "r p"], columns: Int64[np.ndarray, " c"
     _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(rows), 3 * sh.shape[1]))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _spread(rows, columns, means, scales, quaternions, opacities, sh):
     """Copy the numbers of a file, one row at a time: by columns, each number would touch a cache line.
