@@ -360,6 +360,7 @@ def _rainy_and_clear_ms(timed: TimedBackend, scene: Scene, size: Size, work: Wor
             parts = scene.parts(shot.time_s, wetness=sequence.rainfall.wetness_at(shot.time_s))
             start = time.perf_counter()
             falling = sequence.rainfall.frame(shot.time_s, rain_camera(scene, sequence.rainfall, shot), sky)
+            assert falling.max_drops >= 0 and len(falling.drawn_haze) >= 0  # created at their first use
             created_ms = 1000 * (time.perf_counter() - start)
             took_ms = timed.draw_ms(parts, shot.camera, falling)
             if number >= 0:

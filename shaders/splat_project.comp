@@ -26,7 +26,14 @@ layout(std430, binding = 3) readonly buffer Harmonics { STORED harmonics[]; };  
 #ifdef WET
 layout(std430, binding = 12) readonly buffer WetHarmonics { STORED wet_harmonics[]; };  // when soaked, in the same storage
 #endif
-layout(std430, binding = 6) readonly buffer Marks { uvec2 marks[]; };           // bits of 32 Gaussians: left out, selected
+#ifdef MEMBERS
+layout(std430, binding = 6) readonly buffer Members { uint members[]; };  // numbers; in the highest bit: selected
+uniform uint first_member;        // of this chunk
+const uint IN_CHUNK = (1u << 19) - 1u;
+#else
+layout(std430, binding = 6) readonly buffer Marks { uvec2 marks[]; };     // bits of 32 Gaussians: left out, selected
+uniform bool has_marks;
+#endif
 
 uniform uint count;
 uniform int coefficients;         // spherical harmonics a color: 1, 4, 9, 16
@@ -39,7 +46,6 @@ uniform bool antialiased;         // as Gaussians.antialiased
 uniform float growth;             // of each Gaussian, where others are left out
 uniform float layer_opacity;      // multiplies each Gaussian's own
 uniform mat4x3 color_change;      // of display colors, affine
-uniform bool has_marks;
 #ifdef WET
 uniform float wetness;            // 0 clear, 1 soaked; above 0 only where there are wet harmonics
 #endif
@@ -125,10 +131,22 @@ vec3 normal_color(mat3 axes, vec3 s, vec3 p) {
 
 void main() {
     uint i = gl_GlobalInvocationID.x;
+    bool drawn = i < count, is_selected = false, visible = false;
     Splat splat;
-    bool visible = false;
-    uvec2 mark = has_marks && i < count ? (marks[i >> 5] >> (i & 31u)) & 1u : uvec2(0u);
-    if (i < count && mark.x == 0u) {
+#ifdef MEMBERS
+    if (drawn) {
+        uint member = members[first_member + i];
+        is_selected = member >> 31 != 0u;
+        i = member & IN_CHUNK;
+    }
+#else
+    if (drawn && has_marks) {
+        uvec2 mark = (marks[i >> 5] >> (i & 31u)) & 1u;
+        drawn = mark.x == 0u;
+        is_selected = mark.y != 0u;
+    }
+#endif
+    if (drawn) {
         vec4 mean_opacity = means_opacities[i];
         vec3 p = (object_to_camera * vec4(mean_opacity.xyz, 1.0)).xyz;
         if (p.z > near) {
@@ -152,7 +170,7 @@ void main() {
                     else color = kept * color + (1.0 - kept) * linear_to_srgb(airlight);
                 }
 #endif
-                set_color(splat, mark.y == 0u ? color : tinted(color));
+                set_color(splat, is_selected ? tinted(color) : color);
             }
         }
     }

@@ -98,7 +98,8 @@ def project(
     for number, (part, pose, own) in enumerate(zip(parts, poses, found, strict=True)):
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
-        scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
+        end = part.drawn_count if part.members is None else len(g)
+        scales = g.scales if part.growth == 1 else g.scales[:end] * np.float32(part.growth)
         wet_sh, rows = part.wet_sh if part.is_wet else None, own
         if caches is not None and part.members is not None and part.selected is None and part.growth == 1:
             g, wet_sh, rows = caches.present(g, wet_sh, own)

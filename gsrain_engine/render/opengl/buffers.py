@@ -1,18 +1,19 @@
 """GPU buffers of Gaussians, masks and projected splats, uploaded in slices to keep frames smooth."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
 from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from .shaders import Switches
 
-CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
+CHUNK = 1 << 19
+"""Gaussians per buffer, as in splat_project.comp: 96 MiB at SH degree 3; llvmpipe's storage blocks have up to 128."""
 
 RESTING_BYTES = 1 << 29
 """Memory for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
@@ -68,7 +69,7 @@ class GpuArrays:
         self._arrays: dict[_Key, _Upload] = {}
         """Least recently drawn first."""
         self.masks: dict[_Key, _Upload] = {}
-        """Masks of the current frame, by the identity of their words."""
+        """Masks and lists of members of the current frame, by the identity of their words."""
         self._used: set[_Key] = set()
         self._leaving: list[moderngl.Buffer] = []
 
@@ -76,7 +77,8 @@ class GpuArrays:
         """Return the buffers of a set and of its wet colors, uploading missing ones."""
         for _ in self.upload(gaussians, CHUNK, wet_sh=wet_sh):
             pass
-        return GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
+        drawn = GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
+        return replace(drawn, wet_sh=drawn.sh) if wet_sh is gaussians.sh else drawn  # one array has one key
 
     def keep(self, wet_sh: WetColors) -> None:
         """Mark uploaded wet colors as used: at a wetness of 0 they are not read, but the next frame may need them."""
@@ -144,6 +146,17 @@ class GpuArrays:
             chunks = [self._context.buffer(pairs[start : start + step]) for start in range(0, len(pairs), step)]
             self.masks[key] = _Upload(tuple(words), chunks)
         return self.masks[key].buffers
+
+    def members(self, members: Int64[np.ndarray, " m"], selected: BitMask | None) -> moderngl.Buffer:
+        """Return the numbers of a part's members, in the layout of splat_project.comp."""
+        key = (id(members), id(selected))
+        self._used.add(key)
+        if key not in self.masks:
+            numbers = members.astype(np.uint32)
+            if selected is not None:
+                numbers |= selected.flags[members].astype(np.uint32) << np.uint32(31)
+            self.masks[key] = _Upload((members, selected), [self._context.buffer(numbers)])
+        return self.masks[key].buffers[0]
 
     def release_unused(self) -> None:
         """Free arrays that were not used since the last call, one buffer per call, since freeing takes time.
