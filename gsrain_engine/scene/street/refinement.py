@@ -67,7 +67,7 @@ def refined(quads: Quads, line: CameraLine, edge_px: float) -> Quads:
     if not len(quads):
         return quads
     lengths, facing = _view(quads, line)
-    hard = _hard_sides(quads, facing) & (quads.opacity > 0.9)[:, None]
+    hard = _hard_edges(quads, facing) & (quads.opacity > 0.9)[:, None]
     leaf = _is_leaf(quads)
     steps = edge_px * np.where(leaf, _LEAF, np.where(facing.any(axis=1), 1.0, _HIDDEN))
     # Rows: number of cells along u and v, hard ends along u and v (2 the first, 1 the last, 3 both).
@@ -158,7 +158,7 @@ def _view(quads: Quads, line: CameraLine) -> tuple[Float64[np.ndarray, "n 2"], B
 # Edges
 
 
-def _hard_sides(quads: Quads, facing: Bool[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n 4"]:
+def _hard_edges(quads: Quads, facing: Bool[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n 4"]:
     """Sides (corners 0-1, 1-2, 2-3, 3-0) where the color changes, or an outline is: the surface ends, or turns away."""
     points = _hashed(np.round(quads.corners.astype(np.float64) / _SAME_M).astype(np.int64))
     following = np.roll(points, -1, axis=1)
