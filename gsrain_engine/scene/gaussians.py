@@ -1,7 +1,7 @@
 """3D Gaussians, their spherical harmonics, and caches by scene identity."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, ParamSpec, TypeVar
 
@@ -32,7 +32,7 @@ class Gaussians:
     """Largest alpha, in [0, 1]."""
     sh: Float32[np.ndarray, "n k 3"]
     """Spherical harmonics of display color, k = 1, 4, 9 or 16, in the order and sign of 3DGS."""
-    antialiased: bool = False
+    antialiased: bool = field(default=False, kw_only=True)
     """True if they are to be drawn through the pixel's filter of Mip-Splatting (Yu et al. 2024), as they were trained:
     sharper than that of 3DGS, and with the integral of alpha over the image kept, so that thin ones don't grow.
     `cuda` and training draw them like others."""

@@ -18,7 +18,7 @@ from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_stre
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .night import Windows, ego_lamps, lanterns, vehicle_lamps
-from .refinement import ego_way, refined, refined_vehicle, split_at_shadows
+from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
 from .water_map import street_water
@@ -67,9 +67,9 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),
     }
-    way, edge_px = ego_way(layout.parameters), layout.parameters.edge_px
+    line, edge_px = ego_camera_line(layout.parameters), layout.parameters.edge_px
     for name in layers.keys() - {"sky"}:
-        layers[name] = refined(split_at_shadows(layers[name], way, light, edge_px), way, edge_px)
+        layers[name] = refined(split_at_shadows(layers[name], line, light, edge_px), line, edge_px)
     lead = Quads.joined([car_shadow(_LEAD_SHAPE), refined_vehicle(build_car(_LEAD_SHAPE, _LEAD_PAINT))])
     return StreetSurfaces(layout, layers, lead)
 

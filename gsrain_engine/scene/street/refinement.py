@@ -33,7 +33,7 @@ _NEAREST_M = 3.0
 _FARTHER = 1.0, 2.0, 6.0  # distances from which outlines are those of a surface, relative to the closest
 
 
-class CameraWay(NamedTuple):
+class CameraLine(NamedTuple):
     """Straight line along +x on which a camera moves that looks along it, in meters."""
 
     first_x: float
@@ -42,9 +42,9 @@ class CameraWay(NamedTuple):
     z: float
 
 
-def ego_way(p: StreetParameters) -> CameraWay:
+def ego_camera_line(p: StreetParameters) -> CameraLine:
     """Line of the ego's front camera through the street."""
-    return CameraWay(_AHEAD_M, _AHEAD_M + p.ego_speed_m_s * p.drive_seconds, -0.5 * p.lane_width_m, _HEIGHT_M)
+    return CameraLine(_AHEAD_M, _AHEAD_M + p.ego_speed_m_s * p.drive_seconds, -0.5 * p.lane_width_m, _HEIGHT_M)
 
 
 _VEHICLE_PX = 1.0
@@ -55,19 +55,19 @@ def refined_vehicle(quads: Quads) -> Quads:
     return refined(quads, _FOLLOWING, _VEHICLE_PX)
 
 
-_FOLLOWING = CameraWay(_AHEAD_M - 18.0, _AHEAD_M - 15.5, 0.0, _HEIGHT_M)
+_FOLLOWING = CameraLine(_AHEAD_M - 18.0, _AHEAD_M - 15.5, 0.0, _HEIGHT_M)
 """Line of the camera of a follower, in the frame of a vehicle."""
 
 
-def refined(quads: Quads, way: CameraWay, edge_px: float) -> Quads:
+def refined(quads: Quads, line: CameraLine, edge_px: float) -> Quads:
     """Cut quads next to color edges and outlines into cells of `edge_px` that double with each step away from them.
 
     Translucent quads stay as they are, in their place.
     """
     if not len(quads):
         return quads
-    lengths, facing = _view(quads, way)
-    hard = _hard_sides(quads, facing) & (quads.opacity > 0.9)[:, None]
+    lengths, facing = _view(quads, line)
+    hard = _hard_edges(quads, facing) & (quads.opacity > 0.9)[:, None]
     leaf = _is_leaf(quads)
     steps = edge_px * np.where(leaf, _LEAF, np.where(facing.any(axis=1), 1.0, _HIDDEN))
     # Rows: number of cells along u and v, hard ends along u and v (2 the first, 1 the last, 3 both).
@@ -132,17 +132,17 @@ def _cells(
     return np.stack(around, axis=3).reshape(-1, 4, 3)
 
 
-def _view(quads: Quads, way: CameraWay) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, "n 3"]]:
+def _view(quads: Quads, line: CameraLine) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, "n 3"]]:
     """Lengths of u and v in px where the camera passes closest, and whether it sees the front, from three distances.
 
     A quad leaves the image at the depth where the line of sight to it has the slope of the field of view.
     """
     c = quads.corners.astype(np.float64)
     middle = c.mean(axis=1)
-    aside, above = middle[:, 1] - way.y, middle[:, 2] - way.z
+    aside, above = middle[:, 1] - line.y, middle[:, 2] - line.z
     closest = np.maximum(np.maximum(np.abs(aside) / _SLOPES[0], np.abs(above) / _SLOPES[1]), _NEAREST_M)
-    depth = np.maximum(closest, middle[:, 0] - way.last_x)
-    farthest = middle[:, 0] - way.first_x
+    depth = np.maximum(closest, middle[:, 0] - line.last_x)
+    farthest = middle[:, 0] - line.first_x
     normals = geometric_normals(c)
     lengths = np.empty((len(quads), 2))
     for k, edge in enumerate((c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3], c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1])):
@@ -158,7 +158,7 @@ def _view(quads: Quads, way: CameraWay) -> tuple[Float64[np.ndarray, "n 2"], Boo
 # Edges
 
 
-def _hard_sides(quads: Quads, facing: Bool[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n 4"]:
+def _hard_edges(quads: Quads, facing: Bool[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n 4"]:
     """Sides (corners 0-1, 1-2, 2-3, 3-0) where the color changes, or an outline is: the surface ends, or turns away."""
     points = _hashed(np.round(quads.corners.astype(np.float64) / _SAME_M).astype(np.int64))
     following = np.roll(points, -1, axis=1)
@@ -203,9 +203,9 @@ _SHADE_CONTRAST = 0.08
 _MAX_SHADE_CELLS = 6
 
 
-def split_at_shadows(quads: Quads, way: CameraWay, light: Illumination, edge_px: float) -> Quads:
+def split_at_shadows(quads: Quads, line: CameraLine, light: Illumination, edge_px: float) -> Quads:
     """Cut quads that the edge of a shadow cast by the sun crosses into even cells of six times `edge_px`."""
-    lengths, facing = _view(quads, way)
+    lengths, facing = _view(quads, line)
     lit = np.maximum(quads.normals @ light.sun.astype(np.float32), 0) * quads.sun_access
     large = lengths.max(axis=1, initial=0) > 1.5 * _SHADE_PX * edge_px
     solid = (quads.labels != Label.VEGETATION) & (quads.opacity > 0.9)
