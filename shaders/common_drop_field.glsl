@@ -5,19 +5,20 @@
 const uint CLASSES = 16384u, NODES = 257u;
 
 struct DropClass {
-    uint wraps[3];       // whole periods between the cell and the drops of the class, x y z
-    uint fractions[3];   // and the rest, in 2^-32 of a period
     float far, margin;   // view depth beyond which haze represents them; reach of a streak (m)
     float diameter;      // m
     float fall_speed;    // m/s
     float air[3];        // as in `DropAir.by_class`
 };
 
-layout(std430, binding = 1) readonly buffer Classes {
+layout(std430, binding = 0) readonly buffer Moved {
     float air_numbers[8];         // as in `DropAir.numbers`
     float air_rows[10u * NODES];  // as in `DropAir.rows`
-    DropClass drop_classes[];
+    uint across[4];               // whole periods between the cell and the drops, x y, and the rest, in 2^-32 of a period
+    uvec2 fallen[];               // the same along z, for each class
 };
+
+layout(std430, binding = 1) readonly buffer Classes { DropClass drop_classes[]; };
 
 uniform uint seed;
 uniform vec3 period;          // of the cell (m)
@@ -72,22 +73,22 @@ uint part_of_period(float periods) {
 
 PlacedDrop place(uint i, uint c) {
     uint start = pcg4d(uvec4(i, 0u, 0u, seed)).z;
-    uint z = start + drop_classes[c].fractions[2];
-    uint wrap_z = drop_classes[c].wraps[2] + uint(z < start);
+    uint z = start + fallen[c].y;
+    uint wrap_z = fallen[c].x + uint(z < start);
     uvec4 drawn = pcg4d(uvec4(i, wrap_z, 1u, seed));
     ivec2 steps = ivec2(own_steps(drawn.y), own_steps(drawn.z));
     float slow = drop_classes[c].air[0], gust = drop_classes[c].air[1], own = drop_classes[c].air[2];
     precise float offset =
         (air_at(0u, z) * slow + air_at(2u, z) * gust + own_offset(z, steps.x, own)) * air_numbers[4];
     uint part = part_of_period(offset);
-    uint lattice_x = drawn.x + drop_classes[c].fractions[0];
+    uint lattice_x = drawn.x + across[2];
     uint x = lattice_x + part;
-    uint wrap_x = drop_classes[c].wraps[0] + uint(lattice_x < drawn.x) + uint(x < part) + uint(int(floor(offset)));
+    uint wrap_x = across[0] + uint(lattice_x < drawn.x) + uint(x < part) + uint(int(floor(offset)));
     vec2 turn = gust_turn(x);
     precise float gusts = (air_at(3u, z) * turn.x + air_at(4u, z) * turn.y) * gust;
     precise float offset_y = (air_at(1u, z) * slow + gusts + own_offset(z, steps.y, own)) * air_numbers[4];
     start = pcg4d(uvec4(i, wrap_z, wrap_x * 2u + 2u, seed)).y;
-    return PlacedDrop(uvec3(x, start + drop_classes[c].fractions[1] + part_of_period(offset_y), z), steps);
+    return PlacedDrop(uvec3(x, start + across[3] + part_of_period(offset_y), z), steps);
 }
 
 vec3 in_cell(uvec3 fractions) {  // m, from the centre

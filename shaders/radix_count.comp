@@ -14,15 +14,16 @@ shared uint tally[DIGITS];
 
 void main() {
     uint lane = gl_LocalInvocationID.x;
+    if (group() >= groups()) return;
     if (lane < DIGITS) tally[lane] = 0u;
     barrier();
     for (uint r = 0u; r < ROUNDS; ++r) {
-        uint at = gl_WorkGroupID.x * KEYS_BY_GROUP + r * 256u + lane;
+        uint at = group() * KEYS_BY_GROUP + r * 256u + lane;
         if (at < key_count) atomicAdd(tally[digit_of(keys[at])], 1u);
     }
     barrier();
     if (lane < DIGITS) {
-        counts[lane * groups + gl_WorkGroupID.x] = tally[lane];
+        counts[lane * groups() + group()] = tally[lane];
         atomicAdd(totals[turn * DIGITS + lane], tally[lane]);
     }
 }

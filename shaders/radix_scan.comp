@@ -3,22 +3,19 @@
 // No races: in each step of the scan all threads read `sums` before a barrier and write their own sum after it; no workgroup
 // touches another row of `counts`; of `totals` those of this pass are read and those of the next one cleared.
 
-layout(local_size_x = 256) in;
+#include "common_radix.glsl"
 
 layout(std430, binding = 4) buffer Counts { uint counts[]; };
 layout(std430, binding = 5) buffer Totals { uint totals[]; };
-layout(std430, binding = 7) readonly buffer Work { uint draw_command[5]; uint key_count; uint groups; };
 
 uniform uint turn;
-
-const uint DIGITS = 128u;
 
 shared uint sums[256];
 
 void main() {
-    uint thread = gl_LocalInvocationID.x, digit = gl_WorkGroupID.x, row = digit * groups;
-    uint run = (groups + 255u) / 256u;
-    uint first = min(thread * run, groups), last = min(first + run, groups);
+    uint thread = gl_LocalInvocationID.x, digit = gl_WorkGroupID.x, row = digit * groups();
+    uint run = (groups() + 255u) / 256u;
+    uint first = min(thread * run, groups()), last = min(first + run, groups());
     uint sum = 0u;
     for (uint k = first; k < last; ++k) sum += counts[row + k];
     uint before_row = thread < digit ? totals[turn * DIGITS + thread] : 0u;  // keys of a lower digit

@@ -15,11 +15,12 @@ shared uint mask[DIGITS * 8u];  // which of the 256 threads have the digit in th
 
 void main() {
     uint lane = gl_LocalInvocationID.x, word = lane >> 5, bit = 1u << (lane & 31u);
-    if (lane < DIGITS) place[lane] = places[lane * groups + gl_WorkGroupID.x];
+    if (group() >= groups()) return;
+    if (lane < DIGITS) place[lane] = places[lane * groups() + group()];
     for (uint r = 0u; r < ROUNDS; ++r) {
         for (uint k = lane; k < DIGITS * 8u; k += 256u) mask[k] = 0u;
         barrier();
-        uint at = gl_WorkGroupID.x * KEYS_BY_GROUP + r * 256u + lane;
+        uint at = group() * KEYS_BY_GROUP + r * 256u + lane;
         bool held = at < key_count;
         uint key = held ? keys[at] : 0u, digit = digit_of(key);
         if (held) atomicOr(mask[digit * 8u + word], bit);

@@ -1,63 +1,69 @@
 #version 430
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_ballot : require
-// As radix_scatter.comp, where threads run in subgroups of 32.
-// No races: a subgroup's row of `place` is read before a barrier of the subgroup and written after it, by one thread for each
-// digit; the rows are scanned between barriers of the workgroup. Each key has its own place.
+#extension GL_KHR_shader_subgroup_shuffle : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+// As radix_scatter.comp, where threads run in subgroups of 32. The keys of a workgroup are brought into their order first, so that
+// those of a digit are written side by side.
+// No races: each shared array is written, then read, with a barrier of the workgroup between. Each key has its own place.
 
-#include "common_radix.glsl"
+#include "common_radix_subgroups.glsl"
 
 layout(std430, binding = 1) readonly buffer Slots { uint slots[]; };
 layout(std430, binding = 2) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(std430, binding = 3) writeonly buffer SortedSlots { uint sorted_slots[]; };
 layout(std430, binding = 4) readonly buffer Places { uint places[]; };
 
-const uint STRIDE = DIGITS + 1u;  // one more: the rows of `place` start in different banks of memory
+shared uint digits_before[DIGITS / 32u];  // keys of each 32 digits
+shared uint to_global[DIGITS];            // from a key's place in the workgroup to that among all
+shared uint ordered_keys[KEYS_BY_GROUP];
+shared uint ordered_slots[KEYS_BY_GROUP];
 
-shared uint place[8u * STRIDE];  // by subgroup: keys of each digit so far, then where its next key goes
-
-// Each subgroup takes 32 * ROUNDS keys in a row, so that the order is that of subgroups, rounds, threads.
 void main() {
-    uint thread = gl_LocalInvocationIndex, lane = thread & 31u, row = (thread >> 5) * STRIDE;
-    uint first = gl_WorkGroupID.x * KEYS_BY_GROUP + (thread >> 5) * 32u * ROUNDS + lane;
-    uint lower = (1u << lane) - 1u;
-    for (uint k = thread; k < 8u * STRIDE; k += 256u) place[k] = 0u;
-    barrier();
-    uint key[ROUNDS], rank[ROUNDS];
+    if (group() >= groups()) return;
+    uint thread = gl_LocalInvocationIndex, row = (thread >> 5) * STRIDE, first = first_key();
+    uint key[ROUNDS], slot[ROUNDS], rank[ROUNDS];
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint at = first + r * 32u;
         key[r] = at < key_count ? keys[at] : 0u;
-        uint digit = at < key_count ? digit_of(key[r]) : DIGITS;
-        uint same = 0xFFFFFFFFu;  // threads of the subgroup with this digit
-        for (uint b = 0u; b <= DIGIT_BITS; ++b) {
-            bool on = ((digit >> b) & 1u) != 0u;
-            uint ballot = subgroupBallot(on).x;
-            same &= on ? ballot : ~ballot;
-        }
-        uint before = place[row + digit];
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
-        rank[r] = before + uint(bitCount(same & lower));
-        if ((same & lower) == 0u) place[row + digit] = before + uint(bitCount(same));
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
+        slot[r] = at < key_count ? slots[at] : 0u;
     }
+    uint to = thread < DIGITS ? places[thread * groups() + group()] : 0u;
+    uvec2 tally = uvec2(0u);
+    for (uint r = 0u; r < ROUNDS; ++r) rank[r] = tally_key(key[r], first + r * 32u < key_count, tally);
+    share_tally(tally);
+    barrier();
+    uint total = 0u;  // keys of the digit `thread`
+    if (thread < DIGITS) for (uint k = 0u; k < SUBGROUPS; ++k) total += place[k * STRIDE + thread];
+    uint up_to = subgroupInclusiveAdd(total);
+    if (thread < DIGITS && (thread & 31u) == 31u) digits_before[thread >> 5] = up_to;
     barrier();
     if (thread < DIGITS) {
-        uint to = places[thread * groups + gl_WorkGroupID.x];
-        for (uint k = 0u; k < 8u; ++k) {
+        uint start = up_to - total;
+        for (uint k = 0u; k < (thread >> 5); ++k) start += digits_before[k];
+        to_global[thread] = to - start;
+        for (uint k = 0u; k < SUBGROUPS; ++k) {
             uint count = place[k * STRIDE + thread];
-            place[k * STRIDE + thread] = to;
-            to += count;
+            place[k * STRIDE + thread] = start;
+            start += count;
         }
     }
     barrier();
     for (uint r = 0u; r < ROUNDS; ++r) {
-        uint at = first + r * 32u;
-        if (at < key_count) {
-            uint to = place[row + digit_of(key[r])] + rank[r];
-            sorted_keys[to] = key[r];
-            sorted_slots[to] = slots[at];
+        if (first + r * 32u < key_count) {
+            uint at = place[row + digit_of(key[r])] + rank[r];
+            ordered_keys[at] = key[r];
+            ordered_slots[at] = slot[r];
+        }
+    }
+    barrier();
+    uint count = min(KEYS_BY_GROUP, key_count - group() * KEYS_BY_GROUP);
+    for (uint r = 0u; r < ROUNDS; ++r) {
+        uint at = r * 256u + thread;
+        if (at < count) {
+            uint moved = ordered_keys[at], into = at + to_global[digit_of(moved)];
+            sorted_keys[into] = moved;
+            sorted_slots[into] = ordered_slots[at];
         }
     }
 }

@@ -49,6 +49,7 @@ uint find_class(uint n, out uint i) {
 
 void main() {
     uint n = gl_GlobalInvocationID.x;
+    if (gl_WorkGroupID.x * 256u >= found_count) return;  // there was room for more
     bool there = n < found_count;
     vec3 p = vec3(0.0), direction = vec3(0.0, 0.0, 1.0);
     float opacity = 0.0, across_sigma = 0.0, along_sigma = 0.0, spacing = 0.0;
@@ -98,7 +99,7 @@ void main() {
         bool visible = false;
         if (copy < copies) {
             vec3 center = p + (float(copy) - 0.5 * float(copies - 1u)) * spacing * direction;
-            visible = project(center, axes, opacity, true, false, splat);
+            visible = project(center, axes, opacity, true, false, false, splat);
 #ifdef LAMPS
             if (visible) set_color(splat, light_of_drop(center));
 #else

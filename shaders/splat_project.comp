@@ -17,11 +17,23 @@ uniform bool is_linear;           // the medium changes linear light, else displ
 layout(std430, binding = 0) readonly buffer Means { vec4 means_opacities[]; };
 layout(std430, binding = 1) readonly buffer Scales { float scales[]; };         // 3 a Gaussian
 layout(std430, binding = 2) readonly buffer Rotations { vec4 quaternions[]; };  // w x y z
-layout(std430, binding = 3) readonly buffer Harmonics { uint harmonics[]; };    // as SH_BITS says
-#ifdef WET
-layout(std430, binding = 12) readonly buffer WetHarmonics { uint wet_harmonics[]; };  // when soaked, in the same storage
+#if SH_BITS == 16
+#define STORED uvec2  // fewer, wider loads: harmonics are most of what this shader reads
+#else
+#define STORED uint
 #endif
-layout(std430, binding = 6) readonly buffer Marks { uvec2 marks[]; };           // bits of 32 Gaussians: left out, selected
+layout(std430, binding = 3) readonly buffer Harmonics { STORED harmonics[]; };    // as SH_BITS says
+#ifdef WET
+layout(std430, binding = 12) readonly buffer WetHarmonics { STORED wet_harmonics[]; };  // when soaked, in the same storage
+#endif
+#ifdef MEMBERS
+layout(std430, binding = 6) readonly buffer Members { uint members[]; };  // numbers; in the highest bit: selected
+uniform uint first_member;        // of this chunk
+const uint IN_CHUNK = (1u << 19) - 1u;
+#else
+layout(std430, binding = 6) readonly buffer Marks { uvec2 marks[]; };     // bits of 32 Gaussians: left out, selected
+uniform bool has_marks;
+#endif
 
 uniform uint count;
 uniform int coefficients;         // spherical harmonics a color: 1, 4, 9, 16
@@ -30,10 +42,10 @@ uniform vec3 camera_in_object;    // centre of projection in the Gaussians' own 
 uniform mat3 camera_to_world;
 uniform vec3 layer_color;
 uniform bool is_rain;
+uniform bool antialiased;         // as Gaussians.antialiased
 uniform float growth;             // of each Gaussian, where others are left out
 uniform float layer_opacity;      // multiplies each Gaussian's own
 uniform mat4x3 color_change;      // of display colors, affine
-uniform bool has_marks;
 #ifdef WET
 uniform float wetness;            // 0 clear, 1 soaked; above 0 only where there are wet harmonics
 #endif
@@ -49,26 +61,40 @@ mat3 rotation_matrix(vec4 q) {    // columns are the Gaussian's axes
         2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-uint stored(uint at, bool wet) {
+STORED stored(uint at, bool wet) {
 #ifdef WET
     if (wet) return wet_harmonics[at];
 #endif
     return harmonics[at];
 }
 
-// Harmonic k of Gaussian i, clear or wet. Storage: 32-bit floats; halves, rows padded to an even number; or the first harmonic as
-// halves with a half that scales the others, which are signed bytes, rows padded to whole words.
+// Color of Gaussian i in a direction, clear or wet. Storage of the harmonics: 32-bit floats; halves, rows padded to an even number
+// of words; or the first harmonic as halves with a half that scales the others, which are signed bytes, rows padded to whole words.
+#if SH_BITS == 16
+vec3 color_of(uint i, vec3 direction, bool wet) {
+    uint at = i * uint((3 * coefficients + 1) / 4);
+    vec3 color = vec3(0.5);
+    for (int k = 0; k < coefficients; k += 4) {
+        uvec2 a = stored(at, wet);
+        vec2 a_y = unpackHalf2x16(a.y);
+        color += sh_basis(k, direction) * vec3(unpackHalf2x16(a.x), a_y.x);
+        if (k + 1 < coefficients) {
+            uvec2 b = stored(at + 1u, wet), c = stored(at + 2u, wet);
+            vec2 c_x = unpackHalf2x16(c.x);
+            color += sh_basis(k + 1, direction) * vec3(a_y.y, unpackHalf2x16(b.x));
+            color += sh_basis(k + 2, direction) * vec3(unpackHalf2x16(b.y), c_x.x);
+            color += sh_basis(k + 3, direction) * vec3(c_x.y, unpackHalf2x16(c.y));
+        }
+        at += 3u;
+    }
+    return color;
+}
+#else
 #if SH_BITS == 32
 vec3 harmonic(uint i, int k, bool wet) {
     uint at = 3u * (i * uint(coefficients) + uint(k));
     return vec3(
         uintBitsToFloat(stored(at, wet)), uintBitsToFloat(stored(at + 1u, wet)), uintBitsToFloat(stored(at + 2u, wet)));
-}
-#elif SH_BITS == 16
-vec3 harmonic(uint i, int k, bool wet) {
-    uint at = i * uint((3 * coefficients + 1) / 2) + uint(3 * k / 2);
-    vec2 first = unpackHalf2x16(stored(at, wet)), second = unpackHalf2x16(stored(at + 1u, wet));
-    return (k & 1) == 0 ? vec3(first, second.x) : vec3(first.y, second);
 }
 #else
 float signed_byte(uint base, int n, bool wet) {
@@ -83,17 +109,17 @@ vec3 harmonic(uint i, int k, bool wet) {
     return last.y * vec3(signed_byte(base, n, wet), signed_byte(base, n + 1, wet), signed_byte(base, n + 2, wet));
 }
 #endif
+vec3 color_of(uint i, vec3 direction, bool wet) {
+    vec3 color = vec3(0.5);
+    for (int k = 0; k < coefficients; ++k) color += sh_basis(k, direction) * harmonic(i, k, wet);
+    return color;
+}
+#endif
 
 vec3 display_color(uint i, vec3 mean) {
-    vec3 direction = normalize(mean - camera_in_object);
-    vec3 color = vec3(0.5);
-    for (int k = 0; k < coefficients; ++k) color += sh_basis(k, direction) * harmonic(i, k, false);
+    vec3 direction = normalize(mean - camera_in_object), color = color_of(i, direction, false);
 #ifdef WET
-    if (wetness > 0.0) {
-        vec3 soaked = vec3(0.5);
-        for (int k = 0; k < coefficients; ++k) soaked += sh_basis(k, direction) * harmonic(i, k, true);
-        color = (1.0 - wetness) * color + wetness * soaked;
-    }
+    if (wetness > 0.0) color = (1.0 - wetness) * color + wetness * color_of(i, direction, true);
 #endif
     return color_change * vec4(color, 1.0);
 }
@@ -105,10 +131,22 @@ vec3 normal_color(mat3 axes, vec3 s, vec3 p) {
 
 void main() {
     uint i = gl_GlobalInvocationID.x;
+    bool drawn = i < count, is_selected = false, visible = false;
     Splat splat;
-    bool visible = false;
-    uvec2 mark = has_marks && i < count ? (marks[i >> 5] >> (i & 31u)) & 1u : uvec2(0u);
-    if (i < count && mark.x == 0u) {
+#ifdef MEMBERS
+    if (drawn) {
+        uint member = members[first_member + i];
+        is_selected = member >> 31 != 0u;
+        i = member & IN_CHUNK;
+    }
+#else
+    if (drawn && has_marks) {
+        uvec2 mark = (marks[i >> 5] >> (i & 31u)) & 1u;
+        drawn = mark.x == 0u;
+        is_selected = mark.y != 0u;
+    }
+#endif
+    if (drawn) {
         vec4 mean_opacity = means_opacities[i];
         vec3 p = (object_to_camera * vec4(mean_opacity.xyz, 1.0)).xyz;
         if (p.z > near) {
@@ -116,7 +154,7 @@ void main() {
             vec3 s = growth * vec3(scales[3u * i], scales[3u * i + 1u], scales[3u * i + 2u]);
             float opacity = min(mean_opacity.w * layer_opacity, 1.0);
             mat3 extents = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
-            visible = project(p, extents, opacity, is_rain, look == LOOK_POINTS, splat);
+            visible = project(p, extents, opacity, is_rain, look == LOOK_POINTS, antialiased, splat);
             if (visible) {
                 vec3 color;
                 if (look == LOOK_NORMALS) color = normal_color(axes, s, p);
@@ -132,7 +170,7 @@ void main() {
                     else color = kept * color + (1.0 - kept) * linear_to_srgb(airlight);
                 }
 #endif
-                set_color(splat, mark.y == 0u ? color : tinted(color));
+                set_color(splat, is_selected ? tinted(color) : color);
             }
         }
     }

@@ -16,6 +16,7 @@ shared uint sum;
 void main() {
     uint block = gl_WorkGroupID.x + gl_WorkGroupID.y * gl_NumWorkGroups.x, lane = gl_LocalInvocationID.x;
     uint number = block * 256u + lane, count = 0u;
+    if (block * 256u >= visible_count) return;
     if (lane == 0u) sum = 0u;
     barrier();
     if (number < visible_count) {
@@ -29,5 +30,5 @@ void main() {
         atomicAdd(sum, count);
     }
     barrier();
-    if (lane == 0u && block * 256u < visible_count) block_counts[block] = sum;
+    if (lane == 0u) block_counts[block] = sum;
 }

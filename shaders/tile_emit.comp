@@ -15,6 +15,8 @@ layout(std430, binding = 5) readonly buffer Places { uint block_places[]; };
 layout(std430, binding = 6) readonly buffer Pairs { uint unused[5]; uint pair_count; };
 layout(std430, binding = 7) readonly buffer Work { uint draw_command[5]; uint visible_count; };
 
+const uint LONG = 2048u;    // pairs of 256 splats: 8 each
+
 shared uint ends[256];      // pairs up to and with each splat
 shared uint slot_of[256];
 shared vec4 where[256];     // center, depth, shear
@@ -40,29 +42,37 @@ void main() {
         ends[lane] += before;
         barrier();
     }
-    uint first = block_places[block], last = min(first + ends[255], pair_count);
-    for (uint at = first + lane; at < last; at += 256u) {
-        uint low = 0u, high = 255u;
-        while (low < high) {
-            uint middle = (low + high) / 2u;
-            if (first + ends[middle] > at) high = middle; else low = middle + 1u;
-        }
-        uint skip = at - first - (low > 0u ? ends[low - 1u] : 0u);
-        vec4 w = where[low];
-        vec3 x = extent[low];
-        Ellipse e = Ellipse(w.xy, w.z, w.w, x.x, x.y, x.z);
-        uvec2 rows = rows_of(e);
-        uint tile = tiles.x * tiles.y;  // none, where the driver rounds otherwise than when it counted
-        for (uint row = rows.x; row < rows.y; ++row) {
-            uvec2 columns = columns_of(e, row);
-            uint width = columns.y - columns.x;
-            if (skip < width) {
-                tile = row * tiles.x + columns.x + skip;
-                break;
+    uint first = block_places[block], count_here = min(ends[255], max(pair_count, first) - first);
+    // Where splats meet many tiles, each thread takes a run of pairs: it seeks splat and row once, not for each pair.
+    uint run = count_here > LONG ? (count_here + 255u) / 256u : 0u;
+    uint from = run > 0u ? lane * run : lane, to = run > 0u ? min(from + run, count_here) : count_here;
+    uint found_up_to = 0u, passed = 0u, row = 0u;
+    uvec2 rows = uvec2(0u), columns = uvec2(0u);
+    Ellipse e;
+    for (uint at = from; at < to; at += run > 0u ? 1u : 256u) {
+        if (at >= found_up_to) {
+            uint low = 0u, high = 255u;
+            while (low < high) {
+                uint middle = (low + high) / 2u;
+                if (ends[middle] > at) high = middle; else low = middle + 1u;
             }
-            skip -= width;
+            vec4 w = where[low];
+            vec3 x = extent[low];
+            e = Ellipse(w.xy, w.z, w.w, x.x, x.y, x.z);
+            rows = rows_of(e);
+            row = rows.x;
+            columns = columns_of(e, row);
+            passed = low > 0u ? ends[low - 1u] : 0u;
+            slot = slot_of[low];
+            found_up_to = run > 0u ? ends[low] : 0u;
         }
-        keys[at] = tile;
-        slots[at] = slot_of[low];
+        while (row < rows.y && at - passed >= columns.y - columns.x) {
+            passed += columns.y - columns.x;
+            row += 1u;
+            columns = columns_of(e, row);
+        }
+        // No tile where the driver rounds otherwise than when it counted.
+        keys[first + at] = row < rows.y ? row * tiles.x + columns.x + at - passed : tiles.x * tiles.y;
+        slots[first + at] = slot;
     }
 }

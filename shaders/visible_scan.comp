@@ -1,5 +1,5 @@
 #version 430
-// Offsets of the visible splats (or found drops) of each block of 256, and the indirect work: an exclusive scan of the
+// Offsets of the visible splats (or found drops) of each block of 256, and their number: an exclusive scan of the
 // counts by one workgroup, each thread over a run of its own.
 // No races: as in radix_scan.comp; only the last thread writes `Work`, and `FoundWork` is another buffer.
 
@@ -9,8 +9,6 @@ layout(std430, binding = 5) buffer Counts { uint block_counts[]; };  // in: coun
 layout(std430, binding = 7) writeonly buffer Work {
     uint draw_command[5];    // of an indirect indexed draw: indices, instances, first index, base vertex, base instance
     uint visible_count;      // at most `max_elements`
-    uint groups[3];          // of an indirect dispatch with `by_group` elements per workgroup
-    uint block_groups[3];    // and of one with 256
     uint all_count;
 };
 
@@ -19,10 +17,9 @@ layout(std430, binding = 6) readonly buffer FoundWork { uint unused[5]; uint fou
 uniform uint blocks;
 uniform uint fixed_blocks;   // whose counts have been written
 uniform uint found_copies;   // further blocks for each 256 found drops
-uniform uint by_group;       // elements per workgroup of the indirect dispatch
 uniform uint max_elements;   // more than these are only counted
 
-const uint DRAWN_BY_INSTANCE = 128u, LONGEST_DISPATCH = 32768u;  // half of what OpenGL guarantees along one axis
+const uint DRAWN_BY_INSTANCE = 128u;
 
 shared uint sums[1024];
 
@@ -48,15 +45,9 @@ void main() {
         place += count;
     }
     if (thread == 1023u) {
-        uint total = min(sums[1023], max_elements), groups_of_256 = (total + 255u) / 256u;
+        uint total = min(sums[1023], max_elements);
         all_count = sums[1023];
         visible_count = total;
-        groups[0] = (total + by_group - 1u) / by_group;
-        groups[1] = 1u;
-        groups[2] = 1u;
-        block_groups[0] = min(groups_of_256, LONGEST_DISPATCH);
-        block_groups[1] = (groups_of_256 + LONGEST_DISPATCH - 1u) / LONGEST_DISPATCH;
-        block_groups[2] = 1u;
         draw_command[0] = 6u * DRAWN_BY_INSTANCE;
         draw_command[1] = (total + DRAWN_BY_INSTANCE - 1u) / DRAWN_BY_INSTANCE;
         draw_command[2] = 0u;

@@ -144,6 +144,8 @@ class RainFrame:
     def visible_drops(self, *, in_view: bool = True) -> FallingDrops:
         """Find the drops in the open that may be visible to the camera; without `in_view` all in the streak region."""
         count = self.count if self.rain.streaks or not in_view else 0
+        if count == 0:
+            return self.falling(place_drops(np.zeros(0, np.int64), self.rain.seed, self.where))
         turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
         found = np.empty((CLASSES, turns), np.bool_)
         culling, where = self.culling, self.where
@@ -166,7 +168,7 @@ class RainFrame:
         velocities[:, 2] = -self.fall_speed_m_s[c]
         return FallingDrops(drops.numbers, c, positions, self.diameters_mm[c], velocities)
 
-    @property
+    @cached_property
     def max_drops(self) -> int:
         """Upper bound on the number of visible drops, exceeded with a chance of one in millions; sizes GPU buffers."""
         left, right, top, bottom = np.abs(self.culling.slopes)

@@ -14,8 +14,8 @@ from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import DrawItem
+from ..training.losses import d_ssim, l1
 from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step, rotate_quaternions
-from ..training.step import d_ssim, l1
 from .problem import ColorProblem, ProblemView, Solution
 from .solver import Harmonics, SolverStep, add_colors_transposed, evaluate_colors
 

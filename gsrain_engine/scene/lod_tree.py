@@ -103,7 +103,7 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
     m = int(starts[-1])
     nodes = Gaussians(
         np.empty((m, 3), np.float32), np.empty((m, 3), np.float32), np.empty((m, 4), np.float32),
-        np.empty(m, np.float32), np.empty((m, k, 3), np.float32),
+        np.empty(m, np.float32), np.empty((m, k, 3), np.float32), gaussians.antialiased,
     )  # fmt: skip
     radii, errors, contrasts = (np.empty(m, np.float32) for _ in range(3))
     nothing = np.zeros(0, np.float32)

@@ -60,15 +60,15 @@ class SplatModel:
                 rows[key] = slice(count, count + len(parameters))
                 count += len(parameters)
         if len(pieces) > 1:
-            harmonics, pad = max(piece.sh.shape[1] for piece in pieces), torch.nn.functional.pad
-            padded = [piece._replace(sh=pad(piece.sh, (0, 0, 0, harmonics - piece.sh.shape[1]))) for piece in pieces]
+            harmonics = max(piece.sh.shape[1] for piece in pieces)
+            padded = (piece.padded(harmonics) for piece in pieces)
             pieces = [_ActivatedPart(*(torch.cat(each) for each in zip(*padded, strict=True)))]
         front = render_gaussians(*pieces[0], camera)
         sky = None
         if self.sky is not None:  # only its colors are trained
             part = _ActivatedPart.of(self.sky, sh_degree)
             sky = render_gaussians(*_ActivatedPart(*(each.detach() for each in part))._replace(sh=part.sh), camera)
-        color = front.color if sky is None else front.color + (1 - front.alpha)[..., None] * sky.color
+        color = front.color if sky is None else torch.addcmul(front.color, (1 - front.alpha)[..., None], sky.color)
         return TrainingRender(color, front, slice(0, len(self.background)), rows, sky)
 
     @property
@@ -110,6 +110,11 @@ class _ActivatedPart(NamedTuple):
         tensors = parameters.tensors
         sh = parameters.sh_up_to(sh_degree)
         return cls(tensors["means"], parameters.scales, tensors["quaternions"], parameters.opacities, sh)
+
+    def padded(self, harmonics: int) -> "_ActivatedPart":
+        """Add harmonics of 0 up to a number."""
+        missing = harmonics - self.sh.shape[1]
+        return self._replace(sh=torch.nn.functional.pad(self.sh, (0, 0, 0, missing))) if missing else self
 
     def moved(self, pose: Float64[np.ndarray, "4 4"]) -> "_ActivatedPart":
         """Transform from an object's frame to the world; colors are unchanged."""

@@ -10,20 +10,20 @@ from importlib import import_module
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
-from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, ImageDistance, check_pair, window
-from ..render.cuda import uploaded
+from ..evaluation.image_metrics import ImageDistance
 from ..training_run import arrays_of
 from .data import TrainingView
 from .evaluation import RenderScore, score
 from .free_space import DeviceFreeSpace, FreeSpaceCarving, clear_free_space
+from .losses import robust_mask, view_loss
 from .model import SplatModel, TrainingRender
-from .settings import TrainingSchedule, TrainingSettings, view_order
+from .parameters import AdamStep, foreach_adam_step, fused_adam_step
+from .settings import TrainingSchedule, view_order
 from .strategy import Strategy
-from .targets import TargetCache, TrainingTarget
+from .targets import TargetCache
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -60,11 +60,12 @@ class Trainer:
         self.is_asynchronous = device != "cpu"
         """True if steps are queued on a GPU, where reading a loss waits for all of them."""
         self._clock = (_EventClock if self.is_asynchronous else _StageClock)(self.seconds_by_stage)
-        self._control, self._device = control, device
+        self._control = control
         self._free = DeviceFreeSpace(free, device) if free is not None and self.is_asynchronous else free
         self._targets = TargetCache(views, device)
         settings = schedule.settings
-        self._exposures = ExposureAffine(len(views), device) if settings.exposure else None
+        self._exposures = ExposureAffine(len(views), settings.exposure, device) if settings.exposure else None
+        self._generator = torch.Generator(device=device)
         self._order = view_order(len(views), settings.steps, settings.seed)
 
     def step(self, number: int) -> TrainingStepResult:
@@ -79,26 +80,22 @@ class Trainer:
         picture = self.model.render(view.levels[level].camera, view.time_s, self.schedule.sh_degree(number))
         exposed = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
         if self.schedule.leaves_out(number):
-            truth = truth._replace(mask=robust_mask(exposed, truth.image, truth.mask, settings.transients))
-        loss = total = view_loss(picture, exposed, truth, settings)
-        if self._exposures is not None:
-            total = total + settings.exposure * self._exposures.penalty(index)
+            truth = truth._replace(mask=robust_mask(exposed.detach(), truth, settings.transients))
+        loss = view_loss(picture, exposed, truth, settings)
         regularization = self._control.regularization(self.model.background)
-        if regularization is not None:
-            total = total + regularization
         clock.stop("forward")
-        total.backward()
+        loss.backward(regularization)
         clock.stop("backward")
         self._control.observe(number, picture.front, picture.background_rows)
         self._move(number, picture, everything=regularization is not None)
         clock.stop("optimizer")
-        generator = torch.Generator(device=self._device).manual_seed(settings.seed * 1_000_003 + number)
+        generator = self._generator.manual_seed(settings.seed * 1_000_003 + number)
         change = self._control.adapt(number, self.model.background, generator)
         if self._free is not None:
             cleared = clear_free_space(number, settings.steps, self.model.background, self._free)
             change = ", ".join(filter(None, (change, cleared))) or None
         clock.stop("density")
-        return TrainingStepResult(loss.detach(), change, exposed.detach(), truth.image)
+        return TrainingStepResult(loss.value, change, exposed.detach(), truth.image)
 
     def losses(self, results: Sequence[Tensor]) -> list[float]:
         """Read the losses of the steps since the last call at once; waits until those steps are done."""
@@ -199,173 +196,27 @@ class _EventClock:
         self._events.clear()
 
 
-# Loss of one view
-
-_MIN_ALPHA = 0.05  # alpha below which depth is undefined
-
-
-def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Tensor:
-    """Loss of one render against its target: the sum of color, depth and cover.
-
-    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `exposed`, the render with its camera's exposure. Depth
-    is |d - m| / (d + m) of expected depth d and measured depth m: independent of scale, and bounded, since a beam that
-    grazes an edge may be meters off. Cover is the missing alpha at measured surfaces, and the alpha in front of known
-    sky.
-    """
-    color = (1 - settings.d_ssim) * l1(exposed, truth.image, truth.mask)
-    if settings.d_ssim:
-        color = color + settings.d_ssim * d_ssim(exposed, truth.image, truth.mask)
-    nothing = color.new_zeros(())
-    depth, cover = nothing, nothing
-    if len(truth.hits) and (settings.depth or settings.cover):
-        alpha = picture.front.alpha.reshape(-1).index_select(0, truth.hits)
-        weighted = picture.front.depth.reshape(-1).index_select(0, truth.hits)
-        mean = weighted / alpha.clamp_min(_MIN_ALPHA)
-        error = (mean - truth.depths).abs() / (mean + truth.depths)
-        depth = settings.depth * (error * (alpha.detach() > _MIN_ALPHA)).mean()
-        cover = settings.cover * (1 - alpha).mean()
-    if truth.sky is not None and picture.sky is not None and settings.cover:
-        sky = truth.sky if truth.mask is None else truth.sky & truth.mask
-        cover = cover + settings.cover * (picture.front.alpha * sky).sum() / sky.sum().clamp_min(1)
-    return color + depth + cover
-
-
-# L1 and D-SSIM
-
-
-def l1(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
-    """Mean absolute difference of two (h, w, 3) tensors over the pixels of a bool mask (h, w); 0 if none is set."""
-    check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
-    difference = (rendered - truth).abs()
-    if mask is None:
-        return difference.mean()
-    return (difference * mask[..., None]).sum() / (3 * mask.sum()).clamp_min(1)
-
-
-def d_ssim(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
-    """Return 1 - SSIM of two (h, w, 3) tensors of values 0..1 over the pixels of a bool mask (h, w).
-
-    Same SSIM as `gsrain_engine.evaluation.image_metrics.ssim`: windows inside the image, masked pixels without weight.
-    A term of 3DGS's loss (Kerbl et al. 2023, eq. 7). 0 if the mask is empty. Differentiable in `rendered` and `truth`.
-    Raises ValueError for other shapes and for images smaller than the window (11 px).
-    """
-    check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
-    if min(rendered.shape[:2]) < WINDOW_PX:
-        raise ValueError(f"SSIM takes pictures of at least {WINDOW_PX} px a side, not {tuple(rendered.shape[:2])}")
-    if mask is None:
-        return 1 - _similarity(_means(rendered, truth, None)).mean()
-    weights = mask[..., None].to(rendered.dtype)
-    inside = mask[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX, None]
-    similarity = _similarity(_means(rendered, truth, weights))
-    return ((1 - similarity) * inside).sum() / (3 * inside.sum()).clamp_min(1)
-
-
-def _means(x: Tensor, y: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
-    values = torch.cat([x, y, x * x + y * y, x * y], dim=2)
-    if weights is None:
-        return _blurred(values).split(3, dim=2)
-    return (_blurred(values * weights) / _blurred(weights).clamp_min(MIN_WEIGHT)).split(3, dim=2)
-
-
-def _similarity(means: tuple[Tensor, ...]) -> Tensor:
-    # Only the sum of both variances is needed, which saves one filter pass.
-    x, y, squares, product = means
-    both, crossed = x * x + y * y, x * y
-    return (2 * crossed + C1) * (2 * (product - crossed) + C2) / ((both + C1) * (squares - both + C2))
-
-
-def _blurred(values: Tensor) -> Tensor:
-    return OpenCVBlur.apply(values) if values.device.type == "cpu" else convolved(values)
-
-
-def convolved(values: Tensor) -> Tensor:
-    """(h - 10, w - 10, c) Gaussian window means by torch, on any device: along y, then along x."""
-    # Torch's own float32 kernel takes contiguous planes in at least two groups; cuDNN, which takes the rest, would
-    # round to TF32, too coarse for variances.
-    channels, groups = values.shape[2], max(values.shape[2], 2)
-    taps = uploaded(window(), values.device).to(values.dtype).repeat(groups, 1)
-    planes = values.permute(2, 0, 1).contiguous()[None].expand(-1, groups if channels == 1 else -1, -1, -1)
-    rows = torch.nn.functional.conv2d(planes.contiguous(), taps.view(groups, 1, -1, 1), groups=groups)
-    both = torch.nn.functional.conv2d(rows, taps.view(groups, 1, 1, -1), groups=groups)
-    return both[0, :channels].permute(1, 2, 0)
-
-
-class OpenCVBlur(torch.autograd.Function):
-    """The same by OpenCV, several times faster on the CPU than torch's single-channel convolution."""
-
-    @staticmethod
-    def forward(context: Any, values: Tensor) -> Tensor:
-        blurred = _filtered(values.detach().numpy())
-        inner = blurred[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX]
-        return torch.from_numpy(np.ascontiguousarray(inner))
-
-    @staticmethod
-    def backward(context: Any, gradient: Tensor) -> Tensor:
-        edge = HALF_WINDOW_PX
-        # The symmetric window is its own transpose; cropping transposes to zero padding.
-        return torch.from_numpy(_filtered(np.pad(gradient.numpy(), ((edge, edge), (edge, edge), (0, 0)))))
-
-
-def _filtered(values: np.ndarray) -> np.ndarray:
-    taps = window().astype(values.dtype)
-    return cv2.sepFilter2D(values, -1, taps, taps, borderType=cv2.BORDER_CONSTANT).reshape(values.shape)
-
-
-# Robust mask
-
-_WINDOW = 0.03  # side of the averaging window in image widths; single pixels are no evidence
-_THRESHOLDS, _TIMES = 0.08, 4.0
-"""Color difference (0..1) below which no pixel is masked, and required multiple of the median."""
-
-
-def robust_mask(exposed: Tensor, truth: Tensor, mask: Tensor | None, max_share: float) -> Tensor:
-    """(h, w) bool: a mask without the patches where render and image (h, w, 3) differ far more than elsewhere.
-
-    Follows robust losses for scenes with distractors (Sabour et al. 2023, section 3.2). Their quantile is only an upper
-    bound here, so that no pixel of a well-fitted image is masked: at most `max_share` of the valid pixels of `mask`
-    (all for None).
-    """
-    with torch.no_grad():
-        counts = torch.ones(truth.shape[:2], dtype=torch.bool, device=truth.device) if mask is None else mask
-        difference = torch.where(counts, (exposed - truth).abs().mean(dim=2), 0)
-        reach = max(round(_WINDOW * truth.shape[1] / 2), 1)
-        both = torch.stack([difference, counts.to(difference.dtype)])[None]
-        mean, part = torch.nn.functional.avg_pool2d(both, 2 * reach + 1, 1, reach)[0]
-        mean = mean / part.clamp_min(1e-6)
-        # Pixels that don't count come last: the number of those that do stays on the device.
-        ordered = torch.where(counts, mean, torch.inf).reshape(-1).sort().values
-        number = counts.sum()
-        ranks = torch.stack([((1 - max_share) * number.double()).long().minimum(number - 1), number // 2])
-        bound, median = ordered.index_select(0, ranks.clamp_min(0)).unbind()
-        limit = torch.maximum(bound, (_TIMES * median).clamp_min(_THRESHOLDS))
-        return counts & (mean <= limit)
-
-
 # Affine exposure maps
-
-_DECAYS = 0.9, 0.999
 
 
 class ExposureAffine:
     """Trainable maps color -> A color + b, one per image; their mean is the identity, which fixes the gauge.
 
-    Otherwise a darker scene with brighter exposures would give the same loss.
+    Otherwise a darker scene with brighter exposures would give the same loss. The gradient of an image's map includes
+    that of `pull` times its squared deviation from the identity.
     """
 
-    def __init__(self, count: int, device: str = "cpu") -> None:
+    def __init__(self, count: int, pull: float, device: str = "cpu") -> None:
         self.changes = torch.zeros((count, 3, 4), device=device, requires_grad=True)
         """(count, 3, 4): added to the identity."""
+        self._identity = torch.eye(3, 4, device=device)
+        self._everyone = torch.ones(count, dtype=torch.bool, device=device)
         self._first, self._second = torch.zeros((2, count, 3, 4), device=device).unbind()
-        self._steps = 0
+        self._pull, self._steps = pull, 0
 
     def apply(self, index: int, color: Tensor) -> Tensor:
         """Apply an image's map to its colors (h, w, 3)."""
-        change = self.changes[index]
-        return color + color @ change[:, :3].T + change[:, 3]
-
-    def penalty(self, index: int) -> Tensor:
-        """Squared deviation of one image's map from the identity."""
-        return (self.changes[index] ** 2).sum()
+        return _Exposed.apply(color, self.changes, self._identity, index, self._pull)
 
     def step(self, rate: float) -> None:
         """Do one step of Adam, then reset the mean map to the identity."""
@@ -374,10 +225,9 @@ class ExposureAffine:
             return
         self._steps += 1
         with torch.no_grad():
-            self._first.mul_(_DECAYS[0]).add_(slope, alpha=1 - _DECAYS[0])
-            self._second.mul_(_DECAYS[1]).addcmul_(slope, slope, value=1 - _DECAYS[1])
-            shares = [1 - decay**self._steps for decay in _DECAYS]
-            self.changes.addcdiv_(self._first / shares[0], (self._second / shares[1]).sqrt() + 1e-15, value=-rate)
+            move = fused_adam_step if self.changes.is_cuda else foreach_adam_step
+            four = (self.changes, slope, self._first, self._second)
+            move([four], self._everyone, [AdamStep.of(rate, self._steps)])
             self.changes -= self.changes.mean(dim=0, keepdim=True)
         self.changes.grad = None
 
@@ -393,3 +243,27 @@ class ExposureAffine:
         self._first = torch.tensor(state["first"], device=device)
         self._second = torch.tensor(state["second"], device=device)
         self._steps = int(state["steps"])
+
+
+class _Exposed(torch.autograd.Function):
+    """Colors (h, w, 3) mapped by one of many changes to the identity."""
+
+    @staticmethod
+    def forward(context: Any, color: Tensor, changes: Tensor, identity: Tensor, index: int, pull: float) -> Tensor:
+        change = changes[index]
+        matrix = identity + change
+        context.save_for_backward(color, change, matrix)
+        context.place = len(changes), index, pull
+        return torch.addmm(matrix[:, 3], color.reshape(-1, 3), matrix[:, :3].T).view(color.shape)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(context: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        color, change, matrix = context.saved_tensors
+        count, index, pull = context.place
+        slopes = gradient.reshape(-1, 3)
+        by_changes = change.new_zeros((count, 3, 4))
+        by_change = torch.mul(change, 2 * pull, out=by_changes[index])
+        by_change[:, :3].addmm_(slopes.T, color.reshape(-1, 3))
+        by_change[:, 3].add_(slopes.sum(dim=0))
+        return (slopes @ matrix[:, :3]).view(color.shape), by_changes, None, None, None

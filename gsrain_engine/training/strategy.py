@@ -102,12 +102,13 @@ class DefaultStrategy(Strategy):
         if len(self._notes.get("count", ())) != len(drawn):
             zeros = torch.zeros((3, len(drawn)), device=drawn.device)
             self._notes = dict(zip(("pull", "count", "radius"), zeros.unbind(), strict=True))
-        self._notes = {name: each.to(drawn.device) for name, each in self._notes.items()}
+        if self._notes["count"].device != drawn.device:  # restored
+            self._notes = {name: each.to(drawn.device) for name, each in self._notes.items()}
         half = 0.5 * float(np.sqrt(width * height))
-        self._notes["pull"] += torch.where(drawn, rendered.footprint.screen_gradients[rows] * half, 0).float()
+        self._notes["pull"].add_(rendered.footprint.screen_gradients[rows], alpha=half)  # 0 where not drawn
         self._notes["count"] += drawn
-        radius = torch.where(drawn, rendered.footprint.radii_px[rows] / max(width, height), 0).float()
-        self._notes["radius"] = torch.maximum(self._notes["radius"], radius)
+        radius = (rendered.footprint.radii_px[rows] / max(width, height)).float()
+        torch.maximum(self._notes["radius"], radius, out=self._notes["radius"])
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
         """Grow and prune periodically, and reset opacities at intervals."""

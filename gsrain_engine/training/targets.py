@@ -27,6 +27,8 @@ class TrainingTarget(NamedTuple):
     """(m,) along the view axis."""
     sky: Tensor | None
     """(h, w) bool."""
+    pixels: int
+    """Number of training pixels of the view."""
 
     @classmethod
     def of(cls, level: PyramidLevel, device: str) -> "TrainingTarget":
@@ -42,15 +44,16 @@ class TrainingTarget(NamedTuple):
             measured = level.depth > 0 if level.mask is None else (level.depth > 0) & level.mask
             rows = measured.ravel().nonzero()[0]
             depths = level.depth.ravel()[rows]
-        return cls(uploaded(level.image, device), mask, uploaded(rows, device), uploaded(depths, device), sky)
+        pixels = level.camera.width * level.camera.height if level.mask is None else int(np.count_nonzero(level.mask))
+        return cls(uploaded(level.image, device), mask, uploaded(rows, device), uploaded(depths, device), sky, pixels)
 
     def normalized(self) -> "TrainingTarget":
         """Return the target with its 8-bit image as float32 of 0..1."""
-        return self._replace(image=self.image.to(torch.float32) / 255)
+        return self._replace(image=self.image / 255)
 
     @property
     def bytes(self) -> int:
-        return sum(each.nelement() * each.element_size() for each in self if each is not None)
+        return sum(each.nelement() * each.element_size() for each in self[:-1] if each is not None)
 
 
 class TargetCache:

@@ -250,7 +250,7 @@ class SizeClass(NamedTuple):
 def mean_diameter_mm(speed_m_s: float) -> float:
     """Mean diameter of drops that leave the grooves of a tire: 0.8 mm sqrt(2700 / We), We = rho V^2 w / sigma.
 
-    Radovich and Plocher 2009 (laboratory, We 2700 to 24400): 80 um to 9 mm, mean 0.8 mm at 2700, and the root law.
+    Radovich and Plocher 2009 (laboratory; We 2700, 10900, 24400): 80 um to 9 mm, mean 0.8 mm at 2700, about We^-1/2.
     """
     weber = _WATER_KG_M3 * max(speed_m_s, STILL_M_S) ** 2 * GROOVE_M / _SURFACE_N_M
     return WEBER_MEAN_MM * float(np.sqrt(WEBER / weber))

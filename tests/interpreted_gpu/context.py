@@ -22,7 +22,7 @@ import random
 import moderngl
 import numpy as np
 
-from .translation import ATOMIC, BALLOT, BARRIER, INVOCATION, LOAD, STORE, SUBGROUP_BARRIER, translate
+from .translation import ATOMIC, BARRIER, EXCHANGE, INVOCATION, LOAD, STORE, translate
 from .values import CODECS, RUNTIME, UNDEFINED, Vec, constructed
 
 _MAX_STEPS = 20_000_000
@@ -58,16 +58,21 @@ class _Thread:
         return at
 
 
+class AwaitedFaultError(Exception):
+    """A fault that a test waits for; nothing after it is run."""
+
+
 class InterpretedContext(moderngl.Context):
     """The part of a context by which the engine runs compute shaders.
 
     Args:
         seed: Of the order in which threads take turns.
         warps: Whether 32 threads advance in lock step, as on an NVIDIA GPU before Volta, or each by itself.
+        awaited: Part of a fault that ends the run by `AwaitedFaultError`.
     """
 
-    def __init__(self, seed=0, *, warps=False):
-        self.chance, self.warps = random.Random(seed), warps
+    def __init__(self, seed=0, *, warps=False, awaited=None):
+        self.chance, self.warps, self.awaited = random.Random(seed), warps, awaited
         self.bindings, self.images, self.buffers, self.faults, self.shaders_run = {}, {}, [], {}, set()
         self.commands, self.steps = itertools.count(1), 0
 
@@ -108,6 +113,8 @@ class InterpretedContext(moderngl.Context):
 
     def report(self, fault):
         self.faults[fault] = self.faults.get(fault, 0) + 1
+        if self.awaited is not None and self.awaited in fault:
+            raise AwaitedFaultError(fault)
 
     def access(self, who, request):
         """Do what a thread asks for, and report it where nothing puts it in order with what another one did."""
@@ -209,11 +216,11 @@ class InterpretedContext(moderngl.Context):
                 for thread in unit:
                     if thread.request[0] == BARRIER:
                         waiting.append(thread)
-                    elif thread.request[0] in (BALLOT, SUBGROUP_BARRIER):
+                    elif thread.request[0] == EXCHANGE:
                         there = meeting.setdefault(thread.who // _SUBGROUP, [])
                         there.append(thread)
                         if len(there) == _SUBGROUP:
-                            units.append(self.met(meeting.pop(thread.who // _SUBGROUP), shared))
+                            units.append(self.met(meeting.pop(thread.who // _SUBGROUP)))
                     elif self.advance(thread, self.access(thread.who, thread.request)):
                         left.append(thread)
                 unit = left
@@ -227,20 +234,13 @@ class InterpretedContext(moderngl.Context):
             self.report(f"not all threads of a subgroup come to {there[0].request[3]}")
         return waiting
 
-    def met(self, threads, shared):
+    def met(self, threads):
         """Let the threads of a subgroup go on from where all have come; returns those that have not ended."""
         threads.sort(key=lambda thread: thread.who)
         if len({thread.request[3] for thread in threads}) > 1:
             self.report(f"not all threads of a subgroup come to {threads[0].request[3]}")
-        value = None
-        if threads[0].request[0] == BALLOT:
-            value = Vec("u", (sum(bool(thread.request[4]) << k for k, thread in enumerate(threads)), 0, 0, 0))
-        else:
-            here = {thread.who for thread in threads}
-            for memory in shared:
-                for kinds in memory.touched.values():
-                    kinds[:] = [[each for each in kind if each[0] not in here] for kind in kinds]
-        return [thread for thread in threads if self.advance(thread, value)]
+        values = EXCHANGES[threads[0].request[4]]([thread.request[5] for thread in threads])
+        return [thread for thread, value in zip(threads, values, strict=True) if self.advance(thread, value)]
 
     def advance(self, thread, value):
         """Run a thread as far as its next access; False where it ends instead."""
@@ -253,6 +253,20 @@ class InterpretedContext(moderngl.Context):
             return False
         return True
 
+
+def _ballot(given):
+    return [Vec("u", (sum(bool(on) << k for k, (on,) in enumerate(given)), 0, 0, 0))] * len(given)
+
+
+def _shuffle(given):
+    return [given[lane][0] if lane < len(given) else UNDEFINED for _, lane in given]
+
+
+def _inclusive_add(given):
+    return [sum(value for (value,) in given[: k + 1]) & 0xFFFFFFFF for k in range(len(given))]
+
+
+EXCHANGES = {"subgroupBallot": _ballot, "subgroupShuffle": _shuffle, "subgroupInclusiveAdd": _inclusive_add}
 
 _VERBS = {LOAD: "reads", STORE: "writes", ATOMIC: "changes"}
 
@@ -332,8 +346,3 @@ class InterpretedShader(moderngl.ComputeShader):
 
     def run(self, group_x=1, group_y=1, group_z=1):
         self.owner.run(self.program, self.uniforms, (group_x, group_y, group_z))
-
-    def run_indirect(self, buffer, offset=0):
-        who = self.owner.command()
-        request = [(LOAD, buffer.memory, offset // 4 + k, "the dispatch", CODECS["uint"]) for k in range(3)]
-        self.run(*(self.owner.access(who, each) for each in request))

@@ -27,7 +27,8 @@ from .values import (
     vector_type,
 )
 
-LOAD, STORE, ATOMIC, BARRIER, BALLOT, SUBGROUP_BARRIER = range(6)
+LOAD, STORE, ATOMIC, BARRIER, EXCHANGE = range(5)
+EXCHANGES = {"subgroupBallot": "uvec4", "subgroupShuffle": "uint", "subgroupInclusiveAdd": "uint"}
 
 INVOCATION = ("gl_LocalInvocationID", "gl_WorkGroupID", "gl_GlobalInvocationID", "gl_NumWorkGroups", "gl_WorkGroupSize")
 
@@ -693,14 +694,10 @@ class _Translator:
         if name == "barrier":
             self.function.pauses = True
             return _Operand("void", f"(yield ({BARRIER}, None, 0, {place!r}))")
-        if name == "subgroupBallot":
+        if name in EXCHANGES:
             self.function.pauses = True
-            return _Operand("uvec4", f"(yield ({BALLOT}, None, 0, {place!r}, {self.loaded(arguments[0]).code}))")
-        if name == "subgroupBarrier":
-            self.function.pauses = True
-            return _Operand("void", f"(yield ({SUBGROUP_BARRIER}, None, 0, {place!r}, False))")
-        if name == "subgroupMemoryBarrierShared":
-            return _Operand("void", "None")
+            values = ", ".join(self.loaded(each).code for each in arguments)
+            return _Operand(EXCHANGES[name], f"(yield ({EXCHANGE}, None, 0, {place!r}, {name!r}, ({values},)))")
         if name in ("atomicAdd", "atomicOr"):
             target, kind = arguments[0], arguments[0].type.type
             self.function.pauses = True

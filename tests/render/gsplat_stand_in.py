@@ -1,7 +1,8 @@
-"""Stand-in for `gsplat.rasterization`, differentiable, computed densely by torch, and for gsplat's Adam."""
+"""Stand-in for gsplat's `rasterization` and `spherical_harmonics`, differentiable, by torch, and for its Adam."""
 
 import torch
 
+from gsrain_engine.render.cuda import sh_basis
 from gsrain_engine.scene.camera import Camera
 from oracles.dense_gradients import ALPHA_CUT, alphas_of, display_colors, in_image, weights_of
 
@@ -21,6 +22,10 @@ def rasterization(
     assert viewmats.shape == (1, 4, 4)
     assert Ks.shape == (1, 3, 3)
     assert {each.dtype for each in (means, quats, scales, opacities, colors, viewmats, Ks)} == {torch.float32}
+    culled = ~(opacities >= ALPHA_CUT)[:, None]  # before anything is read of them
+    means, scales, opacities = (torch.where(culled, 0, each) for each in (means, scales, opacities[:, None]))
+    quats, opacities = torch.where(culled, torch.eye(1, 4), quats), opacities[:, 0]
+    colors = torch.where(culled.reshape(-1, *[1] * (colors.ndim - 1)), 0, colors)
     assert all(torch.isfinite(each).all() for each in (means, quats, scales, opacities, colors))
     assert (near_plane, far_plane, eps2d) == (0.2, 1e10, 0.3)
     (fx, _, cx), (_, fy, cy), _ = Ks[0].tolist()
@@ -49,6 +54,16 @@ def rasterization(
         * drawn[None, :, None],
     }
     return image[None], weights.sum(dim=0)[None, ..., None], found
+
+
+def spherical_harmonics(degrees_to_use, dirs, coeffs, masks=None):
+    """Colors (n, 3) of harmonics in directions of any length, without 3DGS's 0.5; not a number where masked."""
+    assert coeffs.shape == (len(dirs), (degrees_to_use + 1) ** 2, 3)
+    assert masks.shape == dirs.shape[:1] and masks.dtype == torch.bool and masks.is_contiguous()
+    coeffs = torch.where(masks[:, None, None], coeffs, 0)
+    dirs = torch.where(masks[:, None], dirs, torch.ones(3)) if degrees_to_use else torch.ones_like(dirs)
+    basis = sh_basis(dirs / dirs.norm(dim=1, keepdim=True))[:, : coeffs.shape[1]]
+    return torch.where(masks[:, None], torch.einsum("nk,nkc->nc", basis, coeffs), torch.nan)
 
 
 def may_reach(centers, covariances, opacities, camera):

@@ -14,8 +14,8 @@ from gsrain_engine.render.autodiff.differentiable import render_gaussians, rende
 from gsrain_engine.render.cpu.renderer import CpuRenderer  # noqa: E402
 from gsrain_engine.scene.camera import Camera, look_at  # noqa: E402
 from oracles.dense_gradients import render_densely  # noqa: E402
+from render import gsplat_stand_in  # noqa: E402
 from render.cpu.raster_scenes import at_each_thread_count, drawn, random_gaussians, small_camera  # noqa: E402
-from render.gsplat_stand_in import rasterization  # noqa: E402
 
 NAMES = ("means", "scales", "quaternions", "opacities", "colors", "world_to_camera")
 EXACT, SINGLE = 1e-9, 1e-3
@@ -52,7 +52,7 @@ def rendered(values, view=None):
 
 def by_gsplat(values):
     gaussians = (values[name] for name in NAMES[:5])
-    return render_with_gsplat(*gaussians, camera(), values[NAMES[5]], rasterize=rasterization)
+    return render_with_gsplat(*gaussians, camera(), values[NAMES[5]], gsplat_stand_in)
 
 
 def outputs_of(rendered):
@@ -274,7 +274,7 @@ def test_back_ends_that_cannot_take_the_tensors_are_refused(monkeypatch):
     with pytest.raises(ValueError, match="cpu"):
         render_gaussians(*gaussians, camera(), backend="cuda")
     with pytest.raises(ValueError, match="float32"):
-        render_with_gsplat(*gaussians, camera(), None, rasterize=rasterization)
+        render_with_gsplat(*gaussians, camera(), None, gsplat_stand_in)
     monkeypatch.setitem(sys.modules, "gsplat", None)
     with pytest.raises(ValueError, match="gsplat"):
         render_with_gsplat(*(each.float() for each in gaussians), camera(), None)

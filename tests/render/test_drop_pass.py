@@ -13,7 +13,7 @@ from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.shelter_map import ShelterMap
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.opengl.rain import RainPass, field_words
+from gsrain_engine.render.opengl.rain import RainPass, class_rows, moved_words
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 
@@ -68,7 +68,9 @@ def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, 
             placed[3u * i] = p.x; placed[3u * i + 1u] = p.y; placed[3u * i + 2u] = p.z;
         }}""")
     count = 40 * CLASSES
-    rows, placed = context.buffer(field_words(field)), context.buffer(reserve=12 * count)
+    rows, placed = context.buffer(class_rows(field)), context.buffer(reserve=12 * count)
+    moved = context.buffer(moved_words(field))
+    moved.bind_to_storage_buffer(0)
     rows.bind_to_storage_buffer(1)
     placed.bind_to_storage_buffer(2)
     shader["seed"] = field.rain.seed

@@ -80,10 +80,12 @@ def test_pairs_that_find_no_room_are_counted_and_drawn_when_the_image_is_read(co
     expected = draw(SplatRenderer(context, rasterizer="tiles"), many).rgba
     draw(tiles, few)
     tiles.draw([DrawItem(many, np.eye(4))], CAMERA)
+    tiles.finish()
     assert tiles.statistics.pairs_left_out > 1000
     assert tiles.read().rgba.tobytes() == expected.tobytes()
     assert tiles.statistics.pairs_left_out == 0
     tiles.draw([DrawItem(many, np.eye(4))], CAMERA)
+    tiles.finish()
     assert tiles.statistics.pairs_left_out == 0
 
 

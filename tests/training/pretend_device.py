@@ -193,14 +193,17 @@ class _Generator(torch.Generator):
 @contextlib.contextmanager
 def pretend_device(monkeypatch: pytest.MonkeyPatch) -> Generator[PretendDevice]:
     """Use "cuda" as the pretend device, with the stand-in for gsplat, whose own synchronizations are not recorded."""
-    from render.gsplat_stand_in import rasterization
+    from render import gsplat_stand_in
 
     mode, plain = PretendDevice(), {name: getattr(torch, name) for name in ("tensor", "as_tensor")}
     to = torch.Tensor.to
 
-    def rasterize(**arguments: Any) -> Any:
-        with mode.recording(False):
-            return rasterization(**arguments)
+    def by_stand_in(name: str) -> Any:
+        def call(*args: Any, **arguments: Any) -> Any:
+            with mode.recording(False):
+                return getattr(gsplat_stand_in, name)(*args, **arguments)
+
+        return call
 
     def made(name: str) -> Any:
         def make(values: Any, *args: Any, device: Any = None, **kwargs: Any) -> Any:
@@ -236,7 +239,9 @@ def pretend_device(monkeypatch: pytest.MonkeyPatch) -> Generator[PretendDevice]:
     monkeypatch.setattr(torch, "tensor", made("tensor"))
     monkeypatch.setattr(torch, "as_tensor", made("as_tensor"))
     gsplat = ModuleType("gsplat")
-    gsplat.__spec__, gsplat.__path__, gsplat.rasterization = ModuleSpec("gsplat", None), [], rasterize
+    gsplat.__spec__, gsplat.__path__ = ModuleSpec("gsplat", None), []
+    for name in ("rasterization", "spherical_harmonics"):
+        setattr(gsplat, name, by_stand_in(name))
     monkeypatch.setitem(sys.modules, "gsplat", gsplat)
     monkeypatch.setitem(sys.modules, "gsplat.cuda._backend", SimpleNamespace(_C=object()))
     with mode:

@@ -41,6 +41,7 @@ def test_no_step_waits_for_the_gpu(device, density: str) -> None:
         with device.recording():
             training.step(number)
     assert device.synchronizations == []
+    assert device.kernels < 2100  # of which the stand-in's backward pass starts some 1,500
 
 
 @pytest.mark.parametrize(("density", "change", "reads"), [("adaptive", "split", 2), ("mcmc", "added", 3)])
@@ -140,8 +141,9 @@ def test_targets_stay_on_the_device_up_to_a_bound_on_memory(device) -> None:
             for level in (0, 1):
                 found = cache.target(view, level)
                 expected = TargetCache(views, "cpu").target(view, level)
-                for mine, theirs in zip(found, expected, strict=True):
+                for mine, theirs in zip(found[:-1], expected[:-1], strict=True):
                     assert mine.tolist() == theirs.tolist()
+                assert found.pixels == expected.pixels == 32 * 22
     assert 0 < len(cache) < 4 and one.image.max() <= 1
 
 

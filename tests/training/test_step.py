@@ -9,16 +9,18 @@ from gsrain_engine.evaluation.image_metrics import ssim, window  # noqa: E402
 from gsrain_engine.render.autodiff.differentiable import Footprint, Rendered  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
 from gsrain_engine.training.data import PyramidLevel, half_size  # noqa: E402
-from gsrain_engine.training.model import TrainingRender  # noqa: E402
-from gsrain_engine.training.settings import TrainingSettings  # noqa: E402
-from gsrain_engine.training.step import (  # noqa: E402
-    OpenCVBlur,
+from gsrain_engine.training.losses import (  # noqa: E402
     convolved,
     d_ssim,
+    filtered,
     l1,
     robust_mask,
+    spread_over_windows,
     view_loss,
+    window_means,
 )
+from gsrain_engine.training.model import TrainingRender  # noqa: E402
+from gsrain_engine.training.settings import TrainingSettings  # noqa: E402
 from gsrain_engine.training.targets import TrainingTarget  # noqa: E402
 
 
@@ -51,13 +53,15 @@ def test_gradients_are_those_of_finite_differences_and_none_comes_from_beyond_th
     assert not masked or torch.all(rendered.grad[~mask] == 0)
 
 
-def test_window_means_of_the_gpu_are_those_of_the_processor():
-    values = pictures()[0]
-    assert torch.allclose(OpenCVBlur.apply(values), convolved(values), atol=1e-14)
-    one = values[..., :1].clone()  # the weights of a mask
-    assert torch.allclose(OpenCVBlur.apply(one), convolved(one), atol=1e-14)
+def test_window_means_of_the_gpu_are_those_of_the_processor_and_spreading_is_their_adjoint():
+    planes = pictures()[0].permute(2, 0, 1)
+    for edge in (0, 10):
+        assert torch.allclose(filtered(planes, edge), convolved(planes, edge), atol=1e-14)
     taps = torch.tensor(np.outer(window(), window()))
-    assert float(convolved(values)[2, 3, 1]) == pytest.approx(float((values[2:13, 3:14, 1] * taps).sum()))
+    means = window_means(planes)
+    assert float(means[1, 2, 3]) == pytest.approx(float((planes[1, 2:13, 3:14] * taps).sum()))
+    weights = torch.rand(means.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    assert float((means * weights).sum()) == pytest.approx(float((planes * spread_over_windows(weights)).sum()))
 
 
 # Depth and cover
@@ -83,7 +87,28 @@ def test_holes_before_a_surface_and_veils_before_the_sky_cost_and_so_does_wrong_
         settings = TrainingSettings(d_ssim=0.0, depth=weights[0], cover=weights[1])
         alpha = torch.cat([torch.full((10, 20), above), torch.full((10, 20), below)])
         loss = view_loss(flat_picture(alpha, distance * alpha), black, truth, settings)
-        assert float(loss) == pytest.approx(cost, rel=1e-4, abs=1e-6)
+        assert float(loss.value) == pytest.approx(cost, rel=1e-4, abs=1e-6)
+
+
+def test_gradients_of_depth_and_cover_are_those_of_finite_differences():
+    r, step, settings = np.random.default_rng(3), 1e-6, TrainingSettings(depth=0.7, cover=0.3)
+    depth, sky, mask = np.zeros(SHAPE, np.float32), np.zeros(SHAPE, bool), r.random(SHAPE) > 0.2
+    depth[5:], sky[:8] = np.where(r.random((15, 20)) > 0.4, 3, 0), True
+    level = PyramidLevel(CAMERA, r.integers(0, 255, (*SHAPE, 3), np.uint8), mask, depth, sky)
+    truth = TrainingTarget.of(level, "cpu")
+    truth = truth._replace(image=truth.image.double(), depths=truth.depths.double())
+    alpha, color = torch.tensor(r.random(SHAPE)), torch.tensor(r.random((*SHAPE, 3)))
+    values = [color, alpha, alpha * torch.tensor(r.uniform(1, 5, SHAPE))]
+    turns = [torch.tensor(r.normal(size=tuple(each.shape))) for each in values]
+
+    def loss(offset):
+        color, alpha, depth = (value + offset * turn for value, turn in zip(values, turns, strict=True))
+        return view_loss(flat_picture(alpha, depth), color, truth, settings)
+
+    picture = flat_picture(*values[1:])
+    found = {id(each): gradient for each, gradient in view_loss(picture, values[0], truth, settings).gradients}
+    slope = sum(float((found[id(value)] * turn).sum()) for value, turn in zip(values, turns, strict=True))
+    assert slope == pytest.approx(float(loss(step).value - loss(-step).value) / (2 * step), rel=1e-5)
 
 
 # Transient objects, which other images of the training contradict
@@ -93,10 +118,14 @@ def test_a_patch_that_contradicts_is_left_out_and_noise_is_not() -> None:
     truth = torch.rand(60, 100, 3, generator=torch.Generator().manual_seed(0)) * 0.1
     shown = truth + 0.01
     shown[20:30, 40:55] += 0.5
-    counts = robust_mask(shown, truth, None, max_share=0.2)
+    nothing = torch.zeros(0)
+    target = TrainingTarget(truth, None, nothing, nothing, None, pixels=6000)
+    counts = robust_mask(shown, target, max_share=0.2)
     assert not counts[22:28, 42:53].any()
     assert counts[:15].all() and counts[:, 70:].all()
-    assert robust_mask(truth + 0.05, truth, None, max_share=0.2).all()
+    every = target._replace(mask=torch.ones((60, 100), dtype=torch.bool))
+    assert torch.equal(robust_mask(shown, every, max_share=0.2), counts)
+    assert robust_mask(truth + 0.05, target, max_share=0.2).all()
 
 
 # Sizes of views

@@ -4,8 +4,8 @@ The CPU runs our own kernels; an NVIDIA GPU runs those of gsplat (Ye et al. 2025
 that would leave less than 1e-4, our renderers after it; all other conventions are the same.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from importlib import import_module
 from typing import Any, Literal
 
@@ -32,14 +32,17 @@ class Footprint:
     Density control uses it (Kerbl et al. 2023).
     """
 
-    def __init__(self, radii_px: Tensor, centers: Tensor | None = None) -> None:
-        self.radii_px = radii_px
-        """(n,) three standard deviations of the longer axis in px; 0 where not drawn."""
+    def __init__(self, radii_px: Tensor) -> None:
+        self._radii_px = radii_px
         self.gradients: Tensor | None = None
         """(n,) set by the backward pass."""
-        self._centers = centers
 
-    @property
+    @cached_property
+    def radii_px(self) -> Tensor:
+        """(n,) three standard deviations of the longer axis in px; 0 where not drawn."""
+        return self._radii_px
+
+    @cached_property
     def drawn(self) -> Tensor:
         """(n,) bool: Gaussians drawn in the image."""
         return self.radii_px > 0
@@ -50,11 +53,9 @@ class Footprint:
 
         Raises `RuntimeError` before a backward pass, or when only colors needed gradients.
         """
-        if self.gradients is not None:
-            return self.gradients
-        if self._centers is None or self._centers.grad is None:
+        if self.gradients is None:
             raise RuntimeError("screen gradients exist after a backward pass through means, scales or a pose only")
-        return self._centers.grad.reshape(-1, 2).norm(dim=1)
+        return self.gradients
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +154,7 @@ class _Render(torch.autograd.Function):
             shapes[order] = splats.shapes[order]
         tiles = bin_into_tiles(shapes, order, camera.width, camera.height)
         outputs = tuple(torch.from_numpy(each) for each in blend(splats.shapes, splats.channels, tiles))
-        footprint.radii_px = torch.from_numpy(splats.radii_px)
+        footprint._radii_px = torch.from_numpy(splats.radii_px)
         ctx.save_for_backward(means, scales, quaternions, opacities, colors, pose, *outputs)
         ctx.inputs = splats, tiles, camera, footprint
         ctx.set_materialize_grads(False)
@@ -213,19 +214,18 @@ def render_with_gsplat(
     colors: Tensor,
     camera: Camera,
     world_to_camera: Tensor | None,
-    rasterize: Callable[..., tuple[Tensor, Tensor, dict[str, Any]]] | None = None,
+    gsplat: Any = None,
 ) -> Rendered:
     """Render the arguments of `render_gaussians` in float32 on one device, without waiting for it.
 
-    `rasterize` is `gsplat.rasterization`, or a function with the same signature; None imports gsplat. Raises
+    `gsplat` is the library, or a module with its `rasterization` and `spherical_harmonics`; None imports it. Raises
     `ValueError` for float64, or if gsplat is not installed.
     """
     if means.dtype != torch.float32:
         raise ValueError(f"the cuda backend renders float32, got {means.dtype}; backend='cpu' renders both")
-    kernel: Any = rasterize
-    if kernel is None:
+    if gsplat is None:
         try:
-            kernel = import_module("gsplat").rasterization
+            gsplat = import_module("gsplat")
         except ImportError:
             raise ValueError("the cuda backend needs gsplat: pip install 'gsrain[cuda]'") from None
     if not len(means):  # gsplat rejects an empty scene
@@ -233,44 +233,72 @@ def render_with_gsplat(
         footprint = Footprint(means.new_zeros(0))
         footprint.gradients = means.new_zeros(0)
         return Rendered(blank[..., None].expand(-1, -1, 3), blank, blank, footprint)
-    values = _without_what_is_not_finite([means, scales, quaternions, opacities, colors])
-    means, scales, quaternions, opacities, colors = values
-    pose = world_to_camera
-    if pose is None:
-        pose = uploaded(camera.world_to_camera.astype(np.float32), means.device)
-    has_harmonics = colors.ndim == 3
-    images, alphas, found = kernel(
-        means=means, quats=quaternions, scales=scales, opacities=torch.clamp(opacities, max=1),
-        colors=colors if has_harmonics else torch.clamp(colors, min=0),
-        sh_degree=_DEGREES[colors.shape[1]] if has_harmonics else None,
-        viewmats=pose[None], packed=False, render_mode="RGB+D", **view_arguments(camera, means.device),
+    pose, eye, arguments = _uploaded_view(camera, means.device)
+    if world_to_camera is not None:
+        pose = world_to_camera[None]
+        eye = -torch.linalg.inv_ex(world_to_camera[:3, :3]).inverse @ world_to_camera[:3, 3]
+    sound = _sound(means, scales, quaternions, opacities, colors)
+    if colors.ndim == 3:
+        # gsplat would invert the pose for the directions, and wait for the result of a check.
+        degree = _DEGREES[colors.shape[1]]
+        directions = means - eye if degree else means.detach()
+        colors = gsplat.spherical_harmonics(degree, directions, colors, masks=sound) + 0.5
+    images, alphas, found = gsplat.rasterization(
+        means=means, quats=quaternions, scales=scales, opacities=torch.where(sound, opacities, _nothing(means.device)),
+        colors=torch.relu(colors), viewmats=pose, packed=False, render_mode="RGB+D", **arguments,
     )  # fmt: skip
-    centers = found["means2d"]
-    if centers.requires_grad:
-        centers.retain_grad()
-    return Rendered(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], Footprint(_radii(found), centers))
+    if found["means2d"].requires_grad:
+        found["means2d"].retain_grad()
+    color, depth = images.squeeze(0).split((3, 1), dim=-1)
+    return Rendered(color, alphas.view(alphas.shape[1:3]), depth.squeeze(-1), _GsplatFootprint(found))
 
 
-def _radii(found: dict[str, Any]) -> Tensor:
-    """Three standard deviations of each splat's longer axis in px from gsplat's conics; 0 where not drawn."""
-    a, b, c = found["conics"].detach()[0].unbind(-1)
-    drawn = (found["radii"][0].reshape(len(a), -1) > 0).all(dim=1)
-    largest = (a + c) / 2 + torch.hypot((a - c) / 2, b)
-    smallest = torch.where(drawn, (a * c - b * b) / largest, 1.0)
-    return torch.where(drawn, 3 / torch.sqrt(smallest), 0.0)
+@lru_cache(maxsize=1024)
+def _uploaded_view(camera: Camera, device: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Pose (1, 4, 4) and position (3,) of a camera, and gsplat's other arguments: uploaded at a camera's first use."""
+    pose = uploaded(camera.world_to_camera[None].astype(np.float32), device)
+    return pose, uploaded(camera.position.astype(np.float32), device), view_arguments(camera, device)
 
 
-def _without_what_is_not_finite(values: list[Tensor]) -> list[Tensor]:
-    """Make Gaussians with NaN or infinity transparent and detach them, since gsplat doesn't check them.
+@lru_cache(maxsize=8)
+def _nothing(device: Any) -> Tensor:
+    """() 0: a number of Python would be uploaded at each use in `torch.where`."""
+    return torch.zeros((), dtype=torch.float32, device=device)
 
-    All are selected, even if none is bad: a condition on the result would wait for the device.
+
+def _sound(*values: Tensor) -> Tensor:
+    """(n,) bool: Gaussians with finite numbers and a quaternion above 0. gsplat doesn't check them.
+
+    The others become transparent, which it leaves out before anything else, with gradients of 0. All are selected, even
+    if none is bad: a condition on the result would wait for the device.
     """
-    flat = [each.detach().reshape(len(each), -1) for each in values]
-    largest = torch.stack([torch.linalg.vector_norm(each, torch.inf, dim=1) for each in flat], dim=1)  # NaN stays NaN
-    good = torch.isfinite(largest).all(dim=1) & (flat[2].norm(dim=1) > 0)
-    unit = torch.eye(1, 4, dtype=flat[2].dtype, device=flat[2].device)
-    replaced = [0.0, 0.0, unit, 0.0, 0.0]
-    return [
-        torch.where(good.reshape(-1, *[1] * (each.ndim - 1)), each, other)
-        for each, other in zip(values, replaced, strict=True)
-    ]
+    with torch.no_grad():
+        turns = torch.linalg.vector_norm(values[2], dim=1, keepdim=True).reciprocal_()
+        columns = torch.cat([*(each.reshape(len(turns), -1) for each in values), turns], dim=1)
+        return torch.linalg.vector_norm(columns, torch.inf, dim=1) < torch.inf  # not below infinity: NaN stays NaN
+
+
+class _GsplatFootprint(Footprint):
+    """Footprint from gsplat's results, computed when it is asked for."""
+
+    def __init__(self, found: dict[str, Any]) -> None:
+        super().__init__(found["radii"])
+        self._centers, self._conics = found["means2d"], found["conics"].detach()
+
+    @cached_property
+    def drawn(self) -> Tensor:
+        count = self._conics.shape[1]
+        return self._radii_px.view(count, -1)[:, 0] > 0  # along both axes, or neither
+
+    @cached_property
+    def radii_px(self) -> Tensor:
+        a, b, c = self._conics[0].unbind(-1)
+        double = torch.hypot(a - c, b + b).add_(a).add_(c)  # twice the larger eigenvalue of a conic
+        variances = double.div_(torch.addcmul(a * c, b, b, value=-1))  # twice that of the covariance
+        return torch.where(self.drawn, variances.sqrt_().mul_(4.5**0.5), _nothing(a.device))
+
+    @property
+    def screen_gradients(self) -> Tensor:
+        if self._centers.grad is None:
+            return super().screen_gradients
+        return torch.linalg.vector_norm(self._centers.grad[0], dim=1)

@@ -141,7 +141,7 @@ class BlockCaches:
                 entry.wet_sh = wet_sh
                 entry.cache.add(wet_sh)
         arrays = entry.cache.arrays
-        return Gaussians(*arrays[:5]), None if wet_sh is None else arrays[5], rows
+        return Gaussians(*arrays[:5], antialiased=gaussians.antialiased), None if wet_sh is None else arrays[5], rows
 
     @property
     def nbytes(self) -> int:

@@ -1,19 +1,19 @@
 """GPU buffers of Gaussians, masks and projected splats, uploaded in slices to keep frames smooth."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
 from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from .shaders import Switches
 
-LONGEST_DISPATCH = 1 << 15  # workgroups along one axis, half of the limit guaranteed by OpenGL
-CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
+CHUNK = 1 << 19
+"""Gaussians per buffer, as in splat_project.comp: 96 MiB at SH degree 3; llvmpipe's storage blocks have up to 128."""
 
 RESTING_BYTES = 1 << 29
 """Memory for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
@@ -69,7 +69,7 @@ class GpuArrays:
         self._arrays: dict[_Key, _Upload] = {}
         """Least recently drawn first."""
         self.masks: dict[_Key, _Upload] = {}
-        """Masks of the current frame, by the identity of their words."""
+        """Masks and lists of members of the current frame, by the identity of their words."""
         self._used: set[_Key] = set()
         self._leaving: list[moderngl.Buffer] = []
 
@@ -77,7 +77,8 @@ class GpuArrays:
         """Return the buffers of a set and of its wet colors, uploading missing ones."""
         for _ in self.upload(gaussians, CHUNK, wet_sh=wet_sh):
             pass
-        return GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
+        drawn = GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
+        return replace(drawn, wet_sh=drawn.sh) if wet_sh is gaussians.sh else drawn  # one array has one key
 
     def keep(self, wet_sh: WetColors) -> None:
         """Mark uploaded wet colors as used: at a wetness of 0 they are not read, but the next frame may need them."""
@@ -145,6 +146,17 @@ class GpuArrays:
             chunks = [self._context.buffer(pairs[start : start + step]) for start in range(0, len(pairs), step)]
             self.masks[key] = _Upload(tuple(words), chunks)
         return self.masks[key].buffers
+
+    def members(self, members: Int64[np.ndarray, " m"], selected: BitMask | None) -> moderngl.Buffer:
+        """Return the numbers of a part's members, in the layout of splat_project.comp."""
+        key = (id(members), id(selected))
+        self._used.add(key)
+        if key not in self.masks:
+            numbers = members.astype(np.uint32)
+            if selected is not None:
+                numbers |= selected.flags[members].astype(np.uint32) << np.uint32(31)
+            self.masks[key] = _Upload((members, selected), [self._context.buffer(numbers)])
+        return self.masks[key].buffers[0]
 
     def release_unused(self) -> None:
         """Free arrays that were not used since the last call, one buffer per call, since freeing takes time.
@@ -301,13 +313,13 @@ class GrowableBuffer:
 
 SLOTS_BY_BLOCK = 256  # slots that one workgroup of a projection fills, from the front; each dispatch starts a new block
 
-WORK_BYTES = 4 * 13
-"""The draw's command (5 numbers), the number of elements, two indirect dispatches (3 each), and the number of elements
-including those beyond the limit; as in visible_scan.comp.
+WORK_BYTES = 4 * 7
+"""The draw's command (5 numbers), the number of elements, and that including those beyond the limit; as in
+visible_scan.comp.
 """
 
-COUNT_OFFSET, GROUPS_OFFSET, BLOCK_GROUPS_OFFSET, TOTAL_OFFSET = 20, 24, 36, 48
-"""Byte offsets in it; workgroups of the second dispatch process `SLOTS_BY_BLOCK` elements each."""
+COUNT_OFFSET, TOTAL_OFFSET = 20, 24
+"""Byte offsets in it."""
 
 _SPLAT_BYTES, _MAX_RECORD_BLOCKS = 32, 4
 _RECORDS, _SPARSE_KEYS, _COUNTS, _WORK = 8, 4, 5, 7
@@ -325,7 +337,7 @@ class ProjectedSplatBuffer:
         self.counts = GrowableBuffer(context)
         """Visible splats per block; after the prefix sum, the offset of each block."""
         self.work = context.buffer(reserve=WORK_BYTES)
-        """Indirect work; see `WORK_BYTES`."""
+        """Number of visible splats, and the draw's command; see `WORK_BYTES`."""
 
     @property
     def switches(self) -> Switches:

@@ -9,15 +9,14 @@ import numpy as np
 from ...rain.frame import RainFrame
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
-from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
 from ..cpu.projection import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
-from .buffers import CHUNK, LONGEST_DISPATCH, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
+from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
-from .shaders import ShaderVariants, load_compute_shader, set_uniforms
-from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, PrefixSum, RadixSort
+from .shaders import ComputeShader, ShaderVariants, load_compute_shader
+from .sort import KEYS, SLOTS, CpuSort, PrefixSum, RadixSort
 
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
@@ -56,11 +55,14 @@ class ProjectionPass:
         rain: RainFrame | None,
         look: RenderMode,
     ) -> FrameSlots:
-        rows = [(_masked(part) if part.opacity > 0 else part._replace(limit=0, members=None), False) for part in parts]
+        rows = [
+            (_rising(part) if part.opacity > 0 and part.drawn_count else part._replace(limit=0, members=None), False)
+            for part in parts
+        ]
         field = rain if rain is not None and rain.draws_drops else None
         if rain is not None:
             rows.append((DrawItem(rain.drawn_haze, np.eye(4)), True))
-        fixed = sum(_slots(part.drawn_count) for part, _ in rows)
+        fixed = sum(_slots(each.gaussians) for part, _ in rows for each in _drawn_in_chunks(part))
         slots = FrameSlots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
         store.reserve(slots.all)
         if field is not None:
@@ -69,21 +71,22 @@ class ProjectionPass:
         wet = {"WET": 1} if is_wet else {}
         medium = rain.medium if rain is not None else None
         dims = {"MEDIUM": 1} if medium is not None else {}
-        shader = self._projector({**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims})
+        switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims}
+        frame: dict[str, Any] = {
+            "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy), "image_size": (camera.width, camera.height),
+            "near": NEAR_M, "camera_to_world": tuple(camera.camera_to_world[:3, :3].T.ravel()),
+            "look": _LOOKS.get(look, 0),
+        }  # fmt: skip
         if rain is not None and medium is not None:
-            set_uniforms(shader, is_linear=rain.is_linear, **medium_uniforms(medium))
-        set_uniforms(
-            shader, intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
-            near=NEAR_M, camera_to_world=tuple(camera.camera_to_world[:3, :3].T.ravel()), look=_LOOKS.get(look, 0),
-        )  # fmt: skip
+            frame |= {"is_linear": rain.is_linear, **medium_uniforms(medium)}
         store.bind()
         first = 0
         for number, (part, is_rain) in enumerate(rows):
-            set_uniforms(shader, layer_color=layer_color(number), is_rain=is_rain)
+            shader = self._projector(switches if part.members is None else {**switches, "MEMBERS": 1})
+            shader.set(layer_color=layer_color(number), is_rain=is_rain, **frame)
             if is_wet:
-                shader["wetness"] = part.wetness if part.is_wet else 0.0
-            self._dispatch(shader, part, camera, first)
-            first += _slots(part.drawn_count)
+                shader.set(wetness=part.wetness if part.is_wet else 0.0)
+            first = self._dispatch(shader, part, camera, first)
         if field is not None:
             self.drops.project(store, field, fixed)
         self._context.memory_barrier()
@@ -94,49 +97,69 @@ class ProjectionPass:
         blocks = slots.all // SLOTS_BY_BLOCK
         sort.reserve(max(slots.all, 1))
         found = (self.drops.work, slots.fixed // SLOTS_BY_BLOCK, slots.copies) if slots.copies else None
-        self._scan.run(store.counts.buffer, store.work, blocks, by_group=KEYS_BY_GROUP, found=found)
+        self._scan.run(store.counts.buffer, store.work, blocks, found=found)
         store.bind()
         for binding, buffer in zip((KEYS, SLOTS), sort.unsorted, strict=True):
             buffer.bind_to_storage_buffer(binding)
-        self._gather["blocks"] = blocks
-        self._gather.run(min(blocks, LONGEST_DISPATCH), -(-blocks // LONGEST_DISPATCH))
+        self._gather.set(blocks=blocks)
+        self._gather.run_all(blocks)
         self._context.memory_barrier()
 
-    def _dispatch(self, shader: moderngl.ComputeShader, part: DrawItem, camera: Camera, first: int) -> None:
+    def _dispatch(self, shader: ComputeShader, part: DrawItem, camera: Camera, first: int) -> int:
+        """Project a part into the slots from `first` on; returns the next free one."""
         gaussians = part.gaussians
         object_to_camera = camera.world_to_camera @ part.to_world
         colors = np.eye(3, 4) if part.colors is None else part.colors
-        marks = self._arrays.marks(part.left_out, part.selected)
         buffers = self._arrays.buffers(gaussians, part.wet_sh if part.is_wet else None)
         if not part.is_wet:
             self._arrays.keep(part.wet_sh)
-        set_uniforms(
-            shader, growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),
-            has_marks=bool(marks), coefficients=gaussians.sh.shape[1],
+        shader.set(growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),
+            coefficients=gaussians.sh.shape[1], antialiased=gaussians.antialiased,
             object_to_camera=tuple(object_to_camera.T.ravel()),
             camera_in_object=tuple(np.linalg.inv(object_to_camera)[:3, 3]),
         )  # fmt: skip
-        for index, chunk in enumerate(buffers.chunks()):
-            count = min(CHUNK, part.drawn_count - index * CHUNK)
-            if count <= 0:
-                break
-            for binding, buffer in enumerate(chunk):
+        marks: list[moderngl.Buffer] = []
+        if part.members is not None:
+            self._arrays.members(part.members, part.selected).bind_to_storage_buffer(_MARKS)
+        else:
+            marks = self._arrays.marks(part.left_out, part.selected)
+            shader.set(has_marks=bool(marks))
+        chunks = list(buffers.chunks())
+        for drawn in _drawn_in_chunks(part):
+            for binding, buffer in enumerate(chunks[drawn.chunk]):
                 buffer.bind_to_storage_buffer(binding)
             if marks:
-                marks[index].bind_to_storage_buffer(_MARKS)
+                marks[drawn.chunk].bind_to_storage_buffer(_MARKS)
             if buffers.wet_sh:
-                buffers.wet_sh[index].bind_to_storage_buffer(_WET)
-            set_uniforms(shader, count=count, first_slot=first + index * CHUNK)
-            shader.run(-(-count // SLOTS_BY_BLOCK))
+                buffers.wet_sh[drawn.chunk].bind_to_storage_buffer(_WET)
+            if part.members is not None:
+                shader.set(first_member=drawn.first_member)
+            shader.set(count=drawn.gaussians, first_slot=first)
+            shader.run(-(-drawn.gaussians // SLOTS_BY_BLOCK))
+            first += _slots(drawn.gaussians)
+        return first
 
 
-def _masked(part: DrawItem) -> DrawItem:
-    """Turn a part's list of members into a mask of the other Gaussians: one bit each, to upload."""
+class _DrawnInChunk(NamedTuple):
+    """Gaussians of a chunk of buffers that are drawn: its first ones, or some members."""
+
+    chunk: int
+    gaussians: int
+    first_member: int = 0
+
+
+def _drawn_in_chunks(part: DrawItem) -> list[_DrawnInChunk]:
     if part.members is None:
-        return part
-    others = np.ones(len(part.gaussians), np.bool_)
-    others[part.members] = False
-    return part._replace(members=None, limit=None, left_out=BitMask.of(others))
+        starts = range(0, part.drawn_count, CHUNK)
+        return [_DrawnInChunk(at // CHUNK, min(CHUNK, part.drawn_count - at)) for at in starts]
+    ends = np.searchsorted(part.members, range(0, len(part.gaussians) + CHUNK, CHUNK)).tolist()
+    return [_DrawnInChunk(n, ends[n + 1] - at, at) for n, at in enumerate(ends[:-1]) if ends[n + 1] > at]
+
+
+def _rising(part: DrawItem) -> DrawItem:
+    """Return a part whose members rise."""
+    members = part.members
+    return part if members is None or np.all(members[1:] > members[:-1]) else part._replace(members=np.sort(members))
 
 
 def medium_uniforms(medium: RainMedium) -> dict[str, Any]:

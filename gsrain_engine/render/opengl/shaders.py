@@ -12,6 +12,9 @@ import moderngl
 from ...presets import shipped_folder
 from .context import is_software
 
+_LONGEST_DISPATCH = 1 << 15
+"""Workgroups along one axis, half of the limit guaranteed by OpenGL."""
+
 _INCLUDE = re.compile(r'^\s*#include "(\w+\.glsl)"\s*$')
 
 # Mesa "0:7(3): error", NVIDIA "0(7) : error", others "ERROR: 0:7: ...".
@@ -35,13 +38,37 @@ def load_program(context: moderngl.Context, *names: str, switches: Switches | No
         raise ShaderError(source.explain(str(error))) from None
 
 
-def load_compute_shader(
-    context: moderngl.Context, name: str, switches: Switches | None = None
-) -> moderngl.ComputeShader:
+class ComputeShader:
+    """Compiled compute shader; writes only the uniforms that changed, since a GPU waits for each call of a frame."""
+
+    def __init__(self, shader: moderngl.ComputeShader) -> None:
+        self._shader = shader
+        self._written: dict[str, Any] = {}
+
+    def run(self, columns: int = 1, rows: int = 1) -> None:
+        """Run a number of workgroups."""
+        self._shader.run(columns, rows)
+
+    def run_all(self, groups: int) -> None:
+        """Run any number of workgroups, over two axes: gl_WorkGroupID.x + gl_WorkGroupID.y * gl_NumWorkGroups.x.
+
+        Where only the GPU knows how many are needed, more are run, which return at once: NVIDIA's driver takes 40 us
+        for an indirect dispatch.
+        """
+        self._shader.run(min(groups, _LONGEST_DISPATCH), -(-groups // _LONGEST_DISPATCH))
+
+    def set(self, **values: Any) -> None:
+        """Set uniforms to numbers or tuples."""
+        for name, value in values.items():
+            if self._written.get(name) != value:
+                self._shader[name] = self._written[name] = value
+
+
+def load_compute_shader(context: moderngl.Context, name: str, switches: Switches | None = None) -> ComputeShader:
     """Compile a compute shader (`name.comp`) of the folder `shaders`."""
     source = ShaderSource(name, switches or {})
     try:
-        return context.compute_shader(source.text)
+        return ComputeShader(context.compute_shader(source.text))
     except moderngl.Error as error:
         raise ShaderError(source.explain(str(error))) from None
 
@@ -51,18 +78,13 @@ class ShaderVariants:
 
     def __init__(self, context: moderngl.Context, name: str) -> None:
         self._context, self._name = context, name
-        self._compiled: dict[tuple[tuple[str, int], ...], moderngl.ComputeShader] = {}
+        self._compiled: dict[tuple[tuple[str, int], ...], ComputeShader] = {}
 
-    def __call__(self, switches: Switches) -> moderngl.ComputeShader:
+    def __call__(self, switches: Switches) -> ComputeShader:
         key = tuple(switches.items())
         if key not in self._compiled:
             self._compiled[key] = load_compute_shader(self._context, self._name, switches)
         return self._compiled[key]
-
-
-def set_uniforms(shader: moderngl.ComputeShader, **values: Any) -> None:
-    for name, value in values.items():
-        shader[name] = value
 
 
 class ShaderSource:

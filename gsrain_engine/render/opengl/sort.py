@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import UInt32
 
 from ..cpu.projection import NEAR_M
-from .buffers import COUNT_OFFSET, GROUPS_OFFSET, TOTAL_OFFSET, WORK_BYTES, GrowableBuffer
+from .buffers import COUNT_OFFSET, TOTAL_OFFSET, WORK_BYTES, GrowableBuffer
 from .context import is_software
-from .shaders import load_compute_shader, set_uniforms
+from .shaders import load_compute_shader
 
 KEY_BITS = 28
 DIGIT_BITS = 7  # as in common_radix.glsl and radix_scan.comp
-KEYS_BY_GROUP = 4096  # keys per workgroup; as in common_radix.glsl
+KEYS_BY_GROUP = 2048  # keys per workgroup; as in common_radix.glsl
 KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7  # storage bindings of the shaders
 _TOTALS = 5
 
@@ -31,13 +31,16 @@ class RadixSort:
 
     def __init__(self, context: moderngl.Context, max_bytes: int | None = None) -> None:
         self._context = context
-        self._count, self._scan = (load_compute_shader(context, f"radix_{name}.comp") for name in ("count", "scan"))
-        scatter = "radix_scatter_subgroups.comp" if has_subgroups_of_32(context) else "radix_scatter.comp"
-        self._scatter = load_compute_shader(context, scatter)
+        variant = "_subgroups" if has_subgroups_of_32(context) else ""
+        self._count, self._scatter = (
+            load_compute_shader(context, f"radix_{name}{variant}.comp") for name in ("count", "scatter")
+        )
+        self._scan = load_compute_shader(context, "radix_scan.comp")
         self._max_bytes = max_bytes
         self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
         self._counts = GrowableBuffer(context)
         self._totals = context.buffer(np.zeros(2 << DIGIT_BITS, np.uint32))
+        self._groups = 0
         self._turn = 0
 
     def reserve(self, capacity: int) -> None:
@@ -45,7 +48,8 @@ class RadixSort:
         for pair in self._pairs:
             for buffer in pair:
                 buffer.reserve(4 * capacity, at_most=self._max_bytes)
-        self._counts.reserve(4 * -(-capacity // KEYS_BY_GROUP) << DIGIT_BITS)
+        self._groups = -(-capacity // KEYS_BY_GROUP)
+        self._counts.reserve(4 * self._groups << DIGIT_BITS)
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
@@ -66,13 +70,14 @@ class RadixSort:
         for shift in range(0, key_bits, DIGIT_BITS):
             for binding, buffer in zip((KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS), (*here, *there), strict=True):
                 buffer.bind(binding)
-            self._count["shift"] = self._scatter["shift"] = shift
-            self._count["turn"] = self._scan["turn"] = self._turn
-            self._count.run_indirect(work, GROUPS_OFFSET)
+            self._count.set(shift=shift, turn=self._turn)
+            self._scan.set(turn=self._turn)
+            self._scatter.set(shift=shift)
+            self._count.run_all(self._groups)
             self._context.memory_barrier()
             self._scan.run(1 << DIGIT_BITS)
             self._context.memory_barrier()
-            self._scatter.run_indirect(work, GROUPS_OFFSET)
+            self._scatter.run_all(self._groups)
             self._context.memory_barrier()
             here, there = there, here
             self._turn = 1 - self._turn
@@ -82,18 +87,21 @@ class RadixSort:
 _SUBGROUPS_OF_32 = """#version 430
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x = 256) in;
 layout(std430, binding = 0) buffer Result { uint result[]; };
 void main() {
     uint thread = gl_LocalInvocationIndex, whole = subgroupBallot(true).x;
     bool fits = gl_SubgroupSize == 32u && gl_SubgroupID == thread / 32u && gl_SubgroupInvocationID == thread % 32u;
-    if (fits && whole == 0xFFFFFFFFu) atomicAdd(result[0], 1u);
+    bool works = subgroupShuffle(thread, 5u) % 32u == 5u && subgroupInclusiveAdd(1u) == thread % 32u + 1u;
+    if (fits && works && whole == 0xFFFFFFFFu) atomicAdd(result[0], 1u);
 }
 """
 
 
 def has_subgroups_of_32(context: moderngl.Context) -> bool:
-    """Return whether a workgroup's threads run in subgroups of 32, in their order, which can ballot."""
+    """Return whether a workgroup's threads run in subgroups of 32, in their order, which can exchange numbers."""
     if is_software(context) or "GL_KHR_shader_subgroup" not in context.extensions:
         return False
     try:
@@ -140,8 +148,7 @@ def check_sort(context: moderngl.Context, count: int) -> SortCheck:
     depths_m[::2] = np.ceil(depths_m[::2])  # makes many keys equal
     keys, slots = depths_m.view(np.uint32) - np.float32(NEAR_M).view(np.uint32), np.arange(count, dtype=np.uint32)
     numbers = np.zeros(WORK_BYTES // 4, np.uint32)
-    numbers[COUNT_OFFSET // 4], numbers[GROUPS_OFFSET // 4] = count, -(-count // KEYS_BY_GROUP)
-    numbers[GROUPS_OFFSET // 4 + 1 :] = 1
+    numbers[COUNT_OFFSET // 4] = count
     work, sorter = context.buffer(numbers), RadixSort(context)
     sorter.reserve(count)
     orders: list[UInt32[np.ndarray, " n"]] = []
@@ -197,7 +204,7 @@ def nearest_first(keys: UInt32[np.ndarray, " n"], slots: UInt32[np.ndarray, " n"
 
 
 def count_in(work: moderngl.Buffer) -> int:
-    """Read the number of elements from indirect work; waits for the GPU."""
+    """Read the number of elements; waits for the GPU."""
     return int(np.frombuffer(work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
 
 
@@ -207,7 +214,7 @@ def total_in(work: moderngl.Buffer) -> int:
 
 
 # Prefix sum
-# Over blocks of 256 counts; it also writes the arguments of the indirect draw and dispatch.
+# Over blocks of 256 counts; it also writes the arguments of the indirect draw.
 
 _COUNTS, _FOUND_WORK, _WORK = 5, 6, 7
 
@@ -226,21 +233,17 @@ class PrefixSum:
         work: moderngl.Buffer,
         blocks: int,
         *,
-        by_group: int,
         max_elements: int = 0xFFFFFFFF,
         found: tuple[moderngl.Buffer, int, int] | None = None,
     ) -> None:
         """Scan the counts of blocks in place and fill in `work`.
 
-        Each workgroup of the dispatch processes `by_group` elements, of at most `max_elements`; all others are only
-        counted. `found` consists of the work buffer of other elements, such as found drops, the first of their blocks,
-        and the number of blocks for each 256 of them: all other blocks are empty.
+        Elements beyond `max_elements` are only counted. `found` consists of the work buffer of other elements, such as
+        found drops, the first of their blocks, and the number of blocks for each 256 of them: all other blocks are
+        empty.
         """
         found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
-        set_uniforms(
-            self._shader, blocks=blocks, fixed_blocks=fixed, found_copies=copies, by_group=by_group,
-            max_elements=max_elements,
-        )  # fmt: skip
+        self._shader.set(blocks=blocks, fixed_blocks=fixed, found_copies=copies, max_elements=max_elements)
         for binding, buffer in ((_COUNTS, counts), (_FOUND_WORK, found_work), (_WORK, work)):
             buffer.bind_to_storage_buffer(binding)
         self._shader.run()

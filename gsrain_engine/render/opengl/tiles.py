@@ -12,14 +12,13 @@ import numpy as np
 
 from ..cpu.tiles import TILE
 from .buffers import (
-    BLOCK_GROUPS_OFFSET,
     SLOTS_BY_BLOCK,
     WORK_BYTES,
     GrowableBuffer,
     ProjectedSplatBuffer,
 )
-from .shaders import GpuTimers, ShaderVariants, Switches, load_compute_shader, set_uniforms
-from .sort import KEYS, KEYS_BY_GROUP, WORK, PrefixSum, RadixSort, total_in
+from .shaders import ComputeShader, GpuTimers, ShaderVariants, Switches, load_compute_shader
+from .sort import KEYS, WORK, PrefixSum, RadixSort, total_in
 
 _ORDER, _SLOTS, _COUNTS, _BLOCK_COUNTS, _PAIRS = 1, 2, 4, 5, 6  # storage bindings
 _PICTURE, _DEPTHS, _LAMP_LIGHTS = 0, 1, 2  # image bindings
@@ -86,7 +85,7 @@ class TileRasterizer:
         switches = {**store.switches, **switches}
         for strip in self._strips(store, order, blocks, switches, timers):
             with timers.stage("sort"):
-                self._bin(store, order, strip, switches)
+                self._bin(store, order, blocks, strip, switches)
             with timers.stage("draw"):
                 self._blend_strip(store, strip, image, switches, lights)
 
@@ -147,21 +146,23 @@ class TileRasterizer:
     def _count_pairs(
         self, store: ProjectedSplatBuffer, order: moderngl.Buffer, blocks: int, strip: range, switches: Switches
     ) -> None:
-        """Count the tiles of each splat; scan the counts by blocks, and write the pairs' number as indirect work."""
+        """Count the tiles of each splat; scan the counts by blocks, and write the pairs' number."""
         shader = self._with_tiles(self._count(switches), strip)
         store.bind_records()
         store.work.bind_to_storage_buffer(WORK)
         order.bind_to_storage_buffer(_ORDER)
         self._tile_counts.bind(_COUNTS)
         self._block_counts.bind(_BLOCK_COUNTS)
-        shader.run_indirect(store.work, BLOCK_GROUPS_OFFSET)
+        shader.run_all(blocks)
         self._context.memory_barrier()
         self._scan.run(
-            self._block_counts.buffer, self._work, blocks, by_group=KEYS_BY_GROUP, max_elements=self._capacity,
+            self._block_counts.buffer, self._work, blocks, max_elements=self._capacity,
             found=(store.work, 0, 1),
         )  # fmt: skip
 
-    def _bin(self, store: ProjectedSplatBuffer, order: moderngl.Buffer, strip: range, switches: Switches) -> None:
+    def _bin(
+        self, store: ProjectedSplatBuffer, order: moderngl.Buffer, blocks: int, strip: range, switches: Switches
+    ) -> None:
         """Write the pairs and sort them by tile."""
         columns, _ = self._tiles
         tile_count = columns * len(strip)
@@ -174,7 +175,7 @@ class TileRasterizer:
             buffer.bind_to_storage_buffer(binding)
         self._tile_counts.bind(_COUNTS)
         self._block_counts.bind(_BLOCK_COUNTS)
-        shader.run_indirect(store.work, BLOCK_GROUPS_OFFSET)
+        shader.run_all(blocks)
         self._context.memory_barrier()
         keys, slots = self._sort.sort_pairs(self._work, tile_count.bit_length())
         self._starts.reserve(4 * (tile_count + 1))
@@ -182,7 +183,7 @@ class TileRasterizer:
         slots.bind_to_storage_buffer(_SLOTS)
         self._starts.bind(_COUNTS)
         self._work.bind_to_storage_buffer(WORK)
-        self._ranges["tile_count"] = tile_count
+        self._ranges.set(tile_count=tile_count)
         self._ranges.run(-(-(tile_count + 1) // SLOTS_BY_BLOCK))
         self._context.memory_barrier()
 
@@ -195,8 +196,7 @@ class TileRasterizer:
         lights: Mapping[str, Any],
     ) -> None:
         shader = self._with_tiles(self._blend(switches), strip)
-        shader["image_size"] = self._size
-        set_uniforms(shader, **lights)
+        shader.set(image_size=self._size, **lights)
         store.bind_records()
         self._starts.bind(_COUNTS)
         picture, depths, lamp_lights = image
@@ -208,6 +208,6 @@ class TileRasterizer:
         shader.run(self._tiles[0], len(strip))
         self._context.memory_barrier()
 
-    def _with_tiles(self, shader: moderngl.ComputeShader, strip: range) -> moderngl.ComputeShader:
-        set_uniforms(shader, tiles=(self._tiles[0], len(strip)), first_row=strip.start)
+    def _with_tiles(self, shader: ComputeShader, strip: range) -> ComputeShader:
+        shader.set(tiles=(self._tiles[0], len(strip)), first_row=strip.start)
         return shader

@@ -7,6 +7,7 @@ import logging
 import os
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, no_type_check
@@ -28,6 +29,10 @@ _QUATERNIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
 _REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES, *_QUATERNIONS)
 _NORMALS = ("nx", "ny", "nz")
 """Written as zeros, as in 3DGS itself: some readers count properties instead of reading their names."""
+
+_ANTIALIASED = "SplatRenderMode: mip"
+"""Comment in the header of a file with `Gaussians.antialiased`, as Brush writes it; Postshot's `antialiased 1` is
+read, too."""
 
 _CHUNK_BYTES = 1 << 18  # rows are read and distributed to the arrays in blocks that fit into the CPU cache
 _CHUNK_LINES = 1024
@@ -76,11 +81,15 @@ def read_ply_parts(path: Path, rows: int) -> Iterator[Gaussians]:
 
 
 def write_ply(gaussians: Gaussians, path: Path) -> None:
-    """Write the standard 3DGS layout, little endian, with normals of 0; f_rest has 0, 9, 24 or 45 properties."""
+    """Write the standard 3DGS layout, little endian, with normals of 0; f_rest has 0, 9, 24 or 45 properties.
+
+    Antialiased Gaussians are marked by a comment in the header, which other programs ignore.
+    """
     rest = 3 * (gaussians.sh.shape[1] - 1)
     names = [*_MEANS, *_NORMALS, *_BASE_SH, *(f"f_rest_{i}" for i in range(rest)), "opacity", *_SCALES, *_QUATERNIONS]
     properties = "".join(f"property float {name}\n" for name in names)
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(gaussians)}\n{properties}end_header\n"
+    mark = f"comment {_ANTIALIASED}\n" if gaussians.antialiased else ""
+    header = f"ply\nformat binary_little_endian 1.0\n{mark}element vertex {len(gaussians)}\n{properties}end_header\n"
     rows = max(1, _CHUNK_BYTES // (4 * len(names)))
     with path.open("wb") as file:
         file.write(header.encode())
@@ -102,6 +111,8 @@ class PlyElement(NamedTuple):
     """Byte offset of its first row; None if lists or text before it make that unknown."""
     is_text: bool = False
     """True if its rows are lines of text; the fields then give only the columns."""
+    is_antialiased: bool = False
+    """True if the header has the comment of `_ANTIALIASED`."""
 
     @property
     def nbytes(self) -> int:
@@ -138,7 +149,8 @@ def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElem
         check_finite(path, {"logarithm of a scale": scales, "logit of an opacity": opacities})
         np.exp(scales, out=scales)
         activate_opacities(opacities)
-    return checked_gaussians(path, means, scales, quaternions, opacities, sh)
+    found = checked_gaussians(path, means, scales, quaternions, opacities, sh)
+    return replace(found, antialiased=vertex.is_antialiased)
 
 
 def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
@@ -266,6 +278,8 @@ def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
     if kind == _TEXT:
         elements = [element._replace(is_text=True, offset=None) for element in elements]
         file.seek(size)
+    if any(words == ["comment", *mark.split()] for words in lines for mark in (_ANTIALIASED, "antialiased 1")):
+        elements = [element._replace(is_antialiased=True) for element in elements]
     _check_size(path, elements, size, os.fstat(file.fileno()).st_size)
     return {element.name: element for element in elements}
 
