@@ -344,6 +344,22 @@ _SHARED_ATTRIBUTES = (
 )  # fmt: skip
 
 
+class _Loader:
+    """Context loader for moderngl of GLFW's current context, of whichever kind it is: EGL, GLX or WGL."""
+
+    def load_opengl_function(self, name: str) -> int:
+        return glfw.get_proc_address(name) or 0
+
+    def __enter__(self) -> None:
+        """Do nothing: the context stays current on its thread."""
+
+    def __exit__(self, *_: object) -> None:
+        """Do nothing."""
+
+    def release(self) -> None:
+        """Do nothing: the context ends with its window."""
+
+
 class SharedContext:
     """OpenGL context of an invisible window, which shares textures with the visible one. Created on the main thread."""
 
@@ -366,7 +382,7 @@ class SharedContext:
     def enter(self) -> moderngl.Context:
         """Make it current on the calling thread."""
         glfw.make_context_current(self._window)
-        context = moderngl.create_context(require=430)
+        context = moderngl.create_context(context=_Loader(), require=430)  # pyright: ignore[reportArgumentType]
         monitor_context(context, glfw.get_proc_address)
         # Called through ctypes, unlike moderngl's, it lets other threads run.
         self._finish = ctypes.CFUNCTYPE(None)(glfw.get_proc_address("glFinish"))
