@@ -74,10 +74,12 @@ class Driver:
         """Let frames go by, and at rest also those until the picture shows what they have changed."""
         for _ in range(count):
             self.ctx.yield_()
-        if not self.editor.playback.clock.playing:
+        if self.window.workspace is not None and not self.editor.playback.clock.playing:
             results = [self.pictures.last]
 
             def is_current():
+                if self.editor.should_quit or self.window.failure is not None:
+                    return True
                 if self.pictures.last is not results[-1]:
                     results.append(self.pictures.last)
                 is_dragged = self.editor.viewport.drawn_preview is not None  # a new value in each frame

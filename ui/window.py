@@ -250,12 +250,12 @@ class MainWindow:
             self.failure = failure
 
     def _update(self) -> None:
-        assert self._context is not None and self._pictures is not None
+        assert self._context is not None
         try:
             check_context(self._context)
             if self._ended_by is not None:
                 raise InterruptedError(f"the window was ended from outside ({signal.Signals(self._ended_by).name})")
-            self.advance(self._context, self._pictures)
+            self.advance(self._context)
         except Exception as failure:  # a lost context takes precedence over other errors
             watcher = context_monitor(self._context)
             self.fail(DeviceLostError() if watcher is not None and watcher.is_lost() else failure)
@@ -267,7 +267,7 @@ class MainWindow:
             self.workspace = None
             hello_imgui.get_runner_params().app_shall_exit = True
 
-    def advance(self, context: moderngl.Context, pictures: "SharedContext") -> None:
+    def advance(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
             preferences = self.workspace.editor.preferences.value
             if preferences != self._style:
@@ -282,7 +282,8 @@ class MainWindow:
         elif self._editor is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
-            self.workspace = Workspace(self._editor, context, pictures, self._backend)
+            assert self._pictures is not None
+            self.workspace = Workspace(self._editor, context, self._pictures, self._backend)
             self._style = self._editor.preferences.value
             for panel in self.workspace.dockable_windows():
                 panel.gui_function = self._guarded(panel.gui_function)
@@ -338,8 +339,25 @@ def leave_out_background(window: hello_imgui.DockableWindow) -> None:
 
 
 _SHARED_ATTRIBUTES = (
-    glfw.CONTEXT_ROBUSTNESS, glfw.CONTEXT_VERSION_MAJOR, glfw.CONTEXT_VERSION_MINOR, glfw.OPENGL_PROFILE,
+    glfw.CONTEXT_CREATION_API, glfw.CONTEXT_ROBUSTNESS, glfw.CONTEXT_VERSION_MAJOR, glfw.CONTEXT_VERSION_MINOR,
+    glfw.OPENGL_PROFILE,
 )  # fmt: skip
+
+
+class _Loader:
+    """Context loader for moderngl of GLFW's current context, of whichever kind it is: EGL, GLX or WGL."""
+
+    def load_opengl_function(self, name: str) -> int:
+        return glfw.get_proc_address(name) or 0
+
+    def __enter__(self) -> None:
+        """Do nothing: the context stays current on its thread."""
+
+    def __exit__(self, *_: object) -> None:
+        """Do nothing."""
+
+    def release(self) -> None:
+        """Do nothing: the context ends with its window."""
 
 
 class SharedContext:
@@ -364,7 +382,7 @@ class SharedContext:
     def enter(self) -> moderngl.Context:
         """Make it current on the calling thread."""
         glfw.make_context_current(self._window)
-        context = moderngl.create_context(require=430)
+        context = moderngl.create_context(context=_Loader(), require=430)  # pyright: ignore[reportArgumentType]
         monitor_context(context, glfw.get_proc_address)
         # Called through ctypes, unlike moderngl's, it lets other threads run.
         self._finish = ctypes.CFUNCTYPE(None)(glfw.get_proc_address("glFinish"))

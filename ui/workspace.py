@@ -39,7 +39,7 @@ class Workspace:
         self, editor: Editor, context: moderngl.Context, pictures: PictureContext, backend: WindowBackend
     ) -> None:
         """`context` is that of the window; the viewport is drawn in that of `pictures`."""
-        self.editor = editor
+        self.editor, self.context = editor, context
         self.pictures = PictureThread(pictures, backend)
         self._is_software = is_software(context)
         self.max_fps = _SOFTWARE_FPS if self._is_software else 0.0
