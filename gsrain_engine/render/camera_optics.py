@@ -23,7 +23,7 @@ from .renderer import Renderer
 
 WIDE_SHARE = 1 / 16
 """Share of the Gaussians in the wide view behind the glass. Against all of them, pictures of the street have at least
-42 dB by day and 43 dB by night."""
+42 dB by day and 36 to 43 dB by night."""
 
 
 class CameraOptics:
