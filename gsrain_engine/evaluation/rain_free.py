@@ -24,12 +24,12 @@ def rain_mask(residual: Float32[np.ndarray, "h w"], sigma: Float32[np.ndarray, "
         normalized = cv2.resize(residual / sigma, size, interpolation=cv2.INTER_AREA)
         for sign in (1, -1):
             z = line_responses(np.float32(sign) * normalized)
-            _, labels = cv2.connectedComponents((z > _EDGE_Z).astype(np.uint8), connectivity=8)
+            labels = np.asarray(cv2.connectedComponents((z > _EDGE_Z).astype(np.uint8), connectivity=8)[1], np.int64)
             chosen = np.zeros(int(labels.max()) + 1, bool)
             chosen[np.unique(labels[z > _PEAK_Z])] = True
             chosen[0] = False
             found = chosen[labels].astype(np.uint8)
-            marked |= cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST)
+            marked[cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0] = 1
     return cv2.dilate(marked, _MARGIN) > 0
 
 
