@@ -1,4 +1,4 @@
-"""Whether compiled kernels let other threads run: the interface is drawn while a kernel works on a picture."""
+"""Option of compiled kernels that lets other threads run: the interface is drawn while a kernel works on a picture."""
 
 from contextlib import suppress
 from importlib import import_module

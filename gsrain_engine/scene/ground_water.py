@@ -77,7 +77,7 @@ class GroundWater:
         )  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _look_up(x, y, corner_x, corner_y, cell, cover, shares):
     """As `GroundWater.cells` finds them, one by one."""
