@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
+from ..kernels import NOGIL
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache, sh_basis
 
 FILM_SLOPE, STANDING_SLOPE = 0.10, 0.02
