@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
+from ..kernels import NOGIL
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache, sh_basis
 
 FILM_SLOPE, STANDING_SLOPE = 0.10, 0.02
@@ -77,7 +78,7 @@ class GroundWater:
         )  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _look_up(x, y, corner_x, corner_y, cell, cover, shares):
     """As `GroundWater.cells` finds them, one by one."""

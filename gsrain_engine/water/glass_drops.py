@@ -270,7 +270,7 @@ def _bound(counts, radius):
     counts[3], counts[4] = max(counts[3], bound), max(counts[4], bound)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _touching(drops, heads, links, counts, low, u, v, radius, own):
     """Slot of the drop that overlaps a footprint most; -1 for none."""
