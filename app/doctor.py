@@ -17,7 +17,7 @@ from gsrain_engine import plugins
 from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
-from .console import print
+from .console import print, run_with_progress
 from .options import JsonFile, flag, has_display, option
 from .outputs import check_writable, write_numbers
 
@@ -245,13 +245,19 @@ def _cuda() -> str:
     return torch.cuda.get_device_name()
 
 
-@finding("gsplat (draws and trains on CUDA GPUs)")
+@finding("gsplat (trains on CUDA GPUs)")
 def _gsplat() -> str:
-    """Open `--backend cuda`: gsplat is installed without its kernels and compiles them itself."""
-    from gsrain_engine.backends import device_of, open_renderer
+    """Load gsplat's kernels: it is installed without them and compiles them itself."""
+    if importlib.util.find_spec("gsplat") is None:
+        raise RuntimeError(f"not installed: {how_to_add('cuda')}")
+    import torch
 
-    with open_renderer("cuda") as renderer:
-        return f"--backend cuda draws on {device_of(renderer)}"
+    from gsrain_engine.render.gsplat_build import build_gsplat
+
+    if not torch.cuda.is_available():
+        raise RuntimeError("torch sees no CUDA device; gsrain reconstruct trains on the processor.")
+    run_with_progress(build_gsplat(), line_every_s=0.0)
+    return f"{metadata.version('gsplat')}, gsrain reconstruct trains on {torch.cuda.get_device_name()}"
 
 
 @finding("LPIPS weights (a quality measure of reports)")
