@@ -141,7 +141,7 @@ class ViewerWindow:
             case Screenshot():
                 if self._screenshot is None:
                     is_busy = editor.is_bringing_in or viewport.is_compiling or viewport.is_catching_up
-                    if is_busy or not workspace.view.is_settled:  # the image is not the current one yet
+                    if is_busy or not workspace.pictures.is_settled:  # the image is not the current one yet
                         return False
                     self._screenshot = viewport.screenshot = Path(request.path)
                     editor.status.dismiss()

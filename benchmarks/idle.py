@@ -49,8 +49,7 @@ def _watch(window: MainWindow, seconds: float, found: dict[str, float]) -> None:
     while time.monotonic() < until and time.monotonic() - quiet_since < _SETTLED_S:
         time.sleep(0.1)
         workspace = window.workspace
-        is_catching_up = workspace is not None and workspace.editor.viewport.is_catching_up
-        if workspace is None or workspace.editor.is_working or not workspace.view.is_settled or is_catching_up:
+        if workspace is None or workspace.editor.is_working or not workspace.pictures.is_current:
             quiet_since = time.monotonic()
     frames, work, start = imgui.get_frame_count(), time.process_time(), time.monotonic()
     time.sleep(seconds)

@@ -20,6 +20,11 @@ _SCENARIOS = ("cut-in", "stationary-lead")
 _SCENARIO_TIMES_S = (0.0, 2.5)
 """The start, and a moment at which the other car is in the ego vehicle's lane or near."""
 _LOOKS_IN_A_ROW = 4
+_NEAR_AIR = """\
+intensity_mm_h: 8.5
+haze_region: {minimum_m: [-10, -10, -10], maximum_m: [10, 10, 10]}
+"""
+"""Rain as around a single object, with 10 m of air: behind it is black, not airlight, before which no rain shows."""
 _QUALITY = 88
 
 
@@ -58,7 +63,9 @@ def render_sheets(folder: Path) -> None:
     if run(["reconstruct", str(data / "driving" / "dgp" / "scene_02"), "-o", str(capture)]) != 0:
         raise SystemExit(1)
     render_sheet(folder, "sheet_capture", str(capture), "--wet", "--cameras", "CAMERA_01")
-    render_sheet(folder, "sheet_object", str(data / "scenes" / "plant.splat"), "--wet")
+    near = folder / "near.yaml"
+    near.write_text(_NEAR_AIR, encoding="utf-8")
+    render_sheet(folder, "sheet_object", str(data / "scenes" / "plant.splat"), "--wet", "--preset", str(near))
 
 
 def render_sheet(folder: Path, name: str, scene: str, *options: str) -> None:

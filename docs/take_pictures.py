@@ -59,7 +59,7 @@ class Photographer:
             self.ctx = ctx
             engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
             engine.config_watchdog_kill_test = engine.config_watchdog_warning = 900.0
-            while self.window.workspace is None or not self.window.workspace.view.is_settled:
+            while self.window.workspace is None or not self.window.workspace.pictures.is_settled:
                 ctx.yield_()
             self.frames(5)
             script()

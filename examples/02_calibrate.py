@@ -22,7 +22,7 @@ from gsrain_engine.rain.simulation import RainSimulation
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)
 files = [Path(name) for name in sys.argv[2:]]
-minutes_s = np.arange(0.0, 301.0, 60.0)
+minutes_s = np.arange(0.0, 181.0, 60.0)
 
 if not files:
     for intensity_mm_h in (1.2, 4.0, 8.5, 12.0):

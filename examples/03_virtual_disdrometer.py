@@ -18,7 +18,7 @@ from gsrain_engine.rain.simulation import RainSimulation
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)
-minutes_s = np.arange(0.0, 301.0, 60.0)
+minutes_s = np.arange(0.0, 121.0, 60.0)
 
 for closure in ("density", "published"):
     for intensity_mm_h in (1.2, 8.5, 12.0):

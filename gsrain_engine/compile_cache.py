@@ -32,7 +32,8 @@ def use_kernel_cache() -> None:
     root = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "numba"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen is None or Path(chosen).parent == root:
-        version = metadata.version("gsrain")
+        # Kernels that let others run end the process where this layer is set (`kernels.py`): it has its own folder.
+        version = metadata.version("gsrain") + os.environ.get("NUMBA_THREADING_LAYER", "")
         folder = kernel_cache(root, version, _SOURCES)
         if not _has_room(folder) and (other := _temporary_root()) is not None:
             folder = kernel_cache(other, version, _SOURCES)

@@ -1,6 +1,8 @@
 """Threads of this process and of its workers, which share the processor's cores."""
 
 import os
+import sys
+import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 
@@ -13,6 +15,16 @@ WORKER_NICENESS = 4
 A worker beside a window that plays on all cores gets 3 parts of them in 10, so that both go on: with 10, the usual
 niceness of background work, it would be 1 part in 10, and minutes without progress (docs/performance.md).
 """
+
+PICTURE_NICENESS = 1
+"""Priority of the thread that draws the viewport: between those of the interface and a job, which gets a third then."""
+
+
+def lower_thread_priority() -> None:
+    """Give the calling thread and those that it starts `PICTURE_NICENESS`; only Linux has priorities of threads."""
+    if sys.platform == "linux":
+        niceness = os.getpriority(os.PRIO_PROCESS, os.getpid()) + PICTURE_NICENESS
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
 
 
 def usable_cores() -> int:

@@ -14,10 +14,13 @@ uniform float near;               // m
 uniform uint first_slot;          // where this dispatch's splats start, a multiple of 256
 
 const float DILATION = 0.3;       // px^2, added to the 2D covariance: the pixel's own footprint
+const float ANTIALIASED = 0.1;    // px^2, the same for antialiased Gaussians
 
 // Splat of a Gaussian at p (m) with axes * axes^T as its covariance (m^2), both in the camera's frame, but for its
 // color. False if none of it is drawn.
-bool project(vec3 p, mat3 axes, float opacity, bool is_rain, bool as_point, out Splat splat) {
+bool project(
+    vec3 p, mat3 axes, float opacity, bool is_rain, bool as_point, bool antialiased, out Splat splat
+) {
     if (!(p.z > near && p.z < 1e30)) return false;  // also drops NaN
 
     // Local affine approximation of the projection, held back at 1.3 times the field of view.
@@ -28,12 +31,13 @@ bool project(vec3 p, mat3 axes, float opacity, bool is_rain, bool as_point, out 
     vec3 uy = vec3(0.0, f.y / p.z, -f.y * slope.y / p.z) * axes;
     float a = dot(ux, ux), b = dot(ux, uy), d = dot(uy, uy);
     float before = max(a * d - b * b, 0.0);
-    a += DILATION;
-    d += DILATION;
+    float footprint = antialiased ? ANTIALIASED : DILATION;
+    a += footprint;
+    d += footprint;
     if (as_point) { a = 1.0; d = 1.0; b = 0.0; opacity = 1.0; }
     float determinant = a * d - b * b;
     float cut = is_rain ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT;
-    if (is_rain) opacity *= sqrt(before / determinant);  // keeps the integral of alpha (Yu et al. 2024)
+    if (is_rain || (antialiased && !as_point)) opacity *= sqrt(before / determinant);  // keeps the integral of alpha (Yu et al. 2024)
     if (!(opacity > cut) || !(determinant > 0.0) || isinf(determinant)) return false;
 
     vec2 center = f * p.xy / p.z + c;

@@ -15,8 +15,8 @@ uniform vec4 intrinsics;       // fx fy cx cy (px)
 
 out vec4 fragment;
 
-const float QUARTER = 1.57079632679490, STEP = QUARTER / 8.0, NO_WEIGHT = 1e-3, OPAQUE = 0.98;
-const float SLICES = 40.0, SLICE_SCALE = 16.0, FAR = 1e6, REACH = 3.0;
+const float QUARTER = 1.57079632679490, STEP = QUARTER / 4.0, NO_WEIGHT = 1e-3, OPAQUE = 0.98;
+const float SLICES = 40.0, SLICE_SCALE = 16.0, FAR = 1e6, REACH = 2.5, UNSEEN = 0.005;
 
 // Light of lamp i, over its intensity, scattered along a ray up to a distance; `b` as its distance from the ray.
 float up_to(int i, vec3 ray, float distance_m, vec3 center, float nearest, float b) {
@@ -77,6 +77,8 @@ vec3 looked_up(vec3 at) {
 vec3 scattered_light(vec2 point, float distance_m) {
     vec3 light = looked_up(vec3(distance_m / (distance_m + SLICE_SCALE) * SLICES, point / cell_px));
     vec3 ray = normalize(vec3((point - intrinsics.zw) / intrinsics.xy, 1.0));
+    float unseen = UNSEEN * max(light.x, max(light.y, light.z));
+    float bound = medium_numbers[0] * lamp_scattering(2.0 * QUARTER, 0) / (8.0 * QUARTER);
     for (int i = 0; i < lamp_count; ++i) {
         vec3 center = lamp_vector(i, 0);
         float nearest = dot(ray, center), away = lamp(i, 17), base = lamp(i, 11);
@@ -84,9 +86,14 @@ vec3 scattered_light(vec2 point, float distance_m) {
         float square = max(away * away - nearest * nearest, 0.0);
         float reach = square / (REACH * REACH * base * base);
         if (reach >= 1.0) continue;
-        float rest = up_to(i, ray, distance_m, center, nearest, max(sqrt(square), lamp(i, 12)))
-            - up_to(i, ray, distance_m, center, nearest, sqrt(sqrt(square * square + base * base * base * base)));
-        light += rest * smoothstep(0.0, 1.0, 2.0 * (1.0 - reach)) * lamp_vector(i, 6);
+        float b = max(sqrt(square), lamp(i, 12)), soft = sqrt(sqrt(square * square + base * base * base * base));
+        float at_most = lamp(i, 16) * bound * (1.0 / b - 1.0 / soft);
+        if (at_most < unseen) {
+            unseen -= at_most;
+            continue;
+        }
+        float rest = up_to(i, ray, distance_m, center, nearest, b) - up_to(i, ray, distance_m, center, nearest, soft);
+        light += rest * smoothstep(0.0, 1.0, 4.0 * (1.0 - reach)) * lamp_vector(i, 6);
     }
     return max(light, 0.0);
 }

@@ -99,7 +99,7 @@ void main() {
         bool visible = false;
         if (copy < copies) {
             vec3 center = p + (float(copy) - 0.5 * float(copies - 1u)) * spacing * direction;
-            visible = project(center, axes, opacity, true, false, splat);
+            visible = project(center, axes, opacity, true, false, false, splat);
 #ifdef LAMPS
             if (visible) set_color(splat, light_of_drop(center));
 #else

@@ -42,6 +42,7 @@ uniform vec3 camera_in_object;    // centre of projection in the Gaussians' own 
 uniform mat3 camera_to_world;
 uniform vec3 layer_color;
 uniform bool is_rain;
+uniform bool antialiased;         // as Gaussians.antialiased
 uniform float growth;             // of each Gaussian, where others are left out
 uniform float layer_opacity;      // multiplies each Gaussian's own
 uniform mat4x3 color_change;      // of display colors, affine
@@ -153,7 +154,7 @@ void main() {
             vec3 s = growth * vec3(scales[3u * i], scales[3u * i + 1u], scales[3u * i + 2u]);
             float opacity = min(mean_opacity.w * layer_opacity, 1.0);
             mat3 extents = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
-            visible = project(p, extents, opacity, is_rain, look == LOOK_POINTS, splat);
+            visible = project(p, extents, opacity, is_rain, look == LOOK_POINTS, antialiased, splat);
             if (visible) {
                 vec3 color;
                 if (look == LOOK_NORMALS) color = normal_color(axes, s, p);

@@ -24,7 +24,7 @@ settings.load_profile("gsrain")
 _OWN = tempfile.TemporaryDirectory(prefix="gsrain-tests-")
 os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = _OWN.name
 
-# Two test processes share two cores: torch's threads would only wait for each other. Kernels of ours have their own.
+# Two test processes share two cores: threads of torch and Numba would only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's llvmpipe
 
@@ -44,6 +44,8 @@ def pytest_collection_finish():
 @pytest.fixture(autouse=True)
 def _begun_anew():
     type_checker.begin_test()
+    if "PYTEST_XDIST_WORKER" in os.environ and (numba := sys.modules.get("numba")):
+        numba.set_num_threads(1)  # each test process has a core; tests of more threads set their number
     if torch := sys.modules.get("torch"):
         torch.set_num_threads(1)  # after a kernel of ours it is theirs, where both use the same OpenMP
 

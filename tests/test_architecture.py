@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -23,9 +24,21 @@ def modules() -> dict[str, Path]:
     return {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
 
 
+@cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file, which several tests look at."""
+    return tuple(ast.walk(ast.parse(path.read_bytes())))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _only_here():
+    yield
+    nodes_of.cache_clear()
+
+
 def imported(module: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
     """Every import of ours: those in functions and those that only type checkers follow too."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names if each.name in known)
         elif isinstance(node, ast.ImportFrom):
@@ -56,10 +69,10 @@ def test_no_file_is_long_without_a_reason():
 
 def printers(path: Path) -> Iterator[str]:
     """Everything in a file that prints without `app.console`: rich, the built-in print, the standard streams."""
-    tree = ast.parse(path.read_bytes())
-    own = {each.asname or each.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
+    nodes = nodes_of(path)
+    own = {each.asname or each.name for node in nodes if isinstance(node, ast.ImportFrom)
            for each in node.names if (node.module or "").split(".")[-1] == "console" and node.level}  # fmt: skip
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names if each.name.split(".")[0] == "rich")
         elif isinstance(node, ast.ImportFrom) and not node.level and (node.module or "").split(".")[0] == "rich":
@@ -86,7 +99,7 @@ FIELD_TERMS = ("least_squares", "right_of_way")
 
 def definitions() -> Iterator[tuple[str, ast.ClassDef | ast.FunctionDef]]:
     for module, path in modules().items():
-        for node in ast.walk(ast.parse(path.read_bytes())):
+        for node in nodes_of(path):
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 yield module, node
 

@@ -1,4 +1,7 @@
-"""The cache of compiled kernels: a folder for each state of the sources; and the wait of OpenMP threads."""
+"""The cache of compiled kernels: a folder for each state of the sources; and the wait of OpenMP threads.
+
+Processes import this module, so that it imports little.
+"""
 
 import multiprocessing
 import os
@@ -9,11 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from llvmlite import binding
 
 from gsrain_engine import compile_cache as cache
 from gsrain_engine.compile_cache import has_kernels, kernel_cache, mark_kernels, use_kernel_cache
-from gsrain_engine.editor.drawing.textures import compile_kernels
 
 
 @pytest.fixture
@@ -99,6 +100,8 @@ def test_openmp_threads_wait_briefly_unless_configured(own, spins):
 
 
 def test_kernels_are_marked_for_sources_and_processor(tmp_path, sources, monkeypatch):
+    from llvmlite import binding
+
     monkeypatch.setattr(cache, "FRAME_SOURCES", (sources,))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     mark_kernels()
@@ -115,6 +118,8 @@ def test_kernels_are_marked_for_sources_and_processor(tmp_path, sources, monkeyp
 
 
 def test_kernels_of_a_frame_are_marked_after_compilation(tmp_path, monkeypatch):
+    from gsrain_engine.editor.drawing.textures import compile_kernels
+
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert not has_kernels()
     compile_kernels()

@@ -44,7 +44,9 @@ class Driver:
             self.ctx = ctx
             engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
             engine.config_watchdog_kill_test = engine.config_watchdog_warning = 600.0  # s; the machine may be busy
-            self.until(lambda: self.window.workspace is not None and self.view.is_settled, 100_000)
+            self.until(lambda: self.window.workspace is not None, 100_000)
+            self.window.workspace.max_fps = 0.0
+            self.until(lambda: self.pictures.is_settled, 100_000)
             self.frames(3)
             try:
                 script()
@@ -53,20 +55,38 @@ class Driver:
 
         try:
             testing.run(test_function=act, runner_params=parameters)
+        except AssertionError:
+            if self.window.failure is not None:
+                raise self.window.failure from None
+            raise
         finally:
             # The test engine takes all signals of a crash, and a closed pipe for one: what Python does is set again.
             signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
     @property
-    def view(self):
-        return self.window.workspace.view
+    def pictures(self):
+        return self.window.workspace.pictures
 
     def tool(self, name):
         return next(each for each in self.window.workspace.tools if each.name == name)
 
     def frames(self, count=2):
+        """Let frames go by, and at rest also those until the picture shows what they have changed."""
         for _ in range(count):
             self.ctx.yield_()
+        if self.window.workspace is not None and not self.editor.playback.clock.playing:
+            results = [self.pictures.last]
+
+            def is_current():
+                if self.editor.should_quit or self.window.failure is not None:
+                    return True
+                if self.pictures.last is not results[-1]:
+                    results.append(self.pictures.last)
+                is_dragged = self.editor.viewport.drawn_preview is not None  # a new value in each frame
+                # The second was begun after those frames.
+                return len(results) > 2 and (is_dragged or self.pictures.is_current)
+
+            self.until(is_current)
 
     def until(self, condition, most=4000):
         for _ in range(most):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot
 
 import glfw  # isort: skip
+import ctypes
 import os
 import shutil
 import subprocess
@@ -136,6 +137,7 @@ class MainWindow:
         self._on_frame = on_frame
         self._backend: WindowBackend = backend
         self._context: moderngl.Context | None = None
+        self._pictures: SharedContext | None = None
         self._editor: Editor | None = None
         self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
         self.workspace: Workspace | None = None
@@ -161,18 +163,19 @@ class MainWindow:
             hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25),
             hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5),
         ]
-        viewport = hello_imgui.DockableWindow("View", "MainDockSpace", self._draw_viewport)
+        viewport = hello_imgui.DockableWindow("View", "MainDockSpace", self._guarded(self._draw_viewport))
         viewport.can_be_closed = viewport.include_in_view_menu = False
         # Overlays never make the viewport scroll; a scroll bar that comes and goes would change its size.
         viewport.imgui_window_flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
+        leave_out_background(viewport)
         parameters.docking_params.dockable_windows = [viewport]
         callbacks = parameters.callbacks
         callbacks.post_init = self._start
         callbacks.setup_imgui_style = lambda: apply_style(load_preferences()[0])
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
-        callbacks.pre_new_frame = self._update
-        callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
-        callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None
+        callbacks.pre_new_frame = self._guarded(self._update)
+        callbacks.show_menus = self._guarded(lambda: self.workspace.draw_menus() if self.workspace else None)
+        callbacks.show_status = self._guarded(lambda: self.workspace.draw_status() if self.workspace else None)
         callbacks.before_exit = self._end
         # ImGui antialiases its own edges: multisampling would only slow down software rendering.
         parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
@@ -221,16 +224,19 @@ class MainWindow:
         """Stop all background work. Further calls do nothing."""
         if self._loader.is_alive():
             self._loader.join()
+        if self.workspace is not None:
+            self.workspace.close()
         if self._editor is not None:
             self._editor.close()
 
     def _start(self) -> None:
-        """Set the icon, share the OpenGL context, create the plot context, accept dropped files, start loading."""
+        """Set the icon, create the contexts of OpenGL and plots, accept dropped files, start loading."""
         window = glfw_utils.glfw_window_hello_imgui()
         set_window_icon(window)
         implot.create_context()
         self._context = moderngl.create_context(require=430)
         monitor_context(self._context, glfw.get_proc_address)
+        self._pictures = SharedContext(window)
         glfw.set_drop_callback(window, lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(window, lambda _: self.ask_to_close())
         self._loader.start()
@@ -256,6 +262,8 @@ class MainWindow:
             if watcher is not None:
                 watcher.wait_for_driver(_DRIVER_RESTARTS_S)
         if self.failure is not None:
+            if self.workspace is not None:
+                self.workspace.close()
             self.workspace = None
             hello_imgui.get_runner_params().app_shall_exit = True
 
@@ -274,10 +282,26 @@ class MainWindow:
         elif self._editor is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
-            self.workspace = Workspace(self._editor, context, self._backend)
+            assert self._pictures is not None
+            self.workspace = Workspace(self._editor, context, self._pictures, self._backend)
             self._style = self._editor.preferences.value
             for panel in self.workspace.dockable_windows():
+                panel.gui_function = self._guarded(panel.gui_function)
+                leave_out_background(panel)
                 hello_imgui.add_dockable_window(panel)
+
+    def _guarded(self, draw: Callable[[], None]) -> Callable[[], None]:
+        """Return a callback that, before an error ends the window and its contexts, ends the drawing in them."""
+
+        def guarded() -> None:
+            try:
+                draw()
+            except BaseException:
+                if self.workspace is not None:
+                    self.workspace.close()
+                raise
+
+        return guarded
 
     def _draw_viewport(self) -> None:
         if self.workspace is not None:
@@ -290,7 +314,91 @@ class MainWindow:
 
     def _end(self) -> None:
         self.close()
+        if self._pictures is not None:
+            self._pictures.release()
         implot.destroy_context()
+
+
+def leave_out_background(window: hello_imgui.DockableWindow) -> None:
+    """Let a window leave out its background while it is docked: the dock has the same one behind it.
+
+    A software rasterizer needs a quarter of its time for them.
+    """
+    name, draw, flags = window.label, window.gui_function, window.imgui_window_flags
+
+    def draw_window() -> None:
+        windows = hello_imgui.get_runner_params().docking_params.dockable_windows
+        if (own := next((each for each in windows if each.label == name), None)) is not None:  # not in its first frame
+            own.imgui_window_flags = flags | imgui.WindowFlags_.no_background if imgui.is_window_docked() else flags
+        draw()
+
+    window.gui_function = draw_window
+
+
+# OpenGL context of the pictures
+
+
+_SHARED_ATTRIBUTES = (
+    glfw.CONTEXT_CREATION_API, glfw.CONTEXT_ROBUSTNESS, glfw.CONTEXT_VERSION_MAJOR, glfw.CONTEXT_VERSION_MINOR,
+    glfw.OPENGL_PROFILE,
+)  # fmt: skip
+
+
+class _Loader:
+    """Context loader for moderngl of GLFW's current context, of whichever kind it is: EGL, GLX or WGL."""
+
+    def load_opengl_function(self, name: str) -> int:
+        return glfw.get_proc_address(name) or 0
+
+    def __enter__(self) -> None:
+        """Do nothing: the context stays current on its thread."""
+
+    def __exit__(self, *_: object) -> None:
+        """Do nothing."""
+
+    def release(self) -> None:
+        """Do nothing: the context ends with its window."""
+
+
+class SharedContext:
+    """OpenGL context of an invisible window, which shares textures with the visible one. Created on the main thread."""
+
+    def __init__(self, window: Any) -> None:
+        """Raises `OSError` if the driver opens no second context."""
+        glfw.window_hint(glfw.VISIBLE, False)
+        for hint in (
+            glfw.CONTEXT_ROBUSTNESS,
+            glfw.CONTEXT_VERSION_MAJOR,
+            glfw.CONTEXT_VERSION_MINOR,
+            glfw.OPENGL_PROFILE,
+        ):
+            glfw.window_hint(hint, glfw.get_window_attrib(window, hint))
+        self._window: Any = glfw.create_window(16, 16, "GSRAIN", None, window)
+        glfw.default_window_hints()
+        if not self._window:
+            raise OSError("the graphics driver opens no second OpenGL context, which the viewport needs")
+        self._finish: Callable[[], None] = lambda: None
+
+    def enter(self) -> moderngl.Context:
+        """Make it current on the calling thread."""
+        glfw.make_context_current(self._window)
+        context = moderngl.create_context(context=_Loader(), require=430)  # pyright: ignore[reportArgumentType]
+        monitor_context(context, glfw.get_proc_address)
+        # Called through ctypes, unlike moderngl's, it lets other threads run.
+        self._finish = ctypes.CFUNCTYPE(None)(glfw.get_proc_address("glFinish"))
+        return context
+
+    def finish(self) -> None:
+        """Wait until everything is drawn; other Python threads go on meanwhile."""
+        self._finish()
+
+    def leave(self) -> None:
+        """Release it from the calling thread."""
+        glfw.make_context_current(None)
+
+    def release(self) -> None:
+        """Destroy it, on the main thread, after the thread that used it has left it."""
+        glfw.destroy_window(self._window)
 
 
 # Window icon

@@ -6,11 +6,12 @@ import moderngl
 from imgui_bundle import hello_imgui, imgui
 
 from gsrain_engine.editor.clock import FrameClock
-from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages, WindowBackend
+from gsrain_engine.editor.drawing.live_view import WindowBackend
+from gsrain_engine.editor.drawing.picture_thread import PictureContext, PictureThread
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
-from gsrain_engine.render.opengl.context import DeviceLostError
+from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
 from .panels.registry import all_panels
@@ -27,20 +28,26 @@ _SPACES = {
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
-_WAITING_FPS = 30.0  # maximum frame rate while a job runs or a bar is animated: the work needs the CPU more
+_PLAYING_FPS = 20.0  # frame rate of a software rasterizer while time plays without user input: more than of the picture
+_SOFTWARE_FPS = 33.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
 
 
 class Workspace:
     """Window content after loading."""
 
-    def __init__(self, editor: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
-        self.editor = editor
-        self.view = LiveView(context, backend)
+    def __init__(
+        self, editor: Editor, context: moderngl.Context, pictures: PictureContext, backend: WindowBackend
+    ) -> None:
+        """`context` is that of the window; the viewport is drawn in that of `pictures`."""
+        self.editor, self.context = editor, context
+        self.pictures = PictureThread(pictures, backend)
+        self._is_software = is_software(context)
+        self.max_fps = _SOFTWARE_FPS if self._is_software else 0.0
+        """Maximum frame rate of the interface; 0 is that of the display."""
         self.tools = tuple(bind_parts(each, editor)() for each in TOOLS)
         self._previews = JobPreviews(context)
         self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
         self._captures = CaptureTextures(context)
-        self._mosaic = MosaicImages(context)
         self._palette = CommandPalette()
         self._pace = FrameClock()
         self._capture = editor.captures.capture
@@ -65,6 +72,7 @@ class Workspace:
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
+        self._take_picture()
         editor.tick(self._pace.step(imgui.get_io().delta_time))
         if editor.is_working:
             time.sleep(_FOR_THREADS_S)
@@ -75,12 +83,12 @@ class Workspace:
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
-        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
-        resting = not (editor.playback.clock.playing or editor.is_bringing_in or viewport.budget.is_settling)
-        resting = resting and not (editor.rollouts.mosaic.is_behind or viewport.is_catching_up or is_file_dialog_open())
-        idling.enable_idling = resting and self.view.is_settled
-        is_alone = self.view.is_settled and editor.busy is None and not editor.jobs.running
-        idling.fps_max = 0.0 if is_alone else _WAITING_FPS
+        plays = editor.playback.clock.playing and editor.has_time
+        idling.fps_idle = _PLAYING_FPS if plays else _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
+        resting = not (editor.is_bringing_in or viewport.budget.is_settling)
+        resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
+        idling.enable_idling = self._is_software if plays else resting and self.pictures.is_current
+        idling.fps_max = self.max_fps
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
 
@@ -100,26 +108,32 @@ class Workspace:
             self._capture = capture
             if capture is not None:  # the view shows nothing of a capture without poses
                 imgui.set_window_focus("Capture")
-        viewport_panel(editor, self.tools, self._textures)
+        width, height = viewport_panel(editor, self.tools, self.pictures.last)
+        self._captures.draw_points(
+            editor.captures, editor.document.scene, editor.viewport.canvas_view(width, height).camera
+        )
+        if not self.pictures.is_drawing:
+            self.pictures.begin(editor.render_input(width, height), editor.mosaic_input())
         self._palette.draw(editor)
         keyboard_page(editor.viewport)
         about_page(editor.viewport)
         draw_questions(editor.viewport, editor.files, editor.status)
 
-    def _textures(self, width: int, height: int) -> list[int]:
-        """Draw the viewport, and the images next to it; returns the OpenGL names of its panes."""
-        editor = self.editor
+    def close(self) -> None:
+        """Wait for the picture that is being drawn, and stop its thread. Further calls do nothing."""
+        self.pictures.close()
+
+    def _take_picture(self) -> None:
         try:
-            editor.apply(self.view.draw(editor.render_input(width, height)))
-            self._captures.draw_points(
-                editor.captures, editor.document.scene, editor.viewport.shot(width, height).camera
-            )
-            if (images := editor.mosaic_input()) is not None:
-                editor.apply_mosaic(self._mosaic.draw(images, self.view))
+            picture = self.pictures.take()
         except DeviceLostError:  # the window closes before its next frame
-            pass
+            return
         except Exception as problem:  # any error of a driver or a scene: report it once, keep image and window
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)
-                editor.status.report(problem)
-        return [texture.glo for texture in self.view.last_textures]
+                self.editor.status.report(problem)
+            return
+        if picture is not None:
+            self.editor.apply(picture.result)
+            if picture.mosaic is not None:
+                self.editor.apply_mosaic(picture.mosaic)

@@ -120,7 +120,7 @@ def detection(
         str,
         option(
             "Share of each part of the rain in its effect: all that it has, or those of a list, of which it then "
-            f"consists ({', '.join(factor_names())}).",
+            f"consists ({', '.join(factor_names(of_drives=False))}).",
             "--attribute",
         ),
     ] = NO_FACTORS,

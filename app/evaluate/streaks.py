@@ -93,7 +93,8 @@ def streaks(
             shutter = day.shutter_s or load_sensor(ours.sensor or DEFAULT_SENSOR).shutter_s or DEFAULT_EXPOSURE_S
             numbers = evenly_chosen(sequence, frames, day.middle_frame)
             shutters = exposures or [shutter]
-            rows.append(compare_with_real_rain(sequence, ours, shutters, numbers, part or above_horizon(sequence)))
+            place = part or above_horizon(sequence)
+            rows.append(compare_with_real_rain(sequence, ours, shutters, numbers, place, photographs=pairs is not None))
             advance()
     _print(rows, Console(file=table_stream(json), width=_COLUMNS))
     edges = {"length_edges_px": list(LENGTH_EDGES_PX), "angle_edges_deg": list(ANGLE_EDGES_DEG)}

@@ -138,6 +138,10 @@ def _count_class(
     low_x, low_y = _MIDDLE - size[0] // 2, _MIDDLE - size[1] // 2
     slow, gust, own, per_m = air_class[0], air_class[1], air_class[2], air_numbers[4] * _WHOLE
     height = air_numbers[0] + air_numbers[1] / 2
+    sway = 0.0  # farther than any gust moves a drop
+    for mode in range(len(rates)):
+        sway += abs(reaches[mode] * gust)
+    margin = np.int64(sway * abs(per_m)) + 2
     for i in range(first, count, CLASSES):
         number = np.uint32(i)
         _, _, start_z, _ = pcg4d_scalar(number, zero, zero, seed)
@@ -149,6 +153,9 @@ def _count_class(
             start_x, drawn_x, drawn_y, _ = pcg4d_scalar(number, wrap_z, one, seed)
             offset = air_rows[0, node] * slow + own_steps(drawn_x) * own * height
             offset += _cubic(path, 0, t)
+            calm_x = np.int64(start_x) + before[0] + np.int64(np.floor(offset * per_m))
+            if ((calm_x - low_x + margin) & mask) >= size[0] + 2 * margin:
+                continue
             for mode in range(len(rates)):
                 offset += reaches[mode] * gust * np.sin(phases[0, mode] - rates[mode] * t)
             x = np.int64(start_x) + before[0] + np.int64(np.floor(offset * per_m))

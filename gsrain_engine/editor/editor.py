@@ -161,7 +161,7 @@ class Editor:
     def tick(self, real_s: float) -> None:
         """Advance time and process finished background work. Once a frame."""
         viewport = self.viewport
-        self.playback.advance(real_s)
+        self.playback.advance(real_s if self.has_time else 0.0)
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (
@@ -191,14 +191,31 @@ class Editor:
             return left, present._replace(label="after")
         return (present,)
 
+    @property
+    def is_animated(self) -> bool:
+        """True if the picture changes while time plays: rain, road users, or a camera that rides."""
+        if self.viewport.options.follow_path or self.playback.rollout_span_s is not None:
+            return True
+        falls = self.viewport.options.look == "splats"
+        return any(pane.scene.actors or (falls and pane.rainfall.can_rain) for pane in self.split_panes)
+
+    @property
+    def has_time(self) -> bool:
+        """True if anything happens in time: in the picture, on the ego vehicle's or the user's path, or in the rain."""
+        scene, keyframes = self.document.scene, self.document.keyframes.keys
+        return self.is_animated or scene.ego is not None or scene.path is not None or len(keyframes) > 1
+
     def render_input(self, width: int, height: int) -> RenderInput:
         """The next frame for a viewport of a size in pixels."""
         viewport, live_rain, options = self.viewport, self.live_rain, self.viewport.options
-        view, quality = viewport.scaled_shot(width, height)
+        view, quality = viewport.scaled_shot(
+            width, height, is_animated=self.playback.clock.playing and self.is_animated
+        )
         pick, rain = viewport.sky_pick, live_rain.simulation
         return RenderInput(
             panes=self.split_panes,
             view=view,
+            canvas_view=viewport.shot(width, height),
             quality=quality,
             is_moving=viewport.is_moving,
             is_playing=self.playback.clock.playing,
@@ -218,8 +235,10 @@ class Editor:
         )
 
     def apply(self, result: DrawResult) -> None:
-        """Take what the drawing of a frame has found."""
-        viewport = self.viewport
+        """Take what the drawing of a frame has found; the editor may have changed since the frame began."""
+        viewport, frame = self.viewport, result.frame
+        assert frame is not None
+        viewport.picture_view = frame.canvas_view
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
         for problem in result.problems:
             self.status.report(problem)
@@ -228,16 +247,20 @@ class Editor:
             viewport.detail = result.drawn.quality
             viewport.backend, viewport.backend_reason = result.drawn.backend, result.drawn.backend_reason
             viewport.statistics = dict(result.drawn.statistics)
-        if result.sky is not None:
+            if result.drawn.quality.is_exact:
+                viewport.full_ms_per_megapixel = result.drawn.frame_ms / viewport.statistics["megapixels"]
+        scene = self.document.scene
+        is_same = frame.scene is scene or frame.scene.geometry_key == scene.geometry_key
+        if result.sky is not None and is_same:
             self.live_rain.sky_color = result.sky
-        if result.sky_is_exact:
+        if result.sky_is_exact and is_same:
             self.live_rain.sky_is_stale = False
-        if result.has_screenshot:
+        if result.has_screenshot and viewport.screenshot == frame.screenshot:
             viewport.screenshot = None
-        if result.picked_color is not None:
+        if result.picked_color is not None and frame.picked is not None and viewport.sky_pick is frame.picked[0]:
             viewport.sky_pick = None
             self.document.change_rain("Pick drop color", drop_color=result.picked_color)
-        if result.is_pending_ready and viewport.staged is not None:
+        if result.is_pending_ready and viewport.staged is not None and viewport.staged is frame.pending:
             self._swap_in(viewport.staged)
 
     def mosaic_input(self) -> MosaicInput | None:

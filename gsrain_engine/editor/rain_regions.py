@@ -202,7 +202,7 @@ def region_outlines(
         boxes["streak region"] = viewport.document.rain.streak_region
     if viewport.options.show_haze_region:
         boxes["haze region"] = viewport.document.rain.haze_box
-    shot = viewport.shot(width, height)
+    shot = viewport.canvas_view(width, height)
     anchor = rain_anchor(scene, rainfall, shot)
     return {name: project_edges(box, anchor, shot.camera) for name, box in boxes.items()}
 

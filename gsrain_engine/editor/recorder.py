@@ -86,11 +86,11 @@ class RenderQueue:
             sequences = self._sequences(self.settings)
         except ValueError as error:
             return str(error)
-        settings, statistics = self.settings, self._viewport.statistics
+        settings, pixel_ms = self.settings, self._viewport.full_ms_per_megapixel
         frames, rough_s = len(frame_numbers(settings, sequences)), None
-        if statistics.get("megapixels"):  # time per pixel times all images, without encoding and reading
+        if pixel_ms is not None:  # time per pixel times all images, without encoding and reading
             megapixels = sum(each.width * each.height for each in sequences.values()) * 1e-6
-            image_s = 1e-3 * statistics["frame ms"] * megapixels / statistics["megapixels"]
+            image_s = 1e-3 * pixel_ms * megapixels
             images = (2 if settings.twin else 1) * settings.motion_blur * settings.supersampling**2
             if "labels" in settings.passes:  # the three color channels of one image hold three layers or actors
                 images += len(self._document.scene.members) / 3

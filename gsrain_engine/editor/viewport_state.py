@@ -66,6 +66,8 @@ class ViewportState:
         """True if the camera has moved since the last frame."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
+        self.full_ms_per_megapixel: float | None = None
+        """Drawing time of the last picture of full quality, by its size."""
         self.backend = self.backend_reason = ""
         self.is_compiling = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""
@@ -77,6 +79,8 @@ class ViewportState:
         """Region of the next image whose color is to become the drop color."""
         self.job_previews: Mapping[Any, Texture] = {}
         """Image of each running job that has one."""
+        self.picture_view: RenderView | None = None
+        """View of the picture on the screen, in the size of the viewport; it may be a moment behind the camera."""
         self._path = PathFollower()
         self._core: tuple[Hashable, SceneCore] | None = None
         self._last_view: RenderView | None = None
@@ -121,16 +125,25 @@ class ViewportState:
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
         return RenderView(camera, t, velocity, camera.fx * focal_scale)
 
-    def scaled_shot(self, width: int, height: int) -> tuple[RenderView, QualityLevel]:
-        """View of the next frame, in the resolution of its quality, which depends on the camera's motion."""
-        detail = self._observe(self.shot(width, height))
+    def canvas_view(self, width: int, height: int) -> RenderView:
+        """View of the picture on the screen, for what is drawn over it and picked in it; at first the present one."""
+        view = self.picture_view
+        is_fitting = view is not None and (view.camera.width, view.camera.height) == (width, height)
+        return view if view is not None and is_fitting else self.shot(width, height)
+
+    def scaled_shot(self, width: int, height: int, *, is_animated: bool) -> tuple[RenderView, QualityLevel]:
+        """View of the next frame, in the resolution of its quality: reduced if needed while something moves.
+
+        `is_animated` is true if the picture changes although the camera rests.
+        """
+        detail = self._observe(self.shot(width, height), is_animated)
         if self.screenshot is not None:
             detail = FULL_QUALITY
         scale = detail.scale / self.options.shrink
         drawn_height = max(1, round(height * scale))
         return self.shot(max(1, round(width * scale)), drawn_height, height / drawn_height), detail
 
-    def _observe(self, now: RenderView) -> QualityLevel:
+    def _observe(self, now: RenderView, is_animated: bool) -> QualityLevel:
         before, at = self._last_view, time.perf_counter()
         self.is_moving = before is not None and (
             now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
@@ -138,7 +151,7 @@ class ViewportState:
         )
         resized = before is not None and now.camera.height != before.camera.height
         self._last_view, real_s, self._observed_at = now, at - self._observed_at, at
-        return self.budget.observe(moving=self.is_moving and not resized, real_s=real_s)
+        return self.budget.observe(moving=is_animated or (self.is_moving and not resized), real_s=real_s)
 
     def look_from(self, camera: Camera) -> None:
         """Take the pose of a camera (without roll) and its field of view; follow nothing any more."""

@@ -107,18 +107,21 @@ def photographed(
     rise: Float32[np.ndarray, "h w 3"],
     noise_levels: Float32[np.ndarray, "h w"],
     sensor: Sensor | None,
-    random: np.random.Generator,
+    random: np.random.Generator | None = None,
     chroma_noise: float | Float32[np.ndarray, "h w 1"] = 1.0,
 ) -> Photograph:
     """Add rain and noise to a photographed background (display color, gray levels) as a camera stores them.
 
     The background has been through the camera once; rain and noise, of a standard deviation of `noise_levels` in each
     channel, go through its signal processing, see `processed`. Then come rounding and the sensor's JPEG. The noise of
-    color differences is multiplied by `chroma_noise` besides the sensor's own factor.
+    color differences is multiplied by `chroma_noise` besides the sensor's own factor. Without a source of random
+    numbers the background has its noise already. Its levels below 0, which a camera clips at black, hide faint rain.
     """
-    amplified = chroma_noise if sensor is None else sensor.chroma_noise * chroma_noise
-    noise = noise_levels[..., None] * random.standard_normal(rise.shape, np.float32)
-    signal = rise + with_chroma_noise(noise, amplified)
+    signal = rise
+    if random is not None:
+        amplified = chroma_noise if sensor is None else sensor.chroma_noise * chroma_noise
+        noise = noise_levels[..., None] * random.standard_normal(rise.shape, np.float32)
+        signal = rise + with_chroma_noise(noise, amplified)
     if sensor is None or not sensor.processes_signal:
         color = to_levels(background + signal)
     else:

@@ -9,7 +9,7 @@ light of a streak, which blur preserves, and a drop's own light from backgrounds
 hide each other are corrected for by artificial ones.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -372,10 +372,7 @@ class _OpenAreas:
 
 def _measured(values: Float32[np.ndarray, "h w"], found: LightResiduals) -> Iterator[tuple[float, ...]]:
     """Rows of `GaugedStreaks` of one frame."""
-    accepted: list[_Candidate] = []
-    for each in sorted(_candidates(np.where(found.still, values / found.sigma, 0)), key=lambda each: -each.response):
-        if not any(_overlap(each, other) for other in accepted):
-            accepted.append(each)
+    accepted = _without_overlaps(_candidates(np.where(found.still, values / found.sigma, 0)))
     for each in accepted:
         margin = 3 + 1.5 * each.width
         half_length, half_width = each.length / 2 + margin, each.width / 2 + margin
@@ -425,15 +422,24 @@ def _by_moments(
     )  # fmt: skip
 
 
-def _overlap(one: _Candidate, other: _Candidate) -> bool:
-    """Return whether the center of one lies in the box of the other."""
-    for box, point in ((one, other), (other, one)):
-        dx, dy = point.x - box.x, point.y - box.y
-        along = dx * np.sin(box.angle) + dy * np.cos(box.angle)
-        across = dx * np.cos(box.angle) - dy * np.sin(box.angle)
-        if abs(along) < 0.6 * box.length + 2 and abs(across) < 0.5 * box.width + 1:
-            return True
-    return False
+def _without_overlaps(found: Iterable[_Candidate]) -> list[_Candidate]:
+    """Candidates, strongest first, but for those that overlap a stronger one: a center of one in the other's box."""
+    ranked = sorted(found, key=lambda each: -each.response)
+    values = [(each.x, each.y, each.angle, each.length, each.width) for each in ranked]
+    x, y, angle, length, width = np.array(values, np.float64).reshape(-1, 5).T
+    sine, cosine = np.sin(angle), np.cos(angle)
+    reach_along, reach_across = 0.6 * length + 2, 0.5 * width + 1
+    accepted = np.zeros(len(ranked), np.bool_)
+    for k in range(len(ranked)):
+        others = np.flatnonzero(accepted[:k])
+        dx, dy = x[others] - x[k], y[others] - y[k]
+        overlaps = False
+        for box in (k, others):
+            along, across = dx * sine[box] + dy * cosine[box], dx * cosine[box] - dy * sine[box]
+            is_inside = (np.abs(along) < reach_along[box]) & (np.abs(across) < reach_across[box])
+            overlaps |= bool(is_inside.any())
+        accepted[k] = not overlaps
+    return [each for each, is_apart in zip(ranked, accepted, strict=True) if is_apart]
 
 
 def _photometry(

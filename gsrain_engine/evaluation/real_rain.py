@@ -15,9 +15,9 @@ from ..presets import load_config
 from ..rain.settings import HEAVIEST_MM_H, RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_response import display_noise, light_of_display, tone_curve
-from ..scene.camera import Camera
 from ..scene.sensor import load_sensor
 from .photograph import Photograph, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
+from .rain_free import below_black, rain_free_frames
 from .streaks import (
     BANDS,
     MedianResiduals,
@@ -113,25 +113,23 @@ def slow_light(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "t h
 def simulated_frames(
     real: MedianResiduals,
     colors: Sequence[UInt8[np.ndarray, "h w 3"]],
-    camera: Camera,
+    shares: Sequence[Float32[np.ndarray, "h w"]],
     rainfall: RainSimulation,
-    times_s: Sequence[float],
     drop_levels: Float64[np.ndarray, "3"],
     native_height: int,
 ) -> list[Photograph]:
     """Render rain over the background of real frames, with their slow changes of light and as much noise as they have.
 
-    `colors` are the real frames (RGB), whose median is the background. The sensor's noise, and that of its color
-    differences, is scaled from place to place so that noise and rain together deviate typically as in the real frames:
-    how much of that is noise is unknown.
+    `shares` are those of `rain_shares`, `colors` the real frames (RGB), whose median is the background. The sensor's
+    noise, and that of its color differences, is scaled from place to place so that noise and rain together deviate
+    typically as in the real frames: how much of that is noise is unknown.
     """
     rain, sensor = rainfall.rain, rainfall.picture_sensor
     color = np.median(colors, axis=0).astype(np.float32)
-    backgrounds = list(np.clip(color + slow_light(real.values)[..., None], 0, 255))
-    rises = [
-        rain_over(background, share, drop_levels, rain, sensor)
-        for background, share in zip(backgrounds, rain_shares(camera, rainfall, times_s), strict=True)
-    ]
+    lit = list(np.clip(color + slow_light(real.values)[..., None], 0, 255))
+    rises = [rain_over(*each, drop_levels, rain, sensor) for each in zip(lit, shares, strict=True)]
+    black, below = color <= 0, below_black(colors)
+    backgrounds = [np.where(black, below, each) for each in lit]
     plain = real.sigma
     if sensor is not None and sensor.full_well_e is not None:
         plain = display_noise(sensor, native_height)[real.median]
@@ -149,6 +147,33 @@ def simulated_frames(
         chroma_change = chroma_aim / _chroma_deviation([each.color for each in made])
         chroma = np.clip(chroma * chroma_change / luma_change, *_NOISE_GAIN)
     return frames()
+
+
+def rainy_photographs(
+    real: MedianResiduals,
+    colors: Sequence[UInt8[np.ndarray, "h w 3"]],
+    shares: Sequence[Float32[np.ndarray, "h w"]],
+    rainfall: RainSimulation,
+    drop_levels: Float64[np.ndarray, "3"],
+    native_height: int,
+) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """Render rain over real frames whose streaks are replaced, with the noise and the motion of the camera (RGB).
+
+    The background of each frame is another one a third of the sequence later, so that remains of real streaks, too
+    faint to be replaced, are elsewhere than in the real frame of that number. See `rain_free_frames`.
+    """
+    rain, sensor = rainfall.rain, rainfall.picture_sensor
+    clear = rain_free_frames(colors, real, slow_light(real.values))
+    below, later = below_black(clear), max(len(clear) // 3, 1)
+    noise = real.sigma
+    if sensor is not None and sensor.full_well_e is not None:
+        noise = display_noise(sensor, native_height)[real.median]
+    made: list[UInt8[np.ndarray, "h w 3"]] = []
+    for number, share in enumerate(shares):
+        behind = clear[(number + later) % len(clear)].astype(np.float32)
+        rise = rain_over(behind, share, drop_levels, rain, sensor)
+        made.append(photographed(np.where(behind <= 0, below, behind), rise, noise, sensor).color)
+    return made
 
 
 def _fine_deviation(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "h w"]:
@@ -241,6 +266,8 @@ class RealRainComparison:
     real: MeasuredFrames
     ours: tuple[MeasuredFrames, ...]
     """One for each exposure."""
+    photographs: tuple[UInt8[np.ndarray, "h w 3"], ...] = ()
+    """Rain at the first exposure over real frames, see `rainy_photographs`; empty if they were not asked for."""
 
 
 def above_horizon(sequence: RainSequence) -> Window:
@@ -261,12 +288,14 @@ def evenly_chosen(sequence: RainSequence, count: int, middle: int | None = None)
 
 
 def compare_with_real_rain(
-    sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
-) -> RealRainComparison:
+    sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window,
+    photographs: bool = False,
+) -> RealRainComparison:  # fmt: skip
     """Measure frames of a sequence, and simulated rain at each exposure in front of their temporal median.
 
     The simulation uses the sequence's camera, times, background, slow changes of light and noise, without haze, since
-    the distance of the background is unknown. Pixels that move in the real frames are excluded from both. Raises
+    the distance of the background is unknown. Pixels that move in the real frames are excluded from both. `photographs`
+    adds our rain over real frames. Raises
     ValueError for a window outside the image, and as `median_residuals` does.
     """
     x, y, width, height = window
@@ -286,12 +315,16 @@ def compare_with_real_rain(
     times = [sequence.times_s[k] for k in numbers]
     light = slow_light(real.values)
     ours: list[MeasuredFrames] = []
+    pictures: list[UInt8[np.ndarray, "h w 3"]] = []
     for exposure in exposures_s:
         falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze="none"))
         lens = falling.lens(camera)  # of the whole image: the window has the same lens
         fixed = {"aperture_mm": 1e3 * lens.aperture_m, "focus_distance_m": lens.focus_m}
         falling = falling.changed(msgspec.structs.replace(falling.rain, **fixed), 0.0)
-        made = simulated_frames(real, colors, cropped_camera(camera, window), falling, times, drop, camera.height)
+        shares = list(rain_shares(cropped_camera(camera, window), falling, times))
+        made = simulated_frames(real, colors, shares, falling, drop, camera.height)
+        if photographs and not pictures:
+            pictures = rainy_photographs(real, colors, shares, falling, drop, camera.height)
         rendered = np.stack([each.luma for each in made])
         found = replace(median_residuals(rendered), still=real.still)
         ours.append(MeasuredFrames.of(rendered, found, sky, exposure, light, [each.color for each in made]))
@@ -304,6 +337,7 @@ def compare_with_real_rain(
         sky_levels=sky,
         real=MeasuredFrames.of(frames, real, sky, None, colors=colors),
         ours=tuple(ours),
+        photographs=tuple(pictures),
     )
 
 

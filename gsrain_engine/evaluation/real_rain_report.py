@@ -3,11 +3,9 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from ..render.camera_response import to_levels
 from .real_rain import MeasuredFrames, RealRainComparison
 from .streaks import DARK_BAND, streaks_within
 
@@ -199,7 +197,6 @@ _GAP_PX = 12
 _MIN_STILL = 0.9
 _DARK_LEVELS, _MIN_DARK = 96, 0.4
 _TRIES = 300
-_SEAM_PX = 2.0  # width of the transition to places where something moves
 
 
 class Pair(NamedTuple):
@@ -215,7 +212,7 @@ class Pair(NamedTuple):
 def unlabeled_pairs(rows: Sequence[RealRainComparison], count: int, seed: int = 0) -> Iterator[Pair]:
     """Choose crops before dark and still backgrounds from sequences with rain in turn, and pair real with ours.
 
-    Where leaves or people move, ours has the pixels of the real frame: there, both are the same.
+    Ours are the photographs of the comparisons: noise, motion and compression are those of the camera in both.
     """
     random = np.random.default_rng(seed)
     rainy = [row for row in rows if row.labelled_mm_h > 0]
@@ -224,13 +221,11 @@ def unlabeled_pairs(rows: Sequence[RealRainComparison], count: int, seed: int = 
         x, y = _dark_corner(row, random)
         part = (slice(y, y + PAIR_CROP[1]), slice(x, x + PAIR_CROP[0]))
         frame = int(random.integers(len(row.numbers)))
-        real, made = (each.colors[frame][part].astype(np.float32) for each in (row.real, row.ours[0]))
-        moves = cv2.GaussianBlur((~row.real.found.still[part]).astype(np.float32), (0, 0), _SEAM_PX)[..., None]
-        ours = made + np.minimum(2 * moves, 1) * (real - made)
+        real, ours = row.real.colors[frame][part], row.photographs[frame][part]
         real_first = bool(random.integers(2))
         left, right = (real, ours) if real_first else (ours, real)
-        gap = np.full((left.shape[0], _GAP_PX, 3), 255, np.float32)
-        picture = to_levels(np.concatenate([left, gap, right], axis=1))
+        gap = np.full((left.shape[0], _GAP_PX, 3), 255, np.uint8)
+        picture = np.concatenate([left, gap, right], axis=1)
         yield Pair(picture, row.sequence, row.numbers[frame], "left" if real_first else "right")
 
 

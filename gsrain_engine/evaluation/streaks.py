@@ -95,13 +95,7 @@ def coverage(
 
 def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: float) -> Iterator[tuple[float, ...]]:
     values = np.where(found.still, np.float32(sign) * found.values[number], np.float32(0))
-    normalized = values / found.sigma
-    z = np.full(values.shape, -np.inf, np.float32)  # the largest mean along a short line over all directions
-    for kernel in line_kernels():
-        np.maximum(z, cv2.filter2D(normalized, -1, kernel), out=z)
-    quiet = z[found.still]
-    middle = float(np.median(quiet))
-    z = (z - middle) / max(MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
+    z = line_responses(values / found.sigma, found.still)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats((z > _EDGE_Z).astype(np.uint8), connectivity=8)
     height, width = values.shape
     light = coverage(found.median.astype(np.float32), sign * values, drop_levels)
@@ -128,6 +122,18 @@ def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: f
         if length_px >= max(_MIN_LENGTH_PX, _MIN_ELONGATION * width_px):
             background, place = float(np.median(found.median[part][own])), (x + columns.start, y + rows.start)
             yield (number, *place, angle_deg, length_px, width_px, rise_levels, background, covered)
+
+
+def line_responses(
+    normalized: Float32[np.ndarray, "h w"], still: Bool[np.ndarray, "h w"] | None = None
+) -> Float32[np.ndarray, "h w"]:
+    """Return the largest mean along a short line over all directions, in deviations of those at the still pixels."""
+    z = np.full(normalized.shape, -np.inf, np.float32)
+    for kernel in line_kernels():
+        np.maximum(z, cv2.filter2D(normalized, -1, kernel), out=z)
+    quiet = z if still is None else z[still]
+    middle = float(np.median(quiet))
+    return (z - middle) / max(MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
 
 
 @cache

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64, UInt32
 
+from ..kernels import NOGIL
 from .air import CALM, DropAir
 from .drop_motion import DropMotion
 from .pcg_hash import pcg4d, pcg4d_scalar
@@ -93,7 +94,7 @@ def drop_phases(
     return DropPhases(wraps, fractions, air)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _split(displacement, center, period, wraps, fractions):
     for c in range(len(displacement)):
@@ -145,7 +146,7 @@ def offset_y(rows, numbers, slow, gust, own, node, share, height, steps, fractio
     return (y + np.float32(steps) * own * height) * numbers[4]
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def mark_drops(
     seed, count, wraps, fractions, geometry, margins, far, everywhere, found, air_rows, air_classes, air_numbers

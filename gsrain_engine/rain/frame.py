@@ -144,6 +144,8 @@ class RainFrame:
     def visible_drops(self, *, in_view: bool = True) -> FallingDrops:
         """Find the drops in the open that may be visible to the camera; without `in_view` all in the streak region."""
         count = self.count if self.rain.streaks or not in_view else 0
+        if count == 0:
+            return self.falling(place_drops(np.zeros(0, np.int64), self.rain.seed, self.where))
         turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
         found = np.empty((CLASSES, turns), np.bool_)
         culling, where = self.culling, self.where

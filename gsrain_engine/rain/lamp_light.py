@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from ..kernels import NOGIL
 from ..scene.camera import Camera
 from ..scene.lamps import LitLamps
 from .medium import RainMedium, optical_depth
@@ -26,10 +27,13 @@ CELL_PX = 4  # least distance of the table's rays
 COLUMNS = 128  # of the table at full resolution
 FLOOR_CELLS = 2.0
 """Floor of b in the table, in cells at the lamp's distance."""
-REACH = 3.0
-"""Distance from a lamp in floors at which the table is exact to half a percent; pixels nearer take an integral."""
+REACH = 2.5
+"""Distance from a lamp in floors at which the table is exact to a percent; pixels nearer take an integral."""
+UNSEEN = 0.005
+"""Share of a pixel's light up to which such integrals are left out, all together."""
 SEGMENT_PX = 32  # of a row, for which lamps are chosen at once
-STEP = np.float32(np.pi / 16)  # longest step of an integral, by angle
+STEP, PIXEL_STEP = np.float32(np.pi / 16), np.float32(np.pi / 8)
+"""Longest steps of an integral, by angle: in the table, and at pixels, where the difference of two integrals counts."""
 BLOCK = 4
 """Cells of a block, over which the light of a lamp is interpolated if it is smooth."""
 SMOOTH, LEAST_LIGHT = 0.005, 1e-6
@@ -137,18 +141,18 @@ def _cone(cosine, lamp):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _lit_angles(ray, lamp, nearest, b):
+def _lit_angles(ray, lamp, nearest, b, step):
     """Angles along a ray between which it is in a lamp's cone, and the longest step between them."""
     along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
     across = (nearest * along - (lamp[3] * lamp[0] + lamp[4] * lamp[1] + lamp[5] * lamp[2])) / b
     largest = np.sqrt(along * along + across * across)
     ratio = lamp[9] / max(largest, np.float32(1e-9))
     if ratio <= 0:
-        return np.float32(-2), np.float32(2), STEP
+        return np.float32(-2), np.float32(2), step
     if ratio >= 1:
-        return np.float32(2), np.float32(-2), STEP
+        return np.float32(2), np.float32(-2), step
     middle, half = np.arctan2(along, across), np.arccos(ratio)
-    return middle - half, middle + half, min(STEP, half * np.float32(1 / 3))
+    return middle - half, middle + half, min(step, half * np.float32(1 / 3))
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -246,7 +250,7 @@ def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
     square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
     floor = lamp[11] * lamp[11]
     b = np.sqrt(np.sqrt(square * square + floor * floor))
-    lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b)
+    lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b, STEP)
     if lit_first >= lit_last:
         light[:] = 0
         return False
@@ -274,7 +278,7 @@ def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
     return True
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _fill_blocks(corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Light of each lamp, over its intensity, up to each slice at the corners of blocks of cells."""
@@ -309,7 +313,7 @@ def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, s
     return True
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Sum the light of all lamps up to each slice along the ray of each corner of the cells.
@@ -366,7 +370,7 @@ def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, dist
 @no_type_check
 def _up_to(ray, distance, lamp, nearest, b, numbers, drawn, sums):
     """Light of one lamp, over its intensity, scattered along a ray up to a distance."""
-    lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b)
+    lit_first, lit_last, longest = _lit_angles(ray, lamp, nearest, b, PIXEL_STEP)
     first, last = max(np.arctan2(-nearest, b), lit_first), min(np.arctan2(distance - nearest, b), lit_last)
     total = np.float32(0)
     if first >= last:
@@ -415,6 +419,8 @@ def scattered_light(column, row, distance, light, table, cell_px, intrinsics, la
     x, y = (column - cx) / fx, (row - cy) / fy
     scale = np.float32(1) / np.sqrt(x * x + y * y + np.float32(1))
     ray = (x * scale, y * scale, scale)
+    unseen = np.float32(UNSEEN) * max(light[0], light[1], light[2])
+    bound = numbers[0] * sums[ANGLES - 1] / np.float32(4 * np.pi)
     for i in range(len(lamps)):
         lamp = lamps[i]
         nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
@@ -427,9 +433,13 @@ def scattered_light(column, row, distance, light, table, cell_px, intrinsics, la
             continue
         b = max(np.sqrt(square), lamp[12])
         soft = np.sqrt(np.sqrt(square * square + floor * floor))
+        at_most = lamp[16] * bound * (np.float32(1) / b - np.float32(1) / soft)
+        if at_most < unseen:
+            unseen -= at_most
+            continue
         rest = _up_to(ray, distance, lamp, nearest, b, numbers, drawn, sums)
         rest -= _up_to(ray, distance, lamp, nearest, soft, numbers, drawn, sums)
-        fades = min((np.float32(1) - reach) * np.float32(2), np.float32(1))
+        fades = min((np.float32(1) - reach) * np.float32(4), np.float32(1))
         rest *= fades * fades * (np.float32(3) - np.float32(2) * fades)
         for channel in range(3):
             light[channel] += rest * lamp[6 + channel]
@@ -477,7 +487,7 @@ def _lamps_near(x, y, intrinsics, lamps, near):
     return found
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _light_in_picture(
     depth_share, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
@@ -524,7 +534,7 @@ def light_of_drops(
     return light
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _light_drops(points, lamps, numbers, drawn, phase, light):
     for n in numba.prange(len(points)):

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from ..kernels import NOGIL
 from ..scene.camera import Camera
 from .settings import RainSettings
 
@@ -141,7 +142,7 @@ def _drawn_up_to(depth_m, step_m, drawn):
     return drawn[k] + (at - np.float32(k)) * (drawn[k + 1] - drawn[k])
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _transmittances(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):

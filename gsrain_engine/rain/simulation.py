@@ -81,11 +81,11 @@ class RainSimulation:
         keyed = self._keyed_motion
         if keyed is None:
             return self
-        if time_s not in self._frozen:
+        frozen = self._frozen.get(time_s)
+        if frozen is None:
             rain = self.weather.rain_at(self.rain, time_s)
             state = rain_properties(rain, self.calibration)
-            self._frozen.clear()
-            self._frozen[time_s] = RainSimulation(
+            frozen = RainSimulation(
                 rain,
                 self.calibration,
                 state,
@@ -94,7 +94,9 @@ class RainSimulation:
                 self.sensor,
                 lamps=self.lamps,
             )
-        return self._frozen[time_s]
+            self._frozen.clear()
+            self._frozen[time_s] = frozen  # another thread may clear it at once
+        return frozen
 
     def state_at(self, time_s: float) -> RainProperties:
         return self.frozen_at(time_s).state

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from ..kernels import NOGIL
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.sensor import GLOBAL_SHUTTER, PINHOLE, Readout, ThinLens
@@ -90,7 +91,7 @@ def sh_of(color: Float64[np.ndarray, "3"], count: int) -> Float32[np.ndarray, "{
     return np.broadcast_to(sh_from_color(color.astype(np.float32)[None]), (count, 1, 3)).copy()
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _fill(
     positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, max_copies, rows,

@@ -77,8 +77,8 @@ class WetnessCurve:
 
     def at(self, time_s: float) -> float:
         """Wetness at a time, 0..1; the latest one is cached."""
-        if time_s in self._latest:
-            return self._latest[time_s]
+        if (latest := self._latest.get(time_s)) is not None:
+            return latest
         found = wetness(float(self.intensity.at(time_s)[0]))
         knot = self.intensity.before(time_s)
         if self.drying_s != 0 and knot >= 0:  # the rain was constant before the first keyframe

@@ -18,7 +18,7 @@ from .recolor import QUICK_VIEWS, wet_scene
 from .result import read_recolored, with_colors, write_recolored
 
 logger = logging.getLogger("gsrain")
-_VERSION = 1
+_VERSION = 3
 """Version of the computation; raise it when the wet look or the recoloring changes its results."""
 _MAX_FILES = 24
 

@@ -398,15 +398,24 @@ def rainy_scene(
     colors. It may be stopped at every step without having written anything. Previews are thumbnails of the latest
     transferred view, then of the first view with the current colors. Raises ValueError without views, or if none shows
     anything of the scene.
+
+    Where ground is found, the scene gets a map of its water, and wet colors without reflections if the transfer has
+    images without them: the mirror adds them.
     """
     if not len(views):
         raise ValueError("a scene needs at least one view to become rainy")
-    targets = yield from _transferred(views, transfer)
+    if scene.water is None:
+        from ..appearance.wet_look.water_map import find_water  # loads slow parts of scipy
+
+        scene = replace(scene, water=find_water(scene))
+    targets = yield from _transferred(views, transfer, scene.water is not None)
     recolored = yield from subprogress(recolor_scene(scene, targets, [], settings), _TRANSFERRED_DONE, 1.0)
     return with_colors(scene, recolored.colors)
 
 
-def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Progress, None, list[TargetView]]:
+def _transferred(
+    views: Sequence[ClearView], transfer: Transfer, is_mirrored: bool
+) -> Generator[Progress, None, list[TargetView]]:
     targets, preview = list[TargetView](), None
     rainy = iter(transfer.transferred(views))
     while True:
@@ -417,7 +426,8 @@ def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Pr
         made = next(rainy, None)
         if made is None:
             return targets
-        targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, made.image))
+        image = made.matte if is_mirrored and made.matte is not None else made.image
+        targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, image))
         preview = thumbnail(made.image)
 
 

@@ -48,7 +48,12 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
 
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> Scene:
-    """Return the scene with wet colors by key: of all Gaussians of a member, or of those not deleted, as in files."""
+    """Return the scene with wet colors by key: of all Gaussians of a member, or of those not deleted, as in files.
+
+    It gets a map of its water, too, if it has none and ground is found.
+    """
+    from ..appearance.wet_look.water_map import with_water_map  # loads slow parts of scipy
+
     for key, sh in colors.items():
         member = scene.member(key)
         deleted = member.marks.deleted
@@ -57,7 +62,7 @@ def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]
             whole[(~deleted).indices] = sh
             sh = whole
         scene = scene.with_member(key, wet_sh=sh)
-    return scene
+    return with_water_map(scene)
 
 
 # Members with colors, as one list of Gaussians with consecutive rows

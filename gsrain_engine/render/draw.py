@@ -6,25 +6,26 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 
 from ..rain.frame import RainCamera, RainFrame, SkyLight
 from ..rain.shelter_map import shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import Gaussians, IdentityKey, scene_cache
 from ..scene.ground_water import ground_heights
-from ..scene.lod_order import lod_growth
+from ..scene.lod_order import lod_growth, lod_sample
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
+from ..water.leveled_ground import leveled_view
 from ..water.splashes import Splashes
 from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
 from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
-from .mirror import draw_mirror, has_mirror, reflecting_items, ring_waves, standing_water
+from .mirror import draw_mirror, has_mirror, mirror_view, reflecting_items, ring_waves, standing_water
 from .renderer import PendingImage, Renderer, RenderMode
 
 
@@ -88,11 +89,12 @@ def draw_view(
         soaked = rainfall.soaked_share_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
-    has_water, standing, depth = False, (0.0, 0.0), WaterDepth(0.0, 0.0)
+    level, has_water, standing, depth = None, False, (0.0, 0.0), WaterDepth(0.0, 0.0)
     if rainfall is not None and rainfall.rain.mirror and look == "splats":
         depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
         standing = standing_water(rainfall.rain, depth, wetness)
-        has_water = has_mirror(scene, shot.camera, wetness, standing)
+        level = mirror_view(scene, shot.camera)
+        has_water = has_mirror(scene, level, wetness, standing)
     lit = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
     parts = list(subset_items(lit, thinning, shot.camera))
     if lamps and scene.ground_m is not None and look == "splats":
@@ -101,12 +103,12 @@ def draw_view(
         reflections = lamp_reflections(fixed, moving, shot.camera, scene.ground_m, wetness, mirrors=not has_water)
         parts += [] if reflections is None else [reflections]
     mirror = None
-    if rainfall is not None and has_water:
+    if rainfall is not None and level is not None and has_water:
         parts = reflecting_items(parts, scene)
         mirror = draw_mirror(
-            renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, shot.camera, wetness,
+            renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, level, wetness,
             flooded_share(depth.film_mm), sky.drops, lit_lamps, standing,
-            ring_waves(scene, rainfall, shot.camera, shot.time_s, shot.focal_px) if falls else None,
+            ring_waves(scene, rainfall, level, shot.time_s, shot.focal_px) if falls else None,
         )  # fmt: skip
     if rain is not None and rainfall is not None:
         if has_splashes(scene, rainfall, wetness):
@@ -118,7 +120,8 @@ def draw_view(
 
 def has_splashes(scene: Scene, rainfall: RainSimulation, wetness: float) -> bool:
     """Return whether drops that land are drawn: on wet ground of a known height, where a scene has wet colors."""
-    return rainfall.rain.splashes and wetness > 0 and scene.ground_m is not None and scene.has_rainy_light
+    is_known = scene.ground_m is not None or (scene.water is not None and scene.water.heights_m is not None)
+    return rainfall.rain.splashes and wetness > 0 and is_known and scene.has_rainy_light
 
 
 def draw_splashes(scene: Scene, rainfall: RainSimulation, rain: RainFrame) -> Gaussians | None:
@@ -126,7 +129,8 @@ def draw_splashes(scene: Scene, rainfall: RainSimulation, rain: RainFrame) -> Ga
     layers = [layer for layer in scene.layers if layer.visible and layer.wet_sh is not None]
     poses = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene) for layer in layers]
     surfaces = [(layer.gaussians, pose) for layer, pose in zip(layers, poses, strict=True)]
-    heights = ground_heights(surfaces, scene.ground_m or 0.0, scene.water)
+    ground_m = leveled_view(rain.view.camera, scene.water, scene.ground_m or 0.0).ground_m
+    heights = ground_heights(surfaces, ground_m, scene.water)
     found = Splashes(rainfall, rain, WaterFilms.of(rainfall, scene.water), heights).gaussians()
     return found if len(found) else None
 
@@ -259,6 +263,36 @@ class LodSubset:
     def forget_all_but(self, used: Iterable[Gaussians]) -> None:
         keys = {_shape(each) for each in used}
         self._growths = {key: known for key, known in self._growths.items() if key in keys}
+
+
+@dataclass(frozen=True, slots=True)
+class LodSample:
+    """Draws a weighted sample of each part's Gaussians, which may be in any order, enlarged to cover as much as all."""
+
+    share: float
+
+    def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
+        """Replace a part by its sample."""
+        rows, gaussians = _sampled(part.gaussians, self.share)
+        marks = ((mask and mask.take(rows)) for mask in (part.left_out, part.selected))
+        wet_sh = None if part.wet_sh is None else _rows_of(IdentityKey(part.wet_sh), IdentityKey(rows))
+        left_out, selected = marks
+        return [part._replace(gaussians=gaussians, wet_sh=wet_sh, left_out=left_out, selected=selected, tree=None)]
+
+
+@scene_cache(maxsize=64)
+def _sampled(gaussians: Gaussians, share: float) -> tuple[Int64[np.ndarray, " m"], Gaussians]:
+    mask, growth = lod_sample(gaussians, share)
+    rows = np.flatnonzero(mask)
+    sample = gaussians.take(rows)
+    return rows, replace(sample, scales=sample.scales * np.float32(growth))
+
+
+@scene_cache(maxsize=64)
+def _rows_of(array: IdentityKey, rows: IdentityKey) -> Float32[np.ndarray, "m k 3"]:
+    whole: np.ndarray = array.of  # pyright: ignore[reportAssignmentType]
+    chosen: np.ndarray = rows.of  # pyright: ignore[reportAssignmentType]
+    return whole[chosen]
 
 
 def _shape(gaussians: Gaussians) -> tuple[int, int]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool
 
 from ..rain.frame import RainFrame
 from ..rain.settings import RainSettings
@@ -20,6 +20,7 @@ from ..scene.lod_order import lod_sample
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
 from ..water.impacts import GroundImpacts
+from ..water.leveled_ground import LeveledView, leveled_item, leveled_lamps, leveled_view
 from ..water.mirror import Mirror, make_mirror, mirrored_camera, rows_of_ground
 from ..water.rings import RingWaves
 from .renderer import Color, Renderer
@@ -29,15 +30,20 @@ _SHARE = 0.35  # of the Gaussians of a member in the mirror image, which has an 
 _FEW = 20_000  # Gaussians of a member that is reflected whole
 
 
-def has_mirror(scene: Scene, camera: Camera, wetness: float, standing: tuple[float, float]) -> bool:
+def mirror_view(scene: Scene, camera: Camera) -> LeveledView:
+    """Camera over the level ground that reflects a scene into it."""
+    return leveled_view(camera, scene.water, scene.ground_m or 0.0)
+
+
+def has_mirror(scene: Scene, view: LeveledView, wetness: float, standing: tuple[float, float]) -> bool:
     """Return whether wet ground reflects the scene into a camera: the scene has a map of its water, and it is wet.
 
     `standing` is the `standing_water` of that time.
     """
     if scene.water is None or (wetness <= 0 and min(standing) <= 0):
         return False
-    first, last = rows_of_ground(camera)
-    return last > first and bool(camera.position[2] > (scene.ground_m or 0.0) + _MIN_HEIGHT_M)
+    first, last = rows_of_ground(view.camera)
+    return last > first and bool(view.camera.position[2] > view.ground_m + _MIN_HEIGHT_M)
 
 
 def standing_water(rain: RainSettings, depth: WaterDepth, wetness: float) -> tuple[float, float]:
@@ -46,34 +52,44 @@ def standing_water(rain: RainSettings, depth: WaterDepth, wetness: float) -> tup
 
 
 def ring_waves(
-    scene: Scene, rainfall: RainSimulation, camera: Camera, time_s: float, focal_px: float | None
+    scene: Scene, rainfall: RainSimulation, view: LeveledView, time_s: float, focal_px: float | None
 ) -> RingWaves | None:
     """Rings of drops that land before a camera; None where there are none."""
     if not rainfall.rain.splashes or scene.water is None:
         return None
+    camera = view.camera
     ahead, focal = camera.world_to_camera[2, :2], focal_px or float(np.sqrt(camera.fx * camera.fy))
     length = float(np.hypot(*ahead))
     heading = ahead / length if length > 1e-6 else np.array([1.0, 0.0])
     depth = WaterFilms.of(rainfall, scene.water).at(time_s)
     impacts = GroundImpacts(rainfall)
-    return RingWaves(impacts, time_s, depth, scene.water, camera.position, heading, scene.ground_m or 0.0, focal)
+    return RingWaves(impacts, time_s, depth, scene.water, camera.position, heading, view.ground_m, focal)
 
 
 def reflecting_items(items: Sequence[DrawItem], scene: Scene) -> list[DrawItem]:
     """Items with the film on their Gaussians, and without reflections in their wet colors."""
-    return [_reflecting(item, _member_of(item, scene).film) for item in items]
-
-
-def _reflecting(item: DrawItem, film: Float32[np.ndarray, "n 2"] | None) -> DrawItem:
-    if film is None:
-        return item
-    wet_sh = None if item.wet_sh is None else matte_wet_sh(item.wet_sh, film, item.to_world)
-    return item._replace(film=film, wet_sh=wet_sh)
+    assert scene.water is not None
+    of_capture, reflecting = scene.water.heights_m is not None, list[DrawItem]()
+    for item in items:
+        film, wet_sh = _member_of(item, scene).film, item.wet_sh
+        if film is not None:
+            matte = None if wet_sh is None else matte_wet_sh(wet_sh, film, item.to_world, of_capture=of_capture)
+            item = item._replace(film=film, wet_sh=matte)
+        reflecting.append(item)
+    return reflecting
 
 
 def _member_of(item: DrawItem, scene: Scene) -> GroundMembership:
     assert scene.water is not None
-    return ground_membership(item.gaussians, item.to_world, scene.ground_m or 0.0, scene.water)
+    fixed = _is_fixed(item, scene)
+    return ground_membership(item.gaussians, item.to_world, scene.ground_m or 0.0, scene.water, is_fixed=fixed)
+
+
+def _is_fixed(item: DrawItem, scene: Scene) -> bool:
+    """Return whether an item belongs to a layer, by its pose; on level ground all do, as it makes no difference."""
+    if scene.water is None or scene.water.heights_m is None:
+        return True
+    return any(np.array_equal(item.to_world, scene.scene_to_world @ layer.to_scene) for layer in scene.layers)
 
 
 def draw_mirror(
@@ -81,7 +97,7 @@ def draw_mirror(
     scene: Scene,
     items_for: Callable[[Camera], Sequence[DrawItem]],
     rain: RainFrame | None,
-    camera: Camera,
+    view: LeveledView,
     wetness: float,
     flooded: float,
     sky: Color,
@@ -89,27 +105,34 @@ def draw_mirror(
     standing: tuple[float, float] | None = None,
     waves: RingWaves | None = None,
 ) -> Mirror:
-    """Draw the mirror image of a camera by the renderer, over the color of the sky, and blur it.
+    """Draw the mirror image of a `mirror_view` by the renderer, over the color of the sky, and blur it.
 
     `items_for` returns the scene for the mirrored camera. Drops of the rain are left out, and its medium is that of the
     whole way from the reflected object over the ground to the eye.
     """
-    ground_m = scene.ground_m or 0.0
-    below = mirrored_camera(camera, ground_m)
+    assert scene.water is not None
+    below = mirrored_camera(view.camera, view.ground_m)
     medium = None
     if rain is not None:
         far = rain.rain.haze if rain.rain.haze == "medium" else "none"
         settings = msgspec.structs.replace(rain.rain, streaks=False, haze=far)
-        rain = replace(rain, rain=settings, view=replace(rain.view, camera=below))
+        anchor = rain.view.anchor_to_world if view.to_level is None else view.to_level @ rain.view.anchor_to_world
+        rain = replace(rain, rain=settings, view=replace(rain.view, camera=below, anchor_to_world=anchor))
         medium = rain.medium
     # Wet colors of what reflects, too, though it is left out: the same arrays as for the picture itself.
-    items = [_without_ground(item, _member_of(item, scene)) for item in reflecting_items(items_for(below), scene)]
+    items = [
+        leveled_item(_without_ground(item, _member_of(item, scene)), view, scene.water, is_fixed=_is_fixed(item, scene))
+        for item in reflecting_items(items_for(below), scene)
+    ]
     renderer.draw(items, below, rain if medium is not None else None, with_depth=True)
     frame = renderer.read()
     assert frame.depth is not None
     image = srgb_to_linear(np.maximum(frame.over(sky), 0)).astype(np.float32)
     extinction_per_m = 0.0 if medium is None else medium.extinction_per_m
-    return make_mirror(image, frame.depth, camera, ground_m, wetness, flooded, lamps, extinction_per_m, standing, waves)
+    return make_mirror(
+        image, frame.depth, view.camera, view.ground_m, wetness, flooded, leveled_lamps(lamps, view), extinction_per_m,
+        standing, waves,
+    )  # fmt: skip
 
 
 def _without_ground(item: DrawItem, found: GroundMembership) -> DrawItem:

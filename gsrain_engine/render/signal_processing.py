@@ -15,7 +15,7 @@ _TO_YCC = np.array([[0.299, 0.587, 0.114], [0.5, -0.4187, -0.0813], [-0.1687, -0
 _TO_RGB = np.linalg.inv(_TO_YCC.astype(np.float64)).astype(np.float32)
 _LUMA_OF_NOISE = float(np.sqrt((_TO_YCC[0] ** 2).sum()))  # of three channels with independent noise of 1
 _SHARPENING_PX = 1.0
-_EVEN_CHROMA = 1.5  # color differences of even surfaces are blurred so many times as far as those of details
+_EVEN_CHROMA = 2.1  # color differences of even surfaces are blurred so many times as far as those of details
 
 
 def processed(

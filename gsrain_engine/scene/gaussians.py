@@ -1,7 +1,7 @@
 """3D Gaussians, their spherical harmonics, and caches by scene identity."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, ParamSpec, TypeVar
 
@@ -32,6 +32,10 @@ class Gaussians:
     """Largest alpha, in [0, 1]."""
     sh: Float32[np.ndarray, "n k 3"]
     """Spherical harmonics of display color, k = 1, 4, 9 or 16, in the order and sign of 3DGS."""
+    antialiased: bool = field(default=False, kw_only=True)
+    """True if they are to be drawn through the pixel's filter of Mip-Splatting (Yu et al. 2024), as they were trained:
+    sharper than that of 3DGS, and with the integral of alpha over the image kept, so that thin ones don't grow.
+    `cuda` and training draw them like others."""
 
     def __post_init__(self) -> None:
         n, k = len(self.means), self.sh.shape[1]
@@ -61,10 +65,10 @@ class Gaussians:
 
     def take(self, indices: "Int[np.ndarray, ' m'] | UInt32[np.ndarray, ' m'] | slice") -> "Gaussians":
         """Pick Gaussians by index or slice, in that order."""
-        return Gaussians(*(array[indices] for array in self.arrays))
+        return Gaussians(*(array[indices] for array in self.arrays), antialiased=self.antialiased)
 
     def with_sh(self, sh: Float32[np.ndarray, "n k 3"]) -> "Gaussians":
-        return Gaussians(self.means, self.scales, self.quaternions, self.opacities, sh)
+        return replace(self, sh=sh)
 
     @staticmethod
     def empty(sh_degree: int = 0) -> "Gaussians":
@@ -75,7 +79,7 @@ class Gaussians:
     def concatenate(parts: Sequence["Gaussians"]) -> "Gaussians":
         """Join sets in order; lower SH degrees are padded with zeros to the highest one.
 
-        Returns a single set itself.
+        Returns a single set itself. The result is antialiased if the larger part of it was.
         """
         if len(parts) < 2:
             return parts[0] if parts else Gaussians.empty()
@@ -83,7 +87,8 @@ class Gaussians:
         lacking = ((part.sh, k - part.sh.shape[1]) for part in parts)
         padded = [np.pad(sh, ((0, 0), (0, more), (0, 0))) if more else sh for sh, more in lacking]
         columns = zip(*(part.arrays[:-1] for part in parts), strict=True)
-        return Gaussians(*map(np.concatenate, columns), sh=np.concatenate(padded))
+        antialiased = 2 * sum(len(part) for part in parts if part.antialiased) > sum(map(len, parts))
+        return Gaussians(*map(np.concatenate, columns), sh=np.concatenate(padded), antialiased=antialiased)
 
 
 def sh_from_color(colors: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 1 3"]:

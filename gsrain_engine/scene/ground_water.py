@@ -1,9 +1,10 @@
-"""Water on level ground: a map of films and standing water, and the share of them on each Gaussian."""
+"""Water on the ground: a map of films and standing water, with heights if known, and the share of them on Gaussians."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, no_type_check
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
@@ -28,12 +29,16 @@ class GroundWater:
     cell_m: float
     cover: UInt8[np.ndarray, "rows columns 2"]
     """Shares of the ground, in 1/255, that a film and standing water cover; rows along y. None outside."""
+    heights_m: Float32[np.ndarray, "rows columns"] | None = None
+    """Height of the ground at the middle of each cell; None if it is level, at the height that the scene states."""
+    scatter_m: float = 0.0
+    """Standard deviation of the distance of a capture's Gaussians from its ground."""
 
     def at(self, points: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 2"]:
         """Shares of film and standing water, 0..1, at points of the ground (x and y in the world)."""
-        inside, row, column = self.cells(points)
-        shares = np.zeros((len(points), 2), np.float32)
-        shares[inside] = self.cover[row, column] * np.float32(1 / 255)
+        shares = np.empty((len(points), 2), np.float32)
+        x, y = self.corner_m
+        _look_up(points[:, 0], points[:, 1], np.float32(x), np.float32(y), np.float32(self.cell_m), self.cover, shares)
         return shares
 
     def cells(
@@ -46,13 +51,44 @@ class GroundWater:
         column, row = cells[inside].astype(np.int64).T
         return inside, row, column
 
-    def moved(self, x_m: float, y_m: float) -> "GroundWater":
-        return replace(self, corner_m=(self.corner_m[0] + x_m, self.corner_m[1] + y_m))
+    def height_at(self, points: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, " n"]:
+        """Height of the ground at points, linear between cells, that of the nearest cell outside; of uneven ground."""
+        assert self.heights_m is not None
+        rows, columns = self.heights_m.shape
+        x, y = ((points - np.array(self.corner_m)) / self.cell_m - 0.5).astype(np.float32).T
+        x, y = np.clip(np.nan_to_num(x), 0, columns - 1), np.clip(np.nan_to_num(y), 0, rows - 1)
+        left = np.minimum(x.astype(np.int64), max(columns - 2, 0))
+        low = np.minimum(y.astype(np.int64), max(rows - 2, 0))
+        u, v, right, high = x - left, y - low, np.minimum(left + 1, columns - 1), np.minimum(low + 1, rows - 1)
+        h = self.heights_m
+        nearer, farther = (1 - u) * h[low, left] + u * h[low, right], (1 - u) * h[high, left] + u * h[high, right]
+        return ((1 - v) * nearer + v * farther).astype(np.float32)
+
+    def moved(self, x_m: float, y_m: float, z_m: float) -> "GroundWater":
+        heights = None if self.heights_m is None else self.heights_m + np.float32(z_m)
+        return replace(self, corner_m=(self.corner_m[0] + x_m, self.corner_m[1] + y_m), heights_m=heights)
 
     def scaled(self, factor: float) -> "GroundWater":
         """Map of a world that is larger by a factor."""
-        x, y = self.corner_m
-        return replace(self, corner_m=(x * factor, y * factor), cell_m=self.cell_m * factor)
+        (x, y), heights = self.corner_m, self.heights_m
+        return replace(
+            self, corner_m=(x * factor, y * factor), cell_m=self.cell_m * factor, scatter_m=self.scatter_m * factor,
+            heights_m=None if heights is None else heights * np.float32(factor),
+        )  # fmt: skip
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check
+def _look_up(x, y, corner_x, corner_y, cell, cover, shares):
+    """As `GroundWater.cells` finds them, one by one."""
+    rows, columns = cover.shape[:2]
+    for n in range(len(x)):
+        column, row = np.floor((x[n] - corner_x) / cell), np.floor((y[n] - corner_y) / cell)
+        if column >= 0 and column < columns and row >= 0 and row < rows:
+            for water in range(2):
+                shares[n, water] = np.float32(cover[int(row), int(column), water]) * np.float32(1 / 255)
+        else:
+            shares[n, 0] = shares[n, 1] = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,21 +102,36 @@ class GroundMembership:
 
 
 def ground_membership(
-    gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"], ground_m: float, water: GroundWater
+    gaussians: Gaussians,
+    to_world: Float64[np.ndarray, "4 4"],
+    ground_m: float,
+    water: GroundWater,
+    *,
+    is_fixed: bool = True,
 ) -> GroundMembership:
-    """Find the Gaussians that are ground at a height (m); the last results are cached."""
-    return _membership(gaussians, to_world.tobytes(), ground_m, IdentityKey(water))
+    """Find the Gaussians that are ground, at a height (m) or at those of the map; the last results are cached.
+
+    The ground of a capture scatters: there, Gaussians up to 1.5 standard deviations higher belong to it, and flat ones
+    up to 2, if they are fixed, unlike those of actors.
+    """
+    return _membership(gaussians, to_world.tobytes(), ground_m, IdentityKey(water), is_fixed)
 
 
 @scene_cache(maxsize=64)
-def _membership(gaussians: Gaussians, to_world: bytes, ground_m: float, key: IdentityKey) -> GroundMembership:
+def _membership(
+    gaussians: Gaussians, to_world: bytes, ground_m: float, key: IdentityKey, is_fixed: bool
+) -> GroundMembership:
     water: GroundWater = key.of  # pyright: ignore[reportAssignmentType]
     pose = np.frombuffer(to_world, np.float64).reshape(4, 4).astype(np.float32)
-    means = gaussians.means
-    over = means @ pose[2, :3] + (pose[2, 3] - np.float32(ground_m))
-    near = np.flatnonzero(np.abs(over) < THICKNESS_M)
-    is_low = over < UPON_M
-    lying = near[(np.abs(over[near]) < UPON_M) | _is_level(gaussians, near, pose)]
+    means, scatter = gaussians.means, water.scatter_m if is_fixed else 0.0
+    upon, thickness = UPON_M + 1.5 * scatter, THICKNESS_M + 2 * scatter
+    if water.heights_m is None:
+        over = means @ pose[2, :3] + (pose[2, 3] - np.float32(ground_m))
+    else:
+        over = means @ pose[2, :3] + (pose[2, 3] - water.height_at(means @ pose[:2, :3].T + pose[:2, 3]))
+    near = np.flatnonzero(np.abs(over) < thickness)
+    is_low = over < upon
+    lying = near[(np.abs(over[near]) < upon) | _is_level(gaussians, near, pose)]
     shares = water.at(means[lying] @ pose[:2, :3].T + pose[:2, 3])
     if not np.any(shares):
         return GroundMembership(None, is_low)
@@ -141,6 +192,8 @@ def ground_heights(
     """Heights of the ground by the Gaussians (with their poses) that hold water; the last results are cached."""
     if water is None:
         return WetGround(ground_m)
+    if water.heights_m is not None:
+        return WetGround(ground_m, water, water.heights_m)
     sets, poses = (tuple(IdentityKey(g) for g, _ in items), tuple(pose.tobytes() for _, pose in items))
     return _heights(sets, poses, ground_m, IdentityKey(water))
 
@@ -168,23 +221,38 @@ def _heights(sets: tuple[IdentityKey, ...], poses: tuple[bytes, ...], ground_m: 
     return WetGround(ground_m, water, heights[nearest[0], nearest[1]])
 
 
+_GRAZING = 0.35  # sine of the viewing angle to the ground that stands for a capture's cameras
+
+
 def matte_wet_sh(
-    wet_sh: Float32[np.ndarray, "n k 3"], film: Float32[np.ndarray, "n 2"], to_world: Float64[np.ndarray, "4 4"]
+    wet_sh: Float32[np.ndarray, "n k 3"],
+    film: Float32[np.ndarray, "n 2"],
+    to_world: Float64[np.ndarray, "4 4"],
+    *,
+    of_capture: bool = False,
 ) -> Float32[np.ndarray, "n k 3"]:
     """Wet colors without reflections where there is water: the color that is visible from straight above.
 
-    Water reflects 2 % there, so that what remains is the light that the ground itself scatters. Cached, as above.
+    Water reflects 2 % there, so that what remains is the light that the ground itself scatters. Cameras of a capture
+    have not been there: its color is the mean over all azimuths of what they see. Cached, as above.
     """
     downward = -np.ascontiguousarray(to_world[2, :3], np.float64)
-    return _matte(IdentityKey(wet_sh), IdentityKey(film), downward.tobytes())
+    return _matte(IdentityKey(wet_sh), IdentityKey(film), downward.tobytes(), of_capture)
 
 
 @scene_cache(maxsize=16)
-def _matte(wet: IdentityKey, film: IdentityKey, downward: bytes) -> Float32[np.ndarray, "n k 3"]:
+def _matte(wet: IdentityKey, film: IdentityKey, downward: bytes, of_capture: bool) -> Float32[np.ndarray, "n k 3"]:
     sh: np.ndarray = wet.of  # pyright: ignore[reportAssignmentType]
     shares: np.ndarray = film.of  # pyright: ignore[reportAssignmentType]
     direction = np.frombuffer(downward, np.float64)
-    basis = sh_basis(direction[None] / np.linalg.norm(direction), sh.shape[1])[0].astype(np.float32)
+    directions = (direction / np.linalg.norm(direction))[None]
+    if of_capture:
+        across = np.cross(directions[0], np.eye(3)[np.argmin(np.abs(directions[0]))])
+        across /= np.linalg.norm(across)
+        turns = 2 * np.pi * np.arange(8)[:, None] / 8
+        level = np.cos(turns) * across + np.sin(turns) * np.cross(directions[0], across)
+        directions = _GRAZING * directions + np.sqrt(1 - _GRAZING**2) * level
+    basis = sh_basis(directions, sh.shape[1]).mean(axis=0).astype(np.float32)
     wet_rows = shares.any(axis=1)
     matte = sh.copy()
     matte[wet_rows] = 0

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, UInt32
 
+from ..kernels import NOGIL
 from .gaussians import Gaussians
 from .scene import robust_bounds
 
@@ -82,7 +83,7 @@ def lod_sample(gaussians: Gaussians, share: float) -> tuple[Bool[np.ndarray, " n
     return sampled, math.sqrt(total / kept) if kept > 0 else 1.0
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _contributions(scales, opacities):
     values = np.zeros(len(opacities), np.float32)
@@ -94,7 +95,7 @@ def _contributions(scales, opacities):
     return values
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _ranks(contributions):
     """Convert weights to sort keys of a weighted sample: w / -ln(u), u in (0, 1) hashed from the index."""
@@ -109,7 +110,7 @@ def _ranks(contributions):
     return ranks
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _largest_first(bits):
     """Sort keys of positive float32 numbers, whose bits sort like the numbers themselves."""
@@ -119,7 +120,7 @@ def _largest_first(bits):
     return keys
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _to_morton_keys(means, low, cells_a_unit, keys):
     """Replace the upper half of each key by the Morton code of the Gaussian whose index is in the lower half."""
@@ -144,7 +145,7 @@ def _spread(x):
     return (x | (x << np.uint64(2))) & np.uint64(0x09249249)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _permute(means, scales, quaternions, opacities, sh, order):
     """Move row order[n] of each array to row n, one cycle of the permutation after the other; overwrites `order`."""

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt32
 
+from ..kernels import NOGIL
 from .camera import Camera
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
 from .mapped_arrays import release_pages
@@ -103,6 +104,7 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
     nodes = Gaussians(
         np.empty((m, 3), np.float32), np.empty((m, 3), np.float32), np.empty((m, 4), np.float32),
         np.empty(m, np.float32), np.empty((m, k, 3), np.float32),
+        antialiased=gaussians.antialiased,
     )  # fmt: skip
     radii, errors, contrasts = (np.empty(m, np.float32) for _ in range(3))
     nothing = np.zeros(0, np.float32)
@@ -197,7 +199,7 @@ def _curve_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     return np.argsort(codes, kind="stable").astype(np.uint32)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _hilbert_codes(means, low, cells_a_unit, codes):
     """Write each mean's place on a Hilbert curve of 2^63 cells (transposed form of Skilling 2004)."""
@@ -237,7 +239,7 @@ def _hilbert_codes(means, low, cells_a_unit, codes):
 # Merging
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _merge(
     means, scales, quaternions, opacities, sh, order, radii, errors, contrasts, to_means, to_scales, to_quaternions,
@@ -320,7 +322,7 @@ def _merge(
         _write_quaternion(axes, to_quaternions[n])
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _average(scales, opacities, sh, order, to_sh):
     """Average the harmonics of children four by four, with the weights of `_merge`."""
@@ -393,7 +395,7 @@ def _spread(within, between, integral):
     return min(max(g, 1.0), _MAX_SPREAD)
 
 
-@numba.njit(error_model="numpy", cache=True)
+@numba.njit(error_model="numpy", cache=True, nogil=NOGIL)
 @no_type_check
 def _diagonalize(m, axes):
     """Rotate a symmetric matrix to its diagonal in place (Jacobi); the columns of `axes` become its eigenvectors."""
@@ -419,7 +421,7 @@ def _diagonalize(m, axes):
                 axes[k, p], axes[k, q] = c * left - s * right, s * left + c * right
 
 
-@numba.njit(error_model="numpy", cache=True)
+@numba.njit(error_model="numpy", cache=True, nogil=NOGIL)
 @no_type_check
 def _write_quaternion(r, q):
     """Write the unit quaternion (w, x, y, z) of a rotation (Shepperd 1978: by its largest component)."""
@@ -439,7 +441,7 @@ def _write_quaternion(r, q):
 # Cut
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _cut(leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, found_leaves, found_nodes, counts):
     """Walk down from each root; each has its own places for what it finds."""
@@ -452,7 +454,7 @@ def _cut(leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, foun
         )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _walk(root, leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, found_leaves, found_nodes):
     """Walk over the tree below a root, depth first; return the numbers of Gaussians and nodes found."""
@@ -497,7 +499,7 @@ def _walk(root, leaves, means, radii, errors, starts, m, scale, intrinsics, pixe
         k += 1
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _gather(found_leaves, found_nodes, counts, ends, leaves, nodes):
     """Copy what each root has found to its place in the result."""

@@ -25,12 +25,12 @@ def transform_gaussians(gaussians: Gaussians, similarity: Float64[np.ndarray, "4
     turn = quaternions_from_matrices(rotation)
     means = gaussians.means.astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
     quaternions = quaternion_product(np.broadcast_to(turn, gaussians.quaternions.shape), gaussians.quaternions)
-    return Gaussians(
-        means.astype(np.float32),
-        gaussians.scales * np.float32(scale),
-        quaternions.astype(np.float32),
-        gaussians.opacities,
-        rotate_sh(gaussians.sh, rotation),
+    return replace(
+        gaussians,
+        means=means.astype(np.float32),
+        scales=gaussians.scales * np.float32(scale),
+        quaternions=quaternions.astype(np.float32),
+        sh=rotate_sh(gaussians.sh, rotation),
     )
 
 

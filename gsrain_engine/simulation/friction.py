@@ -15,7 +15,7 @@ TIRE_KPA = 220.0
 
 _DRY, _DRY_PER_KM_H = 0.9125, 0.00125  # 0.85 at 50, 0.80 at 90, 0.75 at 130 km/h: Bosch's table for new tires
 _WET_SHARE = 0.765  # of the dry coefficient that a film of 0.2 mm leaves at 50 km/h (Bosch)
-_THIN_MM = 0.05  # film that has nearly its whole effect (Kulakowski and Harwood 1990)
+_THIN_MM = 0.05  # film that has nearly its whole effect; ours: Kulakowski and Harwood (1990) find it from 0.025 to 0.23
 FLOATING = 0.05
 """Coefficient of a tire that floats: drag of the water alone (Horne and Dreher 1963)."""
 
@@ -32,7 +32,7 @@ def hydroplaning_speed_m_s(film_mm: float, tire_kpa: float = TIRE_KPA) -> float:
     26.04 h^-0.259 mph (h in inches) up to 2.4 mm, above 3.09 max(10.409 h^-0.06 + 3.507, (28.952 h^-0.06 - 7.817)
     MTD^0.14) (Gallaway et al. 1979 and Agrawal and Henry 1977, as joined by Anderson et al. 1998, PAVDRN, NCHRP web
     document 16), for 165 kPa; by the pressure with its root, as 6.36 sqrt(p) km/h in deep water (Horne and Dreher
-    1963, NASA TN D-2056).
+    1963, NASA TN D-2056). The coefficients were not compared with a copy.
     """
     if film_mm <= 0:
         return math.inf

@@ -166,7 +166,8 @@ def _drive(
     scenario = variant.of(scenario)
     rain = structs.replace(scenario.rain, intensity_mm_h=intensity, seed=seed)
     if is_attributed(sweep.attribute):
-        rain = RainFactors.of(rain, sweep.attribute, scenario.scene).rain
+        factors = RainFactors.of(rain, sweep.attribute, scenario.scene, friction=scenario.friction)
+        rain, scenario = factors.rain, structs.replace(scenario, friction=factors.friction)
     scenario = structs.replace(apply_jitter(scenario, sweep.jitter, seed), rain=rain)
     models = [user.model for user in scenario.road_users]
     own = agent_file(agent.name)
@@ -207,7 +208,7 @@ def attributed_drives(sweep: DriveSweep) -> list[AttributedDrive]:
     for drive in drives_of(sweep):
         rain = drive.scenario.rain
         if rain.intensity_mm_h > 0:
-            factors = RainFactors.of(rain, sweep.attribute, drive.scene)
+            factors = RainFactors.of(rain, sweep.attribute, drive.scene, friction=drive.scenario.friction)
             if not factors.game.factors:
                 raise ValueError(f"attribute: the rain of {drive.title} has no factors")
             plan = AttributionPlan.of(factors.game, sweep.attribute_pairs)
@@ -221,7 +222,7 @@ def attributed_drives(sweep: DriveSweep) -> list[AttributedDrive]:
 def _coalition(drive: DriveJob, factors: RainFactors, present: Coalition, hashes: Callable[[str], str]) -> DriveJob:
     weather = factors.weather(present)
     scene = factors.twin if weather.in_twin and factors.twin is not None else drive.scene
-    scenario = structs.replace(drive.scenario, rain=weather.rain, scene=scene)
+    scenario = structs.replace(drive.scenario, rain=weather.rain, scene=scene, friction=weather.friction)
     return structs.replace(drive, scenario=scenario, scene=scene, scene_hash=hashes(scene))
 
 

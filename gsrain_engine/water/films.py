@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from jaxtyping import Float64
 
+from ..kernels import NOGIL
 from ..rain.keyframes import KeyframeCurve, RainKeyframes
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import DEPTH_EXPONENT, OVERCAST_FROM_MM_H, OVERCAST_MM_H, water_depth_mm
@@ -76,7 +77,8 @@ class WaterFilms:
 
     def at(self, time_s: float) -> WaterDepth:
         """Depth of film and dips at a time; the latest one is cached."""
-        if time_s not in self._latest:
+        latest = self._latest.get(time_s)
+        if latest is None:
             knot = self.intensity.before(time_s)
             times, rates = self.intensity.times_s, self.intensity.values[:, 0]
             if knot < 0 or len(times) == 1:
@@ -85,9 +87,10 @@ class WaterFilms:
                 film, dip = self._at_knots[knot]
                 rate, passed = float(self.intensity.at(time_s)[0]), time_s - float(times[knot])
                 film, dip = _passed(film, dip, float(rates[knot]), rate, passed, self._run_in)
+            latest = WaterDepth(float(film), float(dip))
             self._latest.clear()
-            self._latest[time_s] = WaterDepth(float(film), float(dip))
-        return self._latest[time_s]
+            self._latest[time_s] = latest  # another thread may clear it at once
+        return latest
 
     def depth_mm(self, points_m: Float64[np.ndarray, "n 2"], time_s: float) -> Float64[np.ndarray, " n"]:
         """Depth of the water in mm at points of the ground (x and y in the world) at a time, under an open sky.
@@ -133,14 +136,14 @@ _OF_DEPTH, _ALL_DRIES, _NONE_DRIES = 1 / DEPTH_EXPONENT, OVERCAST_FROM_MM_H, OVE
 _UNIT_MM = water_depth_mm(1.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _evaporation(rate):
     share = min(max((rate - _ALL_DRIES) / (_NONE_DRIES - _ALL_DRIES), 0.0), 1.0)
     return EVAPORATION_MM_H * (1 - share * share * (3 - 2 * share))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _passed(film, dip, start_rate, end_rate, seconds, run_in):
     """Depths after a time in which the rain rate changes linearly, in steps of `_STEP_S` and a rest."""
@@ -163,7 +166,7 @@ def _passed(film, dip, start_rate, end_rate, seconds, run_in):
     return film, dip
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _integrate(film, dip, times, rates, run_in):
     found = np.empty((len(times), 2))

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from ..kernels import NOGIL
 from ..rain.pcg_hash import pcg4d_scalar
 from ..rain.properties import CLASSES
 from .pane import Pane
@@ -137,7 +138,9 @@ class GlassDrops:
         cells = int(np.ceil(height / _CELL_M)), int(np.ceil(width / _CELL_M))
         self._heads = np.full(cells, -1, np.int64)
         self._free = np.arange(4096)[::-1].copy()  # slots; the number of them is in `_counts`
-        self._counts = np.array([4096, 0])  # free slots, end of those in use
+        self._counts = np.array([4096, 0, 0, 0, 0])
+        """Free slots, end of those in use, 1 if there may be a film, radius in um that no drop exceeds, and that which
+        none exceeded since the last look at all."""
         self._on_blade = np.zeros(1)
 
     film_cell_m = _FILM_M
@@ -180,6 +183,7 @@ class GlassDrops:
     def add_film(self, depth_m: float) -> None:
         """Spread a depth of water over the whole pane: fine spray, whose drops are too many to follow."""
         self.film_m += np.float32(depth_m)
+        self._counts[2] = 1
         self.totals[LANDED] += float(np.float32(depth_m)) * self.film_m.size * _FILM_M**2
 
     def advance(
@@ -221,14 +225,14 @@ class GlassDrops:
 _UNIT = 2.0**-32
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _cell(heads, low, u, v):
     row = min(max(int((v - low[1]) / _CELL_M), 0), heads.shape[0] - 1)
     return row, min(max(int((u - low[0]) / _CELL_M), 0), heads.shape[1] - 1)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _link(drops, heads, links, low, slot):
     row, column = _cell(heads, low, drops[slot, U], drops[slot, V])
@@ -236,7 +240,7 @@ def _link(drops, heads, links, low, slot):
     heads[row, column] = slot
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _unlink(drops, heads, links, low, slot):
     row, column = _cell(heads, low, drops[slot, U], drops[slot, V])
@@ -249,7 +253,7 @@ def _unlink(drops, heads, links, low, slot):
     links[at] = links[slot]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _remove(drops, heads, links, free, counts, low, slot):
     _unlink(drops, heads, links, low, slot)
@@ -258,11 +262,19 @@ def _remove(drops, heads, links, free, counts, low, slot):
     counts[0] += 1
 
 
+@numba.njit(cache=True, nogil=NOGIL)
+@no_type_check
+def _bound(counts, radius):
+    """Enlarge the radius that none exceeds, if this one does."""
+    bound = np.int64(1e6 * radius) + 1
+    counts[3], counts[4] = max(counts[3], bound), max(counts[4], bound)
+
+
 @numba.njit(cache=True)
 @no_type_check
-def _touching(drops, heads, links, low, u, v, radius, own):
+def _touching(drops, heads, links, counts, low, u, v, radius, own):
     """Slot of the drop that overlaps a footprint most; -1 for none."""
-    reach = radius + _LARGEST_M
+    reach = radius + min(1e-6 * counts[3], _LARGEST_M)
     top, left = _cell(heads, low, u - reach, v - reach)
     bottom, right = _cell(heads, low, u + reach, v + reach)
     found, deepest = -1, 0.0
@@ -281,12 +293,12 @@ def _touching(drops, heads, links, low, u, v, radius, own):
     return found
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _merge_all(drops, heads, links, free, counts, low, factor, slot):
     """Merge a drop with all that it touches; returns the slot of what is left."""
     while True:
-        other = _touching(drops, heads, links, low, drops[slot, U], drops[slot, V], drops[slot, RADIUS], slot)
+        other = _touching(drops, heads, links, counts, low, drops[slot, U], drops[slot, V], drops[slot, RADIUS], slot)
         if other < 0:
             return slot
         if drops[other, VOLUME] > drops[slot, VOLUME]:
@@ -300,12 +312,13 @@ def _merge_all(drops, heads, links, free, counts, low, factor, slot):
         _unlink(drops, heads, links, low, slot)
         drops[slot, U], drops[slot, V], drops[slot, VOLUME] = u, v, total
         drops[slot, RADIUS] = (total / factor) ** (1.0 / 3.0)
+        _bound(counts, drops[slot, RADIUS])
         drops[slot, SPEED] *= 1 - share
         drops[slot, TRAIL] = trail
         _link(drops, heads, links, low, slot)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _add(drops, heads, links, free, counts, low, factor, u, v, volume, shape):
     """Put a drop into a free slot, and merge it with those that it touches."""
@@ -315,11 +328,12 @@ def _add(drops, heads, links, free, counts, low, factor, u, v, volume, shape):
     drops[slot, :] = 0.0
     drops[slot, U], drops[slot, V], drops[slot, VOLUME], drops[slot, SHAPE] = u, v, volume, shape
     drops[slot, RADIUS] = (volume / factor) ** (1.0 / 3.0)
+    _bound(counts, drops[slot, RADIUS])
     _link(drops, heads, links, low, slot)
     return _merge_all(drops, heads, links, free, counts, low, factor, slot)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _poisson(mean, seed, tick):
     """Number drawn from Poisson's law, in parts of a mean of at most 16, by inversion."""
@@ -339,7 +353,7 @@ def _poisson(mean, seed, tick):
     return number
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _advance(
     drops, heads, links, free, counts, film, totals, on_blade, low, high, wetting, seed, tick, sums, volumes, weight,
@@ -353,10 +367,10 @@ def _advance(
             totals[LEFT] += on_blade[0]
             on_blade[0] = 0.0
         _run(drops, heads, links, free, counts, totals, low, high, wetting, seed, weight, drag)
-        _dry(film, totals)
+        _dry(film, totals, counts)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _land(drops, heads, links, free, counts, totals, low, high, factor, seed, tick, sums, volumes):
     """Let the drops of a tick land: class and place of each by its number."""
@@ -374,16 +388,19 @@ def _land(drops, heads, links, free, counts, totals, low, high, factor, seed, ti
         _add(drops, heads, links, free, counts, low, factor, u, v, volume, d * _UNIT)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _run(drops, heads, links, free, counts, totals, low, high, wetting, seed, weight, drag):
     """Move drops for which weight and drag of the air exceed the force of contact angle hysteresis."""
     factor, frontal, holding, friction = wetting
     heavy, blown = np.hypot(weight[0], weight[1]), np.hypot(drag[0], drag[1])
+    counts[4] = 0
+    largest = 0.0
     for slot in range(counts[1]):
         radius = drops[slot, RADIUS]
         if drops[slot, VOLUME] <= 0:
             continue
+        largest = max(largest, radius)
         if heavy * factor * radius**2 + blown * frontal * radius < 0.3 * holding:
             drops[slot, SPEED] = 0.0
             continue
@@ -432,9 +449,11 @@ def _run(drops, heads, links, free, counts, totals, low, high, wetting, seed, we
             _add(drops, heads, links, free, counts, low, factor, back_u, back_v, bead, d * _UNIT)
         if drops[slot, VOLUME] > 0:
             _merge_all(drops, heads, links, free, counts, low, factor, slot)
+    _bound(counts, largest)
+    counts[3] = counts[4]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _wipe(drops, heads, links, free, counts, film, totals, on_blade, low, angles, seed):
     """Take up what the blade passes, and leave a film in streaks where its rubber is worn."""
@@ -450,15 +469,17 @@ def _wipe(drops, heads, links, free, counts, film, totals, on_blade, low, angles
                     on_blade[0] += drops[slot, VOLUME]
                     _remove(drops, heads, links, free, counts, low, slot)
     area = _FILM_M * _FILM_M
+    first_sine, first_cosine, last_sine, last_cosine = np.sin(first), np.cos(first), np.sin(last), np.cos(last)
+    counts[2] = 1
     for row in range(film.shape[0]):
         y = low[1] + row * _FILM_M - PIVOT_M[1]
         for column in range(film.shape[1]):
             x = low[0] + column * _FILM_M - PIVOT_M[0]
+            # Faster than arctan2 for the many cells that the blade is far from.
+            if (x * first_sine - y * first_cosine) > 0 or (x * last_sine - y * last_cosine) < 0:
+                continue
             distance = np.hypot(x, y)
             if not INNER_M <= distance <= OUTER_M:
-                continue
-            # Faster than arctan2 for the many cells that the blade is far from.
-            if (x * np.sin(first) - y * np.cos(first)) > 0 or (x * np.sin(last) - y * np.cos(last)) < 0:
                 continue
             band, fine = np.int64(distance / 0.011), np.int64(distance / 0.0021)
             a, _, _, _ = pcg4d_scalar(np.uint32(band), np.uint32(0), np.uint32(0x27D4EB2F), seed)
@@ -471,16 +492,20 @@ def _wipe(drops, heads, links, free, counts, film, totals, on_blade, low, angles
             on_blade[0] -= np.float64(left) * area
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
-def _dry(film, totals):
+def _dry(film, totals, counts):
     """Let the film dry."""
+    if counts[2] == 0:
+        return
     keeps = np.float32(np.exp(-TICK_S / _FILM_DRIES_S))
-    lost = 0.0
+    lost, is_wet = 0.0, 0
     for row in range(film.shape[0]):
         for column in range(film.shape[1]):
             depth = film[row, column]
             if depth > 0:
+                is_wet = 1
                 film[row, column] = keeps * depth if depth > np.float32(1e-9) else np.float32(0)
                 lost += np.float64(depth) - np.float64(film[row, column])
     totals[LEFT] += lost * _FILM_M * _FILM_M
+    counts[2] = is_wet

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
+from ..kernels import NOGIL
 from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
@@ -165,7 +166,7 @@ def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "
 # Kernels
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _fresnel(cos_in, cos_out, ratio):
     """Reflected share of unpolarized light; `ratio` is the index before over that behind."""
@@ -174,7 +175,7 @@ def _fresnel(cos_in, cos_out, ratio):
     return 0.5 * (s * s + p * p)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _trace(x, y, dx, dy, dz, angle, cos_turn, sin_turn, stretch):
     """Trace a ray through a spherical cap that is stretched along one axis and compressed along the other.
@@ -235,7 +236,7 @@ def _trace(x, y, dx, dy, dz, angle, cos_turn, sin_turn, stretch):
     return 0.0, 0.0, 0.0, -1.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _outline(drop):
     """Axis and stretch of a drop: running drops are long, others are a little out of round."""
@@ -246,7 +247,7 @@ def _outline(drop):
     return np.cos(turn), np.sin(turn), 1.0 + 0.3 * abs(drop[SHAPE] - 0.5)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _boxes(drops, view, axes, rows, columns):
     """Cells of each drop, as first and last row and column, and its radius in cells; none if it is out of view."""
@@ -276,7 +277,7 @@ def _boxes(drops, view, axes, rows, columns):
     return boxes
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _members(boxes, rows):
     """Drops of each row, in their order: `members[starts[row] : starts[row + 1]]`."""
@@ -293,7 +294,7 @@ def _members(boxes, rows):
     return starts, members
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _look_up(levels, starts, level, x, y, found):
     """Bilinear color of a level at a place in texels of the first one; the border goes on outside."""
@@ -310,7 +311,7 @@ def _look_up(levels, starts, level, x, y, found):
         found[channel] = upper + below * (lower - upper)
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, levels, starts, angle):
     fx, fy, cx, cy, cell, margin = view
@@ -372,7 +373,7 @@ def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, le
                     layer[row, column, channel] += free * weight * color[channel]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _noise(u, v, size, seed):
     """Smooth noise 0..1 over the pane."""
@@ -389,7 +390,7 @@ def _noise(u, v, size, seed):
     return total
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, seed):
     """Add film and dirt, which spread light, and the blade, which hides it."""
@@ -449,7 +450,7 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
             layer[row, column, 3] = 1.0 - clear
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _blurred(layer, radii):
     """Average over disks, with the radius of each row in cells; the border goes on outside."""
@@ -498,7 +499,7 @@ def _blurred(layer, radii):
     return made
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _composite(image, layer, cell, margin, linear, tones, made):
     """I (1 - c) + L, with the layer interpolated between its cells."""

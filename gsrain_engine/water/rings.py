@@ -14,16 +14,17 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32
 from scipy import special
 
+from ..kernels import NOGIL
 from ..scene.ground_water import GroundWater
 from .films import WaterDepth
 from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
 
 PEAK_PER_M = 200.0
-"""Wavenumber of the peak of the slope spectrum in deep water, rad/m (Craeye and Sobieski 1999)."""
+"""Wavenumber of the peak of the slope spectrum in deep water, rad/m (Craeye and co-authors 1999: 0.2 per mm)."""
 WIDTH = 0.42
 """Standard deviation of the spectrum over ln k: 0.31 over ln f (Bliven, Sobieski and Craeye 1997), by dispersion."""
 ENERGY_SHARE = 0.01
-"""Share of a drop's kinetic energy that rings carry away (Craeye and Sobieski 1999)."""
+"""Share of a drop's kinetic energy that rings carry away (Craeye and co-authors 1999: of the order of 1 %)."""
 TENSION_N_M, VISCOSITY_M2_S, _G = 0.0728, 1.0e-6, 9.81
 _THINNEST_M = 1e-6  # of a film, where friction stops waves at once
 _CALM_SLOPE = 0.01  # of standing water without rings, by wind and run-off; our choice
@@ -232,14 +233,13 @@ def _field_of(
     age = time_s - found.times_s
     at = np.clip(age / (AGES_S[1] - AGES_S[0]), 0, len(AGES_S) - 1.001)
     low = at.astype(np.int64)
-    part = (at - low).astype(np.float32)[:, None]
+    part = (at - low).astype(np.float32)
     highest = np.abs(table).max(axis=1, keepdims=True)
     last = len(RADII_M) - 1 - np.argmax((np.abs(table) > 0.02 * highest)[:, ::-1], axis=1)
     ends = np.minimum(last[low + 1] + 1, len(RADII_M) - 1)
-    used = table[:, : int(ends.max()) + 1]
-    slopes = (1 - part) * used[low] + part * used[low + 1]
     strength = np.sqrt(found.energies_j) * reach.of_size(found.larger_per_m2_s) * reach.of_age(age)
-    slopes *= strength.astype(np.float32)[:, None]
+    slopes = np.empty((len(age), int(ends.max()) + 1), np.float32)
+    _fill_slopes(table, low, part, strength.astype(np.float32), slopes)
     radii = RADII_M[ends].astype(np.float32)
     corner = np.floor(found.places_m.min(axis=0) - RADII_M[-1])
     centers = (found.places_m - corner).astype(np.float32)
@@ -254,7 +254,16 @@ def _field_of(
     return RingField(corner, starts, members, centers, radii, slopes, distance_m, 1 / (_FADE * max(distance_m, 1e-6)))
 
 
-@numba.njit(cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@no_type_check
+def _fill_slopes(table, low, part, strength, slopes):
+    for n in numba.prange(len(low)):
+        first, second, share, factor = table[low[n]], table[low[n] + 1], part[n], strength[n]
+        for k in range(slopes.shape[1]):
+            slopes[n, k] = ((np.float32(1) - share) * first[k] + share * second[k]) * factor
+
+
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _count_reached(centers, radii, starts):
     rows, columns = starts.shape[:2]
@@ -265,7 +274,7 @@ def _count_reached(centers, radii, starts):
                 starts[row, column, 0] += 1
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _list_reached(centers, radii, starts, members):
     rows, columns = starts.shape[:2]
@@ -281,7 +290,7 @@ _PER_CELL, _PER_RADIUS = np.float32(1 / _HASH_M), np.float32(1 / (RADII_M[1] - R
 _EIGHTH = np.float32(0.5 / 8 * PEAK_PER_M**2)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def ring_slope(x, y, along_x, along_y, along_m, across_m, corner, starts, members, centers, radii, slopes):
     """Slopes along and across (to the left of) a direction on the ground, blurred by a pixel's footprint.

@@ -48,7 +48,10 @@ def splash_number(
 def splash_threshold(
     diameters_mm: Float64[np.ndarray, " n"], film_mm: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """K from which a drop splashes on a film: 2100 + 5880 (h / D)^1.44 (Cossali, Coghe and Marengo 1997), h up to D."""
+    """K from which a drop splashes on a film: 2100 + 5880 (h / D)^1.44 (Cossali, Coghe and Marengo 1997), h up to D.
+
+    Its coefficients were not compared with a copy.
+    """
     return 2100 + 5880 * np.minimum(film_mm / diameters_mm, 1) ** 1.44
 
 
@@ -235,8 +238,8 @@ def droplets(
 ) -> Droplets:
     """Fly the droplets of splashes: they leave the rim of the crown and slow down to their fall speed by linear drag.
 
-    Their number is 7.84e-6 K^1.8 (h / D)^-0.3 (Okawa, Shiraishi and Mori 2006), at most 8; their sizes, 0.08 to 0.28 D,
-    and speeds, 0.2 to 0.5 V at 45 to 75 degrees, are ours.
+    Their number is 7.84e-6 K^1.8 (h / D)^-0.3 (Okawa, Shiraishi and Mori 2006; not compared with a copy), at most 8;
+    their sizes, 0.08 to 0.28 D, and speeds, 0.2 to 0.5 V at 45 to 75 degrees, are ours.
     """
     n = len(found.times_s)
     number = np.tile(np.arange(_DROPLETS, dtype=np.uint32), n)

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64
 from scipy.special import ndtr, ndtri
 
+from ..kernels import NOGIL
 from ..rain.air import GRAVITY_M_S2, profile
 from ..rain.frame import RainFrame
 from ..rain.lamp_light import light_of_drops
@@ -249,7 +250,7 @@ class SizeClass(NamedTuple):
 def mean_diameter_mm(speed_m_s: float) -> float:
     """Mean diameter of drops that leave the grooves of a tire: 0.8 mm sqrt(2700 / We), We = rho V^2 w / sigma.
 
-    Radovich and Plocher 2009 (laboratory, We 2700 to 24400): 80 um to 9 mm, mean 0.8 mm at 2700, and the root law.
+    Radovich and Plocher 2009 (laboratory; We 2700, 10900, 24400): 80 um to 9 mm, mean 0.8 mm at 2700, about We^-1/2.
     """
     weber = _WATER_KG_M3 * max(speed_m_s, STILL_M_S) ** 2 * GROOVE_M / _SURFACE_N_M
     return WEBER_MEAN_MM * float(np.sqrt(WEBER / weber))
@@ -469,7 +470,7 @@ def depths_along(
     return depths
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _depths_along(centers, sigmas, areas, directions, step_m, depths):
     """Add each parcel's integral over the intervals of a ray: a Gaussian across times that along it."""

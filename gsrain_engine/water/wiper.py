@@ -1,5 +1,6 @@
 """Windshield wiper: modes, duty cycle, and the arc of its blade on the pane."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -50,17 +51,22 @@ class Wiper:
     def is_moving(self) -> bool:
         return self._phase < 1
 
-    def advance(self, step_s: float, water_m: float) -> tuple[float, float]:
-        """Advance by a step in which water of a mean depth lands; returns the blade's angles before and after it."""
+    def advance(self, step_s: float, water_m: float, home_in_s: float = math.inf) -> tuple[float, float]:
+        """Advance by a step in which water of a mean depth lands; returns the blade's angles before and after it.
+
+        At the end of the step, wet glass is swept last so that the blade is at home after `home_in_s`.
+        """
         before = self.angle_rad
         self._since_s += step_s
         self._water_m += water_m
         if self._phase < 1:
             self._phase = min(self._phase + step_s / self._cycle_s, 1.0)
-        if self._phase >= 1 and self._is_due():
+        last_s = LOW_CYCLE_S + step_s
+        is_last = self.mode != "off" and self._water_m > 0 and last_s <= home_in_s < last_s + step_s
+        if self._phase >= 1 and (is_last or (self._is_due() and home_in_s >= 2 * last_s + step_s)):
             rate_m_s = self._water_m / max(self._since_s, 1e-9)
             is_fast = self.mode == "high" or (self.mode == "auto" and rate_m_s * LOW_CYCLE_S > 2 * SENSOR_DEPTH_M)
-            self._cycle_s = HIGH_CYCLE_S if is_fast else LOW_CYCLE_S
+            self._cycle_s = HIGH_CYCLE_S if is_fast and not is_last else LOW_CYCLE_S
             self._phase = self._since_s = self._water_m = 0.0
             self.sweeps += 1
         return before, self.angle_rad

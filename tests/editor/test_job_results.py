@@ -16,7 +16,7 @@ def taking(editor):
     take, scene = scene_results(editor.viewport, "Grow", RECIPE, is_whole=True), small_scene("grown")
     return (
         lambda layers, is_final=False: take(replace(scene, layers=scene.layers[:layers]), is_final),
-        lambda: editor.apply(DrawResult(is_pending_ready=True)),
+        lambda: editor.apply(DrawResult(editor.render_input(96, 64), is_pending_ready=True)),
     )
 
 

@@ -1,7 +1,6 @@
 """Jobs in real processes and threads, started by a runner without an editor; `wait` polls as a window does."""
 
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -14,6 +13,7 @@ import psutil
 import pytest
 
 from editor.files.open_document import full_disk
+from editor.job_work import deaf, endless, failing, hungry, killed, leaving, painting, succeeding
 from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, duration_text
 from gsrain_engine.editor.jobs.process import SharedImage
 from gsrain_engine.scene.progress import Progress
@@ -63,18 +63,6 @@ class Places:
 # A job that succeeds
 
 
-def painting(folder):
-    """Report three steps with snapshots, the last with a warning, a large picture and the settings of its process."""
-    for step in (1, 2, 3):
-        (folder / "snapshot").write_text(f"snapshot {step}")
-        image, metrics = np.full((30, 40, 3), step, np.uint8), {"step": 10 * step, "loss": 1 / step}
-        yield Progress(step / 4, "painting", image, metrics)
-        (folder / "go on").read_text()  # ends when the snapshot was read
-    threads = os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"]
-    (folder / "result").write_text(f"{psutil.Process().nice()} {threads}")
-    yield Progress(0.9, "thinking", np.full((3000, 4000, 3), 7, np.uint8), warning="nothing is learned")
-
-
 def test_a_job_reports_snapshots_metrics_a_warning_and_pictures_and_hands_over_its_result(runner, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
     places = Places()
@@ -98,30 +86,6 @@ def test_a_job_reports_snapshots_metrics_a_warning_and_pictures_and_hands_over_i
 
 
 # Jobs that fail
-
-
-def failing(_):
-    yield Progress(0.5, "about to fail")
-    raise ValueError("the third wheel is missing")
-
-
-def killed(_):
-    yield Progress(0.25, "about to die")
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def leaving(_):
-    yield Progress(0.25, "about to leave")
-    os._exit(3)
-
-
-def hungry(_):
-    yield Progress(0.1, "about to ask for more than there is")
-    np.ones(1 << 62, np.uint8)
-
-
-def succeeding(_):
-    yield Progress(1.0, "done")
 
 
 def with_a_function(folder):
@@ -167,19 +131,6 @@ def assert_nothing_is_left(runner, places):
 
 
 # Jobs that are cancelled
-
-
-def deaf(_):
-    """Work without a yield, in compiled code that never looks at signals."""
-    yield Progress(0.5, "multiplying")
-    matrix = np.ones((20_000, 2_000), np.float32)
-    while True:
-        matrix @ matrix.T
-
-
-def endless(*_):
-    while True:
-        yield Progress(0.5, "still at it")
 
 
 @pytest.mark.parametrize(

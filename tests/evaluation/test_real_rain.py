@@ -11,6 +11,7 @@ from given_rain import STILL
 from gsrain_engine.datasets.rainsense import RainSequence
 from gsrain_engine.evaluation.camera_noise import CameraNoise, fitted_sensor
 from gsrain_engine.evaluation.photograph import cropped_camera, photographed, rain_over, render_rain_frames
+from gsrain_engine.evaluation.rain_free import below_black, rain_free_frames
 from gsrain_engine.evaluation.real_rain import (
     DROP_SHARE,
     MeasuredFrames,
@@ -184,10 +185,9 @@ def test_simulated_frames_have_the_noise_and_light_of_real_ones():
     real = noisy_frames(2.0)
     darker = replace(real, values=real.values + 3 * np.sin(np.arange(12))[:, None, None].astype(np.float32))
     rain = RainSettings(haze="none", sensor="rainsense", intensity_mm_h=0.0, exposure_s=0.008)
-    times, colors = [0.1 * k for k in range(12)], [np.full((240, 400, 3), 120, np.uint8)] * 12
-    made = simulated_frames(
-        darker, colors, narrow_camera(), RainSimulation.start(rain), times, np.full(3, SKY), 1080
-    )  # fmt: skip
+    colors = [np.full((240, 400, 3), 120, np.uint8)] * 12
+    shares = [np.zeros((240, 400), np.float32)] * 12
+    made = simulated_frames(darker, colors, shares, RainSimulation.start(rain), np.full(3, SKY), 1080)
     lumas = np.stack([each.luma for each in made])
     assert np.std(lumas.mean(axis=(1, 2))) == pytest.approx(3 / np.sqrt(2), rel=0.1)
     assert median_residuals(lumas).sigma.mean() == pytest.approx(real.sigma.mean(), rel=0.2)
@@ -230,7 +230,7 @@ def comparison():
     real, ours = measured(1, 2, 14), measured(2, 1, 14)
     return RealRainComparison(
         sequence="light", labelled_mm_h=2.5, rendered_mm_h=2.5, window=(0, 0, 240, 160), numbers=tuple(range(12)),
-        sky_levels=SKY, real=real, ours=(ours,),
+        sky_levels=SKY, real=real, ours=(ours,), photographs=ours.colors,
     )  # fmt: skip
 
 
@@ -270,3 +270,29 @@ def test_pairs_differ_by_rain_and_noise_alone(monkeypatch):
         assert abs(np.median(left) - np.median(right)) <= 1
         assert (pair.picture[:, 80:92] == 255).all()
     assert [pair.real_side for pair in unlabeled_pairs([row], 12)] == [pair.real_side for pair in pairs]
+
+
+# Frames without rain
+
+
+def test_streaks_are_replaced_and_noise_remains():
+    random = np.random.default_rng(3)
+    levels = 60 + 2.0 * random.standard_normal((8, 120, 200))
+    for k in range(8):
+        levels[k, 30:70, 20 * k + 15 : 20 * k + 18] += 25
+    gray = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    colors = [np.repeat(each[..., None], 3, axis=2) for each in gray]
+    found = median_residuals(gray)
+    made = np.stack(rain_free_frames(colors, found, np.zeros(gray.shape, np.float32)))[..., 0].astype(float)
+    for k in range(8):
+        streak = (slice(30, 70), slice(20 * k + 15, 20 * k + 18))
+        assert levels[k][streak].mean() > 80 and made[k][streak].mean() == pytest.approx(60, abs=1)
+    assert made.std() == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("below", [-1.0, -3.0, -6.0])
+def test_the_levels_below_black_follow_from_the_noise(below):
+    """Of a normal law with a deviation of 4, values below 0 have this mean."""
+    noise = below + 4 * np.random.default_rng(1).standard_normal((60, 40, 40, 3))
+    colors = list(np.clip(np.rint(noise), 0, 255).astype(np.uint8))
+    assert np.median(below_black(colors)) == pytest.approx(noise[noise < 0].mean(), abs=0.8)

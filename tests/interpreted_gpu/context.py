@@ -58,16 +58,21 @@ class _Thread:
         return at
 
 
+class AwaitedFaultError(Exception):
+    """A fault that a test waits for; nothing after it is run."""
+
+
 class InterpretedContext(moderngl.Context):
     """The part of a context by which the engine runs compute shaders.
 
     Args:
         seed: Of the order in which threads take turns.
         warps: Whether 32 threads advance in lock step, as on an NVIDIA GPU before Volta, or each by itself.
+        awaited: Part of a fault that ends the run by `AwaitedFaultError`.
     """
 
-    def __init__(self, seed=0, *, warps=False):
-        self.chance, self.warps = random.Random(seed), warps
+    def __init__(self, seed=0, *, warps=False, awaited=None):
+        self.chance, self.warps, self.awaited = random.Random(seed), warps, awaited
         self.bindings, self.images, self.buffers, self.faults, self.shaders_run = {}, {}, [], {}, set()
         self.commands, self.steps = itertools.count(1), 0
 
@@ -108,6 +113,8 @@ class InterpretedContext(moderngl.Context):
 
     def report(self, fault):
         self.faults[fault] = self.faults.get(fault, 0) + 1
+        if self.awaited is not None and self.awaited in fault:
+            raise AwaitedFaultError(fault)
 
     def access(self, who, request):
         """Do what a thread asks for, and report it where nothing puts it in order with what another one did."""

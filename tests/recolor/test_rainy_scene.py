@@ -1,6 +1,7 @@
 """Wet colors of a scene by a transfer of its views."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,6 +83,25 @@ def test_the_wet_look_makes_a_street_grey_and_its_road_darker():
     blueness = [float((each[sky][..., 2] - each[sky][..., 0]).mean()) for each in (before, after)]
     assert blueness[0] > 0.4 and blueness[1] < 0.15
     assert after[road].mean() < before[road].mean()
+
+
+class Puddles(Overcast):
+    """Reflects white where the ground may be wet; `matte` is the image without."""
+
+    def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
+        for made in super().transferred(views):
+            yield RainyView(made.clear, np.ones_like(made.image), matte=made.image)
+
+
+def test_colors_have_no_reflections_where_the_mirror_adds_them(overcast):
+    scene = small_street()
+    mirrored = run_to_end(rainy_scene(scene, views_of(scene), Puddles()))
+    assert mirrored.water is not None and mirrored.water.heights_m is not None
+    for each, expected in zip(mirrored.members, overcast.members, strict=True):
+        np.testing.assert_array_equal(each.wet_sh, expected.wet_sh)
+    above = replace(scene, layers=tuple(each for each in scene.layers if each.kind == "sky"))
+    white = run_to_end(rainy_scene(above, views_of(scene), Puddles())).layers[0].wet_sh
+    assert white is not None and white[:, 0].mean() > overcast.layers[-1].wet_sh[:, 0].mean() + 0.3
 
 
 def test_views_are_needed_and_one_of_them_must_show_something():

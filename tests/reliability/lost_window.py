@@ -47,7 +47,7 @@ class _Acting(Workspace):
         elif not (editor.files.has_changes or "unchanged" in _HOW):
             editor.document.change_rain("Change the intensity", intensity_mm_h=77.0)
         if int(_LOSSES) > _TIMES and "raise" not in _HOW:
-            lose(self.view.context)
+            lose(self.context)
 
     def draw_viewport(self) -> None:
         """Draw; or fail as a driver does."""

@@ -9,13 +9,14 @@ from gsrain_engine.editor.drawing import live_view
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import LodCut, LodSubset, subset_items
+from gsrain_engine.render.draw import LodCut, LodSample, LodSubset, subset_items
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.open import with_lod_trees
-from gsrain_engine.scene.scene import Scene
-from render.cpu.raster_scenes import psnr_db
+from gsrain_engine.scene.scene import DrawItem, Scene
+from render.cpu.raster_scenes import psnr_db, random_gaussians
 from small_scene import small_scene
 
 CAMERA = Camera.from_fov(120, 80, 30.0, np.eye(4))
@@ -43,6 +44,31 @@ def test_each_back_end_draws_the_same_cut(monkeypatch: pytest.MonkeyPatch, any_r
     hidden = [each._replace(opacity=0.0) for each in items]
     any_renderer.draw(hidden, CAMERA)
     assert not any_renderer.read().rgba.any()
+
+
+def test_a_sample_of_gaussians_in_file_order_covers_all_of_the_scene() -> None:
+    g = random_gaussians(4000, 1, 0)
+    by_place = g.take(np.argsort(g.means[:, 0]))
+    hidden, wet_sh = BitMask.of(by_place.means[:, 1] > np.median(by_place.means[:, 1])), by_place.sh + np.float32(1)
+    part = DrawItem(by_place, np.eye(4), left_out=hidden, wet_sh=wet_sh)
+    (sample,) = LodSample(0.1).items(part, CAMERA)
+    assert len(sample.gaussians) == 400 and sample.gaussians.scales.mean() > by_place.scales.mean()
+    edges = np.quantile(by_place.means[:, 0], [0, 0.25, 0.5, 0.75, 1])
+    assert np.histogram(sample.gaussians.means[:, 0], edges)[0].min() > 60
+    np.testing.assert_array_equal(sample.wet_sh, sample.gaussians.sh + np.float32(1))
+    assert sample.left_out is not None
+    is_hidden = sample.gaussians.means[:, 1] > np.median(by_place.means[:, 1])
+    np.testing.assert_array_equal(sample.left_out.flags, is_hidden)
+
+
+def test_grown_members_are_the_same_gaussians_grown(any_renderer) -> None:
+    g, rows = random_gaussians(300, 1, 0), np.arange(200, 300)
+    grown = replace(g.take(rows), scales=g.scales[rows] * np.float32(1.7))
+    images = []
+    for item in (DrawItem(g, np.eye(4), members=rows, growth=1.7), DrawItem(grown, np.eye(4))):
+        any_renderer.draw([item], CAMERA)
+        images.append(any_renderer.read())
+    assert images[0].rgba[..., 3].max() > 0.1 and psnr_db(*images) > 60
 
 
 def test_an_export_draws_a_cut_except_with_depth(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,6 +65,12 @@ def test_drawing_it_is_drawing_the_baked(any_renderer, degree, fields):
     assert psnr_db(drawn(any_renderer, [part_of(400, degree)]), expected) < 40
 
 
+def test_wet_colors_that_are_the_clear_ones_change_nothing(any_renderer):
+    clear = part_of(300)._replace(wet_sh=None)
+    same = clear._replace(wet_sh=clear.gaussians.sh, wetness=0.5)
+    np.testing.assert_allclose(drawn(any_renderer, [same]).rgba, drawn(any_renderer, [clear]).rgba, atol=2e-3)
+
+
 @pytest.mark.parametrize("degree", range(4))
 def test_both_ends_of_wetness_are_the_very_bytes(any_renderer, degree):
     part = part_of(300, degree)

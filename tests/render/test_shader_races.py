@@ -25,7 +25,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import DrawItem
-from interpreted_gpu.context import InterpretedContext
+from interpreted_gpu.context import AwaitedFaultError, InterpretedContext
 
 EYE = np.array([3.0, -2.0, 1.5])
 CAMERA = Camera.from_fov(64, 48, 45.0, look_at(EYE, EYE + np.array([1, 0.2, 0.1]), np.array([0, 0, 1.0])))
@@ -149,35 +149,17 @@ def test_misses_each_barrier(monkeypatch, without_barrier, one_digit, name, numb
     """Not one of them could go, and none that goes is overlooked. Streaks of several copies run one turn by turn."""
     use_subgroups(monkeypatch, "subgroups" in name)
     without_barrier(name, number, BARRIERS[name])
-    context = InterpretedContext(number)
-    if name.startswith("tile"):
-        tiles_of(context, [DrawItem(scene(100, 1), np.eye(4))])
-    elif name.endswith(".comp"):
-        order_of(context, keys_of(700))
-    else:
-        field, drops, store = drops_of(), RainPass(context), ProjectedSplatBuffer(context)
-        store.reserve(streak_slots(field))
-        drops.find(field)
-        drops.project(store, field, 0)
-    assert any(name in fault for fault in context.faults)
-
-
-def test_misses_each_barrier_of_a_subgroup(monkeypatch, one_digit):
-    use_subgroups(monkeypatch, True)
-    read = shaders.read_shader
-    for number in (0, 1):
-        parts = "\n".join(read("radix_scatter_subgroups.comp")).split("subgroupBarrier();")
-        text = ("subgroupBarrier();".join(parts[: number + 1]) + "subgroupBarrier();".join(parts[number + 1 :])).split(
-            "\n"
-        )
-        monkeypatch.setattr(
-            shaders,
-            "read_shader",
-            lambda name, text=text: text if name == "radix_scatter_subgroups.comp" else read(name),
-        )
-        context = InterpretedContext(number)
-        order_of(context, keys_of(700))
-        assert any("subgroups" in fault for fault in context.faults)
+    context = InterpretedContext(number, awaited=name)
+    with pytest.raises(AwaitedFaultError):
+        if name.startswith("tile"):
+            tiles_of(context, [DrawItem(scene(100, 1), np.eye(4))])
+        elif name.endswith(".comp"):
+            order_of(context, keys_of(700))
+        else:
+            field, drops, store = drops_of(), RainPass(context), ProjectedSplatBuffer(context)
+            store.reserve(streak_slots(field))
+            drops.find(field)
+            drops.project(store, field, 0)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])

@@ -52,6 +52,13 @@ def test_coalitions_are_jobs_once_and_none_of_them_is_the_clear_drive(scenario):
     assert all(len(each.jobs) <= 14 for each in sampled) and len({frozenset(each.jobs) for each in sampled}) > 1
 
 
+def test_friction_belongs_to_the_drives_of_coalitions(scenario):
+    (drive,) = attributed_drives(sweep_of([scenario], attribute=["streaks", "friction"], seeds=1))
+    found = {present: job.scenario.friction for present, job in drive.jobs.items() if present}
+    assert found == {frozenset(each): "wet" if "friction" in each else "dry" for each in (
+        {"streaks"}, {"friction"}, {"streaks", "friction"})}  # fmt: skip
+
+
 def test_the_street_has_a_scene_for_the_light_alone(scenario):
     (drive,) = attributed_drives(sweep_of([scenario], attribute=ALL, scenes=["street"], seeds=1))
     assert drive.plan.game.factors == ("streaks", "medium", "light", "wet", "mirror", "splashes", "spray", "glass")

@@ -11,7 +11,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.water.glass import CameraMotion, GlassHistory
 from gsrain_engine.water.glass_drops import TICK_S, GlassDrops, Impacts, Wetting
 from gsrain_engine.water.pane import WINDSHIELD_SLOPE_DEG, pane_of
-from gsrain_engine.water.wiper import Wiper
+from gsrain_engine.water.wiper import PIVOT_M, Wiper
 
 MPH = 0.44704
 POSE = look_at(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
@@ -86,6 +86,31 @@ def test_any_time_alone_has_the_state_of_a_sequence():
     together.at(0.04)
     together.at(2.0)
     assert together.drops.present().tobytes() == last
+
+
+def test_the_past_begins_anew_each_minute_and_what_is_wiped_goes_on():
+    glass, late = (history(wiper="low", intensity=3.0, wet_s=4.0) for _ in range(2))
+    assert glass.at(59.99).seconds == pytest.approx(63.99)
+    before, home = glass.drops.present().copy(), glass.wiper.angle_rad
+    assert not glass.wiper.is_moving
+    assert glass.at(60.0).seconds == pytest.approx(4.0)
+    assert glass.wiper.angle_rad == home
+    rows = []
+    for drops in (before, glass.drops.present()):
+        x, y = drops[:, 0] - PIVOT_M[0], drops[:, 1] - PIVOT_M[1]
+        wiped = (abs(np.hypot(x, y) - 0.42) < 0.28) & (abs(np.degrees(np.arctan2(y, x)) - 60) < 50)
+        rows.append(set(map(bytes, np.ascontiguousarray(drops[wiped, :4]))))
+    assert len(rows[0]) > 30 and len(rows[0] & rows[1]) > 0.95 * len(rows[0])
+    glass.at(70.0)
+    glass.at(61.234)  # from a saved state
+    late.at(61.234)
+    assert glass.drops.present().tobytes() == late.drops.present().tobytes()
+    assert glass.wiper.angle_rad == late.wiper.angle_rad
+    glass.past = past_at(20.0)
+    glass.at(60.5)
+    late = history(20.0, wiper="low", intensity=3.0, wet_s=4.0)
+    late.at(60.5)
+    assert glass.drops.present().tobytes() == late.drops.present().tobytes()
 
 
 def test_another_seed_has_other_drops():

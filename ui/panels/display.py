@@ -26,7 +26,7 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     plain_label("Colors on the GPU", "Fewer bits take less memory and, in large scenes, less time per frame.")
     with disabled(not viewport.backend.startswith("opengl")):
         view.harmonics = combo("##harmonics", view.harmonics, _STORAGES)
-    plain_label("While moving", "Draw less while the camera moves to hold this frame time; exact when it stops.")
+    plain_label("While moving", "Draw less while the camera moves or rain plays, to hold this time; exact at rest.")
     _, budget.enabled = imgui.checkbox("##budget", budget.enabled)
     imgui.same_line()
     imgui.set_next_item_width(-1)
@@ -56,7 +56,7 @@ def statistics_panel(viewport: ViewportState) -> None:
     if viewport.detail.is_exact:
         imgui.text_disabled("full quality")
     else:
-        imgui.text_colored(WARNING, f"while the camera moves: {viewport.detail}")
+        imgui.text_colored(WARNING, f"while something moves: {viewport.detail}")
     rows = [
         (name.replace(" ms", " (ms)"), f"{value:,.{0 if float(value).is_integer() else 2}f}", "Of the last frame.")
         for name, value in viewport.statistics.items()

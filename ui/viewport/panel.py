@@ -1,12 +1,13 @@
 """The viewport: image, navigation by mouse and keys, region outlines, bars, notices, and the start page."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import get_args
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import region_outlines
 from gsrain_engine.editor.status import StatusBus
@@ -27,22 +28,22 @@ from .overlays import OVERLAYS, draw_divider, preview_side
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
 
-def viewport_panel(editor: Editor, tools: Sequence[Tool], textures_of: Callable[[int, int], list[int]]) -> None:
-    """Draw the panel; `textures_of` a size in pixels returns the OpenGL names of the panes, from left to right."""
+def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult) -> tuple[int, int]:
+    """Draw the panel with the last picture. Returns width and height of the next one in pixels."""
     view_bar(editor)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
-    textures = textures_of(width, height)
+    textures = [texture.glo for texture in picture.textures]
     at = round(editor.viewport.options.divider * width) if len(textures) == 2 else 0
     if at > 0:
         imgui.image(imgui.ImTextureRef(textures[0]), ImVec2(at, height), ImVec2(0, 0), ImVec2(at / width, 1))
         imgui.set_cursor_screen_pos(ImVec2(corner.x + at, corner.y))
-    if at < width:
+    if textures and at < width:
         imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
     labels = preview_side(editor.viewport, editor.wet_look, corner, width, height)
-    if len(textures) == 2:
-        labels = editor.split_panes[0].label, editor.split_panes[1].label
+    if len(textures) == 2 and picture.frame is not None:
+        labels = picture.frame.panes[0].label, picture.frame.panes[1].label
     if labels is not None:
         draw_divider(editor.viewport, labels, corner, width, height)
     imgui.set_cursor_screen_pos(corner)
@@ -50,7 +51,7 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], textures_of: Callable[
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
     imgui.invisible_button("view", ImVec2(width, height), flags | imgui.ButtonFlags_.mouse_button_middle)
     hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
-    canvas = Canvas(corner, width, height, editor.viewport.shot(width, height), hovered, active)
+    canvas = Canvas(corner, width, height, editor.viewport.canvas_view(width, height), hovered, active)
     imgui.get_window_draw_list().push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
     use_button = [bind_parts(overlay, editor, canvas=canvas)() for overlay in OVERLAYS]
     tool = next((each for each in tools if each.name == editor.viewport.options.tool), None)
@@ -71,6 +72,7 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], textures_of: Callable[
         _draw_busy(editor.busy, corner, width, height)
     if editor.status.problem is not None:
         _draw_problem(editor.status, editor.status.problem, corner, width, height)
+    return width, height
 
 
 _RADIANS_PER_PIXEL = 0.005

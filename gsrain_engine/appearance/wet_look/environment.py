@@ -53,9 +53,9 @@ class SceneEnvironment:
         self.ground = lru_cache(maxsize=2)(self._ground)
 
     def _ground(self, view: ClearView) -> VisibleGround | None:
-        if self._plane is None or self._heights is None:
+        if self._plane is None or self.heights is None:
             return None
-        return find_visible_ground(view, self._heights, self._plane)
+        return find_visible_ground(view, self.heights, self._plane)
 
     def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
         """Use screen-space reflection where it hits, and elsewhere render the scene for the mirrored camera.
@@ -71,7 +71,7 @@ class SceneEnvironment:
         return PlanarReflection(beyond, hits.places, known, np.where(hits.found, hits.depth, beyond.depth))
 
     @cached_property
-    def _layers(self) -> list["_LayerSurfaces"]:
+    def layers(self) -> list["LayerSurfaces"]:
         """Visible layers, without actors and sky."""
         layers = [layer for layer in self._scene.layers if layer.visible and layer.kind != "sky"]
         return [_layer_surfaces(self._scene, layer) for layer in layers]
@@ -79,8 +79,8 @@ class SceneEnvironment:
     @cached_property
     def _points(self) -> Float64[np.ndarray, "n 3"]:
         """World centers of solid, flat Gaussians; of all solid ones if hardly any are flat."""
-        solid = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid] for each in self._layers)])
-        flat = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid & each.flat] for each in self._layers)])
+        solid = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid] for each in self.layers)])
+        flat = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid & each.flat] for each in self.layers)])
         points = flat if len(flat) > _MIN_FLAT * len(solid) else solid
         return points[:: max(1, len(points) // _MAX_SCENE_POINTS)]
 
@@ -94,7 +94,8 @@ class SceneEnvironment:
         return fit_ground_plane(self._points, _BAND_M)
 
     @cached_property
-    def _heights(self) -> GroundHeights | None:
+    def heights(self) -> GroundHeights | None:
+        """Heights of the ground; None without ground."""
         if self._plane is None:
             return None
         found = ground_heights(self._points, self._plane)
@@ -106,17 +107,17 @@ class SceneEnvironment:
     @cached_property
     def _lying(self) -> list[Bool[np.ndarray, " n"]]:
         """Mask of each layer's Gaussians that lie on the ground."""
-        assert self._heights is not None
-        over = [each.points[:, 2] - self._heights.sampled(self._heights.fine_m, each.points) for each in self._layers]
+        assert self.heights is not None
+        over = [each.points[:, 2] - self.heights.sampled(self.heights.fine_m, each.points) for each in self.layers]
         return [
             (above < _UPON_M) | ((above < _THICKNESS_M) & each.flat)
-            for above, each in zip(over, self._layers, strict=True)
+            for above, each in zip(over, self.layers, strict=True)
         ]
 
     def _above(self, plane: GroundPlane) -> Scene:
         """Return the scene without its ground and without Gaussians below the mirror plane."""
         scene = self._scene
-        for each, lying in zip(self._layers, self._lying, strict=True):
+        for each, lying in zip(self.layers, self._lying, strict=True):
             over = plane.heights(each.points)
             ground = BitMask.of((over < _UPON_M) | (lying & (over < _BANK_M)))
             hidden = ground if each.marks.hidden is None else each.marks.hidden | ground
@@ -124,7 +125,7 @@ class SceneEnvironment:
         return scene
 
 
-class _LayerSurfaces(NamedTuple):
+class LayerSurfaces(NamedTuple):
     """Geometry of a layer's Gaussians."""
 
     key: str
@@ -136,7 +137,7 @@ class _LayerSurfaces(NamedTuple):
     """Mask of Gaussians that are wider than high."""
 
 
-def _layer_surfaces(scene: Scene, layer: Layer) -> _LayerSurfaces:
+def _layer_surfaces(scene: Scene, layer: Layer) -> LayerSurfaces:
     part = scene.part(layer)
     assert part is not None  # layers exist at all times
     g, to_world = part.gaussians, part.to_world
@@ -147,7 +148,7 @@ def _layer_surfaces(scene: Scene, layer: Layer) -> _LayerSurfaces:
     turn = to_world[:3, :3] @ matrices_from_quaternions(g.quaternions.astype(np.float64))
     sizes = np.sum((turn * g.scales[:, None, :]) ** 2, axis=2)
     flat = sizes[:, 2] < _FLAT**2 * sizes[:, :2].max(axis=1)
-    return _LayerSurfaces(layer.key, layer.marks, points, solid, flat)
+    return LayerSurfaces(layer.key, layer.marks, points, solid, flat)
 
 
 # Image environment: the view's own image and depth, for views without a scene

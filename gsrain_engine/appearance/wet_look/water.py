@@ -20,7 +20,8 @@ _FILM_SLOPE, _FILM_SMOOTHING = 0.09, 0.6
 _PUDDLE_SLOPE = 0.022  # slope deviation of standing water in rain: rings a few millimeters high, decimeters long
 _TEXTURE_TILT, _RIPPLE_TILT = 0.016, 0.006
 """Slope deviation of the bumps that an image resolves, in the film and in puddles."""
-_FILM_COVER = (0.2, 0.95)  # share of the road that a thin and a thick film cover: stones stick out of it
+FILM_COVER = (0.2, 0.95)
+"""Share of the road that a thin and a thick film cover: stones stick out of it."""
 _FACETS, _PUDDLE_FACETS = 11, 5
 _MIN_SHARE = 0.01
 _UNDER_WATER = 0.72
@@ -91,7 +92,7 @@ def _water(
     film_slope = _FILM_SLOPE * (1 - _FILM_SMOOTHING * wetness * thick)
     film = light(_TEXTURE_TILT, is_ground & (puddle < 0.995), film_slope, _FACETS)
     pool = light(_RIPPLE_TILT, is_ground & (puddle > 0.005), _PUDDLE_SLOPE, _PUDDLE_FACETS)
-    thin, full = _FILM_COVER
+    thin, full = FILM_COVER
     film_part = (ground.share - puddle) * wetness * (thin + (full - thin) * thick)
     pool_part = puddle * min(1.0, 4 * wetness)
     color = film_part[..., None] * film.color + pool_part[..., None] * pool.color

@@ -37,6 +37,8 @@ class RenderInput:
     """One, or two from left to right; the last is the document's."""
     view: RenderView
     """Camera and time, in the resolution of the quality."""
+    canvas_view: RenderView
+    """The same in the size of the viewport, for what is drawn over the picture."""
     quality: QualityLevel = FULL_QUALITY
     is_moving: bool = False
     """True if the camera moves."""
@@ -81,12 +83,16 @@ class DrawnImage(NamedTuple):
 class DrawResult:
     """Images of a frame, and everything that its drawing has found."""
 
+    frame: RenderInput | None = None
+    """Input of the frame."""
     textures: "tuple[moderngl.Texture, ...]" = ()
     """One per pane, each with the whole image, first row on top."""
     drawn: DrawnImage | None = None
     """None if the last images were still valid."""
     is_compiling: bool = False
     """True if nothing can be drawn before kernels are compiled or loaded."""
+    is_settled: bool = False
+    """True if no other back end takes over from the active one."""
     is_catching_up: bool = False
     """True if the next frames continue unfinished work although nothing moves."""
     sky: SkyColor | None = None

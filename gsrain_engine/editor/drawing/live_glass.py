@@ -21,7 +21,7 @@ def has_glass(rainfall: RainSimulation, mode: RenderMode = "splats") -> bool:
 
 
 class LiveGlass:
-    """Draws pictures through wet glass, without the sensor. Lives in the window's OpenGL context.
+    """Draws pictures through wet glass, without the sensor. Lives in the OpenGL context of its view.
 
     Drops on the glass of each camera go on from frame to frame; their past is replayed when time goes back, or after
     a change of the rain.

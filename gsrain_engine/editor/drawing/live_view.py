@@ -3,7 +3,7 @@
 import logging
 import math
 import time
-from collections.abc import Generator, Hashable, Iterable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -37,22 +37,29 @@ from .textures import CpuTexture
 logger = logging.getLogger("gsrain")
 WindowBackend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]
 _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
-_LOADING_S = 2.0  # time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling
+_LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, they are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _ASIDE = 1 / 4  # share of the Gaussians in small images next to the viewport, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
 
 class LiveView:
-    """Draws the viewport's panes. Lives in the window's OpenGL context and on its thread.
+    """Draws the viewport's panes, in an OpenGL context that is current on the calling thread.
 
     The fastest way draws (`measure_device`): tiles on a GPU; if OpenGL is a software rasterizer, the CPU renderer,
     which draws the same image several times faster. OpenGL substitutes until the CPU kernels are compiled; if they are
     cached, the viewport waits for them instead, because compiling shaders takes longer. `backend` overrides the choice.
     """
 
-    def __init__(self, context: moderngl.Context, backend: WindowBackend = "auto") -> None:
+    def __init__(
+        self,
+        context: moderngl.Context,
+        backend: WindowBackend = "auto",
+        finish: Callable[[], None] | None = None,
+    ) -> None:
+        """`finish` waits until everything is drawn, by default as the context does."""
         self.context = context
+        self._finish = finish or context.finish
         self.speed = measure_device(context)
         """Times by which the back end was chosen."""
         self._opengl = SplatRenderer(context, rasterizer=rasterizer_for(backend, self.speed))
@@ -92,7 +99,7 @@ class LiveView:
             self._upload.give_up()
             self._opengl.arrays.release_everything()
             problem = f"{error}: the processor draws from now on"
-            return DrawResult(self.last_textures, is_compiling=True, problems=[problem])
+            return DrawResult(frame, self.last_textures, is_compiling=True, problems=[problem])
 
     def _draw(self, frame: RenderInput) -> DrawResult:
         if self._cpu is not None and self._cpu.has_failed:
@@ -109,7 +116,7 @@ class LiveView:
         for pane in self._panes[: -self._pane_count]:
             pane.state = pane.scene = None
         self._release_closed_scene(frame)
-        result = DrawResult(is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
+        result = DrawResult(frame, is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
         if self._can_draw:
             self._sample_sky(frame, result)
         sky = (result.sky or frame.sky).at(frame.overcast)
@@ -120,13 +127,14 @@ class LiveView:
         if self._cpu is not None and (has_drawn or not self._can_draw) and frame.scene.gaussian_count:
             self._cpu.compile()  # after the first image, which compiling would delay
         if has_drawn:
+            self._finish()
             result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started))
         if frame.screenshot is not None:
             self._save_screenshot(frame.screenshot, frame.divider, result)
             result.has_screenshot = True
         samples = frame.samples_sky and not result.sky_is_exact and not self._sky.is_through
         result.is_catching_up = self._is_uploading or (samples and self._can_draw)
-        result.textures = self.last_textures
+        result.textures, result.is_settled = self.last_textures, self.is_settled
         return result
 
     @property
@@ -447,7 +455,7 @@ def _visible_state(scene: Scene) -> Hashable:
 
 
 class MosaicImages:
-    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the window's OpenGL context."""
+    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the OpenGL context of the view."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context

@@ -162,5 +162,5 @@ def set_origin(scene: Scene, point_m: Float64[np.ndarray, "3"]) -> Scene:
         lamps=moved_lamps(scene.lamps, shift),
         path=None if scene.path is None else scene.path.moved(shift),
         ground_m=None if scene.ground_m is None else scene.ground_m - float(point_m[2]),
-        water=None if scene.water is None else scene.water.moved(-float(point_m[0]), -float(point_m[1])),
+        water=None if scene.water is None else scene.water.moved(*(-point_m).tolist()),
     )

@@ -44,7 +44,7 @@ def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None 
         sign, component = (-1.0 if up.startswith("-") else 1.0), "xyz".index(up[-1])
         x, y, z = (sign if axis == component else 0.0 for axis in range(3))
         if (x, y, z) != scene.up:
-            scene = replace(scene, up=(x, y, z), ground_m=None, water=None)
+            scene = _with_water_found(replace(scene, up=(x, y, z), ground_m=None, water=None))
     if metres_per_unit is None:
         return scene
     low, high = UNIT_M
@@ -59,7 +59,16 @@ def level_to(scene: Scene, up: Float64[np.ndarray, "3"], point_m: Float64[np.nda
     x, y, z = np.round(rotation.T @ (up / np.linalg.norm(up)), 12).tolist()  # exact axes stay exact
     turned = replace(scene, up=(x, y, z), water=None)
     to_new = turned.scene_to_world @ np.linalg.inv(scene.scene_to_world)
-    return replace(turned, ground_m=float(to_new[2, :3] @ point_m + to_new[2, 3]))
+    return _with_water_found(replace(turned, ground_m=float(to_new[2, :3] @ point_m + to_new[2, 3])))
+
+
+def _with_water_found(scene: Scene) -> Scene:
+    """Scene whose map of water is found anew in another world, if it has wet colors."""
+    if not scene.has_rainy_light:
+        return scene
+    from ...appearance.wet_look.water_map import with_water_map  # loads slow parts of scipy
+
+    return with_water_map(scene)
 
 
 def level_from_points(scene: Scene, points_m: Float64[np.ndarray, "3 3"]) -> Scene:

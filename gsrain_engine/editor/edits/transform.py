@@ -107,7 +107,7 @@ def _partly_moved(gaussians: Gaussians, selected: BitMask, similarity: Similarit
         quaternions = quaternions.copy()
         quaternions[where] = quaternion_product(turn, quaternions[where].astype(np.float64))
     sh = _partly_turned(gaussians.sh, selected, similarity)
-    return Gaussians(means, scales, quaternions, gaussians.opacities, sh)
+    return replace(gaussians, means=means, scales=scales, quaternions=quaternions, sh=sh)
 
 
 def _partly_turned(

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
+from ...kernels import NOGIL
 from ...render.draw import RenderView
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
@@ -95,7 +96,7 @@ def _distance(read: AttributeInputs) -> np.ndarray:
     return np.sqrt(x * x + y * y + z * z)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _hues(colors):
     """Hue of each color in degrees, 0 <= hue < 360; 0 for grays."""

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
+from ...kernels import NOGIL
 from ...render.cpu.compositing import color_operator, color_operator_transpose
 from ...render.cpu.projection import NEAR_M, project
 from ...render.draw import RenderView
@@ -82,7 +83,7 @@ def camera_depths(part: DrawItem, camera: Camera) -> Float64[np.ndarray, " n"]:
     return part.gaussians.means @ row[:3] + row[3]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _find_centers(means, m, intrinsics, pixels, depth, flags):
     """Flag Gaussian centers that project onto flagged pixels, between the near plane and a maximum depth."""
@@ -100,7 +101,7 @@ def _find_centers(means, m, intrinsics, pixels, depth, flags):
                 flags[i] = pixels[int(v), int(u)]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _find_ellipses(shapes, colors, pixels, depth, flags):
     """Flag splats whose center, or one of eight points on their ellipse of one standard deviation, is flagged."""

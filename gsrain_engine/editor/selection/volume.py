@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float64, Int64
 
+from ...kernels import NOGIL
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem, Scene
 from ..edits.gaussians import CropBox
@@ -67,7 +68,7 @@ def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, BitMask]
     return found
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _find_inside(means, m, is_round, flags):
     """Flag Gaussian centers that a matrix maps into the unit sphere, or into the cube from -1 to 1."""
@@ -168,7 +169,7 @@ def flood_select(
     return _masks(own, rows[flags])
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def connected_cells(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
     """Flag the points whose cells connect to the seed's through neighbors, by a hash table at most half full."""
@@ -197,13 +198,13 @@ def connected_cells(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarr
     return reached[slots]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _key(x, y, z):
     return ((x + _EDGE) << 42) | ((y + _EDGE) << 21) | (z + _EDGE)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _slot(keys, key):
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)

@@ -58,7 +58,7 @@ class Texture(NamedTuple):
     height: int
 
 
-# Adaptive quality: limited by a frame-time target in motion, full at rest
+# Adaptive quality: limited by a frame-time target while the picture changes, full at rest
 
 
 class QualityLevel(NamedTuple):
@@ -86,7 +86,7 @@ LEVELS = (
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
 
-SETTLED_S = 0.15  # time without motion after which full quality returns
+SETTLED_S = 0.15  # time without changes after which full quality returns
 _TOLERANCE = 1.15
 _PROMISING = 0.55  # share of the target frame time below which a finer level is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
@@ -94,7 +94,7 @@ _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried 
 
 @dataclass(slots=True)
 class AdaptiveQuality:
-    """Chooses the quality of each frame from the times of earlier ones. Uses no clock of its own."""
+    """Chooses the quality of each picture from the times of earlier ones. Uses no clock of its own."""
 
     target_ms: float = 33.0
     enabled: bool = True
@@ -113,7 +113,7 @@ class AdaptiveQuality:
         return 0 < self._rested_s < SETTLED_S and not self.detail.is_exact
 
     def observe(self, *, moving: bool, real_s: float) -> QualityLevel:
-        """Record camera motion since the last frame, `real_s` ago; return the quality to draw."""
+        """Record whether the picture changes since the last one, `real_s` ago; return the quality to draw."""
         self._rested_s = 0.0 if moving else self._rested_s + real_s
         return self.detail
 

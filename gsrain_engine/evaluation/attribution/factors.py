@@ -1,8 +1,8 @@
-"""Factors of rain, which an attribution switches: what switches each off, and the rain and the scene of a coalition."""
+"""Factors of rain, which an attribution switches: what switches each off; rain, scene and friction of a coalition."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from msgspec import structs
 
@@ -11,6 +11,8 @@ from ...rain.wetness import OVERCAST_MM_H, wetness
 from ...scene.open import is_built_in_street
 from .shapley import Coalition, Game
 
+Friction = Literal["dry", "wet"]
+"""Friction of a drive, as in `simulation.friction`."""
 ALL, NO_FACTORS = "all", "none"
 """Words for all factors that a rain has, and for no attribution."""
 
@@ -22,7 +24,8 @@ class Factor:
     name: str
     title: str
     off: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Settings of the rain that switch it off; none for the light, which belongs to the scene."""
+    """Settings of the rain that switch it off; none for the light, which belongs to the scene, and for friction, which
+    belongs to the drive."""
     on: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Settings that switch it on in a rain that lacks it."""
     after: str | None = None
@@ -35,6 +38,7 @@ class Factor:
 
 LIGHT = "light"
 WET = "wet"
+FRICTION = "friction"
 
 FACTORS = (
     # Without streaks, the medium must not take their place: together they extinguish what all drops do.
@@ -46,6 +50,7 @@ FACTORS = (
     Factor("splashes", "splashes and rings", {"splashes": False}, {"splashes": True}, after="mirror"),
     Factor("spray", "spray", {"spray": False}, {"spray": True}, after="splashes"),  # of wet ground, too
     Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
+    Factor(FRICTION, "wet friction"),
 )
 """All factors, in the order of tables and figures."""
 
@@ -65,8 +70,9 @@ _OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
 """Scenes by name of which another has the light of rain without its water."""
 
 
-def factor_names() -> tuple[str, ...]:
-    return tuple(_BY_NAME)
+def factor_names(*, of_drives: bool = True) -> tuple[str, ...]:
+    """Names of all factors, or of those that pictures have."""
+    return tuple(name for name in _BY_NAME if of_drives or name != FRICTION)
 
 
 def title_of(name: str) -> str:
@@ -104,21 +110,30 @@ class RainFactors:
     game: Game
     twin: str | None
     """Scene with the light of this rain, dry."""
+    friction: Friction | None = None
+    """Of the drive with all factors; None for pictures."""
 
     @classmethod
     def of(
-        cls, rain: RainSettings, names: Sequence[str], scene: str | None, lacking: Sequence[str] = ()
+        cls,
+        rain: RainSettings,
+        names: Sequence[str],
+        scene: str | None,
+        lacking: Sequence[str] = (),
+        friction: Friction | None = None,
     ) -> "RainFactors":
         """Take a rain apart.
 
         `names` are the factors of which the rain is to consist: others are switched off, absent ones on; "all" are
-        those that it has. `scene` is the scene's name as `load_scene` takes it. Factors that can't act are left out:
-        those `lacking` in the scene, light without a scene that has it alone, and what needs wet ground below 0.3 mm/h.
+        those that it has. `scene` is the scene's name as `load_scene` takes it, `friction` that of a drive. Factors
+        that can't act are left out: those `lacking` in the scene, light without a scene that has it alone, and what
+        needs wet ground below 0.3 mm/h.
         """
         check_factors(names)
         twin, chosen = overcast_twin(scene), set(names)
         if ALL in chosen:
             chosen |= {each.name for each in FACTORS if each.name == LIGHT or _is_on(each, rain)}
+            chosen |= {FRICTION} if friction == "wet" else set()
         for each in FACTORS:
             if each.name not in chosen and _is_on(each, rain):
                 rain = structs.replace(rain, **each.off)
@@ -127,7 +142,11 @@ class RainFactors:
         for name in names:
             if name in lacking:
                 raise ValueError(f"attribute {name}: {scene or 'the scene'} has none")
-        absent = set(lacking)
+        if friction is None and FRICTION in names:
+            raise ValueError(f"attribute {FRICTION}: pictures have none; drives do (gsrain sweep)")
+        absent = set(lacking) if friction is not None else {*lacking, FRICTION}
+        if friction is not None:
+            friction = "wet" if FRICTION in chosen else "dry"
         is_wet = WET in chosen and WET not in absent
         if not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
             absent |= ON_WET_GROUND
@@ -135,24 +154,27 @@ class RainFactors:
             absent.add(LIGHT)
         factors = tuple(each.name for each in FACTORS if each.name in chosen - absent)
         nearest = {name: [below for below in _below(name) if below in factors] for name in factors}
-        return cls(rain, Game(factors, {name: below[0] for name, below in nearest.items() if below}), twin)
+        game = Game(factors, {name: below[0] for name, below in nearest.items() if below})
+        return cls(rain, game, twin, friction)
 
     def weather(self, present: Coalition) -> "CoalitionWeather":
         """Return the rain and the scene with some factors."""
         if not present:
-            return CoalitionWeather(clear_rain(self.rain), False)
+            return CoalitionWeather(clear_rain(self.rain), False, self.friction)
         rain = self.rain
         for each in self.game.factors:
             if each not in present:
                 rain = structs.replace(rain, **_BY_NAME[each].off)
-        return CoalitionWeather(rain, LIGHT in present and WET not in present)
+        friction: Friction | None = self.friction if FRICTION in present or self.friction is None else "dry"
+        return CoalitionWeather(rain, LIGHT in present and WET not in present, friction)
 
 
 class CoalitionWeather(NamedTuple):
-    """Rain, and whether it falls in the scene that has the light of rain and is dry."""
+    """Rain, whether it falls in the scene that has the light of rain and is dry, and the friction of a drive."""
 
     rain: RainSettings
     in_twin: bool
+    friction: Friction | None = None
 
 
 def clear_rain(rain: RainSettings) -> RainSettings:

@@ -20,7 +20,7 @@ from ...rain.settings import RainSettings
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
 from ...water.spray import has_fast_vehicles
-from ..attribution.factors import FACTORS, ON_WET_GROUND, RainFactors, title_of
+from ..attribution.factors import ON_WET_GROUND, RainFactors, factor_names, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import AttributionPlan, Coalition
 from ..report_charts import series_styles
@@ -120,7 +120,7 @@ def rain_attributions(
     """
     lacking: set[str] = set()
     if in_front:
-        lacking = {each.name for each in FACTORS} - {"streaks", "medium"}
+        lacking = set(factor_names()) - {"streaks", "medium"}
     elif not scene.has_wet_colors:
         lacking = set(ON_WET_GROUND)
     else:

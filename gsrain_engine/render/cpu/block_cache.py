@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64
 
+from ...kernels import NOGIL
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.mapped_arrays import is_mapped, release_pages
 
@@ -140,7 +141,7 @@ class BlockCaches:
                 entry.wet_sh = wet_sh
                 entry.cache.add(wet_sh)
         arrays = entry.cache.arrays
-        return Gaussians(*arrays[:5]), None if wet_sh is None else arrays[5], rows
+        return Gaussians(*arrays[:5], antialiased=gaussians.antialiased), None if wet_sh is None else arrays[5], rows
 
     @property
     def nbytes(self) -> int:
@@ -163,14 +164,14 @@ def _forget_wet_colors(entry: _Entry) -> None:
         entry.cache.drop()
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _mark(members, flags):
     for n in range(len(members)):
         flags[members[n] >> _SHIFT] = True
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _translate(members, slots, rows):
     for n in numba.prange(len(members)):

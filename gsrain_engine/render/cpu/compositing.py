@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
+from ...kernels import NOGIL
 from ...rain.medium import RainMedium, optical_depth
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
@@ -96,31 +97,31 @@ def composite_in_rain(
 # open share, the rain's share and the scene's share before rain; with a veil only the rain's share, and no film.
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite(tiles, shapes, channels, images):
     walk_tiles(tiles, shapes, channels, 6, 0, nothing, _visit, _store, images)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_rain(tiles, shapes, channels, images):
     walk_tiles(tiles, shapes, channels, RAIN_LINES, 0, _open, _visit_in_rain, _store_rain, images)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_lit_rain(tiles, shapes, channels, images):
     walk_tiles(tiles, shapes, channels, RAIN_LINES + 3, 0, _open, _visit_in_lit_rain, _store_lit_rain, images)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_veil(tiles, shapes, channels, images):
     walk_tiles(tiles, shapes, channels, 7, 0, nothing, _visit_behind_veil, _store_veil, images)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_wet(tiles, shapes, channels, images):
     walk_tiles(tiles, shapes, channels, 8, 0, nothing, _visit_wet, _store_wet, images)
@@ -411,7 +412,7 @@ def dim_by_medium(splats: Splats, camera: Camera, medium: RainMedium, *, is_line
 _BLOCK = 1024  # splats that are copied to contiguous numbers, which LLVM vectorizes
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear):
     for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
@@ -461,7 +462,7 @@ def add_light(rgba: Float32[np.ndarray, "h w 4"], light: Float32[np.ndarray, "h 
     _add_light(rgba, light)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _add_light(rgba, light):
     height, width = light.shape[:2]
@@ -508,13 +509,13 @@ def color_operator_transpose(
     return add_pairs(tiles.members, by_pair, len(shapes))
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _accumulate(tiles, shapes, data):
     walk_tiles(tiles, shapes, shapes[:0, :0], 4, 3, _load, _sum_image, nothing, data)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _accumulate_with_squares(tiles, shapes, data):
     walk_tiles(tiles, shapes, shapes[:0, :0], 4, 4, _load, _sum_squares, nothing, data)
@@ -593,7 +594,7 @@ def add_pairs(
     return sums
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _add_pairs(members, by_pair, sums, shares):
     """Each thread goes through all pairs but owns a range of splats, so that no row is written by two."""

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt32
 
+from ...kernels import NOGIL
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
@@ -16,6 +17,7 @@ from .fast_math import sh_basis
 
 NEAR_M = 0.2  # Gaussians with nearer centers are skipped, as in the reference rasterizer
 DILATION_PX2 = 0.3  # added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)
+ANTIALIASED_PX2 = 0.1  # the same for antialiased Gaussians: about the variance of a pixel's area (Yu et al. 2024)
 
 
 SCENE_ALPHA_CUT = 1 / 255  # alpha below which fragments of the scene are skipped, as in the reference rasterizer
@@ -97,7 +99,8 @@ def project(
     for number, (part, pose, own) in enumerate(zip(parts, poses, found, strict=True)):
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
-        scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
+        end = part.drawn_count if part.members is None else len(g)
+        scales = g.scales if part.growth == 1 else g.scales[:end] * np.float32(part.growth)
         wet_sh, rows = part.wet_sh if part.is_wet else None, own
         if caches is not None and part.members is not None and part.selected is None and part.growth == 1:
             g, wet_sh, rows = caches.present(g, wet_sh, own)
@@ -112,8 +115,8 @@ def project(
         fill(
             0, len(own), rows, g.means, scales, g.quaternions, g.opacities, sh, wet, np.float32(part.wetness),
             np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity),
-            np.ascontiguousarray(change, np.float32), _words(part.selected), as_points, pose,
-            eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
+            np.ascontiguousarray(change, np.float32), _words(part.selected), as_points, part.gaussians.antialiased,
+            pose, eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
         )  # fmt: skip
         indices[first:last] = own + counted
         first, counted = last, counted + len(part.gaussians)
@@ -169,7 +172,7 @@ def _candidates(
     return np.flatnonzero(flags)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
     for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
@@ -178,7 +181,7 @@ def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, s
         _flag_range(start, end, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _flag_range(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
     """Flag Gaussians near the image, each treated as a ball with the radius of its longest axis."""
@@ -207,25 +210,25 @@ def _has(words, i):
     return (words[i >> 5] >> np.uint32(i & 31)) & np.uint32(1) == np.uint32(1)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _project_chunks(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
-    as_points, object_to_camera, eye, intrinsics, shapes, colors,
+    as_points, antialiased, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
         start = first + np.int64(chunk) * CHUNK
         _project_range(
             start, min(last, start + CHUNK), members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain,
-            opacity, change, selected, as_points, object_to_camera, eye, intrinsics, shapes, colors,
+            opacity, change, selected, as_points, antialiased, object_to_camera, eye, intrinsics, shapes, colors,
         )  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _project_range(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
-    as_points, object_to_camera, eye, intrinsics, shapes, colors,
+    as_points, antialiased, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     """Fill shapes and colors of some Gaussians of one part; depth 0 marks those not to be drawn."""
     basis = np.empty(16, np.float32)
@@ -233,8 +236,8 @@ def _project_range(
         i = members[n]
         is_rain = len(rain) > 0 and rain[i]
         depth = _shape(
-            means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, object_to_camera,
-            intrinsics, shapes[n],
+            means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, antialiased,
+            object_to_camera, intrinsics, shapes[n],
         )  # fmt: skip
         if not (depth > 0 and _color(means[i], sh[i], wet_sh, i, wetness, eye, change, basis, colors[n])):
             for k in range(8):
@@ -250,7 +253,7 @@ def _project_range(
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
+def _shape(mean, scale, q, opacity, is_rain, as_point, antialiased, m, intrinsics, shape):
     """Write one splat's shape; return its depth in meters, or 0 if it is not to be drawn.
 
     Scalars are float64: 1e12 m squared still fits.
@@ -268,8 +271,9 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
     u2, v2 = c * dot(row_u, third), c * dot(row_v, third)
     xx, xy, yy = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
     before = max(xx * yy - xy * xy, 0.0)
-    xx += DILATION_PX2
-    yy += DILATION_PX2
+    footprint = ANTIALIASED_PX2 if antialiased else DILATION_PX2
+    xx += footprint
+    yy += footprint
     if as_point:
         xx, xy, yy, opacity = 1.0, 0.0, 1.0, np.float32(1)
     determinant = xx * yy - xy * xy
@@ -277,8 +281,9 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
         return 0.0
     alpha = min(np.float64(opacity), 1.0)
     log_cut = LOG_SCENE_CUT
-    if is_rain:
+    if is_rain or (antialiased and not as_point):
         alpha *= np.sqrt(before / determinant)
+    if is_rain:
         log_cut = LOG_RAIN_CUT
     log_alpha = np.log(alpha)
     if not (log_alpha > log_cut):

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
+from ...kernels import NOGIL
 from .fast_math import FAST, exponential
 
 TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32
@@ -56,7 +57,7 @@ def bin_into_tiles(
     return TileLists(width, height, starts, members)
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _count(shapes, order, columns, rows, counts, boxes, masks):
     """Count each tile's splats. For each splat store the box of tiles around it, and a mask of the touched ones.
@@ -89,7 +90,7 @@ def _count(shapes, order, columns, rows, counts, boxes, masks):
                 masks[k] = mask
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _write(shapes, order, columns, rows, boxes, masks, places, members):
     """Write each splat to the places of the tiles that it touches, and advance those by one."""

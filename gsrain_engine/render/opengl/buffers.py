@@ -1,7 +1,7 @@
 """GPU buffers of Gaussians, masks and projected splats, uploaded in slices to keep frames smooth."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import moderngl
@@ -77,7 +77,8 @@ class GpuArrays:
         """Return the buffers of a set and of its wet colors, uploading missing ones."""
         for _ in self.upload(gaussians, CHUNK, wet_sh=wet_sh):
             pass
-        return GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
+        drawn = GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
+        return replace(drawn, wet_sh=drawn.sh) if wet_sh is gaussians.sh else drawn  # one array has one key
 
     def keep(self, wet_sh: WetColors) -> None:
         """Mark uploaded wet colors as used: at a wetness of 0 they are not read, but the next frame may need them."""

@@ -114,7 +114,8 @@ class ProjectionPass:
         if not part.is_wet:
             self._arrays.keep(part.wet_sh)
         shader.set(growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),
-            coefficients=gaussians.sh.shape[1], object_to_camera=tuple(object_to_camera.T.ravel()),
+            coefficients=gaussians.sh.shape[1], antialiased=gaussians.antialiased,
+            object_to_camera=tuple(object_to_camera.T.ravel()),
             camera_in_object=tuple(np.linalg.inv(object_to_camera)[:3, 3]),
         )  # fmt: skip
         marks: list[moderngl.Buffer] = []

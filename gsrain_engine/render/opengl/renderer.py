@@ -506,30 +506,35 @@ class _ByteReader:
 
 
 class Screen:
-    """Converts images for the screen: background, display gain, 8 bits."""
+    """Converts images for the screen: background, display gain, 8 bits.
+
+    Two textures take turns, so that the last image can be displayed while another thread draws the next.
+    """
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._program = load_program(context, "screen.vert", "tonemap.frag")
         self._vertices = context.vertex_array(self._program, [])
-        self._texture: moderngl.Texture | None = None
-        self._framebuffer: moderngl.Framebuffer | None = None
+        self._last: tuple[moderngl.Texture, moderngl.Framebuffer] | None = None
+        self._next: tuple[moderngl.Texture, moderngl.Framebuffer] | None = None
 
     def show(
         self, picture: moderngl.Texture, background: Color = (0.0, 0.0, 0.0), gain: float = 1.0
     ) -> moderngl.Texture:
         """Tone-map a premultiplied image; `gain` multiplies linear light."""
-        if self._texture is None or self._texture.size != picture.size:
-            if self._texture is not None and self._framebuffer is not None:
-                self._framebuffer.release()
-                self._texture.release()
-            self._texture = self._context.texture(picture.size, 4)
-            self._framebuffer = self._context.framebuffer([self._texture])
-        assert self._framebuffer is not None
+        if self._next is not None and self._next[0].size != picture.size:
+            for old in reversed(self._next):
+                old.release()
+            self._next = None
+        if self._next is None:
+            texture = self._context.texture(picture.size, 4)
+            self._next = texture, self._context.framebuffer([texture])
+        self._last, self._next = self._next, self._last
+        texture, framebuffer = self._last
         picture.use(0)
         self._program["picture"], self._program["background"], self._program["gain"] = 0, background, gain
         before = self._context.detect_framebuffer()
-        self._framebuffer.use()
+        framebuffer.use()
         self._vertices.render(moderngl.TRIANGLES, vertices=3)
         before.use()
-        return self._texture
+        return texture

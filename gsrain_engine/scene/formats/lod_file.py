@@ -33,7 +33,7 @@ class _Fingerprint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Hash of the file."""
 
 
-class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """JSON after the magic word, padded with spaces; the arrays follow, in the order of `_layout`."""
 
     version: int
@@ -42,6 +42,7 @@ class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fan_out: int
     max_roots: int
     source: _Fingerprint
+    antialiased: bool = False
 
 
 class _FileVersion(msgspec.Struct):
@@ -55,7 +56,7 @@ def write_lod_tree(tree: LodTree, path: Path, source: Path) -> None:
     """
     count, k = len(tree.gaussians), tree.gaussians.sh.shape[1]
     fingerprint = _Fingerprint(source.stat().st_size, _hash_of_blocks(source), _hash_of(source))
-    header = _Header(_VERSION, count, k, FAN_OUT, MAX_ROOTS, fingerprint)
+    header = _Header(_VERSION, count, k, FAN_OUT, MAX_ROOTS, fingerprint, tree.gaussians.antialiased)
     with path.open("wb") as file:
         file.write((_MAGIC + msgspec.json.encode(header)).ljust(_HEADER_BYTES))
         for array in (*tree.nodes.arrays, tree.radii, tree.errors, tree.leaves):
@@ -103,7 +104,8 @@ def read_lod_tree(path: Path, source: Path) -> LodTree:
         layout = zip(_layout(count, k), _offsets(count, k), strict=False)
         arrays = map_arrays(file, [(shape, dtype, offset) for (shape, dtype), offset in layout])
     nodes, (radii, errors, leaves), own = arrays[:5], arrays[5:8], arrays[8:]
-    return LodTree(Gaussians(*own), leaves, Gaussians(*nodes), radii, errors)
+    leaf_gaussians, merged = (Gaussians(*each, antialiased=header.antialiased) for each in (own, nodes))
+    return LodTree(leaf_gaussians, leaves, merged, radii, errors)
 
 
 def _check_values(path: Path, count: int, coefficients: int) -> None:

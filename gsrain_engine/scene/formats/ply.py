@@ -7,6 +7,7 @@ import logging
 import os
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, no_type_check
@@ -15,6 +16,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64, UInt
 
+from ...kernels import NOGIL
 from ...safe_io.limits import open_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
@@ -27,6 +29,10 @@ _QUATERNIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
 _REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES, *_QUATERNIONS)
 _NORMALS = ("nx", "ny", "nz")
 """Written as zeros, as in 3DGS itself: some readers count properties instead of reading their names."""
+
+_ANTIALIASED = "SplatRenderMode: mip"
+"""Comment in the header of a file with `Gaussians.antialiased`, as Brush writes it; Postshot's `antialiased 1` is
+read, too."""
 
 _CHUNK_BYTES = 1 << 18  # rows are read and distributed to the arrays in blocks that fit into the CPU cache
 _CHUNK_LINES = 1024
@@ -75,11 +81,15 @@ def read_ply_parts(path: Path, rows: int) -> Iterator[Gaussians]:
 
 
 def write_ply(gaussians: Gaussians, path: Path) -> None:
-    """Write the standard 3DGS layout, little endian, with normals of 0; f_rest has 0, 9, 24 or 45 properties."""
+    """Write the standard 3DGS layout, little endian, with normals of 0; f_rest has 0, 9, 24 or 45 properties.
+
+    Antialiased Gaussians are marked by a comment in the header, which other programs ignore.
+    """
     rest = 3 * (gaussians.sh.shape[1] - 1)
     names = [*_MEANS, *_NORMALS, *_BASE_SH, *(f"f_rest_{i}" for i in range(rest)), "opacity", *_SCALES, *_QUATERNIONS]
     properties = "".join(f"property float {name}\n" for name in names)
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(gaussians)}\n{properties}end_header\n"
+    mark = f"comment {_ANTIALIASED}\n" if gaussians.antialiased else ""
+    header = f"ply\nformat binary_little_endian 1.0\n{mark}element vertex {len(gaussians)}\n{properties}end_header\n"
     rows = max(1, _CHUNK_BYTES // (4 * len(names)))
     with path.open("wb") as file:
         file.write(header.encode())
@@ -101,6 +111,8 @@ class PlyElement(NamedTuple):
     """Byte offset of its first row; None if lists or text before it make that unknown."""
     is_text: bool = False
     """True if its rows are lines of text; the fields then give only the columns."""
+    is_antialiased: bool = False
+    """True if the header has the comment of `_ANTIALIASED`."""
 
     @property
     def nbytes(self) -> int:
@@ -137,7 +149,8 @@ def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElem
         check_finite(path, {"logarithm of a scale": scales, "logit of an opacity": opacities})
         np.exp(scales, out=scales)
         activate_opacities(opacities)
-    return checked_gaussians(path, means, scales, quaternions, opacities, sh)
+    found = checked_gaussians(path, means, scales, quaternions, opacities, sh)
+    return replace(found, antialiased=vertex.is_antialiased)
 
 
 def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
@@ -265,6 +278,8 @@ def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
     if kind == _TEXT:
         elements = [element._replace(is_text=True, offset=None) for element in elements]
         file.seek(size)
+    if any(words == ["comment", *mark.split()] for words in lines for mark in (_ANTIALIASED, "antialiased 1")):
+        elements = [element._replace(is_antialiased=True) for element in elements]
     _check_size(path, elements, size, os.fstat(file.fileno()).st_size)
     return {element.name: element for element in elements}
 
@@ -365,7 +380,7 @@ def _copy_rows(rows: Float32[np.ndarray, "r p"], columns: Int64[np.ndarray, " c"
     _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(rows), 3 * sh.shape[1]))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _spread(rows, columns, means, scales, quaternions, opacities, sh):
     """Copy the numbers of a file, one row at a time: by columns, each number would touch a cache line.

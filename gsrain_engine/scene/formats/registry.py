@@ -23,7 +23,13 @@ from .spz import read_spz, write_spz
 
 FORMATS = (
     Format(".compressed.ply", read_ply, None, "SuperSplat's: 16 bytes per Gaussian plus its harmonics"),
-    Format(".ply", read_ply, write_ply, "3D Gaussian Splatting, lossless, SH degree 0 to 3; ignores other properties"),
+    Format(
+        ".ply",
+        read_ply,
+        write_ply,
+        "3D Gaussian Splatting, lossless, SH degree 0 to 3; ignores other properties. "
+        "A comment marks antialiased Gaussians: `SplatRenderMode: mip` (Brush) or `antialiased 1` (Postshot)",
+    ),
     Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", False),
     Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 3 is written"),
     Format(".ksplat", read_ksplat, None, "GaussianSplats3D's, SH degree 0 to 2"),

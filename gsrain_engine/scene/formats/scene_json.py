@@ -129,14 +129,19 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 _MAX_CELLS = 1 << 24  # of a map of water: 32 MB
 
 
-class WaterRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A `GroundWater`; `cover` is its bytes, row by row, as a zlib stream (RFC 1950) in base64."""
+class WaterRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A `GroundWater`; `cover` is its bytes, row by row, as a zlib stream (RFC 1950) in base64.
+
+    So are `heights`, as little-endian 32-bit differences in millimeters along each row, the first from 0.
+    """
 
     corner_m: tuple[float, float]
     cell_m: Annotated[float, Meta(ge=0.01, le=100)]
     rows: Annotated[int, Meta(ge=1, le=16384)]
     columns: Annotated[int, Meta(ge=1, le=16384)]
     cover: str
+    heights: str | None = None
+    scatter_m: Annotated[float, Meta(ge=0, le=100)] = 0.0
 
 
 class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -342,8 +347,14 @@ def mask_from_text(text: str, count: int, where: str) -> BitMask:
 
 def water_record(water: GroundWater) -> WaterRecord:
     rows, columns = water.cover.shape[:2]
-    cover = base64.b64encode(zlib.compress(np.ascontiguousarray(water.cover).tobytes(), 6)).decode()
-    return WaterRecord(corner_m=water.corner_m, cell_m=water.cell_m, rows=rows, columns=columns, cover=cover)
+    heights = None
+    if water.heights_m is not None:
+        millimeters = np.rint(1000 * water.heights_m.astype(np.float64)).astype(np.int32)
+        heights = _deflated(np.diff(millimeters, axis=1, prepend=0).astype("<i4"))
+    return WaterRecord(
+        corner_m=water.corner_m, cell_m=water.cell_m, rows=rows, columns=columns, cover=_deflated(water.cover),
+        heights=heights, scatter_m=water.scatter_m,
+    )  # fmt: skip
 
 
 def water_of(record: WaterRecord) -> GroundWater:
@@ -354,7 +365,16 @@ def water_of(record: WaterRecord) -> GroundWater:
     if not np.isfinite(record.corner_m).all():
         raise ValueError("corner_m must be finite - at `$.water`")
     data = _inflated(record.cover, int(np.prod(shape)), "map", f"of {shape[0]} x {shape[1]} cells", "`$.water.cover`")
-    return GroundWater(record.corner_m, record.cell_m, np.frombuffer(data, np.uint8).reshape(shape))
+    cover, heights = np.frombuffer(data, np.uint8).reshape(shape), None
+    if record.heights is not None:
+        steps = _inflated(record.heights, 4 * shape[0] * shape[1], "heights", "of the map", "`$.water.heights`")
+        millimeters = np.cumsum(np.frombuffer(steps, "<i4").reshape(shape[:2]), axis=1, dtype=np.int64)
+        heights = (millimeters / 1000).astype(np.float32)
+    return GroundWater(record.corner_m, record.cell_m, cover, heights, record.scatter_m)
+
+
+def _deflated(array: np.ndarray) -> str:
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(array).tobytes(), 6)).decode()
 
 
 def _inflated(text: str, size: int, noun: str, of: str, where: str) -> bytes:

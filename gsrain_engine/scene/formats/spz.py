@@ -2,7 +2,7 @@
 
 import gzip
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ _HEADER = struct.Struct("<4sIIBBBB")
 
 _CONTENTS_OFFSET = struct.Struct("<I12x")  # follows the header in version 4: offset of the table of contents
 _STREAM_SIZES = struct.Struct("<QQ")  # one entry of that table: compressed and unpacked size of a stream in bytes
-_EXTENSIONS_FLAG = 2
+_ANTIALIASED_FLAG, _EXTENSIONS_FLAG = 1, 2
 _EXTENSIONS_BYTES = 2**20
 """Vendor extensions, camera limits and the like follow the Gaussians in versions 2 and 3; the reader ignores them."""
 
@@ -90,7 +90,7 @@ def read_spz(path: Path) -> Gaussians:
         raise SceneFormatError(path, f"SPZ version {header.version} inside gzip: only versions 1 to 3 are gzipped")
     check_expansion(path, header.count, header.coefficients, len(data))
     streams = _zstd_streams(path, data, header) if header.version >= 4 else _plain_streams(path, data, header)
-    return _decode(path, header, streams)
+    return replace(_decode(path, header, streams), antialiased=bool(header.flags & _ANTIALIASED_FLAG))
 
 
 def write_spz(gaussians: Gaussians, path: Path) -> None:
@@ -109,7 +109,8 @@ def encode_spz(gaussians: Gaussians) -> bytes:
     Raises `ValueError` if a mean is not finite or farther out than 2^23 units.
     """
     fractional_bits = _fitting_fractional_bits(gaussians.means)
-    header = _HEADER.pack(_MAGIC, 3, len(gaussians), gaussians.sh_degree, fractional_bits, 0, 0)
+    flags = _ANTIALIASED_FLAG if gaussians.antialiased else 0
+    header = _HEADER.pack(_MAGIC, 3, len(gaussians), gaussians.sh_degree, fractional_bits, flags, 0)
     body = (
         _encode_means(gaussians.means, fractional_bits),
         rounded_bytes(gaussians.opacities * 255).tobytes(),

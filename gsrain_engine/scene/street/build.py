@@ -18,6 +18,7 @@ from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_stre
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .night import Windows, ego_lamps, lanterns, vehicle_lamps
+from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
 from .water_map import street_water
@@ -54,19 +55,23 @@ class StreetSurfaces:
 
 def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurfaces:
     layout = plan_street(parameters or StreetParameters())
-    sun = Illumination.over(layout.parameters).sun
+    light = Illumination.over(layout.parameters, layout)
     layers = {
         "road": build_road(layout),
         "pavements": build_sidewalks(layout),
         "houses": build_houses(layout),
-        "trees": build_trees(layout, sun),
+        "trees": build_trees(layout, light.sun),
         PARKED_CARS: build_parked_cars(layout),
         PARKED_TRUCKS: build_parked_trucks(layout),
         "furniture": build_furniture(layout),
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),
     }
-    return StreetSurfaces(layout, layers, Quads.joined([car_shadow(_LEAD_SHAPE), build_car(_LEAD_SHAPE, _LEAD_PAINT)]))
+    line, edge_px = ego_camera_line(layout.parameters), layout.parameters.edge_px
+    for name in layers.keys() - {"sky"}:
+        layers[name] = refined(split_at_shadows(layers[name], line, light, edge_px), line, edge_px)
+    lead = Quads.joined([car_shadow(_LEAD_SHAPE), refined_vehicle(build_car(_LEAD_SHAPE, _LEAD_PAINT))])
+    return StreetSurfaces(layout, layers, lead)
 
 
 def build_street(parameters: StreetParameters | None = None) -> Scene:
@@ -145,7 +150,10 @@ def quads_to_gaussians(quads: Quads, light: Illumination) -> Gaussians:
 
     def converted(part: Quads) -> Gaussians:
         colors = light.display_colors(part, part.centers)
-        return Gaussians(part.centers, *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients))
+        return Gaussians(
+            part.centers, *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients),
+            antialiased=True,
+        )  # fmt: skip
 
     return Gaussians.concatenate([converted(part) for part in _chunks(quads)])
 
@@ -199,7 +207,7 @@ def _ellipses(quads: Quads) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndar
     large, small = np.sqrt(middle + swing), np.sqrt(np.maximum(middle - swing, 1e-8))
     cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
     rotation = np.stack([cosine * first + sine * second, cosine * second - sine * first, normal], axis=2)
-    scales = np.stack([large, small, np.maximum(_THICKNESS * small, 5e-4)], axis=1)
+    scales = np.stack([large, small, np.maximum(_THICKNESS * small, 1e-4)], axis=1)
     return scales.astype(np.float32), quaternions_from_matrices(rotation).astype(np.float32)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from .layout import HOUSE_DEPTH_M, House, Label, StreetLayout
-from .mesh import Quads, box, even_lines, graded_lines, layered_noise, panel, patch, surface, tube
+from .mesh import Quads, box, broken_lines, even_lines, layered_noise, panel, patch, surface, tube
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _OVERHANG = 0.32
@@ -51,7 +51,7 @@ def _roof(house: House) -> Quads:
     rng = np.random.default_rng(house.seed + 2)
     moss = layered_noise(center[:, :2] + house.seed % 887, 2.2, house.seed % 883)
     row = np.sin(center[:, 1] * 12.0)
-    along = even_lines(0.0, house.width, 0.8)
+    along = even_lines(0.0, house.width, 0.4 * house.detail)
     gutter_path = np.stack(np.broadcast_arrays(along, -_OVERHANG - 0.05, house.eaves - 0.08), axis=1)
     gutter = tube(gutter_path, np.full(len(along), 0.07), (0.15, 0.155, 0.16), Label.BUILDING, sides=5)
     tinted = roof.tinted((0.72 + 0.42 * moss + 0.1 * rng.uniform(-1, 1, len(roof)) + 0.05 * row)[:, None])
@@ -67,8 +67,8 @@ def _chimneys(house: House) -> list[Quads]:
         y, top = 0.5 * HOUSE_DEPTH_M - 0.8, house.ridge + 0.9
         foot = house.ridge - 1.6
         stack, cap = (x + 0.2, y, (foot + top) / 2), (x + 0.2, y, top + 0.05)
-        found.append(box(stack, (0.8, 0.6, top - foot), brick, Label.BUILDING, edge=0.2, coarse=0.45))
-        found.append(box(cap, (0.95, 0.75, 0.12), (0.35, 0.33, 0.3), Label.BUILDING, edge=0.2, coarse=0.35))
+        found.append(box(stack, (0.8, 0.6, top - foot), brick, Label.BUILDING, coarse=0.45))
+        found.append(box(cap, (0.95, 0.75, 0.12), (0.35, 0.33, 0.3), Label.BUILDING, coarse=0.35))
     return found
 
 
@@ -80,7 +80,7 @@ def _back(house: House) -> Quads:
 
 def _lining(house: House) -> Quads:
     """A wall inside the house in the front's color, which hides gaps between the front's Gaussians."""
-    x, z = even_lines(0.0, house.width, 1.2), even_lines(0.0, house.eaves, 1.2)
+    x, z = even_lines(0.0, house.width, 0.6), even_lines(0.0, house.eaves, 0.6)
     return panel((0, _LINING_DEPTH, 0), _X, _Z, x, z, house.color, Label.BUILDING, spread=0.7)
 
 
@@ -140,7 +140,6 @@ def _dormers(house: House) -> Quads:
 
 
 _FRAMES = ((0.66, 0.65, 0.62), (0.62, 0.62, 0.6), (0.10, 0.055, 0.03), (0.045, 0.075, 0.06), (0.6, 0.58, 0.52))
-_EDGE = 0.04
 
 
 def house_front(house: House) -> Quads:
@@ -239,26 +238,25 @@ def _wall(
 
     Upper floors share all `rows` in every column; the ground floor (`stone`) has one row per column.
     """
-    edge, coarse = _EDGE * house.detail, 0.5 * house.detail
+    coarse = 0.5 * house.detail
     color = house.color if stone is None else stone
     tall = 0.6 * house.detail
     if stone is not None and not house.shop and house.detail < 1.4:  # courses of ashlar, with their joints
         joints = np.arange(z0 + 0.5, z1 - 0.2, 0.46)
         v_lines = np.sort(np.concatenate([[z0, z1], joints - 0.017, joints + 0.017]))
-        edge *= 2
         v_lines = np.unique(np.concatenate([v_lines, 0.5 * (v_lines[1:] + v_lines[:-1])[np.diff(v_lines) > 0.1]]))
     else:
-        v_lines = graded_lines([z0, z1], 2 * edge, tall if house.wall == "plaster" else 0.62 * tall)
+        v_lines = broken_lines([z0, z1], tall if house.wall == "plaster" else 0.62 * tall)
     edges = [0.0, *[x for hole in holes for x in hole], house.width]
     parts: list[Quads] = []
     for x0, x1 in zip(edges[::2], edges[1::2], strict=True):
-        parts.append(panel((0, 0, 0), _X, _Z, graded_lines([x0, x1], edge, coarse), v_lines, color, Label.BUILDING))
+        parts.append(panel((0, 0, 0), _X, _Z, broken_lines([x0, x1], coarse), v_lines, color, Label.BUILDING))
     for k, (x0, x1) in enumerate(holes):
         own = rows if stone is None else [rows[k]]
         levels = [z0, *[z for row in own for z in row], z1]
         for low, high in zip(levels[::2], levels[1::2], strict=True):
             if high - low > 1e-3:
-                x, z = even_lines(x0, x1, coarse), graded_lines([low, high], edge, coarse)
+                x, z = even_lines(x0, x1, coarse), broken_lines([low, high], coarse)
                 parts.append(panel((0, 0, 0), _X, _Z, x, z, color, Label.BUILDING))
     return parts
 
@@ -287,10 +285,10 @@ def _weathered(front: Quads, house: House) -> Quads:
 
 def _cornices(house: House, trim: Any) -> list[Quads]:
     w = house.width
-    coarse = 0.7 * house.detail
-    lower = box((w / 2, -0.06, house.ground_height), (w, 0.16, 0.2), trim, Label.BUILDING, edge=0.1, coarse=coarse,
+    coarse = 0.4 * house.detail
+    lower = box((w / 2, -0.06, house.ground_height), (w, 0.16, 0.2), trim, Label.BUILDING, coarse=coarse,
                 faces="yzZxX")  # fmt: skip
-    upper = box((w / 2, -0.14, house.eaves - 0.13), (w, 0.34, 0.26), trim, Label.BUILDING, edge=0.12, coarse=coarse,
+    upper = box((w / 2, -0.14, house.eaves - 0.13), (w, 0.34, 0.26), trim, Label.BUILDING, coarse=coarse,
                 faces="yzZxX")  # fmt: skip
     frieze = strip(0.0, w, house.eaves - 0.5, house.eaves - 0.42, -0.05, np.asarray(trim) * 0.95, coarse)
     return [lower, upper, frieze]
@@ -303,16 +301,16 @@ def _drainpipe(house: House) -> Quads:
 
 
 def _balcony(x: float, z: float, width: float, trim: Any) -> Quads:
-    slab = box((x, -0.5, z - 0.07), (width, 1.0, 0.14), trim, Label.BUILDING, edge=0.1, coarse=0.45, faces="xXyzZ")
+    slab = box((x, -0.5, z - 0.07), (width, 1.0, 0.14), trim, Label.BUILDING, coarse=0.45, faces="xXyzZ")
     iron = (0.025, 0.027, 0.03)
     posts = np.linspace(x - 0.5 * width + 0.05, x + 0.5 * width - 0.05, max(8, round(width / 0.17)))
     bar = strip(float(posts[0]) - 0.012, float(posts[0]) + 0.012, z, z + 0.98, -0.96, iron, 0.35)
     front = bar.repeated(np.stack([posts - posts[0], np.zeros_like(posts), np.zeros_like(posts)], axis=1))
-    rail = box((x, -0.96, z + 1.0), (width, 0.05, 0.045), iron, Label.BUILDING, edge=0.2, coarse=0.4, faces="yYZ")
+    rail = box((x, -0.96, z + 1.0), (width, 0.05, 0.045), iron, Label.BUILDING, coarse=0.4, faces="yYZ")
     sides: list[Quads] = []
     for end in (x - 0.5 * width + 0.03, x + 0.5 * width - 0.03):
-        sides.append(box((end, -0.5, z + 1.0), (0.045, 0.95, 0.045), iron, Label.BUILDING, edge=0.2, faces="xXZ"))
-        across, up = np.array([0.0, 0.024]), graded_lines([0.0, 0.98], 0.1, 0.35)
+        sides.append(box((end, -0.5, z + 1.0), (0.045, 0.95, 0.045), iron, Label.BUILDING, faces="xXZ"))
+        across, up = np.array([0.0, 0.024]), broken_lines([0.0, 0.98], 0.35)
         for y in np.linspace(-0.85, -0.15, 5):
             sides.append(panel((end, y - 0.012, z), _Y, _Z, across, up, iron, Label.BUILDING))
     return Quads.joined([slab, front, rail, *sides])
@@ -330,7 +328,7 @@ def _shop_front(house: House, others: Sequence[int], bay: float, rng: np.random.
     for run in runs:
         x0, x1 = run[0] * bay + 0.2, (run[-1] + 1) * bay - 0.2
         middle, size = ((x0 + x1) / 2, -0.04, 3.2), (x1 - x0, 0.1, 0.5)
-        parts.append(box(middle, size, house.accent, Label.BUILDING, edge=0.07, coarse=0.5, faces="xXyzZ"))
+        parts.append(box(middle, size, house.accent, Label.BUILDING, coarse=0.5, faces="xXyzZ"))
         letters = rng.uniform(0.12, 0.26, int(min(12, (x1 - x0) / 0.35)))
         at = (x0 + x1) / 2 - letters.sum() * 0.65
         for width in letters:  # an illegible word
@@ -374,8 +372,8 @@ def strip(x0: float, x1: float, z0: float, z1: float, y: float, albedo: Any, ste
     wide = x1 - x0 > z1 - z0
     across = z1 - z0 if wide else x1 - x0
     cells = 1 if across < 0.12 else 2
-    x = graded_lines([x0, x1], 0.1, step) if wide else np.linspace(x0, x1, cells + 1)
-    z = np.linspace(z0, z1, cells + 1) if wide else graded_lines([z0, z1], 0.1, step)
+    x = broken_lines([x0, x1], step) if wide else np.linspace(x0, x1, cells + 1)
+    z = np.linspace(z0, z1, cells + 1) if wide else broken_lines([z0, z1], step)
     return panel((0, y, 0), _X, _Z, x, z, albedo, Label.BUILDING, **more)
 
 
@@ -392,7 +390,7 @@ def opening(width: float, height: float, wall: Any, step: float, deep: float = R
 
 def glass(x0: float, x1: float, z0: float, z1: float, y: float, curtain: float, coarse: float) -> Quads:
     """Make a pane: a dark room behind it, curtains at its sides (0: open, 1: drawn), the reflected street."""
-    x, z = graded_lines([x0, x1], 0.08, coarse), graded_lines([z0, z1], 0.08, coarse)
+    x, z = broken_lines([x0, x1], coarse), broken_lines([z0, z1], coarse)
     pane = panel((0, y, 0), _X, _Z, x, z, 0.02, Label.BUILDING, gloss=_GLOSS, sky_access=0.8)
     center = pane.centers
     sideways = np.abs(center[:, 0] - 0.5 * (x0 + x1)) / (0.5 * (x1 - x0))
@@ -434,7 +432,7 @@ def window(width: float, height: float, wall: Any, trim: Any, frame: Any, curtai
             parts.append(glass(x0, x1, _FRAME, bar - 0.03, y, curtain, coarse))
         else:
             parts.append(glass(x0, x1, _FRAME, height - _FRAME, y, curtain, coarse))
-    sill = box((middle, -0.04, -0.045), (width + 2 * t, 0.10, 0.09), trim, Label.BUILDING, edge=0.1, coarse=0.5,
+    sill = box((middle, -0.04, -0.045), (width + 2 * t, 0.10, 0.09), trim, Label.BUILDING, coarse=0.5,
                faces="yZ")  # fmt: skip
     return Quads.joined([*parts, sill])
 
@@ -514,8 +512,8 @@ def door(width: float, height: float, wall: Any, color: Any, detail: float) -> Q
     deep = 0.28
     top = min(height - 0.12, 2.15)
     wood = np.asarray(color, np.float64)
-    x = graded_lines([0.0, 0.1, 0.5 * width - 0.06, 0.5 * width + 0.06, width - 0.1, width], 0.1, 0.3)
-    z = graded_lines([0.0, 0.16, 0.95, 1.1, top - 0.14, top], 0.1, 0.5 * detail)
+    x = broken_lines([0.0, 0.1, 0.5 * width - 0.06, 0.5 * width + 0.06, width - 0.1, width], 0.3)
+    z = broken_lines([0.0, 0.16, 0.95, 1.1, top - 0.14, top], 0.5 * detail)
     leaf = panel((0, deep, 0), _X, _Z, x, z, wood, Label.BUILDING, gloss=0.12, sky_access=0.6)
     center = leaf.centers
     inset = (np.abs(center[:, 0] - 0.5 * width) > 0.06) & (np.abs(center[:, 0] - 0.5 * width) < 0.5 * width - 0.1)
@@ -523,7 +521,7 @@ def door(width: float, height: float, wall: Any, color: Any, detail: float) -> Q
     leaf = leaf.tinted(np.where(inset, 0.6, 1.15)[:, None])
     brass = (0.5, 0.42, 0.25)
     knob = (0.5 * width + 0.1, deep - 0.04, 1.02)
-    handle = box(knob, (0.05, 0.06, 0.18), brass, Label.BUILDING, edge=0.06, gloss=0.3)
+    handle = box(knob, (0.05, 0.06, 0.18), brass, Label.BUILDING, gloss=0.3)
     transom = strip(0.0, width, top, top + 0.08, deep, wood * 1.2, 0.3, sky_access=0.5)
     light = glass(0.0, width, top + 0.08, height, deep, 0.0, 0.3)
     return Quads.joined([opening(width, height, wall, 0.5 * detail, deep), leaf, handle, transom, light])

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from .layout import TRUCK_LENGTH_M, TRUCK_WIDTH_M, CarShape, Color, Label, StreetLayout
-from .mesh import Quads, graded_lines, patch, surface
+from .mesh import Quads, broken_lines, patch, surface
 
 _GLASS = (0.018, 0.02, 0.022)
 _TRIM = (0.022, 0.022, 0.024)
@@ -199,7 +199,7 @@ def _glass_house(form: CarForm, paint: Any, fine: float) -> Quads:
     pillar = (form.pillar - rear) / span
     thin = 0.05 / span * 1.4
     stops = [0.0, corner / span * 1.2, pillar - thin, pillar + thin, 1 - corner / span * 1.5, 1.0]
-    along = graded_lines(stops, 0.09 * fine / span, 0.17 * fine / span)
+    along = broken_lines(stops, 0.17 * fine / span)
     # Counter-clockwise from the rear right: right side forwards, windshield, left side back, rear window.
     right = np.stack([along, -np.ones_like(along)], axis=1)
     ahead = np.stack([np.ones_like(across), across], axis=1)
@@ -295,7 +295,7 @@ def _badge(
     out: float = 0.045,
 ) -> Quads:  # fmt: skip
     """Lay a colored rectangle on the curved front (end 1) or rear (-1), centered at (y, z)."""
-    yy = graded_lines([y - 0.5 * width, y + 0.5 * width], 0.05 * fine, 0.12 * fine)
+    yy = broken_lines([y - 0.5 * width, y + 0.5 * width], 0.12 * fine)
     zz = np.linspace(z - 0.5 * height, z + 0.5 * height, max(3, round(height / 0.06) + 1))
     part = np.clip(np.abs(yy) / (0.5 * form.width * 0.975), 0, 0.995)
     reach = 0.5 * form.length * (1 - part**4.2) ** (1 / 6.5)

@@ -15,7 +15,7 @@ from .layout import (
     Label,
     StreetLayout,
 )
-from .mesh import Quads, even_lines, graded_lines, lattice_noise, layered_noise, panel, smooth_noise, surface
+from .mesh import Quads, broken_lines, even_lines, lattice_noise, layered_noise, panel, smooth_noise, surface
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _ASPHALT = np.array([0.088, 0.088, 0.090])
@@ -41,7 +41,7 @@ def build_road(layout: StreetLayout) -> Quads:
 def _lanes(layout: StreetLayout, x0: float, x1: float) -> Quads:
     w = layout.parameters.lane_width_m
     seams = [-0.62 * w, -0.62 * w + _SEAM_M, 0.38 * w, 0.38 * w + _SEAM_M]
-    y = graded_lines([-w, -w + 0.1, *seams[:2], -0.06, 0.06, *seams[2:], w - 0.1, w], 0.05, 0.25)
+    y = broken_lines([-w, -w + 0.1, *seams[:2], -0.06, 0.06, *seams[2:], w - 0.1, w], 0.25)
     first = np.ceil(x0 / _STEP_M - 1e-6) * _STEP_M
     inner = np.arange(first, x1 + 1e-6, _STEP_M)
     lines = np.unique(np.round(np.concatenate([[x0, x1], inner[(inner > x0 + 0.1) & (inner < x1 - 0.1)]]), 6))
@@ -82,8 +82,8 @@ def _crossing(layout: StreetLayout, x: float) -> Quads:
     count = int(np.floor(edge / 0.5))
     stops = [float(y) for y in np.arange(-count, count + 1) * 0.5]
     breaks = [-edge, *stops, edge] if edge - stops[-1] > 1e-6 else stops
-    y = graded_lines(breaks, 0.07, 0.16)
-    lines = graded_lines([x, x + CROSSING_LENGTH_M], 0.1, _STEP_M)
+    y = broken_lines(breaks, 0.16)
+    lines = broken_lines([x, x + CROSSING_LENGTH_M], _STEP_M)
     road = panel((0, 0, 0), _X, _Y, lines, y, _ASPHALT, Label.ROAD)
     stripe = np.floor(road.centers[:, 1] / 0.5).astype(int) % 2 == 0
     return _painted(road, stripe & (np.abs(road.centers[:, 1]) < stops[-1]))
@@ -93,9 +93,9 @@ def _parking(layout: StreetLayout, x0: float, x1: float, side: int) -> Quads:
     """Build a parking lane with its gutter; short white marks separate the bays."""
     p = layout.parameters
     inner, outer = p.lane_width_m, p.curb_y_m
-    y = np.append(graded_lines([inner, outer - 0.3, outer], 0.12, 0.3), outer + 0.1)  # a little under the curb
+    y = np.append(broken_lines([inner, outer - 0.3, outer], 0.3), outer + 0.1)  # a little under the curb
     marks = [float(m) for m in np.arange(p.start_x_m + 3.0, p.end_x_m, 6.1) if x0 + 1 < m < x1 - 1]
-    lines = graded_lines([x0, *[e for m in marks for e in (m - 0.06, m + 0.06)], x1], 0.12, 0.34)
+    lines = broken_lines([x0, *[e for m in marks for e in (m - 0.06, m + 0.06)], x1], 0.34)
     road = panel((0, 0, 0), _X, _Y, lines, y if side > 0 else -y[::-1], 0.92 * _ASPHALT, Label.ROAD)
     center = road.centers
     at_mark = np.min(np.abs(center[:, :1] - np.array([marks or [1e9]])), axis=1) < 0.06
@@ -231,7 +231,7 @@ def _across(layout: StreetLayout, end: int) -> Quads:
         parts.append(panel((kerb_x, 0, 0), *axes, _GRANITE, Label.PAVEMENT))
     for s in (1, -1):  # corners at the mouth of the street
         low, high = sorted((near, near + end * CROSS_SIDEWALK_M))
-        parts.append(_curb_face(graded_lines([low, high], 0.3, 0.6), p.curb_y_m, s))
+        parts.append(_curb_face(broken_lines([low, high], 0.6), p.curb_y_m, s))
         parts.append(_yard(layout, end, s))
     return Quads.joined(parts)
 

@@ -154,6 +154,20 @@ class Illumination:
             return light
         return self._light_on(quads, points)
 
+    def sun_reaching(self, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+        """Fraction of the sun that houses, crowns and parked vehicles leave at points."""
+        if self.layout is None:
+            return np.ones(len(points))
+        solid = np.zeros(len(points), np.bool_)
+        if self.layout.parameters.length_m <= _SECTION_M:
+            return sun_visibility(self.layout, self.sun, points, solid)
+        visible, section = np.empty(len(points)), np.floor(points[:, 0] / _SECTION_M).astype(np.int64)
+        for number in np.unique(section).tolist():
+            own, part = np.flatnonzero(section == number), self._section(number * _SECTION_M).layout
+            assert part is not None
+            visible[own] = sun_visibility(part, self.sun, points[own], solid[own])
+        return visible
+
     def _section(self, start_m: float) -> "Illumination":
         """Light on the section of a long street that begins at x = `start_m`."""
         assert self.layout is not None

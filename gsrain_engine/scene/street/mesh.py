@@ -13,7 +13,7 @@ from .layout import Label
 INNER_SPREAD = 0.63
 """Standard deviation of a Gaussian in cell widths, inside a surface: leaves 2 to 4 % of gaps between four cells."""
 
-EDGE_SPREAD = 0.42
+EDGE_SPREAD = 0.37
 """The same across the edge of a surface, or for an isolated one: keeps outlines in place."""
 
 
@@ -79,6 +79,18 @@ class Quads:
     def take(self, chosen: Any) -> "Quads":
         return Quads(*(getattr(self, name)[chosen] for name in _FIELDS))
 
+    def split(self, counts: Int64[np.ndarray, "n 2"]) -> "Quads":
+        """Cut each quad into even cells; `counts` are their numbers along u and v."""
+        total = counts[:, 0] * counts[:, 1]
+        parent = np.repeat(np.arange(len(self)), total)
+        number = np.arange(len(parent)) - np.repeat(np.cumsum(total) - total, total)
+        step = 1.0 / counts[parent]
+        low = np.stack([number // counts[parent, 1], number % counts[parent, 1]], axis=1) * step
+        a, b = (low[:, None, k : k + 1] + _OUTLINE[:, k : k + 1] * step[:, None, k : k + 1] for k in (0, 1))
+        c = self.corners[parent].astype(np.float64)
+        bottom, top = c[:, :1] + a * (c[:, 1:2] - c[:, :1]), c[:, 3:] + a * (c[:, 2:3] - c[:, 3:])
+        return replace(self.take(parent), corners=(bottom + b * (top - bottom)).astype(np.float32))
+
     def tinted(self, factors: Any) -> "Quads":
         """Multiply the albedo by one color or one factor per quad, clamped to 0 .. 0.95."""
         return replace(self, albedo=np.clip(self.albedo * np.asarray(factors, np.float32), 0, np.float32(0.95)))
@@ -116,6 +128,7 @@ class Quads:
         return Quads(*(np.concatenate([getattr(part, name) for part in listed]) for name in _FIELDS))
 
 
+_OUTLINE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # corners of a quad along u and v
 _FIELDS = ("corners", "normals", "albedo", "labels", "sky_access", "sun_access", "gloss", "opacity", "spread",
            "emission")  # fmt: skip
 
@@ -134,10 +147,7 @@ def rotation_about_z(degrees: float) -> Float[np.ndarray, "3 3"]:
 
 
 # Surfaces cut into cells
-# Fine at color edges, coarse in between.
-
-GROWTH = 2.1
-"""Maximum ratio of a cell's width to its neighbor's nearer to the edge."""
+# Breaks at color edges; next to them, `refined` cuts them further.
 
 
 def even_lines(start: float, stop: float, spacing: float) -> Float64[np.ndarray, " n"]:
@@ -145,25 +155,10 @@ def even_lines(start: float, stop: float, spacing: float) -> Float64[np.ndarray,
     return np.linspace(start, stop, max(1, round(np.ceil(abs(stop - start) / spacing - 1e-6))) + 1)
 
 
-def graded_lines(breaks: Sequence[float | int], edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
-    """Grid lines through every break, `edge` apart there and up to `coarse` in the middle between breaks."""
-    parts = [start + _graded(stop - start, edge, coarse)[1:] for start, stop in pairwise(breaks)]
+def broken_lines(breaks: Sequence[float | int], spacing: float) -> Float64[np.ndarray, " n"]:
+    """Grid lines through every break, and evenly between them, at most `spacing` apart."""
+    parts = [even_lines(start, stop, spacing)[1:] for start, stop in pairwise(breaks)]
     return np.concatenate([np.array(breaks[:1], np.float64), *parts])
-
-
-def _graded(length: float, edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
-    """Lines from 0 to `length` whose distances grow from both ends towards the middle."""
-    if length <= 2.5 * edge:
-        return np.linspace(0, length, 2 if length <= 1.3 * edge else 3)
-    steps: list[float] = []
-    step, reached = edge, 0.0
-    while reached + step < 0.5 * length and step < coarse:
-        steps.append(step)
-        reached += step
-        step = min(step * GROWTH, coarse)
-    middle = max(1, round((length - 2 * reached) / step))
-    widths = np.array([*steps, *[(length - 2 * reached) / middle] * middle, *steps[::-1]])
-    return np.concatenate([[0.0], np.cumsum(widths)])
 
 
 def panel(
@@ -217,7 +212,6 @@ def box(
     albedo: Any,
     label: Label,
     *,
-    edge: float = 0.03,
     coarse: float = 0.4,
     faces: str = "xXyYZ",
     **more: Any,
@@ -226,7 +220,7 @@ def box(
     half = [0.5 * float(s) for s in size]
     low = [float(c) - h for c, h in zip(center, half, strict=True)]
     high = [float(c) + h for c, h in zip(center, half, strict=True)]
-    x, y, z = (graded_lines([0.0, 2 * h], edge, coarse) for h in half)
+    x, y, z = (even_lines(0.0, 2 * h, coarse) for h in half)
     ex, ey, ez = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     sides = {
         "x": (low, ez, ey, z, y),

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from .cars import AMBER, DARK, PLATE, RED_TAPE, STEEL, TRIM, TRUCK_FORM, TruckForm, build_wheel, wheel_wells
 from .layout import Color, Label, ParkedTruck, StreetLayout
-from .mesh import Quads, box, graded_lines, panel, patch, surface
+from .mesh import Quads, box, broken_lines, panel, patch, surface
 
 _FRAME = (0.34, 0.345, 0.35)
 _GLOSS = 0.10
@@ -26,8 +26,8 @@ def _flanks(form: TruckForm, body: Color, sign: Color) -> Quads:
     """Build both flanks of the box: panels between rails, with a colored field in the middle."""
     x0, x1 = form.body_back, form.body_front
     low, high = form.floor, form.height
-    x = graded_lines([x0, x0 + 0.06, x0 + 1.6, x1 - 1.3, x1 - 0.06, x1], 0.08, 0.6)
-    z = graded_lines([low, low + 0.12, low + 0.78, low + 1.42, high - 0.07, high], 0.08, 0.5)
+    x = broken_lines([x0, x0 + 0.06, x0 + 1.6, x1 - 1.3, x1 - 0.06, x1], 0.6)
+    z = broken_lines([low, low + 0.12, low + 0.78, low + 1.42, high - 0.07, high], 0.5)
     right = surface(x[:, None], -0.5 * form.width, z, body, Label.TRUCK, gloss=_GLOSS)
     at, up = right.centers[:, 0], right.centers[:, 2] - low
     rail = (up < 0.12) | (up > high - low - 0.07) | (at < x0 + 0.06) | (at > x1 - 0.06)
@@ -42,8 +42,8 @@ def _doors(form: TruckForm, body: Color, sign: Color) -> Quads:
     """Build the rear: two doors in a frame, four locking bars with handles, hinges, reflective tape, and two signs."""
     half, back = 0.5 * form.width, form.body_back
     low, high = form.floor, form.height
-    y = graded_lines([-half, -half + 0.08, -0.66, -0.30, -0.012, 0.012, 0.30, 0.66, half - 0.08, half], 0.08, 0.4)
-    z = graded_lines([low, low + 0.10, low + 0.17, low + 1.30, low + 1.62, high - 0.16, high - 0.09, high], 0.08, 0.5)
+    y = broken_lines([-half, -half + 0.08, -0.66, -0.30, -0.012, 0.012, 0.30, 0.66, half - 0.08, half], 0.4)
+    z = broken_lines([low, low + 0.10, low + 0.17, low + 1.30, low + 1.62, high - 0.16, high - 0.09, high], 0.5)
     rear = surface(back, y[::-1, None], z, body, Label.TRUCK, gloss=_GLOSS)
     at, up = rear.centers[:, 1], rear.centers[:, 2]
     frame = (np.abs(at) > half - 0.08) | (up < low + 0.10) | (up > high - 0.09)
@@ -57,17 +57,17 @@ def _doors(form: TruckForm, body: Color, sign: Color) -> Quads:
     for bar in (-0.74, -0.22, 0.22, 0.74):
         parts.append(
             box((back - 0.03, bar, 0.5 * (low + high)), (0.04, 0.042, high - low - 0.22), (0.17, 0.175, 0.18),
-                Label.TRUCK, edge=0.045, coarse=0.45, faces="xyY", gloss=0.12)
+                Label.TRUCK, coarse=0.45, faces="xyY", gloss=0.12)
         )  # fmt: skip
         parts.append(
             box((back - 0.05, bar + 0.12 * (-1) ** (bar > 0), low + 0.62), (0.03, 0.26, 0.05), STEEL, Label.TRUCK,
-                edge=0.05, coarse=0.1, faces="xZ", gloss=0.1)
+                coarse=0.1, faces="xZ", gloss=0.1)
         )  # fmt: skip
     for side in (-1, 1):
         for share in (0.12, 0.38, 0.64, 0.90):
             parts.append(
                 box((back - 0.02, side * (half - 0.10), low + share * (high - low)), (0.03, 0.16, 0.07), STEEL,
-                    Label.TRUCK, edge=0.06, coarse=0.1, faces="x")
+                    Label.TRUCK, coarse=0.1, faces="x")
             )  # fmt: skip
     return Quads.joined(parts)
 
@@ -75,15 +75,15 @@ def _doors(form: TruckForm, body: Color, sign: Color) -> Quads:
 def _front_and_roof(form: TruckForm, body: Color) -> Quads:
     """Build the box's visible front above the cab, with the cooling unit, its roof and its floor."""
     half, x0, x1 = 0.5 * form.width, form.body_back, form.body_front
-    y = graded_lines([-half, -half + 0.06, half - 0.06, half], 0.08, 0.6)
-    z = graded_lines([form.floor, 2.2, form.height - 0.07, form.height], 0.1, 0.6)
+    y = broken_lines([-half, -half + 0.06, half - 0.06, half], 0.6)
+    z = broken_lines([form.floor, 2.2, form.height - 0.07, form.height], 0.6)
     front = surface(x1, y[:, None], z, body, Label.TRUCK, gloss=_GLOSS)
     rail = (np.abs(front.centers[:, 1]) > half - 0.06) | (front.centers[:, 2] > form.height - 0.07)
     front = replace(front, albedo=np.where(rail[:, None], _FRAME, front.albedo).astype(np.float32))
-    x = graded_lines([x0, x1], 0.09, 0.9)
+    x = broken_lines([x0, x1], 0.9)
     top = surface(x[:, None], y, form.height, body, Label.TRUCK, gloss=_GLOSS)
     under = surface(x[:, None], y[::-1], form.floor, 0.03, Label.TRUCK, sky_access=0.2, sun_access=0.0)
-    cooler = box((x1 + 0.22, 0.0, 2.78), (0.44, 1.5, 0.62), (0.56, 0.56, 0.55), Label.TRUCK, edge=0.07, coarse=0.3,
+    cooler = box((x1 + 0.22, 0.0, 2.78), (0.44, 1.5, 0.62), (0.56, 0.56, 0.55), Label.TRUCK, coarse=0.3,
                  faces="XyYZ", gloss=_GLOSS)  # fmt: skip
     at = cooler.centers
     grille = (at[:, 0] > x1 + 0.43) & (np.abs(at[:, 1]) < 0.58) & (np.abs(at[:, 2] - 2.76) < 0.20)
@@ -221,22 +221,22 @@ def _mirrors(form: TruckForm) -> list[Quads]:
     x, parts = 0.5 * form.length - 0.22, list[Quads]()
     for side in (-1, 1):
         y = side * (0.5 * form.cab_width + 0.15)
-        parts.append(box((x, y, 1.80), (0.11, 0.20, 0.40), TRIM, Label.TRUCK, edge=0.07, coarse=0.2, faces="xXyY",
+        parts.append(box((x, y, 1.80), (0.11, 0.20, 0.40), TRIM, Label.TRUCK, coarse=0.2, faces="xXyY",
                          gloss=0.1))  # fmt: skip
         parts.append(box((x, side * (0.5 * form.cab_width + 0.02), 1.97), (0.035, 0.16, 0.035), TRIM, Label.TRUCK,
-                         edge=0.04, faces="xXzZ"))  # fmt: skip
+                         faces="xXzZ"))  # fmt: skip
     return parts
 
 
 def _trim(form: TruckForm) -> list[Quads]:
     """Wipers, a badge, door handles, steps, and dark wheel wells."""
     front, half = 0.5 * form.length - 0.03, 0.5 * form.cab_width
-    badge = box((front + 0.055, 0, 1.22), (0.02, 0.34, 0.09), (0.5, 0.5, 0.5), Label.TRUCK, edge=0.05, coarse=0.1,
+    badge = box((front + 0.055, 0, 1.22), (0.02, 0.34, 0.09), (0.5, 0.5, 0.5), Label.TRUCK, coarse=0.1,
                 faces="X", gloss=0.2)  # fmt: skip
     axle, arch = form.wheels[1], form.wheel_radius + 0.06
     angle = np.linspace(0.02 * np.pi, 0.98 * np.pi, 9)
     handles = [
-        box((form.cab_back + 0.34, side * (half - 0.01), 1.20), (0.16, 0.03, 0.04), TRIM, Label.TRUCK, edge=0.05,
+        box((form.cab_back + 0.34, side * (half - 0.01), 1.20), (0.16, 0.03, 0.04), TRIM, Label.TRUCK,
             faces="yY")
         for side in (-1, 1)
     ]  # fmt: skip
@@ -247,7 +247,7 @@ def _trim(form: TruckForm) -> list[Quads]:
 
 def _visor(form: TruckForm) -> Quads:
     """The sun visor over the windshield."""
-    return box((0.5 * form.length - 0.20, 0, 2.11), (0.16, 1.62, 0.10), TRIM, Label.TRUCK, edge=0.06, coarse=0.25,
+    return box((0.5 * form.length - 0.20, 0, 2.11), (0.16, 1.62, 0.10), TRIM, Label.TRUCK, coarse=0.25,
                faces="XyYzZ", gloss=0.1)  # fmt: skip
 
 
@@ -265,7 +265,7 @@ def _frame(form: TruckForm) -> Quads:
     """Build the two girders below cab and box, with a cross member behind the cab."""
     x0, x1 = form.body_back + 0.05, form.cab_back + 0.4
     parts = [
-        box((0.5 * (x0 + x1), side * 0.40, 0.82), (x1 - x0, 0.10, 0.30), STEEL, Label.TRUCK, edge=0.15, coarse=1.0,
+        box((0.5 * (x0 + x1), side * 0.40, 0.82), (x1 - x0, 0.10, 0.30), STEEL, Label.TRUCK, coarse=1.0,
             faces="yY", sky_access=0.35, sun_access=0.1)
         for side in (-1, 1)
     ]  # fmt: skip
@@ -278,8 +278,8 @@ def _rear_end(form: TruckForm) -> Quads:
     """Build lamps, number plate, underrun bar with striped ends, buffers and mud flaps."""
     back, half = form.body_back, 0.5 * form.width
     parts = [
-        box((back + 0.09, 0, 0.79), (0.12, 2.0, 0.22), STEEL, Label.TRUCK, edge=0.08, coarse=0.25, faces="xyYzZ"),
-        box((back + 0.06, 0, 0.50), (0.10, 2.1, 0.12), (0.14, 0.145, 0.15), Label.TRUCK, edge=0.06, coarse=0.25,
+        box((back + 0.09, 0, 0.79), (0.12, 2.0, 0.22), STEEL, Label.TRUCK, coarse=0.25, faces="xyYzZ"),
+        box((back + 0.06, 0, 0.50), (0.10, 2.1, 0.12), (0.14, 0.145, 0.15), Label.TRUCK, coarse=0.25,
             faces="xyYzZ", gloss=0.06),
         _rear_panel(back - 0.005, 0.0, 0.79, 0.52, 0.12, PLATE),
         _rear_panel(back - 0.02, 0.0, form.floor + 0.05, 0.30, 0.06, DARK),
@@ -290,9 +290,7 @@ def _rear_end(form: TruckForm) -> Quads:
         lamps = ((0.88, 0.16, _RED_LAMP), (0.73, 0.13, AMBER), (0.61, 0.10, _WHITE_LAMP))
         for y, width, color in lamps:
             parts.append(_rear_panel(back - 0.012, side * y, 0.80, width, 0.16, color, gloss=0.08))
-        parts.append(
-            box((back + 0.10, side * 0.5, 0.64), (0.07, 0.09, 0.20), STEEL, Label.TRUCK, edge=0.08, faces="xyY")
-        )
+        parts.append(box((back + 0.10, side * 0.5, 0.64), (0.07, 0.09, 0.20), STEEL, Label.TRUCK, faces="xyY"))
         parts.append(_rear_panel(back - 0.008, side * (half - 0.055), form.height - 0.05, 0.09, 0.05, _RED_LAMP))
         flap = panel((form.wheels[0] - 0.60, side * 0.78 + 0.27, 0.16), (0, -1, 0), (0, 0, 1), np.linspace(0, 0.54, 4),
                      np.linspace(0, 0.62, 5), DARK, Label.TRUCK, sky_access=0.6)  # fmt: skip
@@ -320,9 +318,9 @@ def _guards(form: TruckForm) -> Quads:
         parts += _flank_panels(x - 0.03, x + 0.03, 0.48, 0.97, half - 0.04, STEEL)
     for x in (form.body_back + 0.9, x0 + 0.6, x1 - 0.5):
         parts += _flank_panels(x - 0.06, x + 0.06, 1.02, 1.075, half + 0.006, AMBER)
-    tank = box((x1 - 0.65, -0.76, 0.70), (0.9, 0.5, 0.48), (0.26, 0.265, 0.27), Label.TRUCK, edge=0.08, coarse=0.25,
+    tank = box((x1 - 0.65, -0.76, 0.70), (0.9, 0.5, 0.48), (0.26, 0.265, 0.27), Label.TRUCK, coarse=0.25,
                faces="xXy", gloss=0.1, sky_access=0.6)  # fmt: skip
-    battery = box((x1 - 0.55, 0.74, 0.70), (0.7, 0.5, 0.42), DARK, Label.TRUCK, edge=0.1, coarse=0.25, faces="xXY",
+    battery = box((x1 - 0.55, 0.74, 0.70), (0.7, 0.5, 0.42), DARK, Label.TRUCK, coarse=0.25, faces="xXY",
                   sky_access=0.6)  # fmt: skip
     angle = np.linspace(0.12 * np.pi, 0.88 * np.pi, 9)
     radius = form.wheel_radius + 0.09
@@ -335,7 +333,7 @@ def _guards(form: TruckForm) -> Quads:
 
 def _flank_panels(x0: float, x1: float, z0: float, z1: float, half: float, albedo: Color) -> list[Quads]:
     """Make the same rectangle on the right and on the left flank."""
-    x = graded_lines([x0, x1], min(0.08, x1 - x0), 0.6)
+    x = broken_lines([x0, x1], 0.6)
     z = np.linspace(z0, z1, 3)
     right = surface(x[:, None], -half, z, albedo, Label.TRUCK, gloss=0.06)
     return [right, right.mirrored()]
@@ -344,9 +342,9 @@ def _flank_panels(x0: float, x1: float, z0: float, z1: float, half: float, albed
 def _undercarriage(form: TruckForm) -> Quads:
     """Build axles, engine and other dark parts below, which block the view under the truck."""
     rear, front = form.wheels
-    engine = box((front - 0.1, 0, 0.62), (1.3, 1.1, 0.5), DARK, Label.TRUCK, edge=0.2, coarse=0.4, faces="xXyYz",
+    engine = box((front - 0.1, 0, 0.62), (1.3, 1.1, 0.5), DARK, Label.TRUCK, coarse=0.4, faces="xXyYz",
                  sky_access=0.2, sun_access=0.0)  # fmt: skip
-    axle = box((rear, 0, 0.42), (0.24, 1.2, 0.22), DARK, Label.TRUCK, edge=0.15, coarse=0.4, faces="xXzZ",
+    axle = box((rear, 0, 0.42), (0.24, 1.2, 0.22), DARK, Label.TRUCK, coarse=0.4, faces="xXzZ",
                sky_access=0.25, sun_access=0.0)  # fmt: skip
     return Quads.joined([engine, axle])
 

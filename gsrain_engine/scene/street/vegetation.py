@@ -8,11 +8,12 @@ from jaxtyping import Float, Float64
 from ..geometry import linear_to_srgb
 from .ground import longer_by_m
 from .layout import CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
-from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, surface, tube
+from .mesh import Quads, box, layered_noise, patch, surface, tube
 
 _BARK = (0.115, 0.09, 0.065)
 _LEAF = np.array([0.085, 0.17, 0.03])
 _TWIGS, _LEAVES_A_TWIG = 58, 29
+_LEAF_SPREAD = 0.44
 
 
 def build_trees(layout: StreetLayout, sun: Float64[np.ndarray, "3"]) -> Quads:
@@ -106,7 +107,7 @@ def _leaves(
     # The diagonals of these quads are the leaf's axes, so cell widths are 0.71 of them.
     return Quads.of(
         corners, (_LEAF + yellow) * tint[:, None], Label.VEGETATION, normals=normals, sun_access=lit,
-        sky_access=0.25 + 0.75 * open_sky, opacity=0.98, spread=EDGE_SPREAD,
+        sky_access=0.25 + 0.75 * open_sky, opacity=0.98, spread=_LEAF_SPREAD,
     )  # fmt: skip
 
 
@@ -175,8 +176,8 @@ def _lamp(x: float, y: float) -> Quads:
     arm = np.stack([np.full_like(turn, x), arm_y, arm_z], axis=1)
     _, head_y, head_z = lantern_position(x, y)
     curve = tube(arm, np.linspace(0.05, 0.04, 7), _IRON, Label.POLE, sides=6, gloss=0.06)
-    head = box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, edge=0.06, coarse=0.16)
-    glass = box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, edge=0.06, coarse=0.16,
+    head = box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, coarse=0.16)
+    glass = box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, coarse=0.16,
                 faces="xXyYz", emission=LANTERN_LIGHT)  # fmt: skip
     return Quads.joined([_pole(x, y, 5.82, 0.075, _IRON), curve, head, glass])
 
@@ -243,8 +244,8 @@ SKY_SPREAD = 0.8
 def build_sky(layout: StreetLayout) -> Quads:
     """Build the dome around the middle of the street, from just below the horizon to the zenith."""
     p = layout.parameters
-    azimuth = np.radians(np.linspace(0, 360, 209))
-    elevation = np.radians(np.concatenate([np.arange(-8, 27, 1.3), np.linspace(28, 56, 12), np.linspace(60, 90, 8)]))
+    azimuth = np.radians(np.linspace(0, 360, 361))
+    elevation = np.radians(np.concatenate([np.arange(-8, 32, 0.8), np.linspace(33, 56, 16), np.linspace(60, 90, 8)]))
     level = np.cos(elevation)
     x, y = level * np.cos(azimuth)[:, None], level * np.sin(azimuth)[:, None]
     points = (RADIUS_M + longer_by_m(layout)) * np.stack(np.broadcast_arrays(x, y, np.sin(elevation)), axis=2)

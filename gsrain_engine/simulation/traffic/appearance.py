@@ -17,6 +17,7 @@ from ...scene.street.cars import CAR_FORMS, TRUCK_FORM, build_car, vehicle_shado
 from ...scene.street.layout import STREETS, CarShape, Color, ParkedTruck, StreetParameters, TimeOfDay
 from ...scene.street.lighting import LIGHT_OF, LIGHTINGS, Illumination
 from ...scene.street.mesh import Quads
+from ...scene.street.refinement import refined_vehicle
 from ...scene.street.trucks import build_truck
 
 
@@ -160,7 +161,7 @@ def built_in_vehicle(name: str, time_of_day: TimeOfDay = "day") -> VehicleModel 
     else:
         shape: CarShape = next(each for each in CAR_FORMS if each == kind)
         form, body = CAR_FORMS[shape], build_car(shape, color)
-    quads = Quads.joined([vehicle_shadow(form.length, form.width), body])
+    quads = Quads.joined([vehicle_shadow(form.length, form.width), refined_vehicle(body)])
     clear, rainy = (Illumination.over(StreetParameters(), lighting=LIGHTINGS[each]) for each in LIGHT_OF[time_of_day])
     gaussians, wet_sh = quads_to_gaussians(quads, clear), wet_colors(quads, rainy)
     return VehicleModel(gaussians, (form.length, form.width, form.height), wet_sh)

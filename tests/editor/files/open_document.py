@@ -18,7 +18,7 @@ def settle(editor):
     for _ in range(4):
         wait(editor.pending_files, timeout=60)
         editor.tick(0.0)
-        editor.apply(DrawResult(is_pending_ready=True))
+        editor.apply(DrawResult(editor.render_input(96, 64), is_pending_ready=True))
 
 
 def answer(editor, label):

@@ -58,16 +58,28 @@ def test_a_list_of_factors_makes_the_rain():
 
 def test_coalitions_switch_the_rest_off():
     found = RainFactors.of(RAIN, (ALL,), "street")
-    assert found.weather(frozenset(found.game.factors)) == (RAIN, False)
-    rain, in_twin = found.weather(frozenset({"medium", "light"}))
+    assert found.weather(frozenset(found.game.factors)) == (RAIN, False, None)
+    rain, in_twin, _ = found.weather(frozenset({"medium", "light"}))
     assert in_twin and rain == structs.replace(
         RAIN, streak_gain=0.0, wetness=0.0, mirror=False, splashes=False, glass="none"
     )
-    rain, in_twin = found.weather(frozenset({"light", "wet", "streaks"}))
+    rain, in_twin, _ = found.weather(frozenset({"light", "wet", "streaks"}))
     assert not in_twin and rain.wetness is None and (rain.haze, rain.visibility_m) == ("none", None)
     none = found.weather(frozenset()).rain
     assert none == clear_rain(RAIN) and (none.intensity_mm_h, none.glass, none.visibility_m) == (0.0, "none", None)
     assert wetness(none.intensity_mm_h) == 0
+
+
+def test_friction_is_a_factor_of_drives_alone():
+    wet, dry = (RainFactors.of(RAIN, (ALL,), "my_scene", friction=each) for each in ("wet", "dry"))
+    assert wet.game.factors == (*dry.game.factors, "friction") and "friction" not in wet.game.after
+    assert [wet.weather(frozenset(each)).friction for each in (["friction"], ["glass"], [])] == ["wet", "dry", "wet"]
+    assert {dry.weather(frozenset(each)).friction for each in (["glass"], [])} == {"dry"}
+    named = RainFactors.of(RAIN, ("friction", "glass"), "my_scene", friction="dry")
+    assert (named.game.factors, named.friction) == (("glass", "friction"), "wet")
+    assert RainFactors.of(RAIN, ("glass",), "my_scene", friction="wet").friction == "dry"
+    with pytest.raises(ValueError, match="attribute friction: pictures have none"):
+        RainFactors.of(RAIN, ("friction",), "my_scene")
 
 
 def test_streaks_and_medium_are_all_that_falls_and_neither_replaces_the_other():

@@ -1,6 +1,7 @@
 """Gaussians that are written come back as far as their format can hold them, and real files agree with one another."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -11,12 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from gsrain_engine.scene.formats.lod_file import read_lod_tree, write_lod_tree
 from gsrain_engine.scene.formats.ply import write_ply
 from gsrain_engine.scene.formats.registry import read_gaussians
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import normalized
 from gsrain_engine.scene.lod_order import lod_order
+from gsrain_engine.scene.lod_tree import build_lod_tree
 from gsrain_engine.scene.open import load_sorted_scene
 
 from .sample_files import (
@@ -104,6 +107,21 @@ def test_gaussians_come_back(
     np.testing.assert_allclose(after.sh[:, 0], before.sh[:, 0], atol=row.base)
     assert after.sh_degree == min(before.sh_degree, row.sh_degree)
     np.testing.assert_allclose(after.sh[:, 1:], before.sh[:, 1 : after.sh.shape[1]], atol=row.rest)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".spz"])
+def test_files_tell_antialiased_gaussians_from_others(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{suffix}"
+    for antialiased in (True, False):
+        path.write_bytes(written(replace(sample_gaussians(50, 1), antialiased=antialiased), suffix))
+        assert read_gaussians(path).antialiased is antialiased
+        tree = build_lod_tree(read_gaussians(path))
+        write_lod_tree(tree, tmp_path / "a.lod", path)
+        found = read_lod_tree(tmp_path / "a.lod", path)
+        assert found.nodes.antialiased is found.gaussians.antialiased is antialiased
+    if suffix == ".ply":  # as other programs mark it
+        path.write_bytes(path.read_bytes().replace(b"element vertex", b"comment antialiased 1\nelement vertex", 1))
+        assert read_gaussians(path).antialiased
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".spz"])

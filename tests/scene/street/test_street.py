@@ -1,5 +1,7 @@
 """The built-in street: sound Gaussians, free lanes, vehicles on their wheels, cameras, and the meshes that it is of."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -24,7 +26,8 @@ from gsrain_engine.scene.street.cars import TRUCK_FORM
 from gsrain_engine.scene.street.ground import build_road
 from gsrain_engine.scene.street.layout import CURB_HEIGHT_M, STREETS, Label, StreetParameters, plan_street
 from gsrain_engine.scene.street.lighting import Illumination
-from gsrain_engine.scene.street.mesh import Quads, box, even_lines, graded_lines, panel
+from gsrain_engine.scene.street.mesh import EDGE_SPREAD, Quads, box, broken_lines, even_lines, panel
+from gsrain_engine.scene.street.refinement import ego_camera_line, refined, split_at_shadows
 from gsrain_engine.scene.street.trucks import build_truck
 
 from ..formats.sample_files import assert_valid
@@ -44,7 +47,7 @@ def test_the_same_parameters_give_the_same_sound_gaussians(street: Scene, surfac
     names = ["road", "pavements", "houses", "trees", "parked cars", "parked trucks", "furniture", "surroundings", "sky"]
     assert [layer.name for layer in street.layers] == names
     assert [layer.name for layer in street.layers if layer.kind == "sky"] == ["sky"]
-    assert 200_000 <= street.gaussian_count <= 410_000
+    assert 600_000 <= street.gaussian_count <= 750_000
     for each, same in zip(street.members, build_street().members, strict=True):
         assert_valid(each.gaussians)
         color = SH_C0 * each.gaussians.sh[:, 0] + 0.5
@@ -202,13 +205,51 @@ def areas(quads: Quads) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(c[:, 2] - c[:, 0], c[:, 3] - c[:, 1]), axis=1)
 
 
-@given(st.lists(st.floats(0.02, 9.0), min_size=1, max_size=5), st.floats(0.01, 0.2), st.floats(0.2, 1.0))
-def test_graded_lines_rise_and_hit_every_break(lengths: list[float], edge: float, coarse: float) -> None:
+@given(st.lists(st.floats(0.02, 9.0), min_size=1, max_size=5), st.floats(0.2, 1.0))
+def test_broken_lines_rise_and_hit_every_break(lengths: list[float], spacing: float) -> None:
     breaks = [0.0, *np.cumsum(lengths)]
-    lines = graded_lines(breaks, edge, coarse)
+    lines = broken_lines(breaks, spacing)
     assert (np.diff(lines) > 0).all()
     assert all(np.min(np.abs(lines - at)) < 1e-9 for at in breaks)
-    assert np.diff(lines).max() <= max(1.5 * coarse, 1.5 * edge) + 1e-9
+    assert np.diff(lines).max() <= spacing + 1e-9
+
+
+def test_cells_are_small_at_color_edges_and_grow_away_from_them() -> None:
+    line = ego_camera_line(StreetParameters())
+    lines = even_lines(-2.0, 2.0, 0.5)
+    wall = panel((60, 8.0, 2.0), (1, 0, 0), (0, 0, 1), lines, lines, 0.5, Label.BUILDING)  # faces the road
+    wall = wall.tinted(np.where(wall.centers[:, :1] < 60, 0.3, 1.0))
+    fine = refined(wall, line, 1.0)
+    assert areas(fine).sum() == pytest.approx(16.0, rel=1e-5)
+    assert set(np.unique(fine.albedo)) == set(np.unique(wall.albedo))
+    extent = np.ptp(fine.corners, axis=1)[:, [0, 2]]
+    away = np.abs(fine.centers[:, 0] - 60)
+    pixel = (8.0 + 1.7) / 0.4663 / 1030 * (1 / 0.4663)  # along the wall, as the camera passes
+    inside = np.abs(fine.centers[:, 2] - 2) < 1.5  # without the outline
+    at_edge = extent[inside & (away < pixel), 0]
+    assert len(at_edge) and (0.5 * pixel < at_edge).all() and (at_edge < 1.5 * pixel).all()
+    assert extent[inside & (away > 0.5) & (away < 1.5)] == pytest.approx(0.5)
+    assert len(refined(wall, line, 0.5)) > len(fine) > 1.5 * len(wall)
+    # Gaussians of the cells do not reach across the edge.
+    reach = away / (fine.spread[:, 0] * extent[:, 0])
+    assert reach[inside & (away < 0.5)].min() > 0.5 / EDGE_SPREAD - 1e-3
+    behind = replace(wall, corners=wall.corners[:, ::-1])
+    assert len(refined(behind, line, 1.0)) < len(fine)
+
+
+def test_shadows_are_cut_where_the_sun_casts_them(surfaces: StreetSurfaces) -> None:
+    p = surfaces.layout.parameters
+    road = build_road(surfaces.layout)
+    light = Illumination.over(p, surfaces.layout)
+    cells = split_at_shadows(road, ego_camera_line(p), light, p.edge_px)
+    assert areas(cells).sum() == pytest.approx(areas(road).sum(), rel=1e-5)
+
+    def changes(quads: Quads) -> np.ndarray:
+        """Square meters of road by the change of the sun's light inside a quad, from 0 to 1."""
+        at = [light.sun_reaching(quads.corners[:, k]) for k in range(4)]
+        return np.histogram(np.ptp(at, axis=0), 5, (0, 1), weights=areas(quads))[0]
+
+    assert changes(cells)[3:].sum() < 0.5 * changes(road)[3:].sum()
 
 
 def test_panels_and_boxes_face_outwards_and_keep_their_area() -> None:

@@ -1,0 +1,111 @@
+"""The viewport's pictures, drawn on a thread of their own, so that the interface never waits for one."""
+
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import moderngl
+
+from ...threads import lower_thread_priority
+from .frame import DrawResult, MosaicInput, MosaicResult, RenderInput
+from .live_view import LiveView, MosaicImages, WindowBackend
+
+
+@runtime_checkable
+class PictureContext(Protocol):
+    """OpenGL context that shares its textures with that of the window."""
+
+    def enter(self) -> moderngl.Context:
+        """Make the context current on the calling thread."""
+        ...
+
+    def finish(self) -> None:
+        """Wait until everything is drawn; other Python threads go on meanwhile."""
+        ...
+
+    def leave(self) -> None:
+        """Release the context from the calling thread."""
+        ...
+
+
+class Picture(NamedTuple):
+    """Images of the viewport, and those of the camera rig if they were requested."""
+
+    result: DrawResult
+    mosaic: MosaicResult | None
+
+
+class PictureThread:
+    """Draws one picture at a time: once a frame, `take` a finished one, and `begin` the next from the present state.
+
+    The editor's values are immutable, so the frames that the interface draws meanwhile change nothing in the picture.
+    Each image has two textures, which take turns: those of the last picture stay as they are while the next is drawn.
+    """
+
+    def __init__(self, context: PictureContext, backend: WindowBackend) -> None:
+        self._context = context
+        self._backend: WindowBackend = backend
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="pictures", initializer=lower_thread_priority)
+        self._opening: Future[tuple[LiveView, MosaicImages]] = self._thread.submit(self._open)
+        self._drawing: Future[Picture] | None = None
+        self._last = DrawResult()
+        self._is_closed = False
+
+    @property
+    def is_drawing(self) -> bool:
+        return self._drawing is not None
+
+    @property
+    def is_settled(self) -> bool:
+        """True if no other back end takes over from that of the last picture."""
+        return self._last.is_settled
+
+    @property
+    def is_current(self) -> bool:
+        """True if nothing is being drawn, and nothing had changed when the last picture was begun."""
+        is_busy = self._drawing is not None and not self._drawing.done()
+        return not (is_busy or self._last.drawn or self._last.is_catching_up) and self.is_settled
+
+    @property
+    def last(self) -> DrawResult:
+        """Result of the last picture that was taken."""
+        return self._last
+
+    def take(self) -> Picture | None:
+        """Return the picture that was finished since the last call, if any. Raises what its drawing has raised."""
+        if self._drawing is None or not self._drawing.done():
+            return None
+        drawn, self._drawing = self._drawing, None
+        picture = drawn.result()
+        self._last = picture.result
+        return picture
+
+    def wait(self) -> None:
+        """Wait until `take` has an answer."""
+        if self._drawing is not None:
+            wait([self._drawing])
+
+    def begin(self, frame: RenderInput, mosaic: MosaicInput | None) -> None:
+        """Begin to draw a picture, after the last one was taken."""
+        assert self._drawing is None, "one picture at a time"
+        self._drawing = self._thread.submit(self._draw, frame, mosaic)
+
+    def close(self) -> None:
+        """Wait for the picture that is being drawn, and end the thread. Further calls do nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._thread.submit(self._context.leave)
+            self._thread.shutdown()
+
+    # On the thread
+
+    def _open(self) -> tuple[LiveView, MosaicImages]:
+        context = self._context.enter()
+        return LiveView(context, self._backend, self._context.finish), MosaicImages(context)
+
+    def _draw(self, frame: RenderInput, mosaic: MosaicInput | None) -> Picture:
+        view, images = self._opening.result()
+        result = view.draw(frame)
+        aside = None if mosaic is None else images.draw(mosaic, view)
+        if aside is not None:
+            self._context.finish()
+        return Picture(result, aside)

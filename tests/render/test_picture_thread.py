@@ -1,0 +1,160 @@
+"""Pictures drawn on a thread: as those drawn at once, while the editor goes on; errors; and what changes in time."""
+
+import re
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor.drawing.picture_thread import PictureThread
+from gsrain_engine.editor.edits.members import replace_scene
+from gsrain_engine.editor.viewport.options import LEVELS
+from gsrain_engine.editor.viewport_state import PendingScene
+from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.render.opengl.context import NoOpenGLError, open_context
+from live_frames import SIZE, darkened, draw_frame
+from repository import REPOSITORY
+from small_scene import small_scene
+
+
+class OwnContext:
+    """A context of the thread's own."""
+
+    def enter(self):
+        self._context = open_context("egl")
+        return self._context.__enter__()
+
+    def finish(self):
+        self._context.finish()
+
+    def leave(self):
+        self._context.__exit__(None, None, None)
+        self._context.release()
+
+
+@pytest.fixture
+def pictures():
+    try:
+        open_context("egl").release()
+    except NoOpenGLError as error:
+        pytest.skip(str(error))
+    thread = PictureThread(OwnContext(), "opengl")
+    yield thread
+    thread.close()
+    thread.close()
+
+
+def begin(editor, pictures):
+    pictures.begin(editor.render_input(*SIZE), editor.mosaic_input())
+
+
+def finish(editor, pictures):
+    """Take the picture that is being drawn, as the window does."""
+    pictures.wait()
+    taken = pictures.take()
+    editor.apply(taken.result)
+    return taken.result
+
+
+def rain(editor):
+    editor.document.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
+
+
+def test_a_picture_of_the_thread_is_that_drawn_at_once_and_the_editor_may_change_meanwhile(
+    editor, pictures, view, tmp_path
+):
+    rain(editor)
+    first, other = editor.document.scene, darkened(editor.document.scene)
+    for number, draw in enumerate((lambda: draw_frame(editor, view), lambda: begin(editor, pictures))):
+        editor.viewport.screenshot = tmp_path / f"{number}.png"
+        draw()
+    editor.document.edit("Darker", replace_scene, other)
+    editor.viewport.screenshot, editor.viewport.staged = tmp_path / "2.png", PendingScene("More", first)
+    finish(editor, pictures)
+    at_once, on_thread = (np.asarray(Image.open(tmp_path / f"{number}.png")) for number in (0, 1))
+    assert np.array_equal(at_once, on_thread) and at_once.any()
+    # Nothing of the older frame is taken for an answer about the present one.
+    assert editor.viewport.screenshot == tmp_path / "2.png"
+    assert editor.viewport.staged is not None and editor.document.scene is other
+    assert editor.live_rain.sky_is_stale
+    assert not pictures.is_current
+    begin(editor, pictures)
+    finish(editor, pictures)
+    assert editor.viewport.screenshot is None and editor.viewport.staged is None
+    assert not np.array_equal(np.asarray(Image.open(tmp_path / "2.png")), on_thread)
+    for _ in range(40):  # the new scene's sky is sampled an image at a time
+        begin(editor, pictures)
+        finish(editor, pictures)
+    assert pictures.is_current and not editor.live_rain.sky_is_stale
+
+
+def test_the_picture_on_the_screen_stays_while_the_next_is_drawn(editor, view):
+    (first,) = draw_frame(editor, view)
+    pixels = first.read()
+    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
+    (second,) = draw_frame(editor, view)
+    assert first.read() == pixels != second.read()
+    (third,) = draw_frame(editor, view, (SIZE[0], 2 * SIZE[1]))
+    assert second.read() and third.size == (SIZE[0], 2 * SIZE[1])
+
+
+def test_an_error_of_one_picture_is_raised_once_and_the_next_is_drawn(editor, pictures, monkeypatch):
+    with monkeypatch.context() as broken:
+        broken.setattr(LiveView, "draw", lambda view, frame: 1 / 0)
+        begin(editor, pictures)
+        pictures.wait()
+    with pytest.raises(ZeroDivisionError):
+        pictures.take()
+    assert pictures.take() is None
+    begin(editor, pictures)
+    assert finish(editor, pictures).drawn is not None
+
+
+def test_overlays_follow_the_picture_on_the_screen(editor, view):
+    draw_frame(editor, view)
+    before = editor.viewport.shot(*SIZE).camera.world_to_camera
+    editor.viewport.navigation.orbit(0.5, 0.0)
+    assert np.array_equal(editor.viewport.canvas_view(*SIZE).camera.world_to_camera, before)
+    draw_frame(editor, view)
+    assert not np.array_equal(editor.viewport.canvas_view(*SIZE).camera.world_to_camera, before)
+
+
+def test_playing_rain_holds_the_frame_time_and_a_paused_picture_is_exact(editor):
+    def quality():
+        return editor.render_input(*SIZE).quality
+
+    clock, budget = editor.playback.clock, editor.viewport.budget
+    clock.playing = True
+    quality()
+    budget.measured(LEVELS[0], 10 * budget.target_ms)
+    assert quality().is_exact  # a clear scene looks the same at any time
+    rain(editor)
+    assert not quality().is_exact
+    clock.playing = False
+    budget.observe(moving=False, real_s=1.0)
+    assert quality().is_exact
+
+
+def test_no_time_passes_where_nothing_happens(editor):
+    clock = editor.playback.clock
+    clock.playing = True
+    editor.tick(0.5)
+    assert clock.time_s == 0.5  # the ego vehicle drives
+    editor.document.edit("Alone", replace_scene, replace(small_scene(), ego=None, rigs={}))
+    editor.tick(0.5)
+    assert clock.time_s == 0.5
+    rain(editor)
+    editor.tick(0.5)
+    assert clock.time_s == 1.0
+
+
+def test_kernels_of_pictures_let_the_interface_go_on():
+    folders = ("render/cpu", "rain", "water", "scene", "editor/selection")
+    files = [path for each in folders for path in (REPOSITORY / "gsrain_engine" / each).rglob("*.py")]
+    kernels = [(path.name, each) for path in files for each in re.findall(r"@numba\.njit\([^)]*\)", path.read_text())]
+    compiled = [(name, each) for name, each in kernels if "cache=True" in each]
+    assert len(compiled) > 50
+    assert [(name, each) for name, each in compiled if "nogil=NOGIL" not in each] == []
