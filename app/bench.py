@@ -62,7 +62,7 @@ _COLUMNS = 120  # table width, also if the output is a file
 def render(
     *,
     scenes: Scenes = _SCENES,
-    backends: Annotated[str | None, option("auto, cpu, opengl, cuda, with commas; default: all but cuda.")] = None,
+    backends: Annotated[str | None, option("auto, cpu, opengl, with commas; default: all.")] = None,
     sizes: Annotated[str, option("WIDTHxHEIGHT,... in pixels.")] = "960x640",
     rain: Annotated[
         str, setting(RainSettings, "intensity_mm_h", "Several with commas; the rest is the preset's.")

@@ -17,7 +17,7 @@ from gsrain_engine import plugins
 from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
-from .console import print
+from .console import print, run_with_progress
 from .options import JsonFile, flag, has_display, option
 from .outputs import check_writable, write_numbers
 
@@ -63,13 +63,13 @@ def doctor(
     if pair is not None and not self_test:
         raise ValueError("--pair is for --self-test")
     video, threads = _video(), _threads()
-    needed = [_opengl(), _fastest(), threads] if is_frozen() else [_opengl(), _fastest(), video, threads]
+    needed = [find_opengl(), _fastest(), threads] if is_frozen() else [find_opengl(), _fastest(), video, threads]
     tested = find_depth_order()
     weights = (
         find_lpips, find_inception, find_base_model, find_text_encoder, find_transfer_weights, find_clip_model,
         find_normals_weights, find_normals_program, find_detector_file,
     )  # fmt: skip
-    optional = [each() for each in (_osmesa, _display, _cuda, _gsplat, *weights, find_zsh)]
+    optional = [each() for each in (_osmesa, _display, _cuda, find_gsplat, *weights, find_zsh)]
     optional = [*([video] if is_frozen() else []), *optional, *map(_package, _PACKAGES)]
     added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
     marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
@@ -118,8 +118,11 @@ def finding(name: str, remedy: str = "") -> Callable[[Callable[[], str]], Callab
 
 
 @finding("OpenGL without a window (EGL)")
-def _opengl() -> str:
-    return _describe_context("egl")
+def find_opengl() -> str:
+    from gsrain_engine.render.opengl.context import nvidia_remedy
+
+    found = _describe_context("egl")
+    return f"{found}; {remedy}" if found.endswith("(software)") and (remedy := nvidia_remedy()) else found
 
 
 @finding("OSMesa (stands in where EGL is missing)", "(optional; Debian 13 no longer has it)")
@@ -245,13 +248,19 @@ def _cuda() -> str:
     return torch.cuda.get_device_name()
 
 
-@finding("gsplat (draws and trains on CUDA GPUs)")
-def _gsplat() -> str:
-    """Open `--backend cuda`: gsplat is installed without its kernels and compiles them itself."""
-    from gsrain_engine.backends import device_of, open_renderer
+@finding("gsplat (trains on CUDA GPUs)")
+def find_gsplat() -> str:
+    """Load gsplat's kernels: it is installed without them and compiles them itself."""
+    if importlib.util.find_spec("gsplat") is None:
+        raise RuntimeError(f"not installed: {how_to_add('cuda')}")
+    import torch
 
-    with open_renderer("cuda") as renderer:
-        return f"--backend cuda draws on {device_of(renderer)}"
+    from gsrain_engine.render.gsplat_build import build_gsplat
+
+    if not torch.cuda.is_available():
+        raise RuntimeError("torch sees no CUDA device; gsrain reconstruct trains on the processor.")
+    run_with_progress(build_gsplat())
+    return f"{metadata.version('gsplat')}, gsrain reconstruct trains on {torch.cuda.get_device_name()}"
 
 
 @finding("LPIPS weights (a quality measure of reports)")

@@ -164,14 +164,6 @@ def timed_opengl(context: moderngl.Context, rasterizer: Rasterizer) -> TimedBack
     return TimedBackend(renderer, draw_ms)
 
 
-def timed_cuda(gsplat: str) -> TimedBackend:
-    """Our CUDA renderer timed by CUDA events around the whole frame."""
-    from gsrain_engine.render.cuda import CudaRenderer
-
-    renderer = CudaRenderer(import_module(gsplat).rasterization, torch_device())
-    return TimedBackend(renderer, lambda *arguments: cuda_ms(lambda: renderer.draw(*arguments)))
-
-
 @contextmanager
 def timed_backends(options: Options, errors: dict[str, str]) -> Generator[dict[str, TimedBackend]]:
     """Back ends that can be opened; `errors` gets the others."""
@@ -184,8 +176,6 @@ def timed_backends(options: Options, errors: dict[str, str]) -> Generator[dict[s
             for rasterizer in ("tiles", "quads"):
                 with noted(errors, f"opengl-{rasterizer}"):
                     opened[f"opengl-{rasterizer}"] = timed_opengl(context, rasterizer)
-        with noted(errors, "cuda"):
-            opened["cuda"] = timed_cuda(options.gsplat)
         yield opened
 
 
@@ -309,7 +299,7 @@ def stages_ms(renderer: Any, scene: Scene, camera: Camera, work: Workload) -> di
 
 def gsplat_frame(options: Options, scene: Scene, camera: Camera) -> Callable[[], object]:
     """Draw a random scene by gsplat's own function, unpacked, which is its faster way for one camera."""
-    from gsrain_engine.render.cuda import view_arguments
+    from gsrain_engine.render.gsplat_input import view_arguments
 
     torch: Any = import_module("torch")
     rasterization, device = import_module(options.gsplat).rasterization, torch_device()
@@ -487,7 +477,7 @@ def street_capture(work: Workload) -> Capture:
 
 def plain_step(options: Options) -> Callable[[], None]:
     """Forward, L1 + 0.2 D-SSIM, backward, fused Adam, as in gsplat's examples: random Gaussians of SH degree 1."""
-    from gsrain_engine.render.cuda import view_arguments
+    from gsrain_engine.render.gsplat_input import view_arguments
 
     torch, functional = import_module("torch"), import_module("torch.nn.functional")
     rasterization, device = import_module(options.gsplat).rasterization, torch_device()
@@ -533,7 +523,7 @@ def plain_step(options: Options) -> Callable[[], None]:
 
 # Tests
 
-GPU_TESTS = ("test_depth_sort.py", "test_cuda.py", "test_differentiable.py")
+GPU_TESTS = ("test_depth_sort.py", "test_differentiable.py")
 OPENGL_TESTS = ("test_backends_agree.py", "test_splat_renderer.py", "test_interpreted_gpu.py", "test_drop_pass.py")
 
 

@@ -1,7 +1,7 @@
 """Tables of `benchmarks/gpu.py` in Markdown, each figure with its target."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 Row = dict[str, Any]
 BEGIN, END = "<!-- figures: written by make gpu -->", "<!-- end of figures -->"
@@ -17,7 +17,7 @@ MAX_OF_PLAIN = 1.4
 MAX_OF_ORDINARY = 1.3
 """Frame of a large scene's cut, as a multiple of that of a scene of 1 M Gaussians."""
 
-BACKENDS = ("opengl-tiles", "opengl-quads", "cuda", "gsplat")
+BACKENDS = ("opengl-tiles", "opengl-quads", "gsplat")
 
 
 def with_figures(page: str, text: str) -> str:
@@ -29,7 +29,7 @@ def with_figures(page: str, text: str) -> str:
 
 
 def figures(results: dict[str, tuple[list[Row], str]]) -> str:
-    """Format the rows of each part and its error, and what follows for the back end `cuda`."""
+    """Format the rows of each part and its error."""
     lines: list[str] = []
     for name, (rows, error) in results.items():
         lines += [f"### {_TITLES.get(name, name)}", ""]
@@ -37,53 +37,7 @@ def figures(results: dict[str, tuple[list[Row], str]]) -> str:
             lines += [*_TABLES[name](rows), ""]
         if error:
             lines += [f"**This part is incomplete**: {_cell(error)}", ""]
-    if comparisons := list(_tiles_and_cuda(results)):
-        lines += ["### Is `cuda` needed for drawing?", "", *_verdict(comparisons), ""]
     return "\n".join(lines)
-
-
-class Comparison(NamedTuple):
-    """Times of a frame by tiles and by `cuda`, in ms."""
-
-    what: str
-    size: Any
-    tiles_ms: float
-    cuda_ms: float
-
-    @property
-    def is_met(self) -> bool:
-        return self.tiles_ms <= self.cuda_ms
-
-
-def _tiles_and_cuda(results: dict[str, tuple[list[Row], str]]) -> Iterator[Comparison]:
-    """All frames that both have drawn, clear and in rain."""
-    for row in results.get("frames", ([], ""))[0]:
-        if {"opengl-tiles", "cuda"} <= row["ms"].keys():
-            yield Comparison(row["scene"], row["size"], row["ms"]["opengl-tiles"], row["ms"]["cuda"])
-    by_size: dict[str, dict[str, Row]] = {}
-    for row in results.get("rain", ([], ""))[0]:
-        if "rainy_ms" in row:
-            by_size.setdefault(_cell(row["size"]), {})[row["backend"]] = row
-    for size, rows in by_size.items():
-        if {"opengl-tiles", "cuda"} <= rows.keys():
-            tiles, cuda = rows["opengl-tiles"], rows["cuda"]
-            for weather in ("clear", "rainy"):
-                took = tiles[f"{weather}_ms"], cuda[f"{weather}_ms"]
-                yield Comparison(f"{tiles['scene']}, {weather}", size, *took)
-
-
-def _verdict(comparisons: list[Comparison]) -> Iterator[str]:
-    slower = [f"{each.what} {_cell(each.size)}" for each in comparisons if not each.is_met]
-    if slower:
-        yield f"Yes: tiles are slower than `cuda` in {len(slower)} of {len(comparisons)} rows ({', '.join(slower)})."
-    else:
-        yield f"No: tiles are at least as fast in all {len(comparisons)} rows, so that `cuda` is left to training."
-    yield ""
-    cells = (
-        (each.what, each.size, each.tiles_ms, each.cuda_ms, _ratio(each.tiles_ms, each.cuda_ms), each.is_met)
-        for each in comparisons
-    )
-    yield from _table(["scene", "size", "tiles", "cuda", "tiles / cuda", "tiles at least as fast"], cells)
 
 
 def _machine(rows: list[Row]) -> Iterator[str]:
@@ -104,7 +58,7 @@ def _sort(rows: list[Row]) -> Iterator[str]:
 
 
 def _frames(rows: list[Row]) -> Iterator[str]:
-    yield "Median GPU time of a whole frame in ms: OpenGL by timer queries, `cuda` and gsplat by CUDA events."
+    yield "Median GPU time of a whole frame in ms: OpenGL by timer queries, gsplat by CUDA events."
     yield ""
     cells: list[Sequence[Any]] = []
     for row in rows:

@@ -124,7 +124,7 @@ class Renderer:
     """
 
     def __init__(self, backend: Backend = "auto") -> None:
-        """Open a back end: "opengl", "cpu", "cuda" (gsplat), or "auto": OpenGL on a GPU, else the processor.
+        """Open a back end: "opengl", "cpu", or "auto": OpenGL on a GPU, else the processor.
 
         Raises `OSError` or `ValueError`, which say what is missing, where one was asked for that can't be opened.
         """
@@ -240,8 +240,7 @@ def render(
         size: Width and height in pixels; None is the camera's own size, or 960 x 640 without a camera.
         time: Moment of scene and rain in seconds.
         depth: Whether `Image.depth` is rendered, too.
-        backend: "opengl", "cpu", "cuda", or "auto": OpenGL on a GPU, else the processor. It stays open for the next
-            call.
+        backend: "opengl", "cpu", or "auto": OpenGL on a GPU, else the processor. It stays open for the next call.
 
     Raises:
         ValueError: For a size that is not allowed, and a calibration that the rain names and there is not.

@@ -1,1 +1,1 @@
-"""Rendering: OpenGL, CPU, CUDA and differentiable renderers, frame sequences, and image, video and label export."""
+"""Rendering: OpenGL, CPU and differentiable renderers, frame sequences, and image, video and label export."""

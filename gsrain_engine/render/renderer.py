@@ -85,7 +85,7 @@ PendingImage = Callable[[], UInt8[np.ndarray, "h w 3"]]
 
 @runtime_checkable
 class Renderer(Protocol):
-    """Interface of the renderers: `SplatRenderer` (OpenGL), `CpuRenderer` and `CudaRenderer`."""
+    """Interface of the renderers: `SplatRenderer` (OpenGL) and `CpuRenderer`."""
 
     @property
     def name(self) -> str: ...

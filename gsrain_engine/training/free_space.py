@@ -11,7 +11,7 @@ from numba import njit, prange
 from scipy.ndimage import minimum_filter
 from scipy.spatial import KDTree
 
-from ..render.cuda import uploaded
+from ..render.gsplat_input import uploaded
 from ..scene.camera import Camera
 from .parameters import SplatParameters, Tensor, indices_of
 from .surfels import LONGEST, Depths

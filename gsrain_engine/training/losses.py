@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, check_pair, window
-from ..render.cuda import uploaded
+from ..render.gsplat_input import uploaded
 from .model import TrainingRender
 from .settings import TrainingSettings
 from .targets import TrainingTarget

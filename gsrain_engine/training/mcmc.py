@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import comb
 
-from ..render.cuda import uploaded
+from ..render.gsplat_input import uploaded
 from .parameters import SplatParameters, Tensor, indices_of
 from .strategy import Strategy, rotate_vectors
 

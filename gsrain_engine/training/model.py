@@ -10,7 +10,7 @@ from jaxtyping import Float64, Shaped
 
 from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
 from ..render.autodiff.differentiable import Rendered, render_gaussians
-from ..render.cuda import uploaded
+from ..render.gsplat_input import uploaded
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.camera_path_edit import WALKING_M_S, with_constant_speed

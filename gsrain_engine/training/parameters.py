@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Shaped
 from numba import njit, prange
 
-from ..render.cuda import uploaded
+from ..render.gsplat_input import uploaded
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
 torch: Any = import_module("torch")

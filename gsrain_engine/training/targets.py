@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..render.cuda import uploaded
+from ..render.gsplat_input import uploaded
 from .data import PyramidLevel, TrainingView
 
 torch: Any = import_module("torch")

@@ -15,7 +15,8 @@ from gsrain_engine.appearance.dsine_checkout import CHECKOUT_PLACE, WEIGHTS_PLAC
 from gsrain_engine.appearance.finetune.settings import PLACE as CLIP_PLACE
 from gsrain_engine.evaluation.detection.detector import PLACE
 from gsrain_engine.evaluation.fid_torch_features import INCEPTION_PLACE
-from gsrain_engine.render.opengl import sort
+from gsrain_engine.render import gsplat_build
+from gsrain_engine.render.opengl import context, sort
 
 SORTED = "order of splats by depth (OpenGL)"
 
@@ -62,6 +63,40 @@ def test_what_pip_can_not_add_to_a_frozen_program(monkeypatch, capsys):
     lines = [line for line in capsys.readouterr().out.splitlines() if "not installed; for " in line]
     assert len(lines) > 5
     assert all("needs GSRAIN installed by pip, with 'gsrain[" in line for line in lines)
+
+
+def test_an_nvidia_gpu_without_its_opengl_names_the_setting_of_containers(tmp_path, monkeypatch):
+    setting = "NVIDIA_DRIVER_CAPABILITIES=graphics"
+    monkeypatch.setattr(context, "_NVIDIA_DEVICE", tmp_path / "missing")
+    monkeypatch.setattr(context, "is_software", lambda _: True)
+    assert setting not in doctor.find_opengl().what
+    monkeypatch.setattr(context, "_NVIDIA_DEVICE", tmp_path)
+    assert setting in doctor.find_opengl().what
+    monkeypatch.setattr(context, "is_software", lambda _: False)
+    assert setting not in doctor.find_opengl().what
+
+    def missing():
+        raise OSError("libEGL.so.1: no such file")
+
+    monkeypatch.setattr(context, "_open_egl", missing)
+    found, what = doctor.find_opengl()[1:]
+    assert not found and "libEGL.so.1" in what and setting in what
+
+
+@pytest.mark.parametrize("kernels", [object(), None])
+def test_gsplat_trains_where_its_kernels_load(kernels, monkeypatch):
+    torch = pytest.importorskip("torch")
+    monkeypatch.setattr(gsplat_build, "gsplat_is_built", lambda: True)
+    monkeypatch.setitem(sys.modules, "gsplat.cuda._backend", SimpleNamespace(_C=kernels))
+    monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setattr(doctor, "metadata", SimpleNamespace(version=lambda name: f"{name} 1.5"))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert not doctor.find_gsplat().found
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
+    found = doctor.find_gsplat()
+    assert found.found == (kernels is not None)
+    assert ("trains on a card" if kernels else "CUDA toolkit (nvcc)") in found.what
 
 
 def test_a_missing_libgomp_and_a_wrong_order_of_splats(tmp_path, monkeypatch, capsys):

@@ -4,7 +4,6 @@ from importlib import import_module
 from typing import Any
 
 from gsrain_engine.render.autodiff.differentiable import Tensor
-from gsrain_engine.render.cuda import sh_basis
 from gsrain_engine.scene.camera import Camera
 
 torch: Any = import_module("torch")
@@ -92,3 +91,20 @@ def display_colors(means: Tensor, colors: Tensor, pose: Tensor) -> Tensor:
     offsets = means + torch.linalg.solve(pose[:3, :3], pose[:3, 3])
     basis = sh_basis(offsets / offsets.norm(dim=1, keepdim=True))[:, : colors.shape[1]]
     return torch.clamp(torch.einsum("nk,nkc->nc", basis, colors) + 0.5, min=0)
+
+
+def sh_basis(directions: Tensor) -> Tensor:
+    """Real spherical harmonics up to degree 3 (n, 16) in unit directions (n, 3), with 3DGS signs."""
+    x, y, z = directions.unbind(1)
+    xx, yy, zz = x * x, y * y, z * z
+    harmonics = [
+        torch.full_like(x, 0.28209479177387814),
+        -0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x,
+        1.0925484305920792 * x * y, -1.0925484305920792 * y * z, 0.31539156525252005 * (2 * zz - xx - yy),
+        -1.0925484305920792 * x * z, 0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+        -0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3 * yy),
+    ]  # fmt: skip
+    return torch.stack(harmonics, dim=1)

@@ -47,24 +47,18 @@ def gpu_context(context):
 
 @pytest.fixture
 def open_kind(request):
-    """Open a renderer by its name; "cuda" is that with a stand-in for gsplat, on torch's CPU."""
+    """Open a renderer by its name."""
 
     def opened(kind):
         if kind == "cpu":
             return CpuRenderer()
-        if kind.startswith("opengl"):
-            way = {"opengl-tiles": "tiles"}.get(kind)
-            return SplatRenderer(request.getfixturevalue("context"), harmonics="single", rasterizer=way)
-        pytest.importorskip("torch", reason="torch is not installed: pip install gsrain[jobs]")
-        from gsrain_engine.render.cuda import CudaRenderer
-        from render.gsplat_stand_in import rasterization
-
-        return CudaRenderer(rasterization, "cpu")
+        way = {"opengl-tiles": "tiles"}.get(kind)
+        return SplatRenderer(request.getfixturevalue("context"), harmonics="single", rasterizer=way)
 
     return opened
 
 
-@pytest.fixture(params=["cpu", "opengl", "opengl-tiles", "cuda"])
+@pytest.fixture(params=["cpu", "opengl", "opengl-tiles"])
 def any_renderer(request, open_kind):
     return open_kind(request.param)
 

@@ -2,9 +2,8 @@
 
 import torch
 
-from gsrain_engine.render.cuda import sh_basis
 from gsrain_engine.scene.camera import Camera
-from oracles.dense_gradients import ALPHA_CUT, alphas_of, display_colors, in_image, weights_of
+from oracles.dense_gradients import ALPHA_CUT, alphas_of, display_colors, in_image, sh_basis, weights_of
 
 
 def rasterization(

@@ -1,7 +1,4 @@
-"""The OpenGL and the cuda back end draw what the CPU's does: scenes to 50 dB, the rain's own light to 5 %.
-
-Limits: docs/physics.md. Around the cuda back end is a stand-in for gsplat, on torch's CPU.
-"""
+"""The OpenGL back ends draw what the CPU's does: scenes to 50 dB, the rain's own light to 5 % (docs/physics.md)."""
 
 from dataclasses import replace
 from typing import get_args
@@ -60,13 +57,12 @@ def raining(**changes):
     return msgspec.structs.replace(load_preset("8.5"), **changes)
 
 
-@pytest.fixture(params=["opengl", "opengl-tiles", "cuda"])
+@pytest.fixture(params=["opengl", "opengl-tiles"])
 def other(request, open_kind):
     return open_kind(request.param)
 
 
 PLACES = [("opengl", "small"), ("opengl", "golden"), ("opengl-tiles", "small"), ("opengl-tiles", "golden")]
-PLACES += [("cuda", "tiny")]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +77,7 @@ def frame_at(request, open_kind, drawn_frames):
 
     def drawn_once(kind, place, rain):
         if (kind, place, rain) not in drawn_frames:
-            scene, shot = small_scene(), small_shot(64, 40) if place == "tiny" else small_shot()
+            scene, shot = small_scene(), small_shot()
             if place == "golden":
                 golden = request.getfixturevalue("golden")
                 scene = Scene("street", read_scene(golden / "street_sh3.ply").layers)
@@ -127,15 +123,15 @@ def test_scenes_and_the_rains_own_light_agree(frame_at, kind, place, changes):
     both = (found > 0) & (depth > 0)
     assert np.quantile(np.abs(depth / np.where(both, found, 1) - 1)[both], 0.99) < 0.01
     for wet, dry in zip(rainy, clear, strict=True):  # without the rain's
-        np.testing.assert_allclose(wet.depth, dry.depth, rtol=1e-5 if kind == "cuda" else 0)
+        np.testing.assert_array_equal(wet.depth, dry.depth)
 
 
-@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
+@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles"])
 def test_wet_ground_mirrors_and_splashes_the_same_on_all(kind, open_kind):
     cover = np.random.default_rng(3).integers(0, 120, (24, 40, 2), np.uint8)
     scene = replace(small_scene(), ground_m=0.0, water=GroundWater((0.0, -12.0), 1.0, cover))
     scene = replace(scene, layers=tuple(replace(each, wet_sh=each.gaussians.sh.copy()) for each in scene.layers))
-    shot, rain = small_shot() if kind != "cuda" else small_shot(96, 60), raining(mirror=True, exposure_s=0.003)
+    shot, rain = small_shot(), raining(mirror=True, exposure_s=0.003)
     renderers = open_kind(kind), CpuRenderer()
     found, expected = (frame_of(each, scene, shot, rain) for each in renderers)
     plain = frame_of(renderers[1], scene, shot, raining(mirror=False, exposure_s=0.003))
@@ -153,7 +149,7 @@ def test_wet_ground_mirrors_and_splashes_the_same_on_all(kind, open_kind):
     assert np.abs(expected.rgba - calm.rgba).max() > 0.05
 
 
-@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles", "cuda"])
+@pytest.mark.parametrize("kind", ["opengl", "opengl-tiles"])
 def test_spray_is_the_same_on_all(kind, open_kind):
     """A block that drives ahead at 25 m/s, 10 m from the camera at 2 s."""
     scene = small_scene()
@@ -171,10 +167,9 @@ def test_both_count_the_same(frame_at, kind, place):
     ours, cpu = (frame_at(each, place, raining(haze="gaussians"))[1] for each in (kind, "cpu"))
     assert ours.haze_drawn == cpu.haze_drawn > 0
     assert ours.drops_drawn == pytest.approx(cpu.drops_drawn, rel=2e-3)
-    if kind.startswith("opengl"):
-        assert ours.gaussians == cpu.gaussians
-        assert ours.splats_drawn == pytest.approx(cpu.splats_drawn, rel=1e-3)
-        assert set(ours.stages_ms) == set(cpu.stages_ms)
+    assert ours.gaussians == cpu.gaussians
+    assert ours.splats_drawn == pytest.approx(cpu.splats_drawn, rel=1e-3)
+    assert set(ours.stages_ms) == set(cpu.stages_ms)
 
 
 @pytest.mark.parametrize("mixing", ["linear", "display"])

@@ -11,7 +11,7 @@ from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.opengl.shaders import GpuTimers
 from render.cpu.raster_scenes import drawn, random_gaussians
 
-BACKENDS = {"opengl-tiles", "opengl-quads", "cuda"}
+BACKENDS = {"opengl-tiles", "opengl-quads"}
 
 
 @pytest.fixture
@@ -36,19 +36,19 @@ def test_every_part_measures_every_back_end(rows_of, tmp_path):
     for row in (image, rainy):
         assert row["psnr_db"].pop("cpu") == float("inf")
         assert set(row["psnr_db"]) == BACKENDS and min(row["psnr_db"].values()) > 50
-    assert len(list((tmp_path / "images").iterdir())) == 8
+    assert len(list((tmp_path / "images").iterdir())) == 6
     assert rows["sort"][0]["is_right"] and len(rows["read_back"]) == 3
     (large,) = rows["lod"]
     assert set(large["ms"]) == {"cut", "all", "ordinary"} and 0 < large["drawn"] <= large["gaussians"] == 5000
     assert step["gsrain_ms"] > 0 and step["plain_ms"] > 0 and step["gaussians"] >= SMALL.trained_gaussians
-    assert figures(results).count("\n### ") == len(results)  # and whether cuda is needed
+    assert figures(results).count("\n### ") == len(results) - 1
 
 
 def test_a_back_end_that_fails_is_named_and_the_others_are_measured(rows_of):
     (row,) = rows_of("frames", gsplat="no_such_module")
-    assert set(row["ms"]) == {"opengl-tiles", "opengl-quads"} and set(row["errors"]) == {"cuda", "gsplat"}
+    assert set(row["ms"]) == BACKENDS and set(row["errors"]) == {"gsplat"}
     text = figures({"frames": ([row], "")})
-    assert "**cuda failed** (random-500 48x32): ModuleNotFoundError" in text and "| not measured |" in text
+    assert "**gsplat failed** (random-500 48x32): ModuleNotFoundError" in text and "| not measured |" in text
 
 
 def test_the_command_writes_the_page_part_by_part(tmp_path):
@@ -84,22 +84,6 @@ def test_figures_are_compared_with_their_targets():
         lines = [line for line in figures({part: (rows, "")}).splitlines() if line.startswith("| ")]
         assert [line.endswith(" not met |") for line in lines[2:]] == [False, True]
         assert lines[2].endswith(" met |")
-
-
-def test_the_page_decides_whether_cuda_is_needed_for_drawing():
-    def found(rainy_ms):
-        frame = {"scene": "a", "size": [9, 6], "ms": {"opengl-tiles": 1.0, "cuda": 1.0}, "errors": {}}
-        other = frame | {"ms": {"opengl-tiles": 1.0}}  # cuda failed: nothing to compare
-        rain = [
-            {"scene": "b", "size": (9, 6), "backend": name, "clear_ms": 1.0, "rainy_ms": took, "creating_ms": 1.0,
-             "errors": {}} for name, took in (("opengl-tiles", rainy_ms), ("cuda", 2.0))
-        ]  # fmt: skip
-        return figures({"frames": ([frame, other], ""), "rain": (rain, "")}).partition("needed for drawing?")[2]
-
-    assert "No: tiles are at least as fast in all 3 rows" in found(1.9)
-    text = found(2.1)
-    assert "Yes: tiles are slower than `cuda` in 1 of 3 rows (b, rainy 9x6)." in text
-    assert text.count("| met |") == 2 and text.count("| not met |") == 1
 
 
 def test_a_page_without_marks_becomes_the_figures():

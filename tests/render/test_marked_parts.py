@@ -89,7 +89,7 @@ def test_many_are_projected_in_chunks_to_the_same_bytes(fields):
         assert not part.left_out.flags[project([part], small_camera()).indices].any()  # it takes no memory, either
 
 
-@pytest.mark.parametrize("kind", ["cpu", "cuda", "opengl", "opengl-tiles"])
+@pytest.mark.parametrize("kind", ["cpu", "opengl", "opengl-tiles"])
 def test_what_has_no_finite_wet_color_is_left_out(open_kind, kind):
     renderer = open_kind(kind)
     part, left_out = part_of(300, wetness=0.5), np.zeros(300, bool)
@@ -152,7 +152,7 @@ def marked_scene():
 @pytest.mark.parametrize(
     ("kind", "look"),
     [
-        *(("cuda", "splats"), ("opengl-tiles", "splats")),
+        ("opengl-tiles", "splats"),
         *(("opengl", look) for look in ("splats", "points", "normals", "opacity", "layers")),
     ],
 )

@@ -16,7 +16,7 @@ from ...scene.camera import Camera
 from ..cpu.compositing import color_operator_transpose
 from ..cpu.projection import nearest_first
 from ..cpu.tiles import bin_into_tiles
-from ..cuda import uploaded, view_arguments
+from ..gsplat_input import uploaded, view_arguments
 from .blend import BlendedImage, blend, blend_backward
 from .project import TrainedGaussians, project_backward, project_trained, sh_backward
 

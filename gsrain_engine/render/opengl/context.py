@@ -11,6 +11,7 @@ from typing import Any, Literal
 import moderngl
 
 REQUIRED_VERSION = 430  # OpenGL 4.3: compute shaders and storage buffers
+_NVIDIA_DEVICE = Path("/dev/nvidiactl")
 ContextSource = Literal["auto", "egl", "osmesa"]
 
 
@@ -30,12 +31,19 @@ def open_context(source: ContextSource = "auto") -> moderngl.Context:
         except Exception as error:  # drivers raise all kinds of errors; the message lists them
             tried.append(f"{name}: {error}")
     packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
-    if Path("/dev/nvidiactl").exists():
-        packages += "; a container needs NVIDIA_DRIVER_CAPABILITIES=graphics (or all) for the GPU's OpenGL"
+    if remedy := nvidia_remedy():
+        packages += f"; {remedy}"
     raise NoOpenGLError(
         "no OpenGL 4.3 without a window (" + "; ".join(tried) + "). On Debian: "
         f"apt-get install --no-install-recommends {packages}"
     )
+
+
+def nvidia_remedy() -> str:
+    """Return how a container gets the OpenGL of the machine's NVIDIA GPU, or an empty text without such a GPU."""
+    if not _NVIDIA_DEVICE.exists():
+        return ""
+    return "start a container with NVIDIA_DRIVER_CAPABILITIES=graphics (or all) for the OpenGL of its NVIDIA GPU"
 
 
 def is_software(context: moderngl.Context) -> bool:
