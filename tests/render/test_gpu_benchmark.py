@@ -40,7 +40,7 @@ def test_every_part_measures_every_back_end(rows_of, tmp_path):
     assert rows["sort"][0]["is_right"] and len(rows["read_back"]) == 3
     (large,) = rows["lod"]
     assert set(large["ms"]) == {"cut", "all", "ordinary"} and 0 < large["drawn"] <= large["gaussians"] == 5000
-    assert step["gsrain_ms"] > 0 and step["plain_ms"] > 0 and step["gaussians"] >= SMALL.trained_gaussians
+    assert step["gsrain_ms"] > 0 and step["plain_ms"] > 0 and step["gaussians"] >= 0.9 * SMALL.trained_gaussians
     assert figures(results).count("\n### ") == len(results) - 1
 
 

@@ -241,7 +241,7 @@ def test_shadows_are_cut_where_the_sun_casts_them(surfaces: StreetSurfaces) -> N
     p = surfaces.layout.parameters
     road = build_road(surfaces.layout)
     light = Illumination.over(p, surfaces.layout)
-    cells = split_at_shadows(road, ego_camera_line(p), light, p.edge_px)
+    cells = split_at_shadows(road, ego_camera_line(p), light, 1.4)
     assert areas(cells).sum() == pytest.approx(areas(road).sum(), rel=1e-5)
 
     def changes(quads: Quads) -> np.ndarray:
