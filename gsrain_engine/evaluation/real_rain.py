@@ -130,9 +130,7 @@ def simulated_frames(
     rises = [rain_over(*each, drop_levels, rain, sensor) for each in zip(lit, shares, strict=True)]
     black, below = color <= 0, below_black(colors)
     backgrounds = [np.where(black, below, each) for each in lit]
-    plain = real.sigma
-    if sensor is not None and sensor.full_well_e is not None:
-        plain = display_noise(sensor, native_height)[real.median]
+    plain = _plain_noise(real, rainfall, native_height)
 
     def frames() -> list[Photograph]:
         random, noise, factor = noise_of(rain), plain * gain, chroma[..., None]
@@ -147,6 +145,14 @@ def simulated_frames(
         chroma_change = chroma_aim / _chroma_deviation([each.color for each in made])
         chroma = np.clip(chroma * chroma_change / luma_change, *_NOISE_GAIN)
     return frames()
+
+
+def _plain_noise(real: MedianResiduals, rainfall: RainSimulation, native_height: int) -> Float32[np.ndarray, "h w"]:
+    """Deviation of the sensor's noise at the levels of real frames; that of the frames if it has no full well."""
+    sensor = rainfall.picture_sensor
+    if sensor is None or sensor.full_well_e is None:
+        return real.sigma
+    return display_noise(sensor, native_height)[real.median]
 
 
 def rainy_photographs(
@@ -165,9 +171,7 @@ def rainy_photographs(
     rain, sensor = rainfall.rain, rainfall.picture_sensor
     clear = rain_free_frames(colors, real, slow_light(real.values))
     below, later = below_black(clear), max(len(clear) // 3, 1)
-    noise = real.sigma
-    if sensor is not None and sensor.full_well_e is not None:
-        noise = display_noise(sensor, native_height)[real.median]
+    noise = _plain_noise(real, rainfall, native_height)
     made: list[UInt8[np.ndarray, "h w 3"]] = []
     for number, share in enumerate(shares):
         behind = clear[(number + later) % len(clear)].astype(np.float32)
