@@ -138,7 +138,9 @@ class WallPair:
 def wall_camera(size: tuple[int, int] = SIZE) -> Camera:
     """Camera that looks along x; a smaller picture is the middle of a larger one."""
     eye, fov = np.array(EYE_M), 2 * np.arctan(size[1] / SIZE[1] * np.tan(np.radians(FOV_DEG / 2)))
-    return Camera.from_fov(*size, float(np.degrees(fov)), look_at(eye, eye + (1.0, 0.0, 0.0), np.array([0.0, 0.0, 1.0])))
+    return Camera.from_fov(
+        *size, float(np.degrees(fov)), look_at(eye, eye + (1.0, 0.0, 0.0), np.array([0.0, 0.0, 1.0]))
+    )
 
 
 def wall_scene(distance_m: float, light: float, camera: Camera) -> Scene:
