@@ -1,6 +1,7 @@
 """Time of a rainy frame of the built-in street by number of lamps: light of lamps costs by lamps and pixels.
 
-Prints JSON: the least of some frames, which take turns, in ms of time and of processor time. Lamps stand on both sides of the road, half of them with a cone.
+Prints JSON: the least of some frames, which take turns, in ms of time and of processor time. Lamps stand on both
+sides of the road, half of them with a cone.
 """
 
 import argparse
@@ -39,9 +40,8 @@ def main() -> None:
         path = default_path(street, width, height)
         rainfall = RainSimulation.start(load_preset("8.5"))
         shot = FrameSequence(street, rainfall, path, width, height, start_s=2.0).shot(0)
-        scenes = {
-            count: replace(street, lamps=lamps_before(shot, count)) for count in map(int, chosen.lamps.split(","))
-        }
+        counts = map(int, chosen.lamps.split(","))
+        scenes = {count: replace(street, lamps=lamps_before(shot, count)) for count in counts}
         with open_renderer(chosen.backend) as renderer:
             for count, shortest in shortest_ms(renderer, scenes, rainfall, shot, chosen.frames).items():
                 rows.append({"size": size, "lamps": count, "ms": shortest[0], "processor_ms": shortest[1]})
@@ -71,12 +71,9 @@ def shortest_ms(
             draw_view(renderer, scene, rainfall, NIGHT, shot)
             renderer.read_uint8()
             times[count].append((time.perf_counter() - start, time.process_time() - used))
+    shortest = {count: np.min(drawn[1:], axis=0) for count, drawn in times.items()}
     return {
-        count: (
-            round(1000 * min(each[0] for each in drawn[1:]), 1),
-            round(1000 * min(each[1] for each in drawn[1:]), 1),
-        )
-        for count, drawn in times.items()
+        count: (round(1000 * float(each[0]), 1), round(1000 * float(each[1]), 1)) for count, each in shortest.items()
     }
 
 
