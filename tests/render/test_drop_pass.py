@@ -103,7 +103,7 @@ def test_draws_what_the_compiled_kernels_make(context, changes):
 
 @pytest.mark.parametrize("rasterizer", ["quads", "tiles"])
 def test_falling_rain_creates_no_buffers(context, monkeypatch, rasterizer):
-    """Haze and drops of each frame are written over those of the frame before, and look as in a renderer of their own."""
+    """Haze and drops are written over those of the frame before, and look as in a renderer of their own."""
     renderer, created, create = SplatRenderer(context, rasterizer=rasterizer), [], type(context).buffer
     monkeypatch.setattr(type(context), "buffer", lambda *args, **sizes: created.append(1) or create(*args, **sizes))
     frames = [falling(time_s) for time_s in (12.3, 12.4, 12.5)]

@@ -30,7 +30,7 @@ def betas():
     ("kind", "size", "relative"), [("cpu", SIZE, 0.01), ("opengl", (60, 40), 0.005), ("opengl-tiles", (60, 40), 0.005)]
 )
 def test_pixels_keep_exp_of_minus_beta_r_of_their_own_ray(betas, open_kind, kind, size, relative):
-    """Far off the axis, Gaussians of a wall are nearer or farther than their pixels; near it, half the error is left."""
+    """Far off the axis, Gaussians of a wall are nearer or farther than their pixels."""
     renderer = open_kind(kind)
     for distance_m in DISTANCES_M:
         walls, rays = WallPair(renderer, distance_m, size), ray_lengths_m(distance_m, size)
