@@ -77,9 +77,9 @@ def composite_in_rain(
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
     combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
-    premultiplied layer, or one pixel of it for all, behind the scene and before the background. If `lamp_light` is there, the channels of rain are
-    its light of lamps in linear light, and what is visible of that is written there. The `film` is blended without
-    the rain in front of it.
+    premultiplied layer, or one pixel for all of it, behind the scene and before the background. If `lamp_light` is
+    there, the channels of rain are its light of lamps in linear light, and what is visible of that is written there.
+    The `film` is blended without the rain in front of it.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
