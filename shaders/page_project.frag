@@ -28,7 +28,9 @@ uniform int coefficients, wet_coefficients;
 uniform mat4 object_to_camera;
 uniform vec3 camera_in_object;
 uniform float wetness;
-uniform bool antialiased, has_medium;
+uniform bool antialiased, has_medium, has_actors;
+uniform sampler2D actors;  // number of each Gaussian's actor
+uniform sampler2D poses;   // a row for each actor: three rows of its matrix, and the camera in its frame; 0 does not move
 
 vec3 looked_up(vec3 bytes, int row) {
     ivec3 at = ivec3(255.0 * bytes + 0.5);
@@ -93,13 +95,26 @@ void main() {
     ivec2 size = textureSize(means_low, 0), at = ivec2(number % size.x, number / size.x);
     vec3 steps = 255.0 * texelFetch(means_low, at, 0).rgb + 65280.0 * texelFetch(means_high, at, 0).rgb;
     vec3 logarithm = mix(means_minimum, means_maximum, steps / 65535.0);
-    vec3 mean = sign(logarithm) * (exp(abs(logarithm)) - 1.0), p = (object_to_camera * vec4(mean, 1.0)).xyz;
-    if (!(p.z > near)) return;
-    mat3 axes = mat3(object_to_camera) * rotation_matrix(quaternion(texelFetch(quaternions, at, 0)));
+    vec3 mean = sign(logarithm) * (exp(abs(logarithm)) - 1.0), eye = camera_in_object;
+    mat4 to_camera = object_to_camera;
+    if (has_actors) {
+        ivec2 label = ivec2(255.0 * texelFetch(actors, ivec2(number % 2048, number / 2048), 0).rg + 0.5);
+        int actor = label.x + 256 * label.y;
+        if (actor > 0) {
+            mat4 pose;
+            for (int row = 0; row < 3; ++row) pose[row] = texelFetch(poses, ivec2(row, actor), 0);
+            pose[3] = vec4(0.0, 0.0, 0.0, 1.0);
+            to_camera = object_to_camera * transpose(pose);
+            eye = texelFetch(poses, ivec2(3, actor), 0).xyz;
+        }
+    }
+    vec3 p = (to_camera * vec4(mean, 1.0)).xyz;
+    if (!(p.z > near)) return;  // also where it is absent
+    mat3 axes = mat3(to_camera) * rotation_matrix(quaternion(texelFetch(quaternions, at, 0)));
     vec3 s = exp(looked_up(texelFetch(scales, at, 0).rgb, 0));
     axes = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
     if (!project(p, axes, texelFetch(base, at, 0).a, false, false, antialiased, splat)) return;
-    vec3 direction = normalize(mean - camera_in_object);
+    vec3 direction = normalize(mean - eye);
     vec3 color = color_of(at, direction, base, labels, centroids, coefficients, 1);
     if (wetness > 0.0) {
         vec3 wet = color_of(at, direction, wet_base, wet_labels, wet_centroids, wet_coefficients, 3);

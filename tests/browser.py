@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from collections.abc import Generator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ _OPTIONS = (
 class Page:
     """One open page."""
 
-    def __init__(self, to_browser: int, from_browser: int) -> None:
-        self._to, self._from = to_browser, os.fdopen(from_browser, "rb")
+    def __init__(self, to_browser: int, answers: BufferedReader) -> None:
+        self._to, self._from = to_browser, answers
         self._numbers = itertools.count(1)
         self._unread = b""
         self._session: str | None = None
@@ -76,21 +77,18 @@ def browser(profile: Path) -> Generator[Page]:
     read_end, to_browser = os.pipe()
     from_browser, write_end = os.pipe()
 
-    def place_pipes() -> None:
-        # Chromium reads from 3 and writes to 4.
-        ends = os.dup(read_end), os.dup(write_end)
-        os.dup2(ends[0], 3)
-        os.dup2(ends[1], 4)
-
+    # Chromium reads from 3 and writes to 4.
+    start = f'exec "$@" 3<&{read_end} 4>&{write_end}'
     process = subprocess.Popen(
-        [CHROMIUM, *_OPTIONS, f"--user-data-dir={profile}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        close_fds=False, preexec_fn=place_pipes,
+        ["bash", "-c", start, "bash", CHROMIUM, *_OPTIONS, f"--user-data-dir={profile}"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, pass_fds=(read_end, write_end),
     )  # fmt: skip
     os.close(read_end)
     os.close(write_end)
-    try:
-        yield Page(to_browser, from_browser)
-    finally:
-        process.kill()
-        process.wait()
-        os.close(to_browser)
+    with os.fdopen(from_browser, "rb") as answers:
+        try:
+            yield Page(to_browser, answers)
+        finally:
+            process.kill()
+            process.wait()
+            os.close(to_browser)

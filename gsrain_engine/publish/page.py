@@ -6,9 +6,7 @@ of others draw no streaks: an alpha of 0.01 is below what they keep in eight bit
 """
 
 import base64
-import io
 import json
-import zipfile
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -19,8 +17,6 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from ..presets import shipped_folder
-from ..rain.frame import SkyLight
 from ..rain.settings import RainSettings
 from ..render.cpu.projection import NEAR_M
 from ..render.draw import RenderView
@@ -28,11 +24,11 @@ from ..render.opengl.shaders import ShaderSource
 from ..render.renderer import Renderer
 from ..render.sequence import FrameSequence
 from ..scene.files import whole_file
-from ..scene.formats.sog import write_sog
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from ..scene.transforms import flatten_scene, lost_when_flattened, with_wetness_baked, world_to_file
+from ..scene.transforms import lost_when_flattened, world_to_file
+from .page_scene import POSE_STEP_S, PageScene, page_scene
 from .rain_states import RainStates, check_rain, rain_states
 
 LONGEST_S = 600.0
@@ -41,12 +37,16 @@ LONGEST_S = 600.0
 _STEP_S = 1 / 30  # between the cameras of the path
 _COLUMNS = {"SPLAT_COLUMNS": 2048, "STREAK_COLUMNS": 512}  # of the data textures
 _SHADERS = "page_quad.vert", "page_project.frag", "page_splat.vert", "page_splat.frag", "page_picture.frag"
-_WET_FILES = "meta.json", "sh0.webp", "shN_centroids.webp", "shN_labels.webp"
 _KEYS = (
     ("Drag, wheel", "look around, move ahead"),
     ("W A S D, Q E", "move; with Shift faster"),
     ("Space, Home", "play or pause; back to the path"),
     ("C", "compare dry and rainy"),
+)
+
+_ABOUT = (
+    "A captured scene in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of each "
+    "rainfall intensity, and the same drops as in the program. Drag the divider to compare, the slider for more rain."
 )
 
 
@@ -56,14 +56,12 @@ class PageContents:
 
     title: str
     path_name: str
-    sog: bytes
-    """The scene as it is lit, as a SOG file."""
-    wet_sog: bytes | None
-    """SOG file of the same Gaussians in the same order with their soaked colors; None without such colors."""
-    antialiased: bool
+    scene: PageScene
     rain: RainStates
     views: Sequence[RenderView]
     """Cameras of the path, `_STEP_S` apart."""
+    start_s: float = 0.0
+    """Time of the scene and of the rain at the start of the path."""
     split: float | None = 0.5
     """Place of the divider between dry and rainy at first, as a share of the width; None shows rain alone."""
     missing: Sequence[str] = ()
@@ -71,32 +69,34 @@ class PageContents:
 
 
 def write_page(
-    renderer: Renderer, scene: Scene, rain: RainSettings, sequence: FrameSequence, path_name: str, output: Path
+    renderer: Renderer,
+    scene: Scene,
+    rain: RainSettings,
+    sequence: FrameSequence,
+    path_name: str,
+    output: Path,
+    duration_s: float | None = None,
 ) -> Generator[Progress, None, PageContents]:
     """Write a scene, as it is at the sequence's start, with its rain and the sequence's path to an HTML file.
 
-    Raises `ValueError` for a rain that a page can't draw, or a path longer than `LONGEST_S`.
+    `duration_s` shortens the path. Raises `ValueError` for a rain that a page can't draw, or a path longer than
+    `LONGEST_S`.
     """
     check_rain(rain)
-    length_s = sequence.length_s or 0.0
+    length_s = min(sequence.length_s or 0.0, duration_s or np.inf)
     if length_s > LONGEST_S:
         raise ValueError(f"the path takes {length_s:.0f} s, a page has room for {LONGEST_S:g} s")
     yield Progress(0.0, "Sampling the sky")
     time_s = sequence.start_s
     sky = sequence.sky(renderer)
-    yield Progress(0.1, "Compressing the scene")
-    dry = flatten_scene(with_wetness_baked(scene, 0.0), time_s)
-    sog = _sog(dry)
-    wet_sog = None
-    if scene.has_wet_colors:
-        yield Progress(0.5, "Compressing the wet colors")
-        wet_sog = _colors_of(_sog(flatten_scene(with_wetness_baked(scene, 1.0), time_s)))
+    content = yield from page_scene(scene, time_s, length_s)
     yield Progress(0.9, "Writing the page")
     views = [sequence.shot_at(time_s + step * _STEP_S) for step in range(round(length_s / _STEP_S) + 1)]
     exposure_s = sequence.rainfall.exposure_s(views[0].camera)
-    states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, exposure_s)
+    cameras = [view.camera for view in views]
+    states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, cameras, exposure_s)
     contents = PageContents(
-        scene.name, path_name, sog, wet_sog, dry.antialiased, states, views, missing=left_out_of_page(scene, time_s)
+        scene.name, path_name, content, states, views, time_s, missing=left_out_of_page(scene, time_s)
     )
     with whole_file(output) as written:
         written.write_text(page_html(contents), encoding="utf-8")
@@ -105,7 +105,7 @@ def write_page(
 
 def left_out_of_page(scene: Scene, time_s: float) -> list[str]:
     """Phrases for what a page lacks of a scene and its rain."""
-    kept = "wet colors", "camera key", "the rain"
+    kept = "wet colors", "camera key", "the rain", "actor"
     lost = [each for each in lost_when_flattened(scene, time_s) if not any(word in each for word in kept)]
     lamps = ["the light of lamps on rain"] if scene.lamps else []
     return [*lost, *lamps, "the mirror of wet ground", "splashes", "spray", "water on glass"]
@@ -117,21 +117,18 @@ def page_html(contents: PageContents) -> str:
         loader=jinja2.PackageLoader("gsrain_engine.publish", "."), autoescape=True, trim_blocks=False,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    about = (
-        "A captured scene in calibrated rain, drawn by your graphics card: drop sizes, speeds and numbers of each rainfall "
-        "intensity, the same drops as in the program. Drag the divider to compare, and the slider to let it rain harder."
-    )
     diameters = np.ascontiguousarray(contents.rain.diameters_mm, np.float32).tobytes()
-    blocks = {"scene": contents.sog, "diameters": diameters}
-    if contents.wet_sog is not None:
-        blocks["wet"] = contents.wet_sog
+    found = contents.scene
+    blocks = {"scene": found.sog, "diameters": diameters, "wet": found.wet_colors, "actors": found.actors}
+    blocks["poses"] = found.poses.tobytes() if len(found.poses) else None
+    blocks["roofs"] = None if contents.rain.roofs is None else contents.rain.roofs.heights_m.tobytes()
     texts = {name: ShaderSource(name, _COLUMNS).text for name in _SHADERS}
     texts["page_project.frag streaks"] = ShaderSource("page_project.frag", {**_COLUMNS, "STREAKS": 1}).text
     texts["rain-script"] = (Path(__file__).parent / "rain.js").read_text(encoding="utf-8")
     data = [(name, Markup(text)) for name, text in texts.items()]
-    data += [(name, Markup(base64.b64encode(block).decode())) for name, block in blocks.items()]
+    data += [(name, Markup(base64.b64encode(block).decode())) for name, block in blocks.items() if block is not None]
     return environment.get_template("page.html").render(
-        title=contents.title, path_name=contents.path_name, about=about, keys=_KEYS,
+        title=contents.title, path_name=contents.path_name, about=_ABOUT, keys=_KEYS,
         missing=", ".join(contents.missing), version=metadata.version("gsrain"), settings=_script(_settings(contents)),
         data=data,
     )  # fmt: skip
@@ -144,8 +141,11 @@ def _settings(contents: PageContents) -> dict[str, Any]:
         "streakColumns": _COLUMNS["STREAK_COLUMNS"],
         "near": NEAR_M,
         "toWorld": {"rotation": file_to_world[:3, :3].tolist(), "origin": file_to_world[:3, 3].tolist()},
-        "antialiased": contents.antialiased,
-        "hasWet": contents.wet_sog is not None,
+        "antialiased": contents.scene.antialiased,
+        "hasWet": contents.scene.wet_colors is not None,
+        "actors": len(contents.scene.poses),
+        "poseStep": POSE_STEP_S,
+        "start": contents.start_s,
         "rain": contents.rain.settings,
         "states": contents.rain.states,
         "chosen": contents.rain.chosen,
@@ -167,17 +167,3 @@ def _row(view: RenderView) -> list[float]:
 def _script(values: dict[str, Any]) -> Markup:
     """JSON that may stand in a script element."""
     return Markup(json.dumps(values, separators=(",", ":")).replace("<", "\\u003c"))
-
-
-def _sog(gaussians: Any) -> bytes:
-    raise NotImplementedError
-
-
-def _colors_of(sog: bytes) -> bytes:
-    """The colors of a SOG file alone, as a zip file."""
-    kept = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(sog)) as whole, zipfile.ZipFile(kept, "w") as colors:
-        for name in whole.namelist():
-            if name in _WET_FILES:
-                colors.writestr(name, whole.read(name))
-    return kept.getvalue()

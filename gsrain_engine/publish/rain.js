@@ -121,7 +121,7 @@ class Rain {
   // Calls `use(number, class, x, y, z, velocity)` for each drop that may be in view, with its place from the middle of the cell.
   // As `_mark_class`: the first tests, of height and of x before gusts, leave out most.
   _visible(cell, camera, use) {
-    const {seed} = this.settings, {period, size, heading, across, fallen, count, air} = cell, {rows, numbers} = air;
+    const {seed, roofs} = this.settings, {period, size, heading, across, fallen, count, air} = cell, {rows, numbers} = air;
     const [eyeX, eyeY, eyeZ] = camera.position.map((each, k) => each - cell.center[k]), [right, down, ahead] = camera.axes;
     const [periodX, periodY, periodZ] = period, [halfX, halfY, halfZ] = size.map(each => each / 2), [turnX, turnY] = heading;
     const [[wrapsX, movedX], [, movedY]] = across, [low, tall, alongX, span, perPeriod, driftX] = numbers;
@@ -189,6 +189,7 @@ class Rain {
         const u = right[0] * dx + right[1] * dy + right[2] * dz, v = down[0] * dx + down[1] * dy + down[2] * dz;
         if (u < left * depth - margin || u > rightmost * depth + margin) continue;
         if (v < top * depth - margin || v > bottom * depth + margin) continue;
+        if (roofs && this._isSheltered(placeX + cell.center[0], placeY + cell.center[1], placeZ + cell.center[2])) continue;
         const perStep = slow > 0 ? -own / slow : 0;
         velocity[0] = at(5, node, part) + at(7, node, part) + perStep * stepsX;
         const carried = (velocity[0] - driftX) * alongX * gust * (at(3, node, part) * cosine - at(4, node, part) * sine);
@@ -197,6 +198,12 @@ class Rain {
         use(i, c, placeX, placeY, placeZ, velocity);
       }
     }
+  }
+
+  _isSheltered(x, y, z) {
+    const {heights, rows, columns, corner, cell} = this.settings.roofs;
+    const column = Math.floor((x - corner[0]) / cell), row = Math.floor((y - corner[1]) / cell);
+    return column >= 0 && column < columns && row >= 0 && row < rows && z < heights[row * columns + column];
   }
 
   // Exposure, lens and rolling shutter of a camera, and the view depth from which the medium represents the drops of a class.
@@ -311,10 +318,11 @@ class Rain {
 }
 
 // Numbers of all Gaussians, farthest first: by two stable counting passes over 22 bits of the depth, which is positive.
-// `fixed` are positions in the world, those of `streaks` follow them; what is nearer than `near` is left out.
+// `fixed` are positions in the world, those of `streaks` follow them; what is nearer than `near` is left out. `members` are
+// numbers of actors, whose positions move with their poses; 0 does not move.
 class DepthOrder {
-  constructor(fixed) {
-    this.fixed = fixed;
+  constructor(fixed, members) {
+    Object.assign(this, {fixed, members, still: fixed});
     this.resize(fixed.length / 3);
   }
 
@@ -323,6 +331,21 @@ class DepthOrder {
     [this.keys, this.ids, this.spare] = [0, 1, 2].map(() => new Uint32Array(room));
     this.value = new Float32Array(1);
     this.bits = new Uint32Array(this.value.buffer);
+  }
+
+  // Moves actors; `poses` are in the file's frame, which `rotation` and `origin` lead to the world.
+  move(poses, rotation, origin) {
+    const {still, members} = this, fixed = this.fixed = this.fixed === still ? still.slice() : this.fixed;
+    const turn = (m, x, y, z, k) => m[k][0] * x + m[k][1] * y + m[k][2] * z;
+    const back = [0, 1, 2].map(k => rotation.map(row => row[k])), local = [0, 0, 0], moved = [0, 0, 0];
+    for (let i = 0; i < members.length; ++i) {
+      if (!members[i]) continue;
+      const base = 12 * (members[i] - 1), away = [0, 1, 2].map(k => still[3 * i + k] - origin[k]);
+      for (let k = 0; k < 3; ++k) local[k] = turn(back, ...away, k);
+      for (let k = 0; k < 3; ++k)
+        moved[k] = poses[base + 4 * k] * local[0] + poses[base + 4 * k + 1] * local[1] + poses[base + 4 * k + 2] * local[2] + poses[base + 4 * k + 3];
+      for (let k = 0; k < 3; ++k) fixed[3 * i + k] = turn(rotation, ...moved, k) + origin[k];
+    }
   }
 
   of(camera, streaks, near) {
@@ -365,7 +388,7 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
   let order = null, rains = [];
   self.onmessage = ({data}) => {
     if (data.fixed) {
-      order = new DepthOrder(data.fixed);
+      order = new DepthOrder(data.fixed, data.members);
       rains = data.states.map(state => new Rain(data.settings, state));
       return;
     }
@@ -375,9 +398,10 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
       return;
     }
     const falls = rain.state.density > 0, streaks = falls ? rain.streaks(time, camera) : new Float32Array(0);
+    if (data.poses) order.move(data.poses, data.rotation, data.origin);
     const ids = order.of(camera, streaks, near).slice(), copy = streaks.slice();
     const {numbers, drawn} = rain.medium(camera);
-    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, camera, state}, [ids.buffer, copy.buffer]);
+    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, camera, state, poses: data.poses}, [ids.buffer, copy.buffer]);
   };
 } else if (typeof module !== "undefined") {
   module.exports = {Rain, DepthOrder, CLASSES, STREAK_FLOATS};

@@ -1,5 +1,6 @@
 """Rain of a page: what its script needs to place the drops of the desktop, for each step of the intensity slider."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,11 +10,15 @@ from msgspec import structs
 from ..rain.frame import SkyLight
 from ..rain.properties import rain_class, turbulent_fall_share
 from ..rain.settings import RainSettings
+from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import RainSimulation
+from ..scene.camera import Camera
 from ..scene.scene import Scene
 
 STEPS_MM_H = 0.0, 0.5, 1.0, 2.5, 5.0, 8.5, 12.0, 18.0, 25.0, 35.0, 50.0
 """Intensities of the slider, besides the rain's own."""
+
+AROUND_PATH_M, _MOST_ROOFS_M = 60.0, 300.0  # of the roofs on a page; farther ones shelter nothing there
 
 _UNLIKE_A_PAGE = (
     ("rain_light", "linear", "--blend-space linear"), ("far_drops", "haze", "far drops as haze"),
@@ -32,6 +37,8 @@ class RainStates(NamedTuple):
     states: list[dict[str, Any]]
     """One for each step of the slider, rising."""
     diameters_mm: Float32[np.ndarray, "states classes"]
+    roofs: ShelterMap | None
+    """Roofs near the path; None without any."""
     chosen: int
     """Step of the rain's own intensity."""
 
@@ -43,8 +50,13 @@ def check_rain(rain: RainSettings) -> None:
             raise ValueError(f"{field} {getattr(rain, field)}: a page has {name} only")
 
 
-def rain_states(rain: RainSettings, scene: Scene, sky: dict[bool, SkyLight], exposure_s: float) -> RainStates:
-    """Tabulate a rain and the same rain at other intensities; `sky` is its light by whether it is overcast."""
+def rain_states(
+    rain: RainSettings, scene: Scene, sky: dict[bool, SkyLight], cameras: Sequence[Camera], exposure_s: float
+) -> RainStates:
+    """Tabulate a rain and the same rain at other intensities, for a path of cameras.
+
+    `sky` is its light by whether it is overcast.
+    """
     check_rain(rain)
     steps = sorted({*STEPS_MM_H, rain.intensity_mm_h})
     simulations = [RainSimulation.start(structs.replace(rain, intensity_mm_h=step)) for step in steps]
@@ -74,7 +86,16 @@ def rain_states(rain: RainSettings, scene: Scene, sky: dict[bool, SkyLight], exp
     }  # fmt: skip
     states = [_state(simulation, sky) for simulation in simulations]
     diameters = np.stack([simulation.diameters_mm for simulation in simulations]).astype(np.float32)
-    return RainStates(settings, states, diameters, steps.index(rain.intensity_mm_h))
+    roofs = shelter_map_of(scene) if rain.roofs else None
+    if roofs is not None:
+        places = np.array([camera.position[:2] for camera in cameras])
+        (x, y), (high_x, high_y) = places.min(axis=0), places.max(axis=0)
+        reach_m = min(float(np.hypot(high_x - x, high_y - y)) / 2 + AROUND_PATH_M, _MOST_ROOFS_M)
+        roofs = roofs.around(float(x + high_x) / 2, float(y + high_y) / 2, reach_m)
+    if roofs is not None:
+        rows, columns = roofs.heights_m.shape
+        settings["roofs"] = {"rows": rows, "columns": columns, "corner": roofs.corner_m, "cell": roofs.cell_m}
+    return RainStates(settings, states, diameters, roofs, steps.index(rain.intensity_mm_h))
 
 
 def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, Any]:

@@ -129,17 +129,31 @@ function withSize(camera, width, height) {
   return {...camera, width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2};
 }
 
+// Where the actors are at a time of the path: rows of matrices from their first place, in the file's frame; NaN where absent.
+function posesAt(time) {
+  if (!settings.actors) return null;
+  const {all, steps} = scene.poses, found = new Float32Array(12 * settings.actors);
+  const at = Math.min(time / settings.poseStep, steps - 1), k = Math.min(Math.floor(at), Math.max(steps - 2, 0)), share = at - k;
+  for (let actor = 0; actor < settings.actors; ++actor)
+    for (let i = 0; i < 12; ++i) {
+      const a = all[12 * (actor * steps + k) + i], b = all[12 * (actor * steps + Math.min(k + 1, steps - 1)) + i];
+      found[12 * actor + i] = share > 0 ? a + share * (b - a) : a;
+    }
+  return found;
+}
+
 // State of the page
 
 const duration = settings.pathStep * (settings.path.length - 1);
 const state = {time: 0, step: settings.chosen, split: settings.split, playing: false, free: null, size: null};
 const keys = new Set();
-let worker = null, waiting = new Map(), requests = 0, scene = null, programs = null, screen = null, half = null;
+let worker = null, waiting = new Map(), requests = 0, scene = {}, programs = null, screen = null, half = null;
 
 function answer(camera, time, step, drops = false) {  // of the worker
   const id = ++requests;
   const promise = new Promise(resolve => waiting.set(id, resolve));
-  worker.postMessage({id, camera, time, state: step, near: NEAR, drops});
+  const poses = posesAt(time), {rotation, origin} = settings.toWorld;
+  worker.postMessage({id, camera, time: settings.start + time, state: step, near: NEAR, drops, poses, rotation, origin});
   return promise;
 }
 
@@ -160,9 +174,15 @@ async function open() {
     wet_labels: await image(wetFiles, wet.shN, 1),
     codebooks: texture(gl.R32F, 256, 5, gl.RED, gl.FLOAT, Float32Array.from(books.flat())),
   };
+  if (settings.actors) {
+    textures.actors = await imageTexture(bytesOf("actors"));
+    textures.poses = texture(gl.RGBA32F, 4, settings.actors + 1);
+    const poses = new Float32Array(bytesOf("poses").buffer);
+    scene.poses = {all: poses, steps: poses.length / settings.actors / 12};
+  } else textures.actors = textures.poses = texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   const harmonics = part => part ? [1, 4, 9, 16][part.bands] : 1;
   const count = meta.count, {mins, maxs} = meta.means;
-  scene = {count, textures, means_minimum: mins, means_maximum: maxs, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)};
+  Object.assign(scene, {count, textures, means_minimum: mins, means_maximum: maxs, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)});
   const low = pixelsOf(textures.means_low), high = pixelsOf(textures.means_high), fixed = new Float32Array(3 * count);
   const {rotation, origin} = settings.toWorld, place = [0, 0, 0];
   for (let i = 0; i < count; ++i) {
@@ -177,7 +197,10 @@ async function open() {
   const states = settings.states.map((each, k) => ({...each, diameters: diameters.subarray(k * classes, (k + 1) * classes)}));
   worker = new Worker(URL.createObjectURL(new Blob([element("rain-script").textContent], {type: "text/javascript"})));
   worker.onmessage = ({data}) => { waiting.get(data.id)(data); waiting.delete(data.id); };
-  worker.postMessage({fixed, states, settings: settings.rain});
+  const actors = settings.actors ? pixelsOf(textures.actors) : null;
+  const members = actors && Uint16Array.from({length: count}, (_, i) => actors[4 * i] + 256 * actors[4 * i + 1]);
+  if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(bytesOf("roofs").buffer);
+  worker.postMessage({fixed, members, states, settings: settings.rain});
   const text = name => element(name).textContent;
   programs = {
     scene: new Program(text("page_quad.vert"), text("page_project.frag")),
@@ -243,11 +266,12 @@ function drawPart(camera, drawn, rain, left, right) {
   const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count, drawn.ids.length), view = projection(camera);
   const falls = rain.density > 0, hazy = rain.extinction > 0;
   const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, airlight: linear(rain.airlight)};
+  if (settings.actors) uploadPoses(drawn.poses, view.camera_in_object);
   gl.disable(gl.BLEND);
   gl.disable(gl.SCISSOR_TEST);
   gl.bindFramebuffer(gl.FRAMEBUFFER, scene.target);
   gl.viewport(0, 0, COLUMNS, rows);
-  programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, wetness: settings.hasWet ? rain.wetness : 0,
+  programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, has_actors: settings.actors > 0, wetness: settings.hasWet ? rain.wetness : 0,
                       antialiased: settings.antialiased, has_medium: hazy});
   gl.drawArrays(gl.TRIANGLES, 0, 3);
   if (falls && count) {
@@ -276,6 +300,18 @@ function drawPart(camera, drawn, rain, left, right) {
   gl.scissor(Math.round(left * canvas.width), 0, Math.round(right * canvas.width) - Math.round(left * canvas.width), canvas.height);
   programs.picture.use({clear_scene: screen.scene, shares: screen.shares, rain_light: linear(rain.drops), screen: [canvas.width, canvas.height]});
   gl.drawArrays(gl.TRIANGLES, 0, 3);
+}
+
+function uploadPoses(poses, inObject) {  // three rows and the camera in the actor's first frame; row 0 is of what does not move
+  const rows = new Float32Array(16 * (settings.actors + 1));
+  rows.set([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, ...inObject, 0]);
+  for (let actor = 0; actor < settings.actors; ++actor) {
+    const m = poses.subarray(12 * actor, 12 * actor + 12), away = [inObject[0] - m[3], inObject[1] - m[7], inObject[2] - m[11]];
+    rows.set(m, 16 * (actor + 1));
+    for (let k = 0; k < 3; ++k) rows[16 * (actor + 1) + 12 + k] = m[k] * away[0] + m[4 + k] * away[1] + m[8 + k] * away[2];
+  }
+  gl.bindTexture(gl.TEXTURE_2D, scene.textures.poses);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 4, settings.actors + 1, gl.RGBA, gl.FLOAT, rows);
 }
 
 function draw(camera, drawn, split) {
