@@ -33,7 +33,7 @@ class RainStates(NamedTuple):
     """Rain of a page."""
 
     settings: dict[str, Any]
-    """What is the same at all intensities, in the names of `rain.js`."""
+    """Values common to all intensities, in the names of `rain.js`."""
     states: list[dict[str, Any]]
     """One for each step of the slider, rising."""
     diameters_mm: Float32[np.ndarray, "states classes"]
