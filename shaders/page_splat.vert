@@ -6,6 +6,7 @@ precision highp int;
 precision highp usampler2D;
 
 #include "common_alpha.glsl"
+#include "common_splat.glsl"
 
 uniform usampler2D shapes, rests;  // as page_project.frag writes them
 uniform usampler2D order;          // numbers of splats
@@ -31,10 +32,10 @@ void main() {
     }
     ivec2 at = ivec2(splat % SPLAT_COLUMNS, splat / SPLAT_COLUMNS);
     uvec4 rest = texelFetch(rests, at, 0);
-    vec2 blue_alpha = unpackHalf2x16(rest.w);
-    if (!(blue_alpha.y > 0.0)) return;
+    float alpha = alpha_in(rest.zw);
+    if (!(alpha > 0.0)) return;
     vec4 shape = uintBitsToFloat(texelFetch(shapes, at, 0));
-    color_log_alpha = vec4(unpackHalf2x16(rest.z), blue_alpha.x, log2(blue_alpha.y));
+    color_log_alpha = vec4(color_in(rest.zw), log2(alpha));
     float reach = sqrt(max(color_log_alpha.a - log2(is_rain != 0 ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT), 0.0));
     offset = reach * (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0);
     vec2 deviations = STANDARD_DEVIATIONS * offset;
