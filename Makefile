@@ -21,6 +21,7 @@ demo: setup
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 export PYTHONDONTWRITEBYTECODE =
 
+test: PACKAGES = tests
 test: setup
 	$(MAKE) --jobs=2 lint tests
 
@@ -129,7 +130,7 @@ $(VENV)/.installed-jobs: $(VENV)/.installed
 	@touch $@
 
 system:
-	@PYTHON="$(PYTHON)" sh ./system_packages.sh
+	@PYTHON="$(PYTHON)" sh ./system_packages.sh $(PACKAGES)
 
 clean:
 	rm -rf $(VENV) $(OUT)

@@ -5,6 +5,7 @@
 #define LOADS_SPLATS
 #include "common_alpha.glsl"
 #include "common_splat.glsl"
+#include "common_splat_blocks.glsl"
 
 const uint TILE = 16u;  // px
 const float SLACK = 1e-2;  // px; margin for rounding

@@ -6,6 +6,7 @@
 #define LOADS_SPLATS
 #include "common_alpha.glsl"
 #include "common_splat.glsl"
+#include "common_splat_blocks.glsl"
 
 layout(std430, binding = 1) readonly buffer Order { uint order[]; };  // slots, nearest first
 layout(std430, binding = 7) readonly buffer Work { uint draw_command[5]; uint visible_count; };

@@ -15,6 +15,7 @@ OUTPUTS = {
     "edit": ["none -o OUT"],
     "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
     "street": ["OUT", "ok --json OUT"],
+    "publish": ["none -o OUT.html", "none -o ok.html --json OUT"],
     "export-rain": ["street -o OUT.ply", "none -o ok --json OUT"],
     "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],
     "disdrometer": ["-o OUT.nc", "--json OUT"],

@@ -29,6 +29,12 @@ def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) 
 
     `count` Gaussians have `coefficients` spherical harmonics per color. Call it before allocating.
     """
+    check_plausible(path, count, coefficients, file_bytes)
+    check_room(path, count, coefficients)
+
+
+def check_plausible(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
+    """Reject a header that speaks of more Gaussians than can be in a file of its size."""
     wanted = gaussian_bytes(count, coefficients)
     if wanted > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
         raise SceneFormatError(
@@ -36,7 +42,6 @@ def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) 
             f"the header speaks of {count} Gaussians ({wanted / 1e9:.1f} GB), "
             f"which can't be in a file of {file_bytes} bytes",
         )
-    check_room(path, count, coefficients)
 
 
 def gunzip_start(path: Path, data: bytes, size: int) -> bytes:

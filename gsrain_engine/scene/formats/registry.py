@@ -16,13 +16,21 @@ from ...safe_io.limits import kind_of_file
 from ..files import SceneFormatError, whole_file
 from ..gaussians import Gaussians
 from ._common import Format, check_finite, checked_gaussians
+from .compressed_ply import write_compressed
+from .gltf import read_glb, write_glb
 from .ksplat import read_ksplat, read_splat, write_splat
 from .ply import read_ply, write_ply
 from .sog import read_sog
+from .sog_writer import write_sog
 from .spz import read_spz, write_spz
 
 FORMATS = (
-    Format(".compressed.ply", read_ply, None, "SuperSplat's: 16 bytes per Gaussian plus its harmonics"),
+    Format(
+        ".compressed.ply",
+        read_ply,
+        write_compressed,
+        "SuperSplat's: 16 bytes per Gaussian plus its harmonics, in Morton order",
+    ),
     Format(
         ".ply",
         read_ply,
@@ -31,9 +39,15 @@ FORMATS = (
         "A comment marks antialiased Gaussians: `SplatRenderMode: mip` (Brush) or `antialiased 1` (Postshot)",
     ),
     Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", False),
-    Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 3 is written"),
+    Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 4 is written"),
     Format(".ksplat", read_ksplat, None, "GaussianSplats3D's, SH degree 0 to 2"),
-    Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
+    Format(".sog", read_sog, write_sog, "PlayCanvas' images in a zip file; version 2 is written, in Morton order"),
+    Format(
+        ".glb",
+        read_glb,
+        write_glb,
+        "binary glTF with `KHR_gaussian_splatting`, lossless; reads `KHR_gaussian_splatting_compression_spz_2`, too",
+    ),
     Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
 )
 """Built-in formats; `scene_suffixes` includes those of installed packages.

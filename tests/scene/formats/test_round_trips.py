@@ -26,8 +26,8 @@ from .sample_files import (
     BLOCK,
     assert_valid,
     ksplat,
+    old_spz,
     sample_gaussians,
-    spz_version_4,
     written,
 )
 from .test_layouts import columns_of, write_text
@@ -61,8 +61,8 @@ def text(gaussians: Gaussians) -> tuple[Gaussians, bytes]:
     return gaussians, write_text(written(gaussians, ".ply"), before="7\n8\n")
 
 
-def spz_4(gaussians: Gaussians) -> tuple[Gaussians, bytes]:
-    return gaussians, spz_version_4(gaussians)
+def spz_3(gaussians: Gaussians) -> tuple[Gaussians, bytes]:
+    return gaussians, old_spz(gaussians, 3)
 
 
 def of_level(level: int, gaussians: Gaussians) -> tuple[Gaussians, bytes]:
@@ -75,8 +75,8 @@ ROUND_TRIPS = {
     "ply": RoundTrip(".ply", partial(ours, ".ply"), 0, 1e-5, 1e-6, 1e-6, 0, 0),
     "ply, text": RoundTrip(".ply", text, 0, 1e-5, 1e-6, 1e-6, 0, 0),
     "splat": RoundTrip(".splat", partial(ours, ".splat"), 0, 1e-6, 1e-4, _BYTE, _BYTE / SH_C0, 0, 0),
-    "spz 3": RoundTrip(".spz", partial(ours, ".spz"), 2**-17 + 1e-5, 1 / 31, 4e-6, _BYTE, _BYTE / 0.15, 0.51 / 128),
-    "spz 4": RoundTrip(".spz", spz_4, 2**-17 + 1e-5, 1 / 31, 4e-6, _BYTE, _BYTE / 0.15, 0.51 / 128),
+    "spz 4": RoundTrip(".spz", partial(ours, ".spz"), 2**-17 + 1e-5, 1 / 31, 4e-6, _BYTE, _BYTE / 0.15, 0.51 / 128),
+    "spz 3": RoundTrip(".spz", spz_3, 2**-17 + 1e-5, 1 / 31, 4e-6, _BYTE, _BYTE / 0.15, 0.51 / 128),
     "ksplat 0": RoundTrip(".ksplat", partial(of_level, 0), 0, 1e-6, 1e-6, _BYTE, _BYTE / SH_C0, 1e-6, 2),
     "ksplat 1": RoundTrip(
         ".ksplat", partial(of_level, 1), 0.51 * BLOCK / 2 / 32767, 2**-10, 1e-5, _BYTE, _BYTE / SH_C0, 2e-3, 2
