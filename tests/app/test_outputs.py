@@ -28,7 +28,7 @@ OUTPUTS = {
     ],
     "sweep": ["tiny -o OUT", "tiny -o ok --json OUT"],
     "train-transfer": ["tiny -o OUT", "tiny -o ok --json OUT"],
-    "drive": ["-o OUT", "-o ok --json OUT"],
+    "drive": ["-o OUT", "-o ok --json OUT", "-o ok --rerun OUT.rrd"],
     "doctor": ["--json OUT"],
     "schema": ["rain -o OUT.json"],
     "bench": ["--json OUT"],
@@ -47,7 +47,7 @@ OUTPUTS = {
     "evaluate lidar": ["none -o OUT", "none -o ok --json OUT"],
 }
 """Command lines with OUT in each place of a file or folder that is written; what they read is not there."""
-_WRITTEN = {"output", "target", "directory", "json", "contact_sheet", "plot", "report", "video", "overlay"}
+_WRITTEN = {"output", "target", "directory", "json", "contact_sheet", "plot", "report", "video", "overlay", "rerun"}
 needs_proc = pytest.mark.skipif(not Path("/proc").is_dir(), reason="a folder that takes no file is Linux's")
 LINES = [f"{command} {rest}" for command, lines in OUTPUTS.items() for rest in lines]
 
