@@ -59,11 +59,11 @@ class Editor:
         self.viewport = ViewportState(self.document, self.playback)
         self.selection = SelectionTool(self.document, self.playback)
         self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
-        self.calibration = CalibrationTools(self.document, self.status)
         self.keyframe_panel = KeyframePanelState()
         self.captures = CaptureController(self.viewport, self.status)
         self.matching = MatchingController(self.viewport, self.captures)
-        self.jobs = JobRunner(self._thread, self.status.report)
+        self.jobs = JobRunner(self._thread, self.status.report, lambda: self.viewport.staged is None)
+        self.calibration = CalibrationTools(self.document, self.jobs, self.status)
         self.files = Files(
             self.viewport, self.jobs, self.captures, self.preferences, self.status, self._thread, self._enter
         )
@@ -121,7 +121,6 @@ class Editor:
         self.files.close()
         self.preferences.close()
         self._thread.shutdown()
-        self.calibration.close()
         self.captures.close()
         self.matching.close()
         self.status.close()
@@ -149,14 +148,14 @@ class Editor:
     @property
     def is_working(self) -> bool:
         """True if background work needs frames to be processed."""
-        return bool(self.jobs.running) or self.is_bringing_in
+        return bool(self.jobs.pending) or self.is_bringing_in
 
     @property
     def is_bringing_in(self) -> bool:
         """True if something is being prepared for the viewport, which each frame continues."""
         parts = self.captures.is_working or self.matching.is_working or self.rollouts.is_working
         waits = self.viewport.staged is not None or self.files.deferred.is_waiting
-        return parts or waits or self.busy is not None or self.calibration.busy is not None
+        return parts or waits or self.busy is not None
 
     def tick(self, real_s: float) -> None:
         """Advance time and process finished background work. Once a frame."""
@@ -165,8 +164,8 @@ class Editor:
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (
-            self.files, self.preferences, self.live_rain, self.calibration, self.captures, self.matching, self.rollouts,
-            self.jobs, self.wet_look,
+            self.files, self.preferences, self.live_rain, self.captures, self.matching, self.rollouts, self.jobs,
+            self.wet_look,
         ):  # fmt: skip
             part.poll()
         if viewport.staged is None and not self.rollouts.is_working:  # otherwise a result is still being swapped in
