@@ -114,6 +114,9 @@ class Workspace:
         )
         if not self.pictures.is_drawing:
             self.pictures.begin(editor.render_input(width, height), editor.mosaic_input())
+        else:
+            viewport = editor.viewport
+            self.pictures.reconsider(viewport.shot(width, height), editor.split_panes, viewport.options.look)
         self._palette.draw(editor)
         keyboard_page(editor.viewport)
         about_page(editor.viewport)

@@ -138,7 +138,7 @@ class Editor:
         if self.live_rain.is_searching_roofs:
             return "Finding roofs"
         is_compiling = self.viewport.is_compiling
-        return "Preparing the picture; once after an update this takes up to a minute" if is_compiling else None
+        return "Preparing the renderer (first start only)" if is_compiling else None
 
     @property
     def pending_files(self) -> list[Future[Any]]:
@@ -239,6 +239,7 @@ class Editor:
         assert frame is not None
         viewport.picture_view = frame.canvas_view
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
+        viewport.is_preparing = result.is_preparing
         for problem in result.problems:
             self.status.report(problem)
         if result.drawn is not None:

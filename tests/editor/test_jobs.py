@@ -198,8 +198,8 @@ def test_processes_run_one_after_another_in_an_order_that_can_be_changed(runner,
     lines = [record.message.partition(" after ")[0] for record in caplog.records]
     assert lines == [
         "first: started", "second: waits for first", "third: waits for second", "fourth: waits for third",
-        "light: started", "light: done", "second: canceled before it began", "first: canceled", "fourth: started", "fourth: done",
-        "third: started", "third: done",
+        "light: started", "light: done", "second: canceled before it began", "first: canceled",
+        "fourth: started", "fourth: done", "third: started", "third: done",
     ]  # fmt: skip
 
 

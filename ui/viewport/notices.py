@@ -25,6 +25,7 @@ logger = logging.getLogger("gsrain")
 _WIDTH_EM = 34.0
 _MARGIN = 10.0
 _MAX_ENDED = 3
+_PREPARING = "Preparing the renderer (first start only): about a minute, in which it does not rain yet."
 
 
 def draw_notices(editor: Editor, corner: ImVec2, width: int, height: int) -> None:
@@ -34,6 +35,11 @@ def draw_notices(editor: Editor, corner: ImVec2, width: int, height: int) -> Non
         imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
         _draw_busy(editor.busy, wide)
     left, bottom = corner.x + width - wide - _MARGIN, corner.y + height - _MARGIN
+    if editor.viewport.is_preparing and editor.busy is None:
+        bottom -= _height(_PREPARING, wide)
+        imgui.set_cursor_screen_pos(ImVec2(left, bottom))
+        _draw_busy(_PREPARING, wide)
+        bottom -= _MARGIN
     if editor.status.problem is not None:
         bottom -= _height(f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {editor.status.problem}", wide)
         imgui.set_cursor_screen_pos(ImVec2(left, bottom))

@@ -1,8 +1,10 @@
 """Textures of captures, jobs and CPU renders, and capture points, in the window's OpenGL context and thread."""
 
 import logging
+import multiprocessing
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -10,7 +12,7 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt8
 
-from ...compile_cache import mark_kernels
+from ...compile_cache import has_kernels, mark_kernels, stores_kernels
 from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
 from ...rain.simulation import OVERCAST, RainSimulation
@@ -160,8 +162,9 @@ class JobPreviews:
 class CpuTexture:
     """A CPU renderer, whose kernels compile in the background, and the texture of its images."""
 
-    def __init__(self, context: moderngl.Context) -> None:
+    def __init__(self, context: moderngl.Context, checkpoint: Callable[[], None]) -> None:
         self.renderer = CpuRenderer()
+        self.renderer.checkpoint = checkpoint
         self._context = context
         self._texture: moderngl.Texture | None = None
         self._compiled = threading.Event()
@@ -194,12 +197,22 @@ class CpuTexture:
 
     def _compile(self) -> None:
         try:
+            if not has_kernels() and stores_kernels():
+                _compile_in_process()
             compile_kernels()
         except Exception:  # OpenGL draws instead, slower; the window must not end
             self.has_failed = True
             logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
         else:
             self._compiled.set()
+
+
+def _compile_in_process() -> None:
+    """Fill the kernel cache from another process, and wait for it: the compiler holds Python's lock in its own."""
+    with suppress(OSError):  # no process can be started: this one compiles
+        process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
+        process.start()
+        process.join()
 
 
 def compile_kernels() -> None:

@@ -109,7 +109,9 @@ class Job(Generic[_Result]):
     @property
     def seconds(self) -> float:
         """Duration so far, or until its end; 0 while it waits."""
-        return 0.0 if self.started_s is None else (monotonic() if self.ended_s is None else self.ended_s) - self.started_s
+        return (
+            0.0 if self.started_s is None else (monotonic() if self.ended_s is None else self.ended_s) - self.started_s
+        )
 
     @property
     def remaining_s(self) -> float | None:
