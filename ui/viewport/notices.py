@@ -18,6 +18,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import Job, JobRunner, duration_text
 from gsrain_engine.editor.status import StatusBus
 
+from ..folding import show_panel
 from ..widgets.fields import button
 from ..widgets.text import visible_name
 
@@ -74,7 +75,7 @@ def _draw_problem(status: StatusBus, problem: str, wide: float) -> None:
             status.dismiss()
         imgui.same_line()
         if button("Details", "Show the log, which has the rest."):
-            imgui.set_window_focus("Log")
+            show_panel("Log")
         imgui.same_line()
         if button("Copy", "Put the sentence on the clipboard."):
             imgui.set_clipboard_text(problem)

@@ -15,6 +15,7 @@ from gsrain_engine.render.renderer import RenderMode
 
 from ..commands.keys import chord_name
 from ..commands.table import COMMANDS
+from ..folding import FoldedPanels
 from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
@@ -27,11 +28,11 @@ from .overlays import OVERLAYS, draw_divider, preview_side
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
 
-def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult) -> tuple[int, int]:
+def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, folded: FoldedPanels) -> tuple[int, int]:
     """Draw the panel with the last picture. Returns width and height of the next one in pixels."""
     view_bar(editor)
     size = imgui.get_content_region_avail()
-    width, height = max(int(size.x), 16), max(int(size.y), 16)
+    width, height = max(int(size.x - folded.width), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
     textures = [texture.glo for texture in picture.textures]
     at = round(editor.viewport.options.divider * width) if len(textures) == 2 else 0
@@ -68,6 +69,7 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult) -
     if not editor.document.scene.members and editor.busy is None:
         draw_start_page(editor, corner, width, height)
     draw_notices(editor, corner, width, height)
+    folded.draw(ImVec2(corner.x + width, corner.y), height)
     return width, height
 
 
