@@ -197,9 +197,7 @@ class CpuTexture:
 
     def _compile(self) -> None:
         try:
-            if not has_kernels() and stores_kernels():
-                _compile_in_process()
-            compile_kernels()
+            load_kernels()
         except Exception:  # OpenGL draws instead, slower; the window must not end
             self.has_failed = True
             logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
@@ -207,12 +205,17 @@ class CpuTexture:
             self._compiled.set()
 
 
-def _compile_in_process() -> None:
-    """Fill the kernel cache from another process, and wait for it: the compiler holds Python's lock in its own."""
-    with suppress(OSError):  # no process can be started: this one compiles
-        process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
-        process.start()
-        process.join()
+def load_kernels() -> None:
+    """Load all kernels of a picture; those that are missing are compiled by another process first.
+
+    The compiler holds Python's lock, so that in this process it would stop the interface.
+    """
+    if not has_kernels() and stores_kernels():
+        with suppress(OSError):  # no process can be started: this one compiles
+            process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
+            process.start()
+            process.join()
+    compile_kernels()
 
 
 def compile_kernels() -> None:
