@@ -35,7 +35,7 @@ class Driver:
         self._is_seen = False
 
     def run(self, script):
-        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False)
+        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False, hint=False)
         parameters = self.window.parameters()
         parameters.ini_disable = True
         parameters.app_window_params.window_geometry.size = self.size_px

@@ -31,6 +31,7 @@ from .matching import MatchingController
 from .preferences import PreferencesStore
 from .rain import CalibrationTools, KeyframePanelState
 from .recorder import RenderQueue
+from .scene_setup import SceneSetup
 from .selection.commands import SelectionTool
 from .status import StatusBus, logger
 from .timeline import Playback
@@ -71,6 +72,7 @@ class Editor:
         self.files.loose_results = lambda: self.rollouts.unsaved_titles
         self.live_rain = LiveRain(self.document, self.viewport, self.rollouts, self._thread)
         self.training = TrainingController(self.viewport, self.captures, self.jobs, self.files)
+        self.scene_setup = SceneSetup(self.document, self.viewport)
         self.floaters = FloaterFinder(self.document, self.jobs)
         self.lamps = LampFinder(self.document, self.jobs)
         self.wet_look = WetLookController(
@@ -91,6 +93,7 @@ class Editor:
         self.document.open(state)
         self.files.enter(opened, state)
         self._reset_view()
+        self.scene_setup.enter(scene)
         forget_scenes()
         self._freed_memory.note_work()
         if scene.view is not None:
@@ -137,8 +140,9 @@ class Editor:
             return f"Uploading {staged.label}"
         if self.live_rain.is_searching_roofs:
             return "Finding roofs"
-        is_compiling = self.viewport.is_compiling
-        return "Preparing the renderer (first start only)" if is_compiling else None
+        if not self.viewport.is_compiling:
+            return None
+        return "Preparing the renderer (first start only)" if self.viewport.is_preparing else "Loading the renderer"
 
     @property
     def pending_files(self) -> list[Future[Any]]:

@@ -58,8 +58,8 @@ class FinetuneController:
         for path in (self.choice.clear, self.choice.rainy):
             if path is not None and not path.exists():
                 return f"{path}: is not there; choose other pictures."
-        if self._jobs.writes(self.choice.output) is not None:
-            return "A training into this folder goes on: wait for it, cancel it, or choose another folder."
+        if (job := self._jobs.writes(self.choice.output)) is not None:
+            return f"{job.title} works in this folder already: wait for it, cancel it, or choose another one."
         return None
 
     def start(self, *, resume: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""The viewport: image, navigation by mouse and keys, region outlines, bars, and the start page."""
+"""The viewport: image, navigation by mouse and keys, region outlines, and bars."""
 
 from collections.abc import Sequence
 from typing import get_args
@@ -14,14 +14,13 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.renderer import RenderMode
 
 from ..commands.keys import chord_name
-from ..commands.table import COMMANDS
 from ..folding import FoldedPanels
 from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
 from ..widgets.draw import Canvas, draw_lines
 from ..widgets.fields import button
-from ..widgets.text import label
+from .first_run import draw_hint, draw_setup_bar, draw_start_card
 from .notices import card, draw_notices
 from .overlays import OVERLAYS, draw_divider, preview_side
 
@@ -67,7 +66,11 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
     if tool is not None:
         tool_options(tool, corner, left, width)
     if not editor.document.scene.members and editor.busy is None:
-        draw_start_page(editor, corner, width, height)
+        draw_start_card(editor, corner, width, height)
+    elif editor.scene_setup.is_open:
+        draw_setup_bar(editor, corner, left, width)
+    if editor.preferences.value.hint:
+        draw_hint(editor, corner, height)
     draw_notices(editor, corner, width, height)
     folded.draw(ImVec2(corner.x + width, corner.y), height)
     return width, height
@@ -202,31 +205,3 @@ def view_bar(editor: Editor) -> None:
         imgui.set_item_tooltip("Time in the scene, and speed of W A S D (Ctrl+wheel). F1 shows all keys.")
     else:
         imgui.new_line()
-
-
-# Start page without a scene
-
-_WIDTH_EM = 30.0
-_OFFERED = ("Open...", "Open the built-in street")
-_MAX_RECENT = 6
-
-
-def draw_start_page(editor: Editor, corner: ImVec2, width: int, height: int) -> None:
-    wide = min(_WIDTH_EM * imgui.get_font_size(), width - 20.0)
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.25 * height))
-    flags = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
-    if imgui.begin_child("empty", ImVec2(wide, 0), flags):
-        imgui.text_wrapped("No scene is open. Drop a scene file or folder here, or begin with one of these.")
-        imgui.spacing()
-        for command in COMMANDS:
-            if command.name in _OFFERED and imgui.button(command.name, ImVec2(-1, 0)):
-                command.perform(editor)
-        recent = editor.files.recent[:_MAX_RECENT]
-        if recent:
-            imgui.separator_text("Recent")
-        for path in recent:
-            name = label(f"{icons.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path))
-            if imgui.button(name, ImVec2(-1, 0)):
-                editor.files.open(str(path))
-            imgui.set_item_tooltip(str(path))
-    imgui.end_child()

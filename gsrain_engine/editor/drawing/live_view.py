@@ -63,7 +63,7 @@ class LiveView:
     ) -> None:
         """`finish` waits until everything is drawn, by default as the context does.
 
-        `checkpoint` is called between the stages of a picture; a `PictureGivenUpError` that it raises ends the drawing.
+        `checkpoint` is called between the stages of a picture; what it raises ends the drawing.
         """
         self.context = context
         self._finish = finish or context.finish

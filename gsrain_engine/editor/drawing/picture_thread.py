@@ -32,7 +32,7 @@ class PictureContext(Protocol):
         ...
 
 
-class PictureGivenUpError(Exception):
+class PictureAbandonedError(Exception):
     """Raised in the drawing of a picture that no longer matters."""
 
 
@@ -57,9 +57,9 @@ class PictureThread:
         self._opening: Future[tuple[LiveView, MosaicImages]] = self._thread.submit(self._open)
         self._drawing: Future[Picture | None] | None = None
         self._frame: RenderInput | None = None
-        self._is_given_up = threading.Event()
+        self._is_abandoned = threading.Event()
         self._last = DrawResult()
-        self._may_give_up = True
+        self._may_abandon = True
         self._is_closed = False
 
     @property
@@ -90,7 +90,7 @@ class PictureThread:
         picture = drawn.result()
         if picture is None:
             return None
-        self._last, self._may_give_up = picture.result, True
+        self._last, self._may_abandon = picture.result, True
         return picture
 
     def wait(self) -> None:
@@ -102,7 +102,7 @@ class PictureThread:
         """Begin to draw a picture, after the last one was taken."""
         assert self._drawing is None, "one picture at a time"
         self._frame = frame
-        self._is_given_up.clear()
+        self._is_abandoned.clear()
         self._drawing = self._thread.submit(self._draw, frame, mosaic)
 
     def reconsider(self, view: RenderView, panes: Sequence[SplitPane], mode: RenderMode) -> None:
@@ -111,13 +111,13 @@ class PictureThread:
         Only a picture of full quality is, which takes long, and never two in a row, so that pictures go on.
         """
         frame = self._frame
-        if frame is None or not (self._may_give_up and frame.quality.is_exact and frame.screenshot is None):
+        if frame is None or not (self._may_abandon and frame.quality.is_exact and frame.screenshot is None):
             return
         poses = frame.canvas_view.camera.world_to_camera, view.camera.world_to_camera
         contents = [[(id(each.scene), id(each.rainfall)) for each in some] for some in (frame.panes, panes)]
         if not (np.array_equal(*poses) and contents[0] == contents[1] and frame.mode == mode):
-            self._may_give_up = False
-            self._is_given_up.set()
+            self._may_abandon = False
+            self._is_abandoned.set()
 
     def close(self) -> None:
         """Wait for the picture that is being drawn, and end the thread. Further calls do nothing."""
@@ -133,16 +133,16 @@ class PictureThread:
         return LiveView(context, self._backend, self._context.finish, self._check), MosaicImages(context)
 
     def _check(self) -> None:
-        if self._is_given_up.is_set():
-            raise PictureGivenUpError
+        if self._is_abandoned.is_set():
+            raise PictureAbandonedError
 
     def _draw(self, frame: RenderInput, mosaic: MosaicInput | None) -> Picture | None:
         view, images = self._opening.result()
         try:
             result = view.draw(frame)
-        except PictureGivenUpError:
+        except PictureAbandonedError:
             return None
-        self._is_given_up.clear()  # the rest takes little time
+        self._is_abandoned.clear()  # the rest takes little time
         aside = None if mosaic is None else images.draw(mosaic, view)
         if aside is not None:
             self._context.finish()
