@@ -11,8 +11,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from ..safe_io.text_files import escape_invisible
 from ..scene.files import SceneFormatError
-from ..scene.progress import Progress
-from .jobs.job import PENDING
+from ..scene.progress import PENDING, Progress
 
 logger = logging.getLogger("gsrain")
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...scene.files import sentence_of
-from ...scene.progress import Progress
+from ...scene.progress import PENDING, Progress
 from .folder import temporary_folder
 from .process import JobState, Work, WorkerProcess, WorkerThread
 
@@ -25,8 +25,6 @@ logger = logging.getLogger("gsrain")
 _Result = TypeVar("_Result")
 _SAVING = Progress(0.0, "Saving the scene for the worker")
 _DONE = "Done"
-PENDING: tuple[JobState, ...] = ("queued", "running")
-"""States of work that has not ended."""
 _NOTICED_S = 60.0  # a notice of an end goes by itself after this time
 _ESTIMATED_FROM, _ESTIMATED_AFTER_S = 0.02, 2.0  # fraction and time from which the time left is estimated
 JobKind = Literal[
