@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -63,7 +64,7 @@ class LiveView:
     ) -> None:
         """`finish` waits until everything is drawn, by default as the context does.
 
-        `checkpoint` is called between the stages of a picture; what it raises ends the drawing.
+        `checkpoint` is called between the stages of a pane's picture; what it raises ends the drawing.
         """
         self.context = context
         self._finish = finish or context.finish
@@ -72,7 +73,7 @@ class LiveView:
         self._opengl = SplatRenderer(context, rasterizer=rasterizer_for(backend, self.speed))
         on_cpu = self.speed.is_cpu_fastest if backend == "auto" else backend == "cpu"
         self._checkpoint = checkpoint
-        self._cpu = CpuTexture(context, checkpoint) if on_cpu else None
+        self._cpu = CpuTexture(context) if on_cpu else None
         self._waits_until = 0.0
         self._compiles = False  # kernels that are not in the cache
         if self._cpu is not None:
@@ -104,7 +105,7 @@ class LiveView:
             if self._on_cpu or self._gpu_is_full:
                 raise
             self._gpu_is_full = True
-            self._cpu = self._cpu or CpuTexture(self.context, self._checkpoint)
+            self._cpu = self._cpu or CpuTexture(self.context)
             self._cpu.compile()
             self._upload.give_up()
             self._opengl.arrays.release_everything()
@@ -113,7 +114,9 @@ class LiveView:
 
     def _draw(self, frame: RenderInput) -> DrawResult:
         if self._cpu is not None and self._cpu.has_failed:
-            self._cpu, self._gpu_is_full = None, False
+            self._cpu, self._gpu_is_full, self._compiles = None, False, False
+            for pane in self._panes:
+                pane.state = None  # drawn again, with rain
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may change at any moment
         self._can_draw = self._cpu is None or self._on_cpu or self._substitutes_cpu(frame.scene)
         if frame.harmonics != self._opengl.arrays.harmonics:
@@ -232,14 +235,28 @@ class LiveView:
         glass, name = None, f"pane/{self._panes.index(pane)}"
         if rainfall is not None and has_glass(rainfall, frame.mode):
             glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
-        draw_view(
-            self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning, selection=selection,
-            reuse=None if frame.quality.is_exact else pane.reuse,
-        )  # fmt: skip
+        with self._interruptible():
+            draw_view(
+                self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
+                selection=selection, reuse=None if frame.quality.is_exact else pane.reuse,
+            )  # fmt: skip
         picture = self._picture(glass, name, frame.background)
         pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev)
         pane.state, pane.scene = state, scene
         return True
+
+    @contextmanager
+    def _interruptible(self) -> Generator[None]:
+        """Let the checkpoint end the drawing within the block; samples of the sky, for one, go on to their end."""
+        if self._cpu is None:
+            yield
+            return
+        renderer = self._cpu.renderer
+        before, renderer.checkpoint = renderer.checkpoint, self._checkpoint
+        try:
+            yield
+        finally:
+            renderer.checkpoint = before
 
     def _drawable(self, scene: Scene, pane: "_PaneImage", *, whole: bool) -> Scene:
         """The scene; or unless `whole` the last one, while much of the new one has yet to be uploaded."""

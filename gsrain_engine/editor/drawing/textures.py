@@ -3,7 +3,7 @@
 import logging
 import multiprocessing
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, get_args
@@ -162,9 +162,8 @@ class JobPreviews:
 class CpuTexture:
     """A CPU renderer, whose kernels compile in the background, and the texture of its images."""
 
-    def __init__(self, context: moderngl.Context, checkpoint: Callable[[], None]) -> None:
+    def __init__(self, context: moderngl.Context) -> None:
         self.renderer = CpuRenderer()
-        self.renderer.checkpoint = checkpoint
         self._context = context
         self._texture: moderngl.Texture | None = None
         self._compiled = threading.Event()
@@ -205,17 +204,21 @@ class CpuTexture:
             self._compiled.set()
 
 
+_loading = threading.Lock()
+
+
 def load_kernels() -> None:
     """Load all kernels of a picture; those that are missing are compiled by another process first.
 
     The compiler holds Python's lock, so that in this process it would stop the interface.
     """
-    if not has_kernels() and stores_kernels():
-        with suppress(OSError):  # no process can be started: this one compiles
-            process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
-            process.start()
-            process.join()
-    compile_kernels()
+    with _loading:
+        if not has_kernels() and stores_kernels():
+            with suppress(OSError):  # no process can be started: this one compiles
+                process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
+                process.start()
+                process.join()
+        compile_kernels()
 
 
 def compile_kernels() -> None:
