@@ -144,6 +144,7 @@ class MainWindow:
         self._title = ""
         self._ended_by: int | None = None
         self._style: Preferences | None = None
+        self._content_scale = 1.0
         self.failure: Exception | None = None
         """Error that prevented the program from loading or continuing, and closes the window."""
 
@@ -233,6 +234,7 @@ class MainWindow:
         """Set the icon, create the contexts of OpenGL and plots, accept dropped files, start loading."""
         window = glfw_utils.glfw_window_hello_imgui()
         set_window_icon(window)
+        self._content_scale = _content_scale()
         implot.create_context()
         self._context = moderngl.create_context(require=430)
         monitor_context(self._context, glfw.get_proc_address)
@@ -269,10 +271,13 @@ class MainWindow:
 
     def advance(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
-            preferences = self.workspace.editor.preferences.value
+            preferences, scale = self.workspace.editor.preferences.value, _content_scale()
+            if scale != self._content_scale:  # the window has come to a monitor with another scale
+                imgui.get_style().font_scale_dpi *= scale / self._content_scale
+                self._content_scale, self._style = scale, None
             if preferences != self._style:
                 self._style = preferences
-                apply_style(preferences)
+                apply_style(preferences, imgui.get_style().font_scale_dpi)
             self.workspace.update()
             if self._on_frame is not None:
                 self._on_frame(self.workspace)
@@ -317,6 +322,11 @@ class MainWindow:
         if self._pictures is not None:
             self._pictures.release()
         implot.destroy_context()
+
+
+def _content_scale() -> float:
+    """Scale of the monitor that the window is on, such as 2.0."""
+    return float(glfw.get_window_content_scale(glfw_utils.glfw_window_hello_imgui())[0]) or 1.0
 
 
 def leave_out_background(window: hello_imgui.DockableWindow) -> None:
@@ -490,7 +500,8 @@ _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.
 _MIN_TAB_PX = 30.0  # tabs shrink to this width in a narrow window before they scroll
 
 
-def apply_style(preferences: Preferences) -> None:
+def apply_style(preferences: Preferences, scale: float = 1.0) -> None:
+    """Set colors and sizes; `scale` is that of the screen, by which hello_imgui multiplies sizes only at the start."""
     for_screen = imgui.get_style().font_scale_dpi
     hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()
@@ -503,7 +514,7 @@ def apply_style(preferences: Preferences) -> None:
     style.docking_node_has_close_button = False
     style.item_spacing = ImVec2(8, 5)
     style.frame_padding = ImVec2(7, 4)
-    style.scale_all_sizes(preferences.ui_scale)
+    style.scale_all_sizes(preferences.ui_scale * scale)
     style.font_scale_main = preferences.font_scale
     style.font_scale_dpi = for_screen
     style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))  # the dark theme would brighten it

@@ -14,6 +14,7 @@ from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
+from .folding import FoldedPanels, show_panel
 from .panels.registry import all_panels
 from .parts import bind_parts
 from .shell import act_on_keys, draw_menus, status_bar
@@ -49,6 +50,7 @@ class Workspace:
         self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
         self._captures = CaptureTextures(context)
         self._palette = CommandPalette()
+        self.folded = FoldedPanels()
         self._pace = FrameClock()
         self._capture = editor.captures.capture
         self._last_problem = ""
@@ -72,6 +74,7 @@ class Workspace:
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
+        self.folded.update()
         self._take_picture()
         editor.tick(self._pace.step(imgui.get_io().delta_time))
         if editor.is_working:
@@ -107,13 +110,16 @@ class Workspace:
         if capture is not self._capture:
             self._capture = capture
             if capture is not None:  # the view shows nothing of a capture without poses
-                imgui.set_window_focus("Capture")
-        width, height = viewport_panel(editor, self.tools, self.pictures.last)
+                show_panel("Capture")
+        width, height = viewport_panel(editor, self.tools, self.pictures.last, self.folded)
         self._captures.draw_points(
             editor.captures, editor.document.scene, editor.viewport.canvas_view(width, height).camera
         )
         if not self.pictures.is_drawing:
             self.pictures.begin(editor.render_input(width, height), editor.mosaic_input())
+        else:
+            viewport = editor.viewport
+            self.pictures.reconsider(viewport.shot(width, height), editor.split_panes, viewport.options.look)
         self._palette.draw(editor)
         keyboard_page(editor.viewport)
         about_page(editor.viewport)
@@ -121,6 +127,7 @@ class Workspace:
 
     def close(self) -> None:
         """Wait for the picture that is being drawn, and stop its thread. Further calls do nothing."""
+        self.folded.unfold()  # layouts are saved with all docks
         self.pictures.close()
 
     def _take_picture(self) -> None:

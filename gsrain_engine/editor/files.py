@@ -238,11 +238,15 @@ class Files:
         self._when_idle(what, when_saved, ends_program=ends_program)
 
     def _when_idle(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
-        jobs = [each for each in self._jobs.running if ends_program or each.ends_with_scene]
+        jobs = [each for each in self._jobs.pending if ends_program or each.ends_with_scene]
         self.deferred.when_idle(jobs, self._work.running, what, act)
 
     def _reread(self, source: str) -> None:
         self._when_idle("revert", lambda: self.open_now(source))
+
+    def open_scene(self) -> tuple[Scene, FileCache]:
+        """Return the open scene and its files, for jobs."""
+        return self._document.scene, self.known
 
     def arrive(self, scene: Scene) -> LoadedDocument:
         """Return the origin of a staged scene that was opened here."""

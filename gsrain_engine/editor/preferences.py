@@ -91,6 +91,7 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
             extra={"unit": "s"},
         ),
     ] = 20.0
+    hint: Annotated[bool, Meta(title="First steps", description="Show the first steps in the viewport.")] = True
     desktop_dialogs: Annotated[
         bool,
         Meta(

@@ -61,10 +61,6 @@ class RenderQueue:
         extent = self.extent()
         return self._settings.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
 
-    @property
-    def is_recording(self) -> bool:
-        return self._jobs.is_running("export")
-
     def proposed_name(self, suffix: str | None = None) -> str:
         """Name of a recording's file or folder: the scene's, with a suffix or that of the chosen format."""
         if suffix is None:
@@ -178,6 +174,10 @@ class RenderQueue:
             names = list(self._sequences(recording))
         except ValueError as error:
             self._status.report(error, "It can't be recorded")
+            return
+
+        if self._jobs.writes(recording.path) is not None:
+            self._status.report(f"{recording.path} is being recorded already: choose another name")
             return
 
         def start() -> None:

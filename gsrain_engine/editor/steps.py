@@ -85,6 +85,8 @@ EDITS: Mapping[str, Edit] = {
     "move-selected": Edit("edits.transform:move_selected"),
     "move": Edit("edits.transform:move_member"),
     "place": Edit("edits.transform:set_layer_pose"),
+    "orient": Edit("edits.level:oriented"),
+    "guess-orientation": Edit("edits.level:guess_orientation"),
     "level-by-ground": Edit("edits.level:level_from_ground"),
     "level-by-points": Edit("edits.level:level_from_points"),
     "set-ground-height": Edit("edits.level:set_ground_height"),

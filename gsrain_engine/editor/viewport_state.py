@@ -69,7 +69,7 @@ class ViewportState:
         self.full_ms_per_megapixel: float | None = None
         """Drawing time of the last picture of full quality, by its size."""
         self.backend = self.backend_reason = ""
-        self.is_compiling = False
+        self.is_compiling = self.is_preparing = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""
         self.is_catching_up = False
         """True if the next frames continue unfinished work although nothing moves."""

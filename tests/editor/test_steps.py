@@ -161,6 +161,8 @@ def act(editor):
     document.edit("Up", layers.move_up, "layers/wet road")
     document.edit("Down", layers.move_down, "layers/wet road")
     document.edit("Merge", layers.merge, ["layers/road", "layers/wet road"])
+    document.edit("Up", level.oriented, "x")
+    document.edit("Guess", level.guess_orientation)
     document.edit("Level", level.level_from_ground)
     document.edit("Level", level.level_from_points, np.array([[0.0, 0, 0], [1, 0, 0.1], [0, 1, 0]]))
     document.edit("Ground", level.set_ground_height, 0.1)

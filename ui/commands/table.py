@@ -164,10 +164,6 @@ def _shows_regions(viewport: Any) -> bool:
     return viewport.options.show_streak_region and viewport.options.show_haze_region
 
 
-def _can_record(document: Any, render_queue: Any) -> bool:
-    return _has_scene(document) and not render_queue.is_recording
-
-
 # Rows made from tables
 
 
@@ -248,10 +244,10 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     (
         Command("Record the timeline...", "ui.panels.record:ask_where_to_record", "File", "Ctrl+R",
                 "Render the camera path, or rig cameras, to a video or frames in the background; see the Record panel.",
-                _can_record, shell="render", python="render_video"),
+                _has_scene, shell="render", python="render_video"),
         Command("Render image...", "ui.panels.record:ask_where_to_render_image", "File", "Ctrl+Shift+R",
                 "Render the present view at the present time, in the size and with the samples of the Record panel.",
-                _can_record, shell="render", python="render"),
+                _has_scene, shell="render", python="render"),
     ),
     # Editing
     (

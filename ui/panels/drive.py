@@ -116,10 +116,6 @@ def ask_where_to_render_drive(rollouts: RolloutPlayer) -> None:
 
 def _start(viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) -> None:
     newest = jobs.newest("drive")
-    if newest is not None and newest.state == "running":
-        imgui.separator_text(newest.title)
-        job_fields(viewport, jobs, newest)
-        return
     why_not = rollouts.why_not
     imgui.spacing()
     height = 1.5 * imgui.get_frame_height()
@@ -127,7 +123,8 @@ def _start(viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) ->
         rollouts.start()
     if why_not is not None:
         warn(why_not)
-    elif newest is not None and newest.state != "finished":
+    if newest is not None and newest.state != "finished":
+        imgui.separator_text(newest.title)
         job_fields(viewport, jobs, newest)
 
 

@@ -127,7 +127,8 @@ def _series(editor: Editor, name: str, reading: DisdrometerReading) -> None:
     try:
         measured = _keyframes_of(reading, keyframe_panel.speed_up, keyframe_panel.start_s)
     except ValueError as error:
-        calibration.series, calibration.error = None, f"{name}: {error}"
+        calibration.series = None
+        editor.status.report(f"{name}: {error}")
         return
     imgui.text_wrapped(f"{measured.summary}. Maximum: {measured.weather.heaviest_mm_h(document.rain):.1f} mm/h.")
     width = 5.5 * imgui.get_font_size()

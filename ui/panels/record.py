@@ -74,10 +74,10 @@ def record_panel(
         ask_where_to_record(render_queue)
     imgui.same_line()
     help_text = "Render the present view at the present time, in this size and with these samples (Ctrl+Shift+R)."
-    if button("Render image...", help_text, width=half, enabled=not render_queue.is_recording):
+    if button("Render image...", help_text, width=half):
         ask_where_to_render_image(render_queue)
     help_text = "Draw the present view in five intensities below each other, with what can be seen of each in numbers."
-    if button("Intensity sheet...", help_text, width=-1, enabled=not render_queue.is_recording):
+    if button("Intensity sheet...", help_text, width=-1):
         ask_where_to_draw_sheet(render_queue)
     why_not = "The scene is not in a file yet: save it first." if files.source is None else None
     forms = {"command": lambda: render_queue.command, "Python": lambda: render_queue.program}
@@ -114,7 +114,7 @@ def _extent(render_queue: RenderQueue) -> bool:
     imgui.set_item_tooltip(
         "The time is estimated from the viewport's last image (min:s), without loading the scene and encoding."
     )
-    return not render_queue.is_recording
+    return True
 
 
 def _minutes(seconds: float) -> str:
