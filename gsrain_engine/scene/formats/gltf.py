@@ -179,7 +179,8 @@ class _GlbReader:
             if index in visited:
                 raise SceneFormatError(self.path, f"glTF: node {index} has several parents")
             visited.add(index)
-            to_scene = parent @ _node_matrix(node)
+            with np.errstate(all="ignore"):
+                to_scene = parent @ _node_matrix(node)
             waiting += [(child, to_scene) for child in reversed(node.children)]
             if node.mesh is not None:
                 for primitive in self._at(document.meshes, node.mesh, "meshes").primitives:
@@ -198,7 +199,8 @@ class _GlbReader:
         if splatting.color_space != "srgb_rec709_display":
             told = f"colorSpace {splatting.color_space[:40]!r} can't be read, 'srgb_rec709_display' can"
             raise SceneFormatError(self.path, f"glTF: {told}")
-        squares = to_scene[:3, :3].T @ to_scene[:3, :3]
+        with np.errstate(all="ignore"):  # what is too large or no number is rejected
+            squares = to_scene[:3, :3].T @ to_scene[:3, :3]
         scale = np.trace(squares) / 3
         is_similarity = np.isfinite(to_scene).all() and 0 < scale < np.inf and np.linalg.det(to_scene[:3, :3]) > 0
         if not is_similarity or np.abs(squares / scale - np.eye(3)).max() > _SIMILAR:
@@ -248,7 +250,8 @@ class _GlbReader:
             )
         if isinstance(primitive.extras, dict) and primitive.extras.get("antialiased") is True:
             gaussians = replace(gaussians, antialiased=True)
-        found = _turned(transform_gaussians(gaussians, placed.to_scene))
+        with np.errstate(over="ignore"):  # infinity is rejected
+            found = _turned(transform_gaussians(gaussians, placed.to_scene))
         return replace(checked_gaussians(self.path, *found.arrays), antialiased=found.antialiased)
 
     def _accessor(self, primitive: _Primitive, name: str) -> _Accessor:
@@ -320,7 +323,7 @@ def _node_matrix(node: _Node) -> Float64[np.ndarray, "4 4"]:
         return np.array(node.matrix, np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = node.rotation
-    with np.errstate(all="ignore"):  # numbers that are too large are reported with the matrix
+    if True:
         matrix[:3, :3] = matrices_from_quaternions(np.array([w, x, y, z], np.float64)) * np.array(
             node.scale, np.float64
         )
