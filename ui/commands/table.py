@@ -225,7 +225,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Save as...", "ui.commands.actions:ask_where_to_save_scene", "File", "Ctrl+Shift+S",
                 "Save to another scene folder, which holds everything.", _has_scene, shell="convert", python="save"),
         Command("Export...", "ui.commands.actions:ask_where_to_export", "File", "Ctrl+E",
-                "Write visible Gaussians to one file (.ply, .spz, .glb, .usdz, ...); the document stays unsaved.", _has_scene,
+                "Write what is visible to one file (.ply, .spz, .glb, ...); the document stays unsaved.", _has_scene,
                 shell="convert", python="save"),
         Command("Revert", _call("files.revert"), "File",
                 help="Reload the scene from disk; all changes since it was saved are lost.",

@@ -127,7 +127,7 @@ class _Document(msgspec.Struct, frozen=True, rename="camel"):
 class _Placed(NamedTuple):
     primitive: _Primitive
     to_scene: Float64[np.ndarray, "4 4"]
-    count: int
+    gaussians: int
     sh_degree: int
 
 
@@ -158,7 +158,7 @@ class _GlbReader:
         if not placed:
             raise SceneFormatError(self.path, f"glTF: none of its meshes has Gaussians ({_EXTENSION})")
         coefficients = COEFFICIENTS_OF_DEGREE[max(each.sh_degree for each in placed)]
-        check_room(self.path, sum(each.count for each in placed), coefficients)
+        check_room(self.path, sum(each.gaussians for each in placed), coefficients)
         return Gaussians.concatenate([self._gaussians(each) for each in placed])
 
     def _placed(self) -> list[_Placed]:
@@ -229,7 +229,7 @@ class _GlbReader:
         if compression:
             gaussians = _turned(decode_spz(self.path, bytes(self._view(compression.buffer_view))))
         else:
-            sh = np.empty((placed.count, COEFFICIENTS_OF_DEGREE[placed.sh_degree], 3), np.float32)
+            sh = np.empty((placed.gaussians, COEFFICIENTS_OF_DEGREE[placed.sh_degree], 3), np.float32)
             for degree in range(placed.sh_degree + 1):
                 for n in range(2 * degree + 1):
                     name = f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"

@@ -111,13 +111,16 @@ class _StageReader:
         stride = (degree + 1) ** 2
         kept = min(stride, (_LARGEST_DEGREE + 1) ** 2)
         sh = _array(prim, "radiance:sphericalHarmonicsCoefficients", 3)
-        is_gray = sh is None or len(sh) < n * stride
+        if sh is None or len(sh) < n * stride:
+            sh, stride, kept = np.zeros((n, 3), np.float32), 1, 1
         columns = {
             "means": np.zeros((0, 3), np.float32) if means is None else means,
             "scales": _rows(_array(prim, "scales", 3), n, [1, 1, 1]),
             "quaternions": _rows(_array(prim, "orientations", 4), n, [0, 0, 0, 1])[:, [3, 0, 1, 2]],  # real part last
             "opacities": _rows(_array(prim, "opacities", 1), n, [1])[:, 0],
-            "sh": np.zeros((n, 1, 3)) if is_gray else sh[: n * stride].reshape(n, stride, 3)[:, :kept],
+            "sh": np.zeros((n, 1, 3))
+            if sh is None or len(sh) < n * stride
+            else sh[: n * stride].reshape(n, stride, 3)[:, :kept],
         }
         for name, values in columns.items():
             file = self.folder / f"{len(self.fields)}.{name}.npy"
