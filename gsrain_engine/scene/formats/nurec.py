@@ -5,6 +5,7 @@ camera models. AlpaSim's rig has its origin on the ground, x forward, y left, z 
 """
 
 import hashlib
+from collections import Counter
 from typing import Any
 
 import msgspec
@@ -25,7 +26,7 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
     """Files that describe the drive of the ego vehicle, its cameras and the tracks of actors; empty without a drive."""
     if scene.ego is None or not len(scene.ego.times):
         return {}
-    cameras = [(f"{rig}/{camera.name}", camera) for rig, mounted in scene.rigs.items() for camera in mounted]
+    cameras = [*logical_cameras(scene).items()]
     times = timestamps_us(scene.ego, scene)
     down = np.eye(4)
     down[2, 3] = -sensor_height_m(scene)
@@ -69,6 +70,13 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
 def scene_id(scene: Scene) -> str:
     """Name by which a simulator asks for a scene."""
     return scene.name or "scene"
+
+
+def logical_cameras(scene: Scene) -> dict[str, RigCamera]:
+    """Cameras of all rigs by name; by "RIG/NAME" where rigs share one."""
+    named = [(rig, camera) for rig, cameras in scene.rigs.items() for camera in cameras]
+    counts = Counter(camera.name for _, camera in named)
+    return {camera.name if counts[camera.name] == 1 else f"{rig}/{camera.name}": camera for rig, camera in named}
 
 
 def start_s(scene: Scene) -> float:
