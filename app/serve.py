@@ -17,7 +17,8 @@ from gsrain_engine.scene.formats.nurec import scene_id
 from gsrain_engine.scene.open import load_sorted_scene
 
 from .console import counted, print
-from .options import BACKEND, Wet, check_within, option
+from .options import BACKEND, JsonFile, Wet, check_within, option
+from .outputs import check_writable, write_numbers
 from .render import RainOptions, rainy_light, rendered_weather
 from .scene import Orientation
 
@@ -39,11 +40,13 @@ def serve(
     wet: Wet = None,
     orientation: Orientation | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
+    json: JsonFile = None,
 ) -> int:
     """Serve scenes in rain to a simulator, until Ctrl-C: pictures through its cameras, lidar, cameras and drives.
 
     Requests name a scene by its name, or * if there is one. A picture depends on its request alone.
     """
+    check_writable(json)
     check_within("--port", port, 0, 65535)
     check_within("--sessions", sessions, 1, 1000)
     token = token or os.environ.get(TOKEN) or None
@@ -73,13 +76,14 @@ def serve(
     server = SensorsimServer(open_simulator, address, sessions=sessions, token=token)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+        signal.signal(number, lambda number, frame: ended.set())
     logging.getLogger("gsrain").setLevel(logging.INFO)
     print(f"{', '.join(names)}: served at {host}:{server.port} ({protocol}); Ctrl-C ends")
     ended.wait()
     print("stopping: running calls have 10 s to end")
     server.stop()
     print(f"{counted(server.answered, 'call')} answered, {server.refused:,} refused")
+    write_numbers(json, {"scenes": names, "answered": server.answered, "refused": server.refused})
     return 0
 
 

@@ -30,7 +30,7 @@ OUTPUTS = {
     "drive": ["-o OUT", "-o ok --json OUT"],
     "doctor": ["--json OUT"],
     "schema": ["rain -o OUT.json"],
-    "serve": [],
+    "serve": ["none --json OUT"],
     "bench": ["--json OUT"],
     "bench render": ["--json OUT"],
     "bench loading": ["--json OUT"],

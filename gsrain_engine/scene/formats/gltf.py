@@ -113,7 +113,7 @@ class _Buffer(msgspec.Struct, frozen=True, rename="camel"):
     uri: str | None = None
 
 
-class _Document(msgspec.Struct, frozen=True, rename="camel"):
+class _GltfDocument(msgspec.Struct, frozen=True, rename="camel"):
     extensions_required: list[str] = []
     scene: _Index = 0
     scenes: list[_SceneNodes] = []
@@ -146,9 +146,9 @@ class _GlbReader:
         self.path = path
         text, self.binary = _chunks(path, data)
         try:
-            self.document = msgspec.json.decode(text, type=_Document)
+            self.document = msgspec.json.decode(text, type=_GltfDocument)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise SceneFormatError(path, f"glTF: {readable_validation_error(error, _Document)}") from None
+            raise SceneFormatError(path, f"glTF: {readable_validation_error(error, _GltfDocument)}") from None
         unknown = [name for name in self.document.extensions_required if name not in _READABLE]
         if unknown:
             raise SceneFormatError(path, f"glTF: it requires {', '.join(unknown)[:80]}, which is not read")

@@ -44,14 +44,14 @@ class LensFace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lens:
+class SensorLens:
     """A camera of a size, and the pinhole pictures that it is made of; without faces it is a pinhole itself."""
 
     camera: Camera
     faces: tuple[LensFace, ...] = ()
 
 
-def lens_of(spec: Any, width: int, height: int) -> Lens:
+def lens_of(spec: Any, width: int, height: int) -> SensorLens:
     """Lens of a message `CameraSpec`, in a size in pixels; its own is scaled.
 
     Raises `LensError` for values out of range, and for models that are not supported.
@@ -69,17 +69,17 @@ def lens_of(spec: Any, width: int, height: int) -> Lens:
     if not (2**-8 <= across <= 2**8 and 2**-8 <= down <= 2**8):
         raise LensError(f"resolution {width} x {height} is too far from the camera's own")
     if kind == "opencv_pinhole_param" and not any(np.any(getattr(parameters, name)) for name in _COEFFICIENTS):
-        return Lens(_pinhole(parameters, width, height, across, down))
+        return SensorLens(_pinhole(parameters, width, height, across, down))
     pixels = np.stack(np.meshgrid((np.arange(width) + 0.5) / across, (np.arange(height) + 0.5) / down), axis=-1)
     rays = {"opencv_pinhole_param": _pinhole_rays, "opencv_fisheye_param": _fisheye_rays, "ftheta_param": _ftheta_rays}
     directions, is_seen = rays[kind](parameters, pixels)
     if not is_seen.any():
         raise LensError("camera_intrinsics: no pixel sees anything")
     camera = Camera(width, height, float(width), float(width), width / 2, height / 2)
-    return Lens(camera, _faces(directions, is_seen))
+    return SensorLens(camera, _faces(directions, is_seen))
 
 
-def assemble(lens: Lens, pictures: list[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "h w 3"]:
+def assemble(lens: SensorLens, pictures: list[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "h w 3"]:
     """Picture through a lens from those of its faces, in their order; pixels that see nothing are black."""
     if not lens.faces:
         return pictures[0]
@@ -128,7 +128,7 @@ def _pinhole_rays(parameters: Any, pixels: _Pixels) -> _Rays:
         groups.append(values + [0.0] * (most - len(values)))
     coefficients = tuple(np.array(group, np.float64) for group in groups)
     wanted = (pixels - [cx, cy]) / [fx, fy]
-    points, step = wanted.copy(), 1e-6
+    points, area, step = wanted.copy(), np.ones(wanted.shape[:2]), 1e-6
     with np.errstate(all="ignore"):  # pixels that no ray comes to diverge
         for _ in range(_NEWTON_STEPS):
             error = _distorted(points, *coefficients) - wanted

@@ -188,6 +188,9 @@ class SensorsimServer:
             api.major, api.minor, api.patch = API_VERSION
             return found
 
+        def available(request: Any, context: Any) -> Any:
+            return message("common.AvailableScenesReturn")(scene_ids=[*simulator.scenes])
+
         def loaded(request: Any, context: Any) -> Any:
             answer = message("LoadedScenesReturn")(loaded_instance_capacity=len(simulator.scenes))
             for name in simulator.scenes:
@@ -200,11 +203,11 @@ class SensorsimServer:
             "render_aggregated": aggregated,
             "batch_render_rgb": batch,
             "get_version": version,
-            "get_available_scenes": lambda *_: message("common.AvailableScenesReturn")(scene_ids=[*simulator.scenes]),
+            "get_available_scenes": available,
             "get_loaded_scenes": loaded,
-            "get_available_cameras": lambda request, _: simulator.cameras(request),
-            "get_available_trajectories": lambda request, _: simulator.trajectories(request),
-            "get_available_ego_masks": lambda *_: message("AvailableEgoMasksReturn")(),
+            "get_available_cameras": lambda request, context: simulator.cameras(request),
+            "get_available_trajectories": lambda request, context: simulator.trajectories(request),
+            "get_available_ego_masks": lambda request, context: message("AvailableEgoMasksReturn")(),
         }
 
     def _check_batch(self, count: int) -> None:

@@ -30,7 +30,7 @@ from ...scene.geometry import matrices_from_quaternions, quaternions_from_matric
 from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
 from ...water.glass import CameraMotion
 from ...water.spray import spray_of
-from .lenses import Lens, LensError, LensFace, assemble, lens_of
+from .lenses import LensError, LensFace, SensorLens, assemble, lens_of
 from .messages import enum_name, message
 
 Pose = Float64[np.ndarray, "4 4"]
@@ -83,7 +83,7 @@ class ServedScene:
 
 
 class _Moment(NamedTuple):
-    """What a request asks for at any time of its frame."""
+    """Times of a request's frame, and the poses of its sensor at its start and end."""
 
     start_s: float
     end_s: float
@@ -152,7 +152,7 @@ class Simulator:
         return _encoded(self._drawn(served, request, lens, moment, is_active), kind, request.image_quality)
 
     def _drawn(
-        self, served: ServedScene, request: Any, lens: Lens, moment: _Moment, is_active: Callable[[], bool]
+        self, served: ServedScene, request: Any, lens: SensorLens, moment: _Moment, is_active: Callable[[], bool]
     ) -> UInt8[np.ndarray, "h w 3"]:
         spec = request.camera_intrinsics
         mounted = served.cameras.get(spec.logical_id)
@@ -279,15 +279,15 @@ _ROLLING: dict[str, tuple[int, bool]] = {
 
 
 @lru_cache(maxsize=8)
-def _lens(spec: bytes, width: int, height: int) -> Lens:
+def _lens(spec: bytes, width: int, height: int) -> SensorLens:
     return lens_of(message("CameraSpec").FromString(spec), width, height)
 
 
-def _cameras(lens: Lens) -> list[tuple[Camera, Float64[np.ndarray, "3 3"]]]:
+def _cameras(lens: SensorLens) -> list[tuple[Camera, Float64[np.ndarray, "3 3"]]]:
     return [(face.camera, face.turn) for face in lens.faces] if lens.faces else [(lens.camera, np.eye(3))]
 
 
-def _bands(lens: Lens, moment: _Moment) -> int:
+def _bands(lens: SensorLens, moment: _Moment) -> int:
     """Number of bands of a rolling shutter: enough that near points move little from one to the next."""
     focal_px = max(camera.fx for camera, _ in _cameras(lens))
     turned = moment.start[:3, :3].T @ moment.end[:3, :3]
@@ -296,13 +296,13 @@ def _bands(lens: Lens, moment: _Moment) -> int:
     return int(np.clip(np.ceil(focal_px * (angle + shift_m / _NEAR_M) / _BAND_SHIFT_PX), 1, _LARGEST_BANDS))
 
 
-def _band(lens: Lens, axis: int, first: int, last: int) -> Lens:
+def _band(lens: SensorLens, axis: int, first: int, last: int) -> SensorLens:
     """Part of a lens: of a pinhole the rows or columns alone, else the faces cut to what these are sampled from."""
     camera = lens.camera
     if not lens.faces:
         if axis == 0:
-            return Lens(replace(camera, height=last - first, cy=camera.cy - first))
-        return Lens(replace(camera, width=last - first, cx=camera.cx - first))
+            return SensorLens(replace(camera, height=last - first, cy=camera.cy - first))
+        return SensorLens(replace(camera, width=last - first, cx=camera.cx - first))
     inside = np.zeros((camera.height, camera.width), np.bool_)
     inside[(slice(first, last), slice(None)) if axis == 0 else (slice(None), slice(first, last))] = True
     faces: list[LensFace] = []
@@ -315,7 +315,7 @@ def _band(lens: Lens, axis: int, first: int, last: int) -> Lens:
             height = min(int(np.ceil(rows.max())) + 2, face.camera.height) - top
             cut = replace(face.camera, width=width, height=height, cx=face.camera.cx - left, cy=face.camera.cy - top)
             faces.append(LensFace(cut, face.turn, face.columns - left, face.rows - top, covered))
-    return Lens(camera, tuple(faces)) if faces else Lens(replace(camera, width=1, height=1))
+    return SensorLens(camera, tuple(faces)) if faces else SensorLens(replace(camera, width=1, height=1))
 
 
 # Poses

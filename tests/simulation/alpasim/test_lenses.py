@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.simulation.alpasim.lenses import Lens, LensError, assemble, lens_of
+from gsrain_engine.simulation.alpasim.lenses import LensError, SensorLens, assemble, lens_of
 from gsrain_engine.simulation.alpasim.messages import message
 
 WIDTH, HEIGHT = 160, 120
@@ -35,7 +35,7 @@ def fisheye():
     return camera("opencv_fisheye_param", radial_coeffs=KANNALA, max_angle=1.4, **focal)
 
 
-def rays(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+def rays(lens: SensorLens) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (x, y) that see something, and their directions, from the faces that pictures are sampled from."""
     pixels, directions = [], []
     for face in lens.faces:
