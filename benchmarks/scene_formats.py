@@ -1,4 +1,4 @@
-"""Sizes, times and losses of scene formats, beside splat-transform (PlayCanvas), alternately in one run. Prints JSON."""
+"""Sizes, times and losses of scene formats, and of those of splat-transform (PlayCanvas) in one run. Prints JSON."""
 
 import argparse
 import json

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 from ...scene.camera import Camera
 
 MAX_SIDE_PX = 4096
+MAX_PIXELS = 2**23
 _WIDEST_DEG = 62.0  # half angle up to which one pinhole picture covers a lens
 _LARGEST_FACE_PX = 4096
 _MARGIN_PX = 2
@@ -56,8 +57,9 @@ def lens_of(spec: Any, width: int, height: int) -> SensorLens:
 
     Raises `LensError` for values out of range, and for models that are not supported.
     """
-    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
-        raise LensError(f"resolution {width} x {height}: each side must be 1 to {MAX_SIDE_PX} px")
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX and width * height <= MAX_PIXELS):
+        told = f"each side must be 1 to {MAX_SIDE_PX} px, their product at most {MAX_PIXELS}"
+        raise LensError(f"resolution {width} x {height}: {told}")
     if spec.WhichOneof("external_distortion") is not None:
         raise LensError("camera_intrinsics.external_distortion: windshield models are not supported")
     kind = spec.WhichOneof("camera_param")

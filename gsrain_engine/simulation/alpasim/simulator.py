@@ -170,6 +170,8 @@ class Simulator:
             middle = (first + last) / 2 / size
             time_s, pose = moment.at(1 - middle if is_backward else middle)
             band = lens if len(ends) == 2 else _band(lens, axis, first, last)
+            if band is None:
+                continue
             views: list[UInt8[np.ndarray, "a b 3"]] = []
             for camera, turn in _cameras(band):
                 if not is_active():
@@ -296,8 +298,11 @@ def _bands(lens: SensorLens, moment: _Moment) -> int:
     return int(np.clip(np.ceil(focal_px * (angle + shift_m / _NEAR_M) / _BAND_SHIFT_PX), 1, _LARGEST_BANDS))
 
 
-def _band(lens: SensorLens, axis: int, first: int, last: int) -> SensorLens:
-    """Part of a lens: of a pinhole the rows or columns alone, else the faces cut to what these are sampled from."""
+def _band(lens: SensorLens, axis: int, first: int, last: int) -> SensorLens | None:
+    """Part of a lens: of a pinhole the rows or columns alone, else the faces cut to what these are sampled from.
+
+    None if these see nothing.
+    """
     camera = lens.camera
     if not lens.faces:
         if axis == 0:
@@ -315,7 +320,7 @@ def _band(lens: SensorLens, axis: int, first: int, last: int) -> SensorLens:
             height = min(int(np.ceil(rows.max())) + 2, face.camera.height) - top
             cut = replace(face.camera, width=width, height=height, cx=face.camera.cx - left, cy=face.camera.cy - top)
             faces.append(LensFace(cut, face.turn, face.columns - left, face.rows - top, covered))
-    return SensorLens(camera, tuple(faces)) if faces else SensorLens(replace(camera, width=1, height=1))
+    return SensorLens(camera, tuple(faces)) if faces else None
 
 
 # Poses

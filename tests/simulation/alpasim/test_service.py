@@ -198,6 +198,17 @@ def test_lenses_show_the_same_place(client: Client) -> None:
     assert np.abs(bent - straight).mean() > 1
 
 
+def test_a_rolling_fisheye_is_black_where_it_sees_nothing(client: Client) -> None:
+    request = request_of(client, end_m=2.0)
+    spec = request.camera_intrinsics
+    lens, spec.shutter_type = spec.opencv_fisheye_param, 1
+    lens.focal_length_x = lens.focal_length_y = 250
+    lens.principal_point_x, lens.principal_point_y, lens.max_angle = 480, 320, 1.1
+    picture = client.picture(request)
+    assert not picture[:2].any() and not picture[-2:].any()  # 275 of 320 px above and below the middle
+    assert picture[8:28, 40:56].any(axis=-1).all()  # the scene has no road
+
+
 def test_formats_of_pictures(client: Client) -> None:
     request = request_of(client)
     png = client.picture(request)
@@ -330,6 +341,7 @@ BROKEN = [
     (_broken("scene_id", value="*"), "NOT_FOUND"),  # there are two
     (_broken("resolution_w", value=2**32 - 1), "INVALID_ARGUMENT"),
     (_broken("resolution_h", value=4097), "INVALID_ARGUMENT"),
+    (_broken("image_quality", value=101.0), "INVALID_ARGUMENT"),
     (_broken("image_format", value=6), "UNIMPLEMENTED"),
     (_broken("image_format", value=77), "UNIMPLEMENTED"),
     (_broken("image_quality", value=float("nan")), "INVALID_ARGUMENT"),
