@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +72,7 @@ def main() -> None:
             if arguments.splat_transform and suffix in WRITTEN_BY_OTHERS:
                 command = ["node", arguments.splat_transform, "-q", "-w", "-g", "cpu"]
                 line = [*command, str(folder / "scene.ply"), str(theirs)]
-                run = lambda line=line: subprocess.run(line, check=True, capture_output=True)  # noqa: E731
-                writers["splat-transform"] = theirs, run
+                writers["splat-transform"] = theirs, partial(subprocess.run, line, check=True, capture_output=True)
             for writer, (path, write) in writers.items():
                 seconds = shortest_s(write, arguments.repeats)
                 after = read_gaussians(path)
