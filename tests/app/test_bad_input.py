@@ -125,6 +125,11 @@ evaluate detection boxy --detector x --attribute streaks,mirror | --attribute mi
 evaluate detection boxy --detector x --attribute-pairs 2000 | --attribute-pairs 2000
 evaluate detection boxy --detector x --diameter-scale 1,9 | --diameter-scale
 evaluate detection boxy --detector x --diameter-scale much | --diameter-scale
+serve nothing | nothing
+serve --host 0.0.0.0 | --token
+serve --port 70000 | --port
+serve --sessions 0 | --sessions
+serve --protocol carla | --protocol
 """
 """Command line, and a part of the error: an option, a file or a field, seldom more."""
 

@@ -31,6 +31,7 @@ OUTPUTS = {
     "drive": ["-o OUT", "-o ok --json OUT", "-o ok --rerun OUT.rrd"],
     "doctor": ["--json OUT"],
     "schema": ["rain -o OUT.json"],
+    "serve": ["none --json OUT"],
     "bench": ["--json OUT"],
     "bench render": ["--json OUT"],
     "bench loading": ["--json OUT"],

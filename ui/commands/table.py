@@ -221,7 +221,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Save as...", "ui.commands.actions:ask_where_to_save_scene", "File", "Ctrl+Shift+S",
                 "Save to another scene folder, which holds everything.", _has_scene, shell="convert", python="save"),
         Command("Export...", "ui.commands.actions:ask_where_to_export", "File", "Ctrl+E",
-                "Write visible Gaussians to one file (.ply, .splat, .spz); the document stays unsaved.", _has_scene,
+                "Write what is visible to one file (.ply, .spz, .glb, ...); the document stays unsaved.", _has_scene,
                 shell="convert", python="save"),
         Command("Revert", _call("files.revert"), "File",
                 help="Reload the scene from disk; all changes since it was saved are lost.",
@@ -523,6 +523,7 @@ SHELL_COMMANDS = {
     "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
     "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
     "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),
+    "serve": ("app.serve:serve", "Serve scenes in rain to a simulator (AlpaSim) as a gRPC service."),
     "schema": ("app.schema:schema", "Print the JSON schema of a kind of settings file, for editors of YAML."),
     "doctor": ("app.doctor:doctor", "List which features of GSRAIN work on this machine, and how to get the others."),
 }

@@ -14,6 +14,7 @@ from jaxtyping import Float32, Integer, UInt8
 
 from ..files import SceneFormatError
 from ..gaussians import Gaussians
+from ..scene import Scene
 
 _LARGEST_EXPANSION = 200
 """Maximum ratio of memory to file size. Real SPZ and SOG scenes expand 6 to 30 times, decompression bombs 1000 and
@@ -175,6 +176,12 @@ class Format(NamedTuple):
     """Half a sentence for the documentation: contents, versions."""
     keeps_harmonics: bool = True
     """True if colors may depend on the viewing direction."""
+    read_scene: Callable[[Path], Scene] | None = None
+    """Reads more than Gaussians: layers, actors, rigs; None for formats that hold only Gaussians."""
+    write_scene: Callable[[Scene, Path], None] | None = None
+    """Writes more than the flattened scene, to exactly this path."""
+    lost: Callable[[list[str]], list[str]] | None = None
+    """Selects from the phrases of `lost_when_flattened` those that apply to `write_scene`."""
 
 
 # Packed numbers

@@ -113,7 +113,7 @@ class _Buffer(msgspec.Struct, frozen=True, rename="camel"):
     uri: str | None = None
 
 
-class _Document(msgspec.Struct, frozen=True, rename="camel"):
+class _GltfDocument(msgspec.Struct, frozen=True, rename="camel"):
     extensions_required: list[str] = []
     scene: _Index = 0
     scenes: list[_SceneNodes] = []
@@ -127,7 +127,7 @@ class _Document(msgspec.Struct, frozen=True, rename="camel"):
 class _Placed(NamedTuple):
     primitive: _Primitive
     to_scene: Float64[np.ndarray, "4 4"]
-    count: int
+    gaussians: int
     sh_degree: int
 
 
@@ -146,9 +146,9 @@ class _GlbReader:
         self.path = path
         text, self.binary = _chunks(path, data)
         try:
-            self.document = msgspec.json.decode(text, type=_Document)
+            self.document = msgspec.json.decode(text, type=_GltfDocument)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise SceneFormatError(path, f"glTF: {readable_validation_error(error, _Document)}") from None
+            raise SceneFormatError(path, f"glTF: {readable_validation_error(error, _GltfDocument)}") from None
         unknown = [name for name in self.document.extensions_required if name not in _READABLE]
         if unknown:
             raise SceneFormatError(path, f"glTF: it requires {', '.join(unknown)[:80]}, which is not read")
@@ -158,7 +158,7 @@ class _GlbReader:
         if not placed:
             raise SceneFormatError(self.path, f"glTF: none of its meshes has Gaussians ({_EXTENSION})")
         coefficients = COEFFICIENTS_OF_DEGREE[max(each.sh_degree for each in placed)]
-        check_room(self.path, sum(each.count for each in placed), coefficients)
+        check_room(self.path, sum(each.gaussians for each in placed), coefficients)
         return Gaussians.concatenate([self._gaussians(each) for each in placed])
 
     def _placed(self) -> list[_Placed]:
@@ -179,7 +179,8 @@ class _GlbReader:
             if index in visited:
                 raise SceneFormatError(self.path, f"glTF: node {index} has several parents")
             visited.add(index)
-            to_scene = parent @ _node_matrix(node)
+            with np.errstate(all="ignore"):
+                to_scene = parent @ _node_matrix(node)
             waiting += [(child, to_scene) for child in reversed(node.children)]
             if node.mesh is not None:
                 for primitive in self._at(document.meshes, node.mesh, "meshes").primitives:
@@ -198,7 +199,8 @@ class _GlbReader:
         if splatting.color_space != "srgb_rec709_display":
             told = f"colorSpace {splatting.color_space[:40]!r} can't be read, 'srgb_rec709_display' can"
             raise SceneFormatError(self.path, f"glTF: {told}")
-        squares = to_scene[:3, :3].T @ to_scene[:3, :3]
+        with np.errstate(all="ignore"):  # what is too large or no number is rejected
+            squares = to_scene[:3, :3].T @ to_scene[:3, :3]
         scale = np.trace(squares) / 3
         is_similarity = np.isfinite(to_scene).all() and 0 < scale < np.inf and np.linalg.det(to_scene[:3, :3]) > 0
         if not is_similarity or np.abs(squares / scale - np.eye(3)).max() > _SIMILAR:
@@ -227,7 +229,7 @@ class _GlbReader:
         if compression:
             gaussians = _turned(decode_spz(self.path, bytes(self._view(compression.buffer_view))))
         else:
-            sh = np.empty((placed.count, COEFFICIENTS_OF_DEGREE[placed.sh_degree], 3), np.float32)
+            sh = np.empty((placed.gaussians, COEFFICIENTS_OF_DEGREE[placed.sh_degree], 3), np.float32)
             for degree in range(placed.sh_degree + 1):
                 for n in range(2 * degree + 1):
                     name = f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"
@@ -248,7 +250,8 @@ class _GlbReader:
             )
         if isinstance(primitive.extras, dict) and primitive.extras.get("antialiased") is True:
             gaussians = replace(gaussians, antialiased=True)
-        found = _turned(transform_gaussians(gaussians, placed.to_scene))
+        with np.errstate(over="ignore"):  # infinity is rejected
+            found = _turned(transform_gaussians(gaussians, placed.to_scene))
         return replace(checked_gaussians(self.path, *found.arrays), antialiased=found.antialiased)
 
     def _accessor(self, primitive: _Primitive, name: str) -> _Accessor:
@@ -320,7 +323,7 @@ def _node_matrix(node: _Node) -> Float64[np.ndarray, "4 4"]:
         return np.array(node.matrix, np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = node.rotation
-    with np.errstate(all="ignore"):  # numbers that are too large are reported with the matrix
+    if True:
         matrix[:3, :3] = matrices_from_quaternions(np.array([w, x, y, z], np.float64)) * np.array(
             node.scale, np.float64
         )

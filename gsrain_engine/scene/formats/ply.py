@@ -53,7 +53,7 @@ def read_ply(path: Path) -> Gaussians:
     """Read a 3DGS PLY of SH degree 0 to 3, or SuperSplat's compressed PLY, recognized by its header.
 
     Properties may have any order and type, in either byte order or as text; unknown properties and elements are
-    skipped. Memory: the arrays and one block of 256 KB.
+    skipped. An infinite logit is an opacity of 1 or 0. Memory: the arrays and one block of 256 KB.
 
     Raises `SceneFormatError` if the file is damaged or is not a file of Gaussians.
     """
@@ -119,7 +119,7 @@ def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElem
         else:
             _skip_rows_before(file, elements)
             _spread_lines(path, file, dtype, arrays)
-        check_finite(path, {"logarithm of a scale": scales, "logit of an opacity": opacities})
+        check_finite(path, {"logarithm of a scale": scales})
         np.exp(scales, out=scales)
         activate_opacities(opacities)
     found = checked_gaussians(path, means, scales, quaternions, opacities, sh)

@@ -39,7 +39,7 @@ follow the Gaussians in versions 2 and 3, and the header in version 4.
 _EXTENSION = struct.Struct("<II")  # kind and length in bytes of one extension of version 4
 _AXES_EXTENSION = 0xADBE0003  # SPZ_ADOBE_coordinate_system
 _KNOWN_AXES = (0, 4)  # not specified, and right, up, back: the axes of files without that extension
-_ZSTD_LEVEL = 9  # 19 saves 2 % more and takes ten times as long
+_ZSTD_LEVEL = 9  # 19 saves 1 % and takes ten times as long
 
 _FRACTIONAL_BITS = 23  # maximum for a 24-bit fixed-point coordinate with sign
 _WRITTEN_FRACTIONAL_BITS = 16  # finest step written: 15 micrometers for a scene in meters
