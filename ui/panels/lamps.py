@@ -20,6 +20,7 @@ from gsrain_engine.scene.scene import Scene
 from ..widgets import fields
 from ..widgets.fields import CLAMPED, LOGARITHMIC, button, checkbox, plain_label, share_of_width
 from ..widgets.file_dialogs import ask_what_to_open
+from ..widgets.numbers import slide
 from ..widgets.text import visible_name
 
 _TITLES = {
@@ -151,9 +152,7 @@ def _edit(document: Document, number: int) -> None:
         change("color", {"color": (red, green, blue)})
     fields.end_gesture_when_released(document)
     plain_label("Intensity (m\u00b2)", "Irradiance times squared distance; pi on a white wall is display white.")
-    changed, intensity = imgui.slider_float(
-        "##intensity_m2", lamp.intensity_m2, 0.0, _BRIGHTEST_M2, "%.4g", LOGARITHMIC
-    )
+    changed, intensity = slide("##intensity_m2", lamp.intensity_m2, 0.0, _BRIGHTEST_M2, "%.4g", LOGARITHMIC)
     if changed:
         change("intensity", {"intensity_m2": intensity})
     fields.end_gesture_when_released(document)
@@ -162,7 +161,7 @@ def _edit(document: Document, number: int) -> None:
         ("outer_deg", "Dark beyond", "Angle from the axis beyond which there is no light."),
     ):
         plain_label(title, text)
-        changed, angle = imgui.slider_float(f"##{name}", getattr(lamp, name), 0.0, 180.0, "%.0f\u00b0", CLAMPED)
+        changed, angle = slide(f"##{name}", getattr(lamp, name), 0.0, 180.0, "%.0f\u00b0", unit="\u00b0")
         if changed:
             change(title.lower(), {name: angle})  # pyright: ignore[reportArgumentType]
         fields.end_gesture_when_released(document)

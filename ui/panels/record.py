@@ -26,6 +26,7 @@ from ..widgets.fields import (
     warn,
 )
 from ..widgets.file_dialogs import ask_where_to_save
+from ..widgets.numbers import slide_whole
 from ..widgets.text import label, visible_name
 from .drive import ask_where_to_render_drive
 
@@ -137,7 +138,7 @@ def _format(render_queue: RenderQueue) -> None:
     default = DEFAULT_QUALITY.get(settings.codec, 0)
     quality, highest = settings.quality, 51 if settings.codec == "h264" else 63
     with disabled(quality is None):
-        changed, new = imgui.slider_int("##quality", default if quality is None else quality, 0, highest)
+        changed, new = slide_whole("##quality", default if quality is None else quality, 0, highest)
     if changed:
         render_queue.change(quality=new)
     imgui.same_line()
@@ -234,6 +235,6 @@ def _count(render_queue: RenderQueue, name: str, highest: int, form: str, flags:
     field_label(name, ExportSettings)
     value = getattr(render_queue.settings, name)
     text = "off" if value == 1 else form.format(value)
-    changed, value = imgui.slider_int(f"##{name}", value, 1, highest, text, flags)
+    changed, value = slide_whole(f"##{name}", value, 1, highest, text, flags)
     if changed:
         render_queue.change(**{name: value})

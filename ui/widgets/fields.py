@@ -15,6 +15,8 @@ from gsrain_engine.fields import Field, field_of
 from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, RegionBox
 
+from .numbers import in_bounds, slide
+
 _LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
 
@@ -57,7 +59,8 @@ def slider(document: Document, name: str, *, high: float | None = None, beside_p
     if beside_px:
         imgui.set_next_item_width(-beside_px)
     flags = LOGARITHMIC if info.is_logarithmic else CLAMPED
-    changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.slider_high, "%.4g", flags)
+    scale, bounds = (info.low, high or info.slider_high), (info.low, info.high)
+    changed, value = slide(f"##{name}", value, *scale, "%.4g", flags, bounds=bounds, unit=info.unit)
     if changed:
         document.change_rain(info.title, name, **{name: value})
     end_gesture_when_released(document)
@@ -68,7 +71,7 @@ def _reset_on_right_click(document: Document, info: Field) -> None:
     """Set a setting to its default if its widget, the last one, is right-clicked."""
     default, unit = info.default_text or info.none, "" if info.default is None else f" {info.unit}"
     reset = f" Right click: back to {default}{unit}." if default else ""
-    imgui.set_item_tooltip(f"Ctrl+click: type a value.{reset}")
+    imgui.set_item_tooltip(f"Drag; double click: type a value.{reset}")
     is_other = getattr(document.rain, info.name) != info.default
     if default and is_other and imgui.is_item_clicked(imgui.MouseButton_.right):
         document.change_rain(info.title, **{info.name: info.default})
@@ -77,9 +80,11 @@ def _reset_on_right_click(document: Document, info: Field) -> None:
 def integer(document: Document, name: str) -> None:
     info = field_label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(document.rain, name))
+    value = in_bounds(changed, value, info.low, min(info.high, 2**31 - 1), info.unit)
     if changed:
-        document.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
+        document.change_rain(info.title, name, **{name: int(value)})
     end_gesture_when_released(document)
+    _reset_on_right_click(document, info)
 
 
 def choice(document: Document, name: str) -> None:
@@ -141,10 +146,14 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
         elif isinstance(value, int):
             step = max(step, info.multiple_of)
             changed, value = imgui.input_int(f"##{name}", value, step, 10 * step)
-            value = int(min(max(round(value / info.multiple_of) * info.multiple_of, info.low), info.high))
+            value = in_bounds(
+                changed, round(value / info.multiple_of) * info.multiple_of, info.low, info.high, info.unit
+            )
+            value = int(value)
         else:
-            flags = imgui.SliderFlags_.always_clamp
-            changed, value = imgui.slider_float(f"##{name}", value, info.low, info.high, "%.4g", flags)
+            changed, value = slide(f"##{name}", value, info.low, info.high, unit=info.unit)
+        if info.default_text and imgui.is_item_clicked(imgui.MouseButton_.right):
+            changed, value = value != info.default, info.default
     imgui.set_item_tooltip(info.help)
     return msgspec.structs.replace(settings, **{name: value}) if changed else settings
 
@@ -351,8 +360,7 @@ def number(
 ) -> float:
     """Draw a label and a slider; returns the new value."""
     plain_label(title, help_text)
-    changed, new = imgui.slider_float(f"##{name}", value, low, high, form, flags)
-    return new if changed else value  # the widget rounds to single precision
+    return slide(f"##{name}", value, low, high, form, flags)[1]
 
 
 def edit_choice(
