@@ -30,6 +30,7 @@ from .make_rainy import WetLookController
 from .matching import MatchingController
 from .preferences import PreferencesStore
 from .rain import CalibrationTools, KeyframePanelState
+from .rain_tracks import RainTracks
 from .recorder import RenderQueue
 from .selection.commands import SelectionTool
 from .status import StatusBus, logger
@@ -61,6 +62,7 @@ class Editor:
         self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
         self.calibration = CalibrationTools(self.document, self.status)
         self.keyframe_panel = KeyframePanelState()
+        self.rain_tracks = RainTracks(self.document, self.playback)
         self.captures = CaptureController(self.viewport, self.status)
         self.matching = MatchingController(self.viewport, self.captures)
         self.jobs = JobRunner(self._thread, self.status.report)

@@ -6,6 +6,7 @@ from gsrain_engine.editor.camera_path import CameraPathEditor
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits import gaussians, layers
 from gsrain_engine.editor.files import Files
+from gsrain_engine.editor.rain_tracks import RainTracks
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.formats.registry import scene_suffixes, writable_suffixes
@@ -63,8 +64,9 @@ def _scene_kinds() -> str:
 # Edits of what is active
 
 
-def delete_selection(document: Document, playback: Playback) -> None:
-    if not playback.timeline.takes_keys or playback.timeline.key is None:  # else Delete is for the active keyframe
+def delete_selection(document: Document, playback: Playback, rain_tracks: RainTracks) -> None:
+    is_of_key = playback.timeline.key is not None or rain_tracks.active is not None
+    if not playback.timeline.takes_keys or not is_of_key:  # else Delete is for the active keyframe
         document.edit("Delete the selection", gaussians.delete_selected)
 
 
