@@ -4,12 +4,12 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from ..render.export import export_command, export_sequences, frame_numbers
+from ..render.export import FRAME_TIME, export_command, export_sequences, frame_numbers
 from ..render.export_settings import ExportSettings, export_outputs
 from ..render.sequence import FrameSequence
 from ..scene.camera_path import CameraPath
@@ -19,7 +19,7 @@ from ..scene.scene import Scene
 from .autosave import saved_scene
 from .files import Files
 from .jobs.job import Job, JobRunner
-from .jobs.record import SHEET_MM_H, export_job, sheet_job
+from .jobs.record import SHEET_MM_H, export_job, sheet_job, timing_job
 from .live_rain import LiveRain
 from .status import StatusBus
 from .steps import python_program, shell_command, steps_since
@@ -36,8 +36,10 @@ class OutputEstimate(NamedTuple):
     cameras: int
     length_s: float
     """Playing time."""
-    rough_s: float | None
-    """Rough rendering time from the viewport's last image; None without one."""
+    seconds: float | None
+    """Rendering time: of timed frames, else rough, from the viewport's last image; None without one."""
+    is_timed: bool
+    """True if frames of a recording were timed, with reading the scene, encoding and writing."""
 
 
 class RenderQueue:
@@ -49,11 +51,17 @@ class RenderQueue:
         self._viewport, self._document, self._playback = viewport, viewport.document, viewport.playback
         self._live_rain, self._jobs, self._files, self._status = live_rain, jobs, files, status
         self._settings = ExportSettings(output="", size_px=(960, 640), codec="h264")
+        self.follows_range = True
+        """True if the first and the last moment are those of the timeline's range, where it is set."""
+        self._timed: list[tuple[Job[Any], float]] = []
 
     @property
     def settings(self) -> ExportSettings:
-        """Settings except for the output path. The frame rate is the timeline's."""
-        return msgspec.structs.replace(self._settings, fps=self._playback.timeline.fps)
+        """Settings except for the output path. The frame rate is the timeline's, and so may be the times."""
+        fields: dict[str, Any] = {"fps": self._playback.timeline.fps}
+        if self.follows_range and (span_s := self._playback.clock.span_s) is not None:
+            fields |= {"first_s": span_s[0], "last_s": span_s[1]}
+        return msgspec.structs.replace(self._settings, **fields)
 
     @property
     def end_s(self) -> float:
@@ -74,6 +82,8 @@ class RenderQueue:
     def change(self, **fields: object) -> None:
         """Change settings; inconsistent ones are rejected and the error reported."""
         try:
+            if fields.keys() & {"first_s", "last_s"}:
+                self.follows_range = False
             values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
             self._settings = msgspec.convert(values, ExportSettings)
             self._playback.timeline.fps = self._settings.fps
@@ -87,15 +97,43 @@ class RenderQueue:
         except ValueError as error:
             return str(error)
         settings, pixel_ms = self.settings, self._viewport.full_ms_per_megapixel
-        frames, rough_s = len(frame_numbers(settings, sequences)), None
-        if pixel_ms is not None:  # time per pixel times all images, without encoding and reading
-            megapixels = sum(each.width * each.height for each in sequences.values()) * 1e-6
-            image_s = 1e-3 * pixel_ms * megapixels
-            images = (2 if settings.twin else 1) * settings.motion_blur * settings.supersampling**2
-            if "labels" in settings.passes:  # the three color channels of one image hold three layers or actors
-                images += len(self._document.scene.members) / 3
-            rough_s = frames * image_s * images
-        return OutputEstimate(frames, len(sequences), frames / settings.fps, rough_s)
+        frames, megapixels = len(frame_numbers(settings, sequences)), self._megapixels(settings, sequences)
+        timed_s = self._timed_s_per_megapixel
+        seconds = timed_s if timed_s is not None else None if pixel_ms is None else 1e-3 * pixel_ms
+        whole_s = None if seconds is None else frames * seconds * megapixels
+        return OutputEstimate(frames, len(sequences), frames / settings.fps, whole_s, timed_s is not None)
+
+    def time_frames(self) -> None:
+        """Draw and write a few frames in the background, for the estimate."""
+        try:
+            recording = self._named
+            megapixels = self._megapixels(recording, self._sequences(recording))
+        except ValueError as error:
+            self._status.report(error, "It can't be recorded")
+            return
+        job = timing_job(saved_scene(self._viewport), recording, self._files.known)
+        self._timed.append((job, megapixels))
+        self._jobs.start(job, lambda *_: None)
+
+    @property
+    def is_timing(self) -> bool:
+        return self._jobs.is_running("timing")
+
+    @property
+    def _timed_s_per_megapixel(self) -> float | None:
+        """Time of a drawn megapixel in the newest job that has timed frames; None without one."""
+        for job, megapixels in reversed(self._timed):
+            times_s = job.curves.curve(FRAME_TIME)[1]
+            if len(times_s):
+                return float(times_s[-1]) / megapixels
+        return None
+
+    def _megapixels(self, settings: ExportSettings, sequences: dict[str, FrameSequence]) -> float:
+        """Pixels that one frame draws, of all cameras, samples, passes and twins, in millions."""
+        images = (2 if settings.twin else 1) * settings.motion_blur * settings.supersampling**2
+        if "labels" in settings.passes:  # the three color channels of one image hold three layers or actors
+            images += len(self._document.scene.members) / 3
+        return images * sum(each.width * each.height for each in sequences.values()) * 1e-6
 
     def record_to(self, path: Path) -> None:
         """Record the timeline; replacing existing files needs confirmation."""
@@ -175,7 +213,8 @@ class RenderQueue:
     ) -> None:
         try:
             recording.check()
-            names = list(self._sequences(recording))
+            sequences = self._sequences(recording)
+            names, megapixels = list(sequences), self._megapixels(recording, sequences)
         except ValueError as error:
             self._status.report(error, "It can't be recorded")
             return
@@ -192,7 +231,10 @@ class RenderQueue:
                 if note:
                     logger.info("%s", note)
 
-            self._jobs.start(job(scene, recording, files.known), log_recorded)
+            started = job(scene, recording, files.known)
+            if job is export_job:
+                self._timed.append((started, megapixels))
+            self._jobs.start(started, log_recorded)
 
         self._status.ask_before_replacing(export_outputs(recording, names), start)
 

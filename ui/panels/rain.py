@@ -79,7 +79,8 @@ def rain_panel(
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
-    wetness_fields(document, live_rain)
+    wetness_fields(document, live_rain, keyframe_button_width())
+    keyframe_button(document, viewport, playback, "wetness")
     if document.rain.exaggeration:
         imgui.text_colored(WARNING, document.rain.exaggeration)
     for group in GROUPS:
@@ -94,6 +95,8 @@ def rain_panel(
                     continue
                 if each.name == "sensor":
                     _sensor(document, viewport, live_rain, status)
+                elif each.name == "lamp_gain":
+                    keyframed_slider(document, viewport, playback, "lamp_gain", high=each.slider_high)
                 elif each.name == "lamps":
                     lamp_fields(document, viewport, status, lamps, jobs)
                 elif each.kind is RegionBox:
@@ -102,12 +105,13 @@ def rain_panel(
                     fields.rain_field(document, each.name)
 
 
-def wetness_fields(document: Document, live_rain: LiveRain) -> None:
-    own, now = document.rain.wetness, live_rain.wetness_now
+def wetness_fields(document: Document, live_rain: LiveRain, beside_px: float = 0.0) -> None:
+    """Edit the wetness; `beside_px` stays free."""
+    own, now = document.rain_now.wetness, live_rain.wetness_now
     has_colors = document.scene.has_wet_colors
     auto_width = imgui.calc_text_size("auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x
     fields.field_label("wetness")
-    imgui.set_next_item_width(-auto_width)
+    imgui.set_next_item_width(-auto_width - beside_px)
     with disabled(own is None or not has_colors):
         changed, value = slide("##wetness", now, 0.0, 1.0, "%.2f")
         if changed:

@@ -7,6 +7,7 @@ from gsrain_engine.editor.drive import RolloutPlayer
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.recorder import RenderQueue
 from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.fields import field_of
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
@@ -52,12 +53,13 @@ _PASS_HELP: dict[Pass, str] = {
 
 
 def record_panel(
-    document: Document, files: Files, rollouts: RolloutPlayer, render_queue: RenderQueue, status: StatusBus
-) -> None:
+    document: Document, files: Files, playback: Playback, rollouts: RolloutPlayer, render_queue: RenderQueue,
+    status: StatusBus,
+) -> None:  # fmt: skip
     _format(render_queue)
     _cameras(document, render_queue)
     _size(render_queue)
-    _times(render_queue)
+    _times(render_queue, playback)
     imgui.separator_text("Samples")
     _count(render_queue, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
     _count(render_queue, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
@@ -109,12 +111,17 @@ def _extent(render_queue: RenderQueue) -> bool:
         warn(extent)
         return False
     times = f"{extent.cameras} cameras x " if extent.cameras > 1 else ""
-    rough = "" if extent.rough_s is None else f"; {_minutes(extent.rough_s)} or more to draw"
+    about = "about {} to record" if extent.is_timed else "{} or more to draw"
+    rough = "" if extent.seconds is None else f"; {about.format(_minutes(extent.seconds))}"
     length = f"{extent.length_s:.2f} s" if extent.length_s < _LONG_S else _minutes(extent.length_s)
     imgui.text_wrapped(f"{times}{extent.frames:,} frames, {length}{rough}")
-    imgui.set_item_tooltip(
-        "The time is estimated from the viewport's last image (min:s), without loading the scene and encoding."
-    )
+    if extent.is_timed:
+        imgui.set_item_tooltip("From the frames of the last recording or timing (min:s).")
+        return not render_queue.is_recording
+    imgui.set_item_tooltip("From the viewport's last image (min:s), without encoding, and while nothing else runs.")
+    help_text = "Draw and write a few frames in the background, and estimate the time from them."
+    if extent.frames > 1 and button("Time a few frames", help_text, width=-1, enabled=not render_queue.is_timing):
+        render_queue.time_frames()
     return not render_queue.is_recording
 
 
@@ -189,8 +196,15 @@ def _cameras(document: Document, render_queue: RenderQueue) -> None:
     imgui.end_combo()
 
 
-def _times(render_queue: RenderQueue) -> None:
+def _times(render_queue: RenderQueue, playback: Playback) -> None:
     settings = render_queue.settings
+    help_text = "Record the timeline's range, where its ends were dragged; else from and to below."
+    if (follows := checkbox("timeline's range", render_queue.follows_range, help_text)) != render_queue.follows_range:
+        render_queue.follows_range = follows
+    if follows and playback.clock.span_s is not None:
+        imgui.same_line()
+        start, end = playback.clock.span_s
+        imgui.text_disabled(f"{start:.2f} to {end:.2f} s")
     field_label("fps", ExportSettings)
     changed, fps = imgui.input_float("##fps", settings.fps, 0.0, 0.0, "%.6g")
     if changed:

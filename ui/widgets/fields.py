@@ -14,6 +14,7 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import Field, field_of
 from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, RegionBox
+from gsrain_engine.rain.wetness import wetness
 
 from .numbers import in_bounds, slide
 
@@ -174,7 +175,10 @@ def _optional_toggle(name: str, info: Field, value: float | None) -> tuple[bool,
 
 _KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
 _HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
-_TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure"}
+_TITLES = {
+    "intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure", "wetness": "wetness",
+    "lamp_gain": "lamp light",
+}  # fmt: skip
 
 
 def keyframe_button_width() -> float:
@@ -211,8 +215,8 @@ def toggle_keyframe(document: Document, viewport: ViewportState, playback: Playb
         return
     now = document.rain_now
     value = now.wind_vector_m_s if name == "wind_m_s" else getattr(now, name)
-    if value is None:  # exposure: the camera's own
-        value = viewport.shot(16, 16).camera.exposure_s
+    if value is None:  # exposure: the camera's own; wetness: that of steady rain
+        value = viewport.shot(16, 16).camera.exposure_s if name == "exposure_s" else wetness(now.intensity_mm_h)
     document.edit_keyframes(f"Insert {title} keyframe", RainKeyframes.with_key, now_s, **{name: value})
 
 

@@ -4,6 +4,8 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from ...backends import open_renderer
 from ...rain.keyframes import keyframes_of, rain_of
 from ...rain.settings import RainSettings
@@ -43,6 +45,24 @@ def export_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job
         lambda folder: (write_copy(scene, folder, known), recording), on_cancel=log_stopped, ends_with_scene=False,
         output=recording.path,
     )  # fmt: skip
+
+
+TIMED_FRAMES = 4
+
+
+def timing_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job[None]:
+    """Create a job that draws and writes the first frames of a recording, and discards them: for its metric of time."""
+    end_s = recording.first_s + TIMED_FRAMES / recording.fps
+    frames = replace(recording, last_s=end_s)
+    return Job(
+        "timing", f"Time {TIMED_FRAMES} frames", time_in_worker, lambda _: None,
+        lambda folder: (write_copy(scene, folder, known), frames), ends_with_scene=False,
+    )  # fmt: skip
+
+
+def time_in_worker(folder: Path, frames: ExportSettings) -> Iterator[Progress]:
+    """Worker: record a few frames of a scene folder next to it."""
+    yield from record_in_worker(folder, replace(frames, output=str(folder.parent / f"timed{frames.path.suffix}")))
 
 
 def record_in_worker(folder: Path, recording: ExportSettings) -> Iterator[Progress]:
