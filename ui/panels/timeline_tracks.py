@@ -51,7 +51,7 @@ def track_row(
             last_x = x
             is_over = _key(tracks, key, time_s, track, ImVec2(corner.x + x, corner.y + height / 2)) and is_over
     _drag(tracks, track, ruler)
-    if is_over and imgui.is_mouse_double_clicked(_LEFT) and imgui.is_window_hovered():
+    if is_over and imgui.is_mouse_double_clicked(_LEFT):
         tracks.insert(track.field, ruler.time(imgui.get_mouse_pos().x - corner.x))
 
 
