@@ -124,6 +124,7 @@ class Editor:
         self.preferences.close()
         self._thread.shutdown()
         self.calibration.close()
+        self.viewport.obstacles.close()
         self.captures.close()
         self.matching.close()
         self.status.close()

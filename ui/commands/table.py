@@ -439,7 +439,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     # View
     (
         Command("Frame the scene", _call("viewport.frame_scene"), "View", "F",
-                "Move back until the active layer or actor, or else the whole scene, is visible."),
+                "Move back until the selection, else the active layer or actor, else the scene is visible."),
         Command("Go home", _call("viewport.go_home"), "View", "R or Home", "Return to the initial view of the scene."),
         Command("Show the selection", _toggle("viewport.options.show_selection"), "View", "Shift+S",
                 "Tint the selected Gaussians.", is_on=_is("viewport.options.show_selection")),
