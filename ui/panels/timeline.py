@@ -263,7 +263,7 @@ def _drive_menu(camera_path: CameraPathEditor) -> None:
 
 # Playback range, and below it the ruler with the playhead
 
-_RANGE_EM, _RULER_EM = 0.9, 1.6
+_RANGE_EM, _RULER_EM = 1.05, 1.55
 _LABELS_APART_EM = 4.5
 _MARKS_APART_PX = 7.0
 _GRIP = 6.0
@@ -307,7 +307,7 @@ def _range_title(playback: Playback, start: ImVec2, titles_px: float, height: fl
     imgui.set_item_tooltip(_RANGE_HELP + ("\nClick: all of the camera path or the traffic." if own else ""))
     text = f"range {last_s - first_s:.1f} s"
     hue = color(hues.PLAYED if own else hues.DIM)
-    imgui.get_window_draw_list().add_text(ImVec2(start.x + 4, start.y - 0.1 * height), hue, text)
+    imgui.get_window_draw_list().add_text(start + ImVec2(4, 0), hue, text)
 
 
 _RANGE_HELP = "Range that is played and recorded. Drag its ends, or the bar between them. Right click: all."
