@@ -14,6 +14,7 @@ from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
 from .widgets.fields import WARNING
 from .widgets.text import label
+from .widgets.type_ahead import is_menu_open
 
 _NO_OWNER = 0xFFFFFFFF  # ImGuiKeyOwner_NoOwner
 
@@ -23,7 +24,7 @@ def act_on_keys(editor: Editor) -> None:
 
     None of them if a text field has the focus, and none of keys that a widget uses, such as the arrows of a compass.
     """
-    if imgui.get_io().want_text_input:
+    if imgui.get_io().want_text_input or is_menu_open():
         return
     for tool in TOOLS:
         if tool.key is not None and imgui.is_key_chord_pressed(chord(tool.key)):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.preferences import load_preferences
-from ui.commands.keys import chord
 from window_driver import Driver, hello_imgui, imgui
 
 KEY = imgui.Key
@@ -56,5 +55,41 @@ def test_a_double_click_sets_the_pivot_that_an_orbit_turns_around(driver):
         assert np.abs(driver.on_screen(pivot) - place).max() < 2  # it stays where it was on the screen
         driver.press(KEY.r)
         assert viewport.navigation.pivot is None
+
+    driver.run(script)
+
+
+def test_menus_and_lists_are_used_by_the_keyboard(driver):
+    document, options = driver.editor.document, driver.editor.viewport.options
+    options.shrink = 3
+
+    def script():
+        driver.click("//Rain/##haze")  # a list
+        driver.press(KEY.g)
+        driver.press(KEY.enter)
+        driver.frames(3)
+        assert document.rain.haze == "gaussians"
+        driver.click("//Rain/##haze")
+        driver.press(KEY.down_arrow)
+        driver.press(KEY.enter)
+        driver.frames(3)
+        assert document.rain.haze == "none"
+        driver.click("//Rain/##haze")
+        driver.press(KEY.m)
+        driver.press(KEY.escape)
+        driver.frames(3)
+        assert document.rain.haze == "none"  # closed, not chosen
+        view_menu = np.array([352, 11])
+        driver.click_at(view_menu)
+        was_on = options.show_selection
+        for key in (KEY.s, KEY.h, KEY.o):
+            driver.press(key)
+        driver.press(KEY.enter)
+        driver.frames(3)
+        assert options.show_selection != was_on and document.history.labels == ["Open", "Haze", "Haze"]
+        driver.click_at(view_menu)
+        driver.press(KEY.k)  # alone, it inserts a keyframe
+        driver.press(KEY.escape)
+        assert document.scene.path is None
 
     driver.run(script)

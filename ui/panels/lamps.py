@@ -22,6 +22,7 @@ from ..widgets.fields import CLAMPED, LOGARITHMIC, button, checkbox, plain_label
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.numbers import slide
 from ..widgets.text import visible_name
+from ..widgets.type_ahead import combo_box
 
 _TITLES = {
     None: "the scene's own", NO_LAMPS: "none", FOUND_LAMPS: "found in the scene",
@@ -49,7 +50,7 @@ def _choice(document: Document, status: StatusBus) -> None:
     fields.field_label("lamps")
     imgui.set_next_item_width(-fields.keyframe_button_width())
     titles = [_TITLES.get(each) or Path(each or "").name for each in names]
-    changed, at = imgui.combo("##lamps", names.index(own), titles)
+    changed, at = combo_box("##lamps", names.index(own), titles)
     if changed:
         document.change_rain("Lamps", lamps=names[at])
     imgui.same_line()

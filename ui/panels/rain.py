@@ -42,6 +42,7 @@ from ..widgets.fields import (
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.numbers import compass, compass_name, slide
 from ..widgets.text import readings
+from ..widgets.type_ahead import combo_box
 from .glass import glass_fields
 from .lamps import lamp_fields
 
@@ -198,7 +199,7 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
     titles = [_NO_SENSOR if each is None else Path(each).stem for each in names]
     fields.field_label("sensor")
     imgui.set_next_item_width(-fields.keyframe_button_width())
-    changed, at = imgui.combo("##sensor", names.index(own), titles)
+    changed, at = combo_box("##sensor", names.index(own), titles)
     if changed:
         document.change_rain("Sensor", sensor=names[at])
     imgui.same_line()

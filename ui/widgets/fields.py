@@ -17,6 +17,7 @@ from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.rain.wetness import wetness
 
 from .numbers import in_bounds, slide
+from .type_ahead import combo_box
 
 _LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
@@ -91,7 +92,7 @@ def integer(document: Document, name: str) -> None:
 def choice(document: Document, name: str) -> None:
     info = field_label(name)
     present = info.choices.index(getattr(document.rain, name))
-    changed, picked = imgui.combo(f"##{name}", present, list(info.choices))
+    changed, picked = combo_box(f"##{name}", present, list(info.choices))
     if changed:
         document.change_rain(info.title, **{name: info.choices[picked]})
 
@@ -142,7 +143,7 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
         if info.choices:
             choices = (None, *info.choices) if info.is_optional else info.choices
             names = [str(info.extra.get("none", "none")) if each is None else each for each in choices]
-            changed, at = imgui.combo(f"##{name}", choices.index(value), names)
+            changed, at = combo_box(f"##{name}", choices.index(value), names)
             value = choices[at]
         elif isinstance(value, int):
             step = max(step, info.multiple_of)
@@ -353,7 +354,7 @@ def combo(text: str, value: _Value, choices: Mapping[Any, str] | Sequence[_Value
     """Draw a combo box; returns its new value. Titles are those of the mapping, else the choices themselves."""
     values: list[Any] = list(choices)
     titles = list(choices.values()) if isinstance(choices, Mapping) else [str(each) for each in values]
-    changed, at = imgui.combo(text, values.index(value) if value in values else 0, titles)
+    changed, at = combo_box(text, values.index(value) if value in values else 0, titles)
     if help_text:
         imgui.set_item_tooltip(help_text)
     return values[at] if changed else value
