@@ -218,6 +218,9 @@ def export_sequences(
     camera at rest. Raises `ValueError` for contradictory settings.
     """
     recording.check()
+    whole = scene
+    if recording.transparent:
+        scene = replace(scene, layers=tuple(each for each in scene.layers if each.kind != "sky"))
     lod = merges_details(recording, scene)
     scene = with_lod_trees(scene) if lod else scene
     views: dict[str, Camera | CameraPath | RigCameraView] = {"": viewpoint}
@@ -236,6 +239,7 @@ def export_sequences(
             scene, rainfall, view, *size_px, fps=recording.fps, start_s=recording.first_s,
             in_scene_time=in_scene_time and isinstance(view, CameraPath), supersampling=recording.supersampling,
             motion_blur=recording.motion_blur, at_rest=recording.is_still and is_untimed, lod=lod,
+            projection=recording.projection, sky_scene=whole if recording.transparent else None,
         )  # fmt: skip
     return sequences
 
