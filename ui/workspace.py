@@ -49,6 +49,7 @@ class Workspace:
         self._previews = JobPreviews(context)
         self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
         self._captures = CaptureTextures(context)
+        self._frame_preview = CachedTexture(context)
         self._palette = CommandPalette()
         self._pace = FrameClock()
         self._capture = editor.captures.capture
@@ -107,6 +108,7 @@ class Workspace:
         pictures = {} if wet_look.previewed is None else wet_look.previewed.images.pictures
         shown = {name: each.show(pictures.get(name)) for name, each in self._wet_preview.items()}
         wet_look.textures = {name: texture for name, texture in shown.items() if texture is not None}
+        editor.render_queue.preview_texture = self._frame_preview.show(editor.render_queue.preview)
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.

@@ -1,16 +1,17 @@
 """Export of the timeline or a still: settings, estimate, and start of the job."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from jaxtyping import UInt8
 
 from ..render.export import FRAME_TIME, export_command, export_sequences, frame_numbers
-from ..render.export_settings import ExportSettings, export_outputs
+from ..render.export_settings import EXPORT_PRESETS, ExportPreset, ExportSettings, export_outputs
 from ..render.sequence import FrameSequence
 from ..scene.camera_path import CameraPath
 from ..scene.formats.scene_folder import FileCache
@@ -19,10 +20,11 @@ from ..scene.scene import Scene
 from .autosave import saved_scene
 from .files import Files
 from .jobs.job import Job, JobRunner
-from .jobs.record import SHEET_MM_H, export_job, sheet_job, timing_job
+from .jobs.record import SHEET_MM_H, export_job, frame_job, sheet_job, timing_job
 from .live_rain import LiveRain
 from .status import StatusBus
 from .steps import python_program, shell_command, steps_since
+from .viewport.options import Texture
 from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
@@ -54,6 +56,9 @@ class RenderQueue:
         self.follows_range = True
         """True if the first and the last moment are those of the timeline's range, where it is set."""
         self._timed: list[tuple[Job[Any], float]] = []
+        self.preview: UInt8[np.ndarray, "h w c"] | None = None
+        """Last previewed frame, as it would be written."""
+        self.preview_texture: Texture | None = None
 
     @property
     def settings(self) -> ExportSettings:
@@ -85,10 +90,46 @@ class RenderQueue:
             if fields.keys() & {"first_s", "last_s"}:
                 self.follows_range = False
             values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
+            values |= _fitting(fields, values)
             self._settings = msgspec.convert(values, ExportSettings)
             self._playback.timeline.fps = self._settings.fps
         except ValueError as error:
             self._status.report(error)
+
+    def use_preset(self, preset: ExportPreset) -> None:
+        """Take the settings of a preset; the cameras and the times stay."""
+        plain = ExportSettings(output="", size_px=(960, 640), codec="h264")
+        stay = ("output", "cameras", "first_s", "last_s")
+        fields = {name: getattr(plain, name) for name in plain.__struct_fields__ if name not in stay}
+        self.change(**(fields | dict(preset.fields)))
+
+    @property
+    def preset(self) -> ExportPreset | None:
+        """Preset with the present settings; None for others."""
+        settings = self.settings
+        return next(
+            (each for each in EXPORT_PRESETS if all(getattr(settings, k) == v for k, v in each.fields.items())), None
+        )
+
+    def preview_frame(self) -> None:
+        """Render the frame at the playhead in the background, as the recording would write it."""
+        first_s = self._playback.clock.time_s
+        still = msgspec.structs.replace(
+            self._named, output="frame.png", codec="auto", quality=None, passes=("color",), twin=False,
+            first_s=first_s, last_s=None, cameras=self.settings.cameras[:1],
+        )  # fmt: skip
+        try:
+            if len(self._sequences(still)) > 1:
+                raise ValueError("choose one camera for the preview")
+        except ValueError as error:
+            self._status.report(error, "It can't be previewed")
+            return
+        job = frame_job(saved_scene(self._viewport), still, self._files.known)
+        self._jobs.start(job, lambda pixels, _: setattr(self, "preview", pixels))
+
+    @property
+    def is_previewing(self) -> bool:
+        return self._jobs.is_running("frame")
 
     def extent(self) -> OutputEstimate | str:
         """Estimate of the export, or the reason why it is impossible."""
@@ -244,3 +285,17 @@ class RenderQueue:
         return export_sequences(
             recording, self._document.scene, self._live_rain.simulation, self._viewport.path, in_scene_time=is_own
         )
+
+
+def _fitting(changed: Mapping[str, object], values: Mapping[str, Any]) -> dict[str, object]:
+    """Settings that have to change with others: a panorama's shape, and a format with transparency."""
+    fitting: dict[str, object] = {}
+    if values["projection"] == "360" and (size_px := values["size_px"]) is not None and size_px[0] != 2 * size_px[1]:
+        by_height = "size_px" in changed and "projection" not in changed
+        fitting["size_px"] = (2 * size_px[1], size_px[1]) if by_height else (size_px[0] // 2 * 2, size_px[0] // 2)
+    if values["transparent"] and values["codec"] not in ("vp9", "png", "exr"):
+        if "transparent" in changed:
+            fitting |= {"codec": "png" if values["codec"] == "jpeg" else "vp9", "quality": None}
+        else:
+            fitting["transparent"] = False
+    return fitting

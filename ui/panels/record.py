@@ -1,6 +1,6 @@
 """Record panel: format, duration, samples and passes of a video, frames or an image."""
 
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.drive import RolloutPlayer
@@ -10,9 +10,17 @@ from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.fields import field_of
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
-from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
+from gsrain_engine.render.export_settings import (
+    DEFAULT_QUALITY,
+    EXPORT_PRESETS,
+    LARGEST_PX,
+    Codec,
+    ExportSettings,
+    Pass,
+)
 
 from ..commands.table import help_of
+from ..widgets.draw import color
 from ..widgets.fields import (
     CLAMPED,
     LOGARITHMIC,
@@ -21,6 +29,7 @@ from ..widgets.fields import (
     combo,
     copy_buttons,
     disabled,
+    edit_field,
     field_label,
     plain_label,
     share_of_width,
@@ -56,15 +65,18 @@ def record_panel(
     document: Document, files: Files, playback: Playback, rollouts: RolloutPlayer, render_queue: RenderQueue,
     status: StatusBus,
 ) -> None:  # fmt: skip
+    _preset(render_queue)
     _format(render_queue)
     _cameras(document, render_queue)
     _size(render_queue)
+    _projection(render_queue)
     _times(render_queue, playback)
     imgui.separator_text("Samples")
     _count(render_queue, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
     _count(render_queue, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
     imgui.separator_text("Passes")
     _passes(render_queue)
+    _preview(render_queue)
     imgui.separator()
     if rollouts.playing is not None:
         warn("A recording shows the scene with its own traffic, not the playing roll-out.")
@@ -131,6 +143,50 @@ def _minutes(seconds: float) -> str:
 
 
 # Settings
+
+
+def _preset(render_queue: RenderQueue) -> None:
+    present = render_queue.preset
+    plain_label("Preset", "Settings for one purpose; cameras and times stay.")
+    if not imgui.begin_combo("##preset", "custom" if present is None else present.title):
+        return
+    for each in EXPORT_PRESETS:
+        if imgui.selectable(each.title, each is present)[0]:
+            render_queue.use_preset(each)
+        imgui.set_item_tooltip(each.help)
+    imgui.end_combo()
+
+
+def _projection(render_queue: RenderQueue) -> None:
+    settings = render_queue.settings
+    for name in ("projection", "transparent"):
+        if (changed := edit_field(settings, name)) is not settings:
+            render_queue.change(**{name: getattr(changed, name)})
+
+
+def _preview(render_queue: RenderQueue) -> None:
+    """Draw the last previewed frame as wide as the panel, on a checkerboard where it is transparent."""
+    help_text = "Render the frame at the playhead in the background, in full size, exactly as it would be written."
+    if button("Preview the frame", help_text, width=-1, enabled=not render_queue.is_previewing):
+        render_queue.preview_frame()
+    if (texture := render_queue.preview_texture) is None:
+        return
+    width = imgui.get_content_region_avail().x
+    low, height = imgui.get_cursor_screen_pos(), width * texture.height / max(texture.width, 1)
+    high, draw = ImVec2(low.x + width, low.y + height), imgui.get_window_draw_list()
+    draw.push_clip_rect(low, high, True)
+    for row in range(int(height / _CHECK_PX) + 1):
+        for column in range(int(width / _CHECK_PX) + 1):
+            at = ImVec2(low.x + column * _CHECK_PX, low.y + row * _CHECK_PX)
+            gray = _CHECKS[(row + column) % 2]
+            draw.add_rect_filled(at, ImVec2(at.x + _CHECK_PX, at.y + _CHECK_PX), color((gray, gray, gray, 1.0)))
+    draw.pop_clip_rect()
+    draw.add_image(imgui.ImTextureRef(texture.name), low, high)
+    imgui.dummy(ImVec2(width, height))
+    imgui.set_item_tooltip(f"{texture.width} x {texture.height} px, as it would be written.")
+
+
+_CHECK_PX, _CHECKS = 12.0, (0.55, 0.72)
 
 
 def _format(render_queue: RenderQueue) -> None:

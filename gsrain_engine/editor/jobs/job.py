@@ -27,7 +27,7 @@ _SAVING = Progress(0.0, "Saving the scene for the worker")
 _ESTIMATED_FROM, _ESTIMATED_AFTER_S = 0.02, 2.0  # fraction and time from which the time left is estimated
 JobKind = Literal[
     "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "lamps", "drive", "drive video",
-    "export", "timing",
+    "export", "timing", "frame",
 ]  # fmt: skip
 
 
