@@ -152,7 +152,7 @@ def _bilinear(
     high = image.shape[1] - 1
     x, y = np.clip(x, 0, high), np.clip(y, 0, high)
     left, top = np.minimum(x.astype(np.int64), high - 1), np.minimum(y.astype(np.int64), high - 1)
-    u, v = (x - left)[:, None], (y - top)[:, None]
+    u, v = (x - left.astype(np.float32))[:, None], (y - top.astype(np.float32))[:, None]
     upper = (1 - u) * image[top, left] + u * image[top, left + 1]
     lower = (1 - u) * image[top + 1, left] + u * image[top + 1, left + 1]
     return (1 - v) * upper + v * lower
