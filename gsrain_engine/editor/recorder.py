@@ -154,7 +154,11 @@ class RenderQueue:
             return
         job = timing_job(saved_scene(self._viewport), recording, self._files.known)
         self._timed.append((job, megapixels))
-        self._jobs.start(job, lambda *_: None)
+
+        def ignore(_result: None, _is_last: bool) -> None:
+            """The job's metric is all that is used."""
+
+        self._jobs.start(job, ignore)
 
     @property
     def is_timing(self) -> bool:

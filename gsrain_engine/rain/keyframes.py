@@ -194,7 +194,7 @@ class RainKeyframes(
             if len(times):
                 keys = [key for key in self.keys if getattr(key, name) is not None]
                 rows = np.array([getattr(key, name) for key in keys], np.float64).reshape(len(times), -1)
-                easings = [key.easing.get(name) for key in keys]
+                easings: list[KeyEasing | None] = [key.easing.get(name) for key in keys]
                 found[name] = KeyframeCurve.through(times, rows, smooth=self.between == "smooth", easings=easings)
         return found
 

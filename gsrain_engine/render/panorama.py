@@ -134,15 +134,12 @@ def _lookup(width: int, height: int, size: int) -> tuple[_FaceSamples, ...]:
         weights = np.clip((_EDGE - away[pixels]) / _FADE, 0, 1)
         total[pixels] += weights
         found.append((pixels, x[pixels], y[pixels], weights, 1 / depth[pixels]))
-    return tuple(
-        _FaceSamples(
-            pixels,
-            *(((each / _EDGE + 1) * size / 2 - 0.5).astype(np.float32) for each in (x, y)),
-            (weights / total[pixels]).astype(np.float32),
-            stretch.astype(np.float32),
-        )
-        for pixels, x, y, weights, stretch in found
-    )
+    faces = list[_FaceSamples]()
+    for pixels, x, y, weights, stretch in found:
+        columns, rows = (((each / _EDGE + 1) * size / 2 - 0.5).astype(np.float32) for each in (x, y))
+        shares = (weights / total[pixels]).astype(np.float32)
+        faces.append(_FaceSamples(pixels, columns, rows, shares, stretch.astype(np.float32)))
+    return tuple(faces)
 
 
 def _bilinear(

@@ -153,8 +153,7 @@ class FrameSequence:
         """
         if self.projection != "perspective" and face is None:
             faces = range(len(views_of(self.shot(number), self.projection)))
-            options = {"with_depth": with_depth, "look": look}
-            frames = [self.frame(renderer, number, sky, face=each, **options) for each in faces]
+            frames = [self.frame(renderer, number, sky, with_depth=with_depth, look=look, face=each) for each in faces]
             return compose(frames, self.projection, self.width, self.height)
 
         def seen(shot: RenderView) -> RenderView:
