@@ -156,12 +156,12 @@ class FrameSequence:
             frames = [self.frame(renderer, number, sky, with_depth=with_depth, look=look, face=each) for each in faces]
             return compose(frames, self.projection, self.width, self.height)
 
-        def seen(shot: RenderView) -> RenderView:
+        def face_view(shot: RenderView) -> RenderView:
             return shot if face is None else views_of(shot, self.projection)[face]
 
         rainfall = None if sky is None else self.rainfall
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
-        shots, side = list(map(seen, self.shots(number))), self.supersampling
+        shots, side = list(map(face_view, self.shots(number))), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
@@ -189,9 +189,9 @@ class FrameSequence:
             frame = replace(frame, rgba=to_display(total / np.float32(len(shots))))
         has_medium = rainfall is not None and rainfall.state_at(self.time_s(number)).extinction_per_m > 0
         if self.sky_scene is not None and has_medium and self.falls:
-            frame = self._without_airlight(renderer, frame, color, seen(self.shot(number)))
+            frame = self._without_airlight(renderer, frame, color, face_view(self.shot(number)))
         if with_depth and not has_own_depth:
-            draw_view(renderer, self.scene, None, color, seen(self.shot(number)), with_depth=True)
+            draw_view(renderer, self.scene, None, color, face_view(self.shot(number)), with_depth=True)
             frame = replace(frame, depth=renderer.read().depth)
         return replace(frame, optics=optics)
 

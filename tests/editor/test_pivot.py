@@ -26,11 +26,11 @@ def test_an_orbit_around_a_pivot_keeps_it_at_its_place_in_the_view():
     before = navigation.camera(640, 480).world_to_camera
     navigation.set_pivot(pivot)
     assert np.array_equal(navigation.camera(640, 480).world_to_camera, before)  # the view stays
-    seen = before[:3, :3] @ pivot + before[:3, 3]
+    in_camera = before[:3, :3] @ pivot + before[:3, 3]
     for turn in ((0.7, 0.0), (-0.2, 0.3), (1.5, -0.1)):
         navigation.orbit(*turn)
         after = navigation.camera(640, 480).world_to_camera
-        np.testing.assert_allclose(after[:3, :3] @ pivot + after[:3, 3], seen, atol=1e-9)
+        np.testing.assert_allclose(after[:3, :3] @ pivot + after[:3, 3], in_camera, atol=1e-9)
 
 
 def test_the_frame_goes_from_the_selection_to_the_member_to_the_scene(editor):

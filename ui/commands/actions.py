@@ -79,3 +79,21 @@ def duplicate_member(document: Document, viewport: ViewportState) -> None:
 def loop_path(document: Document, camera_path: CameraPathEditor) -> None:
     if (path := document.scene.path) is not None:
         camera_path.change_path("Loop off" if path.loop else "Loop on", loop=not path.loop)
+
+
+def copy_keyframe(camera_path: CameraPathEditor, rain_tracks: RainTracks) -> None:
+    """Copy the active keyframe of the camera path, or else of a track of the rain."""
+    if (key := camera_path.active_key) is not None:
+        camera_path.copy(key)
+        rain_tracks.copied = None
+    else:
+        rain_tracks.copy()
+        camera_path.copied = None
+
+
+def paste_keyframe(camera_path: CameraPathEditor, rain_tracks: RainTracks) -> None:
+    """Insert the copied keyframe at the playhead."""
+    if camera_path.copied is not None:
+        camera_path.paste()
+    else:
+        rain_tracks.paste()

@@ -81,25 +81,12 @@ def timeline_panel(editor: Editor) -> None:
 
 
 def _act_on_keys(camera_path: CameraPathEditor, tracks: RainTracks, key: int | None) -> None:
-    """Delete, copy and paste the chosen keyframe, of the camera or of a track of the rain."""
-    ctrl = int(imgui.Key.mod_ctrl)
+    """Delete the chosen keyframe, of the camera or of a track of the rain."""
     if imgui.is_key_pressed(imgui.Key.delete):
         if key is not None:
             camera_path.delete_keyframe(key)
         else:
             tracks.delete()
-    if imgui.is_key_chord_pressed(ctrl | int(imgui.Key.c)):
-        camera_path.copied = None
-        if key is not None:
-            camera_path.copy(key)
-            tracks.copied = None
-        else:
-            tracks.copy()
-    if imgui.is_key_chord_pressed(ctrl | int(imgui.Key.v)):
-        if camera_path.copied is not None:
-            camera_path.paste()
-        else:
-            tracks.paste()
 
 
 # Transport bar

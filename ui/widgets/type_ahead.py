@@ -14,7 +14,7 @@ _LETTERS = tuple(
 
 
 class _Typed:
-    """What was typed into the open menu or list."""
+    """Text that was typed into the open menu or list."""
 
     def __init__(self) -> None:
         self.text = ""
