@@ -112,7 +112,7 @@ class RainTracks:
         """Change the value of a keyframe that is one number."""
         time_s = float(self.times_s(key.field)[key.number])
         high = {"lamp_gain": MAX_LAMP_GAIN, "wetness": 1.0}.get(key.field, np.inf)
-        change = {key.field: min(value, high)}
+        change: dict[str, Any] = {key.field: min(value, high)}
         self._document.edit_keyframes(
             _label("Change", key.field), RainKeyframes.with_key, time_s, gesture=gesture, **change
         )
@@ -131,8 +131,6 @@ class RainTracks:
             return
         (field, number), start_s, copies = self.drag
         to_s = max(0.0, self._playback.nearest_frame_time(start_s + seconds))
-        if to_s == start_s:
-            to_s = start_s  # back at the start: an edit that changes nothing
         change, word = (copy_keyframe, "Copy") if copies else (move_keyframe, "Move")
         self._document.edit_keyframes(_label(word, field), change, field, number, to_s, gesture=_DRAG)
         self._chosen = field, to_s
@@ -154,7 +152,7 @@ class RainTracks:
         if self.copied is not None:
             field, value, easing = self.copied
             time_s = self._playback.nearest_frame_time(self._playback.clock.time_s)
-            change = {field: value, "easing": easing}
+            change: dict[str, Any] = {field: value, "easing": easing}
             self._document.edit_keyframes(_label("Paste", field), RainKeyframes.with_key, time_s, **change)
             self._chosen = field, time_s
 
