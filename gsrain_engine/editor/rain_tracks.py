@@ -105,7 +105,8 @@ class RainTracks:
         if value is None:
             value = wetness(rain.intensity_mm_h) if field == "wetness" else None
         if value is not None:
-            self._document.edit_keyframes(_label("Insert", field), RainKeyframes.with_key, time_s, **{field: value})
+            change: dict[str, Any] = {field: value}
+            self._document.edit_keyframes(_label("Insert", field), RainKeyframes.with_key, time_s, **change)
             self._chosen = field, time_s
 
     def set_value(self, key: TrackKey, value: float, gesture: str | None = None) -> None:
