@@ -38,6 +38,7 @@ from gsrain_engine.scene.files import whole_file
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
 from .widgets.text import escape_all_text
+from .widgets.type_ahead import install_type_ahead
 
 if TYPE_CHECKING:
     from gsrain_engine.editor.drawing.live_view import WindowBackend
@@ -150,6 +151,7 @@ class MainWindow:
 
     def parameters(self) -> hello_imgui.RunnerParams:
         escape_all_text()
+        install_type_ahead()
         parameters = hello_imgui.RunnerParams()
         parameters.app_window_params.window_title = "GSRAIN"
         parameters.app_window_params.window_geometry.size = (1440, 900)

@@ -30,6 +30,7 @@ from .make_rainy import WetLookController
 from .matching import MatchingController
 from .preferences import PreferencesStore
 from .rain import CalibrationTools, KeyframePanelState
+from .rain_tracks import RainTracks
 from .recorder import RenderQueue
 from .scene_setup import SceneSetup
 from .selection.commands import SelectionTool
@@ -61,6 +62,7 @@ class Editor:
         self.selection = SelectionTool(self.document, self.playback)
         self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
         self.keyframe_panel = KeyframePanelState()
+        self.rain_tracks = RainTracks(self.document, self.playback)
         self.captures = CaptureController(self.viewport, self.status)
         self.matching = MatchingController(self.viewport, self.captures)
         self.jobs = JobRunner(self._thread, self.status.report, lambda: self.viewport.staged is None)
@@ -124,6 +126,7 @@ class Editor:
         self.files.close()
         self.preferences.close()
         self._thread.shutdown()
+        self.viewport.obstacles.close()
         self.captures.close()
         self.matching.close()
         self.status.close()

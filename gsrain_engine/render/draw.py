@@ -84,7 +84,7 @@ def draw_view(
     in depth: where `has_spray`, draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
-    lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
+    lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
     lit_lamps = scene.lamps_at(shot.time_s, lamps) if rainfall is not None and lamps else None
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
@@ -94,7 +94,7 @@ def draw_view(
     level, has_water, standing, depth = None, False, (0.0, 0.0), WaterDepth(0.0, 0.0)
     if rainfall is not None and rainfall.rain.mirror and look == "splats":
         depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
-        standing = standing_water(rainfall.rain, depth, wetness)
+        standing = standing_water(rainfall.frozen_at(shot.time_s).rain, depth, wetness)
         level = mirror_view(scene, shot.camera)
         has_water = has_mirror(scene, level, wetness, standing)
     lit = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)

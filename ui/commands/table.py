@@ -401,6 +401,10 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Delete keyframe", _keyframe("delete_keyframe"), "Timeline", "Shift+Delete",
                 "Delete the active keyframe; Delete does the same while the timeline has the focus.", _has_keyframe,
                 edit="delete-keyframe"),
+        Command("Copy the keyframe", "ui.commands.actions:copy_keyframe", "Timeline", "Ctrl+C",
+                "Copy the active keyframe, of the camera or of a track of the rain, with its easing."),
+        Command("Paste the keyframe", "ui.commands.actions:paste_keyframe", "Timeline", "Ctrl+V",
+                "Insert the copied keyframe at the present time.", edit="copy-rain-keyframe"),
         Command("Snap keyframe to the drive", _keyframe("snap_keyframe"), "Timeline", "",
                 "Move the active keyframe to the nearest pose of the recorded drive.", _has_keyframe,
                 edit="snap-keyframe"),
@@ -435,7 +439,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     # View
     (
         Command("Frame the scene", _call("viewport.frame_scene"), "View", "F",
-                "Move back until the active layer or actor, or else the whole scene, is visible."),
+                "Move back until the selection, else the active layer or actor, else the scene is visible."),
         Command("Go home", _call("viewport.go_home"), "View", "R or Home", "Return to the initial view of the scene."),
         Command("Show the selection", _toggle("viewport.options.show_selection"), "View", "Shift+S",
                 "Tint the selected Gaussians.", is_on=_is("viewport.options.show_selection")),

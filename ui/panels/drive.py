@@ -20,7 +20,6 @@ from gsrain_engine.simulation.scenario import ScenarioUser
 from ..commands.table import help_of
 from ..widgets.draw import color
 from ..widgets.fields import (
-    CLAMPED,
     button,
     checkbox,
     edit_choice,
@@ -32,6 +31,7 @@ from ..widgets.fields import (
     warn,
 )
 from ..widgets.file_dialogs import ALL_FILES, ask_what_to_open, ask_where_to_save, path_field
+from ..widgets.numbers import in_bounds
 from ..widgets.text import visible_name
 from .drive_plots import curve_colors, drive_metrics
 from .jobs import job_fields
@@ -324,6 +324,7 @@ def _field(settings: _Settings, name: str) -> _Settings:
         return edit_field(settings, name)
     info = field_label(name, type(settings))
     speed = min((info.high - info.low) / _DRAG_PX, _FASTEST)
-    changed, value = imgui.drag_float(f"##{name}", value, speed, info.low, info.high, "%.4g", CLAMPED)
+    changed, value = imgui.drag_float(f"##{name}", value, speed, info.low, info.high, "%.4g")
+    value = in_bounds(changed, value, info.low, info.high, info.unit)
     imgui.set_item_tooltip(f"{info.help}\n{info.low:g} to {info.high:g}. Drag; double click: type.".strip())
     return msgspec.structs.replace(settings, **{name: value}) if changed else settings

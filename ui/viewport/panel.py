@@ -18,7 +18,7 @@ from ..folding import FoldedPanels
 from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
-from ..widgets.draw import Canvas, draw_lines
+from ..widgets.draw import Canvas, draw_lines, draw_point
 from ..widgets.fields import button
 from .first_run import draw_hint, draw_setup_bar, draw_start_card
 from .notices import card, draw_notices
@@ -86,14 +86,19 @@ _KEYS = {
 
 def _navigate_by_mouse(viewport: ViewportState, canvas: Canvas, uses_left: bool) -> None:
     navigation, io = viewport.navigation, imgui.get_io()
+    if canvas.hovered and not uses_left and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+        viewport.set_pivot(*canvas.mouse_px, canvas.width, canvas.height)
     if canvas.active:
         moved = io.mouse_delta
         if uses_left and imgui.is_mouse_down(imgui.MouseButton_.left):
             return
         if moved.x or moved.y:
             viewport.stop_riding()
+            navigation = viewport.navigation
         if imgui.is_mouse_down(imgui.MouseButton_.left):
-            navigation.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+            viewport.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+            if navigation.pivot is not None:
+                draw_point(canvas, navigation.pivot)
         elif imgui.is_mouse_down(imgui.MouseButton_.right):
             navigation.turn(-moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
         elif imgui.is_mouse_down(imgui.MouseButton_.middle):
@@ -171,7 +176,7 @@ def tool_options(tool: Tool, corner: ImVec2, left: float, width: float) -> None:
 
 def view_bar(editor: Editor) -> None:
     clock, viewport = editor.playback.clock, editor.viewport
-    frame_help = "Move back until the active layer or actor, or else the whole scene, is visible (F)."
+    frame_help = "Move back until the selection, else the active layer or actor, else the scene is visible (F)."
     for icon, name, help_text, act in (
         (icons.ICON_FA_PAUSE if clock.playing else icons.ICON_FA_PLAY, "Play", "Start or stop time (Space).",
          clock.toggle),
