@@ -1,6 +1,6 @@
 """Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,14 +11,18 @@ from ..camera import DEFAULT_EXPOSURE_S
 from ..gaussians import SH_C0, Gaussians
 from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
+from .bicycles import BICYCLE_SIZE_M, build_waiting_bicycles
 from .buildings import build_houses
+from .buses import BUS_FORM, build_parked_buses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
 from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
-from .night import Windows, ego_lamps, lanterns, vehicle_lamps
+from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, vehicle_lamps
+from .people import build_people, people_of, person_size
 from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
+from .signals import build_signals, signal_heads
 from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees
 from .water_map import street_water
@@ -63,6 +67,10 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
         "trees": build_trees(layout, light.sun),
         PARKED_CARS: build_parked_cars(layout),
         PARKED_TRUCKS: build_parked_trucks(layout),
+        PARKED_BUSES: build_parked_buses(layout),
+        PEDESTRIANS: build_people(layout, light.sun),
+        BICYCLES: build_waiting_bicycles(layout),
+        TRAFFIC_LIGHTS: build_signals(layout),
         "furniture": build_furniture(layout),
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),
@@ -99,7 +107,10 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
     wet_sh = wet_colors(surfaces.lead, surfaces.lead_light(rainy))
     lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p), wet_sh=wet_sh)
-    lamps = (*lanterns(surfaces.layout), *vehicle_lamps(LEAD_ID, _LEAD_SHAPE), *ego_lamps())
+    lamps = (
+        *lanterns(surfaces.layout), *vehicle_lamps(LEAD_ID, _LEAD_SHAPE), *ego_lamps(), *signal_lamps(surfaces.layout),
+        *bus_lamps(surfaces.layout),
+    )  # fmt: skip
     return Scene(
         name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
         lamps=lamps if p.time_of_day == "night" else (), water=street_water(surfaces.layout),
@@ -266,34 +277,57 @@ def _camera(row: tuple[str, float, float, float, float, float, float, float], wi
     return RigCamera(name, width, height, f, f, cx, cy, pose, DEFAULT_EXPOSURE_S)
 
 
-# Parked vehicles
+# Objects with a class
 
-PARKED_CARS, PARKED_TRUCKS = "parked cars", "parked trucks"
+PARKED_CARS, PARKED_TRUCKS, PARKED_BUSES = "parked cars", "parked trucks", "parked buses"
+PEDESTRIANS, BICYCLES, TRAFFIC_LIGHTS = "pedestrians", "bicycles", "traffic lights"
+OBJECT_LAYERS = PARKED_CARS, PARKED_TRUCKS, PARKED_BUSES, PEDESTRIANS, BICYCLES, TRAFFIC_LIGHTS
 
 
-class ParkedBox(NamedTuple):
-    """A parked vehicle as a box."""
+class StreetBox(NamedTuple):
+    """A vehicle, a person or a traffic light of the street as a box."""
 
     id: str
     class_name: str
-    """Car or truck."""
+    """Class of COCO."""
     layer: str
-    """Name of the vehicle's layer."""
+    """Name of its layer."""
     size_lwh: tuple[float, float, float]
     """Meters."""
     to_street: Float64[np.ndarray, "4 4"]
-    """From the vehicle's frame (x forward, y left, z up, origin at the bottom center) to the street's."""
+    """From its frame (x forward, y left, z up, origin at the bottom center) to the street's."""
 
 
-def parked_boxes(parameters: StreetParameters | None = None) -> list[ParkedBox]:
-    """Parked vehicles of a street, in the order of its plan: cars, then trucks."""
+def street_boxes(parameters: StreetParameters | None = None) -> list[StreetBox]:
+    """Boxes of what has a class on a street, in the order of its plan.
+
+    Cars, trucks, buses, people, bicycles, traffic lights.
+    """
     layout = plan_street(parameters or StreetParameters())
-    cars = [(f"parked-{k:02d}", "car", PARKED_CARS, CAR_FORMS[car.shape], car) for k, car in enumerate(layout.cars)]
-    trucks = [(f"truck-{k:02d}", "truck", PARKED_TRUCKS, TRUCK_FORM, truck) for k, truck in enumerate(layout.trucks)]
-    boxes: list[ParkedBox] = []
-    for name, class_name, layer, form, vehicle in (*cars, *trucks):
+    car_sizes = [(form.length, form.width, form.height) for form in (CAR_FORMS[car.shape] for car in layout.cars)]
+    truck_size = TRUCK_FORM.length, TRUCK_FORM.width, TRUCK_FORM.height
+    bus_size = BUS_FORM.length, BUS_FORM.width, BUS_FORM.height
+    boxes = [
+        *_boxes("parked", "car", PARKED_CARS, [(s, (c.x, c.y, 0.0), c.turn_deg) for s, c in zip(car_sizes, layout.cars, strict=True)]),
+        *_boxes("truck", "truck", PARKED_TRUCKS, [(truck_size, (t.x, t.y, 0.0), t.turn_deg) for t in layout.trucks]),
+        *_boxes("bus", "bus", PARKED_BUSES, [(bus_size, (b.x, b.y, 0.0), b.turn_deg) for b in layout.buses]),
+        *_boxes("person", "person", PEDESTRIANS, [(person_size(f), place, turn) for f, place, turn in people_of(layout)]),
+        *_boxes("bicycle", "bicycle", BICYCLES, [(BICYCLE_SIZE_M, (c.x, c.y, 0.0), c.turn_deg) for c in layout.cyclists]),
+        *_boxes("traffic-light", "traffic light", TRAFFIC_LIGHTS,
+                [(head.size_lwh, head.foot, head.turn_deg) for head in signal_heads(layout)]),
+    ]  # fmt: skip
+    return boxes
+
+
+_Size = tuple[float, float, float]
+
+
+def _boxes(prefix: str, class_name: str, layer: str, placed: Sequence[tuple[_Size, _Size, float]]) -> list[StreetBox]:
+    """Boxes from sizes, feet and turns."""
+    boxes: list[StreetBox] = []
+    for number, (size, foot, turn_deg) in enumerate(placed):
         pose = np.eye(4)
-        pose[:3, :3] = rotation_about_z(vehicle.turn_deg)
-        pose[:2, 3] = vehicle.x, vehicle.y
-        boxes.append(ParkedBox(name, class_name, layer, (form.length, form.width, form.height), pose))
+        pose[:3, :3] = rotation_about_z(turn_deg)
+        pose[:3, 3] = foot
+        boxes.append(StreetBox(f"{prefix}-{number:02d}", class_name, layer, size, pose))
     return boxes

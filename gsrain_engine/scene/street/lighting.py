@@ -175,7 +175,13 @@ class Illumination:
         trees = tuple(each for each in self.layout.trees if low < each.x < high)
         cars = tuple(each for each in self.layout.cars if low < each.x < high)
         trucks = tuple(each for each in self.layout.trucks if low < each.x < high)
-        return replace(self, layout=replace(self.layout, trees=trees, cars=cars, trucks=trucks))
+        buses = tuple(each for each in self.layout.buses if low < each.x < high)
+        pedestrians = tuple(each for each in self.layout.pedestrians if low < each.x < high)
+        cyclists = tuple(each for each in self.layout.cyclists if low < each.x < high)
+        near = replace(
+            self.layout, trees=trees, cars=cars, trucks=trucks, buses=buses, pedestrians=pedestrians, cyclists=cyclists
+        )
+        return replace(self, layout=near)
 
     def _light_on(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         if self.lighting.diffuse == "overcast":

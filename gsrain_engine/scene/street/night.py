@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from ..lamps import Lamp
+from .buses import headlight_places
 from .cars import CAR_FORMS
 from .layout import CarShape, Label, StreetLayout
-from .mesh import Quads
+from .mesh import Quads, rotation_about_z
 from .shadows import vehicle_occluders
+from .signals import SIGNAL_COLOR, SIGNAL_M2, signal_heads
 from .vegetation import crown_middle, lantern_position
 
 # Lamps of the scene
@@ -20,6 +22,7 @@ LANTERN_M2 = 250.0
 LANTERN_COLOR = (1.0, 0.66, 0.33)
 LANTERN_INNER_DEG, LANTERN_OUTER_DEG = 48.0, 88.0
 _HEADLIGHT_M2, _HEADLIGHT_COLOR = 400.0, (1.0, 0.95, 0.87)
+_POSITION_LAMP_M2 = 4.0  # 40 cd: those of a bus at its stop, which does not dazzle
 _TAIL_LIGHT_M2, _TAIL_LIGHT_COLOR = 1.0, (1.0, 0.03, 0.02)
 _LOW_BEAM = (0.998, 0.0, -0.06)  # direction: half a degree below what dazzles, and down to the road 12 m ahead
 _EGO_LAMPS = (
@@ -59,6 +62,35 @@ def vehicle_lamps(actor_id: str, shape: CarShape) -> tuple[Lamp, ...]:
                 outer_deg=85.0, mount=actor_id,
             )
         )  # fmt: skip
+    return tuple(lamps)
+
+
+def signal_lamps(layout: StreetLayout) -> tuple[Lamp, ...]:
+    """Lit lenses of the traffic lights for vehicles."""
+    return tuple(
+        Lamp(
+            name=f"signal-{k:02d}", position=head.lamp_position, direction=head.direction, color=SIGNAL_COLOR[head.lit],
+            intensity_m2=SIGNAL_M2, inner_deg=10.0, outer_deg=60.0,
+        )
+        for k, head in enumerate(head for head in signal_heads(layout) if head.lamps == 3)
+    )  # fmt: skip
+
+
+def bus_lamps(layout: StreetLayout) -> tuple[Lamp, ...]:
+    """Front position lamps of buses at their stops."""
+    lamps: list[Lamp] = []
+    for k, bus in enumerate(layout.buses):
+        turn = rotation_about_z(bus.turn_deg)
+        ahead_x, ahead_y, _ = turn[:, 0].tolist()
+        for place, name in zip(headlight_places(), ("left", "right"), strict=True):
+            x, y, z = (turn @ np.array(place)).tolist()
+            lamps.append(
+                Lamp(
+                    name=f"bus-{k:02d} {name} headlight", position=(bus.x + x, bus.y + y, z),
+                    direction=(ahead_x, ahead_y, -0.03), color=_HEADLIGHT_COLOR, intensity_m2=_POSITION_LAMP_M2,
+                    inner_deg=20.0, outer_deg=80.0,
+                )
+            )  # fmt: skip
     return tuple(lamps)
 
 

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
+from .buses import BUS_FORM
 from .cars import CAR_FORMS, TRUCK_FORM
-from .layout import CURB_HEIGHT_M, HOUSE_DEPTH_M, House, ParkedCar, ParkedTruck, StreetLayout
+from .layout import CURB_HEIGHT_M, HOUSE_DEPTH_M, House, ParkedBus, ParkedCar, ParkedTruck, StreetLayout
 from .mesh import smooth_noise
+from .people import Figure, people_of
 from .vegetation import crown_lobes
 
 
@@ -173,7 +175,13 @@ def _vehicle_occlusion(vehicles: Sequence[VehicleOccluder], p: Float64[np.ndarra
 
 
 def vehicle_occluders(layout: StreetLayout) -> tuple[VehicleOccluder, ...]:
-    return *(_car(each) for each in layout.cars), *(_truck(each) for each in layout.trucks)
+    """Boxes of vehicles and people that shade what is around them."""
+    return (
+        *(_car(each) for each in layout.cars),
+        *(_truck(each) for each in layout.trucks),
+        *(_bus(each) for each in layout.buses),
+        *(_person(place, turn, figure) for figure, place, turn in people_of(layout)),
+    )
 
 
 def _car(car: ParkedCar) -> VehicleOccluder:
@@ -196,5 +204,27 @@ def _truck(truck: ParkedTruck) -> VehicleOccluder:
     return VehicleOccluder(truck.x, truck.y, _direction(truck), form.length, form.width, form.height, 4.6, boxes, True)
 
 
-def _direction(vehicle: ParkedCar | ParkedTruck) -> float:
+def _bus(bus: ParkedBus) -> VehicleOccluder:
+    form = BUS_FORM
+    half, w = 0.5 * form.length - 0.08, 0.5 * form.width - 0.06
+    body = (-half, -w, form.sill), (half, w, form.height - 0.12)
+    return VehicleOccluder(
+        bus.x, bus.y, _direction(bus), form.length, form.width, form.height, 4.4, (body,), False
+    )  # fmt: skip
+
+
+def _person(place: Corner, turn_deg: float, figure: Figure) -> VehicleOccluder:
+    """A person: legs, trunk and head, in axes of the street."""
+    x, y, foot = place
+    across = abs(np.sin(np.radians(turn_deg))) > 0.7  # whether shoulders are along x
+    tall, wide, deep = figure.height_m, 0.22, 0.13
+    a, b = (wide, deep) if across else (deep, wide)
+    legs = (-0.75 * a, -0.75 * b, foot), (0.75 * a, 0.75 * b, foot + 0.52 * tall)
+    trunk = (-a, -b, foot + 0.48 * tall), (a, b, foot + 0.83 * tall)
+    head = (-0.09, -0.09, foot + 0.82 * tall), (0.09, 0.09, foot + 0.99 * tall)
+    size = 2 * a + 0.1, 2 * b + 0.1, foot + tall
+    return VehicleOccluder(x, y, 1.0, *size, 2.6, (legs, trunk, head), False)
+
+
+def _direction(vehicle: ParkedCar | ParkedTruck | ParkedBus) -> float:
     return -1.0 if abs(vehicle.turn_deg) > 90 else 1.0

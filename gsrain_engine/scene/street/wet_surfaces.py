@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Float32, Float64
 from ..gaussians import sh_basis
 from ..ground_water import FILM_SLOPE, STANDING_SLOPE
 from ..water_surface import WATER_INDEX, reflectance, unshadowed, wet_albedo
+from .buses import BUS_FORM
 from .cars import CAR_FORMS, TRUCK_FORM
 from .layout import CURB_HEIGHT_M, Color, House, Label, StreetLayout
 from .lighting import Illumination
@@ -20,6 +21,7 @@ from .vegetation import OVERCAST_ZENITH, crown_middle, overcast_luminance
 
 _SOAKED = {
     Label.ROAD: 1.0, Label.LANE_MARKING: 0.55, Label.PAVEMENT: 0.9, Label.TERRAIN: 0.8, Label.VEGETATION: 0.75,
+    Label.PERSON: 0.5,
 }  # fmt: skip
 """Share of the darkening of a soaked porous surface, by class; paint, metal and glass hold no water in them."""
 _SOAKED_ROOF, _SOAKED_WALL = 0.95, 0.55
@@ -43,7 +45,7 @@ def wet_materials(quads: Quads, *, with_lamps: bool = False) -> Quads:
     gray = wet.mean(axis=1, keepdims=True)
     wet = np.where(leaf[:, None], np.maximum(wet + _GREENER * (wet - gray), 0), wet)
     if with_lamps:
-        red = np.isin(quads.labels, (Label.CAR, Label.TRUCK)) & (dry[:, 0] > 0.25) & (dry[:, 1] < 0.01)
+        red = np.isin(quads.labels, (Label.CAR, Label.TRUCK, Label.BUS)) & (dry[:, 0] > 0.25) & (dry[:, 1] < 0.01)
         wet = np.where(red[:, None], _LAMP * dry, wet)
     return replace(quads, albedo=wet.astype(np.float32), gloss=np.minimum(_WETTER_GLOSS * quads.gloss, 0.9))
 
@@ -378,6 +380,8 @@ def _vehicles(layout: StreetLayout) -> Iterator[tuple[float, float, float, float
         yield car.x, car.y, 0.5 * form.length, 0.5 * form.width, form.height, car.paint
     for truck in layout.trucks:
         yield truck.x, truck.y, 0.5 * TRUCK_FORM.length, 0.5 * TRUCK_FORM.width, TRUCK_FORM.height, truck.body
+    for bus in layout.buses:
+        yield bus.x, bus.y, 0.5 * BUS_FORM.length, 0.5 * BUS_FORM.width, BUS_FORM.height, bus.paint
 
 
 def _crossed(
