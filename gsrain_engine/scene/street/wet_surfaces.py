@@ -37,7 +37,8 @@ def wet_materials(quads: Quads, *, with_lamps: bool = False) -> Quads:
     soaked = np.zeros(len(quads))
     for label, share in _SOAKED.items():
         soaked[quads.labels == label] = share
-    soaked = np.where(quads.labels == Label.BUILDING, _soaking_of_houses(quads), soaked)
+    houses = np.flatnonzero(quads.labels == Label.BUILDING)
+    soaked[houses] = _soaking_of_houses(quads.take(houses))
     leaf = (quads.labels == Label.VEGETATION) & (quads.albedo[:, 1] > 1.05 * quads.albedo[:, 0])
     soaked = np.where(leaf, _SOAKED_LEAF, soaked)[:, None]
     dry = quads.albedo.astype(np.float64)
