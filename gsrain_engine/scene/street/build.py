@@ -14,16 +14,16 @@ from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
 from .bicycles import BICYCLE_SIZE_M, build_waiting_bicycles
 from .buildings import build_houses
 from .buses import BUS_FORM, build_parked_buses
-from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
+from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow, vehicle_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
-from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
+from .layout import STREETS, CarShape, ParkedTruck, StreetLayout, StreetParameters, plan_street
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
-from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, vehicle_lamps
+from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, truck_lamps, vehicle_lamps
 from .people import build_people, people_of, person_size
 from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
 from .signals import build_signals, signal_heads
-from .trucks import build_parked_trucks
+from .trucks import build_parked_trucks, build_truck
 from .vegetation import build_furniture, build_sky, build_trees
 from .water_map import street_water
 from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_materials
@@ -31,6 +31,7 @@ from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_ma
 LEAD_ID = "lead"
 _LEAD_SHAPE: CarShape = "saloon"
 _LEAD_PAINT = (0.014, 0.034, 0.075)
+_LEAD_TRUCK = ParkedTruck(0.0, 0.0, 0.0, (0.42, 0.025, 0.02), (0.62, 0.62, 0.60), (0.42, 0.025, 0.02))
 _TRACK_STEP_S = 0.1
 
 
@@ -42,7 +43,7 @@ class StreetSurfaces:
     layers: Mapping[str, Quads]
     """By layer name, in world axes; Gaussian i of a layer is quad i here."""
     lead: Quads
-    """The lead car and its shadow, in the object frame."""
+    """The lead vehicle and its shadow, in the object frame."""
 
     def light(self, name: LightingName | None = None) -> Illumination:
         """Light of a name on the street; by default that of dry weather."""
@@ -51,7 +52,7 @@ class StreetSurfaces:
         return Illumination.over(self.layout.parameters, self.layout, lighting, windows)
 
     def lead_light(self, name: LightingName | None = None) -> Illumination:
-        """Light on the lead car: the same sky without occlusion, as the car drives in and out of shadows."""
+        """Light on the lead vehicle: the same sky without occlusion, as the car drives in and out of shadows."""
         return Illumination.over(
             self.layout.parameters, lighting=LIGHTINGS[name or LIGHT_OF[self.layout.parameters.time_of_day][0]]
         )
@@ -78,12 +79,19 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
     line, edge_px = ego_camera_line(layout.parameters), layout.parameters.edge_px
     for name in layers.keys() - {"sky"}:
         layers[name] = refined(split_at_shadows(layers[name], line, light, edge_px), line, edge_px)
-    lead = Quads.joined([car_shadow(_LEAD_SHAPE), refined_vehicle(build_car(_LEAD_SHAPE, _LEAD_PAINT))])
-    return StreetSurfaces(layout, layers, lead)
+    return StreetSurfaces(layout, layers, build_lead(layout.parameters))
+
+
+def build_lead(parameters: StreetParameters) -> Quads:
+    """Build the lead vehicle with its shadow, in the object frame."""
+    if parameters.lead == "saloon":
+        return Quads.joined([car_shadow(_LEAD_SHAPE), refined_vehicle(build_car(_LEAD_SHAPE, _LEAD_PAINT))])
+    shadow = vehicle_shadow(TRUCK_FORM.length, TRUCK_FORM.width)
+    return Quads.joined([shadow, refined_vehicle(build_truck(_LEAD_TRUCK))])
 
 
 def build_street(parameters: StreetParameters | None = None) -> Scene:
-    """Build the street as a scene: named layers, the lead car as an actor, rigs and the ego track."""
+    """Build the street as a scene: named layers, the lead vehicle as an actor, rigs and the ego track."""
     return scene_of(street_surfaces(parameters))
 
 
@@ -102,18 +110,26 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
         )
         for name, quads in surfaces.layers.items()
     )  # fmt: skip
-    form = CAR_FORMS[_LEAD_SHAPE]
     p = surfaces.layout.parameters
+    is_truck = p.lead == "truck"
+    form = TRUCK_FORM if is_truck else CAR_FORMS[_LEAD_SHAPE]
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
     wet_sh = wet_colors(surfaces.lead, surfaces.lead_light(rainy))
-    lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p), wet_sh=wet_sh)
+    lead = Actor(
+        LEAD_ID,
+        "truck" if is_truck else "car",
+        (form.length, form.width, form.height),
+        gaussians,
+        lead_track(p),
+        wet_sh=wet_sh,
+    )
     lamps = (
-        *lanterns(surfaces.layout), *vehicle_lamps(LEAD_ID, _LEAD_SHAPE), *ego_lamps(), *signal_lamps(surfaces.layout),
+        *lanterns(surfaces.layout), *(truck_lamps(LEAD_ID) if is_truck else vehicle_lamps(LEAD_ID, _LEAD_SHAPE)), *ego_lamps(), *signal_lamps(surfaces.layout),
         *bus_lamps(surfaces.layout),
     )  # fmt: skip
     return Scene(
         name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
-        lamps=lamps if p.time_of_day == "night" else (), water=street_water(surfaces.layout),
+        lamps=lamps if light.lighting.lamps else (), water=street_water(surfaces.layout),
     )  # fmt: skip
 
 
@@ -124,7 +140,7 @@ def ego_track(p: StreetParameters) -> PoseTrack:
 
 
 def lead_track(p: StreetParameters) -> PoseTrack:
-    """Lead car's track: the ego's speed on average, 6 % faster and slower with a period of 8 s."""
+    """Lead vehicle's track: the ego's speed on average, 6 % faster and slower with a period of 8 s."""
     times = _times(p)
     swing = 2 * np.pi / 8.0
     x = p.lead_gap_m + p.ego_speed_m_s * (times + 0.06 / swing * np.sin(swing * times))

@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-TimeOfDay = Literal["day", "overcast", "night"]
+TimeOfDay = Literal["day", "overcast", "dusk", "night"]
+LeadVehicle = Literal["saloon", "truck"]
 
 
 class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -43,9 +44,12 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=20, title="Ego speed", extra={"unit": "m/s"})] = 10.0
     """The ego vehicle's constant speed."""
     time_of_day: Annotated[TimeOfDay, Meta(title="Time of day")] = "day"
-    """overcast: by day under clouds, also when it is dry. By night lanterns, windows and vehicles' lamps are lit."""
+    """overcast: by day under clouds, also when it is dry. At dusk and by night lanterns, windows and vehicles' lamps are
+    lit."""
+    lead: Annotated[LeadVehicle, Meta(title="Lead vehicle")] = "saloon"
+    """Vehicle ahead of the ego."""
     lead_gap_m: Annotated[float, Meta(ge=6, le=60, title="Gap to the lead car", extra={"unit": "m"})] = 18.0
-    """From the ego's origin to the middle of the lead car at the start."""
+    """From the ego's origin to the middle of the lead vehicle at the start."""
 
     @property
     def start_x_m(self) -> float:
@@ -77,11 +81,12 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 STREETS = {
     "street": StreetParameters(),
     "street:overcast": StreetParameters(time_of_day="overcast"),
+    "street:dusk": StreetParameters(time_of_day="dusk", lead="truck", ego_speed_m_s=12.0, lead_gap_m=20.0),
     "street:night": StreetParameters(time_of_day="night"),
     "street:long": StreetParameters(length_m=1200.0, edge_px=1.8, ego_speed_m_s=20.0),
 }
 """Built-in streets by name. Overcast, it is the same street under the clouds that it has in rain; by night it is lit by
-its lamps; the long one, of 1.2 km and about 5 million Gaussians, tests large scenes."""
+its lamps, as at dusk, where the ego follows a truck at 43 km/h; the long one, of 1.2 km and about 5 million Gaussians, tests large scenes."""
 
 # Semantic classes
 

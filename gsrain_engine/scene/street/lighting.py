@@ -15,6 +15,7 @@ from .night import Windows, light_of_lamps, light_on_traffic
 from .shadows import ground_occlusion, sun_visibility
 from .vegetation import (
     OVERCAST_ZENITH,
+    dusk_sky_display,
     night_sky_display,
     overcast_luminance,
     overcast_sky_display,
@@ -23,7 +24,7 @@ from .vegetation import (
 
 Sky = Callable[[Float[np.ndarray, "n 3"], Float64[np.ndarray, "3"], int], Float64[np.ndarray, "n 3"]]
 """Display color of the sky in unit directions, for a direction towards the sun and a seed."""
-LightingName = Literal["sunny", "overcast", "night"]
+LightingName = Literal["sunny", "overcast", "dusk", "night"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +51,10 @@ class Lighting:
     """Added for a reflection towards the sun."""
     lamps: bool = False
     """True if lamps and lit rooms light the street."""
+    reflected_sky: Float64[np.ndarray, "3"] | None = None
+    """With lamps: light of the sky that wet ground reflects."""
+    reflected_dim: Float64[np.ndarray, "3"] | None = None
+    """With lamps: light of leaves and vehicles in reflections, relative to that under clouds."""
 
     def display(self, light: Float[np.ndarray, "*n 3"], albedo: Any = 1.0) -> Float[np.ndarray, "*n 3"]:
         """Display color of surfaces in a light: highlights are compressed as by film."""
@@ -96,12 +101,32 @@ NIGHT = Lighting(
     mirrored_up=np.array([0.010, 0.018, 0.030]),
     mirrored_sun=np.zeros(3),
     lamps=True,
+    reflected_sky=np.array([0.006, 0.0062, 0.0078]),
+    reflected_dim=np.array([0.16, 0.115, 0.07]),
 )
 
-LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "night": NIGHT}
+DUSK = Lighting(
+    sun=np.zeros(3),
+    sky=np.array([0.115, 0.135, 0.190]),
+    ground=np.array([0.022, 0.020, 0.021]),
+    exposure=1.0,
+    sky_display=dusk_sky_display,
+    diffuse="overcast",
+    haze=np.array([0.235, 0.245, 0.285]),
+    mirrored=np.array([0.135, 0.135, 0.150]),
+    mirrored_up=np.array([0.045, 0.060, 0.090]),
+    mirrored_sun=np.zeros(3),
+    lamps=True,
+    reflected_sky=np.array([0.060, 0.070, 0.098]),
+    reflected_dim=np.array([0.20, 0.175, 0.155]),
+)
+"""Clouds half an hour after sunset: blue from above, with a warm band ahead, about as bright as the lanterns' light."""
+
+LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "dusk": DUSK, "night": NIGHT}
 LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {
     "day": ("sunny", "overcast"),
     "overcast": ("overcast", "overcast"),
+    "dusk": ("dusk", "dusk"),
     "night": ("night", "night"),
 }
 """Lighting in dry weather, and in rain."""

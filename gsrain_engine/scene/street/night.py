@@ -8,11 +8,12 @@ from jaxtyping import Bool, Float, Float64
 
 from ..lamps import Lamp
 from .buses import headlight_places
-from .cars import CAR_FORMS
+from .cars import CAR_FORMS, TRUCK_FORM
 from .layout import CarShape, Label, StreetLayout
 from .mesh import Quads, rotation_about_z
 from .shadows import vehicle_occluders
 from .signals import SIGNAL_COLOR, SIGNAL_M2, signal_heads
+from .trucks import HEAD_LAMP, TAIL_LAMP
 from .vegetation import crown_middle, lantern_position
 
 # Lamps of the scene
@@ -55,13 +56,7 @@ def vehicle_lamps(actor_id: str, shape: CarShape) -> tuple[Lamp, ...]:
     for side, name in ((1, "left"), (-1, "right")):
         lamps.append(_headlight(f"{actor_id} {name} headlight", (front, side * 0.62 * half, form.hood[0] - 0.09),
                                 actor_id))  # fmt: skip
-        lamps.append(
-            Lamp(
-                name=f"{actor_id} {name} tail light", position=(rear, side * 0.73 * half, form.tail[0] - 0.1),
-                direction=(-1.0, 0.0, 0.0), color=_TAIL_LIGHT_COLOR, intensity_m2=_TAIL_LIGHT_M2, inner_deg=30.0,
-                outer_deg=85.0, mount=actor_id,
-            )
-        )  # fmt: skip
+        lamps.append(_tail_light(actor_id, name, (rear, side * 0.73 * half, form.tail[0] - 0.1)))
     return tuple(lamps)
 
 
@@ -94,6 +89,16 @@ def bus_lamps(layout: StreetLayout) -> tuple[Lamp, ...]:
     return tuple(lamps)
 
 
+def truck_lamps(actor_id: str) -> tuple[Lamp, ...]:
+    """Head and tail lamps of a truck that moves, mounted on its actor."""
+    front, rear = 0.5 * TRUCK_FORM.length, TRUCK_FORM.body_back
+    lamps: list[Lamp] = []
+    for side, name in ((1, "left"), (-1, "right")):
+        head, tail = (front, side * HEAD_LAMP[0], HEAD_LAMP[1]), (rear, side * TAIL_LAMP[0], TAIL_LAMP[1])
+        lamps += [_headlight(f"{actor_id} {name} headlight", head, actor_id), _tail_light(actor_id, name, tail)]
+    return tuple(lamps)
+
+
 def ego_lamps() -> tuple[Lamp, ...]:
     """Low beams of the ego vehicle."""
     return tuple(_headlight(f"ego {name} headlight", place, "ego") for name, place in _EGO_LAMPS)
@@ -103,6 +108,13 @@ def _headlight(name: str, position: tuple[float, float, float], mount: str) -> L
     return Lamp(
         name=name, position=position, direction=_LOW_BEAM, color=_HEADLIGHT_COLOR, intensity_m2=_HEADLIGHT_M2,
         inner_deg=4.0, outer_deg=26.0, mount=mount,
+    )  # fmt: skip
+
+
+def _tail_light(actor_id: str, side: str, position: tuple[float, float, float]) -> Lamp:
+    return Lamp(
+        name=f"{actor_id} {side} tail light", position=position, direction=(-1.0, 0.0, 0.0), color=_TAIL_LIGHT_COLOR,
+        intensity_m2=_TAIL_LIGHT_M2, inner_deg=30.0, outer_deg=85.0, mount=actor_id,
     )  # fmt: skip
 
 

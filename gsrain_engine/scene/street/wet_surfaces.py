@@ -235,7 +235,9 @@ def _surroundings(
         sky = (OVERCAST_ZENITH * overcast_luminance(np.sin(rises))).astype(np.float32)[:, None]
         wall, dim = wall[:, :, None], np.float32(1)
     else:
-        sky, wall, dim = _NIGHT_SKY, fronts.at(p, c, s, reach, rises), _DIM
+        assert light_of.lighting.reflected_sky is not None and light_of.lighting.reflected_dim is not None
+        sky, dim = (np.float32(each) for each in (light_of.lighting.reflected_sky, light_of.lighting.reflected_dim))
+        wall = fronts.at(p, c, s, reach, rises)
     covered = np.clip((top[..., None] - rises) / np.radians(1.5) + 0.5, 0, 1)[..., None].astype(np.float32)
     light = covered * wall + (1 - covered) * sky
     for tree in layout.trees:
@@ -266,9 +268,6 @@ def _surroundings(
 
 # By night: fronts by lanterns and lit rooms
 
-_NIGHT_SKY = np.array([0.006, 0.0062, 0.0078], np.float32)
-_DIM = np.array([0.16, 0.115, 0.07], np.float32)
-"""Light on leaves and vehicles by night, relative to that under clouds."""
 _FRONT_CELL_M = 0.75
 _FRONT_ROWS = 18
 _END_LIGHT = np.array([0.022, 0.016, 0.010], np.float32)  # of the houses across both ends, with their windows
