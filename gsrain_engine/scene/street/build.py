@@ -103,13 +103,7 @@ def street_name(parameters: StreetParameters) -> str:
 def scene_of(surfaces: StreetSurfaces) -> Scene:
     _, rainy = LIGHT_OF[surfaces.layout.parameters.time_of_day]
     light, clouds = surfaces.light(), surfaces.light(rainy)
-    layers = tuple(
-        Layer(
-            name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background",
-            wet_sh=wet_colors(quads, clouds),
-        )
-        for name, quads in surfaces.layers.items()
-    )  # fmt: skip
+    layers = tuple(_layer(name, quads, light, clouds) for name, quads in surfaces.layers.items())
     p = surfaces.layout.parameters
     is_truck = p.lead == "truck"
     form = TRUCK_FORM if is_truck else CAR_FORMS[_LEAD_SHAPE]
@@ -131,6 +125,13 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
         name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
         lamps=lamps if light.lighting.lamps else (), water=street_water(surfaces.layout),
     )  # fmt: skip
+
+
+def _layer(name: str, quads: Quads, light: Illumination, clouds: Illumination) -> Layer:
+    dry = arriving_light(quads, light)
+    wet = dry if clouds.lighting is light.lighting else arriving_light(quads, clouds)
+    kind = "sky" if name == "sky" else "background"
+    return Layer(name, quads_to_gaussians(quads, light, dry), kind=kind, wet_sh=wet_colors(quads, clouds, wet))
 
 
 def ego_track(p: StreetParameters) -> PoseTrack:
@@ -167,39 +168,55 @@ SH_C1 = 0.4886025119029199
 _THICKNESS = 0.02  # standard deviation across a surface, as a fraction of the smaller one within it
 
 
-def quads_to_gaussians(quads: Quads, light: Illumination) -> Gaussians:
-    """Convert quads to Gaussians, in order, with their dry colors under a light.
+def arriving_light(quads: Quads, light: Illumination) -> Float64[np.ndarray, "n 3"]:
+    """Light on each quad, which is the same for its dry and its wet colors."""
+    return np.concatenate([light.light_on(part, part.centers) for part in _chunks(quads)])
+
+
+def quads_to_gaussians(
+    quads: Quads, light: Illumination, arriving: Float64[np.ndarray, "n 3"] | None = None
+) -> Gaussians:
+    """Convert quads to Gaussians, in order, with their dry colors under a light; `arriving` is known light on them.
 
     Glossy sets get spherical harmonics of degree 1, those with level ground degree 3 for their wet colors, matte ones
     degree 0.
     """
     coefficients = _coefficients(quads)
 
-    def converted(part: Quads) -> Gaussians:
-        colors = light.display_colors(part, part.centers)
+    def converted(part: Quads, lit: Float64[np.ndarray, "m 3"]) -> Gaussians:
+        colors = light.display_colors(part, part.centers, lit)
         return Gaussians(
             part.centers, *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients),
             antialiased=True,
         )  # fmt: skip
 
-    return Gaussians.concatenate([converted(part) for part in _chunks(quads)])
+    known = arriving_light(quads, light) if arriving is None else arriving
+    return Gaussians.concatenate([converted(part, known[rows]) for rows, part in _numbered_chunks(quads)])
 
 
-def wet_colors(quads: Quads, light: Illumination) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics of the Gaussians of quads when soaked, under a light."""
+def wet_colors(
+    quads: Quads, light: Illumination, arriving: Float64[np.ndarray, "n 3"] | None = None
+) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics of the Gaussians of quads when soaked, under a light; `arriving` is known light on them."""
     coefficients = _coefficients(quads)
 
-    def converted(part: Quads) -> Float32[np.ndarray, "n k 3"]:
+    def converted(part: Quads, lit: Float64[np.ndarray, "m 3"]) -> Float32[np.ndarray, "n k 3"]:
         wet = wet_materials(part, with_lamps=light.layout is None and not light.lighting.lamps)
-        matte = _harmonics(wet, light.display_colors(wet, wet.centers), light, coefficients)
-        return wet_harmonics(wet, light, coefficients, matte)
+        matte = _harmonics(wet, light.display_colors(wet, wet.centers, lit), light, coefficients)
+        return wet_harmonics(wet, light, coefficients, matte, lit)
 
-    return np.concatenate([converted(part) for part in _chunks(quads)])
+    known = arriving_light(quads, light) if arriving is None else arriving
+    return np.concatenate([converted(part, known[rows]) for rows, part in _numbered_chunks(quads)])
 
 
 def _chunks(quads: Quads) -> list[Quads]:
+    return [part for _, part in _numbered_chunks(quads)]
+
+
+def _numbered_chunks(quads: Quads) -> list[tuple[slice, Quads]]:
     """Split quads for conversion: in float64, millions take gigabytes."""
-    return [quads.take(slice(first, first + _CHUNK)) for first in range(0, max(len(quads), 1), _CHUNK)]
+    slices = [slice(first, first + _CHUNK) for first in range(0, max(len(quads), 1), _CHUNK)]
+    return [(rows, quads.take(rows)) for rows in slices]
 
 
 def _coefficients(quads: Quads) -> int:

@@ -156,20 +156,27 @@ class Illumination:
         sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
         return cls(sun, layout, parameters.seed, lighting, windows)
 
-    def display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners)."""
+    def display_colors(
+        self, quads: Quads, points: Float[np.ndarray, "n 3"], arriving: Float64[np.ndarray, "n 3"] | None = None
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners).
+
+        `arriving` is the light on them, if it is known.
+        """
         if len(quads) and quads.labels[0] == Label.SKY:
             return self._sky(points)
+        light = self.light_on(quads, points) if arriving is None else arriving
         if self.lighting.lamps:
-            light = self.light_on(quads, points) * quads.albedo + quads.emission
-            return self._hazy(self.lighting.display(light), points)
-        return self._hazy(self.lighting.display(self.light_on(quads, points), quads.albedo), points)
+            return self._hazy(self.lighting.display(light * quads.albedo + quads.emission), points)
+        return self._hazy(self.lighting.display(light, quads.albedo), points)
 
     def light_on(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Light on each quad at `points`: times its albedo, it is the light towards the camera.
 
         A long street is lit in sections, each with the trees and vehicles that can shade it.
         """
+        if len(quads) and quads.labels[0] == Label.SKY:
+            return np.zeros((len(quads), 3))
         if self.layout is not None and self.layout.parameters.length_m > _SECTION_M:
             light = np.empty((len(quads), 3))
             section = np.floor(points[:, 0] / _SECTION_M).astype(np.int64)

@@ -11,7 +11,7 @@ from .buses import headlight_places
 from .cars import CAR_FORMS, TRUCK_FORM
 from .layout import CarShape, Label, StreetLayout
 from .mesh import Quads, rotation_about_z
-from .shadows import vehicle_occluders
+from .shadows import PointsAlong, vehicle_occluders
 from .signals import SIGNAL_COLOR, SIGNAL_M2, signal_heads
 from .trucks import HEAD_LAMP, TAIL_LAMP
 from .vegetation import crown_middle, lantern_position
@@ -177,9 +177,11 @@ def light_of_lamps(
     leaf = quads.labels == Label.VEGETATION
     own = np.where(leaf, 1.0, np.minimum(quads.sun_access, 0.25 + quads.sky_access)).astype(np.float64)
     total = np.zeros((len(p), 3))
+    along = PointsAlong.of(p)
     for lamp in lanterns(layout):
         place = np.array(lamp.position)
-        near = np.flatnonzero(np.sum((p - place) ** 2, axis=1) < _REACH_M**2)
+        near = along.within(place[0], _REACH_M)
+        near = near[np.sum((p[near] - place) ** 2, axis=1) < _REACH_M**2]
         away = place - p[near]
         squared = np.maximum(np.sum(away**2, axis=1), 0.05)
         distance = np.sqrt(squared)
@@ -195,7 +197,7 @@ def light_of_lamps(
     for center, normal, intensity, area in zip(
         windows.centers, windows.normals, windows.intensities, windows.areas_m2, strict=True
     ):
-        near = np.flatnonzero(np.abs(p[:, 0] - center[0]) < _WINDOW_REACH_M)
+        near = along.within(center[0], _WINDOW_REACH_M)
         near = near[np.sum((p[near] - center) ** 2, axis=1) < _WINDOW_REACH_M**2]
         away = p[near] - center
         ahead = away @ normal
@@ -249,13 +251,12 @@ def _unobstructed(
     share = np.clip(0.5 - depth / 0.3, 0, 1) * np.where(inside, 1.0, np.clip(0.5 - at_corner / 0.4, 0, 1))
     for middle, radii in _crowns(layout, lamp):
         share *= np.exp(-_CROWN_PER_M * path_in_ellipsoid(lamp, p, middle, radii))
+    along = PointsAlong.of(p)
     for each in vehicle_occluders(layout):
-        reach = 0.5 * each.length + 0.6 * abs(lamp[0] - each.x) + 4.0
         if abs(lamp[0] - each.x) > 40.0:
             continue
-        near = np.flatnonzero(
-            (np.abs(p[:, 0] - each.x) < reach) & (np.abs(p[:, 1] - each.y) < 6.0) & (p[:, 2] < each.height)
-        )
+        rows = along.within(each.x, 0.5 * each.length + 0.6 * abs(lamp[0] - each.x) + 4.0)
+        near = rows[(np.abs(p[rows, 1] - each.y) < 6.0) & (p[rows, 2] < each.height)]
         frame = np.array([each.way, each.way, 1.0])
         local, source = (p[near] - [each.x, each.y, 0.0]) * frame, (lamp - [each.x, each.y, 0.0]) * frame
         lit_by_itself = each.is_lit_by_itself(local)

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int64
 
 from .buses import BUS_FORM
 from .cars import CAR_FORMS, TRUCK_FORM
@@ -109,6 +110,22 @@ def _through_trees(
     return passed
 
 
+class PointsAlong(NamedTuple):
+    """Points in the order of x, to find those near a place on the street."""
+
+    order: Int64[np.ndarray, " n"]
+    x: Float64[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, points: Float64[np.ndarray, "n 3"]) -> "PointsAlong":
+        order = np.argsort(points[:, 0], kind="stable")
+        return cls(order, points[order, 0])
+
+    def within(self, x: float, reach: float) -> Int64[np.ndarray, " m"]:
+        """Rows of the points less than `reach` from x."""
+        return self.order[np.searchsorted(self.x, x - reach, "right") : np.searchsorted(self.x, x + reach, "left")]
+
+
 # Vehicle occluders
 
 Corner = tuple[float, float, float]
@@ -146,10 +163,11 @@ def _past_vehicles(
 ) -> Float64[np.ndarray, " n"]:
     """Cast shadows of a few boxes per vehicle, softened at grazing angles of the sun."""
     passed = np.ones(len(p))
+    along = PointsAlong.of(p)
     for each in vehicles:
         half, w = 0.5 * each.length, 0.5 * each.width
-        beside = (np.abs(p[:, 0] - each.x) < half + 1.4 * each.height) & (np.abs(p[:, 1] - each.y) < w + each.reach)
-        near = np.flatnonzero(beside & (p[:, 2] < each.height))
+        rows = along.within(each.x, half + 1.4 * each.height)
+        near = rows[(np.abs(p[rows, 1] - each.y) < w + each.reach) & (p[rows, 2] < each.height)]
         if not len(near):
             continue
         local = (p[near] - [each.x, each.y, 0.0]) * [each.way, each.way, 1.0]
@@ -165,12 +183,14 @@ def _past_vehicles(
 
 def _vehicle_occlusion(vehicles: Sequence[VehicleOccluder], p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     share = np.ones(len(p))
+    along = PointsAlong.of(p)
     for each in vehicles:
-        away_x = np.abs(p[:, 0] - each.x) - 0.5 * each.length + 0.1
-        away_y = np.abs(p[:, 1] - each.y) - 0.5 * each.width + 0.1
-        near = np.flatnonzero((away_x < 1.2) & (away_y < 1.2) & (p[:, 2] < 0.16))
+        rows = along.within(each.x, 0.5 * each.length + 1.1)
+        away_x = np.abs(p[rows, 0] - each.x) - 0.5 * each.length + 0.1
+        away_y = np.abs(p[rows, 1] - each.y) - 0.5 * each.width + 0.1
+        near = (away_y < 1.2) & (p[rows, 2] < 0.16)
         away = np.hypot(np.maximum(away_x[near], 0), np.maximum(away_y[near], 0))
-        share[near] *= 1 - 0.88 * np.exp(-away / 0.32)
+        share[rows[near]] *= 1 - 0.88 * np.exp(-away / 0.32)
     return share
 
 

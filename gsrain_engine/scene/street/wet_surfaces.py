@@ -113,9 +113,13 @@ _CHUNK = 6000
 
 
 def wet_harmonics(
-    quads: Quads, light: Illumination, coefficients: int, matte: Float32[np.ndarray, "n k 3"]
+    quads: Quads,
+    light: Illumination,
+    coefficients: int,
+    matte: Float32[np.ndarray, "n k 3"],
+    arriving: Float64[np.ndarray, "n 3"],
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Add reflections of wet ground to harmonics of soaked quads without them, `matte`."""
+    """Add reflections of wet ground to harmonics of soaked quads without them, `matte`, in the light on them."""
     sh = matte
     layout, ground = light.layout, np.flatnonzero(reflecting(quads))
     if layout is None or coefficients < GROUND_COEFFICIENTS or not len(ground):
@@ -125,7 +129,7 @@ def wet_harmonics(
         own = ground[first : first + _CHUNK]
         part = quads.take(own)
         points = part.centers.astype(np.float64)
-        diffuse = (light.light_on(part, points) * part.albedo).astype(np.float32)[:, None]
+        diffuse = (arriving[own] * part.albedo).astype(np.float32)[:, None]
         standing = puddles(layout, points).astype(np.float32)[:, None, None]
         around = _surroundings(light, points, fronts)
         film, film_share = _reflected(around, FILM_SLOPE)
