@@ -186,10 +186,10 @@ def _colors(form: BusForm, side: Any, x: Any, y: Any, z: Any, paint: Color) -> t
     )
     # Seats, and the driver's cabin, hide the lower part of the lit interior.
     lit = glass & ~sign & ~back_window
-    rows = 0.55 + 0.45 * (np.sin(7.0 * x) > -0.2)
-    inside = np.where(z < 1.35, 0.28 * rows, np.where(z > 2.1, 1.0, 0.72))
+    rows = 0.4 + 0.6 * (np.sin(7.0 * x) > -0.2)
+    inside = np.where(z < 1.35, 0.16 * rows, np.where(z > 2.1, 1.0, np.where(z > 1.62, 0.55, 0.42 * rows)))
     inside = np.where(screen, 0.03 + 0.12 * (z > 1.9), inside)
-    return albedo, gloss, np.where(lit[:, None], inside[:, None] * 0.40 * _ROOM_LIGHT, 0.0)
+    return albedo, gloss, np.where(lit[:, None], inside[:, None] * 0.36 * _ROOM_LIGHT, 0.0)
 
 
 def _roof(form: BusForm) -> Quads:

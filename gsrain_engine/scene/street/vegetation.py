@@ -272,14 +272,14 @@ def dusk_sky_display(
     flat = directions[:, :2].astype(np.float64) / (up + 0.16)[:, None]
     folds = layered_noise(flat, (1.6, 0.8), seed + 171, 5) - 0.5
     ahead = np.clip(0.5 + 0.5 * directions[:, 0].astype(np.float64), 0, 1) ** 3
-    band = (np.exp(-up / 0.20) * (0.15 + ahead))[:, None] * _DUSK_BAND
+    band = (np.exp(-up / 0.16) * (0.05 + ahead))[:, None] * _DUSK_BAND
     pale = np.exp(-up / 0.5)[:, None] * _DUSK_HORIZON
     light = (_DUSK_ZENITH + pale) * (1 + 1.5 * folds * np.clip(0.25 + 3 * up, 0, 1))[:, None]
     return linear_to_srgb(np.maximum(light + band * (1 + 1.4 * folds)[:, None], 0))
 
 
-_DUSK_ZENITH, _DUSK_HORIZON = np.array([0.034, 0.046, 0.078]), np.array([0.050, 0.058, 0.080])
-_DUSK_BAND = np.array([0.21, 0.105, 0.048])
+_DUSK_ZENITH, _DUSK_HORIZON = np.array([0.030, 0.044, 0.080]), np.array([0.042, 0.055, 0.084])
+_DUSK_BAND = np.array([0.150, 0.080, 0.042])
 
 
 def overcast_luminance(rise: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
