@@ -81,7 +81,11 @@ def view(
     follow_path: Annotated[bool, flag("Look through the camera that moves along the scene's path.")] = False,
 ) -> None:
     """Open a scene in the window."""
-    if scene is not None and not re.fullmatch(r"street(:overcast|:dusk|:night|:long)?", scene) and not Path(scene).exists():
+    if (
+        scene is not None
+        and not re.fullmatch(r"street(:overcast|:dusk|:night|:long)?", scene)
+        and not Path(scene).exists()
+    ):
         from gsrain_engine.scene.open import load_scene
 
         load_scene(scene)  # its error suggests similar names

@@ -34,7 +34,10 @@ class SceneObject:
 
 
 def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
-    """Objects with a class and a box, of visible members: actors first, then vehicles, people and lights of the built-in street."""
+    """Objects with a class and a box, of visible members.
+
+    Actors first, then vehicles, people and traffic lights of the built-in street.
+    """
     actors = [_of_actor(actor) for actor in scene.actors if actor.visible]
     standing = [layer for layer in scene.layers if layer.name in OBJECT_LAYERS and layer.visible]
     if scene.name not in STREETS or not standing:

@@ -16,7 +16,17 @@ from .buildings import build_houses
 from .buses import BUS_FORM, build_parked_buses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow, vehicle_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
-from .layout import STREETS, CarShape, ParkedTruck, StreetLayout, StreetParameters, plan_street
+from .layout import (
+    STREETS,
+    CarShape,
+    ParkedBus,
+    ParkedCar,
+    ParkedTruck,
+    StreetLayout,
+    StreetParameters,
+    WaitingCyclist,
+    plan_street,
+)
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, truck_lamps, vehicle_lamps
@@ -117,10 +127,9 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
         lead_track(p),
         wet_sh=wet_sh,
     )
-    lamps = (
-        *lanterns(surfaces.layout), *(truck_lamps(LEAD_ID) if is_truck else vehicle_lamps(LEAD_ID, _LEAD_SHAPE)), *ego_lamps(), *signal_lamps(surfaces.layout),
-        *bus_lamps(surfaces.layout),
-    )  # fmt: skip
+    of_lead = truck_lamps(LEAD_ID) if is_truck else vehicle_lamps(LEAD_ID, _LEAD_SHAPE)
+    layout = surfaces.layout
+    lamps = (*lanterns(layout), *of_lead, *ego_lamps(), *signal_lamps(layout), *bus_lamps(layout))
     return Scene(
         name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
         lamps=lamps if light.lighting.lamps else (), water=street_water(surfaces.layout),
@@ -337,19 +346,23 @@ def street_boxes(parameters: StreetParameters | None = None) -> list[StreetBox]:
     Cars, trucks, buses, people, bicycles, traffic lights.
     """
     layout = plan_street(parameters or StreetParameters())
-    car_sizes = [(form.length, form.width, form.height) for form in (CAR_FORMS[car.shape] for car in layout.cars)]
+
+    def on_road(size: _Size, each: ParkedCar | ParkedTruck | ParkedBus | WaitingCyclist) -> tuple[_Size, _Size, float]:
+        return size, (each.x, each.y, 0.0), each.turn_deg
+
+    car_sizes = {name: (form.length, form.width, form.height) for name, form in CAR_FORMS.items()}
     truck_size = TRUCK_FORM.length, TRUCK_FORM.width, TRUCK_FORM.height
     bus_size = BUS_FORM.length, BUS_FORM.width, BUS_FORM.height
-    boxes = [
-        *_boxes("parked", "car", PARKED_CARS, [(s, (c.x, c.y, 0.0), c.turn_deg) for s, c in zip(car_sizes, layout.cars, strict=True)]),
-        *_boxes("truck", "truck", PARKED_TRUCKS, [(truck_size, (t.x, t.y, 0.0), t.turn_deg) for t in layout.trucks]),
-        *_boxes("bus", "bus", PARKED_BUSES, [(bus_size, (b.x, b.y, 0.0), b.turn_deg) for b in layout.buses]),
-        *_boxes("person", "person", PEDESTRIANS, [(person_size(f), place, turn) for f, place, turn in people_of(layout)]),
-        *_boxes("bicycle", "bicycle", BICYCLES, [(BICYCLE_SIZE_M, (c.x, c.y, 0.0), c.turn_deg) for c in layout.cyclists]),
-        *_boxes("traffic-light", "traffic light", TRAFFIC_LIGHTS,
-                [(head.size_lwh, head.foot, head.turn_deg) for head in signal_heads(layout)]),
-    ]  # fmt: skip
-    return boxes
+    people = [(person_size(figure), place, turn_deg) for figure, place, turn_deg in people_of(layout)]
+    heads = [(head.size_lwh, head.foot, head.turn_deg) for head in signal_heads(layout)]
+    return [
+        *_boxes("parked", "car", PARKED_CARS, [on_road(car_sizes[each.shape], each) for each in layout.cars]),
+        *_boxes("truck", "truck", PARKED_TRUCKS, [on_road(truck_size, each) for each in layout.trucks]),
+        *_boxes("bus", "bus", PARKED_BUSES, [on_road(bus_size, each) for each in layout.buses]),
+        *_boxes("person", "person", PEDESTRIANS, people),
+        *_boxes("bicycle", "bicycle", BICYCLES, [on_road(BICYCLE_SIZE_M, each) for each in layout.cyclists]),
+        *_boxes("traffic-light", "traffic light", TRAFFIC_LIGHTS, heads),
+    ]
 
 
 _Size = tuple[float, float, float]

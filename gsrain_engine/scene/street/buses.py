@@ -66,13 +66,16 @@ def build_bus(paint: Color) -> Quads:
 
 def headlight_places(form: BusForm = BUS_FORM) -> tuple[tuple[float, float, float], ...]:
     """Middle of the headlights: left, right."""
-    return tuple((0.5 * form.length, side * 0.92, 0.70) for side in (1, -1))
+    return tuple((0.5 * form.length, side * 0.80, 0.70) for side in (1, -1))
 
 
 # Shell
 
-_LEVELS = (0.30, 0.40, 0.50, 0.56, 0.62, 0.78, 0.86, 0.98, 1.06, 1.12, 1.35, 1.62, 1.90, 2.14, 2.20, 2.30, 2.36, 2.42, 2.50, 2.60,
-           2.70, 2.80, 2.90, 2.96, 3.00)  # fmt: skip
+_LEVELS = (
+    0.30, 0.40, 0.50, 0.56, 0.62, 0.78, 0.86, 0.98, 1.06, 1.12, 1.35, 1.62, 1.90, 2.14, 2.20, 2.30, 2.36, 2.42, 2.50,
+    2.60, 2.70, 2.80, 2.90, 2.96, 3.00,
+)  # fmt: skip
+"""Heights of the rows of cells: narrow at color edges."""
 
 
 def _plan(form: BusForm) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:

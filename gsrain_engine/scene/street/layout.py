@@ -44,8 +44,8 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=20, title="Ego speed", extra={"unit": "m/s"})] = 10.0
     """The ego vehicle's constant speed."""
     time_of_day: Annotated[TimeOfDay, Meta(title="Time of day")] = "day"
-    """overcast: by day under clouds, also when it is dry. At dusk and by night lanterns, windows and vehicles' lamps are
-    lit."""
+    """overcast: by day under clouds, also when it is dry. At dusk and by night lanterns, windows and vehicles' lamps
+    are lit."""
     lead: Annotated[LeadVehicle, Meta(title="Lead vehicle")] = "saloon"
     """Vehicle ahead of the ego."""
     lead_gap_m: Annotated[float, Meta(ge=6, le=60, title="Gap to the lead car", extra={"unit": "m"})] = 18.0
@@ -86,7 +86,8 @@ STREETS = {
     "street:long": StreetParameters(length_m=1200.0, edge_px=1.8, ego_speed_m_s=20.0),
 }
 """Built-in streets by name. Overcast, it is the same street under the clouds that it has in rain; by night it is lit by
-its lamps, as at dusk, where the ego follows a truck at 43 km/h; the long one, of 1.2 km and about 5 million Gaussians, tests large scenes."""
+its lamps, as at dusk, where the ego follows a truck at 43 km/h; the long one, of 1.2 km and about
+5 million Gaussians, tests large scenes."""
 
 # Semantic classes
 
@@ -509,7 +510,7 @@ def plan_buses(p: StreetParameters, signals: Sequence[float], cars: Sequence[Par
 
 
 def _overhangs(tree: Tree, bus: ParkedBus) -> bool:
-    return tree.y * bus.y > 0 and abs(tree.x - bus.x) < 0.5 * BUS_LENGTH_M + tree.radius + 0.4
+    return bool(tree.y * bus.y > 0 and abs(tree.x - bus.x) < 0.5 * BUS_LENGTH_M + tree.radius + 0.4)
 
 
 def plan_pedestrians(

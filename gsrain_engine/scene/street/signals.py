@@ -114,7 +114,8 @@ def _mast(layout: StreetLayout, x: float, y: float, side: int) -> Quads:
     path = np.stack([np.full_like(path_y, x + behind), path_y, path_z], axis=1)
     radii = np.interp(np.arange(len(path)), [0, 2, len(straight), len(path)], [0.11, 0.085, 0.07, 0.045])
     mast = tube(path, radii, _MAST, Label.POLE, sides=9, gloss=0.08)
-    door = box((x + behind - 0.075 * np.sign(behind), y, CURB_HEIGHT_M + 0.75), (0.02, 0.09, 0.34), (0.07, 0.075, 0.075),
+    door = box((x + behind - 0.075 * np.sign(behind), y, CURB_HEIGHT_M + 0.75), (0.02, 0.09, 0.34),
+               (0.07, 0.075, 0.075),
                Label.POLE, coarse=0.2, faces="xXyYZz")  # fmt: skip
     return Quads.joined([mast, door])
 
@@ -187,8 +188,8 @@ def _lens(aspect: Aspect, lit: bool) -> Quads:
     light = np.array(SIGNAL_COLOR[aspect]) + 0.10 * (1 - away[:, None])
     up = np.tile([0.0, 0.0, 1.0], (len(lens), 1))  # it shines by itself, in the shade as well
     return Quads.of(
-        lens.corners, _BY_DAY * light * (1 - 0.3 * away**2)[:, None], Label.TRAFFIC_LIGHT, normals=up, spread=lens.spread,
-        sun_access=0.0, emission=_BY_NIGHT * light * (1 - 0.4 * away**2)[:, None],
+        lens.corners, _BY_DAY * light * (1 - 0.3 * away**2)[:, None], Label.TRAFFIC_LIGHT, normals=up,
+        spread=lens.spread, sun_access=0.0, emission=_BY_NIGHT * light * (1 - 0.4 * away**2)[:, None],
     )  # fmt: skip
 
 
