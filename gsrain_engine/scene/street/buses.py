@@ -243,7 +243,7 @@ def _details(form: BusForm, paint: Color) -> list[Quads]:
         parts.append(replace(tail, emission=np.full((len(tail), 3), TAIL_LIGHT, np.float32)))
         parts.append(_plate(rear - 0.012, side * 0.98, 0.77, 0.15, 0.13, _AMBER, -1, gloss=0.06))
         # Mirrors hang from the roof's corner, before the windshield.
-        y = side * (0.5 * form.width - 0.02)
+        y = side * (0.5 * form.width - 0.14)
         parts.append(box((front + 0.10, y, 2.08), (0.12, 0.20, 0.44), _TRIM, Label.BUS, coarse=0.2, faces="xXyYzZ",
                          gloss=0.1))  # fmt: skip
         parts.append(box((front - 0.05, y, 2.42), (0.34, 0.045, 0.26), _TRIM, Label.BUS, coarse=0.2, faces="xXyYzZ"))
