@@ -13,7 +13,7 @@ demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
 		$(RUN)/gsrain street:dusk --preset demo --wet --follow-path; \
 	else \
-		$(RUN)/gsrain render street:dusk -o $(OUT)/demo.mp4 --preset demo --wet --size 840x560 --fps 20 --duration 10 && \
+		$(RUN)/gsrain render street:dusk -o $(OUT)/demo.mp4 --preset demo --wet --size 720x480 --fps 16 --duration 10 && \
 		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \
 	fi
 
