@@ -16,7 +16,7 @@ from .solids import Point
 
 BICYCLE_SIZE_M = 1.78, 0.62, 1.12
 """Length, width and height without the cyclist; with one it is `CYCLIST`'s height on the saddle."""
-CYCLIST_SIZE_M = 1.78, 0.66, 1.80
+CYCLIST_SIZE_M = 1.76, 0.66, 1.81
 _WHEEL_M = 0.345
 _REAR, _FRONT = (-0.46, 0.0, _WHEEL_M), (0.60, 0.0, _WHEEL_M)
 _BRACKET, _SEAT, _HEAD, _CROWN = (0.0, 0.0, 0.29), (-0.17, 0.0, 0.86), (0.40, 0.0, 0.90), (0.435, 0.0, 0.72)

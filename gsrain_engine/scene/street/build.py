@@ -13,7 +13,7 @@ from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
 from .bicycles import BICYCLE_SIZE_M, build_waiting_bicycles
 from .buildings import build_houses
-from .buses import BUS_FORM, build_parked_buses
+from .buses import BUS_SIZE_M, build_parked_buses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow, vehicle_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
 from .layout import (
@@ -352,13 +352,12 @@ def street_boxes(parameters: StreetParameters | None = None) -> list[StreetBox]:
 
     car_sizes = {name: (form.length, form.width, form.height) for name, form in CAR_FORMS.items()}
     truck_size = TRUCK_FORM.length, TRUCK_FORM.width, TRUCK_FORM.height
-    bus_size = BUS_FORM.length, BUS_FORM.width, BUS_FORM.height
     people = [(person_size(figure), place, turn_deg) for figure, place, turn_deg in people_of(layout)]
     heads = [(head.size_lwh, head.foot, head.turn_deg) for head in signal_heads(layout)]
     return [
         *_boxes("parked", "car", PARKED_CARS, [on_road(car_sizes[each.shape], each) for each in layout.cars]),
         *_boxes("truck", "truck", PARKED_TRUCKS, [on_road(truck_size, each) for each in layout.trucks]),
-        *_boxes("bus", "bus", PARKED_BUSES, [on_road(bus_size, each) for each in layout.buses]),
+        *_boxes("bus", "bus", PARKED_BUSES, [on_road(BUS_SIZE_M, each) for each in layout.buses]),
         *_boxes("person", "person", PEDESTRIANS, people),
         *_boxes("bicycle", "bicycle", BICYCLES, [on_road(BICYCLE_SIZE_M, each) for each in layout.cyclists]),
         *_boxes("traffic-light", "traffic light", TRAFFIC_LIGHTS, heads),

@@ -49,6 +49,8 @@ class BusForm:
 
 
 BUS_FORM = BusForm()
+BUS_SIZE_M = BUS_LENGTH_M + 0.1, BUS_WIDTH_M, 3.22
+"""Length with bumpers, width, and height with the unit on the roof."""
 DESTINATION = "100 ZOO"
 
 
