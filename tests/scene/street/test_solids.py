@@ -23,7 +23,7 @@ def test_a_ball_is_closed_round_and_faces_outwards() -> None:
 def test_joints_are_darker_and_the_lee_is_in_the_shade() -> None:
     limbs = [round_cone((0, 0, 0), (0, 0, 0.6), 0.05, 0.05, 0), round_cone((0, 0.1, 0), (0, 0.1, 0.6), 0.05, 0.05, 1)]
     pair = mesh_solids(limbs, 0.02)
-    x, y, z = pair.centers.T
+    _, y, z = pair.centers.T
     middle = (z > 0.1) & (z < 0.5)
     crease = middle & (np.abs(y - 0.05) < 0.02)
     assert pair.sky_access[crease].mean() < 0.85 < 0.95 < pair.sky_access[middle & (y < -0.03)].mean()
