@@ -18,7 +18,7 @@ from .solids import Point, Section, Solid, SolidMesh, cut, ellipsoid, loft, mesh
 Arms = Literal["hanging", "pockets", "phone", "folded", "strap", "handlebar"]
 Hair = Literal["short", "long", "bun", "bald", "hood", "helmet"]
 
-_BODY_CELL_M, _HEAD_CELL_M = 0.028, 0.0145
+_BODY_CELL_M, _HEAD_CELL_M = 0.032, 0.0165
 _SPREAD = 0.55
 """Standard deviation of their Gaussians in cell widths: narrower than in flat surfaces, for a crisp outline."""
 

@@ -22,7 +22,7 @@ GREEN: Color = (0.010, 0.19, 0.06)
 _STEEL: Color = (0.24, 0.245, 0.25)
 _BACK: Color = (0.30, 0.30, 0.31)
 _BEFORE_POLE_M = 0.065
-_CELL_M = 0.016
+_CELL_M, _BACK_CELLS = 0.019, 8
 
 # Letters
 # Strokes through points of a box that is 1 high; arcs are (center u, center v, radius u, radius v, from, to) in turns.
@@ -155,7 +155,17 @@ def sign_on_pole(
 
 def sign_face(size: float, picture: Picture, outline: str) -> Quads:
     """Build a sign's face with its gray back, around the origin; it faces along -x, with u along -y."""
-    count = max(8, round(size / _CELL_M / 2) * 2)
+    face = _grid(size, outline, max(8, round(size / _CELL_M / 2) * 2))
+    middle = face.centers.astype(np.float64) / size
+    colors = np.clip(picture(-middle[:, 1], middle[:, 2]), 0, 0.95)
+    face = Quads.of(face.corners, colors, Label.SIGN, spread=face.spread, gloss=0.03)
+    rear = _grid(size, outline, _BACK_CELLS)
+    corners = rear.corners[:, ::-1] + np.array([0.012, 0, 0], np.float32)
+    return Quads.joined([face, Quads.of(corners, _BACK, Label.SIGN, spread=rear.spread)])
+
+
+def _grid(size: float, outline: str, count: int) -> Quads:
+    """Cells of a face, about `count` across."""
     if outline == "square":
         lines = np.linspace(-0.5, 0.5, count + 1)
         u, v = np.broadcast_arrays(lines[:, None], lines)
@@ -169,10 +179,4 @@ def sign_face(size: float, picture: Picture, outline: str) -> Quads:
         u, v = reach[:, None] * np.cos(turn)[:, None] * radii, reach[:, None] * np.sin(turn)[:, None] * radii
         u, v = u[::-1], v[::-1]
     points = size * np.stack([np.zeros_like(u), -u, v], axis=2)
-    face = patch(points, 0.0, Label.SIGN, closed=outline != "square", gloss=0.03)
-    middle = face.centers.astype(np.float64) / size
-    colors = np.clip(picture(-middle[:, 1], middle[:, 2]), 0, 0.95)
-    face = Quads.of(face.corners, colors, Label.SIGN, spread=face.spread, gloss=0.03)
-    corners = face.corners[:, ::-1] - np.float32(0.012) * face.normals[:, None]
-    back = Quads.of(corners, _BACK, Label.SIGN, spread=face.spread)
-    return Quads.joined([face, back])
+    return patch(points, 0.0, Label.SIGN, closed=outline != "square")
