@@ -278,14 +278,14 @@ def _thrown(
     if not len(rows):
         return np.zeros((len(sources), 3)), np.zeros(len(sources)), below
     basis = np.stack(columns, axis=1)
-    fitted = _least_deviations(basis, scale * (lit.light @ LUMINANCE))
+    fitted = _median_fit(basis, scale * (lit.light @ LUMINANCE))
     downward, upward = fitted[0::3], fitted[2::3]
     hues = (basis[:, 0::3] * downward).T @ (scale[:, None] * lit.light)
     hues /= np.maximum(hues @ LUMINANCE, 1e-30)[:, None]
     return downward[:, None] * hues, upward / np.maximum(downward, 1e-30), below
 
 
-def _least_deviations(basis: Float64[np.ndarray, "n k"], light: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " k"]:
+def _median_fit(basis: Float64[np.ndarray, "n k"], light: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " k"]:
     """Coefficients, none negative, with about the smallest sum of relative deviations: a median, not a mean.
 
     Dark cloth, white paint and shadows that `_visibility` misses count as one surface each, however far off they are

@@ -35,14 +35,14 @@ class SolidMesh(NamedTuple):
     materials: Int64[np.ndarray, " n"]
     sky_access: Float64[np.ndarray, " n"]
     """Share of the hemisphere over each quad that the solids leave, 0..1."""
-    field: "Field"
+    field: "DistanceField"
 
     @property
     def centers(self) -> Float64[np.ndarray, "n 3"]:
         return self.corners.mean(axis=1)
 
 
-class Field(NamedTuple):
+class DistanceField(NamedTuple):
     """Distances on a grid."""
 
     origin: Float64[np.ndarray, "3"]
@@ -103,7 +103,7 @@ def mesh_solids(solids: Sequence[Solid], cell: float) -> SolidMesh:
         owner[part] = np.where(nearer, number, owner[part])
         closest[part] = np.where(nearer, distance, closest[part])
     corners, inner = _surface_net(values)
-    field = Field(low, cell, values)
+    field = DistanceField(low, cell, values)
     corners = low + cell * corners
     centers = corners.mean(axis=1)
     normals = _gradient(field, centers)
@@ -112,7 +112,7 @@ def mesh_solids(solids: Sequence[Solid], cell: float) -> SolidMesh:
     return SolidMesh(corners, normals, materials, access, field)
 
 
-def _gradient(field: Field, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+def _gradient(field: DistanceField, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
     step = 0.7 * field.cell * np.eye(3)
     slopes = np.stack([field.at(points + each) - field.at(points - each) for each in step], axis=1)
     return slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)
