@@ -99,8 +99,8 @@ def _frame(paint: Color) -> Quads:
 def _drive_train() -> Quads:
     turn = np.linspace(0, 2 * np.pi, 19)
     disc = np.stack([0.085 * np.cos(turn), np.full_like(turn, -0.055), 0.29 + 0.085 * np.sin(turn)], axis=1)
-    inner = disc * [0.55, 1, 1] + [0, 0, 0.45 * (0.29 - disc[:, 2:]).T[0, 0] * 0]
-    inner[:, 2] = 0.29 + 0.55 * (disc[:, 2] - 0.29)
+    bracket = np.array(_BRACKET)
+    inner = bracket + (disc - bracket) * [0.55, 1.0, 0.55]
     chain_ring = patch(np.stack([disc, inner], axis=1), _STEEL, Label.BICYCLE, closed=True, gloss=0.1)
     chain = [
         _rod([(x0, -0.055, z0), (0.5 * (x0 + x1), -0.055, 0.5 * (z0 + z1)), (x1, -0.055, z1)], 0.006, _BLACK, 4)

@@ -43,10 +43,14 @@ class SignalHead(NamedTuple):
     lamps: int = 3
 
     @property
+    def aspects(self) -> tuple[Aspect, ...]:
+        """What its lenses show, from above."""
+        return ("red", "amber", "green") if self.lamps == 3 else ("red", "green")
+
+    @property
     def lamp_position(self) -> tuple[float, float, float]:
         """Middle of the lit lens."""
-        order: list[Aspect] = ["red", "amber", "green"] if self.lamps == 3 else ["red", "green"]
-        up = _PITCH_M * (0.5 * (self.lamps - 1) - order.index(self.lit))
+        up = _PITCH_M * (0.5 * (self.lamps - 1) - self.aspects.index(self.lit))
         turn = np.radians(self.turn_deg)
         return self.x - 0.12 * float(np.cos(turn)), self.y - 0.12 * float(np.sin(turn)), self.z + up
 
@@ -125,12 +129,11 @@ def _mast(layout: StreetLayout, x: float, y: float, side: int) -> Quads:
 
 def build_head(head: SignalHead) -> Quads:
     """Build a head: housing, backplate with a light border, and lenses under visors."""
-    order: list[Aspect] = ["red", "amber", "green"] if head.lamps == 3 else ["red", "green"]
     tall = _PITCH_M * head.lamps
     parts = [_housing(tall)]
     if head.lamps == 3:
         parts.append(_backplate(tall + 0.22, 0.54))
-    for k, aspect in enumerate(order):
+    for k, aspect in enumerate(head.aspects):
         z = _PITCH_M * (0.5 * (head.lamps - 1) - k)
         parts += [_lens(aspect, aspect == head.lit).placed((-0.115, 0, z)), _visor().placed((-0.11, 0, z))]
     whole = Quads.joined(parts).placed((0, 0, 0), head.turn_deg)
@@ -143,13 +146,10 @@ def _housing(tall: float) -> Quads:
     y = 0.155 * np.sign(np.sin(turn)) * np.abs(np.sin(turn)) ** 0.45
     z = 0.5 * tall * np.sign(np.cos(turn)) * np.abs(np.cos(turn)) ** 0.22
     rows = [(0.10, 0.55), (0.095, 0.92), (0.06, 1.0), (-0.08, 1.0), (-0.105, 0.96)]
-    points = np.stack(
-        [
-            np.stack([np.full_like(y, x), share * y, z - (1 - share) * 0.3 * np.sign(z) * 0.3], axis=1)
-            for x, share in rows
-        ],
-        axis=1,
-    )
+    rings = [
+        np.stack([np.full_like(y, x), share * y, z - (1 - share) * 0.09 * np.sign(z)], axis=1) for x, share in rows
+    ]
+    points = np.stack(rings, axis=1)
     shell = patch(points[::-1], _HOUSING, Label.TRAFFIC_LIGHT, closed=True, gloss=0.05)
     lines_y, lines_z = np.linspace(-0.145, 0.145, 4), np.linspace(-0.485 * tall, 0.485 * tall, 10)
     face = np.stack(np.broadcast_arrays(-0.105, -lines_y[:, None], lines_z), axis=2)
