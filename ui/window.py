@@ -53,10 +53,13 @@ _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasa
 _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
 
 
-def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool | None = None) -> "Editor":
+def begin_editor(
+    scene: str | None, rain: "RainSettings | None", wet: bool | None = None, *, follow_path: bool = False
+) -> "Editor":
     """Create an editor that opens a scene (None is the built-in street) in the background.
 
-    `wet` makes wet colors if the scene has none; False shows it as lit in any rain.
+    `wet` makes wet colors if the scene has none; False shows it as lit in any rain. `follow_path` looks through the
+    camera that moves along the scene's path.
 
     After a lost graphics context it continues with the state of the previous window. Loads the engine.
     """
@@ -72,6 +75,7 @@ def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool | Non
         editor.files.go_on_at(Path(autosave))
     else:
         editor.files.open((restarts and left) or scene or "street")
+        editor.viewport.options.follow_path = follow_path
         if wet:
             editor.wet_look.make_soon()
     if restarts:
