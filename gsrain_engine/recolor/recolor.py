@@ -436,10 +436,14 @@ QUICK_VIEWS = ViewChoice(count=8)
 
 
 def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Progress, None, Scene]:
-    """Give a scene the quick wet look from 8 small views, without network weights; as `rainy_scene`."""
-    from ..appearance.wet_look.environment import SceneEnvironment
-    from ..appearance.wet_look.translator import WetTransfer  # loads slow parts of scipy
+    """Give a scene the computed wet look, Gaussian by Gaussian; its geometry and clear colors are unchanged.
 
-    views = scene_views(scene, chosen_cameras(scene, QUICK_VIEWS))
-    transfer = WetTransfer(settings or WetSettings(), SceneEnvironment(scene))
-    return rainy_scene(scene, views, transfer)
+    Where ground is found, the scene gets a map of its water, and wet colors without reflections: the mirror adds them.
+    """
+    from ..appearance.wet_look.water_map import find_water  # loads slow parts of scipy
+    from ..appearance.wet_look.wet_gaussians import wet_gaussian_colors
+
+    if scene.water is None:
+        yield Progress(0.0, "Finding ground that holds water")
+        scene = replace(scene, water=find_water(scene))
+    return with_colors(scene, (yield from wet_gaussian_colors(scene, settings or WetSettings())))

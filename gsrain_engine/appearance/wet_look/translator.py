@@ -11,16 +11,12 @@ from . import illumination
 from .environment import ReflectionEnvironment
 from .illumination import IlluminationEstimate, composite_over_cloud, estimate_illumination, extend_sky_mask
 from .masks import VisibleGround, surfaces_of
-from .materials import add_clear_coat, add_emissive_lights, apply_fog, emissive_share, wet_surfaces_color
+from .materials import MATTE_GROUND, add_clear_coat, add_emissive_lights, apply_fog, emissive_share, wet_surfaces_color
 from .settings import WetSettings
 from .water import water_layer_of
 
 LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is not known, so nothing is made wet"
 """Skipped steps of views without surfaces."""
-
-_MATTE = 0.5
-"""Share of the ground's own light where a mirror adds what water reflects. In RainSense at 9.2 mm/h a road before dark
-trees has 0.07 of the sky's light; relit roads of captures have 0.17, since the sky of a sunny picture is clipped."""
 
 
 class WetTransfer:
@@ -51,7 +47,7 @@ class WetTransfer:
             water = water_layer_of(view, rainy, self._surroundings, look, settings.wetness, settings.seed)
             if water is not None:
                 ground = self._surroundings.ground(view)
-                darker = 1 - (1 - _MATTE) * (0 if ground is None else ground.share)
+                darker = 1 - (1 - MATTE_GROUND) * (0 if ground is None else ground.share)
                 matte = _displayed((darker * water.through)[..., None] * rainy)
                 remaining = ((1 - water.share) * water.through)[..., None]
                 rainy, film = remaining * rainy + water.color, water.share
