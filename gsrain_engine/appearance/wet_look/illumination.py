@@ -132,14 +132,14 @@ _PIVOT, _PIVOT_PLANTS = 0.5, 0.2
 """Sunlit share at which brightness is unchanged; lower for leaves, which are dark themselves and so are lifted less."""
 _SOFT_EDGE, _WIDE_EDGE = 0.3, 0.7
 """Half width of the ramp between shadow and sun, as a share of their contrast: on the ground, and elsewhere."""
-_SPECK_SHARE, _EDGE_SHARE, _EDGE_EV2 = 0.012, 0.006, 0.2
+_SPECK_SHARE, _EDGE_SHARE, EDGE_EV2 = 0.012, 0.006, 0.2
 """Median size and guided filter radius of the sunlit share, as shares of the image width, and the filter's variance."""
-_BROAD_SHARE, _BROAD_EV2 = 0.04, 2.0
+_BROAD_SHARE, BROAD_EV2 = 0.04, 2.0
 """Radius as a share of the image width, and variance, of the broad brightness of walls and leaves. It alone is divided
 into sun and shadow: finer contrasts are those of the materials, which a wet day keeps."""
 _MATERIAL_EV = (-2.5, -0.8)
 """Stops below the ground's shadow over which brightness stops to be a shadow that clouds would lift: black stays."""
-_TINT_EV, _TINT_SHARE = 0.2, 0.7
+_TINT_EV, _TINT_SHARE = 0.35, 0.9
 """Largest correction of a channel towards neutral light in stops, and the share of it that is applied."""
 CLOUD_TINT_EV = np.array([-0.03, 0.0, 0.04], np.float32)
 _SATURATION, _SHADOW_DULLING = 1.0, 0.6
@@ -256,11 +256,11 @@ def sunlit_share(level_ev: Plane, light: IlluminationEstimate, ground: Plane) ->
     2013) follow edges.
     """
     width, (sharp_ramp, wide_ramp) = level_ev.shape[1], sun_ramps(light)
-    broad = guided_filter(level_ev, level_ev, max(2, round(_BROAD_SHARE * width)), _BROAD_EV2)
+    broad = guided_filter(level_ev, level_ev, max(2, round(_BROAD_SHARE * width)), BROAD_EV2)
     sharp, wide = sharp_ramp(level_ev), wide_ramp(broad)
     size = 2 * max(1, round(_SPECK_SHARE * width / 2)) + 1
     share = cv2.medianBlur(np.round(sharp * 255).astype(np.uint8), size).astype(np.float32) / 255
-    share = guided_filter(share, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2)
+    share = guided_filter(share, level_ev, max(2, round(_EDGE_SHARE * width)), EDGE_EV2)
     return np.clip(wide + ground * (share - wide), 0, 1)
 
 

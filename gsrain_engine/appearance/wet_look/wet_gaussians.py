@@ -19,7 +19,9 @@ from ...scene.scene import Actor, Layer, Scene, core_bounds, is_sky
 from .environment import SceneEnvironment
 from .ground_plane import GroundHeights
 from .illumination import (
+    BROAD_EV2,
     DARKEST_EV,
+    EDGE_EV2,
     LUMINANCE,
     IlluminationEstimate,
     illumination_of,
@@ -211,7 +213,9 @@ def _upward_squared(
 # Light
 
 _MAX_AREA = 0.9  # quantile of the areas of ground from which on one Gaussian counts no more
-_EDGE_EV2 = 0.2  # variance of brightness from which ground has an edge
+_TINTS_APART_EV, _SUNLIT_TINT = (0.2, 0.4), (0.1, 0.6)
+"""Ramps of the difference between the tints of sun and shadow in stops, from where it tells them apart; and of the way
+from the shadow's tint to the sun's."""
 
 
 def _light_on_ground(layers: list[_Surfaces]) -> IlluminationEstimate:
@@ -230,13 +234,31 @@ def _light_on_ground(layers: list[_Surfaces]) -> IlluminationEstimate:
 def _sunlit(own: _Surfaces, light: IlluminationEstimate) -> Values:
     """Share of sunlight on each Gaussian in the clear scene, as `illumination.sunlit_share` has it for pixels."""
     sharp, wide = sun_ramps(light)
-    share = wide(own.broad.mean(own.level_ev, own.opacities * own.area_m2))
+    share = wide(own.broad.guided(own.level_ev, own.level_ev, BROAD_EV2))
     ground = np.flatnonzero(own.ground > 0)
     if len(ground) > _NEAREST:
         near, level = _Neighbors.among(own.points[ground], _NEAREST), own.level_ev[ground]
-        lit = np.clip(near.guided(near.median(sharp(level)), level, _EDGE_EV2), 0, 1)
+        lit = sharp(level) * _warm_share(srgb_to_linear(own.color[ground]), light)
+        lit = np.clip(near.guided(near.median(lit), level, EDGE_EV2), 0, 1)
         share[ground] += own.ground[ground] * (lit - share[ground])
     return share
+
+
+def _warm_share(colors: Float[np.ndarray, "n 3"], light: IlluminationEstimate) -> Values:
+    """Share of sunlight that the tint of ground (linear colors) allows: white paint in blue shadow is not in the sun.
+
+    1 everywhere, unless sun and shadow differ in tint.
+    """
+    shadow = np.array(light.shadow_tint_ev)
+    apart = np.array(light.sunlit_tint_ev) - shadow
+    size = float(np.linalg.norm(apart))
+    if size < _TINTS_APART_EV[0]:
+        return np.ones(len(colors), np.float32)
+    luminance = np.maximum(colors @ LUMINANCE, 2**DARKEST_EV)[:, None]
+    tint = np.log2(np.maximum(colors, 2**DARKEST_EV) / luminance)
+    toward_sun = smoothstep(*_SUNLIT_TINT, (tint - shadow) @ apart / size**2)
+    trust = smoothstep(*_TINTS_APART_EV, np.array([size]))
+    return 1 - trust * (1 - toward_sun)
 
 
 def _wet_colors(own: _Surfaces, light: IlluminationEstimate, settings: WetSettings, *, has_mirror: bool) -> Colors:
