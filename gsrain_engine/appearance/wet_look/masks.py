@@ -83,7 +83,7 @@ def _smoothed(normals: Image, sigma_px: float) -> tuple[Image, Plane]:
     return there[..., None] * mean / np.maximum(length, 1e-6)[..., None], sure
 
 
-def vegetation_mask(image: Image) -> Plane:
+def vegetation_mask(image: Float32[np.ndarray, "*n 3"]) -> Float32[np.ndarray, "*n"]:
     """Likeness of a display color to leaves and grass, 0..1: greener than blue and than a warm gray."""
     red, green, blue = (image[..., i] for i in range(3))
     brightest = np.maximum(image.max(axis=-1), 1e-3)

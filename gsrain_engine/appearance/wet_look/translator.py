@@ -11,7 +11,7 @@ from . import illumination
 from .environment import ReflectionEnvironment
 from .illumination import IlluminationEstimate, composite_over_cloud, estimate_illumination, extend_sky_mask
 from .masks import VisibleGround, surfaces_of
-from .materials import MATTE_GROUND, add_clear_coat, add_emissive_lights, apply_fog, emissive_share, wet_surfaces_color
+from .materials import add_clear_coat, add_emissive_lights, apply_fog, emissive_share, wet_surfaces_color
 from .settings import WetSettings
 from .water import water_layer_of
 
@@ -41,22 +41,16 @@ class WetTransfer:
         def look(each: ClearView) -> Image:
             return rainy_light(each, light, settings, self._surroundings.ground(each))
 
-        has_surfaces, matte = view.has_surfaces, None
+        has_surfaces = view.has_surfaces
         rainy, film = look(view) if has_surfaces else rainy_image(view, settings), np.zeros_like(view.sky)
         if has_surfaces:
             water = water_layer_of(view, rainy, self._surroundings, look, settings.wetness, settings.seed)
             if water is not None:
-                ground = self._surroundings.ground(view)
-                darker = 1 - (1 - MATTE_GROUND) * (0 if ground is None else ground.share)
-                matte = _displayed((darker * water.through)[..., None] * rainy)
                 remaining = ((1 - water.share) * water.through)[..., None]
                 rainy, film = remaining * rainy + water.color, water.share
         left_out = "" if has_surfaces else LIGHT_AND_SKY
-        return RainyView(view, _displayed(rainy), film, left_out, matte=matte)
-
-
-def _displayed(linear: Image) -> Image:
-    return np.clip(linear_to_srgb(linear), 0, 1).astype(np.float32)
+        displayed = np.clip(linear_to_srgb(rainy), 0, 1).astype(np.float32)
+        return RainyView(view, displayed, film, left_out)
 
 
 def rainy_image(view: ClearView, settings: WetSettings) -> Image:

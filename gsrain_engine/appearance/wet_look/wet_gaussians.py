@@ -90,7 +90,9 @@ def wet_gaussian_colors(scene: Scene, settings: WetSettings) -> Generator[Progre
             continue
         wet = _wet_colors(own, light, settings, has_mirror=scene.water is not None)
         if isinstance(member, Layer):
-            above = own.points[:, 2] if heights is None else own.points[:, 2] - heights.sampled(heights.smooth_m, own.points)
+            above = own.points[:, 2]
+            if heights is not None:
+                above = above - heights.sampled(heights.smooth_m, own.points)
             cloud, share = sky.seen_at(member.key, own, above, settings)
             wet = wet + (settings.wetness * share)[:, None] * (cloud - wet)
         colors[member.key] = _harmonics(member.gaussians.sh, own.color, wet)
@@ -130,7 +132,7 @@ class _Neighbors:
         tree = KDTree(places[chosen], balanced_tree=False, compact_nodes=False)
         rows = np.empty((len(points), min(count, len(chosen))), np.int32)
         for first in range(0, len(points), _BLOCK):
-            _, near = tree.query(places[first : first + _BLOCK], rows.shape[1], workers=-1)
+            near: Any = tree.query(places[first : first + _BLOCK], rows.shape[1], workers=-1)[1]
             rows[first : first + _BLOCK] = chosen[near.reshape(len(near), -1)]
         return cls(rows)
 
@@ -284,7 +286,8 @@ def _wet_colors(own: _Surfaces, light: IlluminationEstimate, settings: WetSettin
 def _row_of(own: _Surfaces, rows: slice) -> SurfaceShares:
     """Gaussians as an image of one row."""
     names = [each.name for each in fields(SurfaceShares) if each.name != "normals"]
-    return SurfaceShares(normals=np.zeros((1, 0, 3), np.float32), **{name: getattr(own, name)[None, rows] for name in names})
+    parts = {name: getattr(own, name)[None, rows] for name in names}
+    return SurfaceShares(normals=np.zeros_like(parts["points"]), **parts)
 
 
 # Sky
@@ -301,7 +304,7 @@ class _Sky:
     """Sky of a scene: its layers, or the shell far around it."""
 
     middle: Float64[np.ndarray, "3"]
-    shells: dict[str, Bool[np.ndarray, " n"]]
+    shells: dict[str, Bool[np.ndarray, " _"]]
     """Mask of the Gaussians of each layer that are sky."""
     tree: KDTree | None
     """Directions of the sky's Gaussians; None without a sky."""
@@ -353,7 +356,7 @@ class _Sky:
         count = min(_NEAR_IN_SKY, len(self.colors))
         for first in range(0, len(high), _BLOCK):
             rows = high[first : first + _BLOCK]
-            _, near = self.tree.query(directions[rows], count, workers=-1)
+            near: Any = self.tree.query(directions[rows], count, workers=-1)[1]
             behind = self.colors[near.reshape(len(rows), -1)].mean(axis=1)
             like = 1 - smoothstep(*_LIKE, np.abs(own.color[rows] - behind).max(axis=1))
             share[rows] = np.maximum(share[rows], like * smoothstep(*_RISING, directions[rows, 2]))
