@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32
 from scipy.spatial import KDTree
 
-from ...scene.gaussians import SH_C0
+from ...scene.gaussians import SH_C0, sh_basis
 from ...scene.geometry import linear_to_srgb, matrices_from_quaternions, srgb_to_linear
 from ...scene.objects import is_vehicle
 from ...scene.progress import Progress
@@ -52,7 +52,7 @@ class _Surfaces:
     points: Float32[np.ndarray, "n 3"]
     """Meters, z up; of an actor in its own frame."""
     color: Colors
-    """Display color, 0..1: the mean over all directions."""
+    """Display color, 0..1, as the scene's cameras see it."""
     level_ev: Values
     """Luminance in stops over white."""
     area_m2: Values
@@ -76,11 +76,11 @@ def wet_gaussian_colors(scene: Scene, settings: WetSettings) -> Generator[Progre
     if heights is not None and heights.scatter_m > _MAX_SCATTER_M:
         heights = None
     sky = _Sky.of(scene)
-    found: dict[str, _Surfaces] = {}
+    found, eyes = dict[str, _Surfaces](), _viewpoints(scene)
     for member in scene.members:
         if not is_sky(member) and len(member.gaussians):
             yield Progress(0.1 + 0.5 * len(found) / len(scene.members), f"Looking at the surfaces of {member.name}")
-            found[member.key] = _surfaces_of(scene, member, heights)
+            found[member.key] = _surfaces_of(scene, member, heights, eyes)
     light = _light_on_ground([found[each.key] for each in scene.layers if each.key in found])
     colors: dict[str, Harmonics] = {}
     for member in scene.members:
@@ -96,12 +96,16 @@ def wet_gaussian_colors(scene: Scene, settings: WetSettings) -> Generator[Progre
             cloud, share = sky.seen_at(member.key, own, above, settings)
             wet = wet + (settings.wetness * share)[:, None] * (cloud - wet)
         colors[member.key] = _harmonics(member.gaussians.sh, own.color, wet)
+        if isinstance(member, Layer) and scene.water is not None:
+            is_ground = own.ground > 0.5  # without highlights
+            colors[member.key][is_ground] = 0
+            colors[member.key][is_ground, 0] = (wet[is_ground] - np.float32(0.5)) / np.float32(SH_C0)
     yield Progress(1.0, "Done")
     return colors
 
 
 def _harmonics(sh: Harmonics, clear: Colors, wet: Colors) -> Harmonics:
-    """Harmonics whose mean color is `wet` where that of `sh` is `clear`, and which change with direction as before.
+    """Harmonics that show `wet` from where `sh` shows `clear`, and which change with direction as before.
 
     A power of the light is a factor of the display color, so that all harmonics change by one factor, nearly.
     """
@@ -170,12 +174,14 @@ class _Neighbors:
 # Surfaces
 
 
-def _surfaces_of(scene: Scene, member: Layer | Actor, heights: GroundHeights | None) -> _Surfaces:
+def _surfaces_of(
+    scene: Scene, member: Layer | Actor, heights: GroundHeights | None, eyes: Float64[np.ndarray, "e 3"]
+) -> _Surfaces:
     g = member.gaussians
     scale = scene.metres_per_unit
     to_world = scene.scene_to_world @ member.to_scene if isinstance(member, Layer) else np.diag([scale] * 3 + [1.0])
     points = np.nan_to_num(g.means @ to_world[:3, :3].T + to_world[:3, 3]).astype(np.float32)
-    color = np.clip(g.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0, 1).astype(np.float32)
+    color = np.clip(_seen_colors(g.sh, points, eyes if isinstance(member, Layer) else eyes[:0], to_world), 0, 1)
     sizes = np.sort(g.scales, axis=1) * np.float32(np.cbrt(np.linalg.det(to_world[:3, :3])))
     near = _Neighbors.among(points, _NEAREST)
     vehicles = np.zeros(len(g), np.float32)
@@ -200,6 +206,45 @@ def _surfaces_of(scene: Scene, member: Layer | Actor, heights: GroundHeights | N
         np.maximum(leaves, gaps) * (1 - vehicles), vehicles, np.maximum(UP_ELSEWHERE * up, ground).astype(np.float32),
         _Neighbors.among(points, _NEAREST_BROAD, _BROAD_SAMPLE),
     )  # fmt: skip
+
+
+_VIEWPOINTS, _NEAR_M = 24, 1.0
+
+
+def _viewpoints(scene: Scene) -> Float64[np.ndarray, "e 3"]:
+    """Places of the cameras of a recorded drive, some of all; none without one."""
+    rig = next((cameras for cameras in scene.rigs.values() if cameras), ())
+    if scene.ego is None or not scene.ego.valid.any() or not rig:
+        return np.zeros((0, 3))
+    middle = np.mean([each.camera_to_ego[:3, 3] for each in rig], axis=0)
+    times = scene.ego.times[scene.ego.valid]
+    chosen = times[np.unique(np.linspace(0, len(times) - 1, min(len(times), _VIEWPOINTS)).round().astype(np.int64))]
+    poses = [pose for time_s in chosen.tolist() if (pose := scene.ego_to_world(time_s)) is not None]
+    return np.array([pose[:3, :3] @ middle + pose[:3, 3] for pose in poses]).reshape(-1, 3)
+
+
+def _seen_colors(
+    sh: Harmonics, points: Float32[np.ndarray, "n 3"], eyes: Float64[np.ndarray, "e 3"],
+    to_world: Float64[np.ndarray, "4 4"],
+) -> Colors:  # fmt: skip
+    """Display colors as seen from some places, near ones counting most; without any, the mean over all directions.
+
+    Harmonics are known only for directions that a recording has; their mean over all may be any color.
+    """
+    mean = sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
+    if sh.shape[1] == 1 or not len(eyes):
+        return mean.astype(np.float32)
+    colors, total = np.zeros_like(mean), np.zeros((len(sh), 1), np.float32)
+    turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
+    for eye in eyes:
+        for first in range(0, len(sh), _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            away = points[rows] - eye
+            weight = (1 / (np.sum(away * away, axis=1, keepdims=True) + _NEAR_M**2)).astype(np.float32)
+            basis = sh_basis(_unit(away) @ turn, sh.shape[1]).astype(np.float32)
+            colors[rows] += weight * np.einsum("nk,nkc->nc", basis, sh[rows])
+            total[rows] += weight
+    return (colors / total + np.float32(0.5)).astype(np.float32)
 
 
 def _upward_squared(
