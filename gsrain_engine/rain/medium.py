@@ -19,6 +19,7 @@ from .settings import RainSettings
 NEAREST_STREAK_M = 0.2  # nearer drops are not drawn
 STEPS = 64  # of the table of the streaks' extinction over depth
 _FAR_M = 1e9  # length of a ray to the sky
+_LOWEST_M = 0.05  # height of a camera over a floor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +33,8 @@ class RainMedium:
     drawn: Float32[np.ndarray, " steps"]
     """Optical depth that streaks take from the medium along the view axis, up to each step of depth."""
     airlight_linear: Float32[np.ndarray, "3"]
+    floor: Float32[np.ndarray, "4"]
+    """Upward direction in the camera's frame, and the camera's height in m over the floor; `_FAR_M` without one."""
 
     @property
     def extinction_per_m(self) -> float:
@@ -46,13 +49,16 @@ class RainMedium:
     def sky_transmittance(
         self, width: int, height: int, intrinsics: tuple[float, float, float, float]
     ) -> Float32[np.ndarray, "h w"]:
-        """Share of light from infinity that arrives at each pixel; 0 unless the medium has a region."""
-        if not self.has_region:
+        """Share of light from behind the scene that arrives at each pixel: from infinity, or from the floor."""
+        if not self.has_region and self.floor[3] >= _FAR_M:
             return np.zeros((height, width), np.float32)
         fx, fy, cx, cy = intrinsics
         x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy)
         rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-        return self.transmittance(rays * (_FAR_M / np.linalg.norm(rays, axis=1, keepdims=True))).reshape(height, width)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        fall = np.maximum(-(rays @ self.floor[:3].astype(np.float64)), 1 / _FAR_M)
+        length = np.minimum(self.floor[3] / fall, _FAR_M)
+        return self.transmittance(rays * length[:, None]).reshape(height, width)
 
     @property
     def has_region(self) -> bool:
@@ -67,8 +73,13 @@ def make_medium(
     anchor_to_world: Float64[np.ndarray, "4 4"],
     streaks: tuple[float, Float64[np.ndarray, " steps"]],
     airlight_linear: Float32[np.ndarray, "3"],
+    floor_m: float | None = None,
 ) -> RainMedium:
-    """Make the medium of a camera; `streaks` is what `streak_depths` returns."""
+    """Make the medium of a camera; `streaks` is what `streak_depths` returns.
+
+    At the height `floor_m`, rays that go down end, whatever the scene shows there: gaps in the ground of a capture are
+    no view of distant air.
+    """
     turn, origin = anchor_to_world[:3, :3], anchor_to_world[:3, 3]
     step_m, drawn = streaks
     numbers = [extinction_per_m, step_m]
@@ -77,8 +88,10 @@ def make_medium(
         center = turn @ np.array(region.center_m) + origin
         numbers += [*(turn.T @ camera.world_to_camera[:3, :3].T).ravel(), *(turn.T @ (camera.position - center))]
         numbers += [each / 2 for each in region.size_m]
+    over_m = np.inf if floor_m is None else float(camera.position[2]) - floor_m
     numbers.append(float(rain.haze_region is not None))
-    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear)
+    floor = np.array([*camera.world_to_camera[:3, 2], over_m if _LOWEST_M < over_m < _FAR_M else _FAR_M], np.float32)
+    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear, floor)
 
 
 def streak_depths(
