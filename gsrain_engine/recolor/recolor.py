@@ -427,10 +427,13 @@ def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Pr
 
     Where ground is found, the scene gets a map of its water, and wet colors without reflections: the mirror adds them.
     """
-    from ..appearance.wet_look.water_map import find_water  # loads slow parts of scipy
+    from ..appearance.wet_look.environment import SceneEnvironment  # loads slow parts of scipy
+    from ..appearance.wet_look.water_map import find_water
     from ..appearance.wet_look.wet_gaussians import wet_gaussian_colors
 
+    yield Progress(0.0, "Finding the ground, and the water that it holds")
+    environment = SceneEnvironment(scene)
     if scene.water is None:
-        yield Progress(0.0, "Finding ground that holds water")
-        scene = replace(scene, water=find_water(scene))
-    return with_colors(scene, (yield from wet_gaussian_colors(scene, settings or WetSettings())))
+        scene = replace(scene, water=find_water(scene, environment))
+    colors = yield from wet_gaussian_colors(scene, settings or WetSettings(), environment.heights)
+    return with_colors(scene, colors)

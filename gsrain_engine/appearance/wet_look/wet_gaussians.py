@@ -16,7 +16,6 @@ from ...scene.geometry import linear_to_srgb, matrices_from_quaternions, srgb_to
 from ...scene.objects import is_vehicle
 from ...scene.progress import Progress
 from ...scene.scene import Actor, Layer, Scene, core_bounds, is_sky
-from .environment import SceneEnvironment
 from .ground_plane import GroundHeights
 from .illumination import (
     BROAD_EV2,
@@ -64,15 +63,15 @@ class _Surfaces:
     broad: "_Neighbors"
 
 
-def wet_gaussian_colors(scene: Scene, settings: WetSettings) -> Generator[Progress, None, dict[str, Harmonics]]:
-    """Compute the wet colors of every layer and actor, by key; geometry and clear colors are unchanged.
+def wet_gaussian_colors(
+    scene: Scene, settings: WetSettings, heights: GroundHeights | None
+) -> Generator[Progress, None, dict[str, Harmonics]]:
+    """Compute the wet colors of every layer and actor, by key; `heights` are those of the ground, if any is known.
 
     Each Gaussian's color is relit and wetted by itself; what depends on its surroundings varies smoothly between
     neighbors. On ground that holds water, it is the color without reflections, which the mirror adds.
     """
-    yield Progress(0.0, "Finding ground and sky")
-    environment = SceneEnvironment(scene)
-    heights = environment.heights
+    yield Progress(0.0, "Finding the sky")
     if heights is not None and heights.scatter_m > _MAX_SCATTER_M:
         heights = None
     sky = _Sky.of(scene)

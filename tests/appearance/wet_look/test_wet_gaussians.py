@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.appearance.wet_look.settings import WetSettings
-from gsrain_engine.appearance.wet_look.wet_gaussians import wet_gaussian_colors
 from gsrain_engine.recolor.recolor import wet_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import linear_to_srgb
@@ -52,7 +51,7 @@ def saturation(colors: np.ndarray) -> float:
 
 
 def wetted(scene: Scene, **settings: float) -> np.ndarray:
-    return run_to_end(wet_gaussian_colors(scene, WetSettings(**settings)))["layers/all"]
+    return run_to_end(wet_scene(scene, WetSettings(**settings))).layers[0].wet_sh
 
 
 def test_shadows_are_gone_and_the_grain_of_the_road_is_not(street):
