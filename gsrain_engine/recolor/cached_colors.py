@@ -17,7 +17,7 @@ from .recolor import wet_scene
 from .result import read_recolored, with_colors, write_recolored
 
 logger = logging.getLogger("gsrain")
-_VERSION = 4
+_VERSION = 5
 """Version of the computation; raise it when the wet look or the recoloring changes its results."""
 _MAX_FILES = 24
 

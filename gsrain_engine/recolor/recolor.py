@@ -435,5 +435,7 @@ def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Pr
     environment = SceneEnvironment(scene)
     if scene.water is None:
         scene = replace(scene, water=find_water(scene, environment))
-    colors = yield from wet_gaussian_colors(scene, settings or WetSettings(), environment.heights)
+    has_ground = scene.water is not None or scene.ground_m is not None  # a single object has none
+    heights = environment.heights if has_ground else None
+    colors = yield from wet_gaussian_colors(scene, settings or WetSettings(), heights)
     return with_colors(scene, colors)
