@@ -45,7 +45,7 @@ _MAX_GAIN = 1.5  # of harmonics above the first, which hold noise where a color 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Surfaces:
+class _WetSurfaces:
     """Gaussians of a layer or an actor as surfaces; all arrays have one row for each."""
 
     points: Float32[np.ndarray, "n 3"]
@@ -75,7 +75,7 @@ def wet_gaussian_colors(
     if heights is not None and heights.scatter_m > _MAX_SCATTER_M:
         heights = None
     sky = _Sky.of(scene)
-    found, eyes = dict[str, _Surfaces](), _viewpoints(scene)
+    found, eyes = dict[str, _WetSurfaces](), _viewpoints(scene)
     for member in scene.members:
         if not is_sky(member) and len(member.gaussians):
             yield Progress(0.1 + 0.5 * len(found) / len(scene.members), f"Looking at the surfaces of {member.name}")
@@ -92,13 +92,15 @@ def wet_gaussian_colors(
             above = own.points[:, 2]
             if heights is not None:
                 above = above - heights.sampled(heights.smooth_m, own.points)
-            cloud, share = sky.seen_at(member.key, own, above, settings)
+            cloud, share = sky.behind(member.key, own, above, settings)
             wet = wet + (settings.wetness * share)[:, None] * (cloud - wet)
         colors[member.key] = _harmonics(member.gaussians.sh, own.color, wet)
         if isinstance(member, Layer) and scene.water is not None:
-            is_ground = own.ground > 0.5  # without highlights
-            colors[member.key][is_ground] = 0
-            colors[member.key][is_ground, 0] = (wet[is_ground] - np.float32(0.5)) / np.float32(SH_C0)
+            is_ground = own.ground > 0.5
+            matte = np.zeros_like(colors[member.key][is_ground])  # without highlights
+            matte[:, 0] = (wet[is_ground] - np.float32(0.5)) / np.float32(SH_C0)
+            shining = np.float32(1 - settings.wetness) * colors[member.key][is_ground]
+            colors[member.key][is_ground] = shining + np.float32(settings.wetness) * matte
     yield Progress(1.0, "Done")
     return colors
 
@@ -175,12 +177,12 @@ class _Neighbors:
 
 def _surfaces_of(
     scene: Scene, member: Layer | Actor, heights: GroundHeights | None, eyes: Float64[np.ndarray, "e 3"]
-) -> _Surfaces:
+) -> _WetSurfaces:
     g = member.gaussians
     scale = scene.metres_per_unit
     to_world = scene.scene_to_world @ member.to_scene if isinstance(member, Layer) else np.diag([scale] * 3 + [1.0])
     points = np.nan_to_num(g.means @ to_world[:3, :3].T + to_world[:3, 3]).astype(np.float32)
-    color = np.clip(_seen_colors(g.sh, points, eyes if isinstance(member, Layer) else eyes[:0], to_world), 0, 1)
+    color = np.clip(_recorded_colors(g.sh, points, eyes if isinstance(member, Layer) else eyes[:0], to_world), 0, 1)
     sizes = np.sort(g.scales, axis=1) * np.float32(np.cbrt(np.linalg.det(to_world[:3, :3])))
     near = _Neighbors.among(points, _NEAREST)
     vehicles = np.zeros(len(g), np.float32)
@@ -200,7 +202,7 @@ def _surfaces_of(
     leaves = vegetation_mask(color)
     gaps = smoothstep(*AMONG_LEAVES, near.mean(leaves, g.opacities)) * (1 - ground)
     level = np.log2(np.maximum(srgb_to_linear(color) @ LUMINANCE, 2**DARKEST_EV)).astype(np.float32)
-    return _Surfaces(
+    return _WetSurfaces(
         points, color, level, np.pi * sizes[:, 1] * sizes[:, 2], g.opacities, ground,
         np.maximum(leaves, gaps) * (1 - vehicles), vehicles, np.maximum(UP_ELSEWHERE * up, ground).astype(np.float32),
         _Neighbors.among(points, _NEAREST_BROAD, _BROAD_SAMPLE),
@@ -222,7 +224,7 @@ def _viewpoints(scene: Scene) -> Float64[np.ndarray, "e 3"]:
     return np.array([pose[:3, :3] @ middle + pose[:3, 3] for pose in poses]).reshape(-1, 3)
 
 
-def _seen_colors(
+def _recorded_colors(
     sh: Harmonics, points: Float32[np.ndarray, "n 3"], eyes: Float64[np.ndarray, "e 3"],
     to_world: Float64[np.ndarray, "4 4"],
 ) -> Colors:  # fmt: skip
@@ -264,7 +266,7 @@ _TINTS_APART_EV, _SUNLIT_TINT = (0.2, 0.4), (0.1, 0.6)
 from the shadow's tint to the sun's."""
 
 
-def _light_on_ground(layers: list[_Surfaces]) -> IlluminationEstimate:
+def _light_on_ground(layers: list[_WetSurfaces]) -> IlluminationEstimate:
     colors, weights = [np.zeros((0, 3), np.float32)], [np.zeros(0, np.float32)]
     for each in layers:
         linear = srgb_to_linear(each.color).astype(np.float32)
@@ -277,7 +279,7 @@ def _light_on_ground(layers: list[_Surfaces]) -> IlluminationEstimate:
     return illumination_of(np.concatenate(colors), weight)
 
 
-def _sunlit(own: _Surfaces, light: IlluminationEstimate) -> Values:
+def _sunlit(own: _WetSurfaces, light: IlluminationEstimate) -> Values:
     """Share of sunlight on each Gaussian in the clear scene, as `illumination.sunlit_share` has it for pixels."""
     sharp, wide = sun_ramps(light)
     share = wide(own.broad.guided(own.level_ev, own.level_ev, BROAD_EV2))
@@ -307,7 +309,7 @@ def _warm_share(colors: Float[np.ndarray, "n 3"], light: IlluminationEstimate) -
     return 1 - trust * (1 - toward_sun)
 
 
-def _wet_colors(own: _Surfaces, light: IlluminationEstimate, settings: WetSettings, *, has_mirror: bool) -> Colors:
+def _wet_colors(own: _WetSurfaces, light: IlluminationEstimate, settings: WetSettings, *, has_mirror: bool) -> Colors:
     """Display colors of Gaussians on the rainy day."""
     sunlit, wet = _sunlit(own, light), np.empty_like(own.color)
     linear = srgb_to_linear(own.color).astype(np.float32)
@@ -327,7 +329,7 @@ def _wet_colors(own: _Surfaces, light: IlluminationEstimate, settings: WetSettin
     return wet
 
 
-def _row_of(own: _Surfaces, rows: slice) -> SurfaceShares:
+def _row_of(own: _WetSurfaces, rows: slice) -> SurfaceShares:
     """Gaussians as an image of one row."""
     names = [each.name for each in fields(SurfaceShares) if each.name != "normals"]
     parts = {name: getattr(own, name)[None, rows] for name in names}
@@ -389,7 +391,7 @@ class _Sky:
         changed[:, 0] = (mixed - np.float32(0.5)) / np.float32(SH_C0)
         return changed
 
-    def seen_at(self, key: str, own: _Surfaces, above_m: Values, settings: WetSettings) -> tuple[Colors, Values]:
+    def behind(self, key: str, own: _WetSurfaces, above_m: Values, settings: WetSettings) -> tuple[Colors, Values]:
         """Color of the clouds behind each Gaussian, and the share of it that is sky rather than a surface."""
         directions = _unit(own.points - self.middle)
         share = self.shells[key].astype(np.float32)
