@@ -55,8 +55,8 @@ bool project(
 }
 
 void set_color(inout Splat splat, vec3 color) {
-    splat.appearance = uvec2(
-        packHalf2x16(min(color.rg, 65504.0)), (splat.appearance.y & 0xFFFF0000u) | packHalf2x16(vec2(min(color.b, 65504.0), 0.0)));
+    uvec2 color_bits = packed_color(color);
+    splat.appearance = uvec2(color_bits.x, (splat.appearance.y & 0xFFFF0000u) | color_bits.y);
 }
 
 shared uint visible_mask[8];

@@ -152,7 +152,7 @@ def _draw_lit(
     tiles: TileLists,
     rain: RainFrame,
     lit: LampLight,
-    sky: Float32[np.ndarray, "h w 4"] | None,
+    sky: Float32[np.ndarray, "r c 4"] | None,
     film: Film | None,
     *,
     with_depth: bool,
