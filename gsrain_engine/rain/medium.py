@@ -50,15 +50,14 @@ class RainMedium:
         self, width: int, height: int, intrinsics: tuple[float, float, float, float]
     ) -> Float32[np.ndarray, "h w"]:
         """Share of light from behind the scene that arrives at each pixel: from infinity, or from the floor."""
-        if not self.has_region and self.floor[3] >= _FAR_M:
-            return np.zeros((height, width), np.float32)
-        fx, fy, cx, cy = intrinsics
-        x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy)
-        rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        fall = np.maximum(-(rays @ self.floor[:3].astype(np.float64)), 1 / _FAR_M)
-        length = np.minimum(self.floor[3] / fall, _FAR_M)
-        return self.transmittance(rays * length[:, None]).reshape(height, width)
+        kept = np.empty((height, width), np.float32)
+        _behind_scene(np.array(intrinsics, np.float32), self.floor, self.numbers, self.drawn, kept)
+        return kept
+
+    @property
+    def is_endless(self) -> bool:
+        """True if all rays behind the scene go on to infinity."""
+        return not self.has_region and bool(self.floor[3] >= _FAR_M)
 
     @property
     def has_region(self) -> bool:
@@ -160,3 +159,19 @@ def _drawn_up_to(depth_m, step_m, drawn):
 def _transmittances(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):
         kept[i] = np.exp(-optical_depth(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _behind_scene(intrinsics, floor, numbers, drawn, kept):
+    """Share of light that each pixel keeps from infinity, or from the floor where that is nearer."""
+    fx, fy, cx, cy = intrinsics
+    one, half, far = np.float32(1), np.float32(0.5), np.float32(_FAR_M)
+    for row in numba.prange(kept.shape[0]):
+        y = (np.float32(row) + half - cy) / fy
+        for column in range(kept.shape[1]):
+            x = (np.float32(column) + half - cx) / fx
+            z = one / np.sqrt(x * x + y * y + one)
+            fall = -(floor[0] * x + floor[1] * y + floor[2]) * z
+            away = min(floor[3] / max(fall, one / far), far) * z
+            kept[row, column] = np.exp(-optical_depth(x * away, y * away, away, numbers, drawn))
