@@ -74,7 +74,8 @@ def render_sheet(folder: Path, name: str, scene: str, *options: str) -> None:
     sheet = Image.new("RGB", (width, height * len(_SHEET_MM_H)))
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(28)
     for row, intensity in enumerate(_SHEET_MM_H):
-        sheet.paste(still(scene, folder, f"{width}x{height}", "--rain", intensity, *options), (0, row * height))
+        own = [each for each in options if each != "--wet" or intensity != "0"]  # without rain, --wet is soaked
+        sheet.paste(still(scene, folder, f"{width}x{height}", "--rain", intensity, *own), (0, row * height))
         corner = (16, row * height + 12)
         draw.text(corner, f"{intensity} mm/h", "white", font, stroke_width=2, stroke_fill="black")
     keep(sheet, name)

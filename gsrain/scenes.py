@@ -37,8 +37,6 @@ from gsrain_engine.scene.scene import Actor as Actor
 from gsrain_engine.scene.scene import Layer as Layer
 from gsrain_engine.scene.scene import Scene as Scene
 
-QUICK_VIEWS = 8
-"""Views that the built-in wet look is computed from: enough for a first look, within seconds."""
 _PATHS = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 
@@ -109,7 +107,7 @@ def wet(
     progress: Callable[[Progress], object] | None = None,
     **settings: Any,
 ) -> Scene:
-    """Give a scene wet colors: views of it are made to look rainy, and its colors are solved for those.
+    """Give a scene wet colors: computed from its own by the built-in look, else solved for views made rainy.
 
     The geometry and the clear colors stay; `Rain.wetness`, by default what follows from the intensity, blends between
     the two. The built-in look takes seconds and needs no weights.
@@ -119,7 +117,7 @@ def wet(
         method: "wet", the built-in look; "cyclegan-turbo", the paper's diffusion model, which needs torch and its
             weights; "images", pictures of the same views from another program; or a method of an installed package.
         weights: File with the weights of a learned method.
-        views: Number of views; None takes 8 for the built-in look, 24 for others.
+        views: Number of views; None takes 24. The built-in look needs none.
         progress: Called with each step: `fraction` (0..1), `message`, and at times a `preview` image.
         settings: Further fields of the transfer's settings, such as `seed`, `base` or `images`.
 
@@ -138,8 +136,7 @@ def wet(
             raise ValueError(f"{name} {path}: no such file or folder")
     if row.needs is not None and getattr(chosen, row.needs) is None:
         raise ValueError(f"method {method!r} needs the argument {row.needs}=")
-    count = QUICK_VIEWS if views is None and method == "wet" else views
-    choice: ViewChoice = msgspec.convert({"count": count}, ViewChoice)
+    choice: ViewChoice = msgspec.convert({"count": views}, ViewChoice)
     return run_to_end(rainy_by(scene, TransferRequest(method, chosen, choice)), progress)
 
 

@@ -4,6 +4,7 @@
 uniform float medium_numbers[33];
 uniform float medium_drawn[64];   // optical depth that streaks take, by depth along the view axis
 uniform vec3 airlight;            // in linear light
+uniform vec4 medium_floor;        // upward direction in the camera's frame, height of the camera over the floor (m)
 
 // Distances at which the ray to a point enters and leaves a box, between 0 and its length.
 vec2 medium_within(vec3 p, float length_m, int at) {
@@ -46,5 +47,7 @@ float medium_transmittance(vec3 p) {
 // Airlight behind the scene at a point of the image (px), premultiplied; `intrinsics` are fx fy cx cy (px).
 vec4 medium_sky(vec2 point, vec4 intrinsics) {
     vec3 ray = vec3((point - intrinsics.zw) / intrinsics.xy, 1.0);
-    return (1.0 - medium_transmittance(1e9 / length(ray) * ray)) * vec4(linear_to_srgb(airlight), 1.0);
+    ray /= length(ray);
+    float length_m = min(medium_floor.w / max(-dot(medium_floor.xyz, ray), 1e-9), 1e9);
+    return (1.0 - medium_transmittance(length_m * ray)) * vec4(linear_to_srgb(airlight), 1.0);
 }

@@ -181,7 +181,6 @@ def test_examples_have_the_results_that_they_describe(name, road, tmp_path, monk
         pytest.importorskip("pyarrow")
     if name == "11_viewer.py" and not os.environ.get("DISPLAY"):
         pytest.skip("no display and no Xvfb (Debian: xvfb)")
-    monkeypatch.setattr("gsrain.scenes.QUICK_VIEWS", 3)  # the road looks the same from all
     scene = () if name in TAKE_NO_SCENE else (str(road),)
     monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "out"), *scene])
     runpy.run_path(str(FOLDER / name), run_name="__main__")

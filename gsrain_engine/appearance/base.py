@@ -104,8 +104,6 @@ class RainyView:
     """Steps the transfer skipped for this view, with the reason, as the end of a sentence; empty if none."""
     framed: FramedView | None = None
     """Input of the network; None for transfers without one."""
-    matte: Image | None = None
-    """The image without the light that water on the ground reflects, which the mirror adds; None if unknown."""
 
 
 class SkippedCounts:

@@ -38,6 +38,8 @@ class RainCamera:
     """Fraction of the shutter time, for one of several sub-frames that share it."""
     ground_m: float | None = None
     """Height of the ground in the world, above which the wind grows; None if it is the streak region's lower face."""
+    floor_m: float | None = None
+    """Height of the ground below the camera in the world, where rays of its medium end; None if it is unknown."""
 
 
 class SkyLight(NamedTuple):
@@ -240,7 +242,8 @@ class RainFrame:
         per_m3 = self.count / float(np.prod(self.period_m)) if has_drops else 0.0
         streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
         view = self.view
-        return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, self.airlight_linear)
+        air = self.airlight_linear
+        return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, air, view.floor_m)
 
     @property
     def gaussians(self) -> Gaussians:

@@ -19,6 +19,7 @@ from .settings import RainSettings
 NEAREST_STREAK_M = 0.2  # nearer drops are not drawn
 STEPS = 64  # of the table of the streaks' extinction over depth
 _FAR_M = 1e9  # length of a ray to the sky
+_LOWEST_M = 0.05  # height of a camera over a floor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +33,8 @@ class RainMedium:
     drawn: Float32[np.ndarray, " steps"]
     """Optical depth that streaks take from the medium along the view axis, up to each step of depth."""
     airlight_linear: Float32[np.ndarray, "3"]
+    floor: Float32[np.ndarray, "4"]
+    """Upward direction in the camera's frame, and the camera's height in m over the floor; `_FAR_M` without one."""
 
     @property
     def extinction_per_m(self) -> float:
@@ -46,13 +49,15 @@ class RainMedium:
     def sky_transmittance(
         self, width: int, height: int, intrinsics: tuple[float, float, float, float]
     ) -> Float32[np.ndarray, "h w"]:
-        """Share of light from infinity that arrives at each pixel; 0 unless the medium has a region."""
-        if not self.has_region:
-            return np.zeros((height, width), np.float32)
-        fx, fy, cx, cy = intrinsics
-        x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy)
-        rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-        return self.transmittance(rays * (_FAR_M / np.linalg.norm(rays, axis=1, keepdims=True))).reshape(height, width)
+        """Share of light from behind the scene that arrives at each pixel: from infinity, or from the floor."""
+        kept = np.empty((height, width), np.float32)
+        _behind_scene(np.array(intrinsics, np.float32), self.floor, self.numbers, self.drawn, kept)
+        return kept
+
+    @property
+    def is_endless(self) -> bool:
+        """True if all rays behind the scene go on to infinity."""
+        return not self.has_region and bool(self.floor[3] >= _FAR_M)
 
     @property
     def has_region(self) -> bool:
@@ -67,8 +72,13 @@ def make_medium(
     anchor_to_world: Float64[np.ndarray, "4 4"],
     streaks: tuple[float, Float64[np.ndarray, " steps"]],
     airlight_linear: Float32[np.ndarray, "3"],
+    floor_m: float | None = None,
 ) -> RainMedium:
-    """Make the medium of a camera; `streaks` is what `streak_depths` returns."""
+    """Make the medium of a camera; `streaks` is what `streak_depths` returns.
+
+    At the height `floor_m`, rays that go down end, whatever the scene shows there: gaps in the ground of a capture are
+    no view of distant air.
+    """
     turn, origin = anchor_to_world[:3, :3], anchor_to_world[:3, 3]
     step_m, drawn = streaks
     numbers = [extinction_per_m, step_m]
@@ -77,8 +87,10 @@ def make_medium(
         center = turn @ np.array(region.center_m) + origin
         numbers += [*(turn.T @ camera.world_to_camera[:3, :3].T).ravel(), *(turn.T @ (camera.position - center))]
         numbers += [each / 2 for each in region.size_m]
+    over_m = np.inf if floor_m is None else float(camera.position[2]) - floor_m
     numbers.append(float(rain.haze_region is not None))
-    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear)
+    floor = np.array([*camera.world_to_camera[:3, 2], over_m if _LOWEST_M < over_m < _FAR_M else _FAR_M], np.float32)
+    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear, floor)
 
 
 def streak_depths(
@@ -147,3 +159,19 @@ def _drawn_up_to(depth_m, step_m, drawn):
 def _transmittances(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):
         kept[i] = np.exp(-optical_depth(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _behind_scene(intrinsics, floor, numbers, drawn, kept):
+    """Share of light that each pixel keeps from infinity, or from the floor where that is nearer."""
+    fx, fy, cx, cy = intrinsics
+    one, half, far = np.float32(1), np.float32(0.5), np.float32(_FAR_M)
+    for row in numba.prange(kept.shape[0]):
+        y = (np.float32(row) + half - cy) / fy
+        for column in range(kept.shape[1]):
+            x = (np.float32(column) + half - cx) / fx
+            z = one / np.sqrt(x * x + y * y + one)
+            fall = -(floor[0] * x + floor[1] * y + floor[2]) * z
+            away = min(floor[3] / max(fall, one / far), far) * z
+            kept[row, column] = np.exp(-optical_depth(x * away, y * away, away, numbers, drawn))

@@ -9,16 +9,15 @@ import msgspec
 import numpy as np
 import platformdirs
 
-from ..appearance.scene_views import ViewChoice
 from ..appearance.wet_look.settings import WetSettings
 from ..scene.files import SceneFormatError
 from ..scene.progress import Progress
 from ..scene.scene import Layer, Scene
-from .recolor import QUICK_VIEWS, wet_scene
+from .recolor import wet_scene
 from .result import read_recolored, with_colors, write_recolored
 
 logger = logging.getLogger("gsrain")
-_VERSION = 3
+_VERSION = 5
 """Version of the computation; raise it when the wet look or the recoloring changes its results."""
 _MAX_FILES = 24
 
@@ -33,9 +32,9 @@ def cached_wet_scene(
     return (yield from cached_scene(scene, file, lambda: wet_scene(scene, settings)))
 
 
-def wet_color_file(scene: Scene, settings: WetSettings, choice: ViewChoice) -> Path:
-    """File in the cache for wet colors that are made from a choice of a scene's own views."""
-    return wet_color_folder() / f"{wet_color_key(scene, settings, choice)}.npz"
+def wet_color_file(scene: Scene, settings: WetSettings) -> Path:
+    """File in the cache for a scene's computed wet colors."""
+    return wet_color_folder() / f"{wet_color_key(scene, settings)}.npz"
 
 
 def cached_scene(
@@ -67,10 +66,10 @@ def wet_color_folder() -> Path:
     return Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "wet-colors"
 
 
-def wet_color_key(scene: Scene, settings: WetSettings | None = None, choice: ViewChoice = QUICK_VIEWS) -> str:
-    """Hash (SHA-256, 32 hex digits) of everything that wet colors depend on: Gaussians, places, views, settings."""
+def wet_color_key(scene: Scene, settings: WetSettings | None = None) -> str:
+    """Hash (SHA-256, 32 hex digits) of everything that wet colors depend on: Gaussians, places, settings."""
     digest = hashlib.sha256(f"{_VERSION} ".encode())
-    digest.update(msgspec.json.encode((settings or WetSettings(), choice)))
+    digest.update(msgspec.json.encode(settings or WetSettings()))
     plain = scene.metres_per_unit, scene.up, scene.ground_m, [each.key for each in scene.members]
     digest.update(msgspec.json.encode(plain))
     for each in scene.members:

@@ -11,7 +11,6 @@ from jaxtyping import Float32
 from msgspec import Meta, Struct
 
 from ..appearance.base import ClearView, Transfer
-from ..appearance.scene_views import ViewChoice, chosen_cameras, scene_views
 from ..appearance.wet_look.settings import WetSettings
 from ..datasets.capture import Capture
 from ..evaluation.image_metrics import psnr
@@ -399,23 +398,16 @@ def rainy_scene(
     transferred view, then of the first view with the current colors. Raises ValueError without views, or if none shows
     anything of the scene.
 
-    Where ground is found, the scene gets a map of its water, and wet colors without reflections if the transfer has
-    images without them: the mirror adds them.
+    Where ground is found, the scene gets a map of its water.
     """
     if not len(views):
         raise ValueError("a scene needs at least one view to become rainy")
-    if scene.water is None:
-        from ..appearance.wet_look.water_map import find_water  # loads slow parts of scipy
-
-        scene = replace(scene, water=find_water(scene))
-    targets = yield from _transferred(views, transfer, scene.water is not None)
+    targets = yield from _transferred(views, transfer)
     recolored = yield from subprogress(recolor_scene(scene, targets, [], settings), _TRANSFERRED_DONE, 1.0)
     return with_colors(scene, recolored.colors)
 
 
-def _transferred(
-    views: Sequence[ClearView], transfer: Transfer, is_mirrored: bool
-) -> Generator[Progress, None, list[TargetView]]:
+def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Progress, None, list[TargetView]]:
     targets, preview = list[TargetView](), None
     rainy = iter(transfer.transferred(views))
     while True:
@@ -426,20 +418,24 @@ def _transferred(
         made = next(rainy, None)
         if made is None:
             return targets
-        image = made.matte if is_mirrored and made.matte is not None else made.image
-        targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, image))
+        targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, made.image))
         preview = thumbnail(made.image)
 
 
-QUICK_VIEWS = ViewChoice(count=8)
-"""Views of the quick wet look."""
-
-
 def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Progress, None, Scene]:
-    """Give a scene the quick wet look from 8 small views, without network weights; as `rainy_scene`."""
-    from ..appearance.wet_look.environment import SceneEnvironment
-    from ..appearance.wet_look.translator import WetTransfer  # loads slow parts of scipy
+    """Give a scene the computed wet look, Gaussian by Gaussian; its geometry and clear colors are unchanged.
 
-    views = scene_views(scene, chosen_cameras(scene, QUICK_VIEWS))
-    transfer = WetTransfer(settings or WetSettings(), SceneEnvironment(scene))
-    return rainy_scene(scene, views, transfer)
+    Where ground is found, the scene gets a map of its water, and wet colors without reflections: the mirror adds them.
+    """
+    from ..appearance.wet_look.environment import SceneEnvironment  # loads slow parts of scipy
+    from ..appearance.wet_look.water_map import find_water
+    from ..appearance.wet_look.wet_gaussians import wet_gaussian_colors
+
+    yield Progress(0.0, "Finding the ground, and the water that it holds")
+    environment = SceneEnvironment(scene)
+    if scene.water is None:
+        scene = replace(scene, water=find_water(scene, environment))
+    has_ground = scene.water is not None or scene.ground_m is not None  # a single object has none
+    heights = environment.heights if has_ground else None
+    colors = yield from wet_gaussian_colors(scene, settings or WetSettings(), heights)
+    return with_colors(scene, colors)

@@ -161,7 +161,15 @@ def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Rai
         shelter_map_of(scene) if rainfall.rain.roofs else None,
         shot.exposure_share,
         scene.ground_m if mounted is None else None,
+        _floor_m(scene, shot.camera),
     )
+
+
+def _floor_m(scene: Scene, camera: Camera) -> float | None:
+    """Height of the ground below a camera, if it is known."""
+    if scene.water is None or scene.water.heights_m is None:
+        return scene.ground_m
+    return float(scene.water.height_at(camera.position[None, :2])[0])
 
 
 def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Float64[np.ndarray, "4 4"]:

@@ -117,7 +117,7 @@ def draw_mirror(
         far = rain.rain.haze if rain.rain.haze == "medium" else "none"
         settings = msgspec.structs.replace(rain.rain, streaks=False, haze=far)
         anchor = rain.view.anchor_to_world if view.to_level is None else view.to_level @ rain.view.anchor_to_world
-        rain = replace(rain, rain=settings, view=replace(rain.view, camera=below, anchor_to_world=anchor))
+        rain = replace(rain, rain=settings, view=replace(rain.view, camera=below, anchor_to_world=anchor, floor_m=None))
         medium = rain.medium
     # Wet colors of what reflects, too, though it is left out: the same arrays as for the picture itself.
     items = [

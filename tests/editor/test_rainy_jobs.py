@@ -21,7 +21,6 @@ from gsrain_engine.editor.jobs.make_rainy import (
 )
 from gsrain_engine.editor.jobs.training import COLORS_FILE
 from gsrain_engine.recolor import cached_colors
-from gsrain_engine.recolor.recolor import QUICK_VIEWS
 from gsrain_engine.recolor.result import read_recolored
 from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.progress import Progress
@@ -41,9 +40,7 @@ def test_the_work_writes_wet_colors_of_every_member_and_a_report(saved, tmp_path
     order = TransferRequest("wet", TransferSettings(), CHOICE)
     steps = list(make_rainy(saved, order, tmp_path / "colors.npz", tmp_path / "report.html"))
     assert [each.fraction for each in steps] == sorted(each.fraction for each in steps)
-    assert sum(each.preview is not None for each in steps) >= 2
-    residuals = [each.metrics["residual"] for each in steps if "residual" in each.metrics]
-    assert len(residuals) > 2 and residuals[-1] < residuals[0]
+    assert sum(each.preview is not None for each in steps) == 2
     colors = read_recolored(tmp_path / "colors.npz")
     assert set(colors) == {"layers/road", "layers/wall", "layers/sky"}
     road = small_scene().member("layers/road").gaussians.sh
@@ -57,13 +54,13 @@ def test_the_work_reads_the_colors_that_the_command_keeps_and_keeps_its_own(save
     scene = small_scene()
     known = {each.key: each.gaussians.sh * np.float32(0.5) for each in scene.members}
     cached_colors.write_recolored(cache / f"{cached_colors.wet_color_key(scene)}.npz", known)
-    for choice, count in ((QUICK_VIEWS, 1), (CHOICE, 2)):
-        order = TransferRequest("wet", TransferSettings(), choice)
+    for seed, count in ((0, 1), (1, 2)):
+        order = TransferRequest("wet", TransferSettings(seed=seed), CHOICE)
         copy = tmp_path / f"copy_{count}"
         copy.mkdir()
         list(make_rainy(*make_rainy_job(lambda: (scene, FileCache()), order).inputs(copy)))
         colors = read_recolored(copy / COLORS_FILE)
-        assert np.array_equal(colors["layers/road"], known["layers/road"]) == (choice is QUICK_VIEWS)
+        assert np.array_equal(colors["layers/road"], known["layers/road"]) == (seed == 0)
         assert len(list(cache.iterdir())) == count
 
 

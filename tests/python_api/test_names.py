@@ -45,7 +45,6 @@ def test_the_page_has_the_text_of_the_docstrings():
 def test_the_first_program_of_the_page_makes_an_image(tmp_path, monkeypatch):
     write_scene(small_scene(), tmp_path / "street")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gsrain.scenes.QUICK_VIEWS", 2)
     exec(compile(titled_blocks(REPOSITORY / "docs" / "python.md")["rain.py"], "rain.py", "exec"), {})
     with Image.open("rain.png") as picture:
         assert picture.size == (960, 640) and len(picture.getcolors(2**20) or []) > 100

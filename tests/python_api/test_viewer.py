@@ -97,7 +97,6 @@ def test_without_a_display_it_says_so(monkeypatch):
 def test_the_whole_example_runs_with_a_shorter_video(tmp_path, monkeypatch):
     write_scene(small_scene(), tmp_path / "street")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gsrain.scenes.QUICK_VIEWS", 2)
     # Where a person would close the window, the test does.
     monkeypatch.setattr(gr.Viewer, "wait", lambda viewer: viewer.screenshot("last.png") and viewer.close())
     names = {}

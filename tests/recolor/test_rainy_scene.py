@@ -1,14 +1,13 @@
 """Wet colors of a scene by a transfer of its views."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gsrain_engine.appearance.base import ClearView, RainyView, Transfer
 from gsrain_engine.appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
-from gsrain_engine.recolor.recolor import rainy_scene, wet_scene
+from gsrain_engine.recolor.recolor import rainy_scene
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import SH_C0
@@ -74,34 +73,6 @@ def test_gaussians_that_no_view_sees_change_as_their_neighbours_do(overcast):
     unseen = 0.5 + SH_C0 * wet_sh[is_road & (means[:, 0] < -40), 0].mean(axis=0)
     assert seen.mean() < 0.4  # it was 0.52
     np.testing.assert_allclose(unseen, seen, atol=0.03)
-
-
-def test_the_wet_look_makes_a_street_grey_and_its_road_darker():
-    wet = run_to_end(wet_scene(small_street()))
-    before, after = drawn(wet, 0.0), drawn(wet, 1.0)
-    sky, road = (slice(2, 12), slice(30, 66)), (slice(54, 63), slice(20, 76))
-    blueness = [float((each[sky][..., 2] - each[sky][..., 0]).mean()) for each in (before, after)]
-    assert blueness[0] > 0.4 and blueness[1] < 0.15
-    assert after[road].mean() < before[road].mean()
-
-
-class Puddles(Overcast):
-    """Reflects white where the ground may be wet; `matte` is the image without."""
-
-    def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        for made in super().transferred(views):
-            yield RainyView(made.clear, np.ones_like(made.image), matte=made.image)
-
-
-def test_colors_have_no_reflections_where_the_mirror_adds_them(overcast):
-    scene = small_street()
-    mirrored = run_to_end(rainy_scene(scene, views_of(scene), Puddles()))
-    assert mirrored.water is not None and mirrored.water.heights_m is not None
-    for each, expected in zip(mirrored.members, overcast.members, strict=True):
-        np.testing.assert_array_equal(each.wet_sh, expected.wet_sh)
-    above = replace(scene, layers=tuple(each for each in scene.layers if each.kind == "sky"))
-    white = run_to_end(rainy_scene(above, views_of(scene), Puddles())).layers[0].wet_sh
-    assert white is not None and white[:, 0].mean() > overcast.layers[-1].wet_sh[:, 0].mean() + 0.3
 
 
 def test_views_are_needed_and_one_of_them_must_show_something():

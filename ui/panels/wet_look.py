@@ -42,10 +42,11 @@ _PICTURES: dict[PreviewPicture, tuple[str, str]] = {
 """Caption and help of the images of a preview."""
 _SOURCE_HELP = (
     "Views to transfer. The best are those of the rig if the scene has a recorded drive,\n"
-    "else those of its camera path, else views around its middle."
+    "else those of its camera path, else views around its middle.\n"
+    "The computed wet look needs none: it only previews some."
 )
 _MAKE_HELP = (
-    "Transfer the views, then solve for the wet colors of the scene that reproduce them, in the background.\n"
+    "Make the scene's wet colors in the background: computed, or solved for so that they reproduce the views.\n"
     "The clear colors stay: the rain's intensity blends the wet ones in. One undo step."
 )
 _PREVIEW_HELP = (

@@ -1,11 +1,12 @@
 """Illumination: estimate of sun and shadow over all views, overcast relighting, and the overcast sky."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from msgspec.structs import replace as replace_fields
 
 from ...scene import geometry
@@ -26,9 +27,11 @@ _VIEWS, _STRIDE = 8, 4  # number of views sampled, spread evenly, and pixel stri
 _GRAY_ALBEDO = 0.35  # largest saturation (spread over maximum, linear) of ground used for the estimate
 _NEAR_M, _FAR_M = 1.5, 60.0
 _BINS = 80
+_FEWEST_SAMPLES = 100
 _UNKNOWN_EV = -3.0  # default for scenes without visible ground: a gray of 0.125
 Samples = Float[np.ndarray, " n"]
 ColorSamples = Float[np.ndarray, "n 3"]
+Ramp = Callable[[Float32[np.ndarray, "*n"]], Float32[np.ndarray, "*n"]]
 Tint = tuple[float, float, float]
 
 
@@ -54,20 +57,29 @@ def estimate_illumination(views: Sequence[ClearView]) -> IlluminationEstimate:
     samples = [_ground_samples(views[i]) for i in chosen]
     colors = np.concatenate([np.zeros((0, 3), np.float32), *(each[0] for each in samples)])
     weights = np.concatenate([np.zeros(0, np.float32), *(each[1] for each in samples)])
-    if len(colors) < 100:
+    return illumination_of(colors, weights)
+
+
+def illumination_of(colors: ColorSamples, weights: Samples) -> IlluminationEstimate:
+    """Estimate the illumination from colors (linear) of level gray ground, each with the area that it stands for."""
+    if len(colors) < _FEWEST_SAMPLES:
         return IlluminationEstimate(0.0, _UNKNOWN_EV, _UNKNOWN_EV, _UNKNOWN_EV, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    levels = np.log2(np.maximum(colors @ LUMINANCE, 2**DARKEST_EV))
-    return _two_kinds(colors, levels, weights)
+    return _two_kinds(colors, np.log2(np.maximum(colors @ LUMINANCE, 2**DARKEST_EV)), weights)
+
+
+def is_gray(colors: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
+    """Mask of colors (linear) that are gray enough for ground of the estimate."""
+    brightest = colors.max(axis=-1)
+    return brightest - colors.min(axis=-1) <= _GRAY_ALBEDO * np.maximum(brightest, 1e-4)
 
 
 def _ground_samples(view: ClearView) -> tuple[ColorSamples, Samples]:
     """Colors (linear) of level gray ground, weighted by the area of each sample."""
     every = (slice(None, None, _STRIDE), slice(None, None, _STRIDE))
     light = srgb_to_linear(view.image[every])
-    depth, brightest = view.depth[every], light.max(axis=-1)
-    is_gray = brightest - light.min(axis=-1) <= _GRAY_ALBEDO * np.maximum(brightest, 1e-4)
+    depth = view.depth[every]
     is_free = (view.sky[every] < 0.05) & (view.vehicles[every] < 0.1)
-    is_ground = (view.normals[every][..., 2] > 0.7) & (depth > _NEAR_M) & (depth < _FAR_M) & is_gray & is_free
+    is_ground = (view.normals[every][..., 2] > 0.7) & (depth > _NEAR_M) & (depth < _FAR_M) & is_gray(light) & is_free
     return light[is_ground].astype(np.float32), (depth[is_ground] ** 2).astype(np.float32)
 
 
@@ -120,14 +132,14 @@ _PIVOT, _PIVOT_PLANTS = 0.5, 0.2
 """Sunlit share at which brightness is unchanged; lower for leaves, which are dark themselves and so are lifted less."""
 _SOFT_EDGE, _WIDE_EDGE = 0.3, 0.7
 """Half width of the ramp between shadow and sun, as a share of their contrast: on the ground, and elsewhere."""
-_SPECK_SHARE, _EDGE_SHARE, _EDGE_EV2 = 0.012, 0.006, 0.2
+_SPECK_SHARE, _EDGE_SHARE, EDGE_EV2 = 0.012, 0.006, 0.2
 """Median size and guided filter radius of the sunlit share, as shares of the image width, and the filter's variance."""
-_BROAD_SHARE, _BROAD_EV2 = 0.04, 2.0
+_BROAD_SHARE, BROAD_EV2 = 0.04, 2.0
 """Radius as a share of the image width, and variance, of the broad brightness of walls and leaves. It alone is divided
 into sun and shadow: finer contrasts are those of the materials, which a wet day keeps."""
 _MATERIAL_EV = (-2.5, -0.8)
 """Stops below the ground's shadow over which brightness stops to be a shadow that clouds would lift: black stays."""
-_TINT_EV, _TINT_SHARE = 0.2, 0.7
+_TINT_EV, _TINT_SHARE = 0.35, 0.9
 """Largest correction of a channel towards neutral light in stops, and the share of it that is applied."""
 CLOUD_TINT_EV = np.array([-0.03, 0.0, 0.04], np.float32)
 _SATURATION, _SHADOW_DULLING = 1.0, 0.6
@@ -161,7 +173,31 @@ def overcast_surfaces(
     color = srgb_to_linear(remove_sky_color(view)).astype(np.float32)
     gray = (color @ LUMINANCE)[..., None]
     level = np.log2(np.maximum(gray[..., 0], 2**DARKEST_EV)).astype(np.float32)
-    sunlit = sunlit_share(level, light, surfaces.ground)
+    # Ground overexposed by the sun would be as even as plastic when it is dimmed.
+    clipped = smoothstep(*_CLIPPED, view.image.min(axis=-1)) * surfaces.ground
+    x, y = (surfaces.points[..., i] / _GRAIN_M for i in (0, 1))
+    grain_ev = _LOST_EV * clipped * smooth_noise_at(x, y, settings.seed + 2, 1.1)
+    # Ambient occlusion of the ground next to vehicles.
+    near = cv2.GaussianBlur(view.vehicles, (0, 0), max(1.0, _CONTACT_SHARE * view.camera.width))
+    shade = (_CONTACT_SHADE * np.minimum(2 * near, 1) * surfaces.ground).astype(np.float32)
+    dimming_ev = grain_ev + np.log2(np.maximum(1 - shade, 1e-3))
+    return overcast_colors(color, sunlit_share(level, light, surfaces.ground), light, settings, surfaces, dimming_ev)
+
+
+def overcast_colors(
+    color: Image,
+    sunlit: Plane,
+    light: IlluminationEstimate,
+    settings: WetSettings,
+    surfaces: SurfaceShares,
+    dimming_ev: Plane | float = 0.0,
+) -> Image:
+    """Colors of surfaces under overcast light, linear in and out, by the share of sunlight on them in the clear image.
+
+    `dimming_ev` is added to their brightness, in stops.
+    """
+    gray = (color @ LUMINANCE)[..., None]
+    level = np.log2(np.maximum(gray[..., 0], 2**DARKEST_EV)).astype(np.float32)
     flattening = _FLATTENED_WALLS + (1 - _FLATTENED_WALLS) * surfaces.ground
     flattening += surfaces.plants * (_FLATTENED_PLANTS - flattening)
     contrast = settings.sun_removal * light.sun * (light.sunlit_ev - light.shadow_ev)
@@ -170,14 +206,7 @@ def overcast_surfaces(
     shift = np.where(shift > 0, shift * smoothstep(low, high, level), shift).astype(np.float32)
     in_shadow, in_sun = (_tint(tint, settings) for tint in (light.shadow_tint_ev, light.sunlit_tint_ev))
     tint = in_shadow + sunlit[..., None] * (in_sun - in_shadow)
-    # Ground overexposed by the sun would be as even as plastic when it is dimmed.
-    clipped = smoothstep(*_CLIPPED, view.image.min(axis=-1)) * surfaces.ground
-    x, y = (surfaces.points[..., i] / _GRAIN_M for i in (0, 1))
-    shift += _LOST_EV * clipped * smooth_noise_at(x, y, settings.seed + 2, 1.1)
-    # Ambient occlusion of the ground next to vehicles.
-    near = cv2.GaussianBlur(view.vehicles, (0, 0), max(1.0, _CONTACT_SHARE * view.camera.width))
-    shade = (_CONTACT_SHADE * np.minimum(2 * near, 1) * surfaces.ground).astype(np.float32)
-    gain = np.exp2(shift + exposure_ev(light, settings)) * (1 - shade)
+    gain = np.exp2(shift + dimming_ev + exposure_ev(light, settings))
     blue = smoothstep(*_BLUE, (color[..., 2] - color[..., 0]) / np.maximum(gray[..., 0], 1e-3))
     colorful = _SATURATION * (1 - light.sun * _SHADOW_DULLING * blue * (1 - sunlit) * surfaces.ground)
     colorful = (colorful + (1 - colorful) * surfaces.plants)[..., None]
@@ -226,17 +255,20 @@ def sunlit_share(level_ev: Plane, light: IlluminationEstimate, ground: Plane) ->
     ramp makes their brightness count less, and only their broad brightness counts. Guided filters (He, Sun and Tang
     2013) follow edges.
     """
-    middle, contrast = (light.sunlit_ev + light.shadow_ev) / 2, max(light.sunlit_ev - light.shadow_ev, 0.1)
-    width = level_ev.shape[1]
-    broad = guided_filter(level_ev, level_ev, max(2, round(_BROAD_SHARE * width)), _BROAD_EV2)
-    sharp, wide = (
-        smoothstep(middle - half * contrast, middle + half * contrast, of)
-        for half, of in ((_SOFT_EDGE, level_ev), (_WIDE_EDGE, broad))
-    )
+    width, (sharp_ramp, wide_ramp) = level_ev.shape[1], sun_ramps(light)
+    broad = guided_filter(level_ev, level_ev, max(2, round(_BROAD_SHARE * width)), BROAD_EV2)
+    sharp, wide = sharp_ramp(level_ev), wide_ramp(broad)
     size = 2 * max(1, round(_SPECK_SHARE * width / 2)) + 1
     share = cv2.medianBlur(np.round(sharp * 255).astype(np.uint8), size).astype(np.float32) / 255
-    share = guided_filter(share, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2)
+    share = guided_filter(share, level_ev, max(2, round(_EDGE_SHARE * width)), EDGE_EV2)
     return np.clip(wide + ground * (share - wide), 0, 1)
+
+
+def sun_ramps(light: IlluminationEstimate) -> tuple[Ramp, Ramp]:
+    """Sunlit share of brightness in stops, of level ground, and of surfaces of many colors."""
+    middle, contrast = (light.sunlit_ev + light.shadow_ev) / 2, max(light.sunlit_ev - light.shadow_ev, 0.1)
+    sharp, wide = _SOFT_EDGE * contrast, _WIDE_EDGE * contrast
+    return partial(smoothstep, middle - sharp, middle + sharp), partial(smoothstep, middle - wide, middle + wide)
 
 
 def _tint(tint_ev: Tint, settings: WetSettings) -> Float32[np.ndarray, "3"]:

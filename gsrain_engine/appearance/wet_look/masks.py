@@ -11,12 +11,12 @@ from ..normals import view_rays, world_points
 from .ground_plane import GroundHeights, GroundPlane, refine_plane
 
 _SMOOTH_SHARE = 0.01  # smoothing of normals as a share of the image width, since normals of real scenes are rough
-_NEAR_GROUND_M, _DEPTH_NOISE = 0.2, 0.008
+NEAR_GROUND_M, _DEPTH_NOISE = 0.2, 0.008
 """Height up to which a surface counts as ground: fixed part in meters, and additional height per meter of distance."""
 _UP, _AGREEING = (0.35, 0.8), (0.75, 0.95)
 """Ramps of the upward normal component of rain-exposed surfaces, and of the mean normal's length for confidence."""
-_AMONG = (0.25, 0.6)  # ramp of the share of leaves around a pixel from which it counts as a leaf itself
-_UP_ELSEWHERE = 0.8  # wetness of level surfaces off the ground: ledges and roofs drain
+AMONG_LEAVES = (0.25, 0.6)  # ramp of the share of leaves around a pixel from which it counts as a leaf itself
+UP_ELSEWHERE = 0.8  # wetness of level surfaces off the ground: ledges and roofs drain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,13 +64,13 @@ def surfaces_of(view: ClearView, ground: VisibleGround | None = None) -> Surface
     normals, sure = _smoothed(view.normals, sigma_px)
     up_facing = level = smoothstep(*_UP, normals[..., 2]) * sure
     if ground is not None:  # by height alone: normals of real scenes are rough
-        slack = _NEAR_GROUND_M + _DEPTH_NOISE * view.depth
+        slack = NEAR_GROUND_M + _DEPTH_NOISE * view.depth
         level = (1 - smoothstep(0.5, 1.5, np.abs(ground.above_m) / slack)) * (view.depth > 0)
-        up_facing = np.maximum(_UP_ELSEWHERE * up_facing, level)
+        up_facing = np.maximum(UP_ELSEWHERE * up_facing, level)
     vehicles = view.vehicles * (1 - level)
     plants = vegetation_mask(view.image)
     # Dark gaps between leaves count as leaves, except on the ground.
-    gaps = smoothstep(*_AMONG, cv2.GaussianBlur(plants, (0, 0), sigma_px)) * (1 - level)
+    gaps = smoothstep(*AMONG_LEAVES, cv2.GaussianBlur(plants, (0, 0), sigma_px)) * (1 - level)
     return SurfaceShares(points, normals, up_facing, level, np.maximum(plants, gaps) * (1 - vehicles), vehicles)
 
 
@@ -83,7 +83,7 @@ def _smoothed(normals: Image, sigma_px: float) -> tuple[Image, Plane]:
     return there[..., None] * mean / np.maximum(length, 1e-6)[..., None], sure
 
 
-def vegetation_mask(image: Image) -> Plane:
+def vegetation_mask(image: Float32[np.ndarray, "*n 3"]) -> Float32[np.ndarray, "*n"]:
     """Likeness of a display color to leaves and grass, 0..1: greener than blue and than a warm gray."""
     red, green, blue = (image[..., i] for i in range(3))
     brightest = np.maximum(image.max(axis=-1), 1e-3)

@@ -1,8 +1,10 @@
 """Wet materials: darkened porous surfaces, glossy paint, lamps, and mist. Linear light."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from ...scene.geometry import srgb_to_linear
 from ...scene.water_surface import WATER_REFLECTANCE, wet_albedo
@@ -12,6 +14,11 @@ from .masks import SurfaceShares, smoothstep
 from .noise import guided_filter, smooth_noise_at
 from .settings import WetSettings
 
+MATTE_GROUND = 0.5
+"""Share of the ground's own light where a mirror adds what water reflects. In RainSense at 9.2 mm/h a road before dark
+trees has 0.07 of the sky's light; relit roads of captures have 0.17, since the sky of a sunny picture is clipped."""
+MEAN_REFLECTANCE = 0.066
+"""Fresnel reflectance of water for diffuse light, the mean over all directions."""
 WHITE = 0.9
 """Albedo of white pixels."""
 SOAKING_OF_GROUND, SOAKING_OF_PLANTS, SOAKING_OF_WALLS, SOAKING_OF_VEHICLES = 1.0, 0.55, 0.55, 0.0
@@ -86,19 +93,36 @@ def emissive_share(view: ClearView, surfaces: SurfaceShares, tail_lamps: bool = 
     `tail_lamps` adds pixels of vehicles that are red, and redder than their surroundings.
     """
     light = srgb_to_linear(view.image).astype(np.float32)
+    size = 2 * max(2, round(_AROUND_SHARE * view.camera.width)) + 1
+
+    def mean(each: Plane) -> Plane:
+        return cv2.blur(each, (size, size))
+
+    own = lamp_share(light, mean, surfaces.vehicles if tail_lamps else np.zeros_like(surfaces.vehicles))
+    return (own * (1 - view.sky) * (1 - surfaces.ground)).astype(np.float32)
+
+
+def lamp_share(
+    light: Float32[np.ndarray, "*n 3"],
+    mean: Callable[[Float32[np.ndarray, "*n"]], Float32[np.ndarray, "*n"]],
+    with_tail_lamps: Float32[np.ndarray, "*n"],
+) -> Float32[np.ndarray, "*n"]:
+    """Confidence that each color (linear) is that of a light source, by its difference from the mean around it.
+
+    `with_tail_lamps` is the share of vehicles, whose red parts are lamps if redder than their surroundings.
+    """
     brightest = light.max(axis=-1)
     colorful = 1 - light.min(axis=-1) / np.maximum(brightest, 1e-4)
     is_lit = smoothstep(0.45, 0.75, brightest) * smoothstep(0.6, 0.8, colorful)
     red, green, blue = (light[..., i] for i in range(3))
     is_red_to_green = (green >= 0.9 * blue) | (red > 2 * blue)
-    size = 2 * max(2, round(_AROUND_SHARE * view.camera.width)) + 1
-    outshines = smoothstep(2.0, 4.0, brightest / (cv2.blur(brightest, (size, size)) + 0.02))
+    outshines = smoothstep(2.0, 4.0, brightest / (mean(brightest) + 0.02))
     own = is_lit * is_red_to_green * outshines
-    if tail_lamps and surfaces.vehicles.any():
+    if with_tail_lamps.any():
         redness = np.maximum(red - np.maximum(green, blue), 0)
-        redder = smoothstep(1.5, 2.5, redness / (cv2.blur(redness, (size, size)) + 0.02))
-        own = np.maximum(own, smoothstep(0.15, 0.4, redness) * redder * surfaces.vehicles)
-    return (own * (1 - view.sky) * (1 - surfaces.ground)).astype(np.float32)
+        redder = smoothstep(1.5, 2.5, redness / (mean(redness) + 0.02))
+        own = np.maximum(own, smoothstep(0.15, 0.4, redness) * redder * with_tail_lamps)
+    return own
 
 
 def add_emissive_lights(surface: Image, view: ClearView, share: Plane, glow: float) -> Image:

@@ -18,10 +18,6 @@ from .water import water_layer_of
 LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is not known, so nothing is made wet"
 """Skipped steps of views without surfaces."""
 
-_MATTE = 0.5
-"""Share of the ground's own light where a mirror adds what water reflects. In RainSense at 9.2 mm/h a road before dark
-trees has 0.07 of the sky's light; relit roads of captures have 0.17, since the sky of a sunny picture is clipped."""
-
 
 class WetTransfer:
     """Overcast light, wet materials, water, lamps and mist; consistent across views, since all come from the scene."""
@@ -45,22 +41,16 @@ class WetTransfer:
         def look(each: ClearView) -> Image:
             return rainy_light(each, light, settings, self._surroundings.ground(each))
 
-        has_surfaces, matte = view.has_surfaces, None
+        has_surfaces = view.has_surfaces
         rainy, film = look(view) if has_surfaces else rainy_image(view, settings), np.zeros_like(view.sky)
         if has_surfaces:
             water = water_layer_of(view, rainy, self._surroundings, look, settings.wetness, settings.seed)
             if water is not None:
-                ground = self._surroundings.ground(view)
-                darker = 1 - (1 - _MATTE) * (0 if ground is None else ground.share)
-                matte = _displayed((darker * water.through)[..., None] * rainy)
                 remaining = ((1 - water.share) * water.through)[..., None]
                 rainy, film = remaining * rainy + water.color, water.share
         left_out = "" if has_surfaces else LIGHT_AND_SKY
-        return RainyView(view, _displayed(rainy), film, left_out, matte=matte)
-
-
-def _displayed(linear: Image) -> Image:
-    return np.clip(linear_to_srgb(linear), 0, 1).astype(np.float32)
+        displayed = np.clip(linear_to_srgb(rainy), 0, 1).astype(np.float32)
+        return RainyView(view, displayed, film, left_out)
 
 
 def rainy_image(view: ClearView, settings: WetSettings) -> Image:

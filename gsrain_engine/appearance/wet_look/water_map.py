@@ -36,12 +36,14 @@ def with_water_map(scene: Scene) -> Scene:
     return replace(scene, water=find_water(scene))
 
 
-def find_water(scene: Scene, seed: int = 0) -> GroundWater | None:
+def find_water(scene: Scene, surroundings: SceneEnvironment | None = None, seed: int = 0) -> GroundWater | None:
     """Find the ground of a scene, and the water that it holds when fully wet; None without ground.
+
+    `surroundings` are those of the scene, if they are known already.
 
     Heights are rounded to millimeters, so that files hold them exactly. Depends on clear colors only.
     """
-    surroundings = SceneEnvironment(scene)
+    surroundings = surroundings or SceneEnvironment(scene)
     heights = surroundings.heights
     if heights is None or heights.scatter_m > _MAX_SCATTER_M:
         return None

@@ -11,21 +11,22 @@ from jaxtyping import Float32, UInt8
 
 from ...appearance.base import ClearView, RainyView, Transfer, TransferSettings
 from ...appearance.registry import find_method, open_transfer
-from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
+from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, evenly_spaced_indices, scene_views
 from ...appearance.wet_look.settings import WetSettings
 from ...datasets.open_capture import open_capture
 from ...evaluation.report import RunReport, write_report
 from ...evaluation.report_charts import ImageComparison
 from ...recolor.cached_colors import cached_scene, wet_color_file
 from ...recolor.problem import RecolorSettings
-from ...recolor.recolor import QUICK, rainy_scene
+from ...recolor.recolor import rainy_scene, wet_scene
 from ...recolor.result import read_recolored, with_colors
+from ...recolor.views import thumbnail
 from ...render.cpu.renderer import CpuRenderer
 from ...safe_io.numpy_files import read_archive
 from ...scene.camera import Camera
 from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
-from ...scene.progress import Progress
+from ...scene.progress import Progress, subprogress
 from ...scene.scene import Scene
 from .folder import OpenScene, new_report, write_copy
 from .job import Job
@@ -52,7 +53,7 @@ class TransferRequest:
 def make_rainy_job(open_scene: OpenScene, order: TransferRequest) -> Job[Scene]:
     """Create the job for the scene that is open when it begins.
 
-    The wet look of a scene's own views is read from the cache of `gsrain render --wet`, or computed and written there.
+    The computed wet look is read from the cache of `gsrain render --wet`, or computed and written there.
     """
     scene, known = open_scene()
     report = new_report(f"{scene.name} made rainy")
@@ -61,9 +62,8 @@ def make_rainy_job(open_scene: OpenScene, order: TransferRequest) -> Job[Scene]:
         nonlocal scene, known
         scene, known = open_scene()
         cache = None
-        if order.method == "wet" and order.capture is None:
-            settings = WetSettings(wetness=order.settings.wetness, seed=order.settings.seed)
-            cache = wet_color_file(scene, settings, order.choice)
+        if order.method == "wet":
+            cache = wet_color_file(scene, wet_settings(order))
         return write_copy(scene, folder, known), order, folder / COLORS_FILE, report, cache
 
     def read(folder: Path) -> Scene:
@@ -174,6 +174,7 @@ def preview_job(
 # Workers
 
 _READ, _RENDERED = 0.2, 0.6  # progress after reading and after rendering
+_PREVIEWED = 0.3  # progress of the computed wet look after its previews
 
 
 def make_rainy(
@@ -203,13 +204,29 @@ def make_rainy(
 def rainy_by(
     scene: Scene, order: TransferRequest, transfer: Transfer | None = None
 ) -> Generator[Progress, None, Scene]:
-    """Give a scene the wet colors of a request, in this process; yields and raises as `rainy_scene` does."""
+    """Give a scene the wet colors of a request, in this process; yields and raises as `rainy_scene` does.
+
+    The computed wet look needs no views; some are shown as the transfer makes them, if that is given.
+    """
+    is_computed = order.method == "wet"
+    if is_computed and transfer is None:
+        return (yield from wet_scene(scene, wet_settings(order)))
     transfer = transfer or _opened(order.method, order.settings, scene)
     capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
-    views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
-    # Images that are not consistent with each other need the robust steps and an exposure each.
-    settings = QUICK if order.method == "wet" else RecolorSettings()
-    return (yield from rainy_scene(scene, views, transfer, settings))
+    placed = chosen_cameras(scene, order.choice, capture)
+    if not is_computed:
+        # Images that are not consistent with each other need the robust steps and an exposure each.
+        return (yield from rainy_scene(scene, scene_views(scene, placed), transfer, RecolorSettings()))
+    shown = scene_views(scene, [placed[i] for i in evenly_spaced_indices(len(placed), _COMPARED)])
+    for number, rainy in enumerate(transfer.transferred(shown), 1):
+        message = f"Previewing view {number} of {len(shown)}"
+        yield Progress(_PREVIEWED * number / len(shown), message, thumbnail(rainy.image))
+    return (yield from subprogress(wet_scene(scene, wet_settings(order)), _PREVIEWED, 1.0))
+
+
+def wet_settings(order: TransferRequest) -> WetSettings:
+    """Settings of the computed wet look in a request."""
+    return WetSettings(wetness=order.settings.wetness, seed=order.settings.seed)
 
 
 def preview_view(

@@ -490,10 +490,10 @@ def _add_light(rgba, light):
 def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
     """Airlight of the medium behind the scene, as a premultiplied display color with alpha.
 
-    One pixel, for all, if the medium has no region.
+    One pixel, for all, if the medium has neither a region nor a floor.
     """
     color = np.append(linear_to_srgb(medium.airlight_linear), 1).astype(np.float32)
-    if not medium.has_region:
+    if medium.is_endless:
         return color[None, None]
     intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
     return (1 - medium.sky_transmittance(camera.width, camera.height, intrinsics))[..., None] * color

@@ -171,5 +171,10 @@ def medium_uniforms(medium: RainMedium) -> dict[str, Any]:
     return {"medium_numbers": numbers, "medium_drawn": drawn, "airlight": tuple(medium.airlight_linear.tolist())}
 
 
+def sky_uniforms(medium: RainMedium) -> dict[str, Any]:
+    """Uniforms of shaders that draw the airlight behind the scene."""
+    return medium_uniforms(medium) | {"medium_floor": tuple(medium.floor.tolist())}
+
+
 def _slots(count: int) -> int:
     return -(-count // SLOTS_BY_BLOCK) * SLOTS_BY_BLOCK

@@ -31,7 +31,7 @@ from ..renderer import (
 )
 from .buffers import GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
-from .projection import ProjectionPass, medium_uniforms
+from .projection import ProjectionPass, sky_uniforms
 from .shaders import GpuTimers, Switches, load_compute_shader, load_program
 from .sort import SLOTS, CpuSort, RadixSort, count_in
 from .tiles import TileRasterizer
@@ -304,7 +304,7 @@ class SplatRenderer:
         switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium, lit=lit)
         lights = {} if rain_light is None else {"rain_light": tuple(rain_light)}
         if medium is not None:
-            lights |= medium_uniforms(medium) | {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy)}
+            lights |= sky_uniforms(medium) | {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy)}
         self._tiles.draw(
             self._store, order, capacity, (target.color, target.depth, target.lamps), switches, lights, self._timers
         )  # fmt: skip
@@ -333,7 +333,7 @@ class SplatRenderer:
         target.framebuffer.clear()
         if medium is not None:
             sky, corners = self._program("screen.vert", "medium_sky.frag", switches)
-            for name, value in medium_uniforms(medium).items():
+            for name, value in sky_uniforms(medium).items():
                 sky[name] = value
             sky["intrinsics"] = camera.fx, camera.fy, camera.cx, camera.cy
             corners.render(moderngl.TRIANGLES, vertices=3)
