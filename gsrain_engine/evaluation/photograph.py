@@ -44,13 +44,13 @@ def rain_shares(
 def rain_over(
     background: Float32[np.ndarray, "h w *c"],
     share: Float32[np.ndarray, "h w"],
-    drop_levels: float | Float64[np.ndarray, "3"],
+    drop_levels: float | Float64[np.ndarray, "3"] | Float32[np.ndarray, "h w 3"],
     rain: RainSettings,
     sensor: Sensor | None,
 ) -> Float32[np.ndarray, "h w *c"]:
     """Return by how many gray levels rain changes a photographed background (gray levels), luma or color.
 
-    `drop_levels` is a drop's display level (0-255). With W the rain's share of a pixel, B the background and S the
+    `drop_levels` is a drop's display level (0-255), the same or one for each pixel. With W the rain's share of a pixel, B the background and S the
     drop's light: enc((1 - W) dec(B) + W S) - B, with the tone curve of the sensor; or a mix of display values, as set
     in the rain.
     """
