@@ -12,6 +12,8 @@ from ..water.refraction import WATER_INDEX
 _RINGS, _RAYS = 24, 32
 _GRID = (32, 16)  # directions across and down the picture: the light changes slowly over it
 _MINIFIED = 16
+_HIGHLIGHTS = 0.5
+"""Compression of highlights by the camera, c: a sky of gray 229 has 1.3 times the light that the tone curve says."""
 
 
 def drop_rays() -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
@@ -41,7 +43,7 @@ def light_before(
     on; above it is an overcast sky (Moon and Spencer 1942), (1 + 2 sin e) / 3 of its zenith at an elevation e, which
     has the display color `sky` halfway up to the picture's upper edge.
     """
-    linear = light_of_display(picture.astype(np.float64) / 255, curve).astype(np.float32)
+    linear = _scene_light(picture, curve).astype(np.float32)
     small = cv2.resize(linear, None, fx=1 / _MINIFIED, fy=1 / _MINIFIED, interpolation=cv2.INTER_AREA)
     rays, shares = drop_rays()
     columns, rows = (
@@ -61,6 +63,12 @@ def light_before(
     return cv2.resize(shown.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
 
 
+def _scene_light(levels: np.ndarray, curve: str) -> np.ndarray:
+    """Linear light L of gray levels by the inverse of the tone curve, and highlights with L (1 + c L^2)."""
+    light = light_of_display(levels.astype(np.float64) / 255, curve)
+    return light * (1 + _HIGHLIGHTS * light**2)
+
+
 def _environment(
     directions: Float64[np.ndarray, "r c n 3"],
     small: Float32[np.ndarray, "a b 3"],
@@ -78,5 +86,5 @@ def _environment(
     column = np.clip(x / camera.width * width, 0, width - 1).astype(np.int64)
     row = np.clip(y / camera.height * height, 0, height - 1).astype(np.int64)
     low = np.sin(np.arctan2(camera.cy / 2, camera.fy))
-    overcast = light_of_display(sky / 255, curve) * ((1 + 2 * np.clip(upward, 0, 1)) / (1 + 2 * low))[..., None]
+    overcast = _scene_light(sky, curve) * ((1 + 2 * np.clip(upward, 0, 1)) / (1 + 2 * low))[..., None]
     return np.where((y < 0)[..., None], overcast, small[row, column])

@@ -1,4 +1,4 @@
-"""Report of real and simulated rain as one table in Markdown, with intervals, and unlabeled pairs of pictures."""
+"""Report of real and simulated rain as one table in Markdown, with intervals."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
