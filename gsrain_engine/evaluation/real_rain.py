@@ -14,7 +14,7 @@ from ..datasets.rainsense import RainSequence
 from ..presets import load_config
 from ..rain.settings import HEAVIEST_MM_H, RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.camera_response import display_noise
+from ..render.camera_response import display_noise, light_of_display, tone_curve
 from ..scene.camera import Camera
 from ..scene.sensor import load_sensor
 from .drop_light import light_before
@@ -117,7 +117,7 @@ def simulated_frames(
     colors: Sequence[UInt8[np.ndarray, "h w 3"]],
     shares: Sequence[Float32[np.ndarray, "h w"]],
     rainfall: RainSimulation,
-    drop_levels: Float32[np.ndarray, "h w 3"],
+    drop_levels: Float64[np.ndarray, "3"],
     native_height: int,
 ) -> list[Photograph]:
     """Render rain over the background of real frames, with their slow changes of light and as much noise as they have.
@@ -175,6 +175,10 @@ def _chroma_deviation(colors: Sequence[UInt8[np.ndarray, "h w 3"]]) -> Float32[n
 
 _SKY_PERCENTILE = 90
 _FRAMES_OF_LIGHT = 9
+DROP_SHARE = 0.88
+"""Light of a drop as a share of that of the sky in the picture: a drop refracts light from up to 82 degrees around the
+line of sight, half of it from within 26 degrees, and reflects some. Integrated over the drop with Fresnel's
+transmittance, 8 degrees above the horizon, under the CIE's overcast sky over wet ground with 0.25 of its light."""
 _MAX_SPACING_S = 0.2
 
 
@@ -284,7 +288,7 @@ def compare_with_real_rain(
     real = median_residuals(frames)
     horizon = above_horizon(sequence)[3]
     sky = sky_levels(picture[:horizon] for picture in pictures)
-    drop = drop_levels(sequence, numbers, rain, window)
+    drop = light_of_drops(_color_of_light(colors, frames, sky), rain.sensor)
     times = [sequence.times_s[k] for k in numbers]
     light = slow_light(real.values)
     ours: list[MeasuredFrames] = []
@@ -305,6 +309,12 @@ def compare_with_real_rain(
         real=MeasuredFrames.of(frames, real, sky, None, colors=colors),
         ours=tuple(ours),
     )
+
+
+def light_of_drops(sky: Float64[np.ndarray, "3"], sensor: str | None) -> Float64[np.ndarray, "3"]:
+    """Display color of a drop in an open place, from that of the sky in the picture: DROP_SHARE of its light."""
+    curve = "srgb" if sensor is None else load_sensor(sensor).tone_curve
+    return 255 * tone_curve(DROP_SHARE * light_of_display(sky / 255, curve), curve)
 
 
 def rain_before(camera: Camera, rain: RainSettings, exposure_s: float | None) -> RainSimulation:

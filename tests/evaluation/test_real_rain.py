@@ -14,9 +14,11 @@ from gsrain_engine.evaluation.drop_light import drop_rays, light_before
 from gsrain_engine.evaluation.photograph import cropped_camera, photographed, rain_over, render_rain_frames
 from gsrain_engine.evaluation.rain_free import below_black, rain_free_frames
 from gsrain_engine.evaluation.real_rain import (
+    DROP_SHARE,
     MeasuredFrames,
     RealRainComparison,
     evenly_chosen,
+    light_of_drops,
     load_conditions,
     simulated_frames,
     slow_light,
@@ -110,6 +112,26 @@ def test_rain_over_color_is_that_over_each_channel():
         np.testing.assert_allclose(together[..., channel], alone, atol=0.05)
 
 
+def test_a_drop_has_the_light_that_it_refracts_and_reflects():
+    """Integrate over the disk of a drop 8 degrees above the horizon (CIE overcast sky, ground of 0.25 of it)."""
+    r, turn = np.meshgrid(np.sqrt((np.arange(400) + 0.5) / 400), 2 * np.pi * (np.arange(240) + 0.5) / 240)
+    into, inside = np.arcsin(r), np.arcsin(r / 1.333)
+    across = ((np.cos(into) - 1.333 * np.cos(inside)) / (np.cos(into) + 1.333 * np.cos(inside))) ** 2
+    along = ((1.333 * np.cos(into) - np.cos(inside)) / (1.333 * np.cos(into) + np.cos(inside))) ** 2
+    reflected = (across + along) / 2
+
+    def light(deviation):
+        elevation = np.arcsin(np.clip(np.sin(deviation) * np.sin(turn), -1, 1)) + np.radians(8)
+        sky = (1 + 2 * np.sin(np.clip(elevation, 0, None))) / (1 + 2 * np.sin(np.radians(8)))
+        return np.where(elevation > 0, sky, 0.25)
+
+    share = (1 - reflected) ** 2 * light(2 * (into - inside)) + reflected * light(np.pi - 2 * into)
+    assert share.mean() == pytest.approx(DROP_SHARE, abs=0.03)
+    sky = np.array([215.0, 220.0, 225.0])
+    linear = [light_of_display(each / 255, "crushed") for each in (light_of_drops(sky, "rainsense"), sky)]
+    np.testing.assert_allclose(linear[0] / linear[1], DROP_SHARE, atol=2e-3)
+
+
 def test_a_drop_has_the_light_that_surrounds_it():
     """An even picture under a sky of its own color; one half red and one half green, before which drops differ."""
     camera = replace(narrow_camera(), width=320, height=240, fx=300.0, fy=300.0, cx=160.0, cy=120.0)
@@ -182,8 +204,7 @@ def test_simulated_frames_have_the_noise_and_light_of_real_ones():
     rain = RainSettings(haze="none", sensor="rainsense", intensity_mm_h=0.0, exposure_s=0.008)
     colors = [np.full((240, 400, 3), 120, np.uint8)] * 12
     shares = [np.zeros((240, 400), np.float32)] * 12
-    drop = np.full((240, 400, 3), SKY, np.float32)
-    made = simulated_frames(darker, colors, shares, RainSimulation.start(rain), drop, 1080)
+    made = simulated_frames(darker, colors, shares, RainSimulation.start(rain), np.full(3, SKY), 1080)
     lumas = np.stack([each.luma for each in made])
     assert np.std(lumas.mean(axis=(1, 2))) == pytest.approx(3 / np.sqrt(2), rel=0.1)
     assert median_residuals(lumas).sigma.mean() == pytest.approx(real.sigma.mean(), rel=0.2)
