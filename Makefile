@@ -11,9 +11,9 @@ OUT ?= out
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
-		$(RUN)/gsrain --preset 8.5 --wet; \
+		$(RUN)/gsrain street:dusk --preset demo --wet --follow-path; \
 	else \
-		$(RUN)/gsrain render -o $(OUT)/demo.mp4 --rain 8.5 --wet --duration 6 && \
+		$(RUN)/gsrain render street:dusk -o $(OUT)/demo.mp4 --preset demo --wet --size 720x480 --fps 16 --duration 10 && \
 		echo "The video is at $(CURDIR)/$(OUT)/demo.mp4 (no display here; with one, make demo opens the window)"; \
 	fi
 
@@ -21,6 +21,7 @@ demo: setup
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 export PYTHONDONTWRITEBYTECODE =
 
+test: PACKAGES = tests
 test: setup
 	$(MAKE) --jobs=2 lint tests
 
@@ -129,7 +130,7 @@ $(VENV)/.installed-jobs: $(VENV)/.installed
 	@touch $@
 
 system:
-	@PYTHON="$(PYTHON)" sh ./system_packages.sh
+	@PYTHON="$(PYTHON)" sh ./system_packages.sh $(PACKAGES)
 
 clean:
 	rm -rf $(VENV) $(OUT)

@@ -1,5 +1,6 @@
 #!/bin/sh
 # Checks for the system libraries that GSRAIN needs; installs what is missing where it may, else prints the one line.
+# With "tests" also for what tests skip without.
 set -eu
 
 missing=""
@@ -21,6 +22,9 @@ need libgomp1 library libgomp.so.1
 need libxrender1 library libXrender.so.1
 need xvfb command -v Xvfb
 need xauth command -v xauth
+if [ "${1:-}" = tests ] && { [ "$(id -u)" = 0 ] || [ -n "$missing" ]; }; then
+    need chromium sh -c 'command -v chromium || command -v chromium-browser || command -v google-chrome'
+fi
 [ -n "$missing" ] || exit 0
 
 line="apt-get update && apt-get install -y --no-install-recommends$missing"

@@ -126,6 +126,7 @@ class _Run:
     sequence: FrameSequence
     sky: SkyLight
     frames_ms: list[float] = field(default_factory=list[float])
+    processor_ms: list[float] = field(default_factory=list[float])
     stages_ms: dict[str, list[float]] = field(default_factory=dict[str, list[float]])
     last: RenderStatistics = field(default_factory=RenderStatistics)
 
@@ -134,7 +135,7 @@ class _Run:
         rain = sequence.rainfall
         wetness, overcast = rain.soaked_share_at(shot.time_s), rain.overcast_at(shot.time_s)
         parts = sequence.scene.parts(shot.time_s, wetness=wetness, overcast=overcast)
-        start = time.perf_counter()
+        start, used = time.perf_counter(), time.process_time()
         falling = sequence.rainfall.frame(shot.time_s, rain_camera(sequence.scene, sequence.rainfall, shot), self.sky)
         rained = time.perf_counter()
         self.renderer.draw(parts, shot.camera, falling)
@@ -144,6 +145,7 @@ class _Run:
         self.last = self.renderer.statistics
         if counts:
             self.frames_ms.append(1000 * (end - start))
+            self.processor_ms.append(1000 * (time.process_time() - used))
             rain = {"rain": 1000 * (rained - start)} if falling.rain.intensity_mm_h > 0 else {}
             for stage, took_ms in (rain | self.last.stages_ms | {"read": 1000 * (end - drawn)}).items():
                 self.stages_ms.setdefault(stage, []).append(took_ms)
@@ -168,6 +170,7 @@ class _Run:
             "frame_ms_median": median(self.frames_ms),
             "frame_ms_min": min(self.frames_ms),
             "frame_ms_max": max(self.frames_ms),
+            "processor_ms_min": min(self.processor_ms),
             "ns_per_splat": 1e6 * median(self.frames_ms) / splats if splats else None,
             "stages_ms": {stage: median(took_ms) for stage, took_ms in self.stages_ms.items()},
         }

@@ -35,6 +35,7 @@ _PACKAGES = {
     "distributed": ("gsrain sweep on a Dask cluster", "drive"),
     "gymnasium": ("the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
     "mcap": ("roll-outs for Foxglove", "drive"),
+    "rerun-sdk": ("drives as Rerun recordings", "rerun"),
     "scenariogeneration": ("writing OpenSCENARIO and OpenDRIVE", "drive"),
     "protobuf": ("Waymo Perception v1 (TFRecord files)", "waymo"),
 }

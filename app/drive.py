@@ -37,6 +37,7 @@ from gsrain_engine.simulation.agents.registry import (
     open_agent,
 )
 from gsrain_engine.simulation.ground import recorded_route
+from gsrain_engine.simulation.interop.mcap import CameraImage
 from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
 from gsrain_engine.simulation.obstacles import drivable_of
 from gsrain_engine.simulation.playback import RolloutPlayback
@@ -178,6 +179,9 @@ def drive(
     export: Annotated[
         str, option("Also write runs as parquet, mcap (Foxglove), xosc (OpenSCENARIO), with commas.")
     ] = "",
+    rerun: Annotated[
+        Path | None, option("Also write a Rerun recording (.rrd): scene, boxes, plan, plots, camera. One run only.")
+    ] = None,
     drawing: DrawingOptions | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
@@ -196,8 +200,12 @@ def drive(
     folder = output or Path(f"drive-{file_word(test.name)}")
     files = DriveFiles(folder, frozenset(split_words(export)), fps)
     files.check()
-    check_writable(json, folders=[folder])
-    lock_outputs(folder)
+    if rerun is not None and rerun.suffix.lower() != ".rrd":
+        raise ValueError(f"--rerun {rerun}: expected the name of a Rerun recording (.rrd)")
+    check_writable(json, rerun, folders=[folder])
+    if rerun is not None and find_spec("rerun") is None:
+        raise ValueError("--rerun needs rerun-sdk: pip install 'gsrain[rerun]'")
+    lock_outputs(folder, *([] if rerun is None else [rerun]))
     with ExitStack() as stack:
         agents = stack.enter_context(options.opened())  # before the scene, which takes longer to read
         hashed = scene_hash(test.scene)
@@ -210,13 +218,15 @@ def drive(
         films = video if video is not None else len(agents) * len(rains) == 1 and can_film
         if films and not opened.rigs:
             raise ValueError(f"--video: scene {opened.name!r} has no rig whose front camera could film")
+        if rerun is not None and len(agents) * len(rains) > 1:
+            raise ValueError(f"--rerun {rerun}: holds one run, not {len(agents)} agents in {len(rains)} rains")
         names, rains_mm_h = [each.name for each in agents], [each.intensity_mm_h for each in rains]
         doubled = next((name for name in names if names.count(name) > 1), None)
         if doubled is not None:
             raise ValueError(f"--agent: two agents are called {doubled!r}, and so would be their files")
         check_writable(json, *files.planned(test.name, names, rains_mm_h, rains[0].seed, films=films))
         lod, renderer = (drawing or DrawingOptions()).changes().get("lod"), None
-        if films or any(agent.needs.cameras for agent in agents):
+        if films or (rerun is not None and opened.rigs) or any(agent.needs.cameras for agent in agents):
             opened = opened if lod_cut(opened, lod) is None else with_lod_trees(opened)
             renderer = stack.enter_context(open_renderer(backend))
         runs: list[ScoredRun] = []
@@ -235,6 +245,8 @@ def drive(
             raise ValueError(problem)
         facts = run_provenance({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts), lod)
+        if rerun is not None:
+            _write_rerun(rerun, runs[0], opened, renderer if opened.rigs else None, lod)
     print_lines(results_table(compare_drives(runs)).text)
     if len(rains) > 1 and test.friction == "dry":
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
@@ -247,6 +259,8 @@ def drive(
     print(f"{folder}:")
     for name in written:
         print(f"  {name}")
+    if rerun is not None:
+        print(f"{rerun}: opens with rerun {rerun}")
     rows = [msgspec.to_builtins(run.metrics) for run in runs]
     write_numbers(json, {**rows[0], "rows": rows} if len(rows) == 1 else {"rows": rows})
     if problem is not None:
@@ -400,6 +414,22 @@ def _write_run(
                 advance()
         written.append(file(".mp4"))
     return written
+
+
+def _write_rerun(path: Path, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None) -> None:
+    from gsrain_engine.simulation.interop.rerun_file import write_rollout_rerun
+
+    rollout = run.rollout
+    assert rollout is not None
+    images = () if renderer is None else RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod).front_images()
+    with progress_bar("Recording", len(rollout.steps) if renderer else 1, draws=True) as advance:
+
+        def counted() -> Generator[CameraImage]:
+            for image in images:
+                yield image
+                advance()
+
+        write_rollout_rerun(path, rollout, scene, recorded_route(scene), counted())
 
 
 def _export(kind: str, path: Path, rollout: Rollout, scene: Scene) -> None:

@@ -20,7 +20,7 @@ def edit(
     /,
     *steps: Annotated[str, option('Edits in order, such as "rename key=layers/road name=asphalt".')],
     output: Annotated[
-        Path | None, option("Scene folder, or file (.ply .splat .spz), to write.", "--output", "-o")
+        Path | None, option("Scene folder, or file (.ply .spz .glb .usdz ...), to write.", "--output", "-o")
     ] = None,
     steps_file: Annotated[
         Path | None,

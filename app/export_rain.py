@@ -30,7 +30,7 @@ def export_rain(
     *,
     output: Annotated[
         Path,
-        setting(ExportSettings, "output", "Here a file (.ply .splat .spz) for a scene, a new folder for a recording."),
+        setting(ExportSettings, "output", "Here a file (.ply .spz ...) for a scene, a new folder for a recording."),
     ],
     rain: RainOptions | None = None,
     time: Annotated[float, setting(ExportSettings, "first_s", "Scenes only.")] = 0.0,

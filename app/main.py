@@ -22,7 +22,7 @@ from gsrain_engine.scene.files import sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
 from .console import Console, console_log, use_any_encoding
-from .options import JsonFileOrScreen, Preset, Wet, has_display, option, parse_whole_numbers, reject_non_finite
+from .options import JsonFileOrScreen, Preset, Wet, flag, has_display, option, parse_whole_numbers, reject_non_finite
 from .outputs import check_writable, release_outputs, table_stream, write_numbers
 
 if TYPE_CHECKING:
@@ -78,9 +78,14 @@ def view(
         Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"],
         option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU."),
     ] = "auto",
+    follow_path: Annotated[bool, flag("Look through the camera that moves along the scene's path.")] = False,
 ) -> None:
     """Open a scene in the window."""
-    if scene is not None and not re.fullmatch(r"street(:overcast|:night|:long)?", scene) and not Path(scene).exists():
+    if (
+        scene is not None
+        and not re.fullmatch(r"street(:overcast|:dusk|:night|:long)?", scene)
+        and not Path(scene).exists()
+    ):
         from gsrain_engine.scene.open import load_scene
 
         load_scene(scene)  # its error suggests similar names
@@ -91,7 +96,7 @@ def view(
     def begin() -> "Editor":
         from gsrain_engine.rain.settings import load_preset  # load the engine only after the window is open
 
-        return begin_editor(scene, load_preset(preset) if preset else None, wet)
+        return begin_editor(scene, load_preset(preset) if preset else None, wet, follow_path=follow_path)
 
     run_window(begin, backend)
 

@@ -15,7 +15,7 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes, read_keyframes
 from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
@@ -81,6 +81,9 @@ def render(
     rain: RainOptions | None = None,
     camera: Annotated[Path | None, option("Camera file (JSON) in the scene's own units and axes.")] = None,
     camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, or 3DGS's cameras.json.")] = None,
+    rain_keyframes: Annotated[
+        Path | None, option("Rain keyframes (YAML or JSON) in place of the scene's: intensity, wind, wetness, lamps.")
+    ] = None,
     speed: Annotated[
         float | None, option("Speed on the camera path in m/s; default: its own, or walking pace.")
     ] = None,
@@ -113,7 +116,9 @@ def render(
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
-    settings, weather = rain_options.for_scene(opened), rendered_weather(rain_options, opened)
+    settings, weather = rain_options.for_scene(opened), rendered_weather(rain_options, opened, rain_keyframes)
+    if wet is False and weather is not None:
+        weather = weather.without("wetness")
     heaviest = max(intensities or [(weather or NO_KEYFRAMES).heaviest_mm_h(settings)])
     load_calibration(settings.calibration)  # before colors are computed for a rain that can't be made
     opened, settings = rainy_light(opened, settings, wet, heaviest)
@@ -182,18 +187,21 @@ def rainy_light(scene: Scene, rain: RainSettings, wet: bool | None, heaviest_mm_
 
 _KEYED_OPTIONS: dict[Keyed, tuple[str, ...]] = {
     "intensity_mm_h": ("intensity_mm_h",), "exposure_s": ("exposure_s",),
-    "wind_m_s": ("wind_speed_m_s", "wind_from_deg"),
+    "wind_m_s": ("wind_speed_m_s", "wind_from_deg"), "wetness": ("wetness",), "lamp_gain": ("lamp_gain",),
 }  # fmt: skip
 
 
-def rendered_weather(options: RainOptions, scene: Scene) -> RainKeyframes | None:
-    """Return the rain keyframes saved with a scene, without those that options of the rain replace.
+def rendered_weather(options: RainOptions, scene: Scene, file: Path | None = None) -> RainKeyframes | None:
+    """Return the rain keyframes of a file, else those saved with a scene, without those that options replace.
 
-    Raises `msgspec.ValidationError` if the saved keyframes are invalid.
+    Raises `ValueError` if they are invalid, and `OSError` if the file can't be read.
     """
-    if scene.weather is None or options.preset is not None:
+    if file is not None:
+        weather = read_keyframes(file)
+    elif scene.weather is None or options.preset is not None:
         return None
-    weather = convert_checked(scene.weather, RainKeyframes)
+    else:
+        weather = convert_checked(scene.weather, RainKeyframes)
     changed = options.changes()
     for field, options_of_it in _KEYED_OPTIONS.items():
         weather = weather if changed.keys().isdisjoint(options_of_it) else weather.without(field)

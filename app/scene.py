@@ -21,7 +21,7 @@ from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.formats.registry import FORMATS, format_of, unknown_format
+from gsrain_engine.scene.formats.registry import FORMATS, format_of, lost_in_file, unknown_format
 from gsrain_engine.scene.formats.scene_files import (
     INNER_SCENE,
     is_foreign_scene_folder,
@@ -339,7 +339,8 @@ def convert(
 ) -> None:
     """Convert a scene. A scene folder stores orientation and unit, and a large one a level-of-detail tree.
 
-    A single file gets all visible layers, and actors at their place at time 0, in meters with -y up.
+    A single file gets all visible layers, and actors at their place at time 0, in meters and its format's axes; a .usdz
+    keeps layers, tracks and rigs. One line names what the file leaves out.
     """
     check_within("--wetness", wetness, 0, 1)
     check_scene_target(target)
@@ -371,6 +372,9 @@ def convert(
         count = sum(len(part.gaussians) for part in scene.parts()) - left_out
         flags = f"; {left_out:,} deleted or hidden ones are left out" if left_out else ""
         print(f"{target}: {count:,} Gaussians{flags}")
+        lost = lost_in_file(scene, target)
+        if lost:
+            print(f"{target.name} leaves out: {', '.join(lost)}")
     write_numbers(json, {"gaussians": count, "left_out": left_out})
 
 

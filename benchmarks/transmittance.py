@@ -136,9 +136,11 @@ class WallPair:
 
 
 def wall_camera(size: tuple[int, int] = SIZE) -> Camera:
-    """Camera that looks along x."""
-    eye = np.array(EYE_M)
-    return Camera.from_fov(*size, FOV_DEG, look_at(eye, eye + (1.0, 0.0, 0.0), np.array([0.0, 0.0, 1.0])))
+    """Camera that looks along x; a smaller picture is the middle of a larger one."""
+    eye, fov = np.array(EYE_M), 2 * np.arctan(size[1] / SIZE[1] * np.tan(np.radians(FOV_DEG / 2)))
+    return Camera.from_fov(
+        *size, float(np.degrees(fov)), look_at(eye, eye + (1.0, 0.0, 0.0), np.array([0.0, 0.0, 1.0]))
+    )
 
 
 def wall_scene(distance_m: float, light: float, camera: Camera) -> Scene:
@@ -154,9 +156,9 @@ def wall_scene(distance_m: float, light: float, camera: Camera) -> Scene:
     return Scene("wall", (Layer("wall", gaussians),))
 
 
-def ray_lengths_m(distance_m: float) -> Float64[np.ndarray, "h w"]:
+def ray_lengths_m(distance_m: float, size: tuple[int, int] = SIZE) -> Float64[np.ndarray, "h w"]:
     """Length of each pixel's ray up to the wall."""
-    camera = wall_camera()
+    camera = wall_camera(size)
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     return distance_m * np.sqrt(1 + x**2 + y[:, None] ** 2)

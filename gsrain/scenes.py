@@ -63,7 +63,9 @@ def load(
 
 
 def save(scene: Scene, path: Path | str) -> None:
-    """Save a scene as a scene folder, which keeps everything, or as one file: .ply, .splat or .spz, by the ending.
+    """Save a scene as a scene folder, which keeps everything, or as one file by its ending, such as .ply, .spz, .glb.
+
+    A .usdz keeps layers, actors, tracks and rigs; other files get what is visible at time 0.
 
     Raises `SceneFormatError` for an ending that can't be written, `OSError` where the disk refuses.
     """

@@ -53,6 +53,12 @@ def has_kernels() -> bool:
     return mark is not None and mark.is_file()
 
 
+def stores_kernels() -> bool:
+    """Return whether kernels that another process compiles can be read from the cache folder."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return folder is not None and _has_room(Path(folder))
+
+
 def mark_kernels() -> None:
     """Mark the cache folder as holding all kernels of a frame; does nothing if the disk can't be written."""
     if (mark := _mark()) is not None:

@@ -5,6 +5,7 @@
 #define LOADS_SPLATS
 #include "common_alpha.glsl"
 #include "common_splat.glsl"
+#include "common_splat_blocks.glsl"
 
 const uint TILE = 16u;  // px
 const float SLACK = 1e-2;  // px; margin for rounding
@@ -34,7 +35,7 @@ Ellipse ellipse_of(Splat splat) {
     float major = dot(a, a), minor = splat.second * splat.second;
     vec2 b = splat.second * inversesqrt(major) * vec2(-a.y, a.x);
     float xx = a.x * a.x + b.x * b.x, xy = a.x * a.y + b.x * b.y, yy = a.y * a.y + b.y * b.y;
-    float alpha = unpackHalf2x16(splat.appearance.y).y;
+    float alpha = alpha_in(splat.appearance);
     float depth = 2.0 * log(max(alpha, 1e-30) / alpha_cut(splat.second < 0.0));
     return Ellipse(splat.center, depth, xy / yy, major * minor / yy, yy, xy * sqrt(max(depth, 0.0) / xx));
 }

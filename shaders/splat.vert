@@ -6,6 +6,7 @@
 #define LOADS_SPLATS
 #include "common_alpha.glsl"
 #include "common_splat.glsl"
+#include "common_splat_blocks.glsl"
 
 layout(std430, binding = 1) readonly buffer Order { uint order[]; };  // slots, nearest first
 layout(std430, binding = 7) readonly buffer Work { uint draw_command[5]; uint visible_count; };
@@ -26,8 +27,7 @@ void main() {
         return;
     }
     Splat splat = load_splat(order[visible_count - 1u - number]);
-    vec2 blue_alpha = unpackHalf2x16(splat.appearance.y);
-    color_log_alpha = vec4(unpackHalf2x16(splat.appearance.x), blue_alpha.x, log2(blue_alpha.y));
+    color_log_alpha = vec4(color_in(splat.appearance), log2(alpha_in(splat.appearance)));
     view_depth = splat.depth;
     is_rain = splat.second < 0.0 ? 1 : 0;
     float cut = is_rain != 0 ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT;

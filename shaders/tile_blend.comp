@@ -67,13 +67,13 @@ void main() {
         if (unfinished == 0u) break;
         if (start + thread < last) {
             Splat splat = load_splat(slots[start + thread]);
-            vec2 a = splat.first_axis, blue_alpha = unpackHalf2x16(splat.appearance.y);
+            vec2 a = splat.first_axis;
             float major = dot(a, a);
             vec2 b = vec2(-a.y, a.x) * inversesqrt(major);
             center_along[thread] = vec4(splat.center, TO_OFFSET / major * a);
             across_alpha[thread] = vec4(
-                TO_OFFSET / abs(splat.second) * b, log2(blue_alpha.y), splat.second < 0.0 ? -splat.depth : splat.depth);
-            colors[thread] = vec3(unpackHalf2x16(splat.appearance.x), blue_alpha.x);
+                TO_OFFSET / abs(splat.second) * b, log2(alpha_in(splat.appearance)), splat.second < 0.0 ? -splat.depth : splat.depth);
+            colors[thread] = color_in(splat.appearance);
         }
         barrier();
         uint count = min(BATCH, last - start);

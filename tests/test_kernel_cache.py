@@ -126,6 +126,29 @@ def test_kernels_of_a_frame_are_marked_after_compilation(tmp_path, monkeypatch):
     assert has_kernels()
 
 
+def test_kernels_that_are_missing_are_compiled_by_another_process(tmp_path, monkeypatch):
+    from gsrain_engine.editor.drawing import textures
+
+    calls = tmp_path / "calls"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("CALLS", str(calls))
+    monkeypatch.setattr(textures, "compile_kernels", note_process)
+
+    def processes():
+        calls.write_text("")
+        textures.load_kernels()
+        return [int(line) == os.getpid() for line in calls.read_text().split()]
+
+    assert processes() == [False, True]
+    mark_kernels()
+    assert processes() == [True]
+
+
+def note_process():
+    with Path(os.environ["CALLS"]).open("a") as file:
+        file.write(f"{os.getpid()}\n")
+
+
 @pytest.fixture
 def own_places(tmp_path, monkeypatch):
     """Cache and temporary files of this test alone."""

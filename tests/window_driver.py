@@ -30,14 +30,16 @@ class Driver:
         self.editor.playback.clock.playing = False
         self.window = MainWindow(lambda: self.editor, backend)
         self.folder = tmp_path
+        self.size_px, self.dpi_scale = (1100, 720), 1.0
         self.ctx = None
         self._is_seen = False
 
     def run(self, script):
-        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False)
+        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False, hint=False)
         parameters = self.window.parameters()
         parameters.ini_disable = True
-        parameters.app_window_params.window_geometry.size = (1100, 720)  # px
+        parameters.app_window_params.window_geometry.size = self.size_px
+        parameters.dpi_aware_params.dpi_window_size_factor = self.dpi_scale
         parameters.callbacks.before_imgui_render = self._paint_less
 
         def act(ctx):

@@ -18,6 +18,7 @@ from .commands.table import COMMANDS
 from .shell import bring_to_front, panel_windows
 from .tools import TOOLS
 from .widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
+from .widgets.type_ahead import is_menu_open
 
 
 @contextmanager
@@ -106,9 +107,10 @@ def draw_questions(viewport: ViewportState, files: Files, status: StatusBus) -> 
             "Save the scene", SCENE_FOLDERS, lambda chosen: save(chosen[0]), proposed=name, confirms=False
         )
     question = status.question
-    # Tab and arrows move between answers while a question is open; otherwise they are keys of the view.
+    # Tab and arrows move between answers and items while a question, menu or list is open, else they are the view's.
     io, keyboard = imgui.get_io(), int(imgui.ConfigFlags_.nav_enable_keyboard)
-    io.config_flags = io.config_flags & ~keyboard if question is None else io.config_flags | keyboard
+    is_open = question is not None or is_menu_open()
+    io.config_flags = io.config_flags | keyboard if is_open else io.config_flags & ~keyboard
     if question is None:
         return
     viewport.options.dialog = ""  # nothing else is on top of it

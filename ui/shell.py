@@ -14,18 +14,30 @@ from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
 from .widgets.fields import WARNING
 from .widgets.text import label
+from .widgets.type_ahead import is_menu_open
+
+_NO_OWNER = 0xFFFFFFFF  # ImGuiKeyOwner_NoOwner
 
 
 def act_on_keys(editor: Editor) -> None:
-    """Run the commands and tools of the keys pressed since the last frame, unless a text field has the focus."""
-    if imgui.get_io().want_text_input:
+    """Run the commands and tools of the keys pressed since the last frame.
+
+    None of them if a text field has the focus, and none of keys that a widget uses, such as the arrows of a compass.
+    """
+    if imgui.get_io().want_text_input or is_menu_open():
         return
     for tool in TOOLS:
         if tool.key is not None and imgui.is_key_chord_pressed(chord(tool.key)):
             editor.viewport.options.tool = "" if editor.viewport.options.tool == tool.name else tool.name
     for command in COMMANDS:
-        if any(imgui.is_key_chord_pressed(keys) for keys in chords_of(command)):
+        if any(imgui.is_key_chord_pressed(keys) and not _is_used(keys) for keys in chords_of(command)):
             command.perform(editor)
+
+
+def _is_used(keys: int) -> bool:
+    """Return True if a widget that has the focus uses the key of a chord."""
+    key = imgui.Key(keys & ~int(imgui.Key.mod_mask_))
+    return not imgui.internal.test_key_owner(key, _NO_OWNER)
 
 
 # Menu bar

@@ -38,6 +38,7 @@ from gsrain_engine.scene.files import whole_file
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
 from .widgets.text import escape_all_text
+from .widgets.type_ahead import install_type_ahead
 
 if TYPE_CHECKING:
     from gsrain_engine.editor.drawing.live_view import WindowBackend
@@ -52,10 +53,13 @@ _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasa
 _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
 
 
-def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool | None = None) -> "Editor":
+def begin_editor(
+    scene: str | None, rain: "RainSettings | None", wet: bool | None = None, *, follow_path: bool = False
+) -> "Editor":
     """Create an editor that opens a scene (None is the built-in street) in the background.
 
-    `wet` makes wet colors if the scene has none; False shows it as lit in any rain.
+    `wet` makes wet colors if the scene has none; False shows it as lit in any rain. `follow_path` looks through the
+    camera that moves along the scene's path.
 
     After a lost graphics context it continues with the state of the previous window. Loads the engine.
     """
@@ -71,6 +75,7 @@ def begin_editor(scene: str | None, rain: "RainSettings | None", wet: bool | Non
         editor.files.go_on_at(Path(autosave))
     else:
         editor.files.open((restarts and left) or scene or "street")
+        editor.viewport.options.follow_path = follow_path
         if wet:
             editor.wet_look.make_soon()
     if restarts:
@@ -144,11 +149,13 @@ class MainWindow:
         self._title = ""
         self._ended_by: int | None = None
         self._style: Preferences | None = None
+        self._content_scale = 1.0
         self.failure: Exception | None = None
         """Error that prevented the program from loading or continuing, and closes the window."""
 
     def parameters(self) -> hello_imgui.RunnerParams:
         escape_all_text()
+        install_type_ahead()
         parameters = hello_imgui.RunnerParams()
         parameters.app_window_params.window_title = "GSRAIN"
         parameters.app_window_params.window_geometry.size = (1440, 900)
@@ -233,6 +240,7 @@ class MainWindow:
         """Set the icon, create the contexts of OpenGL and plots, accept dropped files, start loading."""
         window = glfw_utils.glfw_window_hello_imgui()
         set_window_icon(window)
+        self._content_scale = _content_scale()
         implot.create_context()
         self._context = moderngl.create_context(require=430)
         monitor_context(self._context, glfw.get_proc_address)
@@ -269,10 +277,13 @@ class MainWindow:
 
     def advance(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
-            preferences = self.workspace.editor.preferences.value
+            preferences, scale = self.workspace.editor.preferences.value, _content_scale()
+            if scale != self._content_scale:  # the window has come to a monitor with another scale
+                imgui.get_style().font_scale_dpi *= scale / self._content_scale
+                self._content_scale, self._style = scale, None
             if preferences != self._style:
                 self._style = preferences
-                apply_style(preferences)
+                apply_style(preferences, imgui.get_style().font_scale_dpi)
             self.workspace.update()
             if self._on_frame is not None:
                 self._on_frame(self.workspace)
@@ -317,6 +328,11 @@ class MainWindow:
         if self._pictures is not None:
             self._pictures.release()
         implot.destroy_context()
+
+
+def _content_scale() -> float:
+    """Scale of the monitor that the window is on, such as 2.0."""
+    return float(glfw.get_window_content_scale(glfw_utils.glfw_window_hello_imgui())[0]) or 1.0
 
 
 def leave_out_background(window: hello_imgui.DockableWindow) -> None:
@@ -490,7 +506,8 @@ _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.
 _MIN_TAB_PX = 30.0  # tabs shrink to this width in a narrow window before they scroll
 
 
-def apply_style(preferences: Preferences) -> None:
+def apply_style(preferences: Preferences, scale: float = 1.0) -> None:
+    """Set colors and sizes; `scale` is that of the screen, by which hello_imgui multiplies sizes only at the start."""
     for_screen = imgui.get_style().font_scale_dpi
     hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()
@@ -503,7 +520,7 @@ def apply_style(preferences: Preferences) -> None:
     style.docking_node_has_close_button = False
     style.item_spacing = ImVec2(8, 5)
     style.frame_padding = ImVec2(7, 4)
-    style.scale_all_sizes(preferences.ui_scale)
+    style.scale_all_sizes(preferences.ui_scale * scale)
     style.font_scale_main = preferences.font_scale
     style.font_scale_dpi = for_screen
     style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))  # the dark theme would brighten it

@@ -1,6 +1,7 @@
 """An editor in the window: live view, panels and menus. Importing this loads the engine."""
 
 import time
+from collections.abc import Callable
 
 import moderngl
 from imgui_bundle import hello_imgui, imgui
@@ -14,9 +15,10 @@ from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
+from .folding import FoldedPanels, show_panel
 from .panels.registry import all_panels
 from .parts import bind_parts
-from .shell import act_on_keys, draw_menus, status_bar
+from .shell import act_on_keys, draw_menus, panel_windows, status_bar
 from .tools import TOOLS
 from .viewport.panel import viewport_panel
 from .widgets.file_dialogs import draw_file_dialogs, is_file_dialog_open
@@ -48,21 +50,48 @@ class Workspace:
         self._previews = JobPreviews(context)
         self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
         self._captures = CaptureTextures(context)
+        self._frame_preview = CachedTexture(context)
         self._palette = CommandPalette()
+        self.folded = FoldedPanels()
         self._pace = FrameClock()
         self._capture = editor.captures.capture
         self._last_problem = ""
+        self._drawn, self._front = set[str](), ("",)
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
         windows, panels = list[hello_imgui.DockableWindow](), all_panels()
+        before = self.editor.preferences.value
         for panel in panels:
-            draw = bind_parts(panel.draw, self.editor)
+            draw = self._noting_visible(panel.title, bind_parts(panel.draw, self.editor))
             window = hello_imgui.DockableWindow(panel.window_name, _SPACES[panel.side], draw)
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
-            window.focus_window_at_next_frame = is_first_there
+            window.focus_window_at_next_frame = panel.title in before.front_panels or (
+                is_first_there and not before.front_panels
+            )
+            window.is_visible = panel.title not in before.hidden_panels
             window.can_be_closed = False  # a close button on each tab takes too much width; View > Panels hides them
             windows.append(window)
         return windows
+
+    def _noting_visible(self, title: str, draw: Callable[[], object]) -> Callable[[], None]:
+        """Return a panel's drawing that notes that the panel is in front."""
+
+        def draw_and_note() -> None:
+            self._drawn.add(title)
+            draw()
+
+        return draw_and_note
+
+    def _remember_panels(self) -> None:
+        """Put the panels that are in front, and those that are hidden, into the preferences when they change."""
+        front, self._drawn = tuple(sorted(self._drawn)), set()
+        is_stable, self._front = front == self._front, front
+        titles = {each.window_name: each.title for each in all_panels()}
+        hidden = tuple(sorted(titles[each.label] for each in panel_windows() if not each.is_visible))
+        preferences = self.editor.preferences
+        before = preferences.value.front_panels, preferences.value.hidden_panels
+        if is_stable and front and (front, hidden) != before:
+            preferences.set(front_panels=front, hidden_panels=hidden)
 
     @property
     def title(self) -> str:
@@ -72,7 +101,9 @@ class Workspace:
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
+        self.folded.update()
         self._take_picture()
+        self._remember_panels()
         editor.tick(self._pace.step(imgui.get_io().delta_time))
         if editor.is_working:
             time.sleep(_FOR_THREADS_S)
@@ -80,6 +111,7 @@ class Workspace:
         pictures = {} if wet_look.previewed is None else wet_look.previewed.images.pictures
         shown = {name: each.show(pictures.get(name)) for name, each in self._wet_preview.items()}
         wet_look.textures = {name: texture for name, texture in shown.items() if texture is not None}
+        editor.render_queue.preview_texture = self._frame_preview.show(editor.render_queue.preview)
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
@@ -107,13 +139,16 @@ class Workspace:
         if capture is not self._capture:
             self._capture = capture
             if capture is not None:  # the view shows nothing of a capture without poses
-                imgui.set_window_focus("Capture")
-        width, height = viewport_panel(editor, self.tools, self.pictures.last)
+                show_panel("Capture")
+        width, height = viewport_panel(editor, self.tools, self.pictures.last, self.folded)
         self._captures.draw_points(
             editor.captures, editor.document.scene, editor.viewport.canvas_view(width, height).camera
         )
         if not self.pictures.is_drawing:
             self.pictures.begin(editor.render_input(width, height), editor.mosaic_input())
+        else:
+            viewport = editor.viewport
+            self.pictures.reconsider(viewport.shot(width, height), editor.split_panes, viewport.options.look)
         self._palette.draw(editor)
         keyboard_page(editor.viewport)
         about_page(editor.viewport)
@@ -121,6 +156,7 @@ class Workspace:
 
     def close(self) -> None:
         """Wait for the picture that is being drawn, and stop its thread. Further calls do nothing."""
+        self.folded.unfold()  # layouts are saved with all docks
         self.pictures.close()
 
     def _take_picture(self) -> None:

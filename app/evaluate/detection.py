@@ -148,10 +148,11 @@ def detection(
     """Measure what rain does to object detectors: confidence, boxes, classes and average precision by intensity.
 
     Each view is shown as recorded (if a capture has it), clear, and in rains of several seeds. Ground truth comes from
-    the scene's actors (the street: its lead car, parked cars and trucks), from a capture's 3D boxes, or from a COCO
-    file. Objects lower than 16 px or less than a quarter visible are ignored, and so are classes that a detector lacks
-    (a sign), which are listed separately. Objects that a data set only calls vehicle match a car, truck, bus, van or
-    trailer. With --output, finished results are stored there: the same command resumes after a stop, and more seeds,
+    the scene's actors (the street: its lead car, parked vehicles, people and traffic lights), from a capture's 3D
+    boxes, or from a COCO file. Objects lower than 16 px or less than a quarter visible are ignored, and so are
+    classes that a detector lacks (a sign), which are listed separately. Objects that a data set only calls vehicle
+    match a car, truck, bus, van or trailer. With --output, finished results are stored there: the same command
+    resumes after a stop, and more seeds,
     intensities or detectors are only added.
     """
     let_names_lead_outside(allow_outside)

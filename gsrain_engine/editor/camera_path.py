@@ -16,6 +16,7 @@ from ..scene import camera_path_edit as edits
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath, circle_path
 from ..scene.camera_path_io import read_camera_path, write_camera_path, write_nerfstudio_path, write_training_cameras
+from ..scene.easing import KeyEasing
 from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 from ..scene.rig import rig_camera_path
@@ -41,6 +42,8 @@ class CameraPathEditor:
 
     def __init__(self, document: Document, viewport: ViewportState, playback: Playback, status: StatusBus) -> None:
         self._document, self._viewport, self._playback, self._status = document, viewport, playback, status
+        self.copied: Camera | None = None
+        """Camera to paste as a keyframe, in scene units and axes."""
 
     @property
     def active_key(self) -> int | None:
@@ -124,6 +127,28 @@ class CameraPathEditor:
         else:
             drive = drive.moved(self._world_to_scene)
             self._document.edit("Snap keyframe to the drive", with_path, edits.snap_key_to, key, drive)
+
+    def easing_of(self, key: int) -> KeyEasing | None:
+        """Easing after a keyframe of the user's path; None follows the path's."""
+        path = self._document.scene.path
+        return path.key_easings[key] if path is not None and path.key_easings else None
+
+    def ease(self, key: int, easing: KeyEasing | None) -> None:
+        """Set the easing from a keyframe to the next one."""
+        if self._document.scene.path is not None:
+            label = f"Ease keyframe: {easing or 'as the path'}"
+            self._document.edit(label, with_path, edits.set_key_easing, key, easing)
+
+    def copy(self, key: int) -> None:
+        """Copy the camera of a keyframe, in scene units and axes."""
+        if (path := self._document.scene.path) is not None:
+            self.copied = edits.keyframe_camera(path, key, *_VIEW_SIZE)
+
+    def paste(self) -> None:
+        """Insert the copied camera as a keyframe at the playhead, and select it."""
+        if self.copied is not None:
+            time_s = self._playback.nearest_frame_time(self._playback.clock.time_s)
+            self._edit_keyframe("Paste keyframe", edits.with_keyframe, time_s, self.copied)
 
     # Dragging
 

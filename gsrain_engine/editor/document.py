@@ -35,6 +35,11 @@ class DocumentState:
             return ""
         old, new = (msgspec.structs.asdict(each.rain) for each in (self, after))
         names = [name for name in new if old[name] != new[name]]
+        if names and set(names) <= {"wind_speed_m_s", "wind_from_deg"}:
+            winds = (
+                f"{each.rain.wind_speed_m_s:.3g} m/s, {each.rain.wind_from_deg:.0f}\u00b0" for each in (self, after)
+            )
+            return " -> ".join(winds)
         if len(names) != 1 or not isinstance(old[names[0]] or new[names[0]], str | float | int):
             return ""
         setting = field_of(RainSettings, names[0])

@@ -72,8 +72,6 @@ class RolloutPlayer:
     @property
     def why_not(self) -> str | None:
         """Reason why no drive can start now, or None."""
-        if self._jobs.is_running("drive"):
-            return "A drive goes on."
         if self._document.scene.ego is None:
             return (
                 "This scene has no recorded drive, and so no route to take: let the ego drive along a camera path "
@@ -130,8 +128,6 @@ class RolloutPlayer:
             return "No roll-out plays: drive, or open one, in the Drive panel."
         if not self._document.scene.rigs:
             return "This scene has no rig whose front camera could record the drive."
-        if self._jobs.is_running("drive video"):
-            return "A video is being rendered."
         return None
 
     def video_to(self, path: Path) -> None:
@@ -139,6 +135,9 @@ class RolloutPlayer:
         if self.playing is None:
             return
         path, rollout = path if path.suffix else path.with_suffix(".mp4"), self.playing.rollout
+        if self._jobs.writes(path) is not None:
+            self._status.report(f"{path} is being recorded already: choose another name")
+            return
 
         def begin() -> None:
             fps = min(max(self._playback.timeline.fps, _VIDEO_FPS[0]), _VIDEO_FPS[1])

@@ -30,7 +30,9 @@ from .make_rainy import WetLookController
 from .matching import MatchingController
 from .preferences import PreferencesStore
 from .rain import CalibrationTools, KeyframePanelState
+from .rain_tracks import RainTracks
 from .recorder import RenderQueue
+from .scene_setup import SceneSetup
 from .selection.commands import SelectionTool
 from .status import StatusBus, logger
 from .timeline import Playback
@@ -59,11 +61,12 @@ class Editor:
         self.viewport = ViewportState(self.document, self.playback)
         self.selection = SelectionTool(self.document, self.playback)
         self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
-        self.calibration = CalibrationTools(self.document, self.status)
         self.keyframe_panel = KeyframePanelState()
+        self.rain_tracks = RainTracks(self.document, self.playback)
         self.captures = CaptureController(self.viewport, self.status)
         self.matching = MatchingController(self.viewport, self.captures)
-        self.jobs = JobRunner(self._thread, self.status.report)
+        self.jobs = JobRunner(self._thread, self.status.report, lambda: self.viewport.staged is None)
+        self.calibration = CalibrationTools(self.document, self.jobs, self.status)
         self.files = Files(
             self.viewport, self.jobs, self.captures, self.preferences, self.status, self._thread, self._enter
         )
@@ -71,6 +74,7 @@ class Editor:
         self.files.loose_results = lambda: self.rollouts.unsaved_titles
         self.live_rain = LiveRain(self.document, self.viewport, self.rollouts, self._thread)
         self.training = TrainingController(self.viewport, self.captures, self.jobs, self.files)
+        self.scene_setup = SceneSetup(self.document, self.viewport)
         self.floaters = FloaterFinder(self.document, self.jobs)
         self.lamps = LampFinder(self.document, self.jobs)
         self.wet_look = WetLookController(
@@ -91,6 +95,7 @@ class Editor:
         self.document.open(state)
         self.files.enter(opened, state)
         self._reset_view()
+        self.scene_setup.enter(scene)
         forget_scenes()
         self._freed_memory.note_work()
         if scene.view is not None:
@@ -121,7 +126,7 @@ class Editor:
         self.files.close()
         self.preferences.close()
         self._thread.shutdown()
-        self.calibration.close()
+        self.viewport.obstacles.close()
         self.captures.close()
         self.matching.close()
         self.status.close()
@@ -138,8 +143,9 @@ class Editor:
             return f"Uploading {staged.label}"
         if self.live_rain.is_searching_roofs:
             return "Finding roofs"
-        is_compiling = self.viewport.is_compiling
-        return "Preparing the picture; once after an update this takes up to a minute" if is_compiling else None
+        if not self.viewport.is_compiling:
+            return None
+        return "Preparing the renderer (first start only)" if self.viewport.is_preparing else "Loading the renderer"
 
     @property
     def pending_files(self) -> list[Future[Any]]:
@@ -149,14 +155,14 @@ class Editor:
     @property
     def is_working(self) -> bool:
         """True if background work needs frames to be processed."""
-        return bool(self.jobs.running) or self.is_bringing_in
+        return bool(self.jobs.pending) or self.is_bringing_in
 
     @property
     def is_bringing_in(self) -> bool:
         """True if something is being prepared for the viewport, which each frame continues."""
         parts = self.captures.is_working or self.matching.is_working or self.rollouts.is_working
         waits = self.viewport.staged is not None or self.files.deferred.is_waiting
-        return parts or waits or self.busy is not None or self.calibration.busy is not None
+        return parts or waits or self.busy is not None
 
     def tick(self, real_s: float) -> None:
         """Advance time and process finished background work. Once a frame."""
@@ -165,8 +171,8 @@ class Editor:
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (
-            self.files, self.preferences, self.live_rain, self.calibration, self.captures, self.matching, self.rollouts,
-            self.jobs, self.wet_look,
+            self.files, self.preferences, self.live_rain, self.captures, self.matching, self.rollouts, self.jobs,
+            self.wet_look,
         ):  # fmt: skip
             part.poll()
         if viewport.staged is None and not self.rollouts.is_working:  # otherwise a result is still being swapped in
@@ -240,6 +246,7 @@ class Editor:
         assert frame is not None
         viewport.picture_view = frame.canvas_view
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
+        viewport.is_preparing = result.is_preparing
         for problem in result.problems:
             self.status.report(problem)
         if result.drawn is not None:

@@ -18,12 +18,11 @@ from ..rain.settings import load_preset
 from ..safe_io.limits import read_file
 from ..safe_io.text_files import MAX_BYTES, printable_line
 from ..scene.files import SceneFormatError, lock_path, whole_file
-from ..scene.formats.registry import format_of, writable_suffixes
+from ..scene.formats.registry import format_of, lost_in_file, writable_suffixes
 from ..scene.formats.scene_files import names_scene_folder, write_scene
 from ..scene.formats.scene_folder import SCENE_FILE, FileCache
 from ..scene.open import folder_to_read, is_built_in_street, load_drawable_scene, scene_folder_of
 from ..scene.scene import Scene
-from ..scene.transforms import lost_when_flattened
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
 from .background_edits import import_file
 from .capture_view import CaptureController
@@ -238,11 +237,15 @@ class Files:
         self._when_idle(what, when_saved, ends_program=ends_program)
 
     def _when_idle(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
-        jobs = [each for each in self._jobs.running if ends_program or each.ends_with_scene]
+        jobs = [each for each in self._jobs.pending if ends_program or each.ends_with_scene]
         self.deferred.when_idle(jobs, self._work.running, what, act)
 
     def _reread(self, source: str) -> None:
         self._when_idle("revert", lambda: self.open_now(source))
+
+    def open_scene(self) -> tuple[Scene, FileCache]:
+        """Return the open scene and its files, for jobs."""
+        return self._document.scene, self.known
 
     def arrive(self, scene: Scene) -> LoadedDocument:
         """Return the origin of a staged scene that was opened here."""
@@ -368,9 +371,7 @@ class Files:
         scene = saved_scene(self._viewport)
         if self._document.rain == load_preset("clear"):
             scene = replace(scene, rain=None)
-        missing = lost_when_flattened(scene)
-        if not row.keeps_harmonics and any(each.gaussians.sh_degree for each in scene.members if each.visible):
-            missing.append(f"how colors depend on the direction of view ({row.suffix} has no place for it)")
+        missing = lost_in_file(scene, path)
 
         def begin() -> None:
             self._begin_work(

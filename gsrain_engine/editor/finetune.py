@@ -8,7 +8,6 @@ from msgspec import Meta, Struct
 from ..appearance.finetune.settings import FinetuneTask, code_of, load_finetuning
 from ..safe_io.text_files import printable_line
 from ..trusted_code import UntrustedCodeError, trust_permanently
-from .job_results import why_wait
 from .jobs.job import Job, JobRunner
 from .jobs.training import HOW_TO_GET_DIFFUSION, finetune_job, has_torch
 from .status import Answer, Question, StatusBus
@@ -59,7 +58,9 @@ class FinetuneController:
         for path in (self.choice.clear, self.choice.rainy):
             if path is not None and not path.exists():
                 return f"{path}: is not there; choose other pictures."
-        return why_wait(self._jobs)
+        if (job := self._jobs.writes(self.choice.output)) is not None:
+            return f"{job.title} works in this folder already: wait for it, cancel it, or choose another one."
+        return None
 
     def start(self, *, resume: bool = False) -> None:
         """Start, or resume from the folder's checkpoint; errors in the settings are reported."""

@@ -7,7 +7,6 @@ from ..scene.scene import Scene
 from ..scene.transforms import with_wet_colors_of
 from .document import Recipe
 from .edits.members import replace_scene
-from .jobs.job import JobRunner
 from .viewport_state import PendingScene, ViewportState
 
 
@@ -29,15 +28,3 @@ def scene_results(
         viewport.staged = PendingScene(label, scene, change=change, recipe=recipe, gesture=gesture, goes_on=goes_on)
 
     return stage
-
-
-def why_wait(jobs: JobRunner, viewport: ViewportState | None = None) -> str | None:
-    """Reason why no job that needs the whole machine can start now, in one sentence, or None.
-
-    With `viewport`, the job also needs its scene to be the final one.
-    """
-    if jobs.running:
-        return f"Wait for {jobs.running[0].title}, or cancel it."
-    if viewport is not None and viewport.staged is not None:
-        return "Wait for the scene that is being brought into the picture."
-    return None

@@ -14,7 +14,7 @@ from .background_edits import apply_wet_look
 from .capture_view import CaptureController
 from .document import Recipe
 from .files import Files
-from .job_results import scene_results, why_wait
+from .job_results import scene_results
 from .jobs.job import JobRunner
 from .jobs.make_rainy import (
     MAKE_RAINY_TITLE,
@@ -79,7 +79,7 @@ class WetLookController:
     @property
     def why_not(self) -> str | None:
         """Reason why the scene can't be made rainy now, in one sentence, or None."""
-        return self.why_no_transfer or self.why_no_views(self.choice.source) or why_wait(self._jobs, self._viewport)
+        return self.why_no_transfer or self.why_no_views(self.choice.source)
 
     @property
     def why_no_preview(self) -> str | None:
@@ -88,7 +88,7 @@ class WetLookController:
             return "Pictures of another program are of the chosen views alone: there is none from here."
         if not self._document.scene.gaussian_count:
             return "There is no scene yet to be made rainy."
-        return self.why_no_transfer or why_wait(self._jobs, self._viewport)
+        return self.why_no_transfer
 
     @property
     def why_no_transfer(self) -> str | None:
@@ -173,7 +173,7 @@ class WetLookController:
         """Start a job that waits for a scene, unless that has wet colors. Once a frame."""
         if self._starts_soon and self._document.scene.has_rainy_light:
             self._starts_soon = False
-        if self._starts_soon and self._document.scene.gaussian_count and why_wait(self._jobs, self._viewport) is None:
+        if self._starts_soon and self._document.scene.gaussian_count:
             self._starts_soon = False
             if (why_not := self.why_not) is not None:
                 self._status.report(why_not)
@@ -190,7 +190,7 @@ class WetLookController:
         uses_capture = source == "recorded" or (source == "auto" and is_sure)
         capture = self._captures.path if uses_capture else None
         order = TransferRequest(self.method, self.settings, self.choice, capture, self._captures.allows_outside)
-        job = make_rainy_job(self._document.scene, self._files.known, order)
+        job = make_rainy_job(self._files.open_scene, order)
         values = {name: getattr(order, name) for name in TransferRequest.__dataclass_fields__}
         self._jobs.start(job, scene_results(self._viewport, MAKE_RAINY_TITLE, Recipe(apply_wet_look, values)))
 

@@ -91,6 +91,7 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
             extra={"unit": "s"},
         ),
     ] = 20.0
+    hint: Annotated[bool, Meta(title="First steps", description="Show the first steps in the viewport.")] = True
     desktop_dialogs: Annotated[
         bool,
         Meta(
@@ -98,6 +99,9 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
             description="Choose files in the desktop's own dialogs (zenity or kdialog) where it has them.",
         ),
     ] = True
+    front_panels: tuple[str, ...] = ()
+    """Panels that were in front when the last window was closed; empty for the first ones of each side."""
+    hidden_panels: tuple[str, ...] = ()
 
 
 def load_preferences() -> tuple[Preferences, str | None]:

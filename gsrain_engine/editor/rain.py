@@ -1,11 +1,9 @@
 """Tools of the rain panels: virtual disdrometer, calibration fits, and keyframe panel state."""
 
-import logging
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 import platformdirs
@@ -13,8 +11,9 @@ import platformdirs
 from ..rain.calibration import Calibration, calibration_names, load_calibration, save_calibration
 from ..rain.keyframes import RainKeyframes
 from ..rain.simulation import RainSimulation
+from ..scene.progress import Progress
 from .document import Document
-from .jobs.job import ThreadTasks
+from .jobs.job import Job, JobRunner, no_result
 from .status import StatusBus
 
 if TYPE_CHECKING:
@@ -23,16 +22,16 @@ if TYPE_CHECKING:
     from ..disdrometer.measurement import DisdrometerMeasurement
     from ..disdrometer.spectra import DisdrometerReading
 
-logger = logging.getLogger("gsrain")
+_Result = TypeVar("_Result")
 RECORD_S = 60.0
 """Interval of virtual spectra: one minute, as real disdrometers report."""
 
 
 class CalibrationTools:
-    """One measurement at a time. Main thread only; call `poll` once a frame."""
+    """One measurement at a time, as a job. Main thread only."""
 
-    def __init__(self, document: Document, status: StatusBus) -> None:
-        self._document, self._status = document, status
+    def __init__(self, document: Document, jobs: JobRunner, status: StatusBus) -> None:
+        self._document, self._jobs, self._status = document, jobs, status
         self.counted: DisdrometerMeasurement | None = None
         """Last measurement of the virtual disdrometer."""
         self.fitted: FittedCalibration | None = None
@@ -50,10 +49,8 @@ class CalibrationTools:
         """Calibration files opened or written in this window."""
         self.series: tuple[str, DisdrometerReading] | None = None
         """Name and content of a disdrometer file about to be imported as weather."""
-        self.error: str | None = None
-        """Reason why the last measurement failed, in one sentence."""
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rain lab")
-        self._tasks = ThreadTasks(self._thread)
+        self.job: Job[None] | None = None
+        """The last measurement."""
 
     @property
     def calibrations(self) -> list[str]:
@@ -62,12 +59,12 @@ class CalibrationTools:
     @property
     def busy(self) -> str | None:
         """Description of the measurement in progress, or None."""
-        return self._tasks.running[0].progress.message if self._tasks.running else None
+        return None if self.job is None or not self.job.is_pending else self.job.title
 
     @property
-    def pending(self) -> list[Future[Any]]:
-        """The measurement in progress, to wait for where there are no frames."""
-        return self._tasks.futures
+    def error(self) -> str | None:
+        """Reason why the last measurement failed, in one sentence."""
+        return None if self.job is None else self.job.error
 
     def measure(self) -> None:
         """Measure the present rain with a virtual disdrometer, from time 0 on."""
@@ -80,7 +77,12 @@ class CalibrationTools:
             times = np.append(np.arange(max(1, np.ceil(seconds / RECORD_S))) * RECORD_S, seconds)
             return VirtualDisdrometer(RainSimulation.start(rain), area_m2).measure(times)
 
-        self._begin(f"Counting drops for {seconds:g} s", count, lambda counted: setattr(self, "counted", counted))
+        def take(counted: "DisdrometerMeasurement") -> str:
+            self.counted = counted
+            measured = f"{counted.rate_mm_h:.3g} \u00b1 {counted.standard_error_mm_h:.2g}"
+            return f"{measured} mm/h measured, {counted.state.implied_mm_h:.3g} set"
+
+        self._begin(f"Count drops for {seconds:g} s", count, take)
 
     def fit(self, files: Sequence[Path], force: bool = False) -> None:
         """Fit a calibration to disdrometer files of one instrument; `force` accepts disagreeing rates.
@@ -105,19 +107,19 @@ class CalibrationTools:
             except ValueError as error:
                 return measured, error
 
-        def take(result: "tuple[Sequence[MeasurementSummary], FittedCalibration | ValueError]") -> ValueError | None:
+        def take(result: "tuple[Sequence[MeasurementSummary], FittedCalibration | ValueError]") -> str:
             from ..disdrometer.fit import RatesDisagreeError
 
             self.measured, fitted = result
-            if not isinstance(fitted, ValueError):
-                self.fitted = fitted
-                return None
-            self.disagreeing = tuple(files) if isinstance(fitted, RatesDisagreeError) else ()
-            return fitted
+            if isinstance(fitted, ValueError):
+                self.disagreeing = tuple(files) if isinstance(fitted, RatesDisagreeError) else ()
+                raise fitted
+            self.fitted = fitted
+            return f"{fitted.records_used:,} of {fitted.records:,} records fitted in {len(fitted.rows)} rows"
 
         if self.busy is None:
             self.measured, self.disagreeing = (), ()
-        self._begin(f"Fitting {files[0].name}", fit, take)
+        self._begin(f"Fit {files[0].name}", fit, take)
 
     def read_series(self, path: Path) -> None:
         """Read a disdrometer file whose rates are to become the weather."""
@@ -127,7 +129,11 @@ class CalibrationTools:
 
             return read_disdrometer(path)
 
-        self._begin(f"Reading {path.name}", read, lambda reading: setattr(self, "series", (path.name, reading)))
+        def take(reading: "DisdrometerReading") -> str:
+            self.series = path.name, reading
+            return "Read; choose in Rain keyframes how it becomes the weather"
+
+        self._begin(f"Read {path.name}", read, take)
 
     def add_file(self, path: str) -> None:
         """Add a calibration file to the choices."""
@@ -165,25 +171,17 @@ class CalibrationTools:
             self._status.report(error)
             return None
 
-    def poll(self) -> None:
-        self._tasks.poll()
+    def _begin(self, title: str, work: Callable[[], _Result], take: Callable[[_Result], str]) -> None:
+        """Start a measurement unless another one runs; `take` processes its result and describes it, or raises."""
+        results = list[_Result]()
 
-    def close(self) -> None:
-        self._thread.shutdown(cancel_futures=True)
-
-    def _begin(self, label: str, work: Callable[[], Any], take: Callable[[Any], Exception | None]) -> None:
-        """Start a measurement unless another one runs; `take` processes its result, and may return an error."""
-
-        def end(error: Exception | None) -> None:
-            if error is None:
-                logger.info("%s: done", label)
-            else:
-                self.error = str(error)
-                logger.error("%s: %s", label, error)
+        def run() -> Iterator[Progress]:
+            yield Progress(0.0, title)
+            results.append(work())
 
         if self.busy is None:
-            self.error = None
-            self._tasks.start(work, lambda result: end(take(result)), end, message=label)
+            job = Job("calibration", title, run, no_result, in_thread=True, ends_with_scene=False)
+            self.job = self._jobs.start(job, lambda _, __: take(results[0]))
 
 
 # State of the Rain keyframes panel; not part of the document

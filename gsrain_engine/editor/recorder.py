@@ -1,16 +1,17 @@
 """Export of the timeline or a still: settings, estimate, and start of the job."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from jaxtyping import UInt8
 
-from ..render.export import export_command, export_sequences, frame_numbers
-from ..render.export_settings import ExportSettings, export_outputs
+from ..render.export import FRAME_TIME, export_command, export_sequences, frame_numbers
+from ..render.export_settings import EXPORT_PRESETS, ExportPreset, ExportSettings, export_outputs
 from ..render.sequence import FrameSequence
 from ..scene.camera_path import CameraPath
 from ..scene.formats.scene_folder import FileCache
@@ -19,10 +20,11 @@ from ..scene.scene import Scene
 from .autosave import saved_scene
 from .files import Files
 from .jobs.job import Job, JobRunner
-from .jobs.record import SHEET_MM_H, export_job, sheet_job
+from .jobs.record import SHEET_MM_H, export_job, frame_job, sheet_job, timing_job
 from .live_rain import LiveRain
 from .status import StatusBus
 from .steps import python_program, shell_command, steps_since
+from .viewport.options import Texture
 from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
@@ -36,8 +38,10 @@ class OutputEstimate(NamedTuple):
     cameras: int
     length_s: float
     """Playing time."""
-    rough_s: float | None
-    """Rough rendering time from the viewport's last image; None without one."""
+    seconds: float | None
+    """Rendering time: of timed frames, else rough, from the viewport's last image; None without one."""
+    is_timed: bool
+    """True if frames of a recording were timed, with reading the scene, encoding and writing."""
 
 
 class RenderQueue:
@@ -49,21 +53,26 @@ class RenderQueue:
         self._viewport, self._document, self._playback = viewport, viewport.document, viewport.playback
         self._live_rain, self._jobs, self._files, self._status = live_rain, jobs, files, status
         self._settings = ExportSettings(output="", size_px=(960, 640), codec="h264")
+        self.follows_range = True
+        """True if the first and the last moment are those of the timeline's range, where it is set."""
+        self._timed: list[tuple[Job[Any], float]] = []
+        self.preview: UInt8[np.ndarray, "h w c"] | None = None
+        """Last previewed frame, as it would be written."""
+        self.preview_texture: Texture | None = None
 
     @property
     def settings(self) -> ExportSettings:
-        """Settings except for the output path. The frame rate is the timeline's."""
-        return msgspec.structs.replace(self._settings, fps=self._playback.timeline.fps)
+        """Settings except for the output path. The frame rate is the timeline's, and so may be the times."""
+        fields: dict[str, Any] = {"fps": self._playback.timeline.fps}
+        if self.follows_range and (span_s := self._playback.clock.span_s) is not None:
+            fields |= {"first_s": span_s[0], "last_s": span_s[1]}
+        return msgspec.structs.replace(self._settings, **fields)
 
     @property
     def end_s(self) -> float:
         """End of the clip in seconds; its start if there is nothing to record."""
         extent = self.extent()
         return self._settings.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
-
-    @property
-    def is_recording(self) -> bool:
-        return self._jobs.is_running("export")
 
     def proposed_name(self, suffix: str | None = None) -> str:
         """Name of a recording's file or folder: the scene's, with a suffix or that of the chosen format."""
@@ -74,11 +83,49 @@ class RenderQueue:
     def change(self, **fields: object) -> None:
         """Change settings; inconsistent ones are rejected and the error reported."""
         try:
+            if fields.keys() & {"first_s", "last_s"}:
+                self.follows_range = False
             values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
+            values |= _fitting(fields, values)
             self._settings = msgspec.convert(values, ExportSettings)
             self._playback.timeline.fps = self._settings.fps
         except ValueError as error:
             self._status.report(error)
+
+    def use_preset(self, preset: ExportPreset) -> None:
+        """Take the settings of a preset; the cameras and the times stay."""
+        plain = ExportSettings(output="", size_px=(960, 640), codec="h264")
+        stay = ("output", "cameras", "first_s", "last_s")
+        fields = {name: getattr(plain, name) for name in plain.__struct_fields__ if name not in stay}
+        self.change(**(fields | dict(preset.fields)))
+
+    @property
+    def preset(self) -> ExportPreset | None:
+        """Preset with the present settings; None for others."""
+        settings = self.settings
+        return next(
+            (each for each in EXPORT_PRESETS if all(getattr(settings, k) == v for k, v in each.fields.items())), None
+        )
+
+    def preview_frame(self) -> None:
+        """Render the frame at the playhead in the background, as the recording would write it."""
+        first_s = self._playback.clock.time_s
+        still = msgspec.structs.replace(
+            self._named, output="frame.png", codec="auto", quality=None, passes=("color",), twin=False,
+            first_s=first_s, last_s=None, cameras=self.settings.cameras[:1],
+        )  # fmt: skip
+        try:
+            if len(self._sequences(still)) > 1:
+                raise ValueError("choose one camera for the preview")
+        except ValueError as error:
+            self._status.report(error, "It can't be previewed")
+            return
+        job = frame_job(saved_scene(self._viewport), still, self._files.known)
+        self._jobs.start(job, lambda pixels, _: setattr(self, "preview", pixels))
+
+    @property
+    def is_previewing(self) -> bool:
+        return self._jobs.is_running("frame")
 
     def extent(self) -> OutputEstimate | str:
         """Estimate of the export, or the reason why it is impossible."""
@@ -87,15 +134,47 @@ class RenderQueue:
         except ValueError as error:
             return str(error)
         settings, pixel_ms = self.settings, self._viewport.full_ms_per_megapixel
-        frames, rough_s = len(frame_numbers(settings, sequences)), None
-        if pixel_ms is not None:  # time per pixel times all images, without encoding and reading
-            megapixels = sum(each.width * each.height for each in sequences.values()) * 1e-6
-            image_s = 1e-3 * pixel_ms * megapixels
-            images = (2 if settings.twin else 1) * settings.motion_blur * settings.supersampling**2
-            if "labels" in settings.passes:  # the three color channels of one image hold three layers or actors
-                images += len(self._document.scene.members) / 3
-            rough_s = frames * image_s * images
-        return OutputEstimate(frames, len(sequences), frames / settings.fps, rough_s)
+        frames, megapixels = len(frame_numbers(settings, sequences)), self._megapixels(settings, sequences)
+        timed_s = self._timed_s_per_megapixel
+        seconds = timed_s if timed_s is not None else None if pixel_ms is None else 1e-3 * pixel_ms
+        whole_s = None if seconds is None else frames * seconds * megapixels
+        return OutputEstimate(frames, len(sequences), frames / settings.fps, whole_s, timed_s is not None)
+
+    def time_frames(self) -> None:
+        """Draw and write a few frames in the background, for the estimate."""
+        try:
+            recording = self._named
+            megapixels = self._megapixels(recording, self._sequences(recording))
+        except ValueError as error:
+            self._status.report(error, "It can't be recorded")
+            return
+        job = timing_job(saved_scene(self._viewport), recording, self._files.known)
+        self._timed.append((job, megapixels))
+
+        def ignore(_result: None, _is_last: bool) -> None:
+            """The job's metric is all that is used."""
+
+        self._jobs.start(job, ignore)
+
+    @property
+    def is_timing(self) -> bool:
+        return self._jobs.is_running("timing")
+
+    @property
+    def _timed_s_per_megapixel(self) -> float | None:
+        """Time of a drawn megapixel in the newest job that has timed frames; None without one."""
+        for job, megapixels in reversed(self._timed):
+            times_s = job.curves.curve(FRAME_TIME)[1]
+            if len(times_s):
+                return float(times_s[-1]) / megapixels
+        return None
+
+    def _megapixels(self, settings: ExportSettings, sequences: dict[str, FrameSequence]) -> float:
+        """Pixels that one frame draws, of all cameras, samples, passes and twins, in millions."""
+        images = (2 if settings.twin else 1) * settings.motion_blur * settings.supersampling**2
+        if "labels" in settings.passes:  # the three color channels of one image hold three layers or actors
+            images += len(self._document.scene.members) / 3
+        return images * sum(each.width * each.height for each in sequences.values()) * 1e-6
 
     def record_to(self, path: Path) -> None:
         """Record the timeline; replacing existing files needs confirmation."""
@@ -175,9 +254,14 @@ class RenderQueue:
     ) -> None:
         try:
             recording.check()
-            names = list(self._sequences(recording))
+            sequences = self._sequences(recording)
+            names, megapixels = list(sequences), self._megapixels(recording, sequences)
         except ValueError as error:
             self._status.report(error, "It can't be recorded")
+            return
+
+        if self._jobs.writes(recording.path) is not None:
+            self._status.report(f"{recording.path} is being recorded already: choose another name")
             return
 
         def start() -> None:
@@ -192,7 +276,10 @@ class RenderQueue:
                 if note:
                     logger.info("%s", note)
 
-            self._jobs.start(job(scene, recording, files.known), log_recorded)
+            started = job(scene, recording, files.known)
+            if job is export_job:
+                self._timed.append((started, megapixels))
+            self._jobs.start(started, log_recorded)
 
         self._status.ask_before_replacing(export_outputs(recording, names), start)
 
@@ -202,3 +289,17 @@ class RenderQueue:
         return export_sequences(
             recording, self._document.scene, self._live_rain.simulation, self._viewport.path, in_scene_time=is_own
         )
+
+
+def _fitting(changed: Mapping[str, object], values: Mapping[str, Any]) -> dict[str, object]:
+    """Settings that have to change with others: a panorama's shape, and a format with transparency."""
+    fitting: dict[str, object] = {}
+    if values["projection"] == "360" and (size_px := values["size_px"]) is not None and size_px[0] != 2 * size_px[1]:
+        by_height = "size_px" in changed and "projection" not in changed
+        fitting["size_px"] = (2 * size_px[1], size_px[1]) if by_height else (size_px[0] // 2 * 2, size_px[0] // 2)
+    if values["transparent"] and values["codec"] not in ("vp9", "png", "exr"):
+        if "transparent" in changed:
+            fitting |= {"codec": "png" if values["codec"] == "jpeg" else "vp9", "quality": None}
+        else:
+            fitting["transparent"] = False
+    return fitting

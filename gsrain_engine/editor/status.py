@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from ..safe_io.text_files import escape_invisible
 from ..scene.files import SceneFormatError
-from ..scene.progress import Progress
+from ..scene.progress import PENDING, Progress
 
 logger = logging.getLogger("gsrain")
 
@@ -177,8 +177,8 @@ class DeferredAction:
         which take seconds.
         """
         self._forget()
-        jobs = [each for each in jobs if each.state == "running"]
-        running = [*jobs, *(each for each in tasks if each.state == "running")]
+        jobs = [each for each in jobs if each.state in PENDING]
+        running = [*jobs, *(each for each in tasks if each.state in PENDING)]
         if not running:
             act()
             return
@@ -187,7 +187,7 @@ class DeferredAction:
         losses = f"What {'is' if len(jobs) == 1 else 'are'} not through is lost; of a recording, the part so far stays."
 
         def progress() -> Progress:
-            first = next((each for each in running if each.state == "running"), running[-1])
+            first = next((each for each in running if each.state in PENDING), running[-1])
             return first.progress._replace(message=first.title)
 
         def stop() -> None:
@@ -201,7 +201,7 @@ class DeferredAction:
             answers = (Answer(f"Stop {them}", stop, losses), cancel) if jobs else (cancel,)
             self._work, self._act = running, act
             self._question = Question("Waiting", text, answers, progress, enter_answers=not jobs)
-            if any(each.state == "running" for each in running):
+            if any(each.state in PENDING for each in running):
                 self._status.ask(self._question)
 
         if not jobs:
@@ -217,7 +217,7 @@ class DeferredAction:
 
     def poll(self) -> None:
         """Run the action after its work has ended; drop it if work failed."""
-        if self._question is None or any(each.state == "running" for each in self._work):
+        if self._question is None or any(each.state in PENDING for each in self._work):
             return
         act, has_failed = self._act, any(each.state == "failed" for each in self._work)
         self._forget()

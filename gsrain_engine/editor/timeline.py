@@ -141,6 +141,12 @@ class Playback:
         moment, frame = max(0.0, self.nearest_frame_time(time_s)), 1 / self.timeline.fps
         self.clock.span_s = (min(moment, end - frame), end) if is_start else (start, max(moment, start + frame))
 
+    def shift_span(self, seconds: float) -> None:
+        """Move start and end of playback together; the start stays at 0 s or later."""
+        start, end = self.span_s
+        seconds = max(seconds, -start)
+        self.clock.span_s = start + seconds, end + seconds
+
     def reset(self) -> None:
         """Forget the timeline and the span of another scene."""
         self.timeline, self.clock.span_s = Timeline(), None
@@ -184,15 +190,6 @@ def track_rows(scene: Scene) -> list[TimelineRow]:
     for actor in scene.actors:
         rows.append((actor.name, f"{actor.class_name or 'actor'}, in the scene while the bar lasts.", actor.track))
     return [TimelineRow(name, help_text, presence(track)) for name, help_text, track in rows]
-
-
-def weather_row(weather: RainKeyframes, first_s: float, last_s: float, max_keys: int) -> TimelineRow:
-    """Row of the rain's keyframes within a time span, thinned to `max_keys` to avoid overlaps."""
-    times = weather.times_s[(weather.times_s >= first_s) & (weather.times_s <= last_s)]
-    thinned = times[:: max(1, -(-len(times) // max_keys))]
-    spans = [(weather.keys[0].time_s, weather.keys[-1].time_s)] if len(weather.keys) > 1 else []
-    help_text = "Keyframes of the Rain keyframes panel: intensity, wind and exposure."
-    return TimelineRow("rain", help_text, spans, (*thinned.tolist(),))
 
 
 def presence(track: PoseTrack) -> list[tuple[float, float]]:

@@ -7,7 +7,7 @@ from .background_edits import recolor_to_images, reconstruct
 from .capture_view import CaptureController
 from .document import Recipe
 from .files import Files
-from .job_results import scene_results, why_wait
+from .job_results import scene_results
 from .jobs.job import JobRunner
 from .jobs.training import recolor_job, reconstruction_job
 from .viewport_state import ViewportState
@@ -25,15 +25,10 @@ class TrainingController:
         self.preset, self.settings = preset, load_settings(preset)
 
     @property
-    def why_not(self) -> str | None:
-        """Reason why no reconstruction can start now, in one sentence, or None."""
-        return why_wait(self._jobs, self._viewport)
-
-    @property
     def why_no_recoloring(self) -> str | None:
         """Reason why the scene can't be recolored now, or None."""
         has_scene = self._viewport.document.scene.gaussian_count > 0
-        return self.why_not or (None if has_scene else "There is no scene to recolor yet.")
+        return None if has_scene else "There is no scene to recolor yet."
 
     def reconstruct(self) -> None:
         """Start to fit Gaussians to the open capture; snapshots and result replace the scene, as one undo step."""
@@ -45,8 +40,8 @@ class TrainingController:
 
     def recolor(self, images: Path | None = None) -> None:
         """Start to solve for wet colors that reproduce the capture's images, or those of another folder."""
-        path, allowed, scene = self._captures.path, self._captures.allows_outside, self._viewport.document.scene
+        path, allowed = self._captures.path, self._captures.allows_outside
         assert path is not None, "a capture is open"
-        job = recolor_job(scene, self._files.known, path, images, allow_outside=allowed)
+        job = recolor_job(self._files.open_scene, path, images, allow_outside=allowed)
         recipe = Recipe(recolor_to_images, {"capture": path, "images": images, "allow_outside": allowed})
         self._jobs.start(job, scene_results(self._viewport, job.title, recipe))

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,15 @@ import numpy as np
 from ..render.draw import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from ..scene.scene import Scene, SceneCore, core_bounds
+from ..scene.scene import DrawItem, Scene, SceneCore, core_bounds
 from .document import Document, DocumentState, Recipe
 from .edits.members import replace_scene
 from .timeline import Playback
 from .viewport.camera import OrbitCamera, find_scene_core, home_viewport_camera
 from .viewport.camera_follow import ActorFollower, ChaseCamera, PathFollower
+from .viewport.obstacles import ObstacleFinder
 from .viewport.options import FULL_QUALITY, AdaptiveQuality, QualityLevel, Texture, ViewOptions
-from .viewport.picking import SkyColorPick
+from .viewport.picking import SkyColorPick, pick_point
 
 _VIEW_SIZE = (960, 640)  # aspect ratio for home cameras
 
@@ -69,7 +70,7 @@ class ViewportState:
         self.full_ms_per_megapixel: float | None = None
         """Drawing time of the last picture of full quality, by its size."""
         self.backend = self.backend_reason = ""
-        self.is_compiling = False
+        self.is_compiling = self.is_preparing = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""
         self.is_catching_up = False
         """True if the next frames continue unfinished work although nothing moves."""
@@ -81,6 +82,7 @@ class ViewportState:
         """Image of each running job that has one."""
         self.picture_view: RenderView | None = None
         """View of the picture on the screen, in the size of the viewport; it may be a moment behind the camera."""
+        self.obstacles = ObstacleFinder()
         self._path = PathFollower()
         self._core: tuple[Hashable, SceneCore] | None = None
         self._last_view: RenderView | None = None
@@ -166,11 +168,43 @@ class ViewportState:
         self.options.follow_path = False
 
     def frame_scene(self) -> None:
-        """Move back until the selected layer or actor is visible, or else the dense part of the scene."""
-        scene, key = self.document.scene, self.options.member
+        """Move back until the selected Gaussians are visible, else the active layer or actor, else the dense scene.
+
+        Once that is framed, frame the next of these: from the selection to the scene.
+        """
+        scene, key, time_s = self.document.scene, self.options.member, self.playback.clock.time_s
+        cores = [core_bounds(selected)] if (selected := selected_items(scene, time_s)) else []
         chosen = next((each for each in scene.members if each.key == key and each.visible), None)
-        part = None if chosen is None else scene.part(chosen, self.playback.clock.time_s)
-        self.navigation.frame(self.core if part is None else core_bounds([part]))
+        part = None if chosen is None else scene.part(chosen, time_s)
+        cores += [core_bounds([part])] if part is not None else []
+        cores.append(self.core)
+        present = self.navigation.position
+        framed = [self._framing(core) for core in cores]
+        near = [np.allclose(each.position, present, atol=1e-6 * (1 + each.distance_m)) for each in framed]
+        last = max((number for number, is_near in enumerate(near) if is_near), default=-1)
+        self.navigation = framed[min(last + 1, len(framed) - 1)]
+
+    def _framing(self, core: SceneCore) -> OrbitCamera:
+        """The camera with a core framed."""
+        camera = replace(self.navigation)
+        camera.frame(core)
+        return camera
+
+    def set_pivot(self, x: float, y: float, width: int, height: int) -> bool:
+        """Orbit around the surface at a pixel of the picture; return whether there is one."""
+        point_m = pick_point(self.document.scene, self.canvas_view(width, height), x, y)
+        if point_m is not None:
+            self.stop_riding()
+            self.navigation.set_pivot(point_m)
+        return point_m is not None
+
+    def orbit(self, right_rad: float, up_rad: float) -> None:
+        """Turn around the pivot; near a wall the camera stops in front of it."""
+        before = replace(self.navigation)
+        self.navigation.orbit(right_rad, up_rad)
+        obstacles = self.obstacles.of(self.document.scene, self.core.radius_m)
+        if obstacles is not None and obstacles.stops(before.position, self.navigation.position):
+            self.navigation = before
 
     def dolly(self, steps: float) -> None:
         """Move toward the target (positive) or away; from outside of the scene, toward the scene."""
@@ -199,3 +233,14 @@ class ViewportState:
         before, after = old.scene.scene_to_world, new.scene.scene_to_world
         if not np.array_equal(before, after):  # keep the view when the scale or the up direction changes
             self.navigation.carry(after @ np.linalg.inv(before))
+
+
+def selected_items(scene: Scene, time_s: float) -> list[DrawItem]:
+    """Items of the visible members at a time with their selected Gaussians alone."""
+    items = list[DrawItem]()
+    for member in scene.members:
+        chosen, part = member.marks.selected, scene.part(member, time_s) if member.visible else None
+        if part is not None and chosen:
+            hidden = member.marks.left_out
+            items.append(part._replace(left_out=~chosen if hidden is None else ~chosen | hidden))
+    return items

@@ -3,12 +3,13 @@
 import logging
 import math
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from operator import attrgetter
-from typing import Annotated, Any, Literal, TypeVar
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -17,14 +18,18 @@ from jaxtyping import Float64
 from msgspec import Meta
 
 from ..safe_io.errors import convert_checked
+from ..safe_io.text_files import read_whole, yaml_values
+from ..scene.easing import KeyEasing, eased_share
+from ..scene.files import whole_file
 from ..scene.scene import Scene
-from .settings import HEAVIEST_MM_H, RainSettings
+from .settings import HEAVIEST_MM_H, MAX_LAMP_GAIN, RainSettings
 
-Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
-KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")  # fields of the rain that can have keyframes
+Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s", "wetness", "lamp_gain"]
+KEYED: tuple[Keyed, ...] = get_args(Keyed)  # fields of the rain that can have keyframes
 LONGEST_S = 1e7  # maximum absolute time of a keyframe
 _PIECES = 16  # number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height
 _MAX_KNOTS = 200_000
+_HOLD_STEP_S = 1e-6  # duration of the step at the end of a held value
 _TIME = attrgetter("time_s")
 
 
@@ -35,6 +40,10 @@ class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     intensity_mm_h: float | None = None
     wind_m_s: tuple[float, float] | None = None
     exposure_s: float | None = None
+    wetness: float | None = None
+    lamp_gain: float | None = None
+    easing: dict[Keyed, KeyEasing] = {}
+    """Easing of a field from here to its next keyframe; others follow `RainKeyframes.between`."""
 
     def __post_init__(self) -> None:
         intensity, wind, exposure = self.intensity_mm_h, self.wind_m_s, self.exposure_s
@@ -46,10 +55,23 @@ class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {wind}")
         if exposure is not None and not 1e-5 <= exposure <= 1:
             raise ValueError(f"exposure_s must be within 0.00001..1 s, got {exposure}")
+        if self.wetness is not None and not 0 <= self.wetness <= 1:
+            raise ValueError(f"wetness must be within 0..1, got {self.wetness}")
+        if self.lamp_gain is not None and not 0 <= self.lamp_gain <= MAX_LAMP_GAIN:
+            raise ValueError(f"lamp_gain must be within 0..{MAX_LAMP_GAIN:g}, got {self.lamp_gain}")
+
+    def without(self, name: Keyed) -> "RainKeyframe":
+        """Return a copy without a field and its easing."""
+        easing = {each: value for each, value in self.easing.items() if each != name}
+        return msgspec.structs.replace(self, **{name: None}, easing=easing)
+
+    def easing_of(self, name: Keyed) -> dict[Keyed, KeyEasing]:
+        """Return the easing of a field alone."""
+        return {name: self.easing[name]} if name in self.easing else {}
 
     @property
     def is_empty(self) -> bool:
-        return self.intensity_mm_h is None and self.wind_m_s is None and self.exposure_s is None
+        return all(getattr(self, name) is None for name in KEYED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +84,19 @@ class KeyframeCurve:
 
     @classmethod
     def through(
-        cls, times_s: Float64[np.ndarray, " n"], values: Float64[np.ndarray, "n k"], *, smooth: bool = False
+        cls,
+        times_s: Float64[np.ndarray, " n"],
+        values: Float64[np.ndarray, "n k"],
+        *,
+        smooth: bool = False,
+        easings: Sequence[KeyEasing | None] = (),
     ) -> "KeyframeCurve":
-        """Join keyframes; `smooth` rounds corners with a cubic without overshoot (Fritsch and Carlson, 1980)."""
+        """Join keyframes; `smooth` rounds corners with a cubic without overshoot (Fritsch and Carlson, 1980).
+
+        `easings` replaces the course from a keyframe to the next one, where it is not None.
+        """
+        if any(easings[:-1]):
+            return cls.through(times_s, values, smooth=smooth)._with_easings(times_s, values, easings)
         pieces = min(_PIECES, _MAX_KNOTS // len(times_s))
         if not smooth or len(times_s) < 2 or pieces < 2:
             return cls(times_s, values)
@@ -81,6 +113,30 @@ class KeyframeCurve:
         drawn = np.where(np.isfinite(drawn), drawn, np.concatenate([straight, values[-1:]]))
         drawn[::pieces] = values  # bit-exact
         return cls(knots, np.clip(drawn, values.min(axis=0), values.max(axis=0)))
+
+    def _with_easings(
+        self,
+        keys_s: Float64[np.ndarray, " m"],
+        values: Float64[np.ndarray, "m k"],
+        easings: Sequence[KeyEasing | None],
+    ) -> "KeyframeCurve":
+        """Replace the stretches after keyframes with an easing by pieces of their own."""
+        pieces = min(_PIECES, max(2, _MAX_KNOTS // len(keys_s)))
+        times, drawn = list[Float64[np.ndarray, " n"]](), list[Float64[np.ndarray, "n k"]]()
+        for key, easing in enumerate(easings[: len(keys_s) - 1]):
+            start, end = keys_s[key], keys_s[key + 1]
+            if easing is None:
+                inside = (self.times_s >= start) & (self.times_s < end)
+                times.append(self.times_s[inside])
+                drawn.append(self.values[inside])
+                continue
+            step_s = min(_HOLD_STEP_S, 0.5 * (end - start))
+            shares = {"hold": np.array([0.0, 1 - step_s / (end - start)]), "linear": np.zeros(1)}.get(
+                easing, np.arange(pieces) / pieces
+            )
+            times.append(start + shares * (end - start))
+            drawn.append(values[key] + eased_share(easing, shares).shares[:, None] * (values[key + 1] - values[key]))
+        return KeyframeCurve(np.append(np.concatenate(times), keys_s[-1]), np.concatenate([*drawn, values[-1:]]))
 
     def at(self, time_s: float) -> Float64[np.ndarray, " k"]:
         before = self.before(time_s)
@@ -136,9 +192,10 @@ class RainKeyframes(
         found: dict[Keyed, KeyframeCurve] = {}
         for name, times in self.key_times.items():
             if len(times):
-                values = [value for key in self.keys if (value := getattr(key, name)) is not None]
-                rows = np.array(values, np.float64).reshape(len(times), -1)
-                found[name] = KeyframeCurve.through(times, rows, smooth=self.between == "smooth")
+                keys = [key for key in self.keys if getattr(key, name) is not None]
+                rows = np.array([getattr(key, name) for key in keys], np.float64).reshape(len(times), -1)
+                easings: list[KeyEasing | None] = [key.easing.get(name) for key in keys]
+                found[name] = KeyframeCurve.through(times, rows, smooth=self.between == "smooth", easings=easings)
         return found
 
     @cached_property
@@ -168,6 +225,8 @@ class RainKeyframes(
     def with_key(self, time_s: float, **fields: Any) -> "RainKeyframes":
         """Return a copy with fields set at a time, in addition to those already set there."""
         present = self.key_at(time_s)
+        if present is not None and "easing" in fields:
+            fields["easing"] = present.easing | fields["easing"]
         key = RainKeyframe(time_s=time_s, **fields) if present is None else msgspec.structs.replace(present, **fields)
         return self._with(*(each for each in self.keys if each is not present), key)
 
@@ -178,12 +237,12 @@ class RainKeyframes(
             return self
         keys = [each for each in self.keys if each is not present]
         if name is not None:
-            keys.append(msgspec.structs.replace(present, **{name: None}))
+            keys.append(present.without(name))
         return self._with(*(key for key in keys if not key.is_empty))
 
     def without(self, name: Keyed) -> "RainKeyframes":
         """Return a copy without any keyframe of a field."""
-        bare = (msgspec.structs.replace(key, **{name: None}) for key in self.keys)
+        bare = (key.without(name) for key in self.keys)
         return self._with(*(key for key in bare if not key.is_empty))
 
     def moved_key(self, time_s: float, to_s: float, name: Keyed, **fields: Any) -> "RainKeyframes":
@@ -195,7 +254,7 @@ class RainKeyframes(
         if key is None or getattr(key, name) is None:
             return self
         value = fields.get(name, getattr(key, name))
-        return self.without_key(time_s, name).with_key(to_s, **{name: value})
+        return self.without_key(time_s, name).with_key(to_s, **{name: value}, easing=key.easing_of(name))
 
     @cached_property
     def key_times(self) -> dict[Keyed, Float64[np.ndarray, " n"]]:
@@ -230,6 +289,23 @@ def shower_keyframes(
     rates = [round(peak_mm_h * math.sin(math.pi * k / steps) ** 2, 6) for k in range(steps + 1)]
     keys = (RainKeyframe(time_s=start_s + duration_s * k / steps, intensity_mm_h=rate) for k, rate in enumerate(rates))
     return RainKeyframes(keys=tuple(keys), between="smooth")
+
+
+# Files
+
+
+def read_keyframes(path: Path) -> RainKeyframes:
+    """Read rain keyframes from a YAML or JSON file. Raises `ValueError`, which names the field, and `OSError`."""
+    try:
+        return convert_checked(yaml_values(read_whole(path)), RainKeyframes)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def write_keyframes(path: Path, keyframes: RainKeyframes) -> None:
+    """Write rain keyframes to a YAML file, for `gsrain render --rain-keyframes`. Raises `OSError`."""
+    with whole_file(path) as file:
+        file.write_bytes(msgspec.yaml.encode(keyframes))
 
 
 # Rain saved with a scene

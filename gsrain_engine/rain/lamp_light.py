@@ -29,7 +29,7 @@ FLOOR_CELLS = 2.0
 """Floor of b in the table, in cells at the lamp's distance."""
 REACH = 2.5
 """Distance from a lamp in floors at which the table is exact to a percent; pixels nearer take an integral."""
-UNSEEN = 0.005
+UNSEEN = 0.01
 """Share of a pixel's light up to which such integrals are left out, all together."""
 SEGMENT_PX = 32  # of a row, for which lamps are chosen at once
 STEP, PIXEL_STEP = np.float32(np.pi / 16), np.float32(np.pi / 8)
@@ -37,9 +37,11 @@ STEP, PIXEL_STEP = np.float32(np.pi / 16), np.float32(np.pi / 8)
 BLOCK = 4
 """Cells of a block, over which the light of a lamp is interpolated if it is smooth."""
 SMOOTH, LEAST_LIGHT = 0.005, 1e-6
-"""Relative and absolute error that this may have in the middle of a block."""
+"""Share of the light, and light, that this may be wrong by in the middle of a block, all lamps together."""
 APART = 3.0
 """Distance in blocks from a lamp up to which its light is never interpolated."""
+FAR_APART = 10.0
+"""The same, beyond which that of a lamp without a cone always is: 1 / b then bends by less than `SMOOTH`."""
 NARROW = float(np.cos(np.radians(20.0)))  # cosine of the half-angle of cones that fit between the corners of blocks
 NEAREST_M = 0.02
 NEAREST_DROP_M = 0.1  # of a drop to a lamp
@@ -291,25 +293,40 @@ def _fill_blocks(corners, cell_px, intrinsics, lamps, numbers, drawn, sums, dist
                     _sum_slices(ray, lamps[i], depths, distances, numbers, sums, corners[row, column, i])
 
 
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _mean_of_corners(corners, row, column, i, k):
+    return np.float32(0.25) * (
+        corners[row, column, i, k] + corners[row + 1, column, i, k]
+        + corners[row, column + 1, i, k] + corners[row + 1, column + 1, i, k]
+    )  # fmt: skip
+
+
 @numba.njit(error_model="numpy")
 @no_type_check
-def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, sums, light, cell_px, focal_px):
-    """Compare the light of a lamp in the middle of a block with the mean at its corners; true if they agree."""
+def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, sums, light, unseen, cell_px, focal_px):
+    """Compare the light of a lamp in the middle of a block with the mean at its corners; true if they agree.
+
+    `unseen` is the error that is left to all lamps up to each slice; it is used up.
+    """
     if lamp[9] >= NARROW:
         return False
     nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
     square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
-    apart = np.float32(APART * BLOCK) * cell_px / focal_px * lamp[17]
-    if nearest > 0 and square < apart * apart:
+    block_m = np.float32(BLOCK) * cell_px / focal_px * lamp[17]
+    if nearest > 0 and square < np.float32(APART * APART) * block_m * block_m:
         return False
+    if _mean_of_corners(corners, row, column, i, len(distances) - 1) == 0:  # none is in its cone
+        return True
+    if lamp[9] <= -1 and (nearest <= 0 or square > np.float32(FAR_APART * FAR_APART) * block_m * block_m):
+        return True
     _sum_slices(ray, lamp, depths, distances, numbers, sums, light)
     for k in range(1, len(distances)):
-        mean = np.float32(0.25) * (
-            corners[row, column, i, k] + corners[row + 1, column, i, k]
-            + corners[row, column + 1, i, k] + corners[row + 1, column + 1, i, k]
-        )  # fmt: skip
-        if lamp[16] * abs(light[k] - mean) > np.float32(SMOOTH) * lamp[16] * mean + np.float32(LEAST_LIGHT):
+        light[k] = lamp[16] * abs(light[k] - _mean_of_corners(corners, row, column, i, k))
+        if light[k] > unseen[k]:
             return False
+    for k in range(1, len(distances)):
+        unseen[k] -= light[k]
     return True
 
 
@@ -325,18 +342,25 @@ def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, dist
     half = np.float32(BLOCK // 2)
     for block in numba.prange(corners.shape[0] - 1):
         depths, light = np.empty(count, np.float32), np.empty(count, np.float32)
-        smooth = np.empty((2, 2, count, 3), np.float32)
+        unseen, smooth = np.empty(count, np.float32), np.empty((2, 2, count, 3), np.float32)
         rough = np.empty(len(lamps), np.int32)
         for across in range(corners.shape[1] - 1):
             ray = _depths(
                 across * BLOCK + half, block * BLOCK + half, cell_px, intrinsics, numbers, drawn, distances, depths
             )
             smooth[:] = 0
+            unseen[:] = LEAST_LIGHT
+            for i in range(len(lamps)):
+                if lamps[i, 9] < NARROW:
+                    for k in range(1, count):
+                        light_there = lamps[i, 16] * _mean_of_corners(corners, block, across, i, k)
+                        unseen[k] += np.float32(SMOOTH) * light_there
             found = 0
             for i in range(len(lamps)):
                 if _is_smooth(
-                    corners, block, across, i, ray, lamps[i], depths, distances, numbers, sums, light, cell_px, focal_px
-                ):
+                    corners, block, across, i, ray, lamps[i], depths, distances, numbers, sums, light, unseen,
+                    cell_px, focal_px,
+                ):  # fmt: skip
                     for down in range(2):
                         for right in range(2):
                             for k in range(1, count):

@@ -15,6 +15,7 @@ Vector = tuple[float, float, float]
 CALIBRATED_UP_TO_MM_H = 13.0
 """Upper end of the published calibration; higher intensities are marked as extrapolated in window and reports."""
 
+MAX_LAMP_GAIN = 10.0
 HEAVIEST_MM_H = 149.0
 """Highest intensity: the upper end of very heavy rain (ASAM OSI)."""
 
@@ -215,6 +216,9 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Lamps", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},
         description="Lamps that light drops and medium: none, auto (found as bright spots of a dark scene), headlights "
         "(of all vehicles, and the scene's fixed lamps), or a file. Default: the scene's own.")] = None
+    lamp_gain: Annotated[float, Meta(
+        ge=0, le=MAX_LAMP_GAIN, title="Lamp light", extra={"group": "Lamps", "slider_to": 2.0, "commands": "render"},
+        description="Multiplies the light of all lamps; 0 switches them off.")] = 1.0
     wetness: Annotated[float | None, Meta(
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None

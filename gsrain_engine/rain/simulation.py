@@ -3,13 +3,15 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import msgspec
 import numpy as np
 from jaxtyping import Float64
 
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.lamp_choice import OWN_LAMPS, LampChoice, lamp_choice
-from ..scene.lamps import LitLamps
+from ..scene.lamps import Lamp, LitLamps
+from ..scene.scene import Scene
 from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
 from .air import Wind, follows
 from .calibration import Calibration, load_calibration
@@ -103,6 +105,8 @@ class RainSimulation:
 
     def wetness_at(self, time_s: float) -> float:
         """Share of surfaces that is wet at a time, 0..1: the set value, or derived from the intensity."""
+        if (keyed := self.weather.curves.get("wetness")) is not None:
+            return float(keyed.at(time_s)[0])
         if self.rain.wetness is not None:
             return self.rain.wetness
         return self._wetness.at(time_s) if isinstance(self._wetness, WetnessCurve) else self._wetness
@@ -114,7 +118,7 @@ class RainSimulation:
         """
         wet = self.wetness_at(time_s)
         fog = fog_overcast(self.frozen_at(time_s).rain.visibility_m)
-        return wet if self.rain.wetness is not None else max(wet, fog)
+        return wet if self.has_own_wetness else max(wet, fog)
 
     def overcast_at(self, time_s: float) -> float:
         """Share of the overcast sky at a time, 0..1: closed in rain and fog, and as long as anything is wet.
@@ -122,7 +126,7 @@ class RainSimulation:
         With a wetness of 0 the scene stays as lit, at any intensity.
         """
         wet = self.wetness_at(time_s)
-        if self.rain.wetness == 0:
+        if self.is_as_lit:
             return wet
         now = self.frozen_at(time_s).rain
         return max(wet, overcast(now.intensity_mm_h), fog_overcast(now.visibility_m))
@@ -141,7 +145,24 @@ class RainSimulation:
     @property
     def is_never_overcast(self) -> bool:
         """True if `overcast_at` is 0 at any time."""
-        return self.rain.wetness == 0 or (self.rain.wetness is None and not self.can_rain)
+        return self.is_as_lit or (not self.has_own_wetness and not self.can_rain)
+
+    @property
+    def has_own_wetness(self) -> bool:
+        """True if the wetness is set, or has keyframes, and does not follow from the intensity."""
+        return self.rain.wetness is not None or self.weather.is_keyed("wetness")
+
+    @property
+    def is_as_lit(self) -> bool:
+        """True if the wetness is 0 at any time, by choice."""
+        return self.rain.wetness == 0 and not self.weather.is_keyed("wetness")
+
+    def lamps_of(self, scene: Scene, time_s: float) -> tuple[Lamp, ...]:
+        """Lamps of a scene at a time, with the rain's `lamp_gain`."""
+        lamps, gain = self.lamps.of(scene), self.frozen_at(time_s).rain.lamp_gain
+        if gain == 1:
+            return lamps
+        return tuple(msgspec.structs.replace(each, intensity_m2=gain * each.intensity_m2) for each in lamps)
 
     def exposure_s(self, camera: Camera) -> float:
         """Shutter time: the rain's own, else that of a sensor which the rain names, else the camera's."""

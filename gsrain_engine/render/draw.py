@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -25,7 +26,7 @@ from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
 from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
-from .mirror import draw_mirror, has_mirror, mirror_view, reflecting_items, ring_waves, standing_water
+from .mirror import MirrorReuse, draw_mirror, has_mirror, mirror_view, reflecting_items, ring_waves, standing_water
 from .renderer import PendingImage, Renderer, RenderMode
 
 
@@ -73,16 +74,17 @@ def draw_view(
     thinning: "Thinning | None" = None,
     selection: bool = False,
     falls: bool = True,
+    reuse: MirrorReuse | None = None,
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
     `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
-    leaves out some of each part's Gaussians; `selection` tints selected ones. Spray counts in depth: where `has_spray`,
-    draw the scene's own depth without rain.
+    leaves out some of each part's Gaussians; `selection` tints selected ones; `reuse` draws fewer mirrors. Spray counts
+    in depth: where `has_spray`, draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
-    lamps = scene.lamps if rainfall is None else rainfall.lamps.of(scene)
+    lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
     lit_lamps = scene.lamps_at(shot.time_s, lamps) if rainfall is not None and lamps else None
     if rainfall is not None:
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
@@ -92,7 +94,7 @@ def draw_view(
     level, has_water, standing, depth = None, False, (0.0, 0.0), WaterDepth(0.0, 0.0)
     if rainfall is not None and rainfall.rain.mirror and look == "splats":
         depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
-        standing = standing_water(rainfall.rain, depth, wetness)
+        standing = standing_water(rainfall.frozen_at(shot.time_s).rain, depth, wetness)
         level = mirror_view(scene, shot.camera)
         has_water = has_mirror(scene, level, wetness, standing)
     lit = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
@@ -105,11 +107,12 @@ def draw_view(
     mirror = None
     if rainfall is not None and level is not None and has_water:
         parts = reflecting_items(parts, scene)
-        mirror = draw_mirror(
-            renderer, scene, lambda camera: subset_items(lit, thinning, camera), rain, level, wetness,
+        reflect = partial(
+            draw_mirror, renderer, scene, partial(subset_items, lit, thinning), rain, level, wetness,
             flooded_share(depth.film_mm), sky.drops, lit_lamps, standing,
             ring_waves(scene, rainfall, level, shot.time_s, shot.focal_px) if falls else None,
         )  # fmt: skip
+        mirror = reflect() if reuse is None else reuse.mirror(scene, level, reflect)
     if rain is not None and rainfall is not None:
         if has_splashes(scene, rainfall, wetness):
             rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))

@@ -28,6 +28,8 @@ from .sequence import FrameSequence, RigCameraView, find_rig_cameras
 
 _PREVIEW_PX = 320
 _PREVIEW_EVERY_S = 0.5
+FRAME_TIME = "seconds per frame"
+"""Metric of an export: mean time of its frames so far, without the first."""
 
 
 def export_frames(
@@ -143,15 +145,17 @@ class EtaEstimator:
             small = pixels[::step, ::step]
             preview = np.ascontiguousarray(small if isinstance(frame, np.ndarray) else Frame(small).to_uint8())
             self._previewed = now
+        metrics: dict[str, float] = {}
         message = f"Frame {self.done:,} of {self._frames:,}"
         if self.done == 1:  # excluded from the estimate: it loads data and compiles kernels
             self._began = now
         else:
-            left_s = (now - self._began) / (self.done - 1) * (self._frames - self.done)
+            metrics[FRAME_TIME] = frame_s = (now - self._began) / (self.done - 1)
+            left_s = frame_s * (self._frames - self.done)
             minutes, seconds = divmod(round(left_s), 60)
             hours = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d} h"
             message += f", {hours if minutes >= 60 else f'{minutes}:{seconds:02d} min'} left"
-        return Progress(self.done / self._frames, message, preview)
+        return Progress(self.done / self._frames, message, preview, metrics)
 
 
 # Export from scene, rain and camera
@@ -214,6 +218,9 @@ def export_sequences(
     camera at rest. Raises `ValueError` for contradictory settings.
     """
     recording.check()
+    whole = scene
+    if recording.transparent:
+        scene = replace(scene, layers=tuple(each for each in scene.layers if each.kind != "sky"))
     lod = merges_details(recording, scene)
     scene = with_lod_trees(scene) if lod else scene
     views: dict[str, Camera | CameraPath | RigCameraView] = {"": viewpoint}
@@ -232,6 +239,7 @@ def export_sequences(
             scene, rainfall, view, *size_px, fps=recording.fps, start_s=recording.first_s,
             in_scene_time=in_scene_time and isinstance(view, CameraPath), supersampling=recording.supersampling,
             motion_blur=recording.motion_blur, at_rest=recording.is_still and is_untimed, lod=lod,
+            projection=recording.projection, sky_scene=whole if recording.transparent else None,
         )  # fmt: skip
     return sequences
 

@@ -1,10 +1,10 @@
 """Export settings: output, frame rate, size, passes and codec, and the names of the written files."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -14,6 +14,7 @@ from ..scene.files import shortened
 Pass = Literal["color", "depth", "alpha", "labels"]
 Codec = Literal["auto", "h264", "vp9", "av1", "png", "jpeg", "exr"]
 Lod = Literal["off", "pixel"]
+Projection = Literal["perspective", "360", "stereo"]
 LARGEST_PX = 16384
 Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
 DEFAULT_SIZE_PX = (960, 640)
@@ -74,6 +75,15 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
         "Gaussian. None takes pixel from a million Gaussians on, except for NPY. Depth and labels are always exact.",
     )] = None
+    projection: Annotated[Projection, Meta(
+        title="Projection", extra={"commands": "render"},
+        description="360: equirectangular, twice as wide as high, level, with the camera's heading in the middle. "
+        "stereo: left and right eye side by side, 65 mm apart. Both without the sensor's picture and water on glass.",
+    )] = "perspective"
+    transparent: Annotated[bool, Meta(
+        title="Transparent background", extra={"commands": "render"},
+        description="Leave out the sky layers, and write what covers a pixel as its alpha: PNG, EXR, NPY, or WebM "
+        "(VP9).")] = False
     codec: Annotated[Codec, Meta(
         title="Codec", extra={"commands": "render"},
         description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames.")] = "auto"
@@ -138,9 +148,46 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             raise ValueError(f"{self.output}: {self.format} needs an output that ends in {suffixes}")
         if self.format == "jpeg" and (others := [each for each in self.passes if each != "color"]):
             raise ValueError(f"{self.output}: JPEG holds colors alone; for the pass {others[0]} take PNG, EXR or NPY")
+        if self.transparent and self.format not in ("png", "exr", "npy", "vp9"):
+            raise ValueError(
+                f"{self.output}: {self.format} holds no transparency; take .png, .exr, .npy or .webm (VP9)"
+            )
+        if self.projection != "perspective" and "labels" in self.passes:
+            raise ValueError(f"the pass labels needs the projection perspective, not {self.projection}")
+        width, height = self.size_px or DEFAULT_SIZE_PX
+        if self.projection == "360" and (width != 2 * height or self.cameras):
+            raise ValueError(f"a 360 image is twice as wide as high and of the camera path, got {width}x{height}")
+        if self.projection == "stereo" and width % 2:
+            raise ValueError(f"a stereo image has an even width, got {width}")
         if self.is_video and self.size_px is not None and any(side % 2 for side in self.size_px):
             width, height = self.size_px
             raise ValueError(f"{self.output}: a video needs an even width and height, got {width}x{height}")
+
+
+class ExportPreset(NamedTuple):
+    """Settings for one purpose."""
+
+    title: str
+    help: str
+    fields: Mapping[str, Any]
+
+
+EXPORT_PRESETS = (
+    ExportPreset("YouTube 1080p", "1920 x 1080 at 30 frames a second, H.264, two samples for the exposure.",
+                 {"codec": "h264", "size_px": (1920, 1080), "fps": 30.0, "quality": 16, "motion_blur": 2}),
+    ExportPreset("YouTube 4K", "3840 x 2160 at 30 frames a second, H.264.",
+                 {"codec": "h264", "size_px": (3840, 2160), "fps": 30.0, "quality": 18}),
+    ExportPreset("Paper figure", "PNG of 1920 x 1280, four samples per pixel.",
+                 {"codec": "png", "size_px": (1920, 1280), "supersampling": 2}),
+    ExportPreset("Dataset", "PNG frames with depth and labels, and the same frames without rain in the same light.",
+                 {"codec": "png", "size_px": (960, 640), "fps": 10.0, "passes": ("color", "depth", "labels"),
+                  "twin": "overcast"}),
+    ExportPreset("360 video", "Equirectangular, 3840 x 1920, H.264.",
+                 {"codec": "h264", "size_px": (3840, 1920), "fps": 30.0, "projection": "360"}),
+    ExportPreset("Cut-out", "WebM with a transparent background, for compositing.",
+                 {"codec": "vp9", "size_px": (1920, 1080), "fps": 30.0, "transparent": True}),
+)  # fmt: skip
+"""Presets of the Record panel; fields that they don't name get their defaults."""
 
 
 # Output files

@@ -113,9 +113,10 @@ def open_frame_writer(
     video = nullcontext()
     if files.is_video and "color" in files.passes:
         codec, quality = recording.format, recording.quality
-        video = VideoWriter(files.path, *size_px, recording.fps, codec=codec, quality=quality)
+        has_alpha = recording.transparent
+        video = VideoWriter(files.path, *size_px, recording.fps, codec=codec, quality=quality, has_alpha=has_alpha)
     with video as opened:
-        yield FrameWriter(files, legend, opened, recording.quality)
+        yield FrameWriter(files, legend, opened, recording.quality, is_transparent=recording.transparent)
 
 
 def write_still(path: Path | str, frame: Frame) -> None:
@@ -137,9 +138,16 @@ class FrameWriter:
     """Writes the frames of one camera; still files are written atomically."""
 
     def __init__(
-        self, files: ExportFiles, legend: Mapping[str, Any], video: VideoWriter | None, quality: int | None
+        self,
+        files: ExportFiles,
+        legend: Mapping[str, Any],
+        video: VideoWriter | None,
+        quality: int | None,
+        *,
+        is_transparent: bool = False,
     ) -> None:
         """`quality` applies to JPEG."""
+        self._is_transparent = is_transparent
         self._files, self._legend, self._video = files, legend, video
         is_jpeg = files.format == "jpeg"
         self._image_options = _jpeg_options(DEFAULT_JPEG_QUALITY if quality is None else quality) if is_jpeg else _PNG
@@ -149,7 +157,7 @@ class FrameWriter:
     def takes_bytes(self) -> bool:
         """True if bytes of the color are all that is written."""
         is_bytes = self._video is not None or self._files.format in ("png", "jpeg")
-        return is_bytes and self._files.passes <= {"color", "labels"}
+        return is_bytes and not self._is_transparent and self._files.passes <= {"color", "labels"}
 
     def write(
         self,
@@ -167,7 +175,7 @@ class FrameWriter:
             write_exr(self._files.color(number), frame, self._files.passes)
         elif frame is not None:
             if self._video is not None or ("color" in self._files.passes and self._files.format in ("png", "jpeg")):
-                self._write_bytes(number, frame.to_uint8())
+                self._write_bytes(number, frame.to_rgba8() if self._is_transparent else frame.to_uint8())
             elif "color" in self._files.passes:
                 _write_array(self._files.color(number), frame.rgba)
             self._write_passes(number, frame)
@@ -178,7 +186,7 @@ class FrameWriter:
                     partial.write_text(json.dumps(self._legend, indent=1) + "\n", encoding="utf-8")
                 self._has_legend = True
 
-    def _write_bytes(self, number: int, image: UInt8[np.ndarray, "h w 3"]) -> None:
+    def _write_bytes(self, number: int, image: UInt8[np.ndarray, "h w c"]) -> None:
         if self._video is not None:
             self._video.write(image)
         else:

@@ -78,6 +78,12 @@ class Frame:
         pixels = np.rint(image, out=image).astype(np.uint8)
         return pixels if self.optics is None else self.optics.picture(pixels)
 
+    def to_rgba8(self) -> UInt8[np.ndarray, "h w 4"]:
+        """Return the 8-bit image with straight alpha; color is that of the covered share, black where there is none."""
+        alpha = np.clip(self.rgba[..., 3:], 0, 1)
+        color = np.clip(self.rgba[..., :3] / np.maximum(alpha, 1e-6), 0, 1) * (alpha > 0)
+        return np.rint(255 * np.concatenate([color, alpha], axis=-1)).astype(np.uint8)
+
 
 PendingImage = Callable[[], UInt8[np.ndarray, "h w 3"]]
 """Waits for an image that is being read back, and returns it."""

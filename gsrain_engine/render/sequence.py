@@ -3,6 +3,7 @@
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
+import msgspec
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
@@ -17,7 +18,9 @@ from ..water.glass import CameraMotion, GlassState
 from .camera_optics import CameraOptics, glass_state
 from .camera_response import PictureOptics
 from .draw import LodCut, RenderView, draw_view, has_spray, request_picture
+from .export_settings import Projection
 from .images import to_display, to_linear_light
+from .panorama import compose, views_of
 from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
 
@@ -78,6 +81,9 @@ class FrameSequence:
     """False draws the light and the wet colors of the rain, without its drops and its medium."""
     lod: bool = False
     """True if images without depth merge details smaller than a pixel, in members that have a tree."""
+    projection: Projection = "perspective"
+    sky_scene: Scene | None = None
+    """Scene whose sky gives drops and medium their colors, if another: that of a transparent background has none."""
     _optics: CameraOptics = field(default_factory=CameraOptics, init=False)
 
     def time_s(self, number: int) -> float:
@@ -123,7 +129,11 @@ class FrameSequence:
                 front = max(self.scene.rigs[rig], key=lambda each: each.camera_to_ego[0, 2])
                 place = rig_camera(self.scene, rig, front.name, float(ego.times[int(np.argmax(ego.valid))]))
         return sky_color(
-            renderer, self.scene, place, thinning=LodCut() if self.lod else None, dry=self.rainfall.is_never_overcast
+            renderer,
+            self.sky_scene or self.scene,
+            place,
+            thinning=LodCut() if self.lod else None,
+            dry=self.rainfall.is_never_overcast,
         )
 
     def frame(
@@ -134,19 +144,28 @@ class FrameSequence:
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
+        face: int | None = None,
     ) -> Frame:
         """Render a frame; `sky=None` omits the rain. Depth is the scene's at the frame's time, one sample per pixel.
 
         Samples inside a pixel are averaged as the renderer blends: premultiplied, in display values. Sub-frames are
-        averaged as on a sensor: in linear light.
+        averaged as on a sensor: in linear light. `face` is one of the views of a panorama or a stereo image.
         """
+        if self.projection != "perspective" and face is None:
+            faces = range(len(views_of(self.shot(number), self.projection)))
+            frames = [self.frame(renderer, number, sky, with_depth=with_depth, look=look, face=each) for each in faces]
+            return compose(frames, self.projection, self.width, self.height)
+
+        def face_view(shot: RenderView) -> RenderView:
+            return shot if face is None else views_of(shot, self.projection)[face]
+
         rainfall = None if sky is None else self.rainfall
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
-        shots, side = self.shots(number), self.supersampling
+        shots, side = list(map(face_view, self.shots(number))), self.supersampling
         has_own_depth = with_depth and len(shots) == side == 1
         has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
-        optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
+        optics = None if face is not None else self._optics_of(renderer, number, color, look, falls=sky is not None)
         frame: Frame | None = None
         total: Float32[np.ndarray, "h w 4"] | None = None
         for shot in shots:
@@ -168,10 +187,26 @@ class FrameSequence:
         assert frame is not None
         if total is not None:
             frame = replace(frame, rgba=to_display(total / np.float32(len(shots))))
+        has_medium = rainfall is not None and rainfall.state_at(self.time_s(number)).extinction_per_m > 0
+        if self.sky_scene is not None and has_medium and self.falls:
+            frame = self._without_airlight(renderer, frame, color, face_view(self.shot(number)))
         if with_depth and not has_own_depth:
-            draw_view(renderer, self.scene, None, color, self.shot(number), with_depth=True)
+            draw_view(renderer, self.scene, None, color, face_view(self.shot(number)), with_depth=True)
             frame = replace(frame, depth=renderer.read().depth)
         return replace(frame, optics=optics)
+
+    def _without_airlight(self, renderer: Renderer, frame: Frame, sky: SkyLight, shot: RenderView) -> Frame:
+        """Remove the medium's light before the transparent background, whose distance is unknown.
+
+        What covers a pixel is the scene and the streaks, drawn once more without the medium.
+        """
+        rain = msgspec.structs.replace(self.rainfall.rain, haze="none", visibility_m=None)
+        clear_air = RainSimulation.start(rain, weather=self.rainfall.weather)
+        draw_view(renderer, self.scene, clear_air, sky, shot, falls=self.falls)
+        alpha = renderer.read().rgba[..., 3:]
+        airlight = np.array(self.rainfall.rain.drop_color or sky.airlight, np.float32)
+        color = np.maximum(frame.rgba[..., :3] - (1 - alpha) * airlight, 0)
+        return replace(frame, rgba=np.concatenate([np.minimum(color, alpha), alpha], axis=-1))
 
     def image(
         self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
@@ -183,7 +218,7 @@ class FrameSequence:
         self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
     ) -> PendingImage:
         """Draw a frame as `image` does, and start to read it back: others can be drawn meanwhile."""
-        if self.motion_blur > 1 or self.supersampling > 1:
+        if self.motion_blur > 1 or self.supersampling > 1 or self.projection != "perspective":
             return self.frame(renderer, number, sky, look=look).to_uint8
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))

@@ -70,12 +70,13 @@ class VideoWriter:
     """Writes frames of one size. Use it in a `with` block, which finalizes the file, also after an exception."""
 
     def __init__(
-        self, path: Path, width: int, height: int, fps: float, *, codec: str | None = None, quality: int | None = None
-    ) -> None:
+        self, path: Path, width: int, height: int, fps: float, *, codec: str | None = None, quality: int | None = None,
+        has_alpha: bool = False,
+    ) -> None:  # fmt: skip
         """Open a video file; its suffix selects the format, and the codec if `codec` is None.
 
-        `quality` is the encoder's constant rate factor: lower is better and larger. Raises `ValueError` for a suffix,
-        codec or size that can't be encoded, and if PyAV is missing.
+        `has_alpha` is possible with VP9. `quality` is the encoder's constant rate factor: lower is better and larger.
+        Raises `ValueError` for a suffix, codec or size that can't be encoded, and if PyAV is missing.
         """
         suffix = path.suffix.lower()
         if suffix not in _CODECS:
@@ -98,11 +99,14 @@ class VideoWriter:
         rate = Fraction(fps).limit_denominator(1001)
         self._stream: Any = self._container.add_stream(encoder, rate=rate, options=options)
         self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
+        if has_alpha:  # VP9 alone: the alpha is a second stream within the first
+            self._stream.pix_fmt, self._stream.metadata["alpha_mode"] = "yuva420p", "1"
         self._stream.codec_context.gop_size = _GROUP
 
-    def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Add a frame. Raises `OSError` if it can't be written."""
-        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+    def write(self, pixels: UInt8[np.ndarray, "h w c"]) -> None:
+        """Add a frame, RGB or RGBA with straight alpha. Raises `OSError` if it can't be written."""
+        form = "rgba" if pixels.shape[2] == 4 else "rgb24"
+        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=form)
         self._thread.submit(self._mux, self._container, frame).result()
 
     def close(self) -> None:

@@ -10,6 +10,7 @@ import scipy  # loads its submodules on first use: most scenes are opened withou
 from jaxtyping import Float64
 
 from .camera import DEFAULT_EXPOSURE_S, Camera
+from .easing import KeyEasing, eased_share
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
 
 _KEYS_OF_A_CIRCLE = 12  # keyframes of a circle; the spline deviates from it by 0.02 % of its radius
@@ -109,6 +110,8 @@ class CameraPath:
     """True if the times are known. Keyframes of photos without times get a walking pace (`with_constant_speed`), and a
     still image from such a path is that of a camera at rest.
     """
+    key_easings: tuple[KeyEasing | None, ...] = ()
+    """Easing from each keyframe to the next one; None, and all of an empty tuple, follow `easing`."""
 
     def __post_init__(self) -> None:
         keys = len(self.times_s)
@@ -123,6 +126,8 @@ class CameraPath:
             raise ValueError("a keyframe holds a rotation that is none: its quaternion must be finite and not 0")
         if keys and not (self.vertical_fov_deg.min() > _NARROWEST_DEG and self.vertical_fov_deg.max() < 180):
             raise ValueError("the vertical field of view must be above 0 and below 180 degrees")
+        if len(self.key_easings) not in (0, keys):
+            raise ValueError(f"a camera path of {keys} keyframes has {len(self.key_easings)} easings")
         if keys == 0 or np.any(np.diff(self.times_s) < _SHORTEST_S):
             raise ValueError("a camera path needs at least one keyframe, with rising times")
 
@@ -209,7 +214,8 @@ class CameraPath:
             within = knots[0] + np.mod(times_s - knots[0], knots[-1] - knots[0])
         else:
             within = np.clip(times_s, knots[0], knots[-1])
-        return apply_easing(self.easing, knots, within)
+        eased = apply_easing(self.easing, knots, within)
+        return eased if not any(self.key_easings) else _apply_key_easings(self.key_easings, knots, within, eased)
 
     @cached_property
     def _knots_s(self) -> Float64[np.ndarray, " k"]:
@@ -278,3 +284,23 @@ def apply_easing(easing: Easing, knots_s: Float64[np.ndarray, " k"], times_s: Fl
     shares = np.select(cases, [u * u * (3 - 2 * u), u * u * (2 - u), u + u * u - u**3], u)
     rates = np.select(cases, [6 * u * (1 - u), u * (4 - 3 * u), 1 + 2 * u - 3 * u * u], 1.0)
     return Eased(knots_s[k] + length * shares, rates)
+
+
+def _apply_key_easings(
+    easings: Sequence[KeyEasing | None],
+    knots_s: Float64[np.ndarray, " k"],
+    times_s: Float64[np.ndarray, " t"],
+    eased: Eased,
+) -> Eased:
+    """Replace path times and rates where the keyframe before has an easing of its own."""
+    if len(knots_s) < 2:
+        return eased
+    k = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, 0, len(knots_s) - 2)
+    path_times, rates = eased.times_s.copy(), eased.rates.copy()
+    for key, easing in enumerate(easings[: len(knots_s) - 1]):
+        here = (k == key) if easing is not None else ()
+        if easing is not None and np.any(here):
+            length = knots_s[key + 1] - knots_s[key]
+            share = eased_share(easing, (times_s[here] - knots_s[key]) / length)
+            path_times[here], rates[here] = knots_s[key] + length * share.shares, share.rates
+    return Eased(path_times, rates)

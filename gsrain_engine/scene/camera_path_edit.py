@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from .camera import Camera
 from .camera_path import CameraPath
+from .easing import MIRRORED, KeyEasing
 from .geometry import normalized, quaternions_from_matrices
 
 SAME_TIME_S = 0.005
@@ -32,7 +33,7 @@ def keyframe_at(path: CameraPath, time_s: float) -> int | None:
 
 def keyframe_camera(path: CameraPath, key: int, width: int, height: int) -> Camera:
     """Camera of a keyframe, exactly as it was set."""
-    return replace(path, easing="none", loop=False).camera(float(path.times_s[key]), width, height)
+    return replace(path, easing="none", loop=False, key_easings=()).camera(float(path.times_s[key]), width, height)
 
 
 def with_keyframe(path: CameraPath | None, time_s: float, camera: Camera) -> EditedKeyframe:
@@ -68,7 +69,15 @@ def move_keyframe(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
 def copy_keyframe_to(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
     """Copy a keyframe to another time, or to the nearest free one if that is occupied."""
     free = _free_moment(path.times_s, time_s)
-    return _with_row_at(path, free, *(getattr(path, name)[key : key + 1] for name in _COLUMNS))
+    row = (getattr(path, name)[key : key + 1] for name in _COLUMNS)
+    return _with_row_at(path, free, *row, easing=path.key_easings[key] if path.key_easings else None)
+
+
+def set_key_easing(path: CameraPath, key: int, easing: KeyEasing | None) -> CameraPath:
+    """Set the easing from a keyframe to the next one; None follows the path's."""
+    easings = list(path.key_easings or [None] * len(path.times_s))
+    easings[key] = easing
+    return replace(path, key_easings=tuple(easings) if any(easings) else ())
 
 
 def place_keyframe_at(
@@ -108,7 +117,12 @@ def shift_path_time(path: CameraPath, seconds: float) -> CameraPath:
 def reverse_path_time(path: CameraPath) -> CameraPath:
     """Reverse the direction of the camera path."""
     backwards = np.arange(len(path.times_s))[::-1]
-    return _of_keys(path, backwards, path.times_s[0] + path.times_s[-1] - path.times_s[backwards])
+    reversed_path = _of_keys(path, backwards, path.times_s[0] + path.times_s[-1] - path.times_s[backwards])
+    if not path.key_easings:
+        return reversed_path
+    *stretches, closing = path.key_easings  # each belongs to the stretch after its keyframe
+    mirrored = tuple(MIRRORED[each] for each in (*stretches[::-1], closing))
+    return replace(reversed_path, key_easings=mirrored)
 
 
 def _free_moment(taken: Float64[np.ndarray, " k"], time_s: float) -> float:
@@ -124,15 +138,23 @@ def _free_moment(taken: Float64[np.ndarray, " k"], time_s: float) -> float:
 
 def _of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"], times_s: Float64[np.ndarray, " n"]) -> CameraPath:
     """Path of the keyframes with these indices, in this order, at these times."""
-    return replace(path, times_s=times_s, **{name: getattr(path, name)[keys] for name in _COLUMNS})
+    easings = tuple(path.key_easings[key] for key in keys) if path.key_easings else ()
+    columns = {name: getattr(path, name)[keys] for name in _COLUMNS}
+    return replace(path, times_s=times_s, key_easings=easings, **columns)
 
 
-def _with_row_at(path: CameraPath, time_s: float, *row: Float64[np.ndarray, "1 ..."]) -> EditedKeyframe:
+def _with_row_at(
+    path: CameraPath, time_s: float, *row: Float64[np.ndarray, "1 ..."], easing: KeyEasing | None = None
+) -> EditedKeyframe:
     """Insert a keyframe with these values of `_COLUMNS` at a free time."""
     at = int(np.searchsorted(path.times_s, time_s))
     columns = zip(_COLUMNS, row, strict=True)
     inserted = {name: np.insert(getattr(path, name), at, values, axis=0) for name, values in columns}
-    return EditedKeyframe(replace(path, times_s=np.insert(path.times_s, at, time_s), is_timed=True, **inserted), at)
+    easings = list(path.key_easings or [None] * len(path.times_s))
+    easings.insert(at, easing)
+    times = np.insert(path.times_s, at, time_s)
+    own = tuple(easings) if any(easings) else ()
+    return EditedKeyframe(replace(path, times_s=times, is_timed=True, key_easings=own, **inserted), at)
 
 
 _COLUMNS = ("positions", "quaternions_wxyz", "vertical_fov_deg")

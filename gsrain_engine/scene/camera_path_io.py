@@ -12,11 +12,14 @@ from jaxtyping import Float64
 from .camera import Camera
 from .camera_path import CameraPath, Easing, Interpolation
 from .camera_path_edit import WALKING_M_S, keyframe_camera, with_constant_speed
+from .easing import KEY_EASINGS
 from .files import SceneFormatError, read_json, whole_file
 from .geometry import normalized, quaternions_from_matrices
 
-VERSION = 2
-"""Version 2 added interpolation, easing and loop. A path without them is written as version 1, for older readers."""
+VERSION = 3
+"""Version 2 added interpolation, easing and loop, version 3 the easing of keyframes. A path without them is written as
+version 1 or 2, for older readers.
+"""
 
 _NUMBERS = re.compile(r"([0-9]+)")
 
@@ -46,9 +49,13 @@ def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
     names = "time_s", "position", "quaternion_wxyz", "vertical_fov_deg"
     keyframes = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     between = {"interpolation": camera_path.interpolation, "easing": camera_path.easing, "loop": camera_path.loop}
+    if any(p.key_easings):
+        for key, easing in zip(keyframes, p.key_easings, strict=True):
+            key |= {"easing": easing} if easing is not None else {}
+        return {"version": VERSION, **between, "keyframes": keyframes}
     if between == {"interpolation": "spline", "easing": "none", "loop": False}:
         return {"version": 1, "keyframes": keyframes}
-    return {"version": VERSION, **between, "keyframes": keyframes}
+    return {"version": 2, **between, "keyframes": keyframes}
 
 
 def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
@@ -74,6 +81,10 @@ def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
         raise ValueError(f"interpolation {interpolation!r} must be one of {', '.join(get_args(Interpolation))}")
     if easing not in get_args(Easing):
         raise ValueError(f"easing {easing!r} must be one of {', '.join(get_args(Easing))}")
+    easings = tuple(key.get("easing") for key in keys)
+    for each in easings:
+        if each not in (None, *KEY_EASINGS):
+            raise ValueError(f"the easing {each!r} of a keyframe must be one of {', '.join(KEY_EASINGS)}")
     return CameraPath(
         np.array([key["time_s"] for key in keys], np.float64),
         np.array([key["position"] for key in keys], np.float64).reshape(-1, 3),
@@ -82,6 +93,7 @@ def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
         interpolation=interpolation,
         easing=easing,
         loop=bool(values.get("loop")),
+        key_easings=easings if any(easings) else (),
     )
 
 

@@ -5,7 +5,7 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, UInt32
+from jaxtyping import Bool, UInt32, UInt64
 
 from ..kernels import NOGIL
 from .gaussians import Gaussians
@@ -35,10 +35,22 @@ def lod_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     # One 64-bit key per Gaussian with its index in the lower half: no two are equal, so any sort is stable.
     keys = _largest_first(_ranks(_contributions(gaussians.scales, gaussians.opacities)).view(np.uint32))
     keys.sort()
+    return _sorted_along_curve(gaussians, keys, lod_level_ends(len(keys)))
+
+
+def morton_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
+    """Permutation of the Gaussians along the Morton curve of `lod_order`, without levels: neighbors are together."""
+    return _sorted_along_curve(gaussians, np.arange(len(gaussians), dtype=np.uint64), (len(gaussians),))
+
+
+def _sorted_along_curve(
+    gaussians: Gaussians, keys: UInt64[np.ndarray, " n"], ends: tuple[int, ...]
+) -> UInt32[np.ndarray, " n"]:
+    """Sort keys, whose lower halves are indices, along the curve within each level; returns the indices."""
     box = robust_bounds(gaussians)
     cells_a_unit = _CELLS / np.maximum(box.high - box.low, np.finfo(np.float32).tiny)
     start = 0
-    for end in lod_level_ends(len(keys)):
+    for end in ends:
         level = keys[start:end]
         _to_morton_keys(gaussians.means, box.low, cells_a_unit, level)
         level.sort()

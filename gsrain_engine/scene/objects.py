@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from .gaussians import Gaussians
 from .scene import Actor, Layer, PoseTrack, Scene
-from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
+from .street.build import OBJECT_LAYERS, StreetBox, street_boxes
 from .street.layout import STREETS
 
 _MARGIN_M = 0.2  # includes mirrors and Gaussians that protrude from a box
@@ -34,14 +34,17 @@ class SceneObject:
 
 
 def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
-    """Objects with a class and a box, of visible members: actors first, then the built-in street's parked vehicles."""
+    """Objects with a class and a box, of visible members.
+
+    Actors first, then vehicles, people and traffic lights of the built-in street.
+    """
     actors = [_of_actor(actor) for actor in scene.actors if actor.visible]
-    parked = [layer for layer in scene.layers if layer.name in (PARKED_CARS, PARKED_TRUCKS) and layer.visible]
-    if scene.name not in STREETS or not parked:
+    standing = [layer for layer in scene.layers if layer.name in OBJECT_LAYERS and layer.visible]
+    if scene.name not in STREETS or not standing:
         return tuple(actors)
-    boxes = parked_boxes(STREETS[scene.name])
-    for layer in parked:
-        actors += _parked(layer, [box for box in boxes if box.layer == layer.name])
+    boxes = street_boxes(STREETS[scene.name])
+    for layer in standing:
+        actors += _of_layer(layer, [box for box in boxes if box.layer == layer.name])
     return tuple(actors)
 
 
@@ -51,7 +54,7 @@ def _of_actor(actor: Actor) -> SceneObject:
     return SceneObject(actor.id, actor.class_name, actor.size_lwh, actor.track, actor.key, _drawn_rows(actor, rows))
 
 
-def _parked(layer: Layer, boxes: Iterable[ParkedBox]) -> list[SceneObject]:
+def _of_layer(layer: Layer, boxes: Iterable[StreetBox]) -> list[SceneObject]:
     """Assign a layer's Gaussians to boxes; empty if most are in none, as the layer is then another street."""
     means = layer.gaussians.means.astype(np.float64)
     objects: list[SceneObject] = []

@@ -35,8 +35,8 @@ _MIN_FOR_TREE = 4096  # number of Gaussians of a member below which a tree saves
 def load_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
     """Load a scene. None loads the built-in street, as does "street" unless a scene of that name exists.
 
-    "street:overcast" is the same street under clouds, "street:night" by night; "street:long" is one of 1.2 km with
-    about 5 million Gaussians.
+    "street:overcast" is the same street under clouds, "street:night" by night, "street:dusk" at dusk behind a truck;
+    "street:long" is one of 1.2 km with about 5 million Gaussians.
 
     Records in `known` which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for unreadable files.
     """

@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 _Result = TypeVar("_Result")
+PENDING = "queued", "running"
+"""States of a job that has not ended."""
 
 
 class Progress(NamedTuple):

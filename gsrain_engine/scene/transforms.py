@@ -76,6 +76,8 @@ def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
         f"{_counted(keys, 'key')} of the rain over time": keys > 0,
         _counted(cameras, "rig camera"): cameras > 0,
         "the drive of the ego vehicle": scene.ego is not None,
+        _counted(len(scene.lamps), "lamp"): bool(scene.lamps),
+        "the map of water": scene.water is not None,
         _counted(len(scene.selections), "selection set"): bool(scene.selections),
     }
     return [phrase for phrase, is_there in found.items() if is_there]

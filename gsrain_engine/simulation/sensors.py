@@ -163,6 +163,7 @@ _OF_CLASS = {
 _OF_LAYER = {
     "road": 0, "ground": 0, "pavements": 1, "sidewalk": 1, "houses": 2, "buildings": 2, "surroundings": 2,
     "furniture": 5, "trees": 8, "vegetation": 8, "sky": 10, "parked cars": 13, "parked trucks": 14,
+    "parked buses": 15, "pedestrians": 11, "bicycles": 18, "traffic lights": 6,
 }  # fmt: skip
 """Layer names with a known class, including those of the built-in street."""
 

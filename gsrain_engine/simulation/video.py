@@ -26,6 +26,7 @@ from ..water.glass import CameraMotion
 from .agents.base import SensorRequirements
 from .geometry import PlanarBox, arc_lengths, points_along
 from .ground import road_surface_of
+from .interop.mcap import CameraImage
 from .metrics.collisions import LONGEST_S, gaps_m, times_to_collision_s
 from .obstacles import occupied_space_of
 from .playback import RolloutPlayback
@@ -79,6 +80,21 @@ class RolloutVideo:
         """Return the times of the frames; the last one is held for a second."""
         times = np.arange(0.0, self._played.end_s, 1 / fps).tolist()
         return [*times, *[self._played.end_s] * (1 + round(fps))]
+
+    def front_images(self) -> Iterator[CameraImage]:
+        """Images of the camera at each step, without plan and readouts; drawn while the one before is used."""
+        waiting: tuple[RolloutStep, PendingImage] | None = None
+        for step in self._played.rollout.steps:
+            ahead = step, self._camera_image(step.time_s)
+            if waiting is not None:
+                yield self._front_image(*waiting)
+            waiting = ahead
+        if waiting is not None:
+            yield self._front_image(*waiting)
+
+    def _front_image(self, step: RolloutStep, image: PendingImage) -> CameraImage:
+        camera = self._mounted.camera(self._played.rig_to_world(step.time_s))
+        return CameraImage(step.step, self._mounted.name, image(), camera)
 
     def pictures(self, times_s: Iterable[float]) -> Iterator[RgbImage]:
         """Frames at some times, each composed while the camera image of the next one is drawn."""

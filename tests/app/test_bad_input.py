@@ -45,6 +45,10 @@ render scene -o a.mp4 --duration 0                   | --duration 0
 render scene -o a.mp4 --from 2 --to 1                | --to must be above --time
 render scene -o a.mp4 --to 2 --duration 1            | --duration and --to
 render scene -o a.mp4 --codec vp9                    | .webm
+publish room.ply -o page.png                         | --output page.png
+publish room.ply -o page.html --duration 601         | --duration must be within
+publish room.ply -o page.html --speed 3              | --speed 3
+publish room.ply -o page.html --rain 5 --haze gaussians | haze gaussians
 info room.ply extra                                  | extra
 info room.ply --check                                | --check and --overlay
 convert room.ply a.ply --wetness 0.5                 | --wetness 0.5
@@ -121,6 +125,11 @@ evaluate detection boxy --detector x --attribute streaks,mirror | --attribute mi
 evaluate detection boxy --detector x --attribute-pairs 2000 | --attribute-pairs 2000
 evaluate detection boxy --detector x --diameter-scale 1,9 | --diameter-scale
 evaluate detection boxy --detector x --diameter-scale much | --diameter-scale
+serve nothing | nothing
+serve --host 0.0.0.0 | --token
+serve --port 70000 | --port
+serve --sessions 0 | --sessions
+serve --protocol carla | --protocol
 """
 """Command line, and a part of the error: an option, a file or a field, seldom more."""
 

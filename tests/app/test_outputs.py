@@ -15,6 +15,7 @@ OUTPUTS = {
     "edit": ["none -o OUT"],
     "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
     "street": ["OUT", "ok --json OUT"],
+    "publish": ["none -o OUT.html", "none -o ok.html --json OUT"],
     "export-rain": ["street -o OUT.ply", "none -o ok --json OUT"],
     "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],
     "disdrometer": ["-o OUT.nc", "--json OUT"],
@@ -27,9 +28,10 @@ OUTPUTS = {
     ],
     "sweep": ["tiny -o OUT", "tiny -o ok --json OUT"],
     "train-transfer": ["tiny -o OUT", "tiny -o ok --json OUT"],
-    "drive": ["-o OUT", "-o ok --json OUT"],
+    "drive": ["-o OUT", "-o ok --json OUT", "-o ok --rerun OUT.rrd"],
     "doctor": ["--json OUT"],
     "schema": ["rain -o OUT.json"],
+    "serve": ["none --json OUT"],
     "bench": ["--json OUT"],
     "bench render": ["--json OUT"],
     "bench loading": ["--json OUT"],
@@ -46,7 +48,7 @@ OUTPUTS = {
     "evaluate lidar": ["none -o OUT", "none -o ok --json OUT"],
 }
 """Command lines with OUT in each place of a file or folder that is written; what they read is not there."""
-_WRITTEN = {"output", "target", "directory", "json", "contact_sheet", "plot", "report", "video", "overlay"}
+_WRITTEN = {"output", "target", "directory", "json", "contact_sheet", "plot", "report", "video", "overlay", "rerun"}
 needs_proc = pytest.mark.skipif(not Path("/proc").is_dir(), reason="a folder that takes no file is Linux's")
 LINES = [f"{command} {rest}" for command, lines in OUTPUTS.items() for rest in lines]
 

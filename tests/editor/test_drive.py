@@ -150,7 +150,7 @@ def test_the_edited_scene_is_driven_through_in_a_worker_and_the_drive_is_opened(
     player.setup.settings = msgspec.structs.replace(player.setup.settings, agent="constant-velocity")
     player.setup.change(msgspec.convert(CRASH | {"duration_s": 3.0}, Scenario))
     player.start()
-    assert player.why_not == "A drive goes on."
+    assert player.why_not is None  # another one would wait
     (job,), pictures, labels = editor.jobs.all, [], list(history.labels)
     while job.state == "running":
         editor.jobs.wait(60)

@@ -162,6 +162,47 @@ def test_cancel_ends_a_job_at_once_wherever_it_is(runner, problems, options, unt
     assert places.results == [] and problems == []
 
 
+# Queue
+
+
+def test_processes_run_one_after_another_in_an_order_that_can_be_changed(runner, caplog):
+    caplog.set_level("INFO", "gsrain")
+    ready, results = [True], []
+    runner._is_ready = lambda: ready[0]
+    first, *others = [
+        Job("export", name, endless if name == "first" else succeeding, lambda _, name=name: name, lambda _: (0,),
+            output=Path(name))
+        for name in ("first", "second", "third", "fourth")
+    ]  # fmt: skip
+    light = Job("floaters", "light", succeeding, lambda _: "light", lambda _: (0,), in_thread=True)
+    for job in (first, *others, light):
+        runner.start(job, lambda result, _: results.append(result))
+    assert (runner.running, runner.waiting) == ([first, light], others)
+    assert light.wait(60) == "light"
+    second, third, fourth = others
+    fourth.run_next()
+    second.cancel()
+    assert (second.state, second.seconds, runner.waiting) == ("cancelled", 0.0, [fourth, third])
+    assert runner.writes(Path("third")) is third and runner.writes(Path("second")) is None
+    ready[0] = False  # a scene is being brought in
+    first.cancel()
+    runner.poll()
+    assert (runner.running, third.is_pending) == ([], True)
+    runner.clear()
+    assert runner.all == [third, fourth]
+    ready[0] = True
+    assert third.wait(60) == "third" and fourth.state == "finished"
+    assert results == ["light", "fourth", "third"] and runner.notices == [fourth, third]
+    fourth.is_noticed = True
+    assert runner.notices == [third]
+    lines = [record.message.partition(" after ")[0] for record in caplog.records]
+    assert lines == [
+        "first: started", "second: waits for first", "third: waits for second", "fourth: waits for third",
+        "light: started", "light: done", "second: canceled before it began", "first: canceled",
+        "fourth: started", "fourth: done", "third: started", "third: done",
+    ]  # fmt: skip
+
+
 def test_leaving_a_scene_ends_its_jobs_and_closing_ends_all(runner):
     ended = Job("recolor", "Recolor", succeeding, lambda _: "colors", lambda _: (0,))
     assert runner.start(ended, lambda *_: None).wait(60) == "colors"

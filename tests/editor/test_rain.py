@@ -1,7 +1,7 @@
 """Rain of the document: keyframes, drops in the air, roofs, measurements and calibrations."""
 
 from concurrent.futures import wait as wait_for
-from contextlib import closing
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes, set_keyframe_number
+from gsrain_engine.editor.jobs.job import JobError
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings
@@ -96,10 +97,8 @@ def rainy():
 
 
 def wait(lab):
-    while lab.busy is not None:
-        for each in lab.pending:
-            each.exception(timeout=120)
-        lab.poll()
+    with suppress(JobError):
+        lab.job.wait(120)
 
 
 def test_a_measurement_that_fails_leaves_one_sentence(rainy, tmp_path):

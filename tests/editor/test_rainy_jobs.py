@@ -61,7 +61,7 @@ def test_the_work_reads_the_colors_that_the_command_keeps_and_keeps_its_own(save
         order = TransferRequest("wet", TransferSettings(), choice)
         copy = tmp_path / f"copy_{count}"
         copy.mkdir()
-        list(make_rainy(*make_rainy_job(scene, FileCache(), order).inputs(copy)))
+        list(make_rainy(*make_rainy_job(lambda: (scene, FileCache()), order).inputs(copy)))
         colors = read_recolored(copy / COLORS_FILE)
         assert np.array_equal(colors["layers/road"], known["layers/road"]) == (choice is QUICK_VIEWS)
         assert len(list(cache.iterdir())) == count
@@ -131,7 +131,7 @@ def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(
     assert not studio.can_resume
     for resume in (False, True):
         studio.start(resume=resume)
-        assert "Train the transfer" in studio.why_not
+        assert studio.why_not.startswith("Train the transfer works in this folder")
         assert studio.job.wait(60) == output / "weights.safetensors"
         assert msgspec.json.decode((output / "task.json").read_bytes()) == [1000, [clear], resume, {}]
         (output / "checkpoint.safetensors").touch()

@@ -71,9 +71,9 @@ def test_a_cancelled_recording_can_be_played(editor, tmp_path):
     editor.files.open(str(tmp_path / "other"))
     settle(editor)
     assert editor.document.scene.name == "other"
-    assert editor.render_queue.is_recording  # it has a copy of what it began with
+    assert job.is_pending  # it has a copy of what it began with
     job.cancel()
-    assert (job.state, editor.render_queue.is_recording) == ("cancelled", False)
+    assert (job.state, job.is_pending) == ("cancelled", False)
     editor.close()  # waits for the worker
     with av.open(str(tmp_path / "long.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) >= 2

@@ -274,6 +274,16 @@ def inside_gzip(inner: Damage = damaged_bytes) -> Damage:
     return damage
 
 
+def damaged_glb(data: bytes, chance: Random) -> bytes:
+    """Damage the description of a binary glTF file as JSON, with lengths that fit; a fifth of the time its bytes."""
+    if chance.random() < 0.2:
+        return damaged_bytes(data, chance)
+    (length,) = struct.unpack_from("<I", data, 12)
+    text, rest = damaged_json(data[20 : 20 + length], chance), data[20 + length :]
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
+
+
 def inside_zip(of_member: Callable[[str], Damage]) -> Damage:
     """Damage a member, drop, double or rename one, and a quarter of the time the archive itself."""
 

@@ -18,13 +18,15 @@ from gsrain_engine.scene.scene import PoseTrack
 from tests.scene.formats.sample_files import SMALL_FILES, assert_valid, write_small, write_sog_folder
 from tests.scene.formats.test_scene_folder import sample_scene
 
-from .mutations import Damage, damaged_bytes, damaged_header, damaged_json, inside_gzip, inside_zip
+from .mutations import Damage, damaged_bytes, damaged_glb, damaged_header, damaged_json, inside_gzip, inside_zip
 from .reader import Reader, one_file
 
 _PLY = damaged_header(b"end_header\n")
 _DAMAGE: dict[str, Damage] = {
     ".ply": _PLY,
     ".spz": inside_gzip(),
+    ".glb": damaged_glb,
+    ".usdz": inside_zip(lambda name: damaged_bytes),
     ".sog": inside_zip(lambda name: damaged_json if name == "meta.json" else damaged_bytes),
 }
 
@@ -108,7 +110,8 @@ def _camera() -> Any:
 
 
 def _row(name: str, write: Callable[[Path], Path], read: Callable[[Path], None], *damage: tuple[str, Damage]) -> Reader:
-    return Reader(name, write, read, SceneFormatError, damage)
+    tries = 3 if name == ".usdz" else 40  # each of a .usdz is read in a process of its own
+    return Reader(name, write, read, SceneFormatError, damage, tries=tries)
 
 
 def _json(name: str, file: str, values: Callable[[], Any], read: Callable[[Path], None]) -> Reader:

@@ -198,7 +198,7 @@ def test_jobs_of_a_finished_sweep_are_done_again_for_haze_as_a_medium_fog_real_a
         assert (rain["haze"], rain.pop("sensor"), rain.pop("visibility_m")) == ("medium", None, None)
         rain["haze"] = True
         assert (rain.pop("mirror"), rain.pop("splashes"), rain.pop("glass")) == (True, True, "none")
-        assert (rain.pop("lamps", None), rain.pop("diameter_scale")) == (None, 1.0)
+        assert (rain.pop("lamps", None), rain.pop("diameter_scale"), rain.pop("lamp_gain")) == (None, 1.0, 1.0)
         assert (rain.pop("spray"), each["scenario"].pop("friction")) == (True, "dry")
         rain["wind_m_s"] = msgspec.convert(rain, RainSettings).wind_vector_m_s
         for name in ("wind_speed_m_s", "wind_from_deg", "turbulence_m_s", "roughness_m"):

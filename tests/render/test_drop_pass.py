@@ -101,6 +101,23 @@ def test_draws_what_the_compiled_kernels_make(context, changes):
     assert statistics.haze_drawn == len(rain.haze) > 0
 
 
+@pytest.mark.parametrize("rasterizer", ["quads", "tiles"])
+def test_falling_rain_creates_no_buffers(context, monkeypatch, rasterizer):
+    """Haze and drops are written over those of the frame before, and look as in a renderer of their own."""
+    renderer, created, create = SplatRenderer(context, rasterizer=rasterizer), [], type(context).buffer
+    monkeypatch.setattr(type(context), "buffer", lambda *args, **sizes: created.append(1) or create(*args, **sizes))
+    frames = [falling(time_s) for time_s in (12.3, 12.4, 12.5)]
+    assert len({each.haze.means.tobytes() for each in frames}) == 3
+    for number, rain in enumerate(frames):
+        renderer.draw([], CAMERA, rain)
+        made = renderer.read().rgba
+        assert bool(created) is (number == 0)
+        created.clear()
+    alone = SplatRenderer(context, rasterizer=rasterizer)
+    alone.draw([], CAMERA, frames[-1])
+    assert made.tobytes() == alone.read().rgba.tobytes()
+
+
 def test_rain_comes_and_goes_in_one_renderer(context):
     """Fewer drops than in the frame before leave none of its streaks behind."""
     renderer = SplatRenderer(context)

@@ -1,6 +1,7 @@
 """Pictures drawn on a thread: as those drawn at once, while the editor goes on; errors; and what changes in time."""
 
 import re
+import threading
 from dataclasses import replace
 
 import msgspec
@@ -111,6 +112,45 @@ def test_an_error_of_one_picture_is_raised_once_and_the_next_is_drawn(editor, pi
     assert pictures.take() is None
     begin(editor, pictures)
     assert finish(editor, pictures).drawn is not None
+
+
+def test_a_picture_of_full_quality_is_given_up_for_a_newer_view_but_never_two_in_a_row(editor, monkeypatch, pictures):
+    rain(editor)
+    pictures.close()
+    pictures = PictureThread(OwnContext(), "cpu")
+    editor.viewport.budget.enabled = False  # full quality
+    while not pictures.is_settled:  # kernels are loaded
+        begin(editor, pictures)
+        finish(editor, pictures)
+    gate, draw = threading.Event(), LiveView.draw
+    monkeypatch.setattr(LiveView, "draw", lambda view, frame: (gate.wait(60), draw(view, frame))[1])
+
+    def drawn(change):
+        """Begin a picture, change something while it is drawn, and return whether it was finished."""
+        gate.clear()
+        begin(editor, pictures)
+        change()
+        viewport = editor.viewport
+        pictures.reconsider(viewport.shot(*SIZE), editor.split_panes, viewport.options.look)
+        gate.set()
+        pictures.wait()
+        taken = pictures.take()
+        if taken is not None:
+            editor.apply(taken.result)
+        return taken is not None and taken.result.drawn is not None
+
+    def orbit():
+        editor.viewport.navigation.orbit(0.3, 0.0)
+
+    orbit()
+    last = pictures.last
+    assert not drawn(orbit) and pictures.last is last and not pictures.is_drawing
+    assert drawn(orbit)
+    assert drawn(lambda: None)
+    editor.document.change_rain("Seed", seed=3)
+    assert not drawn(lambda: editor.document.change_rain("Seed", seed=4))
+    assert drawn(lambda: None) and drawn(orbit) is False  # the last view is up to date, so that nothing was drawn
+    pictures.close()
 
 
 def test_overlays_follow_the_picture_on_the_screen(editor, view):

@@ -276,7 +276,7 @@ KEY = {"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0], "ver
         ("nothing", "JSON"),
         ([], "keyframes"),
         ({}, "keyframes"),
-        ({"version": 3, "keyframes": []}, "newer than 2"),
+        ({"version": 4, "keyframes": []}, "newer than 3"),
         ({"keyframes": []}, "keyframe"),
         ({"keyframes": [{"time_s": 0}]}, "'position'"),
         ({"keyframes": [KEY | {"vertical_fov_deg": 180}]}, "field of view"),

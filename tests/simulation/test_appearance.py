@@ -14,7 +14,7 @@ from small_scene import small_scene
 SCENE = replace(small_scene(), actors=(box_actor(),), metres_per_unit=2.0)
 
 
-@pytest.mark.parametrize("model", ["saloon/red", "truck/green", "actor:box"])
+@pytest.mark.parametrize("model", ["saloon/red", "truck/green", "bus", "cyclist/red", "pedestrian", "actor:box"])
 def test_a_vehicle_fills_its_box_and_stands_on_the_ground(model):
     look = vehicle_model(model, SCENE)
     size, means = np.array(look.size_lwh_m), look.gaussians.means[look.gaussians.means[:, 2] > 0.1]

@@ -35,7 +35,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         rainy.choice = msgspec.structs.replace(rainy.choice, count=2, width_px=64)
         clear, before = driver.picture(), editor.document.scene
         driver.click(f"{PANEL}###preview")
-        assert rainy.why_not == "Wait for Preview, or cancel it."
+        assert rainy.why_not is None  # the job would wait for the preview
         driver.until(lambda: not editor.jobs.running, 1_000_000)
         driver.frames()
         assert editor.status.problem is None
@@ -54,7 +54,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
 
         driver.click(f"{PANEL}###make")
         driver.until(lambda: editor.jobs.all[0].progress.message == "Starting", 1_000_000)
-        assert not ctx.item_exists(f"{PANEL}###make")  # its progress stands there
+        assert ctx.item_exists(f"{PANEL}###make")  # another one would wait
         driver.click(f"{PANEL}Cancel##0")
         assert (editor.jobs.all[0].state, editor.document.scene) == ("cancelled", before)
         editor.jobs.clear()
@@ -188,9 +188,9 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
         driver.frames()
         driver.tap("//Capture/Reconstruct/Reconstruct")
         (job,) = editor.jobs.all
-        # Where it was started there is how far it is, and nothing else can be started.
+        # Where it was started there is how far it is, and what is started next waits.
         assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
-        assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
+        assert driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
         driver.until(lambda: ended(job), 1_000_000)
         assert (job.state, job.error) == ("finished", None)
         assert editor.document.history.labels == ["Open", "Reconstruct drive"]
@@ -271,8 +271,27 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
         driver.choose_file("Record the timeline", tmp_path / "other.mp4")
         driver.until(lambda: len(editor.jobs.running) == 1)
         driver.frames(3)
+
+        # Others wait: in the same place they are refused, else they run next, or not at all.
+        editor.render_queue.record_to(tmp_path / "other.mp4")
+        assert "is being recorded already" in editor.status.problem
+        editor.status.dismiss()
+        for name in ("third.mp4", "fourth.mp4"):
+            editor.render_queue.record_to(tmp_path / name)
+        other, third, fourth = editor.jobs.all[1:]
+        assert editor.jobs.waiting == [third, fourth]
+        driver.tap("//**/###list jobs")
+        driver.tap("//**/Run next##3")
+        assert editor.jobs.waiting == [fourth, third]
+        driver.tap("//**/Cancel##2")
+        assert (third.state, editor.jobs.waiting) == ("cancelled", [fourth])
+        driver.press(imgui.Key.escape)
+        place = driver.area("//**/###cancel job")[0]
         driver.tap("//**/###cancel job")  # of the status bar
-        assert editor.jobs.all[-1].state == "cancelled"
+        driver.until(lambda: fourth.state == "running")
+        assert other.state == "cancelled" and np.array_equal(driver.area("//**/###cancel job")[0], place)
+        driver.tap("//**/###cancel job")
+        assert (fourth.state, editor.jobs.pending) == ("cancelled", [])
 
     driver.run(script)
     with av.open(str(target)) as container:

@@ -285,3 +285,60 @@ def test_the_drop_color_is_picked_from_the_view(driver):
         assert editor.document.rain.drop_color is None
 
     driver.run(script)
+
+
+def test_keys_of_a_track_are_inserted_dragged_copied_eased_and_deleted(driver):
+    """Each change is one step; the range has a row of its own, and Record follows it."""
+    editor = driver.editor
+    document, playback, tracks = editor.document, editor.playback, editor.rain_tracks
+    editor.viewport.options.shrink = 3
+    ruler = playback.timeline.ruler
+
+    def times():
+        return document.keyframes.key_times["intensity_mm_h"]
+
+    def on_row(time_s):
+        (left, top), (_, height) = driver.area("//Timeline/**/track rain")
+        return np.array([left + ruler.x(time_s), top + height / 2])
+
+    def script():
+        document.change_rain("Intensity", intensity_mm_h=8.5)
+        driver.ctx.window_focus("//Timeline")
+        driver.frames(3)
+        for time_s in (1.0, 3.0):
+            driver.point_at(on_row(time_s))
+            driver.ctx.mouse_double_click(0)
+            driver.frames(3)
+        assert times() == pytest.approx([1, 3], abs=0.05)
+        drag(driver, on_row(times()[1]), on_row(4.0))
+        assert times() == pytest.approx([1, 4], abs=0.05)
+        drag(driver, on_row(times()[0]), on_row(2.0), held=(KEY.mod_ctrl,))
+        assert times() == pytest.approx([1, 2, 4], abs=0.05)
+        driver.press(chord(KEY.mod_ctrl, KEY.c))
+        playback.clock.seek(3.0)
+        driver.press(chord(KEY.mod_ctrl, KEY.v))
+        assert times() == pytest.approx([1, 2, 3, 4], abs=0.05)
+        driver.click_at(on_row(times()[0]), button=1)
+        driver.ctx.item_click("//$FOCUSED/Hold")
+        driver.frames(3)
+        document.change_rain("Intensity", intensity_mm_h=0.0)  # at 3 s
+        assert document.keyframes.rain_at(document.rain, 1.9).intensity_mm_h == 8.5
+        driver.click_at(on_row(times()[0]))
+        assert tracks.easing(tracks.active) == "hold"
+        driver.press(KEY.delete)
+        assert times() == pytest.approx([2, 3, 4], abs=0.05)
+        words = ["Insert", "Insert", "Move", "Copy", "Paste", "Ease", "Intensity", "Delete"]
+        assert [label.split()[0] for label in document.history.labels[2:]] == words
+        assert all(step.text for step in steps_since(document.history, document.history.steps[0].document))
+        for _ in range(8):
+            driver.press(UNDO)
+        assert not document.keyframes.keys
+
+        before_s = playback.clock.time_s
+        drag(driver, driver.area("//Timeline/span end")[0] + 6, driver.area("//Timeline/span end")[0] - [100, 0])
+        start, end = playback.clock.span_s
+        assert playback.clock.time_s == before_s and (start, end) == (0, pytest.approx(end)) and end < 4.5
+        extent = editor.render_queue.extent()
+        assert extent.length_s == pytest.approx(end, abs=0.04) and extent.frames == round(30 * end)
+
+    driver.run(script)

@@ -11,6 +11,7 @@ from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.rain.wetness import flooded_share, water_depth_mm
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.mirror import MirrorReuse
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
@@ -49,11 +50,11 @@ def pond(standing=255, film=0, box=(12.0, 1.0, 2.0)):
     return Scene("pond", layers, ground_m=0.0, water=GroundWater((0.0, -12.0), 1.0, cover))
 
 
-def picture(scene, shot=None, renderer=None, **changes):
+def picture(scene, shot=None, renderer=None, reuse=None, **changes):
     rain = msgspec.structs.replace(load_preset("8.5"), **{"mirror": True, "streaks": False, "haze": "none"} | changes)
     renderer = renderer or CpuRenderer()
     shot = shot or RenderView(camera(), 1.0)
-    draw_view(renderer, scene, RainSimulation.start(rain), OVERCAST, shot)
+    draw_view(renderer, scene, RainSimulation.start(rain), OVERCAST, shot, reuse=reuse)
     return renderer.read().rgba
 
 
@@ -194,6 +195,14 @@ def test_the_same_bytes_and_nothing_without_water():
     assert np.array_equal(picture(dry), picture(dry, mirror=False))
     assert np.array_equal(picture(scene, wetness=0.0), picture(scene, mirror=False, wetness=0.0))
     assert not np.array_equal(first, picture(scene, mirror=False))
+
+
+def test_fast_pictures_share_a_mirror_which_is_drawn_anew_for_every_third_and_for_another_size():
+    scene, reuse = pond(), MirrorReuse(3)
+    shots = [RenderView(camera(), time_s) for time_s in (1.0, 2.0, 3.0, 4.0)]  # rings differ
+    shots.append(RenderView(camera(96, 60), 4.0))
+    is_exact = [np.array_equal(picture(scene, shot, reuse=reuse), picture(scene, shot)) for shot in shots]
+    assert is_exact == [True, False, False, True, True]
 
 
 def test_half_as_wet_ground_reflects_half_as_much():

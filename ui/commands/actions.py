@@ -6,6 +6,7 @@ from gsrain_engine.editor.camera_path import CameraPathEditor
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits import gaussians, layers
 from gsrain_engine.editor.files import Files
+from gsrain_engine.editor.rain_tracks import RainTracks
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.formats.registry import scene_suffixes, writable_suffixes
@@ -63,8 +64,9 @@ def _scene_kinds() -> str:
 # Edits of what is active
 
 
-def delete_selection(document: Document, playback: Playback) -> None:
-    if not playback.timeline.takes_keys or playback.timeline.key is None:  # else Delete is for the active keyframe
+def delete_selection(document: Document, playback: Playback, rain_tracks: RainTracks) -> None:
+    is_of_key = playback.timeline.key is not None or rain_tracks.active is not None
+    if not playback.timeline.takes_keys or not is_of_key:  # else Delete is for the active keyframe
         document.edit("Delete the selection", gaussians.delete_selected)
 
 
@@ -77,3 +79,21 @@ def duplicate_member(document: Document, viewport: ViewportState) -> None:
 def loop_path(document: Document, camera_path: CameraPathEditor) -> None:
     if (path := document.scene.path) is not None:
         camera_path.change_path("Loop off" if path.loop else "Loop on", loop=not path.loop)
+
+
+def copy_keyframe(camera_path: CameraPathEditor, rain_tracks: RainTracks) -> None:
+    """Copy the active keyframe of the camera path, or else of a track of the rain."""
+    if (key := camera_path.active_key) is not None:
+        camera_path.copy(key)
+        rain_tracks.copied = None
+    else:
+        rain_tracks.copy()
+        camera_path.copied = None
+
+
+def paste_keyframe(camera_path: CameraPathEditor, rain_tracks: RainTracks) -> None:
+    """Insert the copied keyframe at the playhead."""
+    if camera_path.copied is not None:
+        camera_path.paste()
+    else:
+        rain_tracks.paste()

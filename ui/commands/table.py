@@ -164,10 +164,6 @@ def _shows_regions(viewport: Any) -> bool:
     return viewport.options.show_streak_region and viewport.options.show_haze_region
 
 
-def _can_record(document: Any, render_queue: Any) -> bool:
-    return _has_scene(document) and not render_queue.is_recording
-
-
 # Rows made from tables
 
 
@@ -225,7 +221,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Save as...", "ui.commands.actions:ask_where_to_save_scene", "File", "Ctrl+Shift+S",
                 "Save to another scene folder, which holds everything.", _has_scene, shell="convert", python="save"),
         Command("Export...", "ui.commands.actions:ask_where_to_export", "File", "Ctrl+E",
-                "Write visible Gaussians to one file (.ply, .splat, .spz); the document stays unsaved.", _has_scene,
+                "Write what is visible to one file (.ply, .spz, .glb, ...); the document stays unsaved.", _has_scene,
                 shell="convert", python="save"),
         Command("Revert", _call("files.revert"), "File",
                 help="Reload the scene from disk; all changes since it was saved are lost.",
@@ -248,10 +244,10 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     (
         Command("Record the timeline...", "ui.panels.record:ask_where_to_record", "File", "Ctrl+R",
                 "Render the camera path, or rig cameras, to a video or frames in the background; see the Record panel.",
-                _can_record, shell="render", python="render_video"),
+                _has_scene, shell="render", python="render_video"),
         Command("Render image...", "ui.panels.record:ask_where_to_render_image", "File", "Ctrl+Shift+R",
                 "Render the present view at the present time, in the size and with the samples of the Record panel.",
-                _can_record, shell="render", python="render"),
+                _has_scene, shell="render", python="render"),
     ),
     # Editing
     (
@@ -405,6 +401,10 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Delete keyframe", _keyframe("delete_keyframe"), "Timeline", "Shift+Delete",
                 "Delete the active keyframe; Delete does the same while the timeline has the focus.", _has_keyframe,
                 edit="delete-keyframe"),
+        Command("Copy the keyframe", "ui.commands.actions:copy_keyframe", "Timeline", "Ctrl+C",
+                "Copy the active keyframe, of the camera or of a track of the rain, with its easing."),
+        Command("Paste the keyframe", "ui.commands.actions:paste_keyframe", "Timeline", "Ctrl+V",
+                "Insert the copied keyframe at the present time.", edit="copy-rain-keyframe"),
         Command("Snap keyframe to the drive", _keyframe("snap_keyframe"), "Timeline", "",
                 "Move the active keyframe to the nearest pose of the recorded drive.", _has_keyframe,
                 edit="snap-keyframe"),
@@ -439,7 +439,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     # View
     (
         Command("Frame the scene", _call("viewport.frame_scene"), "View", "F",
-                "Move back until the active layer or actor, or else the whole scene, is visible."),
+                "Move back until the selection, else the active layer or actor, else the scene is visible."),
         Command("Go home", _call("viewport.go_home"), "View", "R or Home", "Return to the initial view of the scene."),
         Command("Show the selection", _toggle("viewport.options.show_selection"), "View", "Shift+S",
                 "Tint the selected Gaussians.", is_on=_is("viewport.options.show_selection")),
@@ -518,6 +518,7 @@ SHELL_COMMANDS = {
         "app.export_rain:export_rain",
         "Write the rain for other programs: its Gaussians (.ply), or a rainy copy of a recording.",
     ),
+    "publish": ("app.publish:publish", "Write a scene and its rain as one web page: slider, divider, path."),
     "calibrate": ("app.rain:calibrate", "Fit drop numbers, sizes and speeds by intensity to disdrometer files."),
     "disdrometer": ("app.rain:disdrometer", "Measure the simulated rain with a virtual disdrometer."),
     "reconstruct": ("app.train:reconstruct", "Fit Gaussians to a capture: images with cameras, and lidar or points."),
@@ -526,6 +527,7 @@ SHELL_COMMANDS = {
     "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
     "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
     "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),
+    "serve": ("app.serve:serve", "Serve scenes in rain to a simulator (AlpaSim) as a gRPC service."),
     "schema": ("app.schema:schema", "Print the JSON schema of a kind of settings file, for editors of YAML."),
     "doctor": ("app.doctor:doctor", "List which features of GSRAIN work on this machine, and how to get the others."),
 }

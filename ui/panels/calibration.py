@@ -89,13 +89,14 @@ def _fitted(calibration: CalibrationTools, fitted: FittedCalibration) -> None:
 def _plots(document: Document, compared: dict[str, Calibration], fitted: FittedCalibration | None) -> None:
     curves = {name: calibration_curves(each) for name, each in compared.items()}
     with plot("Number density", "mm/h", "drops per m\u00b3", log_x=True, log_y=True, legend=True) as is_visible:
-        for name, each in compared.items() if is_visible else ():
+        for series, (name, each) in enumerate(compared.items() if is_visible else ()):
             line(name, curves[name].intensities_mm_h, curves[name].density_m3)
-            points(name, _of_rows(each, "intensity_mm_h"), _of_rows(each, "density_m3"))
+            points(name, _of_rows(each, "intensity_mm_h"), _of_rows(each, "density_m3"), series)
     with plot("Mean diameter", "mm/h", "mm", log_x=True) as is_visible:
-        for name, each in compared.items() if is_visible else ():
+        for series, (name, each) in enumerate(compared.items() if is_visible else ()):
             line(name, curves[name].intensities_mm_h, curves[name].mean_diameter_mm)
-            points(name, _of_rows(each, "intensity_mm_h"), _of_rows(each, "shape") * _of_rows(each, "scale_mm"))
+            means_mm = _of_rows(each, "shape") * _of_rows(each, "scale_mm")
+            points(name, _of_rows(each, "intensity_mm_h"), means_mm, series)
     middles = None if fitted is None else 0.5 * (fitted.diameter_edges_mm[:-1] + fitted.diameter_edges_mm[1:])
     intensity = document.rain.intensity_mm_h or 8.5
     title = f"Spectrum at {intensity:.3g} mm/h###spectrum"

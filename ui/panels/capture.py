@@ -13,6 +13,7 @@ from ..commands.table import help_of
 from ..widgets.draw import DIM, TEXT, color, draw_image
 from ..widgets.fields import WARNING, button, checkbox, combo, disabled, text_color
 from ..widgets.file_dialogs import ask_what_to_open
+from ..widgets.numbers import slide
 from ..widgets.text import label
 from .training import reconstruct_fields
 
@@ -93,7 +94,7 @@ def _display_options(document: Document, captures: CaptureController, capture: C
     help_text = "Overlay the recorded image while the camera is at its pose (Shift+P)."
     captures.show_picture = checkbox("Image###Picture", captures.show_picture, help_text)
     imgui.set_next_item_width(-_LABEL_EM * imgui.get_font_size())
-    changed, percent = imgui.slider_float("Opacity", 100 * captures.opacity, 0.0, 100.0, "%.0f %%")
+    changed, percent = slide("Opacity", 100 * captures.opacity, 0.0, 100.0, "%.0f %%", unit="%")
     if changed:
         captures.opacity, captures.show_picture = percent / 100, True
     imgui.set_item_tooltip(
@@ -104,7 +105,7 @@ def _display_options(document: Document, captures: CaptureController, capture: C
     unit = "m" if capture.is_metric else "units"
     imgui.set_next_item_width(-_LABEL_EM * imgui.get_font_size())
     flags = imgui.SliderFlags_.logarithmic
-    _, captures.frustum_m = imgui.slider_float("Length", captures.frustum_m, 1e-3, 100.0, f"%.3g {unit}", flags)
+    _, captures.frustum_m = slide("Length", captures.frustum_m, 1e-3, 100.0, f"%.3g {unit}", flags, unit=unit)
     imgui.set_item_tooltip(f"Length of the cameras' pyramids, in the capture's {unit}.")
     present = captures.lies_in(document.scene)
     help_text = "On: the capture has the units and axes of the scene, which was made from it. Off: it has its own."

@@ -6,7 +6,8 @@ from gsrain_engine.editor.preferences import Preferences, PreferencesStore
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.opengl.buffers import Harmonics
 
-from ..widgets.fields import CLAMPED, WARNING, combo, disabled, edit_field, field_label, number, plain_label
+from ..widgets.fields import WARNING, combo, disabled, edit_field, field_label, number, plain_label
+from ..widgets.numbers import slide
 from ..widgets.text import readings
 
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
@@ -31,7 +32,7 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     imgui.same_line()
     imgui.set_next_item_width(-1)
     with disabled(not budget.enabled):
-        _, budget.target_ms = imgui.slider_float("##target_ms", budget.target_ms, 10, 200, "%.0f ms per frame")
+        _, budget.target_ms = slide("##target_ms", budget.target_ms, 10, 200, "%.0f ms per frame", unit="ms")
     fov = number("Field of view", "fov", navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0", "Vertical, in degrees.")
     navigation.vertical_fov_deg = fov
     imgui.separator_text("Window")
@@ -42,7 +43,7 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     for name, form in (("font_scale", "%.2f"), ("ui_scale", "%.2f"), ("autosave_s", "%.0f")):
         # It applies when the slider is released, so that the layout doesn't change during the drag.
         info, present = field_label(name, Preferences), _dragged.get(name, getattr(preferences.value, name))
-        changed, value = imgui.slider_float(f"##{name}", present, info.low, info.high, form, CLAMPED)
+        changed, value = slide(f"##{name}", present, info.low, info.high, form, unit=info.unit)
         if changed:
             _dragged[name] = value
         if imgui.is_item_deactivated_after_edit() and name in _dragged:

@@ -20,7 +20,6 @@ from gsrain_engine.simulation.scenario import ScenarioUser
 from ..commands.table import help_of
 from ..widgets.draw import color
 from ..widgets.fields import (
-    CLAMPED,
     button,
     checkbox,
     edit_choice,
@@ -32,6 +31,7 @@ from ..widgets.fields import (
     warn,
 )
 from ..widgets.file_dialogs import ALL_FILES, ask_what_to_open, ask_where_to_save, path_field
+from ..widgets.numbers import in_bounds
 from ..widgets.text import visible_name
 from .drive_plots import curve_colors, drive_metrics
 from .jobs import job_fields
@@ -116,10 +116,6 @@ def ask_where_to_render_drive(rollouts: RolloutPlayer) -> None:
 
 def _start(viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) -> None:
     newest = jobs.newest("drive")
-    if newest is not None and newest.state == "running":
-        imgui.separator_text(newest.title)
-        job_fields(viewport, jobs, newest)
-        return
     why_not = rollouts.why_not
     imgui.spacing()
     height = 1.5 * imgui.get_frame_height()
@@ -127,7 +123,8 @@ def _start(viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) ->
         rollouts.start()
     if why_not is not None:
         warn(why_not)
-    elif newest is not None and newest.state != "finished":
+    if newest is not None and newest.state != "finished":
+        imgui.separator_text(newest.title)
         job_fields(viewport, jobs, newest)
 
 
@@ -327,6 +324,7 @@ def _field(settings: _Settings, name: str) -> _Settings:
         return edit_field(settings, name)
     info = field_label(name, type(settings))
     speed = min((info.high - info.low) / _DRAG_PX, _FASTEST)
-    changed, value = imgui.drag_float(f"##{name}", value, speed, info.low, info.high, "%.4g", CLAMPED)
+    changed, value = imgui.drag_float(f"##{name}", value, speed, info.low, info.high, "%.4g")
+    value = in_bounds(changed, value, info.low, info.high, info.unit)
     imgui.set_item_tooltip(f"{info.help}\n{info.low:g} to {info.high:g}. Drag; double click: type.".strip())
     return msgspec.structs.replace(settings, **{name: value}) if changed else settings

@@ -33,6 +33,7 @@ from ..widgets.fields import (
     share_of_width,
     text_color,
 )
+from ..widgets.numbers import slide
 from ..widgets.text import label
 from .layers import grading_fields
 
@@ -108,7 +109,7 @@ def _floaters(document: Document, floaters: FloaterFinder, jobs: JobRunner) -> N
     for name, (high, form) in _RANGES.items():
         field_label(name, FloaterRules)
         value = getattr(_State.rules, name)
-        changed, value = imgui.slider_float(f"##{name}", value, 0.0, high, form if value else "off", LOGARITHMIC)
+        changed, value = slide(f"##{name}", value, 0.0, high, form if value else "off", LOGARITHMIC)
         if changed:
             _State.rules = msgspec.structs.replace(_State.rules, **{name: value})
     job, count = jobs.newest("floaters"), floaters.count

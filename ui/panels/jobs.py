@@ -1,13 +1,7 @@
 """Jobs panel and Log panel."""
 
 import logging
-import os
-import subprocess
-import sys
-import threading
 import webbrowser
-from pathlib import Path
-from time import monotonic
 from typing import Any
 
 from imgui_bundle import ImVec2, ImVec4, imgui
@@ -20,16 +14,15 @@ from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, faint, warn
 from ..widgets.text import visible_name
 
-logger = logging.getLogger("gsrain")
-
 
 def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
     if not jobs.all:
         imgui.text_wrapped("No background jobs. The panels Wet look, Capture, Drive and Record start jobs.")
-    for job in reversed(jobs.all):
+    ended = [each for each in reversed(jobs.all) if not each.is_pending]
+    for job in [*jobs.pending, *ended]:
         imgui.separator_text(job.title)
         job_fields(viewport, jobs, job)
-    if len(jobs.all) > len(jobs.running) and imgui.button("Clear", (-1, 0)):
+    if ended and imgui.button("Clear", (-1, 0)):
         jobs.clear()
 
 
@@ -41,7 +34,16 @@ _MAX_PREVIEW_EM = 9.0
 def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
     """Draw a job: progress, metrics and warning, the cancel button, or its result."""
     number = jobs.all.index(job)
-    if job.state == "running":
+    if job.state == "queued":
+        place = jobs.waiting.index(job) + 1
+        imgui.text_wrapped("Waits; it is the next." if place == 1 else f"Waits; it is number {place}.")
+        if place > 1:
+            if button(f"Run next##{number}", "Run it before the others that wait."):
+                job.run_next()
+            imgui.same_line()
+        if button(f"Cancel##{number}", "Take it out of the queue.", width=-1):
+            job.cancel()
+    elif job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
         imgui.text_wrapped(job.progress.message)
         faint(job.progress.note)
@@ -87,52 +89,39 @@ def _metrics(job: Job[Any]) -> None:
                 line(name.replace("_", ", "), steps, values)
 
 
-# Tray in the status bar: the newest running job, else notices of jobs that have ended
+# Tray in the status bar
 
 _TRAY_EM, _BAR_EM = 27.0, 12.0
-_NOTICED_S = 60.0  # a notice goes by itself after this time
 
 
 def tray_width(jobs: JobRunner) -> float:
-    """Width of the tray in pixels; 0 while it has nothing to show. It is constant, so that Cancel does not move."""
-    return _TRAY_EM * imgui.get_font_size() if jobs.running or _notice(jobs) is not None else 0.0
+    """Width of the tray in pixels; 0 without jobs. It is constant while one runs, so that Cancel does not move."""
+    return _TRAY_EM * imgui.get_font_size() if jobs.pending else 0.0
 
 
 def job_tray(viewport: ViewportState, jobs: JobRunner) -> None:
-    """Draw progress, time left and Cancel of the newest running job; a click on its bar lists all jobs."""
+    """Draw progress, time left and Cancel of the running job; a click on its bar lists all jobs."""
     em = imgui.get_font_size()
     start = imgui.get_cursor_pos_x()
-    running = jobs.running
-    if running:
-        job, others = running[-1], len(running) - 1
+    if jobs.pending:
+        job = jobs.running[-1] if jobs.running else jobs.pending[0]
+        others = len(jobs.running) - 1, len(jobs.waiting)
         opens = imgui.invisible_button("###list jobs", ImVec2(_BAR_EM * em, imgui.get_text_line_height()))
         imgui.set_item_tooltip(f"{job.title}: {job.progress.message}\nClick: all jobs.")
-        words = f"{100 * job.progress.fraction:.0f} %  {job.title}{f', {others} more' if others else ''}"
-        _fill_bar(job.progress.fraction, words)
+        words = f"{100 * job.progress.fraction:.0f} %  {job.title}"
+        counts = [f"{count} {state}" for count, state in zip(others, ("more", "waiting"), strict=True) if count > 0]
+        _fill_bar(job.progress.fraction, ", ".join([*counts, words]))
         imgui.same_line()
         left_s = job.remaining_s
         imgui.text_disabled("" if left_s is None else f"{duration_text(left_s)} left")
         imgui.same_line(start + (_BAR_EM + 8.0) * em)
+        imgui.push_id(jobs.all.index(job))  # a press on Cancel does not cancel the job that follows before its release
         if imgui.small_button("Cancel###cancel job"):
             job.cancel()
         imgui.set_item_tooltip(f"Stop {job.title}; the scene does not change.")
+        imgui.pop_id()
         if opens:
             imgui.open_popup("jobs")
-    elif (job := _notice(jobs)) is not None:
-        _clipped_text(f"{job.title}: done", (_BAR_EM - 0.5) * em)
-        imgui.set_item_tooltip(f"{job.title}: {job.progress.message}, after {duration_text(job.seconds)}.")
-        imgui.same_line(start + _BAR_EM * em)
-        if job.output is not None:
-            if imgui.small_button("Open file###open output"):
-                open_in_desktop(job.output)
-            imgui.set_item_tooltip(str(job.output))
-            imgui.same_line()
-            if imgui.small_button("Show in folder###show output"):
-                open_in_desktop(job.output.parent)
-            imgui.same_line()
-        if imgui.small_button("x###dismiss"):
-            job.is_noticed = True
-        imgui.set_item_tooltip("Dismiss.")
     if imgui.begin_popup("jobs"):
         if imgui.begin_child("all jobs", ImVec2(24 * em, 20 * em)):
             jobs_panel(viewport, jobs)
@@ -149,37 +138,6 @@ def _fill_bar(fraction: float, words: str) -> None:
     imgui.push_clip_rect(low, high, True)
     draw.add_text(ImVec2(low.x + 0.4 * imgui.get_font_size(), low.y), text, visible_name(words))
     imgui.pop_clip_rect()
-
-
-def _clipped_text(text: str, width: float) -> None:
-    corner = imgui.get_cursor_screen_pos()
-    imgui.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + 2 * imgui.get_font_size()), True)
-    imgui.text(text)
-    imgui.pop_clip_rect()
-
-
-def _notice(jobs: JobRunner) -> Job[Any] | None:
-    """Return the job whose end is to be noticed: the newest one that has finished lately."""
-    done = (each for each in reversed(jobs.all) if each.state == "finished" and each.kind != "preview")
-    newest = next(done, None)
-    is_new = newest is not None and newest.ended_s is not None and monotonic() - newest.ended_s < _NOTICED_S
-    return newest if newest is not None and is_new and not newest.is_noticed else None
-
-
-def open_in_desktop(path: Path) -> None:
-    """Open a file or folder in the program that the desktop has for it, without waiting."""
-    threading.Thread(target=_open, args=(path,), daemon=True).start()
-
-
-def _open(path: Path) -> None:
-    program = "open" if sys.platform == "darwin" else "xdg-open"
-    try:
-        if sys.platform == "win32":
-            os.startfile(path)
-        else:
-            subprocess.run([program, str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
-    except OSError as error:
-        logger.warning("%s can't be opened: %s: %s", path, program, error.strerror)
 
 
 # Log panel

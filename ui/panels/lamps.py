@@ -20,7 +20,9 @@ from gsrain_engine.scene.scene import Scene
 from ..widgets import fields
 from ..widgets.fields import CLAMPED, LOGARITHMIC, button, checkbox, plain_label, share_of_width
 from ..widgets.file_dialogs import ask_what_to_open
+from ..widgets.numbers import slide
 from ..widgets.text import visible_name
+from ..widgets.type_ahead import combo_box
 
 _TITLES = {
     None: "the scene's own", NO_LAMPS: "none", FOUND_LAMPS: "found in the scene",
@@ -48,7 +50,7 @@ def _choice(document: Document, status: StatusBus) -> None:
     fields.field_label("lamps")
     imgui.set_next_item_width(-fields.keyframe_button_width())
     titles = [_TITLES.get(each) or Path(each or "").name for each in names]
-    changed, at = imgui.combo("##lamps", names.index(own), titles)
+    changed, at = combo_box("##lamps", names.index(own), titles)
     if changed:
         document.change_rain("Lamps", lamps=names[at])
     imgui.same_line()
@@ -151,9 +153,7 @@ def _edit(document: Document, number: int) -> None:
         change("color", {"color": (red, green, blue)})
     fields.end_gesture_when_released(document)
     plain_label("Intensity (m\u00b2)", "Irradiance times squared distance; pi on a white wall is display white.")
-    changed, intensity = imgui.slider_float(
-        "##intensity_m2", lamp.intensity_m2, 0.0, _BRIGHTEST_M2, "%.4g", LOGARITHMIC
-    )
+    changed, intensity = slide("##intensity_m2", lamp.intensity_m2, 0.0, _BRIGHTEST_M2, "%.4g", LOGARITHMIC)
     if changed:
         change("intensity", {"intensity_m2": intensity})
     fields.end_gesture_when_released(document)
@@ -162,7 +162,7 @@ def _edit(document: Document, number: int) -> None:
         ("outer_deg", "Dark beyond", "Angle from the axis beyond which there is no light."),
     ):
         plain_label(title, text)
-        changed, angle = imgui.slider_float(f"##{name}", getattr(lamp, name), 0.0, 180.0, "%.0f\u00b0", CLAMPED)
+        changed, angle = slide(f"##{name}", getattr(lamp, name), 0.0, 180.0, "%.0f\u00b0", unit="\u00b0")
         if changed:
             change(title.lower(), {name: angle})  # pyright: ignore[reportArgumentType]
         fields.end_gesture_when_released(document)

@@ -14,7 +14,6 @@ from gsrain_engine.scene.scene import UNCHANGED, Actor, ColorGrading, Layer, Sce
 from gsrain_engine.scene.transforms import without_wet_colors
 
 from ..widgets.fields import (
-    CLAMPED,
     button,
     disabled,
     end_gesture_when_released,
@@ -23,6 +22,7 @@ from ..widgets.fields import (
     share_of_width,
     text_color,
 )
+from ..widgets.numbers import slide
 from ..widgets.text import plain_identity, visible_name
 
 _ICONS = icons_fontawesome_6
@@ -171,7 +171,7 @@ def _menu(document: Document, member: Layer | Actor) -> None:
 def _opacity(document: Document, member: Layer | Actor) -> None:
     plain_label("Opacity", f"Multiplies the opacity of every Gaussian of {member.name}.")
     with disabled(member.locked):
-        changed, value = imgui.slider_float("##opacity", member.opacity, 0, 1, "%.2f", CLAMPED)
+        changed, value = slide("##opacity", member.opacity, 0, 1, "%.2f")
     _set_opacity(document, member, value if changed else member.opacity)
 
 
@@ -227,7 +227,7 @@ def _slider(name: str, value: float, low: float, high: float, default: float) ->
     """Draw a slider and a reset button; returns the new value."""
     side, gap = imgui.get_frame_height(), imgui.get_style().item_inner_spacing.x
     imgui.set_next_item_width(-side - gap)
-    changed, new = imgui.slider_float(f"##{name}", value, low, high, "%.2f", CLAMPED)
+    changed, new = slide(f"##{name}", value, low, high, "%.2f")
     imgui.same_line(0, gap)
     title = f"{_ICONS.ICON_FA_ROTATE_LEFT}##reset {name}"
     if button(title, f"Reset to {default:g}.", width=side, height=side, enabled=value != default):

@@ -27,7 +27,6 @@ from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 
 from ..widgets import fields
 from ..widgets.fields import (
-    CLAMPED,
     LOGARITHMIC,
     WARNING,
     button,
@@ -41,7 +40,9 @@ from ..widgets.fields import (
     warn,
 )
 from ..widgets.file_dialogs import ask_what_to_open
+from ..widgets.numbers import compass, compass_name, slide
 from ..widgets.text import readings
+from ..widgets.type_ahead import combo_box
 from .glass import glass_fields
 from .lamps import lamp_fields
 
@@ -79,7 +80,8 @@ def rain_panel(
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
-    wetness_fields(document, live_rain)
+    wetness_fields(document, live_rain, keyframe_button_width())
+    keyframe_button(document, viewport, playback, "wetness")
     if document.rain.exaggeration:
         imgui.text_colored(WARNING, document.rain.exaggeration)
     for group in GROUPS:
@@ -94,6 +96,8 @@ def rain_panel(
                     continue
                 if each.name == "sensor":
                     _sensor(document, viewport, live_rain, status)
+                elif each.name == "lamp_gain":
+                    keyframed_slider(document, viewport, playback, "lamp_gain", high=each.slider_high)
                 elif each.name == "lamps":
                     lamp_fields(document, viewport, status, lamps, jobs)
                 elif each.kind is RegionBox:
@@ -102,14 +106,15 @@ def rain_panel(
                     fields.rain_field(document, each.name)
 
 
-def wetness_fields(document: Document, live_rain: LiveRain) -> None:
-    own, now = document.rain.wetness, live_rain.wetness_now
+def wetness_fields(document: Document, live_rain: LiveRain, beside_px: float = 0.0) -> None:
+    """Edit the wetness; `beside_px` stays free."""
+    own, now = document.rain_now.wetness, live_rain.wetness_now
     has_colors = document.scene.has_wet_colors
     auto_width = imgui.calc_text_size("auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x
     fields.field_label("wetness")
-    imgui.set_next_item_width(-auto_width)
+    imgui.set_next_item_width(-auto_width - beside_px)
     with disabled(own is None or not has_colors):
-        changed, value = imgui.slider_float("##wetness", now, 0.0, 1.0, "%.2f", CLAMPED)
+        changed, value = slide("##wetness", now, 0.0, 1.0, "%.2f")
         if changed:
             document.change_rain("Wetness", "wetness", wetness=value)
         fields.end_gesture_when_released(document)
@@ -169,7 +174,9 @@ def _exposure(document: Document, viewport: ViewportState, playback: Playback) -
     colors = tint_keyframed(document, "exposure_s")
     with disabled(own):
         milliseconds = 1000 * (camera_s if exposure is None else exposure)
-        changed, milliseconds = imgui.slider_float("##exposure_s", milliseconds, 0.1, 100.0, "%.2f", LOGARITHMIC)
+        changed, milliseconds = slide(
+            "##exposure_s", milliseconds, 0.1, 100.0, "%.2f", LOGARITHMIC, bounds=(0.01, 1000.0), unit="ms"
+        )
         if changed:
             document.change_rain("Exposure", "exposure_s", exposure_s=milliseconds / 1000)
         fields.end_gesture_when_released(document)
@@ -182,7 +189,6 @@ def _exposure(document: Document, viewport: ViewportState, playback: Playback) -
     keyframe_button(document, viewport, playback, "exposure_s")
 
 
-_COMPASS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
 _NO_SENSOR = f"lens of {DEFAULT_SENSOR}"
 
 
@@ -193,7 +199,7 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
     titles = [_NO_SENSOR if each is None else Path(each).stem for each in names]
     fields.field_label("sensor")
     imgui.set_next_item_width(-fields.keyframe_button_width())
-    changed, at = imgui.combo("##sensor", names.index(own), titles)
+    changed, at = combo_box("##sensor", names.index(own), titles)
     if changed:
         document.change_rain("Sensor", sensor=names[at])
     imgui.same_line()
@@ -237,30 +243,50 @@ def _shipped_sensors() -> tuple[str, ...]:
     return tuple(sensor_names())
 
 
+_COMPASS_EM = 6.8
+_COMPASS_HELP = (
+    "Wind, north up: the needle comes from where the wind does; at the rim it has {high:g} m/s.\n"
+    "Drag the needle; Ctrl: in steps of 15 degrees. Arrow keys turn it and change its speed.\n"
+    "Right click: back to the default."
+)
+
+
 def _wind(document: Document, viewport: ViewportState, playback: Playback) -> None:
     """Edit speed and direction of the wind; with keyframes both go into one."""
     rain, speed = document.rain_now, field_of(RainSettings, "wind_speed_m_s")
-    fields.field_label("wind_speed_m_s")
-    imgui.set_next_item_width(-keyframe_button_width())
+    high, name = speed.slider_high, compass_name(rain.wind_from_deg)
+    help_text = _COMPASS_HELP.format(high=high)
+    diameter = _COMPASS_EM * imgui.get_font_size()
+    changed, from_deg, speed_m_s = compass("wind", rain.wind_from_deg, rain.wind_speed_m_s, high, diameter, help_text)
+    if imgui.is_item_clicked(imgui.MouseButton_.right):
+        changed, from_deg, speed_m_s = True, field_of(RainSettings, "wind_from_deg").default, speed.default
+    if changed:
+        gesture = "wind" if imgui.is_mouse_down(imgui.MouseButton_.left) else None  # a key is a step of its own
+        document.change_rain("Wind", gesture, wind_speed_m_s=speed_m_s, wind_from_deg=from_deg)
+    fields.end_gesture_when_released(document)
+    imgui.same_line()
+    imgui.begin_group()
     colors = tint_keyframed(document, "wind_m_s")
-    changed, speed_m_s = imgui.slider_float(
-        "##wind_speed_m_s", rain.wind_speed_m_s, 0.0, speed.slider_high, "%.1f", CLAMPED
+    imgui.text(f"Wind from {name}")
+    imgui.set_next_item_width(-keyframe_button_width())
+    changed, speed_m_s = slide(
+        "##wind_speed_m_s", rain.wind_speed_m_s, 0.0, high, "%.1f m/s", bounds=(0.0, speed.high), unit="m/s"
     )
-    imgui.pop_style_color(colors)
     if changed:
         document.change_rain("Wind speed", "wind_speed_m_s", wind_speed_m_s=speed_m_s, wind_from_deg=rain.wind_from_deg)
     fields.end_gesture_when_released(document)
+    imgui.set_item_tooltip(f"{speed.help} Double click: type a value.")
+    imgui.pop_style_color(colors)
     keyframe_button(document, viewport, playback, "wind_m_s")
-    fields.field_label("wind_from_deg")
     colors = tint_keyframed(document, "wind_m_s")
-    name = _COMPASS[round(rain.wind_from_deg / 45) % 8]
-    changed, from_deg = imgui.slider_float(
-        "##wind_from_deg", rain.wind_from_deg, 0.0, 360.0, f"%.0f\u00b0 ({name})", CLAMPED
-    )
+    imgui.set_next_item_width(-keyframe_button_width())
+    changed, from_deg = slide("##wind_from_deg", rain.wind_from_deg, 0.0, 360.0, "%.0f\u00b0", unit="\u00b0")
+    imgui.set_item_tooltip(f"{field_of(RainSettings, 'wind_from_deg').help} Double click: type a value.")
     imgui.pop_style_color(colors)
     if changed:
         document.change_rain("Wind from", "wind_from_deg", wind_speed_m_s=rain.wind_speed_m_s, wind_from_deg=from_deg)
     fields.end_gesture_when_released(document)
+    imgui.end_group()
 
 
 def _region(document: Document, viewport: ViewportState, name: str) -> None:

@@ -19,10 +19,10 @@ from gsrain_engine.editor.edits.rain_keyframes import (
     set_keyframe_number,
 )
 from gsrain_engine.editor.rain import CalibrationTools, KeyframePanelState, PendingInput
+from gsrain_engine.editor.rain_tracks import TRACKS, Track
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.rain.keyframes import (
     NO_KEYFRAMES,
-    Keyed,
     RainKeyframe,
     RainKeyframes,
 )
@@ -32,6 +32,7 @@ from ..commands.table import help_of
 from ..widgets.draw import draw_diamond
 from ..widgets.fields import LOGARITHMIC, button, square_button, toggle_keyframe, warn
 from ..widgets.file_dialogs import ask_what_to_open
+from .timeline_tracks import value_text
 
 _IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 149."
 _SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
@@ -127,7 +128,8 @@ def _series(editor: Editor, name: str, reading: DisdrometerReading) -> None:
     try:
         measured = _keyframes_of(reading, keyframe_panel.speed_up, keyframe_panel.start_s)
     except ValueError as error:
-        calibration.series, calibration.error = None, f"{name}: {error}"
+        calibration.series = None
+        editor.status.report(f"{name}: {error}")
         return
     imgui.text_wrapped(f"{measured.summary}. Maximum: {measured.weather.heaviest_mm_h(document.rain):.1f} mm/h.")
     width = 5.5 * imgui.get_font_size()
@@ -164,7 +166,7 @@ _HEIGHT_EM, _MIN_EM, _ROW_EM = 12.0, 7.0, 1.5
 _GRIP_PX = 8.0
 _MAX_KEYS, _MAX_POINTS = 150, 20_000
 _CLOSEST_S = 0.01
-_ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
+_ROWS = tuple(each for each in TRACKS if each.field != "intensity_mm_h")
 
 
 def _plot(document: Document, playback: Playback, keyframe_panel: KeyframePanelState, width: float) -> None:
@@ -176,7 +178,7 @@ def _plot(document: Document, playback: Playback, keyframe_panel: KeyframePanelS
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
     flags |= implot.Flags_.no_legend | implot.Flags_.no_title
     em = imgui.get_font_size()
-    rows_height = em * _ROW_EM * sum(weather.is_keyed(name) for name, _ in _ROWS)
+    rows_height = em * _ROW_EM * sum(weather.is_keyed(each.field) for each in _ROWS)
     height = min(max(imgui.get_content_region_avail().y - rows_height, _MIN_EM * em), _HEIGHT_EM * em)
     if implot.begin_plot("##shower", ImVec2(width, height), flags):
         _axes(document, playback, keyframe_panel)
@@ -189,9 +191,9 @@ def _plot(document: Document, playback: Playback, keyframe_panel: KeyframePanelS
             document.edit_keyframes("Insert rain keyframe", RainKeyframes.with_key, round(at.x, 2), intensity_mm_h=rate)
         position, size, limits = implot.get_plot_pos(), implot.get_plot_size(), implot.get_plot_limits()
         implot.end_plot()
-        for name, title in _ROWS:
-            if weather.is_keyed(name):
-                _row(document, name, title, position, size, (limits.x.min, limits.x.max))
+        for track in _ROWS:
+            if weather.is_keyed(track.field):
+                _row(document, track, position, size, (limits.x.min, limits.x.max))
     implot.get_input_map().fit, implot.get_input_map().menu = fit, menu
 
 
@@ -295,10 +297,9 @@ def _between(times: Float64[np.ndarray, " n"], number: int, time_s: float) -> fl
     return float(times[number]) if low > high else float(np.clip(time_s, low, high))
 
 
-def _row(
-    document: Document, name: Keyed, title: str, position: ImVec2, size: ImVec2, span_s: tuple[float, float]
-) -> None:
+def _row(document: Document, track: Track, position: ImVec2, size: ImVec2, span_s: tuple[float, float]) -> None:
     """Draw the keyframes of another field as diamonds below the plot; they are dragged in time."""
+    name, title = track.field, track.title
     height, draw = _ROW_EM * imgui.get_font_size(), imgui.get_window_draw_list()
     top = imgui.get_cursor_screen_pos().y
     imgui.dummy(ImVec2(1, height))
@@ -317,7 +318,7 @@ def _row(
         radius = 6.5 if imgui.is_item_hovered() or imgui.is_item_active() else 5.0
         draw_diamond(ImVec2(x, middle), radius, _KEY)
         value = getattr(key, name)
-        words = f"wind {value[0]:.1f}, {value[1]:.1f} m/s" if name == "wind_m_s" else f"exposure {1000 * value:.2f} ms"
+        words = f"{title} {value_text(track, value)}"
         imgui.set_item_tooltip(f"{words} at {key.time_s:.2f} s. Drag to move; right click or Delete removes it.")
         if imgui.is_item_clicked(imgui.MouseButton_.right) or (imgui.is_item_hovered() and _deletes(document)):
             document.edit_keyframes(_REMOVE, RainKeyframes.without_key, key.time_s, name)

@@ -1,17 +1,26 @@
 """Record panel: format, duration, samples and passes of a video, frames or an image."""
 
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.drive import RolloutPlayer
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.recorder import RenderQueue
 from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.fields import field_of
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
-from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
+from gsrain_engine.render.export_settings import (
+    DEFAULT_QUALITY,
+    EXPORT_PRESETS,
+    LARGEST_PX,
+    Codec,
+    ExportSettings,
+    Pass,
+)
 
 from ..commands.table import help_of
+from ..widgets.draw import color
 from ..widgets.fields import (
     CLAMPED,
     LOGARITHMIC,
@@ -20,12 +29,14 @@ from ..widgets.fields import (
     combo,
     copy_buttons,
     disabled,
+    edit_field,
     field_label,
     plain_label,
     share_of_width,
     warn,
 )
 from ..widgets.file_dialogs import ask_where_to_save
+from ..widgets.numbers import slide_whole
 from ..widgets.text import label, visible_name
 from .drive import ask_where_to_render_drive
 
@@ -51,17 +62,21 @@ _PASS_HELP: dict[Pass, str] = {
 
 
 def record_panel(
-    document: Document, files: Files, rollouts: RolloutPlayer, render_queue: RenderQueue, status: StatusBus
-) -> None:
+    document: Document, files: Files, playback: Playback, rollouts: RolloutPlayer, render_queue: RenderQueue,
+    status: StatusBus,
+) -> None:  # fmt: skip
+    _preset(render_queue)
     _format(render_queue)
     _cameras(document, render_queue)
     _size(render_queue)
-    _times(render_queue)
+    _projection(render_queue)
+    _times(render_queue, playback)
     imgui.separator_text("Samples")
     _count(render_queue, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
     _count(render_queue, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
     imgui.separator_text("Passes")
     _passes(render_queue)
+    _preview(render_queue)
     imgui.separator()
     if rollouts.playing is not None:
         warn("A recording shows the scene with its own traffic, not the playing roll-out.")
@@ -74,10 +89,10 @@ def record_panel(
         ask_where_to_record(render_queue)
     imgui.same_line()
     help_text = "Render the present view at the present time, in this size and with these samples (Ctrl+Shift+R)."
-    if button("Render image...", help_text, width=half, enabled=not render_queue.is_recording):
+    if button("Render image...", help_text, width=half):
         ask_where_to_render_image(render_queue)
     help_text = "Draw the present view in five intensities below each other, with what can be seen of each in numbers."
-    if button("Intensity sheet...", help_text, width=-1, enabled=not render_queue.is_recording):
+    if button("Intensity sheet...", help_text, width=-1):
         ask_where_to_draw_sheet(render_queue)
     why_not = "The scene is not in a file yet: save it first." if files.source is None else None
     forms = {"command": lambda: render_queue.command, "Python": lambda: render_queue.program}
@@ -108,13 +123,18 @@ def _extent(render_queue: RenderQueue) -> bool:
         warn(extent)
         return False
     times = f"{extent.cameras} cameras x " if extent.cameras > 1 else ""
-    rough = "" if extent.rough_s is None else f"; {_minutes(extent.rough_s)} or more to draw"
+    about = "about {} to record" if extent.is_timed else "{} or more to draw"
+    rough = "" if extent.seconds is None else f"; {about.format(_minutes(extent.seconds))}"
     length = f"{extent.length_s:.2f} s" if extent.length_s < _LONG_S else _minutes(extent.length_s)
     imgui.text_wrapped(f"{times}{extent.frames:,} frames, {length}{rough}")
-    imgui.set_item_tooltip(
-        "The time is estimated from the viewport's last image (min:s), without loading the scene and encoding."
-    )
-    return not render_queue.is_recording
+    if extent.is_timed:
+        imgui.set_item_tooltip("From the frames of the last recording or timing (min:s).")
+        return True
+    imgui.set_item_tooltip("From the viewport's last image (min:s), without encoding, and while nothing else runs.")
+    help_text = "Draw and write a few frames in the background, and estimate the time from them."
+    if extent.frames > 1 and button("Time a few frames", help_text, width=-1, enabled=not render_queue.is_timing):
+        render_queue.time_frames()
+    return True
 
 
 def _minutes(seconds: float) -> str:
@@ -123,6 +143,50 @@ def _minutes(seconds: float) -> str:
 
 
 # Settings
+
+
+def _preset(render_queue: RenderQueue) -> None:
+    present = render_queue.preset
+    plain_label("Preset", "Settings for one purpose; cameras and times stay.")
+    if not imgui.begin_combo("##preset", "custom" if present is None else present.title):
+        return
+    for each in EXPORT_PRESETS:
+        if imgui.selectable(each.title, each is present)[0]:
+            render_queue.use_preset(each)
+        imgui.set_item_tooltip(each.help)
+    imgui.end_combo()
+
+
+def _projection(render_queue: RenderQueue) -> None:
+    settings = render_queue.settings
+    for name in ("projection", "transparent"):
+        if (changed := edit_field(settings, name)) is not settings:
+            render_queue.change(**{name: getattr(changed, name)})
+
+
+def _preview(render_queue: RenderQueue) -> None:
+    """Draw the last previewed frame as wide as the panel, on a checkerboard where it is transparent."""
+    help_text = "Render the frame at the playhead in the background, in full size, exactly as it would be written."
+    if button("Preview the frame", help_text, width=-1, enabled=not render_queue.is_previewing):
+        render_queue.preview_frame()
+    if (texture := render_queue.preview_texture) is None:
+        return
+    width = imgui.get_content_region_avail().x
+    low, height = imgui.get_cursor_screen_pos(), width * texture.height / max(texture.width, 1)
+    high, draw = ImVec2(low.x + width, low.y + height), imgui.get_window_draw_list()
+    draw.push_clip_rect(low, high, True)
+    for row in range(int(height / _CHECK_PX) + 1):
+        for column in range(int(width / _CHECK_PX) + 1):
+            at = ImVec2(low.x + column * _CHECK_PX, low.y + row * _CHECK_PX)
+            gray = _CHECKS[(row + column) % 2]
+            draw.add_rect_filled(at, ImVec2(at.x + _CHECK_PX, at.y + _CHECK_PX), color((gray, gray, gray, 1.0)))
+    draw.pop_clip_rect()
+    draw.add_image(imgui.ImTextureRef(texture.name), low, high)
+    imgui.dummy(ImVec2(width, height))
+    imgui.set_item_tooltip(f"{texture.width} x {texture.height} px, as it would be written.")
+
+
+_CHECK_PX, _CHECKS = 12.0, (0.55, 0.72)
 
 
 def _format(render_queue: RenderQueue) -> None:
@@ -137,7 +201,7 @@ def _format(render_queue: RenderQueue) -> None:
     default = DEFAULT_QUALITY.get(settings.codec, 0)
     quality, highest = settings.quality, 51 if settings.codec == "h264" else 63
     with disabled(quality is None):
-        changed, new = imgui.slider_int("##quality", default if quality is None else quality, 0, highest)
+        changed, new = slide_whole("##quality", default if quality is None else quality, 0, highest)
     if changed:
         render_queue.change(quality=new)
     imgui.same_line()
@@ -188,8 +252,15 @@ def _cameras(document: Document, render_queue: RenderQueue) -> None:
     imgui.end_combo()
 
 
-def _times(render_queue: RenderQueue) -> None:
+def _times(render_queue: RenderQueue, playback: Playback) -> None:
     settings = render_queue.settings
+    help_text = "Record the timeline's range, where its ends were dragged; else from and to below."
+    if (follows := checkbox("timeline's range", render_queue.follows_range, help_text)) != render_queue.follows_range:
+        render_queue.follows_range = follows
+    if follows and playback.clock.span_s is not None:
+        imgui.same_line()
+        start, end = playback.clock.span_s
+        imgui.text_disabled(f"{start:.2f} to {end:.2f} s")
     field_label("fps", ExportSettings)
     changed, fps = imgui.input_float("##fps", settings.fps, 0.0, 0.0, "%.6g")
     if changed:
@@ -234,6 +305,6 @@ def _count(render_queue: RenderQueue, name: str, highest: int, form: str, flags:
     field_label(name, ExportSettings)
     value = getattr(render_queue.settings, name)
     text = "off" if value == 1 else form.format(value)
-    changed, value = imgui.slider_int(f"##{name}", value, 1, highest, text, flags)
+    changed, value = slide_whole(f"##{name}", value, 1, highest, text, flags)
     if changed:
         render_queue.change(**{name: value})

@@ -10,6 +10,7 @@ from gsrain_engine.editor.selection.commands import SelectionTool, unused_set_na
 from gsrain_engine.editor.viewport_state import ViewportState
 
 from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled
+from ..widgets.numbers import slide
 from ..widgets.text import label
 
 _SET_HELP: dict[Mode, tuple[str, str]] = {
@@ -59,10 +60,8 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     imgui.text("by")
     imgui.same_line()
     imgui.set_next_item_width(-1)
-    _, selection.distance_m = imgui.slider_float(
-        "##distance_m", selection.distance_m, 0.001, 10.0, "%.3f m", LOGARITHMIC
-    )
-    imgui.set_item_tooltip("Distance between centers in meters. Ctrl+click to type.")
+    _, selection.distance_m = slide("##distance_m", selection.distance_m, 0.001, 10.0, "%.3f m", LOGARITHMIC, unit="m")
+    imgui.set_item_tooltip("Distance between centers in meters. Double click: type.")
 
 
 # Selection sets

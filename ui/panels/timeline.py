@@ -8,7 +8,8 @@ from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
 from gsrain_engine.editor.camera_path import CameraPathEditor
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.timeline import Playback, TimelineRow, ego_speed_km_h, speed_of, track_rows, weather_row
+from gsrain_engine.editor.rain_tracks import TRACKS, RainTracks
+from gsrain_engine.editor.timeline import Playback, TimelineRow, ego_speed_km_h, speed_of, track_rows
 from gsrain_engine.scene.camera_path import CameraPath, Easing, Interpolation
 from gsrain_engine.scene.camera_path_edit import ViewAngles, focal_length_mm, fov_of_focal_length
 
@@ -28,6 +29,7 @@ from ..widgets.fields import (
 )
 from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
 from ..widgets.text import label
+from .timeline_tracks import draw_key, easing_items, track_menu, track_row
 
 _FA = icons_fontawesome_6
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
@@ -50,13 +52,17 @@ def timeline_panel(editor: Editor) -> None:
         timeline.is_fitted = True
     if playback.clock.playing and not imgui.is_mouse_down(_LEFT):
         timeline.ruler.show(playback.clock.time_s)
-    start, height = imgui.get_cursor_screen_pos(), _RULER_EM * em
+    start, range_height, height = imgui.get_cursor_screen_pos(), _RANGE_EM * em, _RULER_EM * em
     imgui.set_cursor_screen_pos(ImVec2(start.x + titles, start.y))
     imgui.begin_group()
-    _ruler(playback, camera_path, width, height)
-    _playhead(playback, ImVec2(start.x + titles, start.y), width, height, with_head=True)
+    _playback_range(playback, ImVec2(start.x + titles, start.y), width, range_height)
+    corner = ImVec2(start.x + titles, start.y + range_height)
+    imgui.set_cursor_screen_pos(corner)
+    _ruler(playback, width, height)
+    _playhead(playback, corner, width, height, with_head=True)
     imgui.end_group()
-    imgui.set_cursor_screen_pos(ImVec2(start.x, start.y + height))
+    _range_title(playback, start, titles, range_height)
+    imgui.set_cursor_screen_pos(ImVec2(start.x, start.y + range_height + height))
     _rows(editor, titles, width)
     if numbers:
         imgui.set_cursor_screen_pos(ImVec2(start.x + avail.x - numbers + 8, start.y))
@@ -70,8 +76,17 @@ def timeline_panel(editor: Editor) -> None:
     key = camera_path.active_key
     timeline.takes_keys = imgui.is_window_focused(imgui.FocusedFlags_.child_windows)
     has_focus = timeline.takes_keys and not imgui.get_io().want_text_input
-    if has_focus and key is not None and imgui.is_key_pressed(imgui.Key.delete):
-        camera_path.delete_keyframe(key)
+    if has_focus:
+        _act_on_keys(camera_path, editor.rain_tracks, key)
+
+
+def _act_on_keys(camera_path: CameraPathEditor, tracks: RainTracks, key: int | None) -> None:
+    """Delete the chosen keyframe, of the camera or of a track of the rain."""
+    if imgui.is_key_pressed(imgui.Key.delete):
+        if key is not None:
+            camera_path.delete_keyframe(key)
+        else:
+            tracks.delete()
 
 
 # Transport bar
@@ -233,19 +248,19 @@ def _drive_menu(camera_path: CameraPathEditor) -> None:
     imgui.end_menu()
 
 
-# Ruler
+# Playback range, and below it the ruler with the playhead
 
-_RULER_EM = 1.7
+_RANGE_EM, _RULER_EM = 1.05, 1.55
 _LABELS_APART_EM = 4.5
 _MARKS_APART_PX = 7.0
-_GRIP = 5.0
+_GRIP = 6.0
 _RULER_HELP = (
     "Seconds of the scene. Drag: go to a time. Wheel: zoom. Middle drag: pan. Double click: show all.\n"
     "Over the rows below, Shift+wheel scrolls."
 )
 
 
-def _ruler(playback: Playback, camera_path: CameraPathEditor, width: float, height: float) -> None:
+def _ruler(playback: Playback, width: float, height: float) -> None:
     """Draw the ruler at the cursor, and scrub while it is dragged."""
     corner, ruler = imgui.get_cursor_screen_pos(), playback.timeline.ruler
     imgui.set_next_item_allow_overlap()
@@ -265,34 +280,60 @@ def _ruler(playback: Playback, camera_path: CameraPathEditor, width: float, heig
         x = corner.x + ruler.x(t)
         draw.add_line(ImVec2(x, low - 9), ImVec2(x, low), color(hues.DIM))
         draw.add_text(ImVec2(x + 3, corner.y), color(hues.DIM), f"{abs(t):.{digits}f} s")
-    _playback_range(playback, camera_path, corner, width, low)
     imgui.set_cursor_screen_pos(corner)
     imgui.dummy(ImVec2(width, height))
 
 
-def _playback_range(
-    playback: Playback, camera_path: CameraPathEditor, corner: ImVec2, width: float, low: float
-) -> None:
-    """Draw the playback range, with a handle at either end."""
+def _range_title(playback: Playback, start: ImVec2, titles_px: float, height: float) -> None:
+    """Draw the length of the range left of it; a click on it goes back to all of the content."""
+    first_s, last_s = playback.span_s
+    own = playback.clock.span_s is not None
+    imgui.set_cursor_screen_pos(start)
+    if imgui.invisible_button("range title", ImVec2(titles_px - 4, height)) and own:
+        playback.clock.span_s = None
+    imgui.set_item_tooltip(_RANGE_HELP + ("\nClick: all of the camera path or the traffic." if own else ""))
+    text = f"range {last_s - first_s:.1f} s"
+    hue = color(hues.PLAYED if own else hues.DIM)
+    imgui.get_window_draw_list().add_text(start + ImVec2(4, 0), hue, text)
+
+
+_RANGE_HELP = "Range that is played and recorded. Drag its ends, or the bar between them. Right click: all."
+
+
+def _playback_range(playback: Playback, corner: ImVec2, width: float, height: float) -> None:
+    """Draw the playback range in a row of its own, with a handle at either end; the bar between them moves both."""
     draw, ruler, (start, end) = imgui.get_window_draw_list(), playback.timeline.ruler, playback.span_s
-    first, last = corner.x + ruler.x(start), corner.x + ruler.x(end)
-    draw.add_rect_filled(ImVec2(first, low - 3), ImVec2(last, low), color(hues.PLAYED))
+    first, last, low = corner.x + ruler.x(start), corner.x + ruler.x(end), corner.y + height
+    middle = corner.y + height / 2
+    draw.push_clip_rect(corner, ImVec2(corner.x + width, low), True)
+    draw.add_rect_filled(corner, ImVec2(corner.x + width, low - 1), color(hues.STRIPE))
+    draw.add_rect_filled(ImVec2(first, middle - 2), ImVec2(last, middle + 2), color(hues.PLAYED))
+    draw.pop_clip_rect()
+    left, right = max(first + _GRIP, corner.x), min(last - _GRIP, corner.x + width)
+    if right > left:
+        imgui.set_cursor_screen_pos(ImVec2(left, corner.y))
+        imgui.invisible_button("span", ImVec2(right - left, height))
+        imgui.set_item_tooltip(_RANGE_HELP)
+        if imgui.is_item_active() and imgui.is_mouse_dragging(_LEFT, 2):
+            playback.shift_span(ruler.seconds(imgui.get_io().mouse_delta.x))
+        if imgui.is_item_clicked(_RIGHT):
+            playback.clock.span_s = None
     for name, x in (("span start", first), ("span end", last)):
         if not corner.x - _GRIP <= x <= corner.x + width + _GRIP:
             continue
-        imgui.set_cursor_screen_pos(ImVec2(x - _GRIP, low - 12))
+        imgui.set_cursor_screen_pos(ImVec2(x - _GRIP, corner.y))
         imgui.set_next_item_allow_overlap()
-        imgui.invisible_button(name, ImVec2(2 * _GRIP, 12))
+        imgui.invisible_button(name, ImVec2(2 * _GRIP, height))
         held, hovered = imgui.is_item_active(), imgui.is_item_hovered()
-        imgui.set_item_tooltip("Drag: play from or up to here. Right click: all of the camera path or the traffic.")
+        imgui.set_item_tooltip("Drag: play and record from or up to here. Right click: all of it.")
         if held or hovered:
             imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew)
         if held and imgui.is_mouse_dragging(_LEFT, 2):
             playback.set_span(name == "span start", ruler.time(imgui.get_mouse_pos().x - corner.x))
         if hovered and imgui.is_mouse_clicked(_RIGHT):
             playback.clock.span_s = None
-        top = low - (11 if held or hovered else 8)
-        draw.add_rect_filled(ImVec2(x - 2, top), ImVec2(x + 2, low), color(hues.PLAYED), 1.0)
+        half = 4 if held or hovered else 3
+        draw.add_rect_filled(ImVec2(x - half, corner.y), ImVec2(x + half, low - 1), color(hues.PLAYED), 2.0)
 
 
 def _playhead(playback: Playback, corner: ImVec2, width: float, height: float, *, with_head: bool) -> None:
@@ -307,7 +348,7 @@ def _playhead(playback: Playback, corner: ImVec2, width: float, height: float, *
 
 # Rows: camera keyframes, rain keyframes, and lifetimes of actors
 
-_ROW_EM = 1.3
+_ROW_EM = 1.35
 _DOT_PX = 4.0
 _HINT = "No keyframes yet: find a view, press K; move on in time, find another view, press K."
 
@@ -321,16 +362,18 @@ def _rows(editor: Editor, titles: float, width: float) -> None:
     if is_visible:
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(0, 0))
         _camera_row(editor, titles, width)
-        if weather.keys:
-            last_s = ruler.first_s + ruler.visible_span_s
-            rain = weather_row(weather, ruler.first_s, last_s, int(width / 6))
-            _row(playback, rain, titles, width, hues.FLIGHT, 0.4)
+        for track in TRACKS:
+            if track.is_always_visible or weather.is_keyed(track.field):
+                corner_of_row, row_height = _begin_row(track.title, track.help, titles, width)
+                track_row(editor.document, playback, editor.rain_tracks, track, corner_of_row, width, row_height)
+                _end_row(corner_of_row, titles, width, row_height)
         for row in track_rows(editor.rollouts.displayed_scene):
             _row(playback, row, titles, width, hues.PRESENT, 0.25)
         imgui.pop_style_var()
         if io.key_shift and io.mouse_wheel and imgui.is_window_hovered():
             imgui.set_scroll_y(imgui.get_scroll_y() - io.mouse_wheel * imgui.get_text_line_height())
-        _keyframe_menu(playback, editor.camera_path)
+        _keyframe_menu(playback, editor.document, editor.camera_path)
+        track_menu(editor.rain_tracks, editor.document)
         _playhead(playback, ImVec2(corner.x + titles, corner.y), width, height, with_head=False)
     imgui.end_child()
     # Zoom with the wheel and pan with the middle button, over ruler and rows.
@@ -433,8 +476,7 @@ def _keyframe(playback: Playback, camera_path: CameraPathEditor, key: int, momen
             "Delete: remove. Right click: menu."
         )
     radius = _RADIUS + (1.5 if hovered else 0)
-    hues.draw_diamond(at, radius + 1.5, hues.OUTLINE)
-    hues.draw_diamond(at, radius, hues.CHOSEN if camera_path.active_key == key else hues.KEY)
+    draw_key(at, radius, camera_path.easing_of(key), is_chosen=camera_path.active_key == key)
 
 
 def _drag(playback: Playback, camera_path: CameraPathEditor) -> None:
@@ -455,7 +497,7 @@ def _drag(playback: Playback, camera_path: CameraPathEditor) -> None:
             camera_path.go_to_keyframe(key)
 
 
-def _keyframe_menu(playback: Playback, camera_path: CameraPathEditor) -> None:
+def _keyframe_menu(playback: Playback, document: Document, camera_path: CameraPathEditor) -> None:
     """Draw the context menu of a keyframe, in the window of the keyframes."""
     if not imgui.begin_popup("key menu"):
         return
@@ -470,6 +512,10 @@ def _keyframe_menu(playback: Playback, camera_path: CameraPathEditor) -> None:
             camera_path.retime_keyframe(key, playback.clock.time_s)
         if menu_item("Snap to the drive", "Move it to the nearest pose of the recorded drive."):
             camera_path.snap_keyframe(key)
+        if menu_item("Copy", "Copy the camera (Ctrl+C); Ctrl+V pastes it at the playhead."):
+            camera_path.copy(key)
+        imgui.separator()
+        easing_items(camera_path.easing_of(key), lambda easing: camera_path.ease(key, easing), "As the path")
         imgui.separator()
         if menu_item("Delete", "Delete this keyframe."):
             camera_path.delete_keyframe(key)

@@ -48,13 +48,9 @@ def reconstruct_fields(
     if not captures.capture.has_poses:
         imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
         return
-    newest = jobs.newest("reconstruct", "recolor")
-    if newest is not None and newest.state == "running":
-        job_fields(viewport, jobs, newest)
-        return
     if has_torch():
         _reconstruction_settings(training)
-        if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=training.why_not):
+        if button("Reconstruct", _RECONSTRUCT_HELP, width=-1):
             training.reconstruct()
     else:
         imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
@@ -63,7 +59,7 @@ def reconstruct_fields(
         training.recolor()
     if button("Recolor to other images...", _RECOLOR_OTHERS_HELP, width=-1, why_not=why_not):
         ask_what_to_open("Images to recolor to (folder)", "", lambda chosen: training.recolor(chosen[0]))
-    if newest is not None:
+    if (newest := jobs.newest("reconstruct", "recolor")) is not None:
         imgui.separator_text(newest.title)
         job_fields(viewport, jobs, newest)
 
@@ -91,19 +87,18 @@ _FINETUNE_PRESETS = {
 
 def transfer_training_fields(viewport: ViewportState, finetune: FinetuneController, jobs: JobRunner) -> None:
     job = finetune.job
-    if job is None or job.state != "running":
-        _config(finetune)
-        for name in ("clear", "rainy", "output"):
-            path_field(finetune.choice, name, "", partial(_take, finetune, name))
-        finetune.choice = edit_field(finetune.choice, "steps", step=100)
-        can_resume, why_not = finetune.can_resume, finetune.why_not
-        title = "Resume the training" if can_resume else "Train the transfer"
-        help_text = "Continue from the folder's checkpoint, with the same result as without a stop."
-        if not can_resume:
-            help_text = "Fine-tune CycleGAN-Turbo on the two sets of images; Cancel preserves the last checkpoint."
-        title = f"{icons_fontawesome_6.ICON_FA_GRADUATION_CAP}  {title}###train"
-        if button(title, help_text, width=-1, why_not=why_not):
-            finetune.start(resume=can_resume)
+    _config(finetune)
+    for name in ("clear", "rainy", "output"):
+        path_field(finetune.choice, name, "", partial(_take, finetune, name))
+    finetune.choice = edit_field(finetune.choice, "steps", step=100)
+    can_resume, why_not = finetune.can_resume, finetune.why_not
+    title = "Resume the training" if can_resume else "Train the transfer"
+    help_text = "Continue from the folder's checkpoint, with the same result as without a stop."
+    if not can_resume:
+        help_text = "Fine-tune CycleGAN-Turbo on the two sets of images; Cancel preserves the last checkpoint."
+    title = f"{icons_fontawesome_6.ICON_FA_GRADUATION_CAP}  {title}###train"
+    if button(title, help_text, width=-1, why_not=why_not):
+        finetune.start(resume=can_resume)
     if job is not None and job in jobs.all:
         imgui.separator_text(job.title)
         job_fields(viewport, jobs, job)

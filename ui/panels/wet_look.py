@@ -159,12 +159,10 @@ def _pictures(textures: Mapping[PreviewPicture, Texture], opacity: float) -> Non
 
 
 def _make(viewport: ViewportState, wet_look: WetLookController, jobs: JobRunner) -> None:
-    newest = jobs.newest("make rainy", "preview")
-    if newest is None or newest.state != "running":
-        title, height = f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {MAKE_RAINY_TITLE}###make", imgui.get_frame_height()
-        if button(title, _MAKE_HELP, width=-1, height=1.5 * height, why_not=wet_look.why_not):
-            wet_look.make()
-    if newest is not None:
+    title, height = f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {MAKE_RAINY_TITLE}###make", imgui.get_frame_height()
+    if button(title, _MAKE_HELP, width=-1, height=1.5 * height, why_not=wet_look.why_not):
+        wet_look.make()
+    if (newest := jobs.newest("make rainy", "preview")) is not None:
         imgui.separator_text(newest.title)
         job_fields(viewport, jobs, newest)
 

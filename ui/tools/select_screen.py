@@ -15,6 +15,7 @@ from gsrain_engine.editor.selection.volume import flood_select
 from gsrain_engine.editor.viewport.picking import PickResult, pick
 
 from ..widgets.draw import Canvas, is_clicked
+from ..widgets.type_ahead import combo_box
 from . import base
 from .base import same_line_if_fits
 
@@ -60,7 +61,7 @@ class ShapeTool(base.DragTool):
         same_line_if_fits(14)
         choices = get_args(screen.Depths)
         imgui.set_next_item_width(7.5 * imgui.get_font_size())
-        changed, picked = imgui.combo("##depths", choices.index(options.depths), list(choices))
+        changed, picked = combo_box("##depths", choices.index(options.depths), list(choices))
         imgui.set_item_tooltip(_DEPTH_HELP)
         if changed:
             options.depths = choices[picked]

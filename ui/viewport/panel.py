@@ -1,7 +1,6 @@
-"""The viewport: image, navigation by mouse and keys, region outlines, bars, notices, and the start page."""
+"""The viewport: image, navigation by mouse and keys, region outlines, and bars."""
 
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import get_args
 
 from imgui_bundle import ImVec2, ImVec4, imgui
@@ -10,29 +9,29 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import region_outlines
-from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.viewport.options import Split
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.renderer import RenderMode
 
 from ..commands.keys import chord_name
-from ..commands.table import COMMANDS
+from ..folding import FoldedPanels
 from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
-from ..widgets.draw import Canvas, draw_lines
+from ..widgets.draw import Canvas, draw_lines, draw_point
 from ..widgets.fields import button
-from ..widgets.text import label
+from .first_run import draw_hint, draw_setup_bar, draw_start_card
+from .notices import card, draw_notices
 from .overlays import OVERLAYS, draw_divider, preview_side
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
 
-def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult) -> tuple[int, int]:
+def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, folded: FoldedPanels) -> tuple[int, int]:
     """Draw the panel with the last picture. Returns width and height of the next one in pixels."""
     view_bar(editor)
     size = imgui.get_content_region_avail()
-    width, height = max(int(size.x), 16), max(int(size.y), 16)
+    width, height = max(int(size.x - folded.width), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
     textures = [texture.glo for texture in picture.textures]
     at = round(editor.viewport.options.divider * width) if len(textures) == 2 else 0
@@ -67,11 +66,13 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult) -
     if tool is not None:
         tool_options(tool, corner, left, width)
     if not editor.document.scene.members and editor.busy is None:
-        draw_start_page(editor, corner, width, height)
-    if editor.busy is not None:
-        _draw_busy(editor.busy, corner, width, height)
-    if editor.status.problem is not None:
-        _draw_problem(editor.status, editor.status.problem, corner, width, height)
+        draw_start_card(editor, corner, width, height)
+    elif editor.scene_setup.is_open:
+        draw_setup_bar(editor, corner, left, width)
+    if editor.preferences.value.hint:
+        draw_hint(editor, corner, height)
+    draw_notices(editor, corner, width, height)
+    folded.draw(ImVec2(corner.x + width, corner.y), height)
     return width, height
 
 
@@ -85,14 +86,19 @@ _KEYS = {
 
 def _navigate_by_mouse(viewport: ViewportState, canvas: Canvas, uses_left: bool) -> None:
     navigation, io = viewport.navigation, imgui.get_io()
+    if canvas.hovered and not uses_left and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+        viewport.set_pivot(*canvas.mouse_px, canvas.width, canvas.height)
     if canvas.active:
         moved = io.mouse_delta
         if uses_left and imgui.is_mouse_down(imgui.MouseButton_.left):
             return
         if moved.x or moved.y:
             viewport.stop_riding()
+            navigation = viewport.navigation
         if imgui.is_mouse_down(imgui.MouseButton_.left):
-            navigation.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+            viewport.orbit(moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
+            if navigation.pivot is not None:
+                draw_point(canvas, navigation.pivot)
         elif imgui.is_mouse_down(imgui.MouseButton_.right):
             navigation.turn(-moved.x * _RADIANS_PER_PIXEL, -moved.y * _RADIANS_PER_PIXEL)
         elif imgui.is_mouse_down(imgui.MouseButton_.middle):
@@ -132,7 +138,7 @@ def tool_bar(viewport: ViewportState, corner: ImVec2, height: float) -> float:
     imgui.set_cursor_screen_pos(ImVec2(corner.x + 8, corner.y + 8))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(4, 4))
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(_GAP, _GAP))
-    with _card("tools", 0, imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.auto_resize_x):
+    with card("tools", 0, imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.auto_resize_x):
         if _tool_button(icons.ICON_FA_ARROW_POINTER, "Navigate", viewport.options.tool == "", side):
             viewport.options.tool = ""
         imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
@@ -159,7 +165,7 @@ def tool_options(tool: Tool, corner: ImVec2, left: float, width: float) -> None:
     """Draw the bar of the active tool over the viewport, starting at `left`."""
     imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
-    with _card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82):
+    with card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82):
         imgui.align_text_to_frame_padding()
         imgui.text(tool.name)
         imgui.set_item_tooltip(tool.help)
@@ -170,7 +176,7 @@ def tool_options(tool: Tool, corner: ImVec2, left: float, width: float) -> None:
 
 def view_bar(editor: Editor) -> None:
     clock, viewport = editor.playback.clock, editor.viewport
-    frame_help = "Move back until the active layer or actor, or else the whole scene, is visible (F)."
+    frame_help = "Move back until the selection, else the active layer or actor, else the scene is visible (F)."
     for icon, name, help_text, act in (
         (icons.ICON_FA_PAUSE if clock.playing else icons.ICON_FA_PLAY, "Play", "Start or stop time (Space).",
          clock.toggle),
@@ -204,82 +210,3 @@ def view_bar(editor: Editor) -> None:
         imgui.set_item_tooltip("Time in the scene, and speed of W A S D (Ctrl+wheel). F1 shows all keys.")
     else:
         imgui.new_line()
-
-
-# Start page without a scene
-
-_WIDTH_EM = 30.0
-_OFFERED = ("Open...", "Open the built-in street")
-_MAX_RECENT = 6
-
-
-def draw_start_page(editor: Editor, corner: ImVec2, width: int, height: int) -> None:
-    wide = min(_WIDTH_EM * imgui.get_font_size(), width - 20.0)
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.25 * height))
-    flags = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
-    if imgui.begin_child("empty", ImVec2(wide, 0), flags):
-        imgui.text_wrapped("No scene is open. Drop a scene file or folder here, or begin with one of these.")
-        imgui.spacing()
-        for command in COMMANDS:
-            if command.name in _OFFERED and imgui.button(command.name, ImVec2(-1, 0)):
-                command.perform(editor)
-        recent = editor.files.recent[:_MAX_RECENT]
-        if recent:
-            imgui.separator_text("Recent")
-        for path in recent:
-            name = label(f"{icons.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path))
-            if imgui.button(name, ImVec2(-1, 0)):
-                editor.files.open(str(path))
-            imgui.set_item_tooltip(str(path))
-    imgui.end_child()
-
-
-# Notices: an animated bar while a scene loads, and the last error
-
-_NOTICE_WIDTH_EM = 34.0
-_MARGIN = 10.0
-
-
-def _draw_busy(words: str, corner: ImVec2, width: int, height: int) -> None:
-    wide = min(_NOTICE_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
-    with _card("busy", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
-        imgui.text_wrapped(words)
-        imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
-
-
-def _draw_problem(status: StatusBus, problem: str, corner: ImVec2, width: int, height: int) -> None:
-    wide = min(_NOTICE_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
-    padding = imgui.get_style().window_padding
-    words = f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {problem}"
-    text_height = imgui.calc_text_size(words, False, wide - 2 * padding.x).y
-    tall = text_height + 2 * padding.y + imgui.get_frame_height_with_spacing()
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + width - wide - _MARGIN, corner.y + height - tall - _MARGIN))
-    with _card("problem", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
-        imgui.push_style_color(imgui.Col_.text, (0.95, 0.45, 0.38, 1.0))
-        imgui.text_wrapped(words)
-        imgui.pop_style_color()
-        if imgui.button("Close"):
-            status.dismiss()
-        imgui.same_line()
-        if button("Details", "Show the log, which has the rest."):
-            imgui.set_window_focus("Log")
-        imgui.same_line()
-        if button("Copy", "Put the sentence on the clipboard."):
-            imgui.set_clipboard_text(problem)
-
-
-@contextmanager
-def _card(
-    name: str, width: float, background: imgui.Col_, opacity: float, flags: imgui.ChildFlags_ | int = 0
-) -> Generator[None]:
-    """Begin a card over the viewport that is as tall as its content."""
-    color = imgui.get_style_color_vec4(background)
-    imgui.push_style_color(imgui.Col_.child_bg, (color.x, color.y, color.z, opacity))
-    imgui.push_style_var(imgui.StyleVar_.child_rounding, 5.0)
-    flags |= imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
-    imgui.begin_child(name, ImVec2(width, 0), flags)
-    yield
-    imgui.end_child()
-    imgui.pop_style_var()
-    imgui.pop_style_color()

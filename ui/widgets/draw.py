@@ -209,12 +209,17 @@ def plot(
         implot.end_plot()
 
 
+_MARKERS = tuple(getattr(implot.Marker_, name) for name in ("circle", "square", "diamond", "up"))
+
+
 def line(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
     implot.plot_line(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
 
 
-def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
-    implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
+def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], series: int = 0) -> None:
+    """Draw points with the marker of a series, by its number; ImPlot's own choice changes from frame to frame."""
+    spec = implot.Spec(marker=_MARKERS[series % len(_MARKERS)])
+    implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y), spec=spec)
 
 
 # Transform gizmo (ImGuizmo)

@@ -14,6 +14,10 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import Field, field_of
 from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, RegionBox
+from gsrain_engine.rain.wetness import wetness
+
+from .numbers import in_bounds, slide
+from .type_ahead import combo_box
 
 _LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
@@ -57,7 +61,8 @@ def slider(document: Document, name: str, *, high: float | None = None, beside_p
     if beside_px:
         imgui.set_next_item_width(-beside_px)
     flags = LOGARITHMIC if info.is_logarithmic else CLAMPED
-    changed, value = imgui.slider_float(f"##{name}", value, info.low, high or info.slider_high, "%.4g", flags)
+    scale, bounds = (info.low, high or info.slider_high), (info.low, info.high)
+    changed, value = slide(f"##{name}", value, *scale, "%.4g", flags, bounds=bounds, unit=info.unit)
     if changed:
         document.change_rain(info.title, name, **{name: value})
     end_gesture_when_released(document)
@@ -68,7 +73,7 @@ def _reset_on_right_click(document: Document, info: Field) -> None:
     """Set a setting to its default if its widget, the last one, is right-clicked."""
     default, unit = info.default_text or info.none, "" if info.default is None else f" {info.unit}"
     reset = f" Right click: back to {default}{unit}." if default else ""
-    imgui.set_item_tooltip(f"Ctrl+click: type a value.{reset}")
+    imgui.set_item_tooltip(f"Drag; double click: type a value.{reset}")
     is_other = getattr(document.rain, info.name) != info.default
     if default and is_other and imgui.is_item_clicked(imgui.MouseButton_.right):
         document.change_rain(info.title, **{info.name: info.default})
@@ -77,15 +82,17 @@ def _reset_on_right_click(document: Document, info: Field) -> None:
 def integer(document: Document, name: str) -> None:
     info = field_label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(document.rain, name))
+    value = in_bounds(changed, value, info.low, min(info.high, 2**31 - 1), info.unit)
     if changed:
-        document.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
+        document.change_rain(info.title, name, **{name: int(value)})
     end_gesture_when_released(document)
+    _reset_on_right_click(document, info)
 
 
 def choice(document: Document, name: str) -> None:
     info = field_label(name)
     present = info.choices.index(getattr(document.rain, name))
-    changed, picked = imgui.combo(f"##{name}", present, list(info.choices))
+    changed, picked = combo_box(f"##{name}", present, list(info.choices))
     if changed:
         document.change_rain(info.title, **{name: info.choices[picked]})
 
@@ -136,15 +143,19 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
         if info.choices:
             choices = (None, *info.choices) if info.is_optional else info.choices
             names = [str(info.extra.get("none", "none")) if each is None else each for each in choices]
-            changed, at = imgui.combo(f"##{name}", choices.index(value), names)
+            changed, at = combo_box(f"##{name}", choices.index(value), names)
             value = choices[at]
         elif isinstance(value, int):
             step = max(step, info.multiple_of)
             changed, value = imgui.input_int(f"##{name}", value, step, 10 * step)
-            value = int(min(max(round(value / info.multiple_of) * info.multiple_of, info.low), info.high))
+            value = in_bounds(
+                changed, round(value / info.multiple_of) * info.multiple_of, info.low, info.high, info.unit
+            )
+            value = int(value)
         else:
-            flags = imgui.SliderFlags_.always_clamp
-            changed, value = imgui.slider_float(f"##{name}", value, info.low, info.high, "%.4g", flags)
+            changed, value = slide(f"##{name}", value, info.low, info.high, unit=info.unit)
+        if info.default_text and imgui.is_item_clicked(imgui.MouseButton_.right):
+            changed, value = value != info.default, info.default
     imgui.set_item_tooltip(info.help)
     return msgspec.structs.replace(settings, **{name: value}) if changed else settings
 
@@ -165,7 +176,10 @@ def _optional_toggle(name: str, info: Field, value: float | None) -> tuple[bool,
 
 _KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
 _HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
-_TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure"}
+_TITLES = {
+    "intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure", "wetness": "wetness",
+    "lamp_gain": "lamp light",
+}  # fmt: skip
 
 
 def keyframe_button_width() -> float:
@@ -202,8 +216,8 @@ def toggle_keyframe(document: Document, viewport: ViewportState, playback: Playb
         return
     now = document.rain_now
     value = now.wind_vector_m_s if name == "wind_m_s" else getattr(now, name)
-    if value is None:  # exposure: the camera's own
-        value = viewport.shot(16, 16).camera.exposure_s
+    if value is None:  # exposure: the camera's own; wetness: that of steady rain
+        value = viewport.shot(16, 16).camera.exposure_s if name == "exposure_s" else wetness(now.intensity_mm_h)
     document.edit_keyframes(f"Insert {title} keyframe", RainKeyframes.with_key, now_s, **{name: value})
 
 
@@ -340,7 +354,7 @@ def combo(text: str, value: _Value, choices: Mapping[Any, str] | Sequence[_Value
     """Draw a combo box; returns its new value. Titles are those of the mapping, else the choices themselves."""
     values: list[Any] = list(choices)
     titles = list(choices.values()) if isinstance(choices, Mapping) else [str(each) for each in values]
-    changed, at = imgui.combo(text, values.index(value) if value in values else 0, titles)
+    changed, at = combo_box(text, values.index(value) if value in values else 0, titles)
     if help_text:
         imgui.set_item_tooltip(help_text)
     return values[at] if changed else value
@@ -351,8 +365,7 @@ def number(
 ) -> float:
     """Draw a label and a slider; returns the new value."""
     plain_label(title, help_text)
-    changed, new = imgui.slider_float(f"##{name}", value, low, high, form, flags)
-    return new if changed else value  # the widget rounds to single precision
+    return slide(f"##{name}", value, low, high, form, flags)[1]
 
 
 def edit_choice(

@@ -17,7 +17,7 @@ from numba import njit
 
 from ...safe_io.limits import InputError, check_file, open_file
 from ...scene.files import SceneFormatError
-from ...scene.formats.ply import element_rows, read_ply_header
+from ...scene.formats.ply_header import element_rows, read_ply_header
 from ..capture import CaptureError
 
 _BATCH_ROWS = 8

@@ -91,6 +91,8 @@ class DrawResult:
     """None if the last images were still valid."""
     is_compiling: bool = False
     """True if nothing can be drawn before kernels are compiled or loaded."""
+    is_preparing: bool = False
+    """True while kernels are compiled for the renderer of the next pictures, and OpenGL draws without rain."""
     is_settled: bool = False
     """True if no other back end takes over from the active one."""
     is_catching_up: bool = False

@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,7 @@ from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
 from ...render.draw import LodCut, LodSubset, Thinning, draw_view
 from ...render.images import write_png
+from ...render.mirror import MirrorReuse
 from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
@@ -39,6 +41,7 @@ WindowBackend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]
 _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
 _LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, they are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
+_MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image
 _ASIDE = 1 / 4  # share of the Gaussians in small images next to the viewport, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
@@ -47,8 +50,9 @@ class LiveView:
     """Draws the viewport's panes, in an OpenGL context that is current on the calling thread.
 
     The fastest way draws (`measure_device`): tiles on a GPU; if OpenGL is a software rasterizer, the CPU renderer,
-    which draws the same image several times faster. OpenGL substitutes until the CPU kernels are compiled; if they are
-    cached, the viewport waits for them instead, because compiling shaders takes longer. `backend` overrides the choice.
+    which draws the same image several times faster. OpenGL substitutes, without rain, until another process has
+    compiled the CPU kernels; if they are cached, the viewport waits for them instead, because compiling shaders takes
+    longer. `backend` overrides the choice.
     """
 
     def __init__(
@@ -56,19 +60,26 @@ class LiveView:
         context: moderngl.Context,
         backend: WindowBackend = "auto",
         finish: Callable[[], None] | None = None,
+        checkpoint: Callable[[], None] = lambda: None,
     ) -> None:
-        """`finish` waits until everything is drawn, by default as the context does."""
+        """`finish` waits until everything is drawn, by default as the context does.
+
+        `checkpoint` is called between the stages of a pane's picture; what it raises ends the drawing.
+        """
         self.context = context
         self._finish = finish or context.finish
         self.speed = measure_device(context)
         """Times by which the back end was chosen."""
         self._opengl = SplatRenderer(context, rasterizer=rasterizer_for(backend, self.speed))
         on_cpu = self.speed.is_cpu_fastest if backend == "auto" else backend == "cpu"
+        self._checkpoint = checkpoint
         self._cpu = CpuTexture(context) if on_cpu else None
         self._waits_until = 0.0
-        if self._cpu is not None and has_kernels():
+        self._compiles = False  # kernels that are not in the cache
+        if self._cpu is not None:
+            self._compiles = not has_kernels()
             self._cpu.compile()
-            self._waits_until = time.perf_counter() + _LOADING_S
+            self._waits_until = 0.0 if self._compiles else time.perf_counter() + _LOADING_S
         self._on_cpu = self._gpu_is_full = self._can_draw = self._is_empty = False
         self._panes = (_PaneImage(context), _PaneImage(context))
         self._glass = LiveGlass(context)
@@ -103,7 +114,9 @@ class LiveView:
 
     def _draw(self, frame: RenderInput) -> DrawResult:
         if self._cpu is not None and self._cpu.has_failed:
-            self._cpu, self._gpu_is_full = None, False
+            self._cpu, self._gpu_is_full, self._compiles = None, False, False
+            for pane in self._panes:
+                pane.state = None  # drawn again, with rain
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may change at any moment
         self._can_draw = self._cpu is None or self._on_cpu or self._substitutes_cpu(frame.scene)
         if frame.harmonics != self._opengl.arrays.harmonics:
@@ -117,6 +130,7 @@ class LiveView:
             pane.state = pane.scene = None
         self._release_closed_scene(frame)
         result = DrawResult(frame, is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
+        result.is_preparing = self._compiles and not self.is_settled
         if self._can_draw:
             self._sample_sky(frame, result)
         sky = (result.sky or frame.sky).at(frame.overcast)
@@ -214,19 +228,35 @@ class LiveView:
         state = (_fingerprint(frame, scene, side.rainfall, sky), frame.quality.gaussians, self._on_cpu)
         if state == pane.state or not self._can_draw:
             return False
-        rainfall = side.rainfall if scene.members else None  # the rain has nothing to fall on yet
+        # Without a scene, rain has nothing to fall on; while its kernels compile, it would wait for them.
+        rainfall = side.rainfall if scene.members and (self._on_cpu or not self._compiles) else None
         selection = frame.selection and frame.screenshot is None
         thinning = self.thinning(frame.quality.gaussians, scene, frame.mode, exact=frame.screenshot is not None)
         glass, name = None, f"pane/{self._panes.index(pane)}"
         if rainfall is not None and has_glass(rainfall, frame.mode):
             glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
-        draw_view(
-            self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning, selection=selection
-        )
+        with self._interruptible():
+            draw_view(
+                self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
+                selection=selection, reuse=None if frame.quality.is_exact else pane.reuse,
+            )  # fmt: skip
         picture = self._picture(glass, name, frame.background)
         pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev)
         pane.state, pane.scene = state, scene
         return True
+
+    @contextmanager
+    def _interruptible(self) -> Generator[None]:
+        """Let the checkpoint end the drawing within the block; samples of the sky, for one, go on to their end."""
+        if self._cpu is None:
+            yield
+            return
+        renderer = self._cpu.renderer
+        before, renderer.checkpoint = renderer.checkpoint, self._checkpoint
+        try:
+            yield
+        finally:
+            renderer.checkpoint = before
 
     def _drawable(self, scene: Scene, pane: "_PaneImage", *, whole: bool) -> Scene:
         """The scene; or unless `whole` the last one, while much of the new one has yet to be uploaded."""
@@ -315,6 +345,7 @@ class _PaneImage:
         self.texture = context.texture((1, 1), 4, np.zeros(4, np.uint8))
         self.state: Hashable = None
         self.scene: Scene | None = None
+        self.reuse = MirrorReuse(_MIRROR_EVERY)
 
 
 def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: SkyLight) -> Hashable:

@@ -1,12 +1,17 @@
 """The viewport's pictures, drawn on a thread of their own, so that the interface never waits for one."""
 
+import threading
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import moderngl
+import numpy as np
 
+from ...render.draw import RenderView
+from ...render.renderer import RenderMode
 from ...threads import lower_thread_priority
-from .frame import DrawResult, MosaicInput, MosaicResult, RenderInput
+from .frame import DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .live_view import LiveView, MosaicImages, WindowBackend
 
 
@@ -25,6 +30,10 @@ class PictureContext(Protocol):
     def leave(self) -> None:
         """Release the context from the calling thread."""
         ...
+
+
+class PictureAbandonedError(Exception):
+    """Raised in the drawing of a picture that no longer matters."""
 
 
 class Picture(NamedTuple):
@@ -46,8 +55,11 @@ class PictureThread:
         self._backend: WindowBackend = backend
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pictures", initializer=lower_thread_priority)
         self._opening: Future[tuple[LiveView, MosaicImages]] = self._thread.submit(self._open)
-        self._drawing: Future[Picture] | None = None
+        self._drawing: Future[Picture | None] | None = None
+        self._frame: RenderInput | None = None
+        self._is_abandoned = threading.Event()
         self._last = DrawResult()
+        self._may_abandon = True
         self._is_closed = False
 
     @property
@@ -76,7 +88,9 @@ class PictureThread:
             return None
         drawn, self._drawing = self._drawing, None
         picture = drawn.result()
-        self._last = picture.result
+        if picture is None:
+            return None
+        self._last, self._may_abandon = picture.result, True
         return picture
 
     def wait(self) -> None:
@@ -87,7 +101,23 @@ class PictureThread:
     def begin(self, frame: RenderInput, mosaic: MosaicInput | None) -> None:
         """Begin to draw a picture, after the last one was taken."""
         assert self._drawing is None, "one picture at a time"
+        self._frame = frame
+        self._is_abandoned.clear()
         self._drawing = self._thread.submit(self._draw, frame, mosaic)
+
+    def reconsider(self, view: RenderView, panes: Sequence[SplitPane], mode: RenderMode) -> None:
+        """Give up the picture that is being drawn if the present one has another view, scene, rain or mode.
+
+        Only a picture of full quality is, which takes long, and never two in a row, so that pictures go on.
+        """
+        frame = self._frame
+        if frame is None or not (self._may_abandon and frame.quality.is_exact and frame.screenshot is None):
+            return
+        poses = frame.canvas_view.camera.world_to_camera, view.camera.world_to_camera
+        contents = [[(id(each.scene), id(each.rainfall)) for each in some] for some in (frame.panes, panes)]
+        if not (np.array_equal(*poses) and contents[0] == contents[1] and frame.mode == mode):
+            self._may_abandon = False
+            self._is_abandoned.set()
 
     def close(self) -> None:
         """Wait for the picture that is being drawn, and end the thread. Further calls do nothing."""
@@ -100,11 +130,19 @@ class PictureThread:
 
     def _open(self) -> tuple[LiveView, MosaicImages]:
         context = self._context.enter()
-        return LiveView(context, self._backend, self._context.finish), MosaicImages(context)
+        return LiveView(context, self._backend, self._context.finish, self._check), MosaicImages(context)
 
-    def _draw(self, frame: RenderInput, mosaic: MosaicInput | None) -> Picture:
+    def _check(self) -> None:
+        if self._is_abandoned.is_set():
+            raise PictureAbandonedError
+
+    def _draw(self, frame: RenderInput, mosaic: MosaicInput | None) -> Picture | None:
         view, images = self._opening.result()
-        result = view.draw(frame)
+        try:
+            result = view.draw(frame)
+        except PictureAbandonedError:
+            return None
+        self._is_abandoned.clear()  # the rest takes little time
         aside = None if mosaic is None else images.draw(mosaic, view)
         if aside is not None:
             self._context.finish()

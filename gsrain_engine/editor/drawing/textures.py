@@ -1,8 +1,10 @@
 """Textures of captures, jobs and CPU renders, and capture points, in the window's OpenGL context and thread."""
 
 import logging
+import multiprocessing
 import threading
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -10,7 +12,7 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt8
 
-from ...compile_cache import mark_kernels
+from ...compile_cache import has_kernels, mark_kernels, stores_kernels
 from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
 from ...rain.simulation import OVERCAST, RainSimulation
@@ -194,12 +196,29 @@ class CpuTexture:
 
     def _compile(self) -> None:
         try:
-            compile_kernels()
+            load_kernels()
         except Exception:  # OpenGL draws instead, slower; the window must not end
             self.has_failed = True
             logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
         else:
             self._compiled.set()
+
+
+_loading = threading.Lock()
+
+
+def load_kernels() -> None:
+    """Load all kernels of a picture; those that are missing are compiled by another process first.
+
+    The compiler holds Python's lock, so that in this process it would stop the interface.
+    """
+    with _loading:
+        if not has_kernels() and stores_kernels():
+            with suppress(OSError):  # no process can be started: this one compiles
+                process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
+                process.start()
+                process.join()
+        compile_kernels()
 
 
 def compile_kernels() -> None:

@@ -20,6 +20,8 @@ _FLAT = 0.6  # maximum ratio of the thinnest axis of a flat Gaussian to its midd
 _TOLERANCE = 0.008  # maximum distance of ground points from the plane, as a share of the scene's extent
 _BELOW = 2.0  # votes that a plane loses per sample below it: a roof has more of the scene below it than lies on it
 _FEWEST_SHARE = 0.05
+_PREFERENCE = 1.5  # of the present axis over others, whose walls are large, too
+_CAMERA_HEIGHT_M = 1.5
 
 
 class GroundPlaneFit(NamedTuple):
@@ -30,6 +32,8 @@ class GroundPlaneFit(NamedTuple):
     point_m: Float64[np.ndarray, "3"]
     share: float
     """Share of the scene's samples that lie on the plane."""
+    share_below: float
+    """Share of the samples that lie clearly below it."""
 
 
 def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None = None) -> Scene:
@@ -86,6 +90,32 @@ def level_from_ground(scene: Scene) -> Scene:
     return level_to(scene, ground.up, ground.point_m)
 
 
+def guess_orientation(scene: Scene) -> Scene:
+    """Level a scene by its ground below the most likely of the six axes, and scale it by its camera path.
+
+    The present axis stays up unless another one has a ground that holds half as much more of the scene, less twice the
+    share of what lies below it. Where the unit is assumed and the scene has a camera path above the ground, that
+    becomes 1.5 m high, as of a person or a car.
+
+    Raises `ValueError` if there is no ground below any axis.
+    """
+    candidates: list[tuple[float, Scene]] = []
+    for turned in (scene, *(oriented(scene, axis) for axis in get_args(Axis))):
+        try:
+            ground = find_ground(turned)
+        except ValueError:
+            continue
+        score = max(ground.share - _BELOW * ground.share_below, 0.0)
+        candidates.append((_PREFERENCE * score if turned is scene else score, turned))
+    if not candidates:
+        raise ValueError("No ground was found below any axis: level the scene by three points (tool Level).")
+    leveled = level_from_ground(max(candidates, key=lambda each: each[0])[1])
+    try:
+        return set_camera_height(leveled, _CAMERA_HEIGHT_M) if scene.unit_is_assumed else leveled
+    except ValueError:  # without a camera path, nothing tells the scale
+        return leveled
+
+
 def set_ground_height(scene: Scene, height_m: float) -> Scene:
     """Set the height of the ground above the origin of the world, in meters."""
     return replace(scene, ground_m=float(height_m))
@@ -117,7 +147,7 @@ def find_ground(scene: Scene, seed: int = 0) -> GroundPlaneFit:
     share = float((np.abs((voters - point) @ up) < tolerance).sum() / len(points))
     if share < _FEWEST_SHARE or up[2] < _STEEPEST_COS:  # the refined plane of a wall has its slope
         raise ValueError("No ground was found: no plane holds enough of the scene. Level it by three points (window).")
-    return GroundPlaneFit(up, point, share)
+    return GroundPlaneFit(up, point, share, float(((points - point) @ up < -3 * tolerance).mean()))
 
 
 def _winner(

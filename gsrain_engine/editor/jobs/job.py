@@ -17,17 +17,19 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...scene.files import sentence_of
-from ...scene.progress import Progress
+from ...scene.progress import PENDING, Progress
 from .folder import temporary_folder
 from .process import JobState, Work, WorkerProcess, WorkerThread
 
 logger = logging.getLogger("gsrain")
 _Result = TypeVar("_Result")
 _SAVING = Progress(0.0, "Saving the scene for the worker")
+_DONE = "Done"
+_NOTICED_S = 60.0  # a notice of an end goes by itself after this time
 _ESTIMATED_FROM, _ESTIMATED_AFTER_S = 0.02, 2.0  # fraction and time from which the time left is estimated
 JobKind = Literal[
-    "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "lamps", "drive", "drive video",
-    "export",
+    "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "lamps", "calibration", "drive",
+    "drive video", "export", "timing", "frame",
 ]  # fmt: skip
 
 
@@ -73,7 +75,7 @@ class Job(Generic[_Result]):
     ends_with_scene: bool = True
     """True if the job ends when the editor switches to another scene, because its result belongs to this one."""
     in_thread: bool = False
-    """True for work in a thread instead of another process."""
+    """True for work of seconds, in a thread instead of another process; it does not wait for other jobs."""
     report: Path | None = None
     """HTML page that the worker writes, if any."""
     output: Path | None = None
@@ -89,7 +91,7 @@ class Job(Generic[_Result]):
     details: str | None = field(default=None, init=False)
     runner: "JobRunner | None" = field(default=None, init=False, repr=False)
     """Runner that has started it."""
-    started_s: float = field(default=0.0, init=False)
+    started_s: float | None = field(default=None, init=False)
     ended_s: float | None = field(default=None, init=False)
     """Start and end on the monotonic clock."""
     first_step: tuple[float, float] | None = field(default=None, init=False)
@@ -98,9 +100,16 @@ class Job(Generic[_Result]):
     """True once the user has dismissed the notice of its end."""
 
     @property
+    def is_pending(self) -> bool:
+        """True from its start to its end, waiting or running."""
+        return self.runner is not None and self.state in PENDING
+
+    @property
     def seconds(self) -> float:
-        """Duration so far, or until its end."""
-        return (monotonic() if self.ended_s is None else self.ended_s) - self.started_s
+        """Duration so far, or until its end; 0 while it waits."""
+        return (
+            0.0 if self.started_s is None else (monotonic() if self.ended_s is None else self.ended_s) - self.started_s
+        )
 
     @property
     def remaining_s(self) -> float | None:
@@ -117,6 +126,11 @@ class Job(Generic[_Result]):
         if self.runner is not None:
             self.runner.cancel(self)
 
+    def run_next(self) -> None:
+        """Move a waiting job before the others that wait."""
+        if self.runner is not None:
+            self.runner.run_next(self)
+
     def wait(self, timeout_s: float) -> _Result:
         """Run a started job to its end and return its result, in programs without frames. Main thread only.
 
@@ -124,10 +138,10 @@ class Job(Generic[_Result]):
         """
         assert self.runner is not None, "not started"
         until = monotonic() + timeout_s
-        while self.state == "running":
+        while self.is_pending:
             if (left_s := until - monotonic()) <= 0:
                 raise TimeoutError(f"{self.title}: has not ended after {timeout_s:g} s: {self.progress.message}")
-            self.runner.wait(left_s, self)
+            self.runner.wait(left_s, *((self,) if self.state == "running" else ()))
             self.runner.poll()
         if self.state != "finished":
             raise JobError(f"{self.title}: {self.error or self.state}")
@@ -165,32 +179,71 @@ class JobError(RuntimeError):
 
 _Waiting = Callable[[float], object]
 """Waits some seconds at most for what a stage needs to go on."""
+_Receiver = Callable[[Any, bool], str | None]
 _Stages = Generator[_Waiting, None, str | None]
 """The stages of a running job: yields where it has to wait, and returns the last message."""
 
 
 class JobRunner:
-    """Runs jobs, on the main thread. Their threads and processes touch nothing else: `poll` hands results over."""
+    """Runs jobs, on the main thread. Their threads and processes touch nothing else: `poll` hands results over.
 
-    def __init__(self, files: ThreadPoolExecutor, report_problem: Callable[[str], object]) -> None:
-        """Read and write in the thread `files`; `report_problem` gets one sentence about each job that fails."""
+    Processes run one after another, because each uses the whole machine; jobs in threads do not wait.
+    """
+
+    def __init__(
+        self,
+        files: ThreadPoolExecutor,
+        report_problem: Callable[[str], object],
+        is_ready: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Read and write in the thread `files`; `report_problem` gets one sentence about each job that fails.
+
+        While `is_ready` returns False, no waiting job begins: the result of the last one is still being taken in.
+        """
         self.all: list[Job[Any]] = []
-        """Running and ended jobs in the order of their start, until the user clears them."""
-        self._files, self._report_problem = files, report_problem
+        """Waiting, running and ended jobs in the order of their start, until the user clears them."""
+        self._files, self._report_problem, self._is_ready = files, report_problem, is_ready
         self._stages: dict[Job[Any], tuple[_Stages, _Waiting]] = {}
+        self._queue: list[tuple[Job[Any], _Receiver]] = []
 
     def start(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> Job[_Result]:
-        """Start a job. `on_result` takes its result (True) and snapshots (False); it may return the last message."""
-        job.state, job.runner, job.started_s = "running", self, monotonic()
-        if job.kind != "preview":
-            logger.info("%s: started", job.title)
+        """Start a job, or let it wait until those before it have ended.
+
+        `on_result` takes its result (True) and snapshots (False); it may return the last message.
+        """
+        job.state, job.runner = "queued", self
         self.all.append(job)
-        self._advance(job, self._stages_of(job, on_result))
+        if job.in_thread:
+            self._begin(job, on_result)
+            return job
+        self._queue.append((job, on_result))
+        if not self._begin_next():
+            logger.info("%s: waits for %s", job.title, self._predecessor(job))
         return job
 
     @property
     def running(self) -> list[Job[Any]]:
         return list(self._stages)
+
+    @property
+    def waiting(self) -> list[Job[Any]]:
+        """Jobs that wait, in the order in which they will run."""
+        return [job for job, _ in self._queue]
+
+    @property
+    def pending(self) -> list[Job[Any]]:
+        """Running jobs, then those that wait."""
+        return [*self.running, *self.waiting]
+
+    @property
+    def notices(self) -> list[Job[Any]]:
+        """Jobs that have finished lately, newest first, until their notices are dismissed."""
+        now = monotonic()
+        return [
+            each for each in reversed(self.all)
+            if each.state == "finished" and each.kind != "preview" and not each.is_noticed
+            and each.ended_s is not None and now - each.ended_s < _NOTICED_S
+        ]  # fmt: skip
 
     def newest(self, *kinds: JobKind) -> Job[Any] | None:
         """Return the job of some kinds that was started last."""
@@ -200,11 +253,20 @@ class JobRunner:
         """Return whether a job of a kind runs."""
         return any(each.kind == kind for each in self._stages)
 
+    def writes(self, path: Path) -> Job[Any] | None:
+        """Return the pending job that writes a file or folder, if any."""
+        return next((each for each in self.pending if each.output == path), None)
+
+    def run_next(self, job: Job[Any]) -> None:
+        """Move a waiting job before the others that wait."""
+        self._queue.sort(key=lambda each: each[0] is not job)
+
     def poll(self) -> None:
         """Start the next stage of each job whose present one has ended, and hand over results; never blocks."""
         for job in self.running:
             if job in self._stages:  # not cancelled by the result of another one
                 self._advance(job, self._stages[job][0])
+        self._begin_next()
 
     def wait(self, timeout_s: float, *jobs: Job[Any]) -> None:
         """Wait until `poll` has something to process of running jobs (all, one after the other), or time is up."""
@@ -212,23 +274,26 @@ class JobRunner:
             self._stages[job][1](timeout_s)
 
     def cancel(self, job: Job[Any]) -> None:
-        """Stop a running job without waiting for its end; the document stays unchanged."""
+        """Stop a running job without waiting for its end, or take it out of the queue; the document is unchanged."""
         if job.state == "running":
             job.on_cancel()
             stages, _ = self._stages[job]
             self._end(job, "cancelled")
             stages.close()
+        elif job in self.waiting:
+            self._queue = [each for each in self._queue if each[0] is not job]
+            self._end(job, "cancelled")
 
     def leave_scene(self) -> None:
         """Cancel the jobs that end with the present scene, and free the results of those that have ended."""
-        for job in self.all:
+        for job in reversed(self.all):
             if job.ends_with_scene:
                 self.cancel(job)
                 job.result = None
 
     def close(self) -> None:
         """Cancel all jobs."""
-        for job in self.all:
+        for job in reversed(self.all):
             self.cancel(job)
 
     def forget(self, job: Job[Any]) -> None:
@@ -237,13 +302,30 @@ class JobRunner:
 
     def clear(self) -> None:
         """Forget the jobs that have ended."""
-        self.all = self.running
+        self.all = [each for each in self.all if each.is_pending]
+
+    def _begin_next(self) -> bool:
+        """Begin the first waiting job if no other process runs; returns whether none waits any more."""
+        if self._queue and self._is_ready() and all(each.in_thread for each in self._stages):
+            self._begin(*self._queue.pop(0))
+        return not self._queue
+
+    def _begin(self, job: Job[Any], on_result: _Receiver) -> None:
+        job.state, job.started_s = "running", monotonic()
+        if job.kind != "preview":
+            logger.info("%s: started", job.title)
+        self._advance(job, self._stages_of(job, on_result))
+
+    def _predecessor(self, job: Job[Any]) -> str:
+        """Title of the job after which a waiting one runs."""
+        before = [each for each in self.pending if not each.in_thread and each is not job]
+        return before[-1].title if before else "the scene that is being brought into the picture"
 
     def _advance(self, job: Job[Any], stages: _Stages) -> None:
         try:
             self._stages[job] = stages, next(stages)
         except StopIteration as end:
-            job.progress = job.progress._replace(message=end.value or "Done")
+            job.progress = job.progress._replace(message=end.value or _DONE)
             self._end(job, "finished")
         except Exception as error:  # any error of a disk, a worker or odd values: the window must survive
             if job.error is None:
@@ -258,7 +340,9 @@ class JobRunner:
         if job.kind != "preview" and state != "failed":  # a failure is reported as a problem
             words = "canceled" if state == "cancelled" else "done"
             report = f"; report: {_short(job.report)}" if state == "finished" and job.report is not None else ""
-            logger.info("%s: %s after %s%s", job.title, words, duration_text(job.seconds), report)
+            result = f": {job.progress.message}" if state == "finished" and job.progress.message != _DONE else ""
+            after = "before it began" if job.started_s is None else f"after {duration_text(job.seconds)}"
+            logger.info("%s: %s %s%s%s", job.title, words, after, result, report)
 
     def _stages_of(self, job: Job[_Result], on_result: Callable[[_Result, bool], str | None]) -> _Stages:
         """Prepare the input, follow the worker, read the result; cleans up behind itself wherever it is closed."""

@@ -27,7 +27,7 @@ from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from .folder import new_report, write_copy
+from .folder import OpenScene, new_report, write_copy
 from .job import Job
 from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, SOLVER_PLOTS, require_torch, write_colors
 
@@ -49,14 +49,17 @@ class TransferRequest:
     """True if files outside of the capture's folder that its files refer to may be read."""
 
 
-def make_rainy_job(scene: Scene, known: FileCache, order: TransferRequest) -> Job[Scene]:
-    """Create the job for a scene; `known` are its files.
+def make_rainy_job(open_scene: OpenScene, order: TransferRequest) -> Job[Scene]:
+    """Create the job for the scene that is open when it begins.
 
     The wet look of a scene's own views is read from the cache of `gsrain render --wet`, or computed and written there.
     """
+    scene, known = open_scene()
     report = new_report(f"{scene.name} made rainy")
 
     def inputs(folder: Path) -> tuple[Path, TransferRequest, Path, Path, Path | None]:
+        nonlocal scene, known
+        scene, known = open_scene()
         cache = None
         if order.method == "wet" and order.capture is None:
             settings = WetSettings(wetness=order.settings.wetness, seed=order.settings.seed)

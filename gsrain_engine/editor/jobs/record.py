@@ -4,6 +4,11 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import UInt8
+from msgspec.structs import replace
+from PIL import Image
+
 from ...backends import open_renderer
 from ...rain.keyframes import keyframes_of, rain_of
 from ...rain.settings import RainSettings
@@ -43,6 +48,45 @@ def export_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job
         lambda folder: (write_copy(scene, folder, known), recording), on_cancel=log_stopped, ends_with_scene=False,
         output=recording.path,
     )  # fmt: skip
+
+
+def frame_job(scene: Scene, still: ExportSettings, known: FileCache) -> Job[UInt8[np.ndarray, "h w c"]]:
+    """Create a job whose result is one frame of a recording as it would be written: RGB, or RGBA (straight alpha)."""
+
+    def read(folder: Path) -> UInt8[np.ndarray, "h w c"]:
+        with Image.open(folder / _FRAME) as image:
+            return np.asarray(image)
+
+    return Job(
+        "frame", "Preview a frame", frame_in_worker, read,
+        lambda folder: (write_copy(scene, folder, known), still), ends_with_scene=True,
+    )  # fmt: skip
+
+
+_FRAME = "frame.png"
+
+
+def frame_in_worker(folder: Path, still: ExportSettings) -> Iterator[Progress]:
+    """Worker: render one frame of a scene folder next to it."""
+    yield from record_in_worker(folder, replace(still, output=str(folder.parent / _FRAME)))
+
+
+TIMED_FRAMES = 4
+
+
+def timing_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job[None]:
+    """Create a job that draws and writes the first frames of a recording, and discards them: for its metric of time."""
+    end_s = recording.first_s + TIMED_FRAMES / recording.fps
+    frames = replace(recording, last_s=end_s)
+    return Job(
+        "timing", f"Time {TIMED_FRAMES} frames", time_in_worker, lambda _: None,
+        lambda folder: (write_copy(scene, folder, known), frames), ends_with_scene=False,
+    )  # fmt: skip
+
+
+def time_in_worker(folder: Path, frames: ExportSettings) -> Iterator[Progress]:
+    """Worker: record a few frames of a scene folder next to it."""
+    yield from record_in_worker(folder, replace(frames, output=str(folder.parent / f"timed{frames.path.suffix}")))
 
 
 def record_in_worker(folder: Path, recording: ExportSettings) -> Iterator[Progress]:

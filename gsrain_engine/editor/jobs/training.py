@@ -18,13 +18,12 @@ from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...safe_io.errors import MissingInputsError, not_found
 from ...scene.files import SceneFormatError
 from ...scene.formats.scene_files import read_scene
-from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ...training.data import ReconstructionTask
 from ...training.settings import TrainingSettings
 from ...trusted_code import expect_trusted
-from .folder import new_report, write_copy
+from .folder import OpenScene, new_report, write_copy
 from .job import Job
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ def finetune_job(task: FinetuneTask) -> Job[Path]:
     """Create a job whose result is the file of the weights. After cancelling, a job can resume from its folder."""
     return Job(
         "fine-tune", "Train the transfer", train_transfer, lambda _: task.weights, lambda _: (task,),
-        ends_with_scene=False, progress=_STARTING, plots=_LOSS_PLOTS,
+        ends_with_scene=False, output=task.output, progress=_STARTING, plots=_LOSS_PLOTS,
     )  # fmt: skip
 
 
@@ -104,16 +103,19 @@ SOLVER_PLOTS = {"Residual": ("residual",)}
 
 
 def recolor_job(
-    scene: Scene, known: FileCache, capture: Path, images: Path | None, *, allow_outside: bool = False
+    open_scene: OpenScene, capture: Path, images: Path | None, *, allow_outside: bool = False
 ) -> Job[Scene]:
-    """Create a job that recolors a scene, whose files are `known`.
+    """Create a job that recolors the scene that is open when it begins.
 
     `capture` provides the cameras, and the images unless the folder `images` has others under the same names.
     """
+    scene, known = open_scene()
     name = (images or capture).name
     report = new_report(f"{scene.name} to {name}")
 
     def inputs(folder: Path) -> tuple[object, ...]:
+        nonlocal scene, known
+        scene, known = open_scene()
         return write_copy(scene, folder, known), capture, images, folder / COLORS_FILE, report, allow_outside
 
     def read(folder: Path) -> Scene:

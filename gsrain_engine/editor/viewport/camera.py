@@ -31,6 +31,8 @@ class OrbitCamera:
     speed_m_s: float = 5.0
     velocity_m_s: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     """Velocity of the last `fly`; rain slants for a moving camera."""
+    pivot: Float64[np.ndarray, "3"] | None = None
+    """Point of the world that an orbit turns around; None is the orbit target, ahead."""
 
     @property
     def forward(self) -> Float64[np.ndarray, "3"]:
@@ -54,7 +56,7 @@ class OrbitCamera:
 
     def look_like(self, camera: Camera) -> None:
         """Use the position, line of sight and field of view of a camera; roll is lost."""
-        self.position, self.vertical_fov_deg = camera.position.copy(), camera.vertical_fov_deg
+        self.position, self.vertical_fov_deg, self.pivot = camera.position.copy(), camera.vertical_fov_deg, None
         self._look_along(camera.world_to_camera[2, :3])
 
     def carry(self, similarity: Float64[np.ndarray, "4 4"]) -> None:
@@ -62,13 +64,26 @@ class OrbitCamera:
         scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
         self.position = similarity[:3, :3] @ self.position + similarity[:3, 3]
         self.distance_m *= scale
+        self.pivot = None
         self._look_along(similarity[:3, :3] @ self.forward / scale)
 
     def orbit(self, right_rad: float, up_rad: float) -> None:
-        """Turn around the target, so that the scene follows the mouse."""
-        target = self.target
+        """Turn around the pivot, or the target, so that the scene follows the mouse."""
+        if self.pivot is None:
+            target = self.target
+            self.turn(-right_rad, -up_rad)
+            self.position = target - self.distance_m * self.forward
+            return
+        away = self.position - self.pivot
+        before = np.stack([self.right, self.forward, np.cross(self.right, self.forward)])
         self.turn(-right_rad, -up_rad)
-        self.position = target - self.distance_m * self.forward
+        after = np.stack([self.right, self.forward, np.cross(self.right, self.forward)])
+        self.position = self.pivot + after.T @ (before @ away)
+
+    def set_pivot(self, point_m: Float64[np.ndarray, "3"]) -> None:
+        """Orbit around a point from now on; wheel and pan go by its depth. The view stays."""
+        self.pivot = point_m
+        self.distance_m = max(float((point_m - self.position) @ self.forward), _NEAREST_M)
 
     def turn(self, left_rad: float, up_rad: float) -> None:
         self.heading = float(np.mod(self.heading + left_rad + np.pi, 2 * np.pi) - np.pi)
@@ -106,6 +121,7 @@ class OrbitCamera:
 
     def fly(self, forward: float, right: float, up: float, real_s: float) -> None:
         """Fly for a time; each direction is -1, 0 or 1."""
+        self.pivot = None
         self.velocity_m_s = self.speed_m_s * (forward * self.forward + right * self.right + up * _UP)
         self.position = self.position + self.velocity_m_s * real_s
 
@@ -123,6 +139,7 @@ class OrbitCamera:
 
     def frame(self, core: SceneCore) -> None:
         """Move back along the line of sight until the scene's core fills the image, but stay inside of the shell."""
+        self.pivot = None
         self._mend(core)
         fitting_m = max(core.radius_m, 1e-3) / float(np.sin(np.radians(self.vertical_fov_deg) / 2))
         self.distance_m = min(fitting_m, max(core.farthest_m, 1e-3))

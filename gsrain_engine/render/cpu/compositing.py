@@ -68,7 +68,7 @@ def composite_in_rain(
     channels: Float32[np.ndarray, "m 4"],
     light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
-    sky: Float32[np.ndarray, "h w 4"] | None = None,
+    sky: Float32[np.ndarray, "r c 4"] | None = None,
     lamp_light: Float32[np.ndarray, "h w 3"] | None = None,
     film: Film | None = None,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
@@ -77,9 +77,9 @@ def composite_in_rain(
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
     combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
-    premultiplied layer behind the scene and before the background. If `lamp_light` is there, the channels of rain are
-    its light of lamps in linear light, and what is visible of that is written there. The `film` is blended without
-    the rain in front of it.
+    premultiplied layer, or one pixel for all of it, behind the scene and before the background. If `lamp_light` is
+    there, the channels of rain are its light of lamps in linear light, and what is visible of that is written there.
+    The `film` is blended without the rain in front of it.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
@@ -298,15 +298,19 @@ def _store_wet(state, x0, y0, images):
 def _store_rain(state, x0, y0, images):
     clear_alpha, light_linear, sky = images[3], images[4], images[5]
     height, width = clear_alpha.shape
-    for u in range(min(TILE, width - x0)):
-        for v in range(min(TILE, height - y0)):
-            open_share = np.float32(1) - state[u, 5 * TILE + v]
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
             clear_alpha[y0 + v, x0 + u] = state[u, 5 * TILE + v]
-            if len(sky) > 0:
-                state[u, TILE + v] += open_share * sky[y0 + v, x0 + u, 0]
-                state[u, 2 * TILE + v] += open_share * sky[y0 + v, x0 + u, 1]
-                state[u, 3 * TILE + v] += open_share * sky[y0 + v, x0 + u, 2]
-                state[u, 5 * TILE + v] += open_share * sky[y0 + v, x0 + u, 3]
+    for v in range(min(TILE, height - y0) if len(sky) > 0 else 0):
+        row = min(y0 + v, len(sky) - 1)
+        for u in range(min(TILE, width - x0)):
+            behind = sky[row, min(x0 + u, sky.shape[1] - 1)]
+            open_share = np.float32(1) - state[u, 5 * TILE + v]
+            state[u, TILE + v] += open_share * behind[0]
+            state[u, 2 * TILE + v] += open_share * behind[1]
+            state[u, 3 * TILE + v] += open_share * behind[2]
+            state[u, 5 * TILE + v] += open_share * behind[3]
+    for u in range(min(TILE, width - x0)):
         add_rain_light(state[u], light_linear)
     _store_wet(state, x0, y0, images)
 
@@ -484,11 +488,15 @@ def _add_light(rgba, light):
 
 
 def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
-    """Airlight of the medium behind the scene, as a premultiplied display color with alpha."""
-    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
-    alpha = 1 - medium.sky_transmittance(camera.width, camera.height, intrinsics)
+    """Airlight of the medium behind the scene, as a premultiplied display color with alpha.
+
+    One pixel, for all, if the medium has no region.
+    """
     color = np.append(linear_to_srgb(medium.airlight_linear), 1).astype(np.float32)
-    return alpha[..., None] * color
+    if not medium.has_region:
+        return color[None, None]
+    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
+    return (1 - medium.sky_transmittance(camera.width, camera.height, intrinsics))[..., None] * color
 
 
 # Transpose of compositing

@@ -1,6 +1,6 @@
 """CPU renderer: scene, rain and render modes without OpenGL."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import no_type_check
@@ -55,6 +55,8 @@ class CpuRenderer:
         self.statistics = RenderStatistics()
         self._caches = BlockCaches()
         self._frame: Frame | None = None
+        self.checkpoint: Callable[[], None] = lambda: None
+        """Called before each stage of a picture; what it raises ends the drawing."""
 
     def draw(
         self,
@@ -68,6 +70,7 @@ class CpuRenderer:
     ) -> None:
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
+        self.checkpoint()
         with timed(stages, "project"):
             falling: list[DrawItem] = []
             lit: LampLight | None = None
@@ -82,9 +85,11 @@ class CpuRenderer:
             medium = rain.medium if rain is not None and look == "splats" else None
             if rain is not None and medium is not None:
                 dim_by_medium(splats, camera, medium, is_linear=rain.is_linear)
+        self.checkpoint()
         with timed(stages, "sort"):
             order = splats.nearest_first()
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
+        self.checkpoint()
         with timed(stages, "draw"):
             sky = sky_layer(medium, camera) if medium is not None else None
             film = None if mirror is None else Film.on(_film(splats, parts), tiles)
@@ -152,7 +157,7 @@ def _draw_lit(
     tiles: TileLists,
     rain: RainFrame,
     lit: LampLight,
-    sky: Float32[np.ndarray, "h w 4"] | None,
+    sky: Float32[np.ndarray, "r c 4"] | None,
     film: Film | None,
     *,
     with_depth: bool,

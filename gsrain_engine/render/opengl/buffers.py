@@ -61,6 +61,7 @@ class GpuArrays:
     """Uploads arrays on first use and finds them by identity.
 
     Gaussians are immutable, so two sets that share an array (the same geometry in other colors) share its buffers.
+    Those of a single frame, such as haze, have buffers of their own, which remain and grow.
     """
 
     def __init__(self, context: moderngl.Context, harmonics: Harmonics = "half") -> None:
@@ -72,6 +73,9 @@ class GpuArrays:
         """Masks and lists of members of the current frame, by the identity of their words."""
         self._used: set[_Key] = set()
         self._leaving: list[moderngl.Buffer] = []
+        self._passing = Gaussians.empty()
+        self._passing_buffers: list[list[GrowableBuffer]] = []
+        """Of each chunk of those, in the order of `GaussianBuffers`."""
 
     def buffers(self, gaussians: Gaussians, wet_sh: WetColors = None) -> GaussianBuffers:
         """Return the buffers of a set and of its wet colors, uploading missing ones."""
@@ -79,6 +83,20 @@ class GpuArrays:
             pass
         drawn = GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
         return replace(drawn, wet_sh=drawn.sh) if wet_sh is gaussians.sh else drawn  # one array has one key
+
+    def passing_buffers(self, gaussians: Gaussians) -> GaussianBuffers:
+        """Return buffers of Gaussians of one frame, which are written over those of the frame before."""
+        chunks = range(0, len(gaussians), CHUNK)
+        if gaussians is not self._passing:
+            while len(self._passing_buffers) < len(chunks):
+                self._passing_buffers.append([GrowableBuffer(self._context) for _ in _sources(gaussians)])
+            for start, buffers in zip(chunks, self._passing_buffers, strict=False):
+                for sources, buffer in zip(_sources(gaussians).values(), buffers, strict=True):
+                    data = self._packed(sources, slice(start, start + CHUNK))
+                    buffer.reserve(data.nbytes).write(data)
+            self._passing = gaussians
+        filled = self._passing_buffers[: len(chunks)]
+        return GaussianBuffers(*([each[k].buffer for each in filled] for k in range(len(_sources(gaussians)))))
 
     def keep(self, wet_sh: WetColors) -> None:
         """Mark uploaded wet colors as used: at a wetness of 0 they are not read, but the next frame may need them."""
@@ -200,6 +218,7 @@ class GpuArrays:
         No upload may be in progress.
         """
         self.harmonics = harmonics
+        self._passing = Gaussians.empty()
         for key in [key for key, array in self._arrays.items() if array.sources[0].ndim == 3]:
             for buffer in self._arrays.pop(key).buffers:
                 buffer.release()

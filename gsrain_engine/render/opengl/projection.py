@@ -13,7 +13,7 @@ from ...scene.scene import DrawItem
 from ..cpu.projection import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
-from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
+from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GaussianBuffers, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
 from .shaders import ComputeShader, ShaderVariants, load_compute_shader
 from .sort import KEYS, SLOTS, CpuSort, PrefixSum, RadixSort
@@ -86,7 +86,9 @@ class ProjectionPass:
             shader.set(layer_color=layer_color(number), is_rain=is_rain, **frame)
             if is_wet:
                 shader.set(wetness=part.wetness if part.is_wet else 0.0)
-            first = self._dispatch(shader, part, camera, first)
+            gaussians, wet_sh = part.gaussians, part.wet_sh if part.is_wet else None
+            buffers = self._arrays.passing_buffers(gaussians) if is_rain else self._arrays.buffers(gaussians, wet_sh)
+            first = self._dispatch(shader, part, buffers, camera, first)
         if field is not None:
             self.drops.project(store, field, fixed)
         self._context.memory_barrier()
@@ -105,12 +107,13 @@ class ProjectionPass:
         self._gather.run_all(blocks)
         self._context.memory_barrier()
 
-    def _dispatch(self, shader: ComputeShader, part: DrawItem, camera: Camera, first: int) -> int:
+    def _dispatch(
+        self, shader: ComputeShader, part: DrawItem, buffers: GaussianBuffers, camera: Camera, first: int
+    ) -> int:
         """Project a part into the slots from `first` on; returns the next free one."""
         gaussians = part.gaussians
         object_to_camera = camera.world_to_camera @ part.to_world
         colors = np.eye(3, 4) if part.colors is None else part.colors
-        buffers = self._arrays.buffers(gaussians, part.wet_sh if part.is_wet else None)
         if not part.is_wet:
             self._arrays.keep(part.wet_sh)
         shader.set(growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),

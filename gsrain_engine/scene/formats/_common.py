@@ -14,6 +14,7 @@ from jaxtyping import Float32, Integer, UInt8
 
 from ..files import SceneFormatError
 from ..gaussians import Gaussians
+from ..scene import Scene
 
 _LARGEST_EXPANSION = 200
 """Maximum ratio of memory to file size. Real SPZ and SOG scenes expand 6 to 30 times, decompression bombs 1000 and
@@ -29,6 +30,12 @@ def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) 
 
     `count` Gaussians have `coefficients` spherical harmonics per color. Call it before allocating.
     """
+    check_plausible(path, count, coefficients, file_bytes)
+    check_room(path, count, coefficients)
+
+
+def check_plausible(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
+    """Reject a header that speaks of more Gaussians than can be in a file of its size."""
     wanted = gaussian_bytes(count, coefficients)
     if wanted > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
         raise SceneFormatError(
@@ -36,7 +43,6 @@ def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) 
             f"the header speaks of {count} Gaussians ({wanted / 1e9:.1f} GB), "
             f"which can't be in a file of {file_bytes} bytes",
         )
-    check_room(path, count, coefficients)
 
 
 def gunzip_start(path: Path, data: bytes, size: int) -> bytes:
@@ -170,6 +176,12 @@ class Format(NamedTuple):
     """Half a sentence for the documentation: contents, versions."""
     keeps_harmonics: bool = True
     """True if colors may depend on the viewing direction."""
+    read_scene: Callable[[Path], Scene] | None = None
+    """Reads more than Gaussians: layers, actors, rigs; None for formats that hold only Gaussians."""
+    write_scene: Callable[[Scene, Path], None] | None = None
+    """Writes more than the flattened scene, to exactly this path."""
+    lost: Callable[[list[str]], list[str]] | None = None
+    """Selects from the phrases of `lost_when_flattened` those that apply to `write_scene`."""
 
 
 # Packed numbers

@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,14 +16,27 @@ from ...plugins import SCENE_FORMATS, Extension, ExtensionError, find_extensions
 from ...safe_io.limits import kind_of_file
 from ..files import SceneFormatError, whole_file
 from ..gaussians import Gaussians
+from ..scene import Scene
+from ..transforms import flatten_scene, lost_when_flattened
 from ._common import Format, check_finite, checked_gaussians
+from .compressed_ply import write_compressed
+from .gltf import read_glb, write_glb
 from .ksplat import read_ksplat, read_splat, write_splat
 from .ply import read_ply, write_ply
 from .sog import read_sog
+from .sog_writer import write_sog
 from .spz import read_spz, write_spz
+from .usdz import lost_in_usdz, read_usdz, read_usdz_scene, write_usdz, write_usdz_scene
+
+_Contents = TypeVar("_Contents")
 
 FORMATS = (
-    Format(".compressed.ply", read_ply, None, "SuperSplat's: 16 bytes per Gaussian plus its harmonics"),
+    Format(
+        ".compressed.ply",
+        read_ply,
+        write_compressed,
+        "SuperSplat's: 16 bytes per Gaussian plus its harmonics, in Morton order",
+    ),
     Format(
         ".ply",
         read_ply,
@@ -31,9 +45,25 @@ FORMATS = (
         "A comment marks antialiased Gaussians: `SplatRenderMode: mip` (Brush) or `antialiased 1` (Postshot)",
     ),
     Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", False),
-    Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 3 is written"),
+    Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 4 is written"),
     Format(".ksplat", read_ksplat, None, "GaussianSplats3D's, SH degree 0 to 2"),
-    Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
+    Format(".sog", read_sog, write_sog, "PlayCanvas' images in a zip file; version 2 is written, in Morton order"),
+    Format(
+        ".glb",
+        read_glb,
+        write_glb,
+        "binary glTF with `KHR_gaussian_splatting`, lossless; reads `KHR_gaussian_splatting_compression_spz_2`, too",
+    ),
+    Format(
+        ".usdz",
+        read_usdz,
+        write_usdz,
+        "OpenUSD's `ParticleField3DGaussianSplat`, lossless; keeps layers, actors with tracks, the ego vehicle's track "
+        "and rigs, also as NuRec's JSON files",
+        read_scene=read_usdz_scene,
+        write_scene=write_usdz_scene,
+        lost=lost_in_usdz,
+    ),
     Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
 )
 """Built-in formats; `scene_suffixes` includes those of installed packages.
@@ -73,13 +103,22 @@ def read_gaussians(path: Path) -> Gaussians:
     Raises `SceneFormatError` if the name or the contents belong to no known format, or the file is damaged, and
     `OSError` if the file is missing or can't be read.
     """
+    return _read_by(path, lambda row: row.read(path))
+
+
+def read_scene_file(path: Path) -> Gaussians | Scene:
+    """Read a single file of any known format as `read_gaussians` does, or as a scene if its format holds scenes."""
+    return _read_by(path, lambda row: row.read(path) if row.read_scene is None else row.read_scene(path))
+
+
+def _read_by(path: Path, read: Callable[[Format], _Contents]) -> _Contents:
     row = format_of(path)
     if row is None:
         raise SceneFormatError(path, unknown_format(path))
     if path.exists() and not path.is_file():
         raise SceneFormatError(path, "not a file")
     try:
-        return row.read(path)
+        return read(row)
     except SceneFormatError as error:
         actual_kind = _instead(path) if error.path == path else ""
         if not actual_kind:
@@ -94,12 +133,38 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
     can if they are not finite, and `OSError` if the file can't be written.
     """
     write = check_written_format(path)
+    check_writable(path, gaussians)
+    _write_by(path, partial(write, gaussians))
+
+
+def write_scene_file(scene: Scene, path: Path) -> None:
+    """Write a single file as `write_gaussians` does: the flattened scene, or all that its format keeps of a scene."""
+    row = format_of(path)
+    if row is None or row.write_scene is None:
+        write_gaussians(flatten_scene(scene), path)
+        return
+    for member in scene.members:
+        check_writable(path, member.gaussians, f" of {member.name!r}")
+    _write_by(path, partial(row.write_scene, scene))
+
+
+def lost_in_file(scene: Scene, path: Path) -> list[str]:
+    """Phrases for what `write_scene_file` omits from a scene; empty if the file holds all of it."""
+    row, lost = format_of(path), lost_when_flattened(scene)
+    if row is None:
+        return lost
+    if not row.keeps_harmonics and any(each.gaussians.sh_degree for each in scene.members if each.visible):
+        lost.append(f"how colors depend on the direction of view ({row.suffix} has no place for it)")
+    return lost if row.lost is None else row.lost(lost)
+
+
+def _write_by(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file atomically."""
     if path.is_dir():
         raise SceneFormatError(path, "can't be written: a folder of that name is in the way")
-    check_writable(path, gaussians)
     with whole_file(path) as beside:
         try:
-            write(gaussians, beside)
+            write(beside)
         except ValueError as error:
             raise SceneFormatError(path, str(error)) from None
 
@@ -185,7 +250,8 @@ def _guarded(extension: Extension, row: Format, suffix: str) -> Format:
             found = extension.expect(row.read(path), Gaussians, "reads")
         return checked_gaussians(path, *(np.array(each, np.float32, order="C") for each in found.arrays))
 
-    return row._replace(read=read, write=None if row.write is None else partial(_written, extension, row.write))
+    write = None if row.write is None else partial(_written, extension, row.write)
+    return row._replace(read=read, write=write, read_scene=None, write_scene=None, lost=None)
 
 
 def _written(extension: Extension, write: Callable[[Gaussians, Path], None], gaussians: Gaussians, path: Path) -> None:

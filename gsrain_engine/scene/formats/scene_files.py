@@ -6,9 +6,9 @@ from pathlib import Path
 from ..files import SceneFormatError, visible_siblings
 from ..gaussians import Gaussians
 from ..scene import Layer, Scene
-from ..transforms import FILE_UP, flatten_scene
+from ..transforms import FILE_UP
 from .hugsim import is_hugsim_folder, read_hugsim
-from .registry import close_match, format_of, read_gaussians, write_gaussians
+from .registry import close_match, format_of, read_scene_file, write_scene_file
 from .scene_folder import SCENE_FILE, FileCache, read_scene_folder, write_scene_folder
 from .sog import is_sog_folder, read_sog
 
@@ -26,7 +26,7 @@ def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
     Records in `known` which Gaussians the files of a scene folder hold.
 
     A single file becomes one background layer named after it, with a unit of 1 m and -y upwards: the axes of COLMAP and
-    3DGS captures, and an assumed unit, as the file holds none.
+    3DGS captures, and an assumed unit, as the file holds none. A `.usdz` holds layers, actors, rigs, axes and unit.
 
     Raises `SceneFormatError` if it does not exist or can't be read, is no scene, is damaged, or is from a newer
     program; the message is one sentence.
@@ -57,9 +57,9 @@ def write_scene(
     """Write a scene folder, or, if the name ends in a suffix of `FORMATS`, a single file. Missing parents are created.
 
     A single file gets all visible layers, and the visible actors as at time 0, in meters with -y upwards (see
-    `flatten_scene`). In a scene folder, files that hold the identical Gaussians according to `known` are not written
-    again; `in_drawing_order` records there that the Gaussians are in LOD order and need no sorting when opened. Either
-    is written atomically; the old one stays until then.
+    `flatten_scene`), but a `.usdz`, which keeps layers, tracks and rigs. In a scene folder, files that hold the
+    identical Gaussians according to `known` are not written again; `in_drawing_order` records there that the Gaussians
+    are in LOD order and need no sorting when opened. Either is written atomically; the old one stays until then.
 
     Raises `SceneFormatError` if the format can't be written or another kind of file is in the way, and `OSError` if the
     file system refuses.
@@ -69,7 +69,7 @@ def write_scene(
     if names_scene_folder(path):
         write_scene_folder(scene, path, known, in_drawing_order=in_drawing_order)
     else:
-        write_gaussians(flatten_scene(scene), path)
+        write_scene_file(scene, path)
 
 
 def _read(path: Path, known: FileCache | None) -> Scene:
@@ -77,7 +77,8 @@ def _read(path: Path, known: FileCache | None) -> Scene:
     if path.name == SCENE_FILE:
         path = path.parent
     if not path.is_dir():
-        return _single_layer(_stem(path), read_gaussians(path))
+        found = read_scene_file(path)
+        return found if isinstance(found, Scene) else _single_layer(_stem(path), found)
     if (path / SCENE_FILE).is_file():
         return read_scene_folder(path, known)
     if is_sog_folder(path):

@@ -13,6 +13,7 @@ from msgspec import Meta
 
 from ..camera import DEFAULT_EXPOSURE_S
 from ..camera_path import CameraPath, Easing, Interpolation
+from ..easing import KeyEasing
 from ..flags import UNMARKED, BitMask, SelectionFlags
 from ..gaussians import Gaussians
 from ..geometry import normalized
@@ -106,13 +107,14 @@ class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 # Camera paths
 
 
-class KeyframeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class KeyframeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """One keyframe; position in scene units and axes, camera axes as OpenCV's."""
 
     time_s: float
     position: Vector
     quaternion_wxyz: Quaternion
     vertical_fov_deg: Annotated[float, Meta(gt=0, lt=180)]
+    easing: KeyEasing | None = None
 
 
 class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -420,10 +422,14 @@ def selections_of(record: Mapping[str, Mapping[str, str]], counts: Mapping[str, 
 
 def path_record(path: CameraPath) -> PathRecord:
     columns = (path.times_s, path.positions, path.quaternions_wxyz, path.vertical_fov_deg)
+    easings = path.key_easings or (None,) * len(path.times_s)
+    rows = zip(*(each.tolist() for each in columns), easings, strict=True)
     return PathRecord(
         keyframes=[
-            KeyframeRecord(time_s=t, position=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz), vertical_fov_deg=fov)
-            for t, (x, y, z), (qw, qx, qy, qz), fov in zip(*(each.tolist() for each in columns), strict=True)
+            KeyframeRecord(
+                time_s=t, position=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz), vertical_fov_deg=fov, easing=easing
+            )
+            for t, (x, y, z), (qw, qx, qy, qz), fov, easing in rows
         ],
         **_fields(path, _PATH),
     )
@@ -443,6 +449,7 @@ def path_of(record: PathRecord, where: str) -> CameraPath:
         np.array([key.position for key in keys], np.float64).reshape(-1, 3),
         unit_quaternions([key.quaternion_wxyz for key in keys], where),
         np.array([key.vertical_fov_deg for key in keys], np.float64),
+        key_easings=tuple(key.easing for key in keys) if any(key.easing for key in keys) else (),
         **_fields(record, _PATH),
     )
 

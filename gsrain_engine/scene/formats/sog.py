@@ -6,10 +6,8 @@ Source: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/
 import io
 import json
 import struct
-import zipfile
-import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated
 
@@ -23,15 +21,13 @@ from ...safe_io.limits import TooLargeError, read_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ._common import check_expansion, checked_gaussians, with_largest
+from .stored_zip import open_zip, read_member
 
 _META = "meta.json"
 _META_BYTES = 2**20  # three codebooks of 256 numbers take 16 KB
 _SPARE_PIXELS = 2**16  # maximum excess of pixels over Gaussians in an image; writers pad the last rows
 _PALETTE_COLUMNS = 64
 _FIRST_LARGEST = 252  # alpha of a quaternion's pixel: 252, 253, 254, 255 if w, x, y, z is the largest and omitted
-_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, ValueError, OSError)
-"""Exceptions of `zipfile` for damaged archives, found by experiment."""
-
 ReadMember = Callable[[str, int], bytes]
 """Returns a file of the scene by name; raises if it is longer than the given number of bytes."""
 
@@ -55,13 +51,9 @@ def read_sog(path: Path) -> Gaussians:
         file_bytes = sum(file.stat().st_size for file in folder.glob("*.webp"))
         return _decode(path, lambda name, most: _folder_member(path, folder / name, most), file_bytes)
     data = read_file(path)
-    try:
-        archive = zipfile.ZipFile(io.BytesIO(data))
-    except _ZIP_ERRORS:
-        told = "not a whole zip file: its list of contents, which stands at its end, is missing or damaged"
-        raise SceneFormatError(path, told) from None
+    archive = open_zip(path, data)
     with archive:
-        return _decode(path, lambda name, most: _zip_member(path, archive, name, most), len(data))
+        return _decode(path, lambda name, most: read_member(path, archive, name, most), len(data))
 
 
 def _folder_member(path: Path, file: Path, most: int) -> bytes:
@@ -71,22 +63,6 @@ def _folder_member(path: Path, file: Path, most: int) -> bytes:
         return read_file(file, most)
     except TooLargeError:
         raise SceneFormatError(path, f"{file.name} has more than {most} bytes") from None
-
-
-def _zip_member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    try:
-        member = archive.getinfo(name)
-    except KeyError:
-        raise SceneFormatError(path, f"there is no {name} in the zip file") from None
-    if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise SceneFormatError(path, f"{name} in the zip file must be stored or deflated, without a password")
-    if member.file_size > most:
-        raise SceneFormatError(path, f"{name} has {member.file_size} bytes, at most {most} would be right")
-    try:
-        with archive.open(member) as file:
-            return file.read(most)
-    except _ZIP_ERRORS:
-        raise SceneFormatError(path, f"{name} in the zip file is damaged") from None
 
 
 def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
@@ -105,7 +81,8 @@ def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
         sh = _decode_rest(path, read, meta, meta.files.shN.files, file_bytes)
     sh[:, 0] = _looked_up(meta.base, base)
     quaternions = _decode_quaternions(path, pixels(meta.files.quats.files[0]))
-    return checked_gaussians(path, means, scales, quaternions, meta.opacities[base[:, 3]], sh)
+    found = checked_gaussians(path, means, scales, quaternions, meta.opacities[base[:, 3]], sh)
+    return replace(found, antialiased=isinstance(meta.files, _SogVersion2) and meta.files.antialias)
 
 
 def _pixels(path: Path, read: ReadMember, name: str, count: int) -> UInt8[np.ndarray, "count 4"]:
@@ -179,7 +156,7 @@ _PALETTE = 65536  # labels have 16 bits
 _NO_HARMONICS = np.zeros(256, np.float32)
 
 
-# Unknown fields are ignored, unlike in GSRAIN's own files: writers add their own (`asset`, `antialias`).
+# Unknown fields are ignored, unlike in GSRAIN's own files: writers add their own (`asset`).
 class _Means(msgspec.Struct, frozen=True):
     mins: _Triple
     maxs: _Triple
@@ -210,6 +187,7 @@ class _SogVersion2(msgspec.Struct, frozen=True):
     quats: _Quaternions
     sh0: _Coded
     shN: _CodedRest | None = None  # noqa: N815 - the format's own name
+    antialias: bool = False
 
 
 class _Ranged(msgspec.Struct, frozen=True):

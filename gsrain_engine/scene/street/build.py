@@ -1,6 +1,6 @@
 """Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,15 +11,29 @@ from ..camera import DEFAULT_EXPOSURE_S
 from ..gaussians import SH_C0, Gaussians
 from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
+from .bicycles import BICYCLE_SIZE_M, build_waiting_bicycles
 from .buildings import build_houses
-from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
+from .buses import BUS_SIZE_M, build_parked_buses
+from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow, vehicle_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
-from .layout import STREETS, CarShape, StreetLayout, StreetParameters, plan_street
+from .layout import (
+    STREETS,
+    CarShape,
+    ParkedBus,
+    ParkedCar,
+    ParkedTruck,
+    StreetLayout,
+    StreetParameters,
+    WaitingCyclist,
+    plan_street,
+)
 from .lighting import LIGHT_OF, LIGHTINGS, Illumination, LightingName
 from .mesh import Quads, geometric_normals, rotation_about_z
-from .night import Windows, ego_lamps, lanterns, vehicle_lamps
+from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, truck_lamps, vehicle_lamps
+from .people import build_people, people_of, person_size
 from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
-from .trucks import build_parked_trucks
+from .signals import build_signals, signal_heads
+from .trucks import build_parked_trucks, build_truck
 from .vegetation import build_furniture, build_sky, build_trees
 from .water_map import street_water
 from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_materials
@@ -27,6 +41,7 @@ from .wet_surfaces import GROUND_COEFFICIENTS, reflecting, wet_harmonics, wet_ma
 LEAD_ID = "lead"
 _LEAD_SHAPE: CarShape = "saloon"
 _LEAD_PAINT = (0.014, 0.034, 0.075)
+_LEAD_TRUCK = ParkedTruck(0.0, 0.0, 0.0, (0.42, 0.025, 0.02), (0.62, 0.62, 0.60), (0.42, 0.025, 0.02))
 _TRACK_STEP_S = 0.1
 
 
@@ -38,7 +53,7 @@ class StreetSurfaces:
     layers: Mapping[str, Quads]
     """By layer name, in world axes; Gaussian i of a layer is quad i here."""
     lead: Quads
-    """The lead car and its shadow, in the object frame."""
+    """The lead vehicle and its shadow, in the object frame."""
 
     def light(self, name: LightingName | None = None) -> Illumination:
         """Light of a name on the street; by default that of dry weather."""
@@ -47,7 +62,7 @@ class StreetSurfaces:
         return Illumination.over(self.layout.parameters, self.layout, lighting, windows)
 
     def lead_light(self, name: LightingName | None = None) -> Illumination:
-        """Light on the lead car: the same sky without occlusion, as the car drives in and out of shadows."""
+        """Light on the lead vehicle: the same sky without occlusion, as the car drives in and out of shadows."""
         return Illumination.over(
             self.layout.parameters, lighting=LIGHTINGS[name or LIGHT_OF[self.layout.parameters.time_of_day][0]]
         )
@@ -63,6 +78,10 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
         "trees": build_trees(layout, light.sun),
         PARKED_CARS: build_parked_cars(layout),
         PARKED_TRUCKS: build_parked_trucks(layout),
+        PARKED_BUSES: build_parked_buses(layout),
+        PEDESTRIANS: build_people(layout, light.sun),
+        BICYCLES: build_waiting_bicycles(layout),
+        TRAFFIC_LIGHTS: build_signals(layout),
         "furniture": build_furniture(layout),
         "surroundings": build_surroundings(layout),
         "sky": build_sky(layout),
@@ -70,12 +89,19 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
     line, edge_px = ego_camera_line(layout.parameters), layout.parameters.edge_px
     for name in layers.keys() - {"sky"}:
         layers[name] = refined(split_at_shadows(layers[name], line, light, edge_px), line, edge_px)
-    lead = Quads.joined([car_shadow(_LEAD_SHAPE), refined_vehicle(build_car(_LEAD_SHAPE, _LEAD_PAINT))])
-    return StreetSurfaces(layout, layers, lead)
+    return StreetSurfaces(layout, layers, build_lead(layout.parameters))
+
+
+def build_lead(parameters: StreetParameters) -> Quads:
+    """Build the lead vehicle with its shadow, in the object frame."""
+    if parameters.lead == "saloon":
+        return Quads.joined([car_shadow(_LEAD_SHAPE), refined_vehicle(build_car(_LEAD_SHAPE, _LEAD_PAINT))])
+    shadow = vehicle_shadow(TRUCK_FORM.length, TRUCK_FORM.width)
+    return Quads.joined([shadow, refined_vehicle(build_truck(_LEAD_TRUCK))])
 
 
 def build_street(parameters: StreetParameters | None = None) -> Scene:
-    """Build the street as a scene: named layers, the lead car as an actor, rigs and the ego track."""
+    """Build the street as a scene: named layers, the lead vehicle as an actor, rigs and the ego track."""
     return scene_of(street_surfaces(parameters))
 
 
@@ -87,23 +113,34 @@ def street_name(parameters: StreetParameters) -> str:
 def scene_of(surfaces: StreetSurfaces) -> Scene:
     _, rainy = LIGHT_OF[surfaces.layout.parameters.time_of_day]
     light, clouds = surfaces.light(), surfaces.light(rainy)
-    layers = tuple(
-        Layer(
-            name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background",
-            wet_sh=wet_colors(quads, clouds),
-        )
-        for name, quads in surfaces.layers.items()
-    )  # fmt: skip
-    form = CAR_FORMS[_LEAD_SHAPE]
+    layers = tuple(_layer(name, quads, light, clouds) for name, quads in surfaces.layers.items())
     p = surfaces.layout.parameters
+    is_truck = p.lead == "truck"
+    form = TRUCK_FORM if is_truck else CAR_FORMS[_LEAD_SHAPE]
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
     wet_sh = wet_colors(surfaces.lead, surfaces.lead_light(rainy))
-    lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p), wet_sh=wet_sh)
-    lamps = (*lanterns(surfaces.layout), *vehicle_lamps(LEAD_ID, _LEAD_SHAPE), *ego_lamps())
+    lead = Actor(
+        LEAD_ID,
+        "truck" if is_truck else "car",
+        (form.length, form.width, form.height),
+        gaussians,
+        lead_track(p),
+        wet_sh=wet_sh,
+    )
+    of_lead = truck_lamps(LEAD_ID) if is_truck else vehicle_lamps(LEAD_ID, _LEAD_SHAPE)
+    layout = surfaces.layout
+    lamps = (*lanterns(layout), *of_lead, *ego_lamps(), *signal_lamps(layout), *bus_lamps(layout))
     return Scene(
         name=street_name(p), layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p),
-        lamps=lamps if p.time_of_day == "night" else (), water=street_water(surfaces.layout),
+        lamps=lamps if light.lighting.lamps else (), water=street_water(surfaces.layout),
     )  # fmt: skip
+
+
+def _layer(name: str, quads: Quads, light: Illumination, clouds: Illumination) -> Layer:
+    dry = arriving_light(quads, light)
+    wet = dry if clouds.lighting is light.lighting else arriving_light(quads, clouds)
+    kind = "sky" if name == "sky" else "background"
+    return Layer(name, quads_to_gaussians(quads, light, dry), kind=kind, wet_sh=wet_colors(quads, clouds, wet))
 
 
 def ego_track(p: StreetParameters) -> PoseTrack:
@@ -113,7 +150,7 @@ def ego_track(p: StreetParameters) -> PoseTrack:
 
 
 def lead_track(p: StreetParameters) -> PoseTrack:
-    """Lead car's track: the ego's speed on average, 6 % faster and slower with a period of 8 s."""
+    """Lead vehicle's track: the ego's speed on average, 6 % faster and slower with a period of 8 s."""
     times = _times(p)
     swing = 2 * np.pi / 8.0
     x = p.lead_gap_m + p.ego_speed_m_s * (times + 0.06 / swing * np.sin(swing * times))
@@ -140,39 +177,55 @@ SH_C1 = 0.4886025119029199
 _THICKNESS = 0.02  # standard deviation across a surface, as a fraction of the smaller one within it
 
 
-def quads_to_gaussians(quads: Quads, light: Illumination) -> Gaussians:
-    """Convert quads to Gaussians, in order, with their dry colors under a light.
+def arriving_light(quads: Quads, light: Illumination) -> Float64[np.ndarray, "n 3"]:
+    """Light on each quad, which is the same for its dry and its wet colors."""
+    return np.concatenate([light.light_on(part, part.centers) for part in _chunks(quads)])
+
+
+def quads_to_gaussians(
+    quads: Quads, light: Illumination, arriving: Float64[np.ndarray, "n 3"] | None = None
+) -> Gaussians:
+    """Convert quads to Gaussians, in order, with their dry colors under a light; `arriving` is known light on them.
 
     Glossy sets get spherical harmonics of degree 1, those with level ground degree 3 for their wet colors, matte ones
     degree 0.
     """
     coefficients = _coefficients(quads)
 
-    def converted(part: Quads) -> Gaussians:
-        colors = light.display_colors(part, part.centers)
+    def converted(part: Quads, lit: Float64[np.ndarray, "m 3"]) -> Gaussians:
+        colors = light.display_colors(part, part.centers, lit)
         return Gaussians(
             part.centers, *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients),
             antialiased=True,
         )  # fmt: skip
 
-    return Gaussians.concatenate([converted(part) for part in _chunks(quads)])
+    known = arriving_light(quads, light) if arriving is None else arriving
+    return Gaussians.concatenate([converted(part, known[rows]) for rows, part in _numbered_chunks(quads)])
 
 
-def wet_colors(quads: Quads, light: Illumination) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics of the Gaussians of quads when soaked, under a light."""
+def wet_colors(
+    quads: Quads, light: Illumination, arriving: Float64[np.ndarray, "n 3"] | None = None
+) -> Float32[np.ndarray, "n k 3"]:
+    """Harmonics of the Gaussians of quads when soaked, under a light; `arriving` is known light on them."""
     coefficients = _coefficients(quads)
 
-    def converted(part: Quads) -> Float32[np.ndarray, "n k 3"]:
+    def converted(part: Quads, lit: Float64[np.ndarray, "m 3"]) -> Float32[np.ndarray, "n k 3"]:
         wet = wet_materials(part, with_lamps=light.layout is None and not light.lighting.lamps)
-        matte = _harmonics(wet, light.display_colors(wet, wet.centers), light, coefficients)
-        return wet_harmonics(wet, light, coefficients, matte)
+        matte = _harmonics(wet, light.display_colors(wet, wet.centers, lit), light, coefficients)
+        return wet_harmonics(wet, light, coefficients, matte, lit)
 
-    return np.concatenate([converted(part) for part in _chunks(quads)])
+    known = arriving_light(quads, light) if arriving is None else arriving
+    return np.concatenate([converted(part, known[rows]) for rows, part in _numbered_chunks(quads)])
 
 
 def _chunks(quads: Quads) -> list[Quads]:
+    return [part for _, part in _numbered_chunks(quads)]
+
+
+def _numbered_chunks(quads: Quads) -> list[tuple[slice, Quads]]:
     """Split quads for conversion: in float64, millions take gigabytes."""
-    return [quads.take(slice(first, first + _CHUNK)) for first in range(0, max(len(quads), 1), _CHUNK)]
+    slices = [slice(first, first + _CHUNK) for first in range(0, max(len(quads), 1), _CHUNK)]
+    return [(rows, quads.take(rows)) for rows in slices]
 
 
 def _coefficients(quads: Quads) -> int:
@@ -266,34 +319,60 @@ def _camera(row: tuple[str, float, float, float, float, float, float, float], wi
     return RigCamera(name, width, height, f, f, cx, cy, pose, DEFAULT_EXPOSURE_S)
 
 
-# Parked vehicles
+# Objects with a class
 
-PARKED_CARS, PARKED_TRUCKS = "parked cars", "parked trucks"
+PARKED_CARS, PARKED_TRUCKS, PARKED_BUSES = "parked cars", "parked trucks", "parked buses"
+PEDESTRIANS, BICYCLES, TRAFFIC_LIGHTS = "pedestrians", "bicycles", "traffic lights"
+OBJECT_LAYERS = PARKED_CARS, PARKED_TRUCKS, PARKED_BUSES, PEDESTRIANS, BICYCLES, TRAFFIC_LIGHTS
 
 
-class ParkedBox(NamedTuple):
-    """A parked vehicle as a box."""
+class StreetBox(NamedTuple):
+    """A vehicle, a person or a traffic light of the street as a box."""
 
     id: str
     class_name: str
-    """Car or truck."""
+    """Class of COCO."""
     layer: str
-    """Name of the vehicle's layer."""
+    """Name of its layer."""
     size_lwh: tuple[float, float, float]
     """Meters."""
     to_street: Float64[np.ndarray, "4 4"]
-    """From the vehicle's frame (x forward, y left, z up, origin at the bottom center) to the street's."""
+    """From its frame (x forward, y left, z up, origin at the bottom center) to the street's."""
 
 
-def parked_boxes(parameters: StreetParameters | None = None) -> list[ParkedBox]:
-    """Parked vehicles of a street, in the order of its plan: cars, then trucks."""
+def street_boxes(parameters: StreetParameters | None = None) -> list[StreetBox]:
+    """Boxes of what has a class on a street, in the order of its plan.
+
+    Cars, trucks, buses, people, bicycles, traffic lights.
+    """
     layout = plan_street(parameters or StreetParameters())
-    cars = [(f"parked-{k:02d}", "car", PARKED_CARS, CAR_FORMS[car.shape], car) for k, car in enumerate(layout.cars)]
-    trucks = [(f"truck-{k:02d}", "truck", PARKED_TRUCKS, TRUCK_FORM, truck) for k, truck in enumerate(layout.trucks)]
-    boxes: list[ParkedBox] = []
-    for name, class_name, layer, form, vehicle in (*cars, *trucks):
+
+    def on_road(size: _Size, each: ParkedCar | ParkedTruck | ParkedBus | WaitingCyclist) -> tuple[_Size, _Size, float]:
+        return size, (each.x, each.y, 0.0), each.turn_deg
+
+    car_sizes = {name: (form.length, form.width, form.height) for name, form in CAR_FORMS.items()}
+    truck_size = TRUCK_FORM.length, TRUCK_FORM.width, TRUCK_FORM.height
+    people = [(person_size(figure), place, turn_deg) for figure, place, turn_deg in people_of(layout)]
+    heads = [(head.size_lwh, head.foot, head.turn_deg) for head in signal_heads(layout)]
+    return [
+        *_boxes("parked", "car", PARKED_CARS, [on_road(car_sizes[each.shape], each) for each in layout.cars]),
+        *_boxes("truck", "truck", PARKED_TRUCKS, [on_road(truck_size, each) for each in layout.trucks]),
+        *_boxes("bus", "bus", PARKED_BUSES, [on_road(BUS_SIZE_M, each) for each in layout.buses]),
+        *_boxes("person", "person", PEDESTRIANS, people),
+        *_boxes("bicycle", "bicycle", BICYCLES, [on_road(BICYCLE_SIZE_M, each) for each in layout.cyclists]),
+        *_boxes("traffic-light", "traffic light", TRAFFIC_LIGHTS, heads),
+    ]
+
+
+_Size = tuple[float, float, float]
+
+
+def _boxes(prefix: str, class_name: str, layer: str, placed: Sequence[tuple[_Size, _Size, float]]) -> list[StreetBox]:
+    """Boxes from sizes, feet and turns."""
+    boxes: list[StreetBox] = []
+    for number, (size, foot, turn_deg) in enumerate(placed):
         pose = np.eye(4)
-        pose[:3, :3] = rotation_about_z(vehicle.turn_deg)
-        pose[:2, 3] = vehicle.x, vehicle.y
-        boxes.append(ParkedBox(name, class_name, layer, (form.length, form.width, form.height), pose))
+        pose[:3, :3] = rotation_about_z(turn_deg)
+        pose[:3, 3] = foot
+        boxes.append(StreetBox(f"{prefix}-{number:02d}", class_name, layer, size, pose))
     return boxes

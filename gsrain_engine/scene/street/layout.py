@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-TimeOfDay = Literal["day", "overcast", "night"]
+TimeOfDay = Literal["day", "overcast", "dusk", "night"]
+LeadVehicle = Literal["saloon", "truck"]
 
 
 class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -43,9 +44,12 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=20, title="Ego speed", extra={"unit": "m/s"})] = 10.0
     """The ego vehicle's constant speed."""
     time_of_day: Annotated[TimeOfDay, Meta(title="Time of day")] = "day"
-    """overcast: by day under clouds, also when it is dry. By night lanterns, windows and vehicles' lamps are lit."""
+    """overcast: by day under clouds, also when it is dry. At dusk and by night lanterns, windows and vehicles' lamps
+    are lit."""
+    lead: Annotated[LeadVehicle, Meta(title="Lead vehicle")] = "saloon"
+    """Vehicle ahead of the ego."""
     lead_gap_m: Annotated[float, Meta(ge=6, le=60, title="Gap to the lead car", extra={"unit": "m"})] = 18.0
-    """From the ego's origin to the middle of the lead car at the start."""
+    """From the ego's origin to the middle of the lead vehicle at the start."""
 
     @property
     def start_x_m(self) -> float:
@@ -77,11 +81,15 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 STREETS = {
     "street": StreetParameters(),
     "street:overcast": StreetParameters(time_of_day="overcast"),
+    "street:dusk": StreetParameters(
+        time_of_day="dusk", lead="truck", length_m=220.0, ego_speed_m_s=16.0, lead_gap_m=20.0
+    ),
     "street:night": StreetParameters(time_of_day="night"),
     "street:long": StreetParameters(length_m=1200.0, edge_px=1.8, ego_speed_m_s=20.0),
 }
 """Built-in streets by name. Overcast, it is the same street under the clouds that it has in rain; by night it is lit by
-its lamps; the long one, of 1.2 km and about 5 million Gaussians, tests large scenes."""
+its lamps, as at dusk, where the ego follows a truck at 58 km/h; the long one, of 1.2 km and about
+5 million Gaussians, tests large scenes."""
 
 # Semantic classes
 
@@ -102,6 +110,10 @@ class Label(IntEnum):
     TERRAIN = 10
     SKY = 11
     TRUCK = 12
+    BUS = 13
+    PERSON = 14
+    BICYCLE = 15
+    TRAFFIC_LIGHT = 16
 
 
 # Layout
@@ -216,6 +228,38 @@ class ParkedTruck:
 
 
 @dataclass(frozen=True, slots=True)
+class ParkedBus:
+    """A bus at its stop; heading +x or -x."""
+
+    x: float
+    y: float
+    turn_deg: float
+    paint: Color
+
+
+@dataclass(frozen=True, slots=True)
+class Pedestrian:
+    """A person who stands on a sidewalk."""
+
+    x: float
+    y: float
+    turn_deg: float
+    """0 looks along +x."""
+    figure: int
+    """Index in `people.FIGURES`."""
+
+
+@dataclass(frozen=True, slots=True)
+class WaitingCyclist:
+    """A cyclist on the road with a foot on the curb; heading +x or -x."""
+
+    x: float
+    y: float
+    turn_deg: float
+    paint: Color
+
+
+@dataclass(frozen=True, slots=True)
 class StreetLayout:
     """Positions and attributes of everything on the street."""
 
@@ -226,10 +270,15 @@ class StreetLayout:
     trees: tuple[Tree, ...]
     cars: tuple[ParkedCar, ...]
     trucks: tuple[ParkedTruck, ...]
+    buses: tuple[ParkedBus, ...]
+    pedestrians: tuple[Pedestrian, ...]
+    cyclists: tuple[WaitingCyclist, ...]
     lamps: tuple[tuple[float, float], ...]
     """Feet (x, y) of the street lamps."""
     crossings: tuple[float, ...]
     """Start of the zebra crossings, x."""
+    signals: tuple[float, ...]
+    """Those of them with traffic lights."""
 
 
 def plan_street(parameters: StreetParameters) -> StreetLayout:
@@ -239,20 +288,30 @@ def plan_street(parameters: StreetParameters) -> StreetLayout:
     left, right = (_row(p, side, np.random.default_rng([p.seed, 1, side])) for side in (0, 1))
     trees = _trees(p, crossings, np.random.default_rng([p.seed, 2]))
     cars = plan_cars(p, crossings, np.random.default_rng([p.seed, 4]))
-    trucks = plan_trucks(p, crossings, [(tree.x, tree.y, tree.radius) for tree in trees], cars)
+    signals = crossings[::2]
+    buses = plan_buses(p, signals, cars)
+    trees = tuple(tree for tree in trees if not any(_overhangs(tree, bus) for bus in buses))
+    trucks = plan_trucks(p, crossings, [(tree.x, tree.y, tree.radius) for tree in trees], cars, buses)
     return StreetLayout(
         parameters=p,
         left=left,
         right=right,
         ends=_ends(p, np.random.default_rng([p.seed, 3])),
         trees=trees,
-        cars=cars_clear_of_trucks(cars, trucks),
+        cars=cars_clear_of(cars, trucks, buses),
         trucks=trucks,
+        buses=buses,
+        pedestrians=plan_pedestrians(p, signals, buses, trees),
+        cyclists=tuple(
+            WaitingCyclist(c + CROSSING_LENGTH_M + 4.2, -(p.curb_y_m - 0.27), 0.0, _FRAMES[k % len(_FRAMES)])
+            for k, c in enumerate(signals)
+        ),
         lamps=tuple(
             (float(x), (p.curb_y_m + 0.45) * (-1) ** k)
             for k, x in enumerate(np.arange(p.start_x_m + 9.5, p.end_x_m - 4, 22.0))
         ),
         crossings=crossings,
+        signals=signals,
     )
 
 
@@ -344,6 +403,7 @@ def _trees(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Gen
 
 CROSSING_LENGTH_M = 3.0
 TRUCK_LENGTH_M, TRUCK_WIDTH_M = 7.2, 2.2
+BUS_LENGTH_M, BUS_WIDTH_M = 12.0, 2.5
 
 _PAINTS: tuple[Color, ...] = (
     (0.45, 0.45, 0.46),  # silver
@@ -393,8 +453,12 @@ def plan_trucks(
     crossings: Sequence[float],
     crowns: Sequence[tuple[float, float, float]],
     cars: Sequence[ParkedCar],
+    buses: Sequence[ParkedBus] = (),
 ) -> tuple[ParkedTruck, ...]:
-    """Place trucks close to the curb, clear of crowns (x, y, radius) and crossings; empty without parking lanes."""
+    """Place trucks close to the curb, clear of crowns (x, y, radius), crossings and buses.
+
+    Empty without parking lanes.
+    """
     trucks: list[ParkedTruck] = []
     rounds = range(int(p.length_m / _TRUCKS_PERIOD_M) + 1) if cars else ()
     for side, x, cab, body, sign in (
@@ -402,6 +466,7 @@ def plan_trucks(
     ):
         taken = [(at - radius, at + radius) for at, y, radius in crowns if y * side > 0]
         taken += [(c - 5.0, c + CROSSING_LENGTH_M + 5.0) for c in crossings]
+        taken += [(b.x - 0.5 * BUS_LENGTH_M - 1.5, b.x + 0.5 * BUS_LENGTH_M + 1.5) for b in buses if b.y * side > 0]
         taken += [(-np.inf, p.start_x_m + 2.0), (p.end_x_m - 2.0, np.inf)]
         shifts = sorted(np.arange(-_MAX_SHIFT_M, _MAX_SHIFT_M + 0.1, 0.25), key=abs)
         reach = 0.5 * TRUCK_LENGTH_M
@@ -412,6 +477,54 @@ def plan_trucks(
     return tuple(trucks)
 
 
-def cars_clear_of_trucks(cars: Sequence[ParkedCar], trucks: Sequence[ParkedTruck]) -> tuple[ParkedCar, ...]:
-    least = 0.5 * (TRUCK_LENGTH_M + _CAR_LENGTH_M) + _GAP_M
-    return tuple(car for car in cars if all(car.y * t.y < 0 or abs(car.x - t.x) > least for t in trucks))
+def cars_clear_of(
+    cars: Sequence[ParkedCar], trucks: Sequence[ParkedTruck], buses: Sequence[ParkedBus]
+) -> tuple[ParkedCar, ...]:
+    """Cars that touch no truck, and leave the bus stops free."""
+    long = [(t.x, t.y, TRUCK_LENGTH_M) for t in trucks] + [(b.x, b.y, BUS_LENGTH_M + 2.0) for b in buses]
+    return tuple(
+        car
+        for car in cars
+        if all(car.y * y < 0 or abs(car.x - x) > 0.5 * (length + _CAR_LENGTH_M) + _GAP_M for x, y, length in long)
+    )
+
+
+# Buses, pedestrians and cyclists, around the crossings with traffic lights
+
+_BUS_PAINTS: tuple[Color, ...] = ((0.74, 0.43, 0.012), (0.42, 0.030, 0.026))
+_FRAMES: tuple[Color, ...] = ((0.030, 0.085, 0.065), (0.30, 0.022, 0.016))
+_FIGURES = 6  # of `people.FIGURES`
+_STOP_BEFORE_M = 7.0  # between a crossing and the bus stop before it, on the left
+
+
+def plan_buses(p: StreetParameters, signals: Sequence[float], cars: Sequence[ParkedCar]) -> tuple[ParkedBus, ...]:
+    """Place a bus at the stop before each crossing, for those who drive along -x; empty without parking lanes."""
+    if not cars or p.parking_width_m < 2.2:
+        return ()
+    reach = 0.5 * BUS_LENGTH_M
+    places = [c + CROSSING_LENGTH_M + _STOP_BEFORE_M + reach for c in signals]
+    y = p.curb_y_m - 0.03 - 0.5 * BUS_WIDTH_M
+    return tuple(
+        ParkedBus(x, y, 180.0, _BUS_PAINTS[k % len(_BUS_PAINTS)])
+        for k, x in enumerate(places)
+        if x + reach < p.end_x_m - 2.0
+    )
+
+
+def _overhangs(tree: Tree, bus: ParkedBus) -> bool:
+    return bool(tree.y * bus.y > 0 and abs(tree.x - bus.x) < 0.5 * BUS_LENGTH_M + tree.radius + 0.4)
+
+
+def plan_pedestrians(
+    p: StreetParameters, signals: Sequence[float], buses: Sequence[ParkedBus], trees: Sequence[Tree]
+) -> tuple[Pedestrian, ...]:
+    """Let people wait at crossings and bus stops, and stand at houses, clear of trees."""
+    curb, front = p.curb_y_m, p.front_y_m
+    places: list[tuple[float, float, float]] = []
+    for c in signals:
+        places += [(c + 0.85, -(curb + 0.95), 84.0), (c + 2.15, -(curb + 1.25), 97.0), (c + 1.5, curb + 1.05, -93.0),
+                   (c - 17.5, -(front - 0.75), 70.0), (c + 37.0, -(front - 0.9), 130.0)]  # fmt: skip
+    for bus in buses:
+        places += [(bus.x - 4.8, curb + 0.95, -70.0), (bus.x - 3.3, curb + 1.45, -120.0)]
+    free = [at for at in places if all(np.hypot(at[0] - t.x, at[1] - t.y) > 0.8 for t in trees)]
+    return tuple(Pedestrian(*at, figure=k % _FIGURES) for k, at in enumerate(free) if at[0] < p.end_x_m - 2.0)

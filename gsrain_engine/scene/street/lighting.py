@@ -15,6 +15,7 @@ from .night import Windows, light_of_lamps, light_on_traffic
 from .shadows import ground_occlusion, sun_visibility
 from .vegetation import (
     OVERCAST_ZENITH,
+    dusk_sky_display,
     night_sky_display,
     overcast_luminance,
     overcast_sky_display,
@@ -23,7 +24,7 @@ from .vegetation import (
 
 Sky = Callable[[Float[np.ndarray, "n 3"], Float64[np.ndarray, "3"], int], Float64[np.ndarray, "n 3"]]
 """Display color of the sky in unit directions, for a direction towards the sun and a seed."""
-LightingName = Literal["sunny", "overcast", "night"]
+LightingName = Literal["sunny", "overcast", "dusk", "night"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +51,10 @@ class Lighting:
     """Added for a reflection towards the sun."""
     lamps: bool = False
     """True if lamps and lit rooms light the street."""
+    reflected_sky: Float64[np.ndarray, "3"] | None = None
+    """With lamps: light of the sky that wet ground reflects."""
+    reflected_dim: Float64[np.ndarray, "3"] | None = None
+    """With lamps: light of leaves and vehicles in reflections, relative to that under clouds."""
 
     def display(self, light: Float[np.ndarray, "*n 3"], albedo: Any = 1.0) -> Float[np.ndarray, "*n 3"]:
         """Display color of surfaces in a light: highlights are compressed as by film."""
@@ -96,12 +101,32 @@ NIGHT = Lighting(
     mirrored_up=np.array([0.010, 0.018, 0.030]),
     mirrored_sun=np.zeros(3),
     lamps=True,
+    reflected_sky=np.array([0.006, 0.0062, 0.0078]),
+    reflected_dim=np.array([0.16, 0.115, 0.07]),
 )
 
-LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "night": NIGHT}
+DUSK = Lighting(
+    sun=np.zeros(3),
+    sky=np.array([0.115, 0.135, 0.190]),
+    ground=np.array([0.022, 0.020, 0.021]),
+    exposure=1.0,
+    sky_display=dusk_sky_display,
+    diffuse="overcast",
+    haze=np.array([0.235, 0.245, 0.285]),
+    mirrored=np.array([0.135, 0.135, 0.150]),
+    mirrored_up=np.array([0.045, 0.060, 0.090]),
+    mirrored_sun=np.zeros(3),
+    lamps=True,
+    reflected_sky=np.array([0.060, 0.070, 0.098]),
+    reflected_dim=np.array([0.20, 0.175, 0.155]),
+)
+"""Clouds half an hour after sunset: blue from above, with a warm band ahead, about as bright as the lanterns' light."""
+
+LIGHTINGS: dict[LightingName, Lighting] = {"sunny": SUNNY, "overcast": OVERCAST, "dusk": DUSK, "night": NIGHT}
 LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {
     "day": ("sunny", "overcast"),
     "overcast": ("overcast", "overcast"),
+    "dusk": ("dusk", "dusk"),
     "night": ("night", "night"),
 }
 """Lighting in dry weather, and in rain."""
@@ -131,20 +156,27 @@ class Illumination:
         sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
         return cls(sun, layout, parameters.seed, lighting, windows)
 
-    def display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners)."""
+    def display_colors(
+        self, quads: Quads, points: Float[np.ndarray, "n 3"], arriving: Float64[np.ndarray, "n 3"] | None = None
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners).
+
+        `arriving` is the light on them, if it is known.
+        """
         if len(quads) and quads.labels[0] == Label.SKY:
             return self._sky(points)
+        light = self.light_on(quads, points) if arriving is None else arriving
         if self.lighting.lamps:
-            light = self.light_on(quads, points) * quads.albedo + quads.emission
-            return self._hazy(self.lighting.display(light), points)
-        return self._hazy(self.lighting.display(self.light_on(quads, points), quads.albedo), points)
+            return self._hazy(self.lighting.display(light * quads.albedo + quads.emission), points)
+        return self._hazy(self.lighting.display(light, quads.albedo), points)
 
     def light_on(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Light on each quad at `points`: times its albedo, it is the light towards the camera.
 
         A long street is lit in sections, each with the trees and vehicles that can shade it.
         """
+        if len(quads) and quads.labels[0] == Label.SKY:
+            return np.zeros((len(quads), 3))
         if self.layout is not None and self.layout.parameters.length_m > _SECTION_M:
             light = np.empty((len(quads), 3))
             section = np.floor(points[:, 0] / _SECTION_M).astype(np.int64)
@@ -175,7 +207,13 @@ class Illumination:
         trees = tuple(each for each in self.layout.trees if low < each.x < high)
         cars = tuple(each for each in self.layout.cars if low < each.x < high)
         trucks = tuple(each for each in self.layout.trucks if low < each.x < high)
-        return replace(self, layout=replace(self.layout, trees=trees, cars=cars, trucks=trucks))
+        buses = tuple(each for each in self.layout.buses if low < each.x < high)
+        pedestrians = tuple(each for each in self.layout.pedestrians if low < each.x < high)
+        cyclists = tuple(each for each in self.layout.cyclists if low < each.x < high)
+        near = replace(
+            self.layout, trees=trees, cars=cars, trucks=trucks, buses=buses, pedestrians=pedestrians, cyclists=cyclists
+        )
+        return replace(self, layout=near)
 
     def _light_on(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         if self.lighting.diffuse == "overcast":

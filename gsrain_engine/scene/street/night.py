@@ -7,10 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from ..lamps import Lamp
-from .cars import CAR_FORMS
+from .buses import headlight_places
+from .cars import CAR_FORMS, TRUCK_FORM
 from .layout import CarShape, Label, StreetLayout
-from .mesh import Quads
-from .shadows import vehicle_occluders
+from .mesh import Quads, rotation_about_z
+from .shadows import PointsAlong, vehicle_occluders
+from .signals import SIGNAL_COLOR, SIGNAL_M2, signal_heads
+from .trucks import HEAD_LAMP, TAIL_LAMP
 from .vegetation import crown_middle, lantern_position
 
 # Lamps of the scene
@@ -20,6 +23,7 @@ LANTERN_M2 = 250.0
 LANTERN_COLOR = (1.0, 0.66, 0.33)
 LANTERN_INNER_DEG, LANTERN_OUTER_DEG = 48.0, 88.0
 _HEADLIGHT_M2, _HEADLIGHT_COLOR = 400.0, (1.0, 0.95, 0.87)
+_POSITION_LAMP_M2 = 4.0  # 40 cd: those of a bus at its stop, which does not dazzle
 _TAIL_LIGHT_M2, _TAIL_LIGHT_COLOR = 1.0, (1.0, 0.03, 0.02)
 _LOW_BEAM = (0.998, 0.0, -0.06)  # direction: half a degree below what dazzles, and down to the road 12 m ahead
 _EGO_LAMPS = (
@@ -52,13 +56,46 @@ def vehicle_lamps(actor_id: str, shape: CarShape) -> tuple[Lamp, ...]:
     for side, name in ((1, "left"), (-1, "right")):
         lamps.append(_headlight(f"{actor_id} {name} headlight", (front, side * 0.62 * half, form.hood[0] - 0.09),
                                 actor_id))  # fmt: skip
-        lamps.append(
-            Lamp(
-                name=f"{actor_id} {name} tail light", position=(rear, side * 0.73 * half, form.tail[0] - 0.1),
-                direction=(-1.0, 0.0, 0.0), color=_TAIL_LIGHT_COLOR, intensity_m2=_TAIL_LIGHT_M2, inner_deg=30.0,
-                outer_deg=85.0, mount=actor_id,
-            )
-        )  # fmt: skip
+        lamps.append(_tail_light(actor_id, name, (rear, side * 0.73 * half, form.tail[0] - 0.1)))
+    return tuple(lamps)
+
+
+def signal_lamps(layout: StreetLayout) -> tuple[Lamp, ...]:
+    """Lit lenses of the traffic lights for vehicles."""
+    return tuple(
+        Lamp(
+            name=f"signal-{k:02d}", position=head.lamp_position, direction=head.direction, color=SIGNAL_COLOR[head.lit],
+            intensity_m2=SIGNAL_M2, inner_deg=10.0, outer_deg=60.0,
+        )
+        for k, head in enumerate(head for head in signal_heads(layout) if head.lamps == 3)
+    )  # fmt: skip
+
+
+def bus_lamps(layout: StreetLayout) -> tuple[Lamp, ...]:
+    """Front position lamps of buses at their stops."""
+    lamps: list[Lamp] = []
+    for k, bus in enumerate(layout.buses):
+        turn = rotation_about_z(bus.turn_deg)
+        ahead_x, ahead_y, _ = turn[:, 0].tolist()
+        for place, name in zip(headlight_places(), ("left", "right"), strict=True):
+            x, y, z = (turn @ np.array(place)).tolist()
+            lamps.append(
+                Lamp(
+                    name=f"bus-{k:02d} {name} headlight", position=(bus.x + x, bus.y + y, z),
+                    direction=(ahead_x, ahead_y, -0.03), color=_HEADLIGHT_COLOR, intensity_m2=_POSITION_LAMP_M2,
+                    inner_deg=20.0, outer_deg=80.0,
+                )
+            )  # fmt: skip
+    return tuple(lamps)
+
+
+def truck_lamps(actor_id: str) -> tuple[Lamp, ...]:
+    """Head and tail lamps of a truck that moves, mounted on its actor."""
+    front, rear = 0.5 * TRUCK_FORM.length, TRUCK_FORM.body_back
+    lamps: list[Lamp] = []
+    for side, name in ((1, "left"), (-1, "right")):
+        head, tail = (front, side * HEAD_LAMP[0], HEAD_LAMP[1]), (rear, side * TAIL_LAMP[0], TAIL_LAMP[1])
+        lamps += [_headlight(f"{actor_id} {name} headlight", head, actor_id), _tail_light(actor_id, name, tail)]
     return tuple(lamps)
 
 
@@ -71,6 +108,13 @@ def _headlight(name: str, position: tuple[float, float, float], mount: str) -> L
     return Lamp(
         name=name, position=position, direction=_LOW_BEAM, color=_HEADLIGHT_COLOR, intensity_m2=_HEADLIGHT_M2,
         inner_deg=4.0, outer_deg=26.0, mount=mount,
+    )  # fmt: skip
+
+
+def _tail_light(actor_id: str, side: str, position: tuple[float, float, float]) -> Lamp:
+    return Lamp(
+        name=f"{actor_id} {side} tail light", position=position, direction=(-1.0, 0.0, 0.0), color=_TAIL_LIGHT_COLOR,
+        intensity_m2=_TAIL_LIGHT_M2, inner_deg=30.0, outer_deg=85.0, mount=actor_id,
     )  # fmt: skip
 
 
@@ -133,9 +177,11 @@ def light_of_lamps(
     leaf = quads.labels == Label.VEGETATION
     own = np.where(leaf, 1.0, np.minimum(quads.sun_access, 0.25 + quads.sky_access)).astype(np.float64)
     total = np.zeros((len(p), 3))
+    along = PointsAlong.of(p)
     for lamp in lanterns(layout):
         place = np.array(lamp.position)
-        near = np.flatnonzero(np.sum((p - place) ** 2, axis=1) < _REACH_M**2)
+        near = along.within(place[0], _REACH_M)
+        near = near[np.sum((p[near] - place) ** 2, axis=1) < _REACH_M**2]
         away = place - p[near]
         squared = np.maximum(np.sum(away**2, axis=1), 0.05)
         distance = np.sqrt(squared)
@@ -151,7 +197,7 @@ def light_of_lamps(
     for center, normal, intensity, area in zip(
         windows.centers, windows.normals, windows.intensities, windows.areas_m2, strict=True
     ):
-        near = np.flatnonzero(np.abs(p[:, 0] - center[0]) < _WINDOW_REACH_M)
+        near = along.within(center[0], _WINDOW_REACH_M)
         near = near[np.sum((p[near] - center) ** 2, axis=1) < _WINDOW_REACH_M**2]
         away = p[near] - center
         ahead = away @ normal
@@ -205,13 +251,12 @@ def _unobstructed(
     share = np.clip(0.5 - depth / 0.3, 0, 1) * np.where(inside, 1.0, np.clip(0.5 - at_corner / 0.4, 0, 1))
     for middle, radii in _crowns(layout, lamp):
         share *= np.exp(-_CROWN_PER_M * path_in_ellipsoid(lamp, p, middle, radii))
+    along = PointsAlong.of(p)
     for each in vehicle_occluders(layout):
-        reach = 0.5 * each.length + 0.6 * abs(lamp[0] - each.x) + 4.0
         if abs(lamp[0] - each.x) > 40.0:
             continue
-        near = np.flatnonzero(
-            (np.abs(p[:, 0] - each.x) < reach) & (np.abs(p[:, 1] - each.y) < 6.0) & (p[:, 2] < each.height)
-        )
+        rows = along.within(each.x, 0.5 * each.length + 0.6 * abs(lamp[0] - each.x) + 4.0)
+        near = rows[(np.abs(p[rows, 1] - each.y) < 6.0) & (p[rows, 2] < each.height)]
         frame = np.array([each.way, each.way, 1.0])
         local, source = (p[near] - [each.x, each.y, 0.0]) * frame, (lamp - [each.x, each.y, 0.0]) * frame
         lit_by_itself = each.is_lit_by_itself(local)

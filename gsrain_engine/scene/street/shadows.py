@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int64
 
+from .buses import BUS_FORM
 from .cars import CAR_FORMS, TRUCK_FORM
-from .layout import CURB_HEIGHT_M, HOUSE_DEPTH_M, House, ParkedCar, ParkedTruck, StreetLayout
+from .layout import CURB_HEIGHT_M, HOUSE_DEPTH_M, House, ParkedBus, ParkedCar, ParkedTruck, StreetLayout
 from .mesh import smooth_noise
+from .people import Figure, people_of
 from .vegetation import crown_lobes
 
 
@@ -107,6 +110,22 @@ def _through_trees(
     return passed
 
 
+class PointsAlong(NamedTuple):
+    """Points in the order of x, to find those near a place on the street."""
+
+    order: Int64[np.ndarray, " n"]
+    x: Float64[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, points: Float64[np.ndarray, "n 3"]) -> "PointsAlong":
+        order = np.argsort(points[:, 0], kind="stable")
+        return cls(order, points[order, 0])
+
+    def within(self, x: float, reach: float) -> Int64[np.ndarray, " m"]:
+        """Rows of the points less than `reach` from x."""
+        return self.order[np.searchsorted(self.x, x - reach, "right") : np.searchsorted(self.x, x + reach, "left")]
+
+
 # Vehicle occluders
 
 Corner = tuple[float, float, float]
@@ -144,10 +163,11 @@ def _past_vehicles(
 ) -> Float64[np.ndarray, " n"]:
     """Cast shadows of a few boxes per vehicle, softened at grazing angles of the sun."""
     passed = np.ones(len(p))
+    along = PointsAlong.of(p)
     for each in vehicles:
         half, w = 0.5 * each.length, 0.5 * each.width
-        beside = (np.abs(p[:, 0] - each.x) < half + 1.4 * each.height) & (np.abs(p[:, 1] - each.y) < w + each.reach)
-        near = np.flatnonzero(beside & (p[:, 2] < each.height))
+        rows = along.within(each.x, half + 1.4 * each.height)
+        near = rows[(np.abs(p[rows, 1] - each.y) < w + each.reach) & (p[rows, 2] < each.height)]
         if not len(near):
             continue
         local = (p[near] - [each.x, each.y, 0.0]) * [each.way, each.way, 1.0]
@@ -163,17 +183,25 @@ def _past_vehicles(
 
 def _vehicle_occlusion(vehicles: Sequence[VehicleOccluder], p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     share = np.ones(len(p))
+    along = PointsAlong.of(p)
     for each in vehicles:
-        away_x = np.abs(p[:, 0] - each.x) - 0.5 * each.length + 0.1
-        away_y = np.abs(p[:, 1] - each.y) - 0.5 * each.width + 0.1
-        near = np.flatnonzero((away_x < 1.2) & (away_y < 1.2) & (p[:, 2] < 0.16))
+        rows = along.within(each.x, 0.5 * each.length + 1.1)
+        away_x = np.abs(p[rows, 0] - each.x) - 0.5 * each.length + 0.1
+        away_y = np.abs(p[rows, 1] - each.y) - 0.5 * each.width + 0.1
+        near = (away_y < 1.2) & (p[rows, 2] < 0.16)
         away = np.hypot(np.maximum(away_x[near], 0), np.maximum(away_y[near], 0))
-        share[near] *= 1 - 0.88 * np.exp(-away / 0.32)
+        share[rows[near]] *= 1 - 0.88 * np.exp(-away / 0.32)
     return share
 
 
 def vehicle_occluders(layout: StreetLayout) -> tuple[VehicleOccluder, ...]:
-    return *(_car(each) for each in layout.cars), *(_truck(each) for each in layout.trucks)
+    """Boxes of vehicles and people that shade what is around them."""
+    return (
+        *(_car(each) for each in layout.cars),
+        *(_truck(each) for each in layout.trucks),
+        *(_bus(each) for each in layout.buses),
+        *(_person(place, turn, figure) for figure, place, turn in people_of(layout)),
+    )
 
 
 def _car(car: ParkedCar) -> VehicleOccluder:
@@ -196,5 +224,27 @@ def _truck(truck: ParkedTruck) -> VehicleOccluder:
     return VehicleOccluder(truck.x, truck.y, _direction(truck), form.length, form.width, form.height, 4.6, boxes, True)
 
 
-def _direction(vehicle: ParkedCar | ParkedTruck) -> float:
+def _bus(bus: ParkedBus) -> VehicleOccluder:
+    form = BUS_FORM
+    half, w = 0.5 * form.length - 0.08, 0.5 * form.width - 0.06
+    body = (-half, -w, form.sill), (half, w, form.height - 0.12)
+    return VehicleOccluder(
+        bus.x, bus.y, _direction(bus), form.length, form.width, form.height, 4.4, (body,), False
+    )  # fmt: skip
+
+
+def _person(place: Corner, turn_deg: float, figure: Figure) -> VehicleOccluder:
+    """A person: legs, trunk and head, in axes of the street."""
+    x, y, foot = place
+    across = abs(np.sin(np.radians(turn_deg))) > 0.7  # whether shoulders are along x
+    tall, wide, deep = figure.height_m, 0.22, 0.13
+    a, b = (wide, deep) if across else (deep, wide)
+    legs = (-0.75 * a, -0.75 * b, foot), (0.75 * a, 0.75 * b, foot + 0.52 * tall)
+    trunk = (-a, -b, foot + 0.48 * tall), (a, b, foot + 0.83 * tall)
+    head = (-0.09, -0.09, foot + 0.82 * tall), (0.09, 0.09, foot + 0.99 * tall)
+    size = 2 * a + 0.1, 2 * b + 0.1, foot + tall
+    return VehicleOccluder(x, y, 1.0, *size, 2.6, (legs, trunk, head), False)
+
+
+def _direction(vehicle: ParkedCar | ParkedTruck | ParkedBus) -> float:
     return -1.0 if abs(vehicle.turn_deg) > 90 else 1.0

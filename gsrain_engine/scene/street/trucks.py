@@ -9,7 +9,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from .cars import AMBER, DARK, PLATE, RED_TAPE, STEEL, TRIM, TRUCK_FORM, TruckForm, build_wheel, wheel_wells
+from .cars import (
+    AMBER,
+    DARK,
+    HEAD_LIGHT,
+    PLATE,
+    RED_TAPE,
+    STEEL,
+    TAIL_LIGHT,
+    TRIM,
+    TRUCK_FORM,
+    TruckForm,
+    build_wheel,
+    wheel_wells,
+)
 from .layout import Color, Label, ParkedTruck, StreetLayout
 from .mesh import Quads, box, broken_lines, panel, patch, surface
 
@@ -166,8 +179,9 @@ def _shell(form: TruckForm, loop: Any, face: Any, rise: Any, paint: Color) -> Qu
     z = np.tile(0.5 * (rise[1:] + rise[:-1]), i)
     colors, gloss = _colors(form, column, x, y, z, paint)
     lower = np.clip((z - 0.2) / 0.6, 0, 1)
+    lamps = (colors == np.array(_LAMP)).all(axis=1)
     shell = Quads.of(shell.corners, colors, Label.TRUCK, spread=shell.spread, gloss=gloss,
-                     sky_access=0.35 + 0.65 * lower)  # fmt: skip
+                     sky_access=0.35 + 0.65 * lower, emission=lamps[:, None] * HEAD_LIGHT)  # fmt: skip
     tall = np.linalg.norm(shell.corners[:, 3] - shell.corners[:, 0], axis=1)
     other = np.linalg.norm(shell.corners[:, 2] - shell.corners[:, 1], axis=1)
     return shell.take(np.maximum(tall, other) > 0.012)
@@ -254,6 +268,8 @@ def _visor(form: TruckForm) -> Quads:
 # Chassis
 
 _RED_LAMP, _WHITE_LAMP = (0.42, 0.006, 0.006), (0.72, 0.72, 0.70)
+TAIL_LAMP, HEAD_LAMP = (0.88, 0.80), (0.69, 0.75)
+"""Distance from the middle, and height, in meters."""
 _WHITE_TAPE = (0.74, 0.74, 0.72)
 
 
@@ -287,15 +303,21 @@ def _rear_end(form: TruckForm) -> Quads:
     for side in (-1, 1):
         for k, color in enumerate((RED_TAPE, _WHITE_TAPE, RED_TAPE, _WHITE_TAPE)):
             parts.append(_rear_panel(back - 0.002, side * (0.60 + 0.125 * k), 0.50, 0.125, 0.11, color))
-        lamps = ((0.88, 0.16, _RED_LAMP), (0.73, 0.13, AMBER), (0.61, 0.10, _WHITE_LAMP))
+        lamps = ((TAIL_LAMP[0], 0.16, _RED_LAMP), (0.73, 0.13, AMBER), (0.61, 0.10, _WHITE_LAMP))
         for y, width, color in lamps:
-            parts.append(_rear_panel(back - 0.012, side * y, 0.80, width, 0.16, color, gloss=0.08))
+            lamp = _rear_panel(back - 0.012, side * y, TAIL_LAMP[1], width, 0.16, color, gloss=0.08)
+            parts.append(_lit(lamp, TAIL_LIGHT if color is _RED_LAMP else 0.0))
         parts.append(box((back + 0.10, side * 0.5, 0.64), (0.07, 0.09, 0.20), STEEL, Label.TRUCK, faces="xyY"))
-        parts.append(_rear_panel(back - 0.008, side * (half - 0.055), form.height - 0.05, 0.09, 0.05, _RED_LAMP))
+        marker = _rear_panel(back - 0.008, side * (half - 0.055), form.height - 0.05, 0.09, 0.05, _RED_LAMP)
+        parts.append(_lit(marker, 0.6 * TAIL_LIGHT))
         flap = panel((form.wheels[0] - 0.60, side * 0.78 + 0.27, 0.16), (0, -1, 0), (0, 0, 1), np.linspace(0, 0.54, 4),
                      np.linspace(0, 0.62, 5), DARK, Label.TRUCK, sky_access=0.6)  # fmt: skip
         parts.append(flap)
     return Quads.joined(parts)
+
+
+def _lit(quads: Quads, light: Any) -> Quads:
+    return replace(quads, emission=np.broadcast_to(np.float32(light), (len(quads), 3)).copy())
 
 
 def _rear_panel(x: float, y: float, z: float, width: float, height: float, albedo: Color, gloss: float = 0.03) -> Quads:
@@ -374,10 +396,13 @@ _SMOOTH = 1.08  # gaussians of a truck are this much wider than elsewhere: gaps 
 
 
 def build_parked_trucks(layout: StreetLayout) -> Quads:
-    return Quads.joined(build_truck(each).placed((each.x, each.y, 0.0), each.turn_deg) for each in layout.trucks)
+    return Quads.joined(
+        build_truck(each).shining(0.0).placed((each.x, each.y, 0.0), each.turn_deg) for each in layout.trucks
+    )
 
 
 def build_truck(truck: ParkedTruck) -> Quads:
+    """Build a truck in the object frame, its lamps on."""
     form = TRUCK_FORM
     built = Quads.joined([build_cab(form, truck.cab), build_body(form, truck.body, truck.sign), build_chassis(form)])
     return replace(built, labels=np.full_like(built.labels, Label.TRUCK), spread=_SMOOTH * built.spread)

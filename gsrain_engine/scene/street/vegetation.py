@@ -7,8 +7,10 @@ from jaxtyping import Float, Float64
 
 from ..geometry import linear_to_srgb
 from .ground import longer_by_m
-from .layout import CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
-from .mesh import Quads, box, layered_noise, patch, surface, tube
+from .layout import BUS_LENGTH_M, CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
+from .mesh import Quads, box, layered_noise, patch, tube
+from .signals import build_masts
+from .signs import bus_stop_sign, crossing_sign, sign_on_pole, speed_limit, stop_sign
 
 _BARK = (0.115, 0.09, 0.065)
 _LEAF = np.array([0.085, 0.17, 0.03])
@@ -126,18 +128,17 @@ def _depth_inside(
 # Street furniture
 
 _IRON = (0.045, 0.055, 0.052)
-_STEEL = (0.24, 0.245, 0.25)
-_BEFORE_POLE_M = 0.05  # distance of a sign in front of its pole
 
 
 def build_furniture(layout: StreetLayout) -> Quads:
     p = layout.parameters
-    parts = [_lamp(x, y) for x, y in layout.lamps]
+    parts = [build_masts(layout), *(_lamp(x, y) for x, y in layout.lamps)]
     sign_y = p.curb_y_m + 0.32
     for c in layout.crossings:
         for side, x in ((-1, c - 0.6), (1, c + CROSSING_LENGTH_M + 0.6)):
             y = side * sign_y
-            parts += [_pole(x, y, 2.95, 0.033, _STEEL, 6), _square_sign(x, y, 2.75, 0.62, side)]
+            x += 3.4 * side if c in layout.signals else 0.0  # the mast of its light is next to it
+            parts.append(sign_on_pole(x, y, 2.62, 0.62, crossing_sign, side))
         for side in (-1, 1):
             for k in range(3):
                 parts.append(_bollard(c + 0.3 + 1.2 * k, side * (p.curb_y_m + 0.4)))
@@ -146,7 +147,12 @@ def build_furniture(layout: StreetLayout) -> Quads:
         side = 1 if rng.random() < 0.5 else -1
         parts.append(_bin(float(x), side * (p.curb_y_m + 0.55)))
     for x in np.arange(p.start_x_m + 25.0, p.end_x_m - 8, 48.0):
-        parts += [_pole(x, -sign_y, 2.75, 0.033, _STEEL, 6), _round_sign(x, -sign_y, 2.6, 0.6)]
+        parts.append(sign_on_pole(x, -sign_y, 2.45, 0.6, speed_limit("30"), -1, "round"))
+    for x, side in ((p.end_x_m - 2.4, -1), (p.start_x_m + 2.4, 1)):
+        parts.append(sign_on_pole(x, side * sign_y, 2.35, 0.76, stop_sign, side, "octagon"))
+    for bus in layout.buses:
+        x = bus.x - 0.5 * BUS_LENGTH_M - 0.9
+        parts.append(sign_on_pole(x, sign_y, 2.50, 0.45, bus_stop_sign, 1, "round"))
     return Quads.joined(parts)
 
 
@@ -180,37 +186,6 @@ def _lamp(x: float, y: float) -> Quads:
     glass = box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, coarse=0.16,
                 faces="xXyYz", emission=LANTERN_LIGHT)  # fmt: skip
     return Quads.joined([_pole(x, y, 5.82, 0.075, _IRON), curve, head, glass])
-
-
-def _round_sign(x: float, y: float, z: float, size: float) -> Quads:
-    """A speed limit sign that faces along -x: a red ring around two digits."""
-    angle = np.linspace(0, -2 * np.pi, 25)
-    radii = 0.5 * size * np.array([0.0, 0.25, 0.5, 0.76, 0.88, 1.0])
-    across, up = radii[None] * np.sin(angle)[:, None], radii[None] * np.cos(angle)[:, None]
-    face = surface(x - _BEFORE_POLE_M, y + across, z + up, 0.72, Label.SIGN)
-    center = face.centers - np.array([x, y, z], np.float32)
-    ring = np.hypot(center[:, 1], center[:, 2]) > 0.37 * size
-    digits = (np.abs(np.abs(center[:, 1]) - 0.13 * size) < 0.07 * size) & (np.abs(center[:, 2]) < 0.2 * size)
-    colors = np.where(ring[:, None], [0.55, 0.015, 0.02], np.where(digits[:, None], 0.03, 0.72))
-    return _with_back(replace(face, albedo=colors.astype(np.float32)))
-
-
-def _square_sign(x: float, y: float, z: float, size: float, facing: int) -> Quads:
-    """A crossing sign that faces along +x (facing 1) or -x (-1): a white triangle with a dark figure, on blue."""
-    lines = np.linspace(-0.5, 0.5, 13) * size
-    across = facing * lines[:, None]
-    face = surface(x + facing * _BEFORE_POLE_M, y + across, z + lines, 0.0, Label.SIGN)
-    u, v = ((face.centers[:, 1:] - np.array([y, z], np.float32)) / size).T
-    triangle = (v > -0.34) & (np.abs(u) < 0.42 * (0.36 - v) / 0.7)
-    figure = (np.abs(u) < 0.07) & (v > -0.25) & (v < 0.1)
-    colors = np.where((triangle & ~figure)[:, None], 0.72, np.array([0.015, 0.07, 0.32]))
-    return _with_back(replace(face, albedo=colors.astype(np.float32)))
-
-
-def _with_back(face: Quads) -> Quads:
-    """Add a gray back behind a sign's face, one centimeter away."""
-    corners = face.corners[:, ::-1] - np.float32(0.01) * face.normals[:, None]
-    return Quads.joined([face, Quads.of(corners, 0.3, Label.SIGN, spread=face.spread)])
 
 
 def _bollard(x: float, y: float) -> Quads:
@@ -287,6 +262,24 @@ def night_sky_display(
 
 
 _NIGHT_ZENITH, _CITY_GLOW = np.array([0.0040, 0.0056, 0.0092]), np.array([0.0105, 0.0085, 0.0075])
+
+
+def dusk_sky_display(
+    directions: Float[np.ndarray, "n 3"], sun: Float64[np.ndarray, "3"], seed: int
+) -> Float64[np.ndarray, "n 3"]:
+    """Display color of rain clouds after sunset in unit directions: blue, with a warm band where the street ends."""
+    up = np.clip(directions[:, 2], 0, 1).astype(np.float64)
+    flat = directions[:, :2].astype(np.float64) / (up + 0.16)[:, None]
+    folds = layered_noise(flat, (1.6, 0.8), seed + 171, 5) - 0.5
+    ahead = np.clip(0.5 + 0.5 * directions[:, 0].astype(np.float64), 0, 1) ** 3
+    band = (np.exp(-up / 0.16) * (0.05 + ahead))[:, None] * _DUSK_BAND
+    pale = np.exp(-up / 0.5)[:, None] * _DUSK_HORIZON
+    light = (_DUSK_ZENITH + pale) * (1 + 1.5 * folds * np.clip(0.25 + 3 * up, 0, 1))[:, None]
+    return linear_to_srgb(np.maximum(light + band * (1 + 1.4 * folds)[:, None], 0))
+
+
+_DUSK_ZENITH, _DUSK_HORIZON = np.array([0.030, 0.044, 0.080]), np.array([0.042, 0.055, 0.084])
+_DUSK_BAND = np.array([0.150, 0.080, 0.042])
 
 
 def overcast_luminance(rise: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Float32, Float64
 from ..gaussians import sh_basis
 from ..ground_water import FILM_SLOPE, STANDING_SLOPE
 from ..water_surface import WATER_INDEX, reflectance, unshadowed, wet_albedo
+from .buses import BUS_FORM
 from .cars import CAR_FORMS, TRUCK_FORM
 from .layout import CURB_HEIGHT_M, Color, House, Label, StreetLayout
 from .lighting import Illumination
@@ -20,6 +21,7 @@ from .vegetation import OVERCAST_ZENITH, crown_middle, overcast_luminance
 
 _SOAKED = {
     Label.ROAD: 1.0, Label.LANE_MARKING: 0.55, Label.PAVEMENT: 0.9, Label.TERRAIN: 0.8, Label.VEGETATION: 0.75,
+    Label.PERSON: 0.5,
 }  # fmt: skip
 """Share of the darkening of a soaked porous surface, by class; paint, metal and glass hold no water in them."""
 _SOAKED_ROOF, _SOAKED_WALL = 0.95, 0.55
@@ -35,7 +37,8 @@ def wet_materials(quads: Quads, *, with_lamps: bool = False) -> Quads:
     soaked = np.zeros(len(quads))
     for label, share in _SOAKED.items():
         soaked[quads.labels == label] = share
-    soaked = np.where(quads.labels == Label.BUILDING, _soaking_of_houses(quads), soaked)
+    houses = np.flatnonzero(quads.labels == Label.BUILDING)
+    soaked[houses] = _soaking_of_houses(quads.take(houses))
     leaf = (quads.labels == Label.VEGETATION) & (quads.albedo[:, 1] > 1.05 * quads.albedo[:, 0])
     soaked = np.where(leaf, _SOAKED_LEAF, soaked)[:, None]
     dry = quads.albedo.astype(np.float64)
@@ -43,7 +46,7 @@ def wet_materials(quads: Quads, *, with_lamps: bool = False) -> Quads:
     gray = wet.mean(axis=1, keepdims=True)
     wet = np.where(leaf[:, None], np.maximum(wet + _GREENER * (wet - gray), 0), wet)
     if with_lamps:
-        red = np.isin(quads.labels, (Label.CAR, Label.TRUCK)) & (dry[:, 0] > 0.25) & (dry[:, 1] < 0.01)
+        red = np.isin(quads.labels, (Label.CAR, Label.TRUCK, Label.BUS)) & (dry[:, 0] > 0.25) & (dry[:, 1] < 0.01)
         wet = np.where(red[:, None], _LAMP * dry, wet)
     return replace(quads, albedo=wet.astype(np.float32), gloss=np.minimum(_WETTER_GLOSS * quads.gloss, 0.9))
 
@@ -110,9 +113,13 @@ _CHUNK = 6000
 
 
 def wet_harmonics(
-    quads: Quads, light: Illumination, coefficients: int, matte: Float32[np.ndarray, "n k 3"]
+    quads: Quads,
+    light: Illumination,
+    coefficients: int,
+    matte: Float32[np.ndarray, "n k 3"],
+    arriving: Float64[np.ndarray, "n 3"],
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Add reflections of wet ground to harmonics of soaked quads without them, `matte`."""
+    """Add reflections of wet ground to harmonics of soaked quads without them, `matte`, in the light on them."""
     sh = matte
     layout, ground = light.layout, np.flatnonzero(reflecting(quads))
     if layout is None or coefficients < GROUND_COEFFICIENTS or not len(ground):
@@ -122,7 +129,7 @@ def wet_harmonics(
         own = ground[first : first + _CHUNK]
         part = quads.take(own)
         points = part.centers.astype(np.float64)
-        diffuse = (light.light_on(part, points) * part.albedo).astype(np.float32)[:, None]
+        diffuse = (arriving[own] * part.albedo).astype(np.float32)[:, None]
         standing = puddles(layout, points).astype(np.float32)[:, None, None]
         around = _surroundings(light, points, fronts)
         film, film_share = _reflected(around, FILM_SLOPE)
@@ -232,7 +239,9 @@ def _surroundings(
         sky = (OVERCAST_ZENITH * overcast_luminance(np.sin(rises))).astype(np.float32)[:, None]
         wall, dim = wall[:, :, None], np.float32(1)
     else:
-        sky, wall, dim = _NIGHT_SKY, fronts.at(p, c, s, reach, rises), _DIM
+        assert light_of.lighting.reflected_sky is not None and light_of.lighting.reflected_dim is not None
+        sky, dim = (np.float32(each) for each in (light_of.lighting.reflected_sky, light_of.lighting.reflected_dim))
+        wall = fronts.at(p, c, s, reach, rises)
     covered = np.clip((top[..., None] - rises) / np.radians(1.5) + 0.5, 0, 1)[..., None].astype(np.float32)
     light = covered * wall + (1 - covered) * sky
     for tree in layout.trees:
@@ -263,9 +272,6 @@ def _surroundings(
 
 # By night: fronts by lanterns and lit rooms
 
-_NIGHT_SKY = np.array([0.006, 0.0062, 0.0078], np.float32)
-_DIM = np.array([0.16, 0.115, 0.07], np.float32)
-"""Light on leaves and vehicles by night, relative to that under clouds."""
 _FRONT_CELL_M = 0.75
 _FRONT_ROWS = 18
 _END_LIGHT = np.array([0.022, 0.016, 0.010], np.float32)  # of the houses across both ends, with their windows
@@ -378,6 +384,8 @@ def _vehicles(layout: StreetLayout) -> Iterator[tuple[float, float, float, float
         yield car.x, car.y, 0.5 * form.length, 0.5 * form.width, form.height, car.paint
     for truck in layout.trucks:
         yield truck.x, truck.y, 0.5 * TRUCK_FORM.length, 0.5 * TRUCK_FORM.width, TRUCK_FORM.height, truck.body
+    for bus in layout.buses:
+        yield bus.x, bus.y, 0.5 * BUS_FORM.length, 0.5 * BUS_FORM.width, BUS_FORM.height, bus.paint
 
 
 def _crossed(

@@ -12,11 +12,14 @@ from ...scene.formats.hugsim import hugsim_files, is_vehicle_folder, read_hugsim
 from ...scene.formats.registry import read_gaussians
 from ...scene.gaussians import Gaussians
 from ...scene.scene import Scene, robust_bounds
+from ...scene.street.bicycles import CYCLIST_SIZE_M, build_cyclist
 from ...scene.street.build import quads_to_gaussians, wet_colors
+from ...scene.street.buses import BUS_SIZE_M, build_bus
 from ...scene.street.cars import CAR_FORMS, TRUCK_FORM, build_car, vehicle_shadow
 from ...scene.street.layout import STREETS, CarShape, Color, ParkedTruck, StreetParameters, TimeOfDay
 from ...scene.street.lighting import LIGHT_OF, LIGHTINGS, Illumination
 from ...scene.street.mesh import Quads
+from ...scene.street.people import FIGURES, build_person, person_size
 from ...scene.street.refinement import refined_vehicle
 from ...scene.street.trucks import build_truck
 
@@ -41,7 +44,9 @@ ACTOR = "actor:"  # prefix of models that are actors of the scene; the actor id 
 
 
 def vehicle_model(model: str, scene: Scene) -> VehicleModel:
-    """Create a model: built-in vehicle, optionally with a paint (saloon, van/red, truck); actor:ID; file; or folder.
+    """Create a model: a built-in road user, an actor of the scene, a file, or a folder.
+
+    Built-in ones may have a paint: saloon, van/red, bus, pedestrian. An actor is actor:ID.
 
     A folder is one of a 3DRealCar vehicle, as HUGSIM releases them.
 
@@ -123,7 +128,7 @@ def _in_shadow(path: Path, standing: Gaussians, size_lwh_m: tuple[float, float, 
 
 # Built-in vehicles
 
-TRUCK = "truck"
+TRUCK, BUS, CYCLIST, PEDESTRIAN = "truck", "bus", "cyclist", "pedestrian"
 PAINTS: dict[str, Color] = {
     "blue": (0.014, 0.034, 0.075), "black": (0.012, 0.012, 0.014), "graphite": (0.05, 0.053, 0.058),
     "green": (0.016, 0.05, 0.028), "red": (0.19, 0.012, 0.011), "sand": (0.24, 0.20, 0.15),
@@ -135,8 +140,8 @@ _BOX, _SIGN = (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)
 
 
 def vehicle_names() -> tuple[str, ...]:
-    """Return names of the built-in vehicles; "/" and a paint name may follow."""
-    return (*CAR_FORMS, TRUCK)
+    """Return names of the built-in road users; "/" and a paint name may follow: of a body, a frame or a jacket."""
+    return (*CAR_FORMS, TRUCK, BUS, CYCLIST, PEDESTRIAN)
 
 
 def _time_of_day(scene: Scene) -> TimeOfDay:
@@ -146,22 +151,41 @@ def _time_of_day(scene: Scene) -> TimeOfDay:
 
 @lru_cache(maxsize=64)
 def built_in_vehicle(name: str, time_of_day: TimeOfDay = "day") -> VehicleModel | None:
-    """Create a built-in vehicle with its shadow on the ground, in the light of the street; None for an unknown name.
+    """Create a built-in road user with its shadow on the ground, in the light of the street; None for an unknown name.
 
-    Raises ValueError for an unknown paint. Caches 64 vehicles.
+    Raises ValueError for an unknown paint. Caches 64 of them.
     """
     kind, _, paint = name.partition("/")
     if kind not in vehicle_names():
         return None
     if paint and paint not in PAINTS:
         raise ValueError(f"model {name}: no paint is called {paint!r}, only {', '.join(PAINTS)}")
-    color = PAINTS[paint] if paint else PAINTS["white" if kind == TRUCK else "blue"]
-    if kind == TRUCK:
-        form, body = TRUCK_FORM, build_truck(ParkedTruck(0.0, 0.0, 0.0, color, _BOX, color if paint else _SIGN))
-    else:
-        shape: CarShape = next(each for each in CAR_FORMS if each == kind)
-        form, body = CAR_FORMS[shape], build_car(shape, color)
-    quads = Quads.joined([vehicle_shadow(form.length, form.width), refined_vehicle(body)])
+    body, size = _built(kind, PAINTS[paint] if paint else None)
+    quads = Quads.joined([vehicle_shadow(size[0], size[1]), refined_vehicle(body)])
     clear, rainy = (Illumination.over(StreetParameters(), lighting=LIGHTINGS[each]) for each in LIGHT_OF[time_of_day])
     gaussians, wet_sh = quads_to_gaussians(quads, clear), wet_colors(quads, rainy)
-    return VehicleModel(gaussians, (form.length, form.width, form.height), wet_sh)
+    return VehicleModel(gaussians, size, wet_sh)
+
+
+def _built(kind: str, color: Color | None) -> tuple[Quads, tuple[float, float, float]]:
+    """Surfaces of a built-in road user in its own frame, and its length, width and height."""
+    match kind:
+        case "truck":
+            truck = ParkedTruck(0.0, 0.0, 0.0, color or PAINTS["white"], _BOX, color or _SIGN)
+            return build_truck(truck), (TRUCK_FORM.length, TRUCK_FORM.width, TRUCK_FORM.height)
+        case "bus":
+            return build_bus(color or PAINTS["yellow"]), BUS_SIZE_M
+        case "cyclist":
+            middle = (_BICYCLE_MIDDLE_M, 0.0, 0.0)
+            return build_cyclist(color or PAINTS["green"]).placed(np.negative(middle)), CYCLIST_SIZE_M
+        case "pedestrian":
+            figure = FIGURES[0]
+            clothes = replace(figure.clothes, top=color or figure.clothes.top)
+            return build_person(replace(figure, clothes=clothes)), person_size(figure)
+        case _:
+            shape: CarShape = next(each for each in CAR_FORMS if each == kind)
+            form = CAR_FORMS[shape]
+            return build_car(shape, color or PAINTS["blue"]), (form.length, form.width, form.height)
+
+
+_BICYCLE_MIDDLE_M = 0.07  # from the bottom bracket to the middle of both wheels

@@ -20,6 +20,7 @@ from gsrain_engine.editor.edits.actors import (
 )
 from gsrain_engine.editor.edits.level import (
     find_ground,
+    guess_orientation,
     level_from_ground,
     level_from_points,
     oriented,
@@ -211,6 +212,28 @@ def test_a_plane_of_a_twentieth_is_ground():
 def test_a_roof_loses_two_votes_for_each_sample_below(roof, height_m):
     """The ground has 100 votes; the roof 280 - 2 * 100 or 320 - 2 * 100."""
     assert find_ground(flat_and_round((0.0, 100), (4.0, roof))).point_m[2] == pytest.approx(height_m)
+
+
+def test_the_orientation_is_guessed_from_the_ground_and_the_scale_from_the_camera_path():
+    right = flat_and_round((0.0, 600), lumps=300)
+    for axis, to_scene in (("z", np.eye(4)), ("x", turned(0, 90)), ("-z", turned(180, 0))):
+        # The file's z axis counts as up, though the ground lies below another one.
+        lying = replace(right.with_member("layers/all", to_scene=to_scene), unit_is_assumed=True)
+        leveled = guess_orientation(lying)
+        assert leveled.up == pytest.approx(to_scene[:3, 2], abs=1e-6), axis
+        assert leveled.ground_m == pytest.approx(0, abs=1e-6) and leveled.unit_is_assumed
+        assert find_ground(leveled).up == pytest.approx([0, 0, 1], abs=1e-6)
+    wall = flat_and_round((0.0, 400), lumps=500)
+    both = replace(wall, layers=(*wall.layers, replace(wall.layers[0], name="wall", to_scene=turned(90, 0))))
+    assert guess_orientation(both).up == pytest.approx([0, 0, 1], abs=1e-6)  # both are as large
+    with pytest.raises(ValueError, match="below any axis"):
+        guess_orientation(flat_and_round((0.0, 45), lumps=955))
+    high = replace(LYING, layers=tuple(replace(each, to_scene=turned(90, 0)) for each in right.layers))
+    high = replace(high, path=flown(np.array([[0.0, 0, 3], [1, 0, 3], [2, 0, 3]])), unit_is_assumed=True)
+    scaled = guess_orientation(high)
+    assert not scaled.unit_is_assumed
+    heights = scaled.path.positions @ scaled.scene_to_world[2, :3] + scaled.scene_to_world[2, 3]
+    assert np.median(heights) - scaled.ground_m == pytest.approx(1.5)
 
 
 def test_ground_slopes_by_less_than_60_degrees():

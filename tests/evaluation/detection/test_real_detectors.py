@@ -1,4 +1,4 @@
-"""Published detectors on real pictures: what they find is known."""
+"""Published detectors on real pictures and on the street: what they find is known."""
 
 from pathlib import Path
 
@@ -10,6 +10,11 @@ pytest.importorskip("onnxruntime")
 
 from gsrain_engine.evaluation.detection.detector import Detection, open_detector
 from gsrain_engine.evaluation.detection.metrics import match_detections
+from gsrain_engine.rain.simulation import OVERCAST as SKY
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.open import load_street
 
 INT8 = 0.06
 """Confidences of whole-number weights differ so much between processors."""
@@ -56,3 +61,32 @@ def test_car_and_person_in_torrential_rain(test_data: Path, name: str, confidenc
     assert sum(each.confidence > 0.5 for each in people) == 2
     (person,) = match_detections(_labels("person", RAIN_PERSON), people)
     assert person.confidence > 0.6 and person.iou > 0.75
+
+
+VIEWS = {
+    "bus": ((33.0, -1.5, 1.6), (44.0, 3.0, 1.5)),
+    "bicycle": ((36.0, -1.7, 1.6), (41.2, -5.3, 0.9)),
+    "person": ((31.0, -3.0, 1.6), (35.0, -6.8, 0.9)),
+    "traffic light": ((23.0, -1.7, 1.6), (32.3, -2.5, 5.0)),
+    "stop sign": ((138.0, -2.5, 1.6), (147.6, -5.9, 2.0)),
+}
+"""Places of the street from which something is visible, and it."""
+
+
+@pytest.mark.parametrize("name", ["yolo26n_int8", "yolox_nano"])
+def test_detectors_know_what_is_on_the_street(test_data: Path, name: str) -> None:
+    path, street, missed = test_data / "detectors" / f"{name}.onnx", load_street(), list[str]()
+    if not path.is_file():
+        pytest.skip(f"no detector at {path}")
+    detector, renderer = open_detector(path), CpuRenderer()
+    for class_name, (eye, target) in VIEWS.items():
+        ahead = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+        right = np.cross(ahead, [0, 0, 1]) / np.linalg.norm(np.cross(ahead, [0, 0, 1]))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = np.stack([right, np.cross(ahead, right), ahead], axis=1), eye
+        camera = Camera(640, 480, 1000.0, 1000.0, 320.0, 240.0, np.linalg.inv(pose))
+        draw_view(renderer, street, None, SKY, RenderView(camera, 0.0))
+        found = detector.detect(renderer.read_uint8())
+        best = max((each.confidence for each in found if each.class_name == class_name), default=0.0)
+        missed += [] if best > 0.45 else [f"{class_name} {best:.2f}"]
+    assert not missed

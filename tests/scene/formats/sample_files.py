@@ -79,25 +79,26 @@ def spz_header(version: int, count: int, degree: int = 0, bits: int = 12, flags:
     return struct.pack("<4sII4B", b"NGSP", version, count, degree, bits, flags, streams)
 
 
+def spz_streams(gaussians: Gaussians) -> tuple[bytes, list[bytes]]:
+    """Header of 16 bytes and the attributes in file order, from the version that is written."""
+    data = encode_spz(gaussians)
+    table = [struct.unpack_from("<QQ", data, 32 + 16 * i) for i in range(data[15])]
+    ends = np.cumsum([32 + 16 * data[15], *(size for size, _ in table)]).tolist()
+    frames = [data[start:end] for start, end in pairwise(ends)]
+    return data[:16], [
+        zstandard.decompress(frame) if size else b"" for frame, (_, size) in zip(frames, table, strict=True)
+    ]
+
+
 def old_spz(gaussians: Gaussians, version: int) -> bytes:
-    """Versions 1 and 2, which nobody writes any more: of version 3, with other means and quaternions."""
-    data, n = gzip.decompress(encode_spz(gaussians)), len(gaussians)
-    means = np.linspace(-2, 2, 3 * n).astype("<f2").tobytes() if version == 1 else data[16 : 16 + 9 * n]
-    rest = data[16 + 9 * n :]
-    rest = rest[: 7 * n] + bytes(range(100, 100 + 3 * n)) + rest[11 * n :]
-    return gzip.compress(data[:4] + struct.pack("<I", version) + data[8:16] + means + rest, mtime=0)
-
-
-def spz_version_4(gaussians: Gaussians) -> bytes:
-    """The streams of our version 3, each in a zstd frame."""
-    data = gzip.decompress(encode_spz(gaussians))
+    """Versions 1 to 3: the same attributes in one gzip stream, versions 1 and 2 with other means and quaternions."""
+    header, streams = spz_streams(gaussians)
     n = len(gaussians)
-    sizes = [9 * n, n, 3 * n, 3 * n, 4 * n, 3 * n * (gaussians.sh.shape[1] - 1)]
-    streams = [data[start:end] for start, end in pairwise(np.cumsum([16, *sizes]).tolist()) if end > start]
-    frames = [zstandard.compress(stream) for stream in streams]
-    header = spz_header(4, n, gaussians.sh_degree, data[13], 0, len(streams)) + struct.pack("<I12x", 32)
-    table = b"".join(struct.pack("<QQ", len(f), len(s)) for f, s in zip(frames, streams, strict=True))
-    return header + table + b"".join(frames)
+    if version == 1:
+        streams[0] = np.linspace(-2, 2, 3 * n).astype("<f2").tobytes()
+    if version < 3:
+        streams[4] = bytes(range(100, 100 + 3 * n))
+    return gzip.compress(header[:4] + struct.pack("<I", version) + header[8:15] + b"\0" + b"".join(streams), mtime=0)
 
 
 # KSPLAT
@@ -251,8 +252,8 @@ SMALL_FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "splat": ("a.splat", lambda: written(_SMALL, ".splat")),
     "spz-1": ("a.spz", lambda: old_spz(_SMALL, 1)),
     "spz-2": ("a.spz", lambda: old_spz(_SMALL, 2)),
-    "spz-3": ("a.spz", lambda: encode_spz(_SMALL)),
-    "spz-4": ("a.spz", lambda: spz_version_4(_SMALL)),
+    "spz-3": ("a.spz", lambda: old_spz(_SMALL, 3)),
+    "spz-4": ("a.spz", lambda: encode_spz(_SMALL)),
     "ksplat-0": ("a.ksplat", lambda: ksplat([sample_gaussians(40, 1), sample_gaussians(9, 2)], 0)[1]),
     "ksplat-1": ("a.ksplat", lambda: ksplat([sample_gaussians(40, 1), sample_gaussians(9, 2)], 1)[1]),
     "ksplat-2": ("a.ksplat", lambda: ksplat([sample_gaussians(40, 1), sample_gaussians(9, 2)], 2)[1]),

@@ -167,6 +167,38 @@ def canvas_larger_than_its_image() -> bytes:
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
+def glb(path: str = "", value: Any = None) -> bytes:
+    """A binary glTF file of which one value of the description, by its path of keys and indices, is another."""
+    data = written(sample_gaussians(5, 1), ".glb")
+    (length,) = struct.unpack_from("<I", data, 12)
+    values = json.loads(data[20 : 20 + length])
+    *parents, last = [int(key) if key.isdigit() else key for key in path.split("/")]
+    place = values
+    for key in parents:
+        place = place[key]
+    place[last] = value
+    text = json.dumps(values).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
+
+
+def usdz(*members: tuple[str, bytes]) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in members:
+            archive.writestr(name, content)
+    return file.getvalue()
+
+
+_SPLAT = "meshes/0/primitives/0/"
+_STAGE = b"""#usda 1.0
+def ParticleField3DGaussianSplat "a"
+{
+    point3f[] positions = [(0, 0, %s)]
+    %s
+}"""
+
 EMPTY = np.zeros((5, 8, 4), np.uint8)
 
 DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
@@ -198,7 +230,7 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.ply", lambda: ply_with(inf, "f_rest_44"), "2 of 300 Gaussians have a color"),
     ("a.ply", lambda: ply_with(100, "scale_1"), "2 of 300 Gaussians have a scale"),
     ("a.ply", lambda: ply_with(-inf, "scale_2"), "2 of 300 Gaussians have a logarithm of a scale"),
-    ("a.ply", lambda: ply_with(inf, "opacity"), "2 of 300 Gaussians have a logit of an opacity"),
+    ("a.ply", lambda: ply_with(nan, "opacity"), "2 of 300 Gaussians have an opacity"),
     ("a.ply", lambda: ply_with(-inf, "rot_0"), "2 of 300 Gaussians have a quaternion"),
     ("a.ply", lambda: ply_with(1e30, "rot_3"), "a quaternion too long"),
     ("a.ply", lambda: ply_with(0, "rot_0", "rot_1", "rot_2", "rot_3"), "a zero quaternion"),
@@ -252,6 +284,39 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.spz", lambda: streams(18, 9) + 5 * zstd_frame(27), "stream of opacities must hold 1 bytes"),  # means are read
     *(("a.spz", lambda bad=bad: spz_header(1, 1, bits=0) + struct.pack("<3e", 0, bad, 0) + bytes(10), "a mean")
       for bad in (nan, inf, -inf)),
+    ("a.spz", lambda: spz_header(4, 0, flags=2, streams=5) + struct.pack("<I12xIIi", 44, 0xADBE0003, 4, 7) + bytes(99),
+     "must be 4, RUB, not 7"),
+    # binary glTF
+    ("a.glb", lambda: b"glTF", "at least 20 bytes"),
+    ("a.glb", lambda: b"glTF\1" + bytes(30), "version 2"),
+    ("a.glb", lambda: glb("asset", {})[:-9], "it is cut off"),
+    ("a.glb", lambda: glb("extensionsRequired", ["EXT_meshopt_compression"]), "EXT_meshopt_compression, which is not"),
+    ("a.glb", lambda: glb("nodes", "many"), "$.nodes"),
+    ("a.glb", lambda: glb("nodes/0/mesh", 7), "no number 7 in meshes"),
+    ("a.glb", lambda: glb("nodes/0/children", [0]), "node 0 has several parents"),
+    ("a.glb", lambda: glb("nodes/0/scale", [1, 2, 1]), "equally along all axes"),
+    ("a.glb", lambda: glb("nodes/0/scale", [1e200, 1e200, 1e200]), "equally along all axes"),
+    ("a.glb", lambda: glb("nodes/0/translation", [1e300, 0, 0]), "a mean that is not a finite number"),
+    ("a.glb", lambda: glb(_SPLAT + "mode", 4), "mode 0, not 4"),
+    ("a.glb", lambda: glb(_SPLAT + "extensions", {}), "none of its meshes has Gaussians"),
+    ("a.glb", lambda: glb(_SPLAT + "extensions/KHR_gaussian_splatting/kernel", "box"), "kernel 'box'"),
+    ("a.glb", lambda: glb(_SPLAT + "extensions/KHR_gaussian_splatting/colorSpace", "lin_rec709_display"), "colorSpace"),
+    ("a.glb", lambda: glb(_SPLAT + "attributes/KHR_gaussian_splatting:SH_DEGREE_2_COEF_0", 5), "5 attributes SH_"),
+    ("a.glb", lambda: glb(_SPLAT + "attributes", {"POSITION": 0}), "0 attributes SH_DEGREE"),
+    ("a.glb", lambda: glb(_SPLAT + "attributes/KHR_gaussian_splatting:SCALE", 4), "SCALE is 'SCALAR'"),
+    ("a.glb", lambda: glb("accessors/2/count", 4), "not as many rows as the 5"),
+    ("a.glb", lambda: glb("accessors/2/sparse", {}), "without `sparse`"),
+    ("a.glb", lambda: glb("accessors/3/byteOffset", 4), "SCALE ends at byte 64 of a bufferView of 60"),
+    ("a.glb", lambda: glb("bufferViews/3/byteLength", 2**40), "bufferView 3 ends at byte"),
+    ("a.glb", lambda: glb("buffers/0/uri", "/etc/passwd"), "the file's own binary chunk"),
+    ("a.glb", lambda: glb("bufferViews/4/byteOffset", 0), "have an opacity outside 0 to 1"),
+    # USDZ
+    ("a.usdz", lambda: b"", "zip"),
+    ("a.usdz", lambda: usdz(("metadata.yaml", b"{}")), "no USD layer"),
+    ("a.usdz", lambda: usdz(("../a.usda", b"#usda 1.0")), "no name of a file inside"),
+    ("a.usdz", lambda: usdz(("a.usda", b"#usda 1.0\n(((")), "its USD layer is damaged"),
+    ("a.usdz", lambda: usdz(("a.usda", _STAGE % (b"nan", b""))), "1 of 1 Gaussians have a mean"),
+    ("a.usdz", lambda: usdz(("a.usda", _STAGE % (b"0", b"float[] opacities = [2]"))), "an opacity outside 0 to 1"),
     # SOG
     ("a.sog", lambda: b"", "zip"),
     ("a.sog", lambda: b"PK\x03\x04abc", "zip"),

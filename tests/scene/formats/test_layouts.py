@@ -20,6 +20,7 @@ from .sample_files import (
     assert_equal,
     compressed,
     ksplat,
+    old_spz,
     sample_gaussians,
     sog_image,
     sog_scene,
@@ -181,7 +182,7 @@ def test_means_of_spz_have_the_finest_step_that_24_bits_have_room_for(units: flo
     g = sample_gaussians(1, 0)
     g.means[0] = units, -units, 0
     data = encode_spz(g)
-    assert list(gzip.decompress(data)[13:16]) == [bits, 0, 0]  # neither flags nor streams
+    assert list(data[13:16]) == [bits, 0, 5]  # no flags, five streams
     np.testing.assert_allclose(read_bytes(tmp_path, "a.spz", data).means, g.means, atol=0.5 / 2**bits, rtol=0)
     for beyond in (8_388_607, np.nan, -np.inf):
         g.means[0, 0] = beyond
@@ -190,7 +191,7 @@ def test_means_of_spz_have_the_finest_step_that_24_bits_have_room_for(units: flo
 
 
 def test_extensions_after_the_gaussians_of_spz_are_left_unread(tmp_path: Path) -> None:
-    data = bytearray(gzip.decompress(encode_spz(sample_gaussians(4, 1))))
+    data = bytearray(gzip.decompress(old_spz(sample_gaussians(4, 1), 3)))
     before = read_bytes(tmp_path, "a.spz", bytes(data))
     data[14] |= 2
     for packed in (bytes, gzip.compress):

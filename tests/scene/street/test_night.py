@@ -66,8 +66,14 @@ def test_crowns_vehicles_and_houses_block_light(surfaces):
 def test_lamps_are_where_the_lights_are(night, surfaces):
     furniture = surfaces.layers["furniture"]
     shining = furniture.centers[furniture.emission.sum(axis=1) > 0]
-    fixed = night.lamps_at(0.0, [lamp for lamp in night.lamps if lamp.mount == "scene"])
+    fixed = night.lamps_at(0.0, [lamp for lamp in night.lamps if lamp.name.startswith("lantern")])
     assert len(fixed.positions_m) == len(surfaces.layout.lamps) == 5
+    for layer, name, within in (("traffic lights", "signal", 0.05), ("parked buses", "bus", 0.12)):
+        quads = surfaces.layers[layer]
+        bright = quads.centers[quads.emission.max(axis=1) > 3]
+        places = night.lamps_at(0.0, [lamp for lamp in night.lamps if lamp.name.startswith(name)]).positions_m
+        assert len(places) == {"signal": 4, "bus": 2}[name]
+        assert np.linalg.norm(bright - places[:, None], axis=2).min(axis=1).max() < within
     for place in fixed.positions_m:
         near = shining[np.linalg.norm(shining - place, axis=1) < 0.4]
         np.testing.assert_allclose(near.mean(axis=0), place, atol=0.06)

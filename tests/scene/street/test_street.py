@@ -13,13 +13,14 @@ from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene, is_sky
 from gsrain_engine.scene.street.build import (
+    OBJECT_LAYERS,
     PARKED_CARS,
     StreetSurfaces,
     build_street,
     displayed_colors,
-    parked_boxes,
     quads_to_gaussians,
     scene_of,
+    street_boxes,
     street_surfaces,
 )
 from gsrain_engine.scene.street.cars import TRUCK_FORM
@@ -44,10 +45,10 @@ def street(surfaces: StreetSurfaces) -> Scene:
 
 
 def test_the_same_parameters_give_the_same_sound_gaussians(street: Scene, surfaces: StreetSurfaces) -> None:
-    names = ["road", "pavements", "houses", "trees", "parked cars", "parked trucks", "furniture", "surroundings", "sky"]
+    names = ["road", "pavements", "houses", "trees", *OBJECT_LAYERS, "furniture", "surroundings", "sky"]
     assert [layer.name for layer in street.layers] == names
     assert [layer.name for layer in street.layers if layer.kind == "sky"] == ["sky"]
-    assert 600_000 <= street.gaussian_count <= 750_000
+    assert 670_000 <= street.gaussian_count <= 800_000
     for each, same in zip(street.members, build_street().members, strict=True):
         assert_valid(each.gaussians)
         color = SH_C0 * each.gaussians.sh[:, 0] + 0.5
@@ -84,16 +85,16 @@ def test_the_road_is_flat_whole_and_marked_in_its_middle(street: Scene, surfaces
         StreetParameters(seed=12, parking_width_m=2.6, pavement_width_m=2.5, parked_share=0.9),
     ],
 )
-def test_nothing_stands_in_the_lanes_or_where_a_truck_stands(
+def test_nothing_stands_in_the_lanes_or_where_trucks_and_buses_stand(
     surfaces: StreetSurfaces, parameters: StreetParameters | None
 ) -> None:
     layers = (surfaces if parameters is None else street_surfaces(parameters)).layers
     p = parameters = parameters or StreetParameters()
-    for name in ("houses", "trees", "parked cars", "parked trucks", "furniture", "pavements"):
+    for name in ("houses", "trees", *OBJECT_LAYERS, "furniture", "pavements"):
         at = layers[name].centers
         inside = (at[:, 0] > p.start_x_m + 0.5) & (at[:, 0] < p.end_x_m - 0.5) & (at[:, 2] < 2.4)
         assert np.abs(at[inside, 1]).min(initial=99) > p.lane_width_m - 0.35, name
-    for truck in [each for each in parked_boxes(parameters) if each.class_name == "truck"]:
+    for truck in [each for each in street_boxes(parameters) if each.class_name in ("truck", "bus")]:
         to_box = np.linalg.inv(truck.to_street)
         half = np.array(truck.size_lwh) / 2 - [0.1, 0.1, 0]
         for name in set(layers) - {"road", "pavements", "sky", truck.layer}:
@@ -157,7 +158,7 @@ def test_another_street_can_be_built() -> None:
     scene = build_street(msgspec.convert(changes, StreetParameters))
     assert scene.gaussian_count > 150_000
     counts = {layer.name: len(layer.gaussians) for layer in scene.layers}
-    assert counts["parked cars"] == counts["parked trucks"] == 0
+    assert counts["parked cars"] == counts["parked trucks"] == counts["parked buses"] == 0
     assert scene.layers[1].gaussians.means[:, 2].max() == pytest.approx(CURB_HEIGHT_M)
     widths = [[house.width for house in plan_street(StreetParameters(seed=seed)).left] for seed in (7, 8)]
     assert widths[0] != widths[1]

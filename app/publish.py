@@ -1,0 +1,76 @@
+"""`gsrain publish`: a scene and its rain as one web page."""
+
+from pathlib import Path
+from typing import Annotated
+
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.publish.page import LONGEST_S, left_out_of_page, write_page
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.export import export_sequences
+from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.open import load_sorted_scene
+
+from .console import print, run_with_progress
+from .options import JsonFile, Wet, check_within, option, setting
+from .outputs import PAGES, check_writable, lock_outputs, write_numbers
+from .render import RainOptions, rainy_light, viewpoint_of
+from .scene import Orientation, timed_path
+
+
+def publish(
+    scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
+    /,
+    *,
+    output: Annotated[Path, option("Web page to write (.html).", "--output", "-o")],
+    rain: RainOptions | None = None,
+    camera: Annotated[Path | None, option("Camera file (JSON), for a page without a path.")] = None,
+    camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, or 3DGS's cameras.json.")] = None,
+    speed: Annotated[
+        float | None, option("Speed on the camera path in m/s; default: its own, or walking pace.")
+    ] = None,
+    duration: Annotated[float | None, option("Seconds of the path; default: all of it.")] = None,
+    time: Annotated[float, setting(ExportSettings, "first_s")] = 0.0,
+    wet: Wet = None,
+    orientation: Orientation | None = None,
+    json: JsonFile = None,
+) -> None:
+    """Write one web page with a scene, a path, and its rain under a slider of intensities, beside the dry scene.
+
+    The page loads nothing and opens from a disk, in browsers with WebGL 2. Its drops are those of the desktop. It has
+    no mirror of wet ground, splashes, spray, water on glass and light of lamps.
+    """
+    if output.suffix.lower() not in PAGES:
+        raise ValueError(f"--output {output}: expected the name of a web page (.html)")
+    check_within("--duration", duration, 0, LONGEST_S, "s", is_open=True)
+    check_writable(output, json)
+    opened = (orientation or Orientation()).of(load_sorted_scene(scene))
+    settings = (rain or RainOptions()).for_scene(opened)
+    opened, settings = rainy_light(opened, settings, wet, settings.intensity_mm_h)
+    film = ExportSettings(output="page.mp4", first_s=time)
+    viewpoint = viewpoint_of(opened, camera, camera_path, film, is_frame=False)
+    is_path = camera_path is not None or (camera is None and opened.path is not None)
+    if isinstance(viewpoint, CameraPath) and is_path:
+        viewpoint = timed_path(viewpoint, speed).path
+    elif speed is not None:
+        raise ValueError(f"--speed {speed:g}: only a camera path has one (--camera-path, or a scene with its own)")
+    is_own = camera is None and camera_path is None and opened.path is not None
+    sequence = export_sequences(film, opened, RainSimulation.start(settings), viewpoint, in_scene_time=is_own)[""]
+    lock_outputs(output)
+    with open_renderer("cpu") as renderer:
+        contents = run_with_progress(
+            write_page(renderer, opened, settings, sequence, _path_name(opened.name, camera_path), output, duration)
+        )
+    page_bytes, sog_bytes = output.stat().st_size, len(contents.scene.sog)
+    rates = [state["intensity"] for state in contents.rain.states]
+    length = f"{sequence.length_s or 0.0:.3g} s of path" if len(contents.views) > 1 else "one place"
+    print(f"{output}: {page_bytes / 1e6:.1f} MB, {length}, {len(rates)} intensities")
+    print(f"not on the page: {', '.join(left_out_of_page(opened, time))}")
+    write_numbers(
+        json,
+        {"bytes": page_bytes, "sog_bytes": sog_bytes, "cameras": len(contents.views), "intensities_mm_h": rates},
+    )
+
+
+def _path_name(scene: str, camera_path: Path | None) -> str:
+    return scene if camera_path is None else camera_path.stem

@@ -1,0 +1,169 @@
+"""A scene and its rain as one web page: the scene as a SOG file, a path, and the desktop's rain and shaders.
+
+The page draws what `gsrain render` draws, but for what `left_out_of_page` lists. Its rain is that of `rain.js`, which
+computes the integers of `drop_field.py` again, and its shaders share their common parts with the desktop's. Viewers
+of others draw no streaks: an alpha of 0.01 is below what they keep in eight bits, and rain adds in linear light.
+"""
+
+import base64
+import json
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from ..rain.settings import RainSettings
+from ..render.cpu.projection import NEAR_M
+from ..render.draw import RenderView
+from ..render.opengl.shaders import ShaderSource
+from ..render.renderer import Renderer
+from ..render.sequence import FrameSequence
+from ..scene.files import whole_file
+from ..scene.geometry import quaternions_from_matrices
+from ..scene.progress import Progress
+from ..scene.scene import Scene
+from ..scene.transforms import lost_when_flattened, world_to_file
+from .page_scene import POSE_STEP_S, PageScene, page_scene
+from .rain_states import RainStates, check_rain, rain_states
+
+LONGEST_S = 600.0
+"""Longest path on a page."""
+
+_STEP_S = 1 / 30  # between the cameras of the path
+_COLUMNS = {"SPLAT_COLUMNS": 2048, "STREAK_COLUMNS": 512}  # of the data textures
+_SHADERS = "page_quad.vert", "page_project.frag", "page_splat.vert", "page_splat.frag", "page_picture.frag"
+_KEYS = (
+    ("Drag, wheel", "look around, move ahead"),
+    ("W A S D, Q E", "move; with Shift faster"),
+    ("Space, Home", "play or pause; back to the path"),
+    ("C", "compare dry and rainy"),
+)
+
+_ABOUT = (
+    "A captured scene in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of each "
+    "rainfall intensity, and the same drops as in the program. Drag the divider to compare, the slider for more rain."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PageContents:
+    """All that a page holds."""
+
+    title: str
+    path_name: str
+    scene: PageScene
+    rain: RainStates
+    views: Sequence[RenderView]
+    """Cameras of the path, `_STEP_S` apart."""
+    start_s: float = 0.0
+    """Time of the scene and of the rain at the start of the path."""
+    split: float | None = 0.5
+    """Place of the divider between dry and rainy at first, as a share of the width; None shows rain alone."""
+    missing: Sequence[str] = ()
+    """Phrases for what the page lacks of the scene."""
+
+
+def write_page(
+    renderer: Renderer,
+    scene: Scene,
+    rain: RainSettings,
+    sequence: FrameSequence,
+    path_name: str,
+    output: Path,
+    duration_s: float | None = None,
+) -> Generator[Progress, None, PageContents]:
+    """Write a scene, as it is at the sequence's start, with its rain and the sequence's path to an HTML file.
+
+    `duration_s` shortens the path. Raises `ValueError` for a rain that a page can't draw, or a path longer than
+    `LONGEST_S`.
+    """
+    check_rain(rain)
+    length_s = min(sequence.length_s or 0.0, duration_s or np.inf)
+    if length_s > LONGEST_S:
+        raise ValueError(f"the path takes {length_s:.0f} s, a page has room for {LONGEST_S:g} s")
+    yield Progress(0.0, "Sampling the sky")
+    time_s = sequence.start_s
+    sky = sequence.sky(renderer)
+    content = yield from page_scene(scene, time_s, length_s)
+    yield Progress(0.9, "Writing the page")
+    views = [sequence.shot_at(time_s + step * _STEP_S) for step in range(round(length_s / _STEP_S) + 1)]
+    exposure_s = sequence.rainfall.exposure_s(views[0].camera)
+    cameras = [view.camera for view in views]
+    states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, cameras, exposure_s)
+    contents = PageContents(
+        scene.name, path_name, content, states, views, time_s, missing=left_out_of_page(scene, time_s)
+    )
+    with whole_file(output) as written:
+        written.write_text(page_html(contents), encoding="utf-8")
+    return contents
+
+
+def left_out_of_page(scene: Scene, time_s: float) -> list[str]:
+    """Phrases for what a page lacks of a scene and its rain."""
+    kept = "wet colors", "camera key", "the rain", "actor"
+    lost = [each for each in lost_when_flattened(scene, time_s) if not any(word in each for word in kept)]
+    lamps = ["the light of lamps on rain"] if scene.lamps else []
+    return [*lost, *lamps, "the mirror of wet ground", "splashes", "spray", "water on glass"]
+
+
+def page_html(contents: PageContents) -> str:
+    """The page, which loads nothing else."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("gsrain_engine.publish", "."), autoescape=True, trim_blocks=False,
+        undefined=jinja2.StrictUndefined,
+    )  # fmt: skip
+    diameters = np.ascontiguousarray(contents.rain.diameters_mm, np.float32).tobytes()
+    found = contents.scene
+    blocks = {"scene": found.sog, "diameters": diameters, "wet": found.wet_colors, "actors": found.actors}
+    blocks["poses"] = found.poses.tobytes() if len(found.poses) else None
+    blocks["roofs"] = None if contents.rain.roofs is None else contents.rain.roofs.heights_m.tobytes()
+    texts = {name: ShaderSource(name, _COLUMNS).text for name in _SHADERS}
+    texts["page_project.frag streaks"] = ShaderSource("page_project.frag", {**_COLUMNS, "STREAKS": 1}).text
+    texts["rain-script"] = (Path(__file__).parent / "rain.js").read_text(encoding="utf-8")
+    data = [(name, Markup(text)) for name, text in texts.items()]
+    data += [(name, Markup(base64.b64encode(block).decode())) for name, block in blocks.items() if block is not None]
+    return environment.get_template("page.html").render(
+        title=contents.title, path_name=contents.path_name, about=_ABOUT, keys=_KEYS,
+        missing=", ".join(contents.missing), version=metadata.version("gsrain"), settings=_script(_settings(contents)),
+        data=data,
+    )  # fmt: skip
+
+
+def _settings(contents: PageContents) -> dict[str, Any]:
+    file_to_world = np.linalg.inv(world_to_file())
+    return {
+        "splatColumns": _COLUMNS["SPLAT_COLUMNS"],
+        "streakColumns": _COLUMNS["STREAK_COLUMNS"],
+        "near": NEAR_M,
+        "toWorld": {"rotation": file_to_world[:3, :3].tolist(), "origin": file_to_world[:3, 3].tolist()},
+        "antialiased": contents.scene.antialiased,
+        "hasWet": contents.scene.wet_colors is not None,
+        "actors": len(contents.scene.poses),
+        "poseStep": POSE_STEP_S,
+        "start": contents.start_s,
+        "rain": contents.rain.settings,
+        "states": contents.rain.states,
+        "chosen": contents.rain.chosen,
+        "split": contents.split,
+        "pathStep": _STEP_S,
+        "path": [_row(view) for view in contents.views],
+    }
+
+
+def _row(view: RenderView) -> list[float]:
+    """Position, camera to world (w x y z), vertical field of view in degrees, and velocity of a camera."""
+    camera = view.camera
+    turn = quaternions_from_matrices(camera.camera_to_world[None, :3, :3])[0]
+    fov_deg = np.degrees(2 * np.arctan(camera.height / 2 / camera.fy))
+    velocity = np.zeros(3) if view.velocity_m_s is None else view.velocity_m_s
+    return [round(float(each), 7) for each in (*camera.position, *turn, fov_deg, *velocity)]
+
+
+def _script(values: dict[str, Any]) -> Markup:
+    """JSON that may stand in a script element."""
+    return Markup(json.dumps(values, separators=(",", ":")).replace("<", "\\u003c"))

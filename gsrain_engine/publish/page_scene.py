@@ -1,0 +1,119 @@
+"""Scene of a page: all Gaussians in one SOG file, their soaked colors, and which of them move with which actor."""
+
+import io
+import zipfile
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+from PIL import Image
+
+from ..scene.formats.sog_writer import write_sog
+from ..scene.gaussians import Gaussians
+from ..scene.lod_order import morton_order
+from ..scene.progress import Progress
+from ..scene.scene import Actor, DrawItem, Layer, Scene
+from ..scene.transforms import bake_item, transform_gaussians, world_to_file
+
+POSE_STEP_S = 0.1  # between the poses of actors, as recordings have them
+_COLORS = "meta.json", "sh0.webp", "shN_centroids.webp", "shN_labels.webp"
+_ABSENT = np.full((3, 4), np.nan, np.float32)
+
+
+class PageScene(NamedTuple):
+    """Scene of a page."""
+
+    sog: bytes
+    """The scene as it is lit, in the frame of single-file scenes; actors where they are first."""
+    wet_colors: bytes | None
+    """Colors of the same Gaussians in the same order when soaked: what a SOG file has of them; None without any."""
+    actors: bytes | None
+    """Lossless image with a pixel for each Gaussian: number of its actor, red and 256 green; 0 does not move."""
+    poses: Float32[np.ndarray, "actors steps 3 4"]
+    """From an actor's first place to that at a time, NaN while it is absent."""
+    antialiased: bool
+
+
+def page_scene(scene: Scene, start_s: float, length_s: float) -> Generator[Progress, None, PageScene]:
+    """Prepare all that is visible at any time of a path."""
+    times_s = start_s + POSE_STEP_S * np.arange(int(np.ceil(length_s / POSE_STEP_S)) + 1)
+    items: list[tuple[Layer | Actor, float, int]] = []
+    poses: list[Float32[np.ndarray, "steps 3 4"]] = []
+    for member in scene.members:
+        places = [scene.part(member, float(t)) for t in times_s] if member.visible else []
+        first = next((k for k, place in enumerate(places) if place is not None), None)
+        if first is None:
+            continue
+        moves = _moves(places, first)
+        is_moving = isinstance(member, Actor) and not np.array_equal(moves, np.broadcast_to(moves[first], moves.shape))
+        poses += [moves] if is_moving else []
+        items.append((member, float(times_s[first]), len(poses) if is_moving else 0))
+    yield Progress(0.1, "Compressing the scene")
+    dry, labels = _merged(scene, items, 0.0)
+    order = morton_order(dry)
+    sog = sog_bytes(dry)
+    wet = None
+    if scene.has_wet_colors:
+        yield Progress(0.5, "Compressing the wet colors")
+        wet = _colors_of(sog_bytes(_merged(scene, items, 1.0)[0]))
+    moved = np.stack(poses) if poses else np.zeros((0, len(times_s), 3, 4), np.float32)
+    return PageScene(sog, wet, _label_image(labels[order]) if poses else None, moved, dry.antialiased)
+
+
+def _moves(places: Sequence[DrawItem | None], first: int) -> Float32[np.ndarray, "steps 3 4"]:
+    start = places[first]
+    assert start is not None
+    to_file, back = world_to_file(), np.linalg.inv(world_to_file() @ start.to_world)
+    return np.stack(
+        [
+            _ABSENT if place is None else (to_file @ place.to_world @ back)[:3].astype(np.float32).round(6)
+            for place in places
+        ]
+    )
+
+
+def _merged(
+    scene: Scene, items: Sequence[tuple[Layer | Actor, float, int]], wetness: float
+) -> tuple[Gaussians, Int64[np.ndarray, " n"]]:
+    """All Gaussians in the frame of single-file scenes, and the numbers of their actors."""
+    parts: list[Gaussians] = []
+    labels: list[Int64[np.ndarray, " n"]] = []
+    for member, time_s, label in items:
+        item = scene.part(member, time_s, wetness=wetness)
+        assert item is not None
+        parts.append(transform_gaussians(bake_item(item), _to_file(item)))
+        labels.append(np.full(len(parts[-1]), label))
+    return Gaussians.concatenate(parts), np.concatenate(labels)
+
+
+def _to_file(item: DrawItem) -> Float64[np.ndarray, "4 4"]:
+    return world_to_file() @ item.to_world
+
+
+def sog_bytes(gaussians: Gaussians) -> bytes:
+    """Gaussians as a SOG file."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.sog"
+        write_sog(gaussians, path)
+        return path.read_bytes()
+
+
+def _colors_of(sog: bytes) -> bytes:
+    """Colors of a SOG file alone, as a zip file."""
+    kept = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(sog)) as whole, zipfile.ZipFile(kept, "w") as colors:
+        for name in set(_COLORS).intersection(whole.namelist()):
+            colors.writestr(zipfile.ZipInfo(name), whole.read(name))
+    return kept.getvalue()
+
+
+def _label_image(labels: Int64[np.ndarray, " n"]) -> bytes:
+    columns = 2048
+    pixels = np.zeros((-(-len(labels) // columns) * columns, 3), np.uint8)
+    pixels[: len(labels), 0], pixels[: len(labels), 1] = labels & 255, labels >> 8
+    file = io.BytesIO()
+    Image.fromarray(pixels.reshape(-1, columns, 3)).save(file, "WEBP", lossless=True)
+    return file.getvalue()

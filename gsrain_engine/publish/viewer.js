@@ -1,0 +1,475 @@
+"use strict";
+// The page: draws a SOG scene and its rain with WebGL 2, by the shaders of the desktop. Rain and depth order come from the worker
+// (rain.js). A part of the address after # is a view: #mm=8.5&t=2.5&split=0.5&camera=x,y,z,w,x,y,z,fov; `size=WxH` fixes the size.
+
+const settings = JSON.parse(document.getElementById("settings").textContent);
+const COLUMNS = settings.splatColumns, STREAK_COLUMNS = settings.streakColumns, STREAK_FLOATS = 12, NEAR = settings.near;
+const element = name => document.getElementById(name), canvas = element("view");
+const gl = canvas.getContext("webgl2", {alpha: false, antialias: false, powerPreference: "high-performance", preserveDrawingBuffer: true});
+
+function bytesOf(name) {
+  const text = atob(element(name).textContent);
+  element(name).remove();
+  return Uint8Array.from(text, letter => letter.charCodeAt(0));
+}
+
+// Files of a zip archive, stored or deflated.
+async function unzipped(bytes) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), files = {};
+  let end = bytes.length - 22;
+  while (end > 0 && view.getUint32(end, true) !== 0x06054b50) --end;
+  let at = view.getUint32(end + 16, true);
+  for (let left = view.getUint16(end + 10, true); left > 0; --left) {
+    const method = view.getUint16(at + 10, true), size = view.getUint32(at + 20, true), local = view.getUint32(at + 42, true);
+    const name = new TextDecoder().decode(bytes.subarray(at + 46, at + 46 + view.getUint16(at + 28, true)));
+    const start = local + 30 + view.getUint16(local + 26, true) + view.getUint16(local + 28, true);
+    const data = bytes.subarray(start, start + size);
+    files[name] = method === 0 ? data : new Uint8Array(await new Response(
+      new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate-raw"))).arrayBuffer());
+    at += 46 + view.getUint16(at + 28, true) + view.getUint16(at + 30, true) + view.getUint16(at + 32, true);
+  }
+  return files;
+}
+
+// Textures and programs
+
+function texture(internal, width, height, format, type, pixels = null) {
+  const made = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, made);
+  gl.texStorage2D(gl.TEXTURE_2D, 1, internal, width, height);
+  if (pixels) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, format, type, pixels);
+  for (const [name, value] of [["MIN_FILTER", "NEAREST"], ["MAG_FILTER", "NEAREST"], ["WRAP_S", "CLAMP_TO_EDGE"], ["WRAP_T", "CLAMP_TO_EDGE"]])
+    gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl[value]);
+  return Object.assign(made, {width, height});
+}
+
+async function imageTexture(bytes) {  // the bytes of a lossless image, as they are
+  const bitmap = await createImageBitmap(
+    new Blob([bytes], {type: "image/webp"}), {premultiplyAlpha: "none", colorSpaceConversion: "none"});
+  return texture(gl.RGBA8, bitmap.width, bitmap.height, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+}
+
+function target(...textures) {
+  const made = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, made);
+  textures.forEach((each, k) => gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + k, gl.TEXTURE_2D, each, 0));
+  gl.drawBuffers(textures.map((_, k) => gl.COLOR_ATTACHMENT0 + k));
+  return made;
+}
+
+function pixelsOf(image) {
+  const framebuffer = target(image), pixels = new Uint8Array(4 * image.width * image.height);
+  gl.readPixels(0, 0, image.width, image.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  gl.deleteFramebuffer(framebuffer);
+  return pixels;
+}
+
+class Program {
+  constructor(vertex, fragment) {
+    this.program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+      gl.attachShader(this.program, shader);
+    }
+    gl.linkProgram(this.program);
+    if (!gl.getProgramParameter(this.program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(this.program));
+    this.uniforms = {};
+    for (let k = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS) - 1; k >= 0; --k) {
+      const {name, type} = gl.getActiveUniform(this.program, k), plain = name.replace("[0]", "");
+      this.uniforms[plain] = {place: gl.getUniformLocation(this.program, name), type};
+    }
+  }
+
+  use(values) {  // numbers, arrays of numbers and textures
+    gl.useProgram(this.program);
+    let unit = 0;
+    for (const [name, value] of Object.entries(values)) {
+      const uniform = this.uniforms[name];
+      if (!uniform) continue;
+      const {place, type} = uniform;
+      if (value instanceof WebGLTexture) {
+        gl.activeTexture(gl.TEXTURE0 + unit);
+        gl.bindTexture(gl.TEXTURE_2D, value);
+        gl.uniform1i(place, unit++);
+      } else if (type === gl.FLOAT_MAT4) gl.uniformMatrix4fv(place, false, value);
+      else if (type === gl.FLOAT) typeof value === "number" ? gl.uniform1f(place, value) : gl.uniform1fv(place, value);
+      else if (type === gl.INT || type === gl.BOOL) gl.uniform1i(place, value);
+      else if (type === gl.INT_VEC2) gl.uniform2iv(place, value);
+      else gl[`uniform${value.length}fv`](place, value);
+    }
+  }
+}
+
+// Small matrices, as rows
+
+const times = (m, v) => m.map(row => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
+const transposed = m => [0, 1, 2].map(k => m.map(row => row[k]));
+const product = (m, n) => m.map(row => [0, 1, 2].map(k => row[0] * n[0][k] + row[1] * n[1][k] + row[2] * n[2][k]));
+function rotationOf([w, x, y, z]) {
+  return [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+          [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+          [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]];
+}
+
+// Camera: position, axes (right, down, forward) in the world, vertical field of view (degrees), velocity (m/s)
+
+function pathCamera(time) {
+  const {path, pathStep} = settings, at = Math.min(time / pathStep, path.length - 1), k = Math.min(Math.floor(at), path.length - 2);
+  if (k < 0) return {position: path[0].slice(0, 3), axes: transposed(rotationOf(path[0].slice(3, 7))), fov: path[0][7], velocity: path[0].slice(8)};
+  const [a, b, share] = [path[k], path[k + 1], at - k];
+  const mixed = a.map((each, i) => each + share * (b[i] - each)), turn = mixed.slice(3, 7), norm = Math.hypot(...turn);
+  return {position: mixed.slice(0, 3), axes: transposed(rotationOf(turn.map(each => each / norm))), fov: mixed[7], velocity: mixed.slice(8)};
+}
+
+function withSize(camera, width, height) {
+  const focal = height / 2 / Math.tan(camera.fov * Math.PI / 360);
+  return {...camera, width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2};
+}
+
+// Where the actors are at a time of the path: rows of matrices from their first place, in the file's frame; NaN where absent.
+function posesAt(time) {
+  if (!settings.actors) return null;
+  const {all, steps} = scene.poses, found = new Float32Array(12 * settings.actors);
+  const at = Math.min(time / settings.poseStep, steps - 1), k = Math.min(Math.floor(at), Math.max(steps - 2, 0)), share = at - k;
+  for (let actor = 0; actor < settings.actors; ++actor)
+    for (let i = 0; i < 12; ++i) {
+      const a = all[12 * (actor * steps + k) + i], b = all[12 * (actor * steps + Math.min(k + 1, steps - 1)) + i];
+      found[12 * actor + i] = share > 0 ? a + share * (b - a) : a;
+    }
+  return found;
+}
+
+// State of the page
+
+const duration = settings.pathStep * (settings.path.length - 1);
+const state = {time: 0, step: settings.chosen, split: settings.split, playing: false, free: null, size: null};
+const keys = new Set();
+let worker = null, waiting = new Map(), requests = 0, scene = {}, programs = null, screen = null, half = null;
+
+function answer(camera, time, step, drops = false) {  // of the worker
+  const id = ++requests;
+  const promise = new Promise(resolve => waiting.set(id, resolve));
+  const poses = posesAt(time), {rotation, origin} = settings.toWorld;
+  worker.postMessage({id, camera, time: settings.start + time, state: step, near: NEAR, drops, poses, rotation, origin});
+  return promise;
+}
+
+async function open() {
+  if (!gl) throw new Error("this browser has no WebGL 2");
+  if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("this graphics card draws no floating-point images");
+  half = !gl.getExtension("EXT_float_blend");
+  const files = await unzipped(bytesOf("scene")), meta = JSON.parse(new TextDecoder().decode(files["meta.json"]));
+  const wetFiles = settings.hasWet ? await unzipped(bytesOf("wet")) : files;
+  const wet = JSON.parse(new TextDecoder().decode(wetFiles["meta.json"]));
+  const image = (from, part, k) => part ? imageTexture(from[part.files[k]]) : texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  const books = [meta.scales, meta.sh0, meta.shN, wet.sh0, wet.shN].map(part => part ? part.codebook : new Array(256).fill(0));
+  const textures = {
+    means_low: await image(files, meta.means, 0), means_high: await image(files, meta.means, 1),
+    scales: await image(files, meta.scales, 0), quaternions: await image(files, meta.quats, 0), base: await image(files, meta.sh0, 0),
+    centroids: await image(files, meta.shN, 0), labels: await image(files, meta.shN, 1),
+    wet_base: await image(wetFiles, wet.sh0, 0), wet_centroids: await image(wetFiles, wet.shN, 0),
+    wet_labels: await image(wetFiles, wet.shN, 1),
+    codebooks: texture(gl.R32F, 256, 5, gl.RED, gl.FLOAT, Float32Array.from(books.flat())),
+  };
+  if (settings.actors) {
+    textures.actors = await imageTexture(bytesOf("actors"));
+    textures.poses = texture(gl.RGBA32F, 4, settings.actors + 1);
+    const poses = new Float32Array(bytesOf("poses").buffer);
+    scene.poses = {all: poses, steps: poses.length / settings.actors / 12};
+  } else textures.actors = textures.poses = texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  const harmonics = part => part ? [1, 4, 9, 16][part.bands] : 1;
+  const count = meta.count, {mins, maxs} = meta.means;
+  Object.assign(scene, {count, textures, means_minimum: mins, means_maximum: maxs, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)});
+  const low = pixelsOf(textures.means_low), high = pixelsOf(textures.means_high), fixed = new Float32Array(3 * count);
+  const {rotation, origin} = settings.toWorld, place = [0, 0, 0];
+  for (let i = 0; i < count; ++i) {
+    for (let k = 0; k < 3; ++k) {
+      const value = mins[k] + (maxs[k] - mins[k]) * (low[4 * i + k] + 256 * high[4 * i + k]) / 65535;
+      place[k] = Math.sign(value) * Math.expm1(Math.abs(value));
+    }
+    for (let k = 0; k < 3; ++k)
+      fixed[3 * i + k] = rotation[k][0] * place[0] + rotation[k][1] * place[1] + rotation[k][2] * place[2] + origin[k];
+  }
+  const diameters = new Float32Array(bytesOf("diameters").buffer), classes = diameters.length / settings.states.length;
+  const states = settings.states.map((each, k) => ({...each, diameters: diameters.subarray(k * classes, (k + 1) * classes)}));
+  worker = new Worker(URL.createObjectURL(new Blob([element("rain-script").textContent], {type: "text/javascript"})));
+  worker.onmessage = ({data}) => { waiting.get(data.id)(data); waiting.delete(data.id); };
+  const actors = settings.actors ? pixelsOf(textures.actors) : null;
+  const members = actors && Uint16Array.from({length: count}, (_, i) => actors[4 * i] + 256 * actors[4 * i + 1]);
+  if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(bytesOf("roofs").buffer);
+  worker.postMessage({fixed, members, states, settings: settings.rain});
+  const text = name => element(name).textContent;
+  programs = {
+    scene: new Program(text("page_quad.vert"), text("page_project.frag")),
+    streaks: new Program(text("page_quad.vert"), text("page_project.frag streaks")),
+    splats: new Program(text("page_splat.vert"), text("page_splat.frag")),
+    picture: new Program(text("page_quad.vert"), text("page_picture.frag")),
+  };
+  const corners = Uint16Array.from({length: 128 * 6}, (_, k) => 4 * Math.floor(k / 6) + [0, 1, 2, 2, 1, 3][k % 6]);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+}
+
+const rowsFor = (count, columns) => Math.max(1, Math.ceil(count / columns));
+
+function makeRoom(streaks, total) {  // data textures: splats of the scene, then of streaks; streaks; the order
+  const rows = rowsFor(scene.count, COLUMNS);
+  if (!scene.room || streaks > scene.room) {
+    const room = scene.room = Math.max(65536, 2 * streaks), more = rowsFor(room, COLUMNS);
+    for (const old of [scene.shapes, scene.rests, scene.streaks, scene.order]) gl.deleteTexture(old ?? null);
+    scene.shapes = texture(gl.RGBA32UI, COLUMNS, rows + more);
+    scene.rests = texture(gl.RGBA32UI, COLUMNS, rows + more);
+    scene.streaks = texture(gl.RGBA32F, 3 * STREAK_COLUMNS, rowsFor(room, STREAK_COLUMNS));
+    scene.order = texture(gl.R32UI, COLUMNS, rowsFor(scene.count + room, COLUMNS));
+    scene.target = target(scene.shapes, scene.rests);
+  }
+  return rows;
+}
+
+function upload(image, columns, per, data, format, type) {  // rows of a texture, the last one padded
+  const rows = rowsFor(data.length / per, columns), padded = new data.constructor(rows * columns * per);
+  padded.set(data);
+  gl.bindTexture(gl.TEXTURE_2D, image);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, image.width, rows, format, type, padded);
+}
+
+function makeScreen(width, height) {
+  if (screen && screen.width === width && screen.height === height) return;
+  if (screen) [screen.scene, screen.shares].forEach(each => gl.deleteTexture(each));
+  const kind = half ? gl.RGBA16F : gl.RGBA32F;
+  screen = {width, height, scene: texture(kind, width, height), shares: texture(kind, width, height)};
+  screen.target = target(screen.scene, screen.shares);
+}
+
+function projection(camera) {
+  const {rotation, origin} = settings.toWorld, turn = product(camera.axes, rotation);
+  const shift = times(camera.axes, origin.map((each, k) => each - camera.position[k]));
+  const inObject = times(transposed(rotation), camera.position.map((each, k) => each - origin[k]));
+  const matrix = [0, 1, 2].flatMap(k => [turn[0][k], turn[1][k], turn[2][k], 0]).concat(shift, 1);
+  return {object_to_camera: matrix, camera_in_object: inObject, intrinsics: [camera.fx, camera.fy, camera.cx, camera.cy],
+          image_size: [camera.width, camera.height], near: NEAR};
+}
+
+// From the frame of one camera to that of another.
+function moved(from, to) {
+  const turn = product(to.axes, transposed(from.axes)), shift = times(to.axes, from.position.map((each, k) => each - to.position[k]));
+  return {moved: [0, 1, 2].flatMap(k => [turn[0][k], turn[1][k], turn[2][k], 0]).concat(shift, 1)};
+}
+
+const linear = color => color.map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
+
+// Draws one state of the rain into the columns of the canvas from `left` to `right` (shares of the width).
+function drawPart(camera, drawn, rain, left, right) {
+  const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count, drawn.ids.length), view = projection(camera);
+  const falls = rain.density > 0, hazy = rain.extinction > 0;
+  const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, airlight: linear(rain.airlight)};
+  if (settings.actors) uploadPoses(drawn.poses, view.camera_in_object);
+  gl.disable(gl.BLEND);
+  gl.disable(gl.SCISSOR_TEST);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, scene.target);
+  gl.viewport(0, 0, COLUMNS, rows);
+  programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, has_actors: settings.actors > 0, wetness: settings.hasWet ? rain.wetness : 0,
+                      antialiased: settings.antialiased, has_medium: hazy});
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+  if (falls && count) {
+    upload(scene.streaks, STREAK_COLUMNS, STREAK_FLOATS, drawn.streaks, gl.RGBA, gl.FLOAT);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, scene.target);
+    gl.viewport(0, rows, COLUMNS, rowsFor(count, COLUMNS));
+    programs.streaks.use({...view, ...moved(drawn.camera, camera), streaks: scene.streaks, first_row: rows, count, display_color: rain.drops});
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+  upload(scene.order, COLUMNS, 1, drawn.ids, gl.RED_INTEGER, gl.UNSIGNED_INT);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, screen.target);
+  gl.viewport(0, 0, camera.width, camera.height);
+  gl.enable(gl.SCISSOR_TEST);
+  const from = Math.round(left * camera.width), to = Math.round(right * camera.width);
+  gl.scissor(from, 0, to - from, camera.height);
+  gl.clearBufferfv(gl.COLOR, 0, hazy ? [...rain.airlight, 1] : [0, 0, 0, 0]);
+  gl.clearBufferfv(gl.COLOR, 1, [0, hazy ? 1 : 0, 0, 0]);
+  gl.enable(gl.BLEND);
+  gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  programs.splats.use({shapes: scene.shapes, rests: scene.rests, order: scene.order, image_size: view.image_size, falls,
+                       drawn_count: drawn.ids.length, scene_count: scene.count, first_streak_row: rows});
+  gl.drawElementsInstanced(gl.TRIANGLES, 128 * 6, gl.UNSIGNED_SHORT, 0, Math.ceil(drawn.ids.length / 128));
+  gl.disable(gl.BLEND);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  gl.viewport(0, 0, canvas.width, canvas.height);
+  gl.scissor(Math.round(left * canvas.width), 0, Math.round(right * canvas.width) - Math.round(left * canvas.width), canvas.height);
+  programs.picture.use({clear_scene: screen.scene, shares: screen.shares, rain_light: linear(rain.drops), screen: [canvas.width, canvas.height]});
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+}
+
+function uploadPoses(poses, inObject) {  // three rows and the camera in the actor's first frame; row 0 is of what does not move
+  const rows = new Float32Array(16 * (settings.actors + 1));
+  rows.set([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, ...inObject, 0]);
+  for (let actor = 0; actor < settings.actors; ++actor) {
+    const m = poses.subarray(12 * actor, 12 * actor + 12), away = [inObject[0] - m[3], inObject[1] - m[7], inObject[2] - m[11]];
+    rows.set(m, 16 * (actor + 1));
+    for (let k = 0; k < 3; ++k) rows[16 * (actor + 1) + 12 + k] = m[k] * away[0] + m[4 + k] * away[1] + m[8 + k] * away[2];
+  }
+  gl.bindTexture(gl.TEXTURE_2D, scene.textures.poses);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 4, settings.actors + 1, gl.RGBA, gl.FLOAT, rows);
+}
+
+function draw(camera, drawn, split) {
+  makeScreen(camera.width, camera.height);
+  if (split > 0) drawPart(camera, {...drawn, streaks: new Float32Array(0)}, settings.states[0], 0, split);
+  if (split < 1) drawPart(camera, drawn, settings.states[drawn.state], split, 1);
+}
+
+// One exact picture: a view as in the address, as a data URL; for tests and figures.
+async function image(options = {}) {
+  Object.assign(state, viewOf(options), {playing: false});
+  fit();
+  const camera = withSize(state.free ?? pathCamera(state.time), canvas.width, canvas.height);
+  draw(camera, await answer(camera, state.time, state.step), state.split ?? 0);
+  show();
+  return canvas.toDataURL("image/png");
+}
+
+function viewOf({mm, t, split, camera, size}) {
+  const view = {};
+  if (mm !== undefined) {
+    const distances = settings.states.map(each => Math.abs(each.intensity - mm));
+    view.step = distances.indexOf(Math.min(...distances));
+  }
+  if (t !== undefined) view.time = Math.max(0, Number(t));
+  if (split !== undefined) view.split = Number(split) > 0 ? Math.min(Number(split), 1) : null;
+  if (size !== undefined) view.size = String(size).split("x").map(Number);
+  if (camera !== undefined) {
+    const numbers = String(camera).split(",").map(Number);
+    view.free = {position: numbers.slice(0, 3), axes: transposed(rotationOf(numbers.slice(3, 7))), fov: numbers[7], velocity: [0, 0, 0]};
+  }
+  return view;
+}
+
+function fit() {  // the canvas to the window, or to the size that was asked for
+  const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const [width, height] = state.size ?? [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, {width, height});
+}
+
+// Controls
+
+function show() {
+  const rain = settings.states[state.step], named = rain.class ? `, ${rain.class}` : "";
+  element("intensity-name").textContent = rain.intensity ? `${rain.intensity} mm/h${named}` : "dry";
+  element("intensity").value = state.step;
+  element("time").value = duration ? 1000 * state.time / duration : 0;
+  element("play").setAttribute("aria-pressed", state.playing);
+  element("compare").setAttribute("aria-pressed", state.split !== null);
+  element("home").hidden = !state.free;
+  const divider = element("divider");
+  divider.hidden = state.split === null;
+  divider.style.left = `${100 * (state.split ?? 0)}%`;
+  divider.setAttribute("aria-valuenow", Math.round(100 * (state.split ?? 0)));
+}
+
+function freed() {
+  state.free ??= {...pathCamera(state.time), velocity: [0, 0, 0]};
+  return state.free;
+}
+
+function look(dx, dy) {
+  const camera = freed(), radians = camera.fov / canvas.clientHeight * Math.PI / 180, forward = camera.axes[2];
+  const heading = Math.atan2(forward[1], forward[0]) + dx * radians;
+  const rise = Math.min(Math.max(Math.asin(Math.max(-1, Math.min(1, forward[2]))) + dy * radians, -1.5), 1.5);
+  const ahead = [Math.cos(heading) * Math.cos(rise), Math.sin(heading) * Math.cos(rise), Math.sin(rise)];
+  const right = [Math.sin(heading), -Math.cos(heading), 0];
+  const down = [0, 1, 2].map(k => ahead[(k + 1) % 3] * right[(k + 2) % 3] - ahead[(k + 2) % 3] * right[(k + 1) % 3]);
+  camera.axes = [right, down, ahead];
+}
+
+function move(seconds) {
+  const along = {KeyW: [0, 0, 1], ArrowUp: [0, 0, 1], KeyS: [0, 0, -1], ArrowDown: [0, 0, -1], KeyA: [-1, 0, 0], ArrowLeft: [-1, 0, 0],
+                 KeyD: [1, 0, 0], ArrowRight: [1, 0, 0], KeyE: [0, -1, 0], KeyQ: [0, 1, 0]};
+  const sum = [...keys].reduce((total, key) => total.map((each, k) => each + (along[key]?.[k] ?? 0)), [0, 0, 0]);
+  if (!sum.some(Boolean)) { if (state.free) state.free.velocity = [0, 0, 0]; return; }
+  const camera = freed(), speed = keys.has("ShiftLeft") || keys.has("ShiftRight") ? 20 : 5, way = times(transposed(camera.axes), sum);
+  camera.velocity = way.map(each => each * speed);
+  camera.position = camera.position.map((each, k) => each + camera.velocity[k] * seconds);
+}
+
+function wire() {
+  const fingers = new Map();
+  canvas.addEventListener("pointerdown", event => { fingers.set(event.pointerId, event); canvas.setPointerCapture(event.pointerId); canvas.focus(); });
+  canvas.addEventListener("pointerup", event => fingers.delete(event.pointerId));
+  canvas.addEventListener("pointercancel", event => fingers.delete(event.pointerId));
+  canvas.addEventListener("pointermove", event => {
+    const before = fingers.get(event.pointerId);
+    if (!before) return;
+    const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY];
+    fingers.set(event.pointerId, event);
+    if (fingers.size === 1 && !event.shiftKey && event.buttons !== 4) return look(dx, dy);
+    const camera = freed(), way = times(transposed(camera.axes), [-0.01 * dx, -0.01 * dy, 0]);
+    camera.position = camera.position.map((each, k) => each + way[k]);
+  });
+  canvas.addEventListener("wheel", event => {
+    event.preventDefault();
+    const camera = freed();
+    camera.position = camera.position.map((each, k) => each - 0.01 * event.deltaY * camera.axes[2][k]);
+  }, {passive: false});
+  addEventListener("keydown", event => {
+    if (event.target instanceof HTMLInputElement || element("about").open || event.ctrlKey || event.metaKey) return;
+    if (event.code === "Space" && !(event.target instanceof HTMLButtonElement)) { state.playing = !state.playing; event.preventDefault(); }
+    else if (event.code === "Home") state.free = null;
+    else if (event.code === "KeyC") state.split = state.split === null ? 0.5 : null;
+    else if (event.target !== element("divider")) keys.add(event.code);
+    show();
+  });
+  addEventListener("keyup", event => keys.delete(event.code));
+  addEventListener("blur", () => keys.clear());
+  element("play").onclick = () => { state.playing = !state.playing; show(); };
+  element("home").onclick = () => { state.free = null; show(); };
+  element("compare").onclick = () => { state.split = state.split === null ? 0.5 : null; show(); };
+  element("about-button").onclick = () => element("about").showModal();
+  Object.assign(element("intensity"), {max: settings.states.length - 1, oninput: event => { state.step = Number(event.target.value); show(); }});
+  element("time").oninput = event => { state.time = event.target.value / 1000 * duration; state.free = null; };
+  if (!duration) element("time").parentElement.hidden = true;
+  const divider = element("divider"), slide = x => { state.split = Math.min(Math.max(x, 0.02), 0.98); show(); };
+  divider.onpointerdown = event => divider.setPointerCapture(event.pointerId);
+  divider.onpointermove = event => { if (divider.hasPointerCapture(event.pointerId)) slide(event.clientX / innerWidth); };
+  divider.onkeydown = event => { if (event.code === "ArrowLeft" || event.code === "ArrowRight") slide(state.split + (event.code === "ArrowLeft" ? -0.02 : 0.02)); };
+}
+
+// The latest answer of the worker is drawn again and again; while it works on the next one, the view stays fluid.
+async function run() {
+  const asked = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+  Object.assign(state, viewOf(asked), {playing: !Object.keys(asked).length});
+  let latest = null, pending = false, last = performance.now(), drawn = "";
+  const turn = now => {
+    const seconds = Math.min((now - last) / 1000, 0.1);
+    last = now;
+    if (state.playing) {
+      state.time += seconds;
+      if (duration && state.time > duration) state.time %= duration;
+    }
+    move(seconds);
+    fit();
+    const camera = withSize(state.free ?? pathCamera(state.time), canvas.width, canvas.height);
+    if (!pending) {
+      const wanted = JSON.stringify([camera, state.time, state.step]);
+      if (!latest || latest.wanted !== wanted) {
+        pending = true;
+        answer(camera, state.time, state.step).then(found => { latest = {...found, wanted}; pending = false; });
+      }
+    }
+    const look = latest && JSON.stringify([latest.wanted, camera, state.split]);
+    if (latest && look !== drawn) {
+      draw(camera, latest, state.split ?? 0);
+      drawn = look;
+      element("notice").textContent = "";
+    }
+    if (state.playing) show();
+    requestAnimationFrame(turn);
+  };
+  requestAnimationFrame(turn);
+}
+
+const ready = open();
+window.gsrain = {ready, image, drops: time => answer(withSize(pathCamera(time), canvas.width, canvas.height), time, state.step, true)};
+ready.then(() => { wire(); show(); return location.hash.includes("still") ? null : run(); })
+  .catch(error => { element("notice").textContent = `This scene can't be shown: ${error.message}.`; });

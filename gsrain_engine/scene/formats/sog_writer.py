@@ -1,0 +1,195 @@
+"""Writing of SOG scenes, version 2 (PlayCanvas): codebooks, a palette of harmonics, and lossless images of both.
+
+Source of the layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog
+"""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+from PIL import Image
+
+from ..gaussians import Gaussians
+from ..lod_order import morton_order
+from ._common import rounded_bytes, without_largest
+from .stored_zip import write_stored_zip
+
+_CODES = 256  # entries of a codebook: one per value of a byte
+_PALETTE_COLUMNS = 64
+_SMALLEST_PALETTE, _LARGEST_PALETTE = 1024, 65536  # half to all of the Gaussians, as PlayCanvas' own writer, in between
+_COARSE_CELLS = 256
+_SAMPLES = 1 << 16  # Gaussians from which the coarse cells of a palette are found
+_COARSE_ROUNDS, _FINE_ROUNDS, _CODEBOOK_ROUNDS = 10, 6, 30  # of Lloyd's algorithm
+_DISTANCES = 1 << 24  # numbers of a block of distances: 64 MB
+_WEBP_EFFORT = 50  # of 100, which takes 20 times as long and saves nothing
+
+
+def write_sog(gaussians: Gaussians, path: Path) -> None:
+    """Write a `.sog`: a zip file of lossless WebP images and their description, with the Gaussians in Morton order.
+
+    Means keep 16 bits of their signed logarithm, scales and base colors the nearest of 256 values, quaternions 8 bits
+    per component, opacities 8 bits; harmonics above degree 0 become one of at most 65536 vectors. Deterministic.
+
+    Raises `ValueError` without Gaussians, which have no ranges.
+    """
+    if not len(gaussians):
+        raise ValueError("a SOG has ranges of at least one Gaussian; there is none to write")
+    ordered = gaussians.take(morton_order(gaussians))
+    n = len(ordered)
+    columns = -(-int(np.ceil(np.sqrt(n))) // 4) * 4
+    low, high, ranges = _encode_means(ordered.means)
+    log_scales, scales = _coded(np.log(np.maximum(ordered.scales, np.float32(1e-37))))
+    base_codes, base = _coded(ordered.sh[:, 0])
+    opacities = rounded_bytes(ordered.opacities * 255)[:, None]
+    pixels = {
+        "means_l.webp": low,
+        "means_u.webp": high,
+        "quats.webp": _encode_quaternions(ordered.quaternions),
+        "scales.webp": scales,
+        "sh0.webp": np.concatenate([base, opacities], axis=1),
+    }
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": "GSRAIN"},
+        "count": n,
+        "means": {**ranges, "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": log_scales, "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": base_codes, "files": ["sh0.webp"]},
+    }
+    if ordered.antialiased:
+        meta["antialias"] = True
+    images = {name: _image(rows, columns) for name, rows in pixels.items()}
+    if ordered.sh_degree:
+        palette, labels = find_palette(ordered.sh[:, 1:].reshape(n, -1))
+        codes, entries = _coded(palette)
+        files = ["shN_centroids.webp", "shN_labels.webp"]
+        meta["shN"] = {"count": len(palette), "bands": ordered.sh_degree, "codebook": codes, "files": files}
+        entries = entries.reshape(len(palette) * (ordered.sh.shape[1] - 1), 3)
+        images[files[0]] = _image(entries, _PALETTE_COLUMNS * (ordered.sh.shape[1] - 1))
+        images[files[1]] = _image(np.stack([labels & 255, labels >> 8], axis=1).astype(np.uint8), columns)
+    write_stored_zip(path, {**images, "meta.json": msgspec.json.encode(meta)})
+
+
+def _encode_means(
+    means: Float32[np.ndarray, "n 3"],
+) -> tuple[UInt8[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"], dict[str, list[float]]]:
+    """Lower and upper bytes, and the ranges of the logarithms."""
+    logarithms = np.sign(means) * np.log1p(np.abs(means, dtype=np.float64))
+    mins, maxs = logarithms.min(axis=0), logarithms.max(axis=0)
+    steps = np.rint((logarithms - mins) / np.where(maxs > mins, maxs - mins, 1) * 65535).astype(np.uint16)
+    return (steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8), {"mins": mins.tolist(), "maxs": maxs.tolist()}
+
+
+def _encode_quaternions(quaternions: Float32[np.ndarray, "n 4"]) -> UInt8[np.ndarray, "n 4"]:
+    largest, others = without_largest(quaternions)
+    components = rounded_bytes((others * np.float32(np.sqrt(2)) + 1) * np.float32(127.5))
+    return np.concatenate([components, (252 + largest)[:, None].astype(np.uint8)], axis=1)
+
+
+def _image(rows: UInt8[np.ndarray, "n c"], columns: int) -> bytes:
+    """Lossless WebP of one pixel per row; the last row of the image is filled up."""
+    pixels = np.zeros((-(-len(rows) // columns) * columns, 4), np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(rows), : rows.shape[1]] = rows
+    file = io.BytesIO()
+    picture = Image.fromarray(pixels.reshape(-1, columns, 4))
+    picture.save(file, "WEBP", lossless=True, exact=True, quality=_WEBP_EFFORT, method=4)
+    return file.getvalue()
+
+
+# Codebooks and palettes
+
+
+def _coded(values: Float32[np.ndarray, "n c"]) -> tuple[list[float], UInt8[np.ndarray, "n c"]]:
+    """Codebook of 256 numbers for values, and the index of the nearest one for each."""
+    codebook = find_codebook(values.ravel())
+    return codebook.tolist(), nearest_codes(values, codebook)
+
+
+def find_codebook(values: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, "256"]:
+    """Find 256 numbers, in increasing order, near which the values are (Lloyd 1982).
+
+    Starts from quantiles and equal steps in equal parts, so that rare values outside get codes, too.
+    """
+    ordered = np.sort(values.astype(np.float64))
+    sums = np.concatenate([[0.0], np.cumsum(ordered)])
+    half = _CODES // 2
+    steps = np.linspace(ordered[0], ordered[-1], half)
+    codes = np.sort(np.concatenate([np.quantile(ordered, (np.arange(half) + 0.5) / half), steps]))
+    for _ in range(_CODEBOOK_ROUNDS):
+        ends = np.searchsorted(ordered, (codes[1:] + codes[:-1]) / 2)
+        ends = np.concatenate([[0], ends, [len(ordered)]])
+        counts = np.diff(ends)
+        codes = np.where(counts > 0, np.diff(sums[ends]) / np.maximum(counts, 1), codes)
+    return codes.astype(np.float32)
+
+
+def nearest_codes(values: Float32[np.ndarray, "n c"], codebook: Float32[np.ndarray, "256"]) -> UInt8[np.ndarray, "n c"]:
+    """Indices of the nearest numbers of a codebook in increasing order."""
+    return np.searchsorted((codebook[1:] + codebook[:-1]) / 2, values).astype(np.uint8)
+
+
+def find_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
+    """Vectors that stand for rows, and the index of the one for each row.
+
+    k is a power of 2 between half of the rows and all, 1024 to 65536, or all if there are fewer. Rows are divided into
+    256 coarse cells and each of these on its own, so that the time grows with n sqrt(k), not n k (Lloyd 1982).
+    """
+    n = len(rows)
+    size = min(n, _LARGEST_PALETTE, max(_SMALLEST_PALETTE, 1 << (n.bit_length() - 1)))
+    if size == n:
+        return rows, np.arange(n)
+    samples = rows[:: -(-n // _SAMPLES)]
+    cells = _lloyd(samples, min(_COARSE_CELLS, size // 4), _COARSE_ROUNDS)
+    cell_of = _nearest(rows, cells)
+    order = np.argsort(cell_of, kind="stable")
+    counts = np.bincount(cell_of, minlength=len(cells))
+    shares = _shares(counts, size)
+    palette: list[Float32[np.ndarray, "k d"]] = []
+    labels = np.empty(n, np.int64)
+    start = first = 0
+    for count, share in zip(counts.tolist(), shares.tolist(), strict=True):
+        members = order[start : start + count]
+        start += count
+        if count:
+            own = _lloyd(rows[members], share, _FINE_ROUNDS)
+            labels[members] = first + _nearest(rows[members], own)
+            palette.append(own)
+            first += share
+    return np.concatenate(palette), labels
+
+
+def _shares(counts: Int64[np.ndarray, " c"], size: int) -> Int64[np.ndarray, " c"]:
+    """Divide `size` vectors among cells by their numbers of rows: at least one, at most one per row."""
+    shares = np.minimum(np.maximum(counts * size // counts.sum(), 1), counts)
+    spare = size - int(shares.sum())
+    for cell in np.argsort(shares - counts, kind="stable")[: max(spare, 0)]:  # those with the most rows without
+        shares[cell] += shares[cell] < counts[cell]
+    return shares
+
+
+def _lloyd(rows: Float32[np.ndarray, "n d"], size: int, rounds: int) -> Float32[np.ndarray, "k d"]:
+    """Centers of `size` clusters, from a start at random rows, with the same random numbers each time."""
+    if size >= len(rows):
+        return rows
+    centers = rows[np.sort(np.random.default_rng(0).choice(len(rows), size, replace=False))]
+    for _ in range(rounds):
+        labels = _nearest(rows, centers)
+        order = np.argsort(labels, kind="stable")
+        present, starts, counts = np.unique(labels[order], return_index=True, return_counts=True)
+        sums: Float64[np.ndarray, "k d"] = np.add.reduceat(rows[order], starts, axis=0, dtype=np.float64)
+        centers = centers.copy()
+        centers[present] = (sums / counts[:, None]).astype(np.float32)
+    return centers
+
+
+def _nearest(rows: Float32[np.ndarray, "n d"], centers: Float32[np.ndarray, "k d"]) -> Int64[np.ndarray, " n"]:
+    """Index of the nearest center of each row."""
+    squares = 0.5 * np.einsum("ij,ij->i", centers, centers)
+    step = max(1, _DISTANCES // len(centers))
+    blocks = (rows[start : start + step] for start in range(0, len(rows), step))
+    return np.concatenate([(squares - block @ centers.T).argmin(axis=1) for block in blocks])

@@ -1,0 +1,438 @@
+"""Pictures and lidar turns of scenes in rain, as AlpaSim's requests ask for them.
+
+Poses are in the world, meters and z up. A picture depends on its request alone: neither on earlier ones nor on those of
+other clients. The poses of actors are those of the request; one that it does not list is not there.
+"""
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from msgspec import structs
+from PIL import Image
+
+from ...backends import Backend, open_renderer
+from ...evaluation.lidar.scan import scan_in_rain, scan_scene
+from ...evaluation.lidar.sensor import SENSORS, LidarSensor
+from ...rain.simulation import RainSimulation
+from ...render.camera_optics import CameraOptics
+from ...render.draw import LodCut, RenderView, draw_view, ego_view, leveled_frame, lod_cut, read_picture
+from ...render.renderer import Renderer
+from ...render.sky_color import SkyColor, sky_color
+from ...scene.camera import DEFAULT_EXPOSURE_S, Camera
+from ...scene.formats.nurec import logical_cameras, sensor_height_m, start_s, timestamps_us
+from ...scene.geometry import matrices_from_quaternions, quaternions_from_matrices
+from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
+from ...water.glass import CameraMotion
+from ...water.spray import spray_of
+from .lenses import LensError, LensFace, SensorLens, assemble, lens_of
+from .messages import enum_name, message
+
+Pose = Float64[np.ndarray, "4 4"]
+Status = Literal["INVALID_ARGUMENT", "NOT_FOUND", "UNIMPLEMENTED", "CANCELLED", "UNAUTHENTICATED"]
+
+_MAX_TIME_US = 10**12
+_FARTHEST_M = 1e6
+_FASTEST_M_S = 100.0
+_PAST_S = 5.0  # for which moving objects go on backward with the speed of their two poses, for the spray behind them
+_LARGEST_BANDS = 32  # of a picture with a rolling shutter, each from poses of its own
+_BAND_SHIFT_PX = 1.5  # that points at the near distance move from band to band
+_NEAR_M = 6.0
+_LIDAR_MATT = 0.2  # near-infrared reflectance of all surfaces
+_ALIVE: Callable[[], bool] = lambda: True  # noqa: E731
+_FORMATS = ("PNG", "JPEG", "RGB_UINT8_PLANAR")
+
+LIDARS: dict[str, LidarSensor] = {
+    "PANDAR128": SENSORS["128"],
+    "AT128": structs.replace(
+        SENSORS["128"], name="forward, 128 beams, 905 nm, 210 m at 10 %", range_m=210.0, azimuth_limit_deg=60.0,
+        azimuth_step_deg=0.1, elevations_deg=tuple(np.linspace(-12.5, 12.9, 128).round(3).tolist()),
+    ),
+}  # fmt: skip
+"""AlpaSim's lidars by the classes of sensors here: beams, range and field of view are the makers'."""
+
+
+class RequestError(Exception):
+    """A request that can't be answered: the status of gRPC, and one sentence that names the field."""
+
+    def __init__(self, status: Status, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+        self.text = text
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServedScene:
+    """A scene with its rain, which requests name by its id."""
+
+    id: str
+    scene: Scene
+    rainfall: RainSimulation
+    sky: SkyColor
+    cut: LodCut | None
+
+    @property
+    def cameras(self) -> dict[str, RigCamera]:
+        """Cameras of its rigs by the names that AlpaSim uses."""
+        return logical_cameras(self.scene)
+
+
+class _Moment(NamedTuple):
+    """Times of a request's frame, and the poses of its sensor at its start and end."""
+
+    start_s: float
+    end_s: float
+    start: Pose
+    end: Pose
+
+    def at(self, part: float) -> tuple[float, Pose]:
+        """Time and pose of the sensor at a part, 0..1, of the frame."""
+        time_s = self.start_s + part * (self.end_s - self.start_s)
+        pose = _track(self, self.start, self.end, has_past=False).pose(time_s)
+        return time_s, self.start if pose is None else pose
+
+    @property
+    def velocity_m_s(self) -> Float64[np.ndarray, "3"]:
+        return _velocity(self, self.start, self.end)
+
+
+class Simulator:
+    """Scenes and the renderer that draws them. Use it from one thread."""
+
+    def __init__(self, backend: Backend) -> None:
+        """Open the renderer; raises what `open_renderer` does. Call `close` in the end."""
+        self._opened = open_renderer(backend)
+        self.renderer: Renderer = self._opened.__enter__()
+        self.scenes: dict[str, ServedScene] = {}
+
+    def add(self, name: str, scene: Scene, rainfall: RainSimulation) -> None:
+        """Add a scene; its sky is measured at the start of its drive, so that all pictures agree on it."""
+        cut = lod_cut(scene, None)
+        pose = scene.ego_to_world(float(scene.ego.times[0])) if scene.ego is not None and len(scene.ego.times) else None
+        place = np.eye(4) if pose is None else pose
+        world_to_camera = np.linalg.inv(place @ _FORWARD)
+        sky = sky_color(self.renderer, scene, Camera.from_fov(64, 48, 45.0, world_to_camera), thinning=cut)
+        self.scenes[name] = ServedScene(name, scene, rainfall, sky, cut)
+
+    def close(self) -> None:
+        self._opened.__exit__(None, None, None)
+
+    def served(self, scene_id: str) -> ServedScene:
+        """Scene of an id; "*" is the only one. Raises `RequestError` if there is none."""
+        if scene_id == "*" and len(self.scenes) == 1:
+            return next(iter(self.scenes.values()))
+        if scene_id not in self.scenes:
+            known = ", ".join(self.scenes)
+            raise RequestError("NOT_FOUND", f"scene_id: there is no scene {scene_id[:80]!r}, only {known}")
+        return self.scenes[scene_id]
+
+    def picture(self, request: Any, is_active: Callable[[], bool] = _ALIVE) -> bytes:
+        """Encoded picture of an `RGBRenderRequest`. Raises `RequestError`, also when the client is gone."""
+        served = self.served(request.scene_id)
+        if request.insert_ego_mask:
+            raise RequestError("UNIMPLEMENTED", "insert_ego_mask: there are no masks of the ego vehicle")
+        kind = enum_name("ImageFormat", request.image_format) if request.image_format else "PNG"
+        if kind not in _FORMATS:
+            raise RequestError("UNIMPLEMENTED", f"image_format: {kind} is not written, {', '.join(_FORMATS)} are")
+        if not 0 <= request.image_quality <= 100:
+            raise RequestError("INVALID_ARGUMENT", f"image_quality: must be 0 to 100, not {request.image_quality:g}")
+        spec = request.camera_intrinsics
+        width = request.resolution_w or spec.resolution_w
+        height = request.resolution_h or spec.resolution_h
+        try:
+            lens = _lens(spec.SerializeToString(deterministic=True), width, height)
+        except LensError as error:
+            raise RequestError("UNIMPLEMENTED" if "support" in str(error) else "INVALID_ARGUMENT", str(error)) from None
+        moment = _moment(request, served)
+        return _encoded(self._drawn(served, request, lens, moment, is_active), kind, request.image_quality)
+
+    def _drawn(
+        self, served: ServedScene, request: Any, lens: SensorLens, moment: _Moment, is_active: Callable[[], bool]
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        spec = request.camera_intrinsics
+        mounted = served.cameras.get(spec.logical_id)
+        scene = _moved_scene(served, request, moment, mounted)
+        has_glass = served.rainfall.rain.glass != "none"
+        if has_glass and len(lens.faces) > 1:
+            raise RequestError("UNIMPLEMENTED", "camera_intrinsics: water on glass is drawn up to 124 degrees only")
+        shutter = enum_name("ShutterType", spec.shutter_type)
+        axis, is_backward = _ROLLING.get(shutter, (0, False))
+        count = _bands(lens, moment) if shutter in _ROLLING and not has_glass else 1
+        size = (lens.camera.height, lens.camera.width)[axis]
+        ends = np.linspace(0, size, min(count, size) + 1).astype(int).tolist()
+        picture = np.zeros((lens.camera.height, lens.camera.width, 3), np.uint8)
+        for first, last in pairwise(ends):
+            middle = (first + last) / 2 / size
+            time_s, pose = moment.at(1 - middle if is_backward else middle)
+            band = lens if len(ends) == 2 else _band(lens, axis, first, last)
+            if band is None:
+                continue
+            views: list[UInt8[np.ndarray, "a b 3"]] = []
+            for camera, turn in _cameras(band):
+                if not is_active():
+                    raise RequestError("CANCELLED", "the client is gone")
+                views.append(self._view(served, scene, camera, pose, turn, time_s, moment, mounted))
+            drawn = assemble(band, views)
+            part = (slice(first, last), slice(None)) if axis == 0 else (slice(None), slice(first, last))
+            picture[part] = drawn if not lens.faces and len(ends) > 2 else drawn[part]
+        return picture
+
+    def _view(
+        self, served: ServedScene, scene: Scene, camera: Camera, pose: Pose, turn: Float64[np.ndarray, "3 3"],
+        time_s: float, moment: _Moment, mounted: RigCamera | None,
+    ) -> UInt8[np.ndarray, "a b 3"]:  # fmt: skip
+        """One pinhole picture, as the camera stores it."""
+        facing = pose.copy()
+        facing[:3, :3] = pose[:3, :3] @ turn
+        exposure_s = DEFAULT_EXPOSURE_S if mounted is None else mounted.exposure_s
+        camera = replace(camera, world_to_camera=np.linalg.inv(facing), exposure_s=exposure_s)
+        velocity = moment.velocity_m_s
+        view = RenderView(camera, time_s, velocity) if scene.ego is None else ego_view(scene, camera, time_s)
+        sky = served.sky.at(served.rainfall.overcast_at(time_s))
+        own = None if mounted is None else mounted.camera_to_ego[:3, :3] @ turn
+
+        def past(then_s: float) -> CameraMotion:
+            return CameraMotion(facing[:3, :3], velocity, facing[:3, 3] + (then_s - time_s) * velocity)
+
+        optics = CameraOptics().of(
+            self.renderer, scene, served.rainfall, sky, view, past=past, camera_to_vehicle=own
+        )  # metered anew for each picture: it must not depend on others
+        draw_view(self.renderer, scene, served.rainfall, sky, view, thinning=served.cut)
+        return read_picture(self.renderer, optics)
+
+    def lidar(self, request: Any) -> Any:
+        """`LidarRenderReturn` of a `LidarRenderRequest`: all beams at the end of the turn, points in the sensor frame.
+
+        Intensities are apparent reflectances, without correction for rain.
+        """
+        served = self.served(request.scene_id)
+        kind = enum_name("LidarDeviceType", request.lidar_config.lidar_type)
+        if kind not in LIDARS:
+            raise RequestError("UNIMPLEMENTED", f"lidar_config.lidar_type: {kind} is not one of {', '.join(LIDARS)}")
+        sensor, moment = LIDARS[kind], _moment(request, served)
+        scene = _moved_scene(served, request, moment, None)
+        beams = scan_scene(scene, moment.end_s, moment.end, sensor, _LIDAR_MATT)
+        anchor = leveled_frame(moment.end[:3, 0], moment.end[:3, 3])
+        spray = spray_of(scene, served.rainfall, moment.end_s)
+        rainy = scan_in_rain(beams, sensor, served.rainfall, anchor, spray=spray)
+        to_sensor = np.linalg.inv(moment.end)
+        points = rainy.sweep.points_m.astype(np.float64) @ to_sensor[:3, :3].T + to_sensor[:3, 3]
+        ranges = np.linalg.norm(points, axis=1)
+        seen = np.where(rainy.is_false, rainy.signals * sensor.detectable(ranges), beams.reflectances[rainy.beams])
+        intensities = np.clip(np.nan_to_num(seen, posinf=1.0), 0, 1).astype("<f4")
+        answer = message("LidarRenderReturn")(num_points=len(points))
+        answer.point_xyzs.extend(points.astype(np.float32).ravel().tolist())
+        answer.point_intensities.extend(intensities.tolist())
+        answer.point_xyzs_buffer = points.astype("<f4").tobytes()
+        answer.point_intensities_buffer = intensities.tobytes()
+        return answer
+
+    def cameras(self, request: Any) -> Any:
+        """`AvailableCamerasReturn`: the cameras of a scene's rigs, in the rig on the ground."""
+        served = self.served(request.scene_id)
+        up = np.eye(4)
+        up[2, 3] = sensor_height_m(served.scene)
+        answer = message("AvailableCamerasReturn")()
+        for name, camera in served.cameras.items():
+            row = answer.available_cameras.add(logical_id=name)
+            spec = row.intrinsics
+            spec.logical_id, spec.resolution_w, spec.resolution_h = name, camera.width, camera.height
+            spec.shutter_type = 5  # GLOBAL
+            lens = spec.opencv_pinhole_param
+            lens.focal_length_x, lens.focal_length_y = camera.fx, camera.fy
+            lens.principal_point_x, lens.principal_point_y = camera.cx, camera.cy
+            lens.radial_coeffs.extend([0.0] * 6)
+            lens.tangential_coeffs.extend([0.0] * 2)
+            lens.thin_prism_coeffs.extend([0.0] * 4)
+            _write_pose(row.rig_to_camera, up @ camera.camera_to_ego)  # camera to rig, whatever its name says
+        return answer
+
+    def trajectories(self, request: Any) -> Any:
+        """`AvailableTrajectoriesReturn`: the recorded drive of the rig on the ground."""
+        scene = self.served(request.scene_id).scene
+        answer = message("AvailableTrajectoriesReturn")()
+        if scene.ego is not None and len(scene.ego.times):
+            trajectory = answer.available_trajectories.add().trajectory
+            down = np.eye(4)
+            down[2, 3] = -sensor_height_m(scene)
+            times = zip(scene.ego.times.tolist(), timestamps_us(scene.ego, scene), strict=True)
+            for time_s, time_us in times:
+                pose = scene.ego_to_world(time_s)
+                if pose is not None:
+                    _write_pose(trajectory.poses.add(timestamp_us=time_us).pose, pose @ down)
+        return answer
+
+
+_FORWARD = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+"""Axes of a camera that looks along x of a frame with z up."""
+
+_ROLLING: dict[str, tuple[int, bool]] = {
+    "ROLLING_TOP_TO_BOTTOM": (0, False),
+    "ROLLING_BOTTOM_TO_TOP": (0, True),
+    "ROLLING_LEFT_TO_RIGHT": (1, False),
+    "ROLLING_RIGHT_TO_LEFT": (1, True),
+}
+"""Axis of the picture along which it is read, and whether from its end."""
+
+
+@lru_cache(maxsize=8)
+def _lens(spec: bytes, width: int, height: int) -> SensorLens:
+    return lens_of(message("CameraSpec").FromString(spec), width, height)
+
+
+def _cameras(lens: SensorLens) -> list[tuple[Camera, Float64[np.ndarray, "3 3"]]]:
+    return [(face.camera, face.turn) for face in lens.faces] if lens.faces else [(lens.camera, np.eye(3))]
+
+
+def _bands(lens: SensorLens, moment: _Moment) -> int:
+    """Number of bands of a rolling shutter: enough that near points move little from one to the next."""
+    focal_px = max(camera.fx for camera, _ in _cameras(lens))
+    turned = moment.start[:3, :3].T @ moment.end[:3, :3]
+    angle = float(np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1)))
+    shift_m = float(np.linalg.norm(moment.end[:3, 3] - moment.start[:3, 3]))
+    return int(np.clip(np.ceil(focal_px * (angle + shift_m / _NEAR_M) / _BAND_SHIFT_PX), 1, _LARGEST_BANDS))
+
+
+def _band(lens: SensorLens, axis: int, first: int, last: int) -> SensorLens | None:
+    """Part of a lens: of a pinhole the rows or columns alone, else the faces cut to what these are sampled from.
+
+    None if these see nothing.
+    """
+    camera = lens.camera
+    if not lens.faces:
+        if axis == 0:
+            return SensorLens(replace(camera, height=last - first, cy=camera.cy - first))
+        return SensorLens(replace(camera, width=last - first, cx=camera.cx - first))
+    inside = np.zeros((camera.height, camera.width), np.bool_)
+    inside[(slice(first, last), slice(None)) if axis == 0 else (slice(None), slice(first, last))] = True
+    faces: list[LensFace] = []
+    for face in lens.faces:
+        covered = face.covered & inside
+        if covered.any():
+            columns, rows = face.columns[covered], face.rows[covered]
+            left, top = (max(int(np.floor(each.min())) - 1, 0) for each in (columns, rows))
+            width = min(int(np.ceil(columns.max())) + 2, face.camera.width) - left
+            height = min(int(np.ceil(rows.max())) + 2, face.camera.height) - top
+            cut = replace(face.camera, width=width, height=height, cx=face.camera.cx - left, cy=face.camera.cy - top)
+            faces.append(LensFace(cut, face.turn, face.columns - left, face.rows - top, covered))
+    return SensorLens(camera, tuple(faces)) if faces else None
+
+
+# Poses
+
+
+def _moment(request: Any, served: ServedScene) -> _Moment:
+    """Times and poses of a request, checked."""
+    start_us, end_us = request.frame_start_us, request.frame_end_us
+    if not start_us <= end_us <= _MAX_TIME_US:
+        told = f"0 <= start <= end <= {_MAX_TIME_US} must hold, not {start_us} and {end_us}"
+        raise RequestError("INVALID_ARGUMENT", f"frame_start_us, frame_end_us: {told}")
+    if not request.HasField("sensor_pose"):
+        raise RequestError("INVALID_ARGUMENT", "sensor_pose: must be set")
+    start, end = _pose_pair("sensor_pose", request.sensor_pose)
+    zero = start_s(served.scene)
+    return _Moment(zero + start_us / 1e6, zero + end_us / 1e6, start, end)
+
+
+def _pose_pair(name: str, pair: Any) -> tuple[Pose, Pose]:
+    """Poses at start and end of a frame; a missing one is the other."""
+    found = [_pose(f"{name}.{part}", getattr(pair, part)) for part in ("start_pose", "end_pose") if pair.HasField(part)]
+    if not found:
+        raise RequestError("INVALID_ARGUMENT", f"{name}: start_pose or end_pose must be set")
+    return found[0], found[-1]
+
+
+def _pose(name: str, pose: Any) -> Pose:
+    place = np.array([pose.vec.x, pose.vec.y, pose.vec.z], np.float64)
+    quaternion = np.array([pose.quat.w, pose.quat.x, pose.quat.y, pose.quat.z], np.float64)
+    length = float(np.linalg.norm(quaternion))
+    if not np.isfinite(place).all() or np.abs(place).max() > _FARTHEST_M:
+        raise RequestError("INVALID_ARGUMENT", f"{name}.vec: must be finite, at most {_FARTHEST_M:g} m from the origin")
+    if not 1e-3 < length < 1e3:
+        raise RequestError("INVALID_ARGUMENT", f"{name}.quat: must be a quaternion of length 1, not {length:g}")
+    matrix = np.eye(4)
+    matrix[:3, :3] = matrices_from_quaternions(quaternion / length)
+    matrix[:3, 3] = place
+    return matrix
+
+
+def _write_pose(target: Any, pose: Pose) -> None:
+    w, x, y, z = np.asarray(quaternions_from_matrices(pose[:3, :3]), np.float64).tolist()
+    target.vec.x, target.vec.y, target.vec.z = pose[:3, 3].tolist()
+    target.quat.w, target.quat.x, target.quat.y, target.quat.z = w, x, y, z
+
+
+def _velocity(moment: _Moment, start: Pose, end: Pose) -> Float64[np.ndarray, "3"]:
+    """Velocity between two poses of a frame; 0 for a frame without duration, or a jump."""
+    seconds = moment.end_s - moment.start_s
+    velocity = (end[:3, 3] - start[:3, 3]) / seconds if seconds > 0 else np.zeros(3)
+    return velocity if np.linalg.norm(velocity) <= _FASTEST_M_S else np.zeros(3)
+
+
+def _track(moment: _Moment, start: Pose, end: Pose, *, has_past: bool = True) -> PoseTrack:
+    """Track through the two poses of a frame, in the world; with a past, at constant velocity before and after."""
+    if moment.end_s <= moment.start_s:
+        return PoseTrack.standing(start)
+    rows = [(moment.start_s, start, start[:3, 3]), (moment.end_s, end, end[:3, 3])]
+    if has_past:
+        step = _PAST_S * _velocity(moment, start, end)
+        before = (moment.start_s - _PAST_S, start, start[:3, 3] - step)
+        rows = [before, *rows, (moment.end_s + _PAST_S, end, end[:3, 3] + step)]
+    turns = quaternions_from_matrices(np.stack([pose[:3, :3] for _, pose, _ in rows]))
+    return PoseTrack(
+        np.array([time for time, _, _ in rows]),
+        np.stack([place for _, _, place in rows]),
+        np.asarray(turns, np.float64),
+        np.ones(len(rows), np.bool_),
+    )
+
+
+def _moved_scene(served: ServedScene, request: Any, moment: _Moment, mounted: RigCamera | None) -> Scene:
+    """The scene with actors at the poses of a request, and the ego vehicle where the camera on it says."""
+    scene = served.scene
+    to_scene = np.linalg.inv(scene.scene_to_world)
+    by_id = {actor.id: actor for actor in scene.actors}
+    actors: list[Actor] = []
+    motions: dict[str, PoseTrack] = {}
+    for row in request.dynamic_objects:
+        actor = by_id.pop(row.track_id, None)
+        if actor is None:
+            continue  # a road user of the simulator that the scene has no Gaussians of, or one listed twice
+        down = np.eye(4)
+        down[2, 3] = -actor.size_lwh[2] * scene.metres_per_unit / 2  # AlpaSim's poses are of the middle of the box
+        start, end = (pose @ down for pose in _pose_pair(f"dynamic_objects[{row.track_id[:40]!r}]", row.pose_pair))
+        motions[actor.id] = _track(moment, start, end).moved(to_scene)
+        actors.append(replace(actor, track=motions[actor.id]))
+    ego = None
+    if mounted is not None:
+        camera_to_ego = np.linalg.inv(mounted.camera_to_ego)
+        ego = _track(moment, moment.start @ camera_to_ego, moment.end @ camera_to_ego).moved(to_scene)
+        motions["ego"] = ego
+    order = {actor.id: index for index, actor in enumerate(scene.actors)}
+    actors.sort(key=lambda actor: order[actor.id])
+    return replace(scene, actors=tuple(actors), ego=ego, motions=motions)
+
+
+def _encoded(picture: UInt8[np.ndarray, "h w 3"], kind: str, quality: float) -> bytes:
+    if kind == "RGB_UINT8_PLANAR":
+        return np.ascontiguousarray(picture.transpose(2, 0, 1)).tobytes()
+    file = io.BytesIO()
+    options: dict[str, Any] = {"quality": round(quality) or 95} if kind == "JPEG" else {"compress_level": 3}
+    Image.fromarray(picture).save(file, kind, **options)
+    return file.getvalue()
+
+
+def scene_ids(names: Sequence[str]) -> list[str]:
+    """Names of scenes made different by numbers."""
+    found: list[str] = []
+    for name in names:
+        number, unused = 2, name
+        while unused in found:
+            unused, number = f"{name}-{number}", number + 1
+        found.append(unused)
+    return found

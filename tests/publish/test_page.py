@@ -1,0 +1,178 @@
+"""The web page of a scene: drops, pictures and files, as headless Chromium shows them."""
+
+import base64
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from msgspec import structs
+from PIL import Image
+
+from browser import CHROMIUM, browser
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.publish.page import write_page
+from gsrain_engine.publish.page_scene import page_scene
+from gsrain_engine.publish.rain_states import rain_states
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
+from gsrain_engine.render.draw import rain_camera
+from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.scene.camera import look_at
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.formats.sog import read_sog
+from gsrain_engine.scene.gaussians import sh_from_color
+from gsrain_engine.scene.geometry import quaternions_from_matrices
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
+from small_scene import patch, small_scene
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+RAIN = RainSettings(intensity_mm_h=8.5, seed=5, wind_speed_m_s=6.0, gust_m_s=1.5, splashes=False, spray=False)
+TIMES_S = 0.4, 1.5
+SIZE = 320, 240
+
+
+def rainy_scene():
+    """A road, a wall and a roof with wet colors, and a block that moves; no vehicle carries the rain."""
+    scene = small_scene()
+    roof = patch((4, -2, 3.5), np.array([3.0, 0, 0]), np.array([0, 4.0, 0]), 30, (0.5, 0.2, 0.2))
+    layers = [
+        replace(layer, wet_sh=0.6 * layer.gaussians.sh - np.float32(0.3))
+        for layer in (*scene.layers, Layer("roof", roof))
+    ]
+    block = patch((-1, -0.5, 0.5), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), 12, (0.9, 0.2, 0.1))
+    times = np.linspace(0, 4, 5)
+    track = PoseTrack(times, np.stack([12 + times, 2 * times - 3, 0 * times], axis=1),
+                      np.tile([1.0, 0, 0, 0], (5, 1)), np.ones(5, bool))  # fmt: skip
+    actor = Actor("block", "car", (1.0, 1.0, 1.0), block, track)
+    return Scene("wet road", tuple(layers), (actor,), ground_m=0.0)
+
+
+def path():
+    poses = [look_at(np.array([x, 0.4 * x, 1.6]), np.array([20.0, 2.0, 2.0]), np.array([0, 0, 1.0])) for x in (0, 4, 9)]
+    turns = quaternions_from_matrices(np.array([np.linalg.inv(each)[:3, :3] for each in poses]))
+    places = np.array([np.linalg.inv(each)[:3, 3] for each in poses])
+    return CameraPath(np.array([0.0, 1.0, 2.0]), places, turns, np.full(3, 55.0), interpolation="linear")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    file = tmp_path_factory.mktemp("page") / "rain.html"
+    scene = rainy_scene()
+    sequence = FrameSequence(scene, RainSimulation.start(RAIN), path(), *SIZE)
+    with open_renderer("cpu") as renderer:
+        steps = write_page(renderer, scene, RAIN, sequence, "a path", file)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                return file, end.value, sequence
+
+
+@pytest.fixture(scope="module")
+def page(written, tmp_path_factory):
+    with browser(tmp_path_factory.mktemp("browser")) as opened:
+        opened.open(written[0], *SIZE)
+        opened.run("gsrain.ready.then(() => true)")
+        yield opened
+
+
+def rainy_at(sequence, intensity):
+    return replace(sequence, rainfall=RainSimulation.start(structs.replace(RAIN, intensity_mm_h=intensity)))
+
+
+@needs_browser
+@pytest.mark.parametrize("intensity", [2.5, 50.0])
+def test_drops_are_those_of_the_desktop(written, page, intensity):
+    sequence = rainy_at(written[2], intensity)
+    for time_s in TIMES_S:
+        page.run(f"gsrain.image({{mm: {intensity}, t: {time_s}, size: '{SIZE[0]}x{SIZE[1]}'}}).then(() => 0)")
+        found = {int(row[0]): row[1:] for row in page.run(f"gsrain.drops({time_s}).then(found => found.drops)")}
+        shot = sequence.shot_at(time_s)
+        drops = sequence.rainfall.frame(time_s, rain_camera(sequence.scene, sequence.rainfall, shot)).drops
+        assert len(drops.numbers) > 200
+        ours = np.array([found[number] for number in drops.numbers.tolist()])  # each is found
+        assert np.abs(ours - drops.positions_m).max() < 1e-3
+        assert len(found) < 1.2 * len(drops.numbers)  # the page is told nothing of drops out of view
+
+
+@needs_browser
+@pytest.mark.parametrize("intensity", [0.0, 8.5, 50.0])
+def test_pictures_are_those_of_the_desktop(written, page, intensity):
+    sequence = rainy_at(written[2], intensity)
+    for time_s in TIMES_S:
+        picture = page.run(f"gsrain.image({{mm: {intensity}, t: {time_s}, split: 0, size: '{SIZE[0]}x{SIZE[1]}'}})")
+        ours = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.split(",")[1]))).convert("RGB"), np.float64)
+        with open_renderer("cpu") as renderer:
+            theirs = replace(sequence, start_s=time_s).image(renderer, 0, sequence.sky(renderer)).astype(np.float64)
+        assert theirs.std() > 10
+        assert 10 * np.log10(255**2 / np.mean((ours - theirs) ** 2)) > 38
+
+
+@needs_browser
+def test_the_divider_shows_the_dry_scene_on_its_left(page):
+    def shown(split):
+        picture = page.run(f"gsrain.image({{mm: 8.5, t: 1, split: {split}, size: '{SIZE[0]}x{SIZE[1]}'}})")
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.split(",")[1]))).convert("RGB"), int)
+
+    dry, rainy, both = shown(1), shown(0), shown(0.5)
+    half = SIZE[0] // 2
+    assert np.array_equal(both[:, :half], dry[:, :half])
+    assert np.array_equal(both[:, half:], rainy[:, half:])
+    assert np.abs(dry - rainy).mean() > 5
+
+
+@needs_browser
+def test_title_slider_and_keys(page):
+    page.run("gsrain.image({mm: 8.5, t: 1, split: 0, size: '64x48'}).then(() => 0)")
+    assert "wet road" in page.run("document.title")
+    assert page.run("document.getElementById('intensity-name').textContent").endswith("8.5 mm/h, heavy")
+    assert page.run("document.getElementById('divider').hidden") is True
+    page.run("dispatchEvent(new KeyboardEvent('keydown', {code: 'KeyC'}))")
+    assert page.run("document.getElementById('divider').hidden") is False
+
+
+def test_a_page_loads_nothing_and_is_little_more_than_its_scene(written):
+    file, contents, _ = written
+    text = file.read_text()
+    assert " src=" not in text and "url(" not in text
+    assert "import" not in text.split('<script type="text/plain"')[0]
+    assert file.stat().st_size < 1.4 * len(contents.scene.sog) + 3e6
+
+
+def test_actors_keep_their_numbers_and_poses(tmp_path):
+    scene = rainy_scene()
+    steps = page_scene(scene, 0.0, 2.0)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            found = end.value
+            break
+    assert found.poses.shape == (1, 21, 3, 4)
+    np.testing.assert_allclose(found.poses[0, 10, :, :3], np.eye(3), atol=1e-5)
+    assert np.linalg.norm(found.poses[0, 10, :, 3]) == pytest.approx(np.hypot(1, 2), abs=1e-4)
+    (tmp_path / "a.sog").write_bytes(found.sog)
+    gaussians = read_sog(tmp_path / "a.sog")
+    labels = np.asarray(Image.open(io.BytesIO(found.actors))).reshape(-1, 3)[: len(gaussians), 0]
+    assert labels.sum() == len(scene.actors[0].gaussians)
+    red = sh_from_color(np.array([[0.9, 0.2, 0.1]], np.float32))[0, 0]
+    assert np.abs(gaussians.sh[labels == 1, 0] - red).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"haze": "gaussians"}, "haze gaussians"), ({"rain_light": "display"}, "rain_light display"),
+     ({"visibility_m": 200.0}, "visibility_m 200")],
+)  # fmt: skip
+def test_rain_that_a_page_can_not_draw(change, words):
+    with pytest.raises(ValueError, match=words):
+        rain_states(structs.replace(RAIN, **change), Scene("x"), {False: OVERCAST, True: OVERCAST}, [], 0.004)
+
+
+def test_settings_can_not_end_their_script(written, tmp_path):
+    text = written[0].read_text()
+    settings = text.split('id="settings">')[1].split("</script>")[0]
+    assert json.loads(settings)["states"][0]["intensity"] == 0
+    assert "<" not in settings

@@ -1,0 +1,95 @@
+"""The keyboard in menus and lists, panels that come back, and the pivot of a double click."""
+
+import numpy as np
+import pytest
+
+from gsrain_engine.editor.preferences import load_preferences
+from window_driver import Driver, hello_imgui, imgui
+
+KEY = imgui.Key
+
+
+def test_panels_in_front_and_hidden_ones_come_back(driver, tmp_path, monkeypatch):
+    monkeypatch.setattr("gsrain_engine.editor.preferences.config_folder", lambda: tmp_path / "config")
+
+    def panels():
+        return {each.label: each for each in hello_imgui.get_runner_params().docking_params.dockable_windows}
+
+    def arrange():
+        for name in ("Drive", "History"):
+            driver.ctx.window_focus(f"//{name}")
+            driver.frames(3)
+        panels()["Jobs"].is_visible = False
+        driver.frames(3)
+
+    driver.run(arrange)
+    driver.editor.close()  # writes the preferences
+    assert load_preferences()[0].hidden_panels == ("Jobs",)
+    (tmp_path / "next").mkdir()
+    following = Driver(tmp_path / "next")
+
+    def look():
+        assert not panels()["Jobs"].is_visible and panels()["Log"].is_visible
+        front = following.editor.preferences.value.front_panels
+        assert {"Drive", "History"} <= set(front) and not {"Rain", "Layers"} & set(front)
+        following.frames(5)
+        assert following.editor.preferences.value.front_panels == front
+
+    following.run(look)
+    following.editor.close()
+
+
+def test_a_double_click_sets_the_pivot_that_an_orbit_turns_around(driver):
+    viewport = driver.editor.viewport
+    viewport.options.shrink = 3
+
+    def script():
+        place = driver.at(0.62, 0.42)  # on the wall, off the line of sight
+        driver.point_at(place)
+        driver.ctx.mouse_double_click(0)
+        driver.frames(3)
+        pivot = viewport.navigation.pivot
+        assert pivot == pytest.approx([40, pivot[1], pivot[2]], abs=0.6) and pivot[1] < -2
+        assert np.abs(driver.on_screen(pivot) - place).max() < 2
+        driver.stroke(driver.at(0.5, 0.5), driver.at(0.56, 0.5), driver.at(0.6, 0.5))
+        assert np.abs(driver.on_screen(pivot) - place).max() < 2  # it stays where it was on the screen
+        driver.press(KEY.r)
+        assert viewport.navigation.pivot is None
+
+    driver.run(script)
+
+
+def test_menus_and_lists_are_used_by_the_keyboard(driver):
+    document, options = driver.editor.document, driver.editor.viewport.options
+    options.shrink = 3
+
+    def script():
+        driver.click("//Rain/##haze")  # a list
+        driver.press(KEY.g)
+        driver.press(KEY.enter)
+        driver.frames(3)
+        assert document.rain.haze == "gaussians"
+        driver.click("//Rain/##haze")
+        driver.press(KEY.down_arrow)
+        driver.press(KEY.enter)
+        driver.frames(3)
+        assert document.rain.haze == "none"
+        driver.click("//Rain/##haze")
+        driver.press(KEY.m)
+        driver.press(KEY.escape)
+        driver.frames(3)
+        assert document.rain.haze == "none"  # closed, not chosen
+        view_menu = np.array([352, 11])
+        driver.click_at(view_menu)
+        was_on = options.show_selection
+        for key in (KEY.s, KEY.h, KEY.o):
+            driver.press(key)
+        driver.press(KEY.enter)
+        driver.frames(3)
+        assert options.show_selection != was_on and document.history.labels == ["Open", "Haze", "Haze"]
+        driver.click_at(view_menu)
+        driver.press(KEY.k)  # alone, it inserts a keyframe
+        driver.press(KEY.escape)
+        assert document.scene.path is None
+
+    driver.run(script)

@@ -1,0 +1,170 @@
+"""Tracks of the rain in the Timeline panel: a row with curve and keyframes for each field, and their menu."""
+
+from collections.abc import Callable
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+
+from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.rain_tracks import TRACKS, RainTracks, Track, TrackKey
+from gsrain_engine.editor.timeline import Playback, Ruler
+from gsrain_engine.scene.easing import KeyEasing
+
+from ..widgets import draw as hues
+from ..widgets.draw import color
+from ..widgets.fields import menu_item
+from ..widgets.numbers import slide
+
+_LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
+_RADIUS, _APART_PX, _DRAG_PX = 6.5, 3.0, 3.0
+_MENU = "rain key menu"
+EASING_HELP: dict[KeyEasing, str] = {
+    "linear": "Evenly to the next keyframe.",
+    "smooth": "Slow at both keyframes.",
+    "ease in": "Slow at this keyframe.",
+    "ease out": "Slow at the next keyframe.",
+    "hold": "These values, until the next keyframe.",
+}
+
+
+def track_row(
+    document: Document, playback: Playback, tracks: RainTracks, track: Track, corner: ImVec2, width: float,
+    height: float,
+) -> None:  # fmt: skip
+    """Draw curve and keyframes of a track into its row.
+
+    A click chooses a keyframe, a drag moves it in time, Ctrl+drag copies it; a double click on the row inserts one.
+    """
+    ruler, times = playback.timeline.ruler, tracks.times_s(track.field)
+    imgui.set_cursor_screen_pos(corner)
+    imgui.set_next_item_allow_overlap()
+    imgui.invisible_button(f"track {track.title}", ImVec2(width, height))
+    is_over = imgui.is_item_hovered()
+    if not len(times) and is_over:
+        at = ImVec2(corner.x + 8, corner.y + 0.12 * height)
+        imgui.get_window_draw_list().add_text(at, color(hues.DIM), "Double click: insert a keyframe here.")
+    _curve(document, track, ruler, corner, width, height)
+    last_x, active = -_RADIUS - _APART_PX, tracks.active
+    for number, time_s in enumerate(times.tolist()):
+        key, x = TrackKey(track.field, number), ruler.x(time_s)
+        if key == active or last_x + _APART_PX <= x <= width + _RADIUS:
+            last_x = x
+            is_over = _key(tracks, key, time_s, track, ImVec2(corner.x + x, corner.y + height / 2)) and is_over
+    _drag(tracks, track, ruler)
+    if is_over and imgui.is_mouse_double_clicked(_LEFT):
+        tracks.insert(track.field, ruler.time(imgui.get_mouse_pos().x - corner.x))
+
+
+def track_menu(tracks: RainTracks, document: Document) -> None:
+    """Draw the menu of the chosen keyframe, in the window of the tracks."""
+    if not imgui.begin_popup(_MENU):
+        return
+    if (key := tracks.active) is not None:
+        track = next(each for each in TRACKS if each.field == key.field)
+        value = tracks.value(key)
+        if isinstance(value, float):
+            _value(tracks, document, track, key, value)
+            imgui.separator()
+        easing_items(tracks.easing(key), tracks.ease, "As all rain keyframes")
+        imgui.separator()
+        if menu_item("Copy", "Copy value and easing (Ctrl+C); Ctrl+V pastes them at the playhead."):
+            tracks.copy()
+        if menu_item(
+            "Paste at the playhead", "Insert the copied keyframe (Ctrl+V).", possible=tracks.copied is not None
+        ):
+            tracks.paste()
+        if menu_item("Delete", "Delete this keyframe (Delete)."):
+            tracks.delete()
+    imgui.end_popup()
+
+
+def easing_items(present: KeyEasing | None, ease: Callable[[KeyEasing | None], None], none: str) -> None:
+    """Draw menu items of the easings from a keyframe to the next one; `none` is the title of no own one."""
+    if imgui.menu_item(none, "", present is None)[0]:
+        ease(None)
+    for each, help_text in EASING_HELP.items():
+        if imgui.menu_item(each.capitalize(), "", present == each)[0]:
+            ease(each)
+        imgui.set_item_tooltip(help_text)
+
+
+def _value(tracks: RainTracks, document: Document, track: Track, key: TrackKey, value: float) -> None:
+    low, high = {
+        "intensity_mm_h": (0.0, 149.0), "exposure_s": (0.01, 1000.0), "lamp_gain": (0.0, 10.0),
+    }.get(track.field, (0.0, 1.0))  # fmt: skip
+    imgui.set_next_item_width(11 * imgui.get_font_size())
+    changed, new = slide("##value", track.scale * value, low, high, track.form)
+    imgui.set_item_tooltip("Value of the keyframe. Drag; double click: type.")
+    if changed:
+        tracks.set_value(key, new / track.scale, gesture=f"value of {track.title}")
+    if imgui.is_item_deactivated():
+        document.end_gesture()
+
+
+def _curve(document: Document, track: Track, ruler: Ruler, corner: ImVec2, width: float, height: float) -> None:
+    """Draw the values of a track between the row's edges, from 0 to their maximum."""
+    curve = document.keyframes.curves.get(track.field)
+    if curve is None:
+        return
+    steps = max(int(width / 4), 2)
+    seconds = np.linspace(ruler.first_s, ruler.first_s + ruler.visible_span_s, steps)
+    sizes = np.linalg.norm(curve.values, axis=1)
+    top = float(max(sizes.max(), 1.0 if track.field in ("wetness", "lamp_gain") else 1e-9))
+    shares = np.interp(seconds, curve.times_s, sizes) / top
+    x, y = np.linspace(0.0, width, steps), height * (0.88 - 0.76 * shares)
+    points = [ImVec2(corner.x + a, corner.y + b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    imgui.get_window_draw_list().add_polyline(points, color(hues.RAIN), 1.5, 0)
+
+
+def _key(tracks: RainTracks, key: TrackKey, time_s: float, track: Track, at: ImVec2) -> bool:
+    """Draw a keyframe and handle its clicks; returns True if the mouse is not over it."""
+    imgui.set_cursor_screen_pos(ImVec2(at.x - _RADIUS, at.y - _RADIUS))
+    imgui.set_next_item_allow_overlap()
+    imgui.invisible_button(f"{track.title} key {key.number}", ImVec2(2 * _RADIUS, 2 * _RADIUS))
+    hovered = imgui.is_item_hovered()
+    if imgui.is_item_activated():
+        tracks.begin_drag(key, copies=imgui.get_io().key_ctrl)
+    if hovered and imgui.is_mouse_clicked(_RIGHT):
+        tracks.choose(key)
+        imgui.open_popup(_MENU)
+    if tracks.drag is None:
+        imgui.set_item_tooltip(
+            f"{value_text(track, tracks.value(key))} at {time_s:.2f} s. Drag: move in time. Ctrl+drag: copy.\n"
+            "Right click: value, easing and more. Ctrl+C, Ctrl+V, Delete."
+        )
+    draw_key(at, _RADIUS - 1.5 + (1.5 if hovered else 0), tracks.easing(key), is_chosen=tracks.active == key)
+    return not hovered
+
+
+def draw_key(at: ImVec2, radius: float, easing: KeyEasing | None, *, is_chosen: bool) -> None:
+    """Draw a keyframe: a square if its value is held, a disk if it has another easing of its own, else a diamond."""
+    hue, draw = hues.CHOSEN if is_chosen else hues.KEY, imgui.get_window_draw_list()
+    if easing in (None, "linear"):
+        hues.draw_diamond(at, radius + 1.5, hues.OUTLINE)
+        hues.draw_diamond(at, radius, hue)
+    elif easing == "hold":
+        for side, ink in ((0.8 * radius + 1.2, hues.OUTLINE), (0.8 * radius, hue)):
+            draw.add_rect_filled(ImVec2(at.x - side, at.y - side), ImVec2(at.x + side, at.y + side), color(ink))
+    else:
+        draw.add_circle_filled(at, 0.9 * radius + 1.2, color(hues.OUTLINE))
+        draw.add_circle_filled(at, 0.9 * radius, color(hue))
+
+
+def _drag(tracks: RainTracks, track: Track, ruler: Ruler) -> None:
+    drag = tracks.drag
+    if drag is None or drag.key.field != track.field:
+        return
+    if moved := imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX).x:
+        tracks.drag_by(ruler.seconds(moved))
+    key = tracks.active
+    if moved and key is not None:
+        imgui.set_tooltip(f"{tracks.times_s(key.field)[key.number]:.2f} s")
+    if not imgui.is_mouse_down(_LEFT):
+        tracks.end_drag()
+
+
+def value_text(track: Track, value: float | tuple[float, float]) -> str:
+    """Return a keyframe's value with its unit."""
+    if isinstance(value, tuple):
+        return ", ".join(f"{each:.3g}" for each in value) + " m/s"
+    return track.form % (track.scale * value)

@@ -1,0 +1,142 @@
+"""First steps over the viewport: the start card without a scene, a hint of three steps, and the bar of a new scene."""
+
+from typing import get_args
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.level import Axis, set_ground_height
+from gsrain_engine.editor.scene_setup import SETUP_MM_H
+
+from ..commands.table import COMMANDS
+from ..widgets.fields import button
+from ..widgets.text import label
+from .notices import card
+
+# Start card without a scene
+
+_WIDTH_EM = 30.0
+_OFFERED = {
+    "Open...": icons.ICON_FA_FOLDER_OPEN, "Open the built-in street": icons.ICON_FA_ROAD,
+    "Open a capture...": icons.ICON_FA_IMAGES,
+}  # fmt: skip
+_TITLES = {"Open a capture...": "From images: open a capture, then reconstruct it..."}
+_MAX_RECENT = 6
+
+
+def draw_start_card(editor: Editor, corner: ImVec2, width: int, height: int) -> None:
+    """Draw what can be opened, in the middle of the viewport."""
+    wide = min(_WIDTH_EM * imgui.get_font_size(), width - 20.0)
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.2 * height))
+    flags = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
+    if imgui.begin_child("empty", ImVec2(wide, 0), flags):
+        imgui.text_wrapped("No scene is open. Drop a scene file or folder here, or begin with one of these.")
+        imgui.spacing()
+        for command in COMMANDS:
+            if command.name in _OFFERED:
+                title = f"{_OFFERED[command.name]}  {_TITLES.get(command.name, command.name)}###{command.name}"
+                if button(title, command.help, width=-1):
+                    command.perform(editor)
+        recent = editor.files.recent[:_MAX_RECENT]
+        if recent:
+            imgui.separator_text("Recent")
+        for path in recent:
+            name = label(f"{icons.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path))
+            if imgui.button(name, ImVec2(-1, 0)):
+                editor.files.open(str(path))
+            imgui.set_item_tooltip(str(path))
+    imgui.end_child()
+
+
+# Hint of three steps, until they were done once
+
+_HINT_EM = 15.0
+_MARGIN = 10.0
+
+
+def draw_hint(editor: Editor, corner: ImVec2, height: int) -> None:
+    """Draw the three steps in the lower left corner; done ones have a check mark, and the last one ends the hint."""
+    document, jobs, preferences = editor.document, editor.jobs, editor.preferences
+    has_recorded = any(each.kind == "export" for each in jobs.all)
+    steps = (
+        ("Open a scene", "Open...", editor.files.source not in (None, "street")),
+        ("Let it rain", "Moderate 5 mm/h", document.rain_now.intensity_mm_h > 0),
+        ("Record a video", "Record the timeline...", has_recorded),
+    )
+    if all(is_done for *_, is_done in steps):
+        preferences.set(hint=False)
+        return
+    row, padding = imgui.get_frame_height_with_spacing(), imgui.get_style().window_padding
+    tall = len(steps) * row + imgui.get_text_line_height_with_spacing() + 2 * padding.y
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + _MARGIN, corner.y + height - tall - _MARGIN))
+    with card("hint", _HINT_EM * imgui.get_font_size(), imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        imgui.text_disabled("First steps")
+        imgui.same_line((_HINT_EM - 1.4) * imgui.get_font_size() - imgui.get_style().window_padding.x)
+        if imgui.small_button("x###end hint"):
+            preferences.set(hint=False)
+        imgui.set_item_tooltip("Don't show this any more.")
+        for number, (title, name, is_done) in enumerate(steps, start=1):
+            mark = icons.ICON_FA_CHECK if is_done else str(number)
+            command = next(each for each in COMMANDS if each.name == name)
+            keys = f" ({command.key_names})" if command.key_names else ""
+            if button(f"{mark}  {title}###step {number}", command.help + keys, width=-1):
+                command.perform(editor)
+
+
+# Bar of a new scene: up axis, scale, ground, rain
+
+
+def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int) -> None:
+    """Draw the steps from a file of Gaussians to rain, below the options of a tool."""
+    setup, document, viewport = editor.scene_setup, editor.document, editor.viewport
+    scene, em = document.scene, imgui.get_font_size()
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8 + 1.7 * imgui.get_frame_height()))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
+    with card("set-up", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.borders):
+        end = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+        help_text = "Find the ground and which way is up, and from a camera path the scale. Undo restores the scene."
+        if button(f"{icons.ICON_FA_WAND_MAGIC_SPARKLES}  Guess###guess", help_text):
+            setup.guess()
+        _next(end, 8 * em)
+        _caption("Up")
+        imgui.set_next_item_width(5.5 * em)
+        if imgui.begin_combo("##up", setup.axis or "leveled"):
+            for axis in get_args(Axis):
+                if imgui.selectable(axis, axis == setup.axis)[0]:
+                    setup.turn(axis)
+            imgui.end_combo()
+        imgui.set_item_tooltip("Axis of the file that points up.")
+        _next(end, 11 * em)
+        _caption(f"1 unit = {scene.metres_per_unit:.3g} m{' ?' if scene.unit_is_assumed else ''}")
+        if button("Measure...###measure", "Click the two ends of a known length, and type how long it truly is."):
+            viewport.options.tool = "" if viewport.options.tool == "Measure" else "Measure"
+        _next(end, 11 * em)
+        _caption("Ground")
+        imgui.set_next_item_width(6 * em)
+        changed, ground_m = imgui.drag_float("##ground", scene.ground_m or 0.0, 0.01, -1000, 1000, "%.2f m")
+        imgui.set_item_tooltip("Height of the ground in the world: rain falls down to it.")
+        if changed:
+            document.edit("Ground height", set_ground_height, ground_m, gesture="ground height")
+        if imgui.is_item_deactivated():
+            document.end_gesture()
+        _next(end, 10 * em)
+        title = f"{icons.ICON_FA_CLOUD_RAIN}  Rain {SETUP_MM_H:g} mm/h###rain"
+        if button(title, "Let it rain, which ends the set-up."):
+            setup.rain()
+        imgui.same_line()
+        if button("Close###close set-up", "Close this bar; the tools Level, Measure and Set origin do the same."):
+            setup.is_open = False
+    imgui.pop_style_var()
+
+
+def _caption(text: str) -> None:
+    imgui.align_text_to_frame_padding()
+    imgui.text(text)
+    imgui.same_line()
+
+
+def _next(end: float, needed: float) -> None:
+    """Go on in the same line if the next step has room there."""
+    if imgui.get_item_rect_max().x + imgui.get_style().item_spacing.x + needed < end:
+        imgui.same_line()

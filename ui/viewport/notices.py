@@ -1,0 +1,137 @@
+"""Notices over the viewport: work that it waits for, the last error, and jobs that have ended."""
+
+import logging
+import os
+import subprocess
+import sys
+import threading
+import webbrowser
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.job import Job, JobRunner, duration_text
+from gsrain_engine.editor.status import StatusBus
+
+from ..folding import show_panel
+from ..widgets.fields import button
+from ..widgets.text import visible_name
+
+logger = logging.getLogger("gsrain")
+_WIDTH_EM = 34.0
+_MARGIN = 10.0
+_MAX_ENDED = 3
+_PREPARING = "Preparing the renderer (first start only): about a minute, in which it does not rain yet."
+
+
+def draw_notices(editor: Editor, corner: ImVec2, width: int, height: int) -> None:
+    """Draw all notices: an animated bar in the middle; above the lower right corner the error, then ended jobs."""
+    wide = min(_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
+    if editor.busy is not None:
+        imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
+        _draw_busy(editor.busy, wide)
+    left, bottom = corner.x + width - wide - _MARGIN, corner.y + height - _MARGIN
+    if editor.viewport.is_preparing and editor.busy is None:
+        bottom -= _height(_PREPARING, wide)
+        imgui.set_cursor_screen_pos(ImVec2(left, bottom))
+        _draw_busy(_PREPARING, wide)
+        bottom -= _MARGIN
+    if editor.status.problem is not None:
+        bottom -= _height(f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {editor.status.problem}", wide)
+        imgui.set_cursor_screen_pos(ImVec2(left, bottom))
+        _draw_problem(editor.status, editor.status.problem, wide)
+        bottom -= _MARGIN
+    for job in editor.jobs.notices[:_MAX_ENDED]:
+        bottom -= _height(_result(job), wide)
+        imgui.set_cursor_screen_pos(ImVec2(left, bottom))
+        _draw_ended(editor.jobs, job, wide)
+        bottom -= _MARGIN
+
+
+def _height(words: str, wide: float) -> float:
+    """Height of a notice of a text and a row of buttons."""
+    padding = imgui.get_style().window_padding
+    text_height = imgui.calc_text_size(words, False, wide - 2 * padding.x).y
+    return text_height + 2 * padding.y + imgui.get_frame_height_with_spacing()
+
+
+def _draw_busy(words: str, wide: float) -> None:
+    with card("busy", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        imgui.text_wrapped(words)
+        imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
+
+
+def _draw_problem(status: StatusBus, problem: str, wide: float) -> None:
+    with card("problem", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        imgui.push_style_color(imgui.Col_.text, (0.95, 0.45, 0.38, 1.0))
+        imgui.text_wrapped(f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {problem}")
+        imgui.pop_style_color()
+        if imgui.button("Close"):
+            status.dismiss()
+        imgui.same_line()
+        if button("Details", "Show the log, which has the rest."):
+            show_panel("Log")
+        imgui.same_line()
+        if button("Copy", "Put the sentence on the clipboard."):
+            imgui.set_clipboard_text(problem)
+
+
+def _result(job: Job[Any]) -> str:
+    return visible_name(f"{icons.ICON_FA_CHECK}  {job.title}: {job.progress.message}")
+
+
+def _draw_ended(jobs: JobRunner, job: Job[Any], wide: float) -> None:
+    """Draw the result of a job, and what can be done with it."""
+    with card(f"ended {jobs.all.index(job)}", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        imgui.text_wrapped(_result(job))
+        imgui.set_item_tooltip(f"After {duration_text(job.seconds)}.")
+        if imgui.button("Close###dismiss"):
+            job.is_noticed = True
+        if job.output is not None:
+            imgui.same_line()
+            if button("Open file###open output", str(job.output)):
+                open_in_desktop(job.output)
+            imgui.same_line()
+            if button("Show in folder###show output", str(job.output.parent)):
+                open_in_desktop(job.output.parent)
+        if job.report is not None:
+            imgui.same_line()
+            if button("Report###show report", f"Show metrics, views and timings in a browser: {job.report}"):
+                webbrowser.open(job.report.as_uri())
+
+
+@contextmanager
+def card(
+    name: str, width: float, background: imgui.Col_, opacity: float, flags: imgui.ChildFlags_ | int = 0
+) -> Generator[None]:
+    """Begin a card over the viewport that is as tall as its content."""
+    color = imgui.get_style_color_vec4(background)
+    imgui.push_style_color(imgui.Col_.child_bg, (color.x, color.y, color.z, opacity))
+    imgui.push_style_var(imgui.StyleVar_.child_rounding, 5.0)
+    flags |= imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
+    imgui.begin_child(name, ImVec2(width, 0), flags)
+    yield
+    imgui.end_child()
+    imgui.pop_style_var()
+    imgui.pop_style_color()
+
+
+def open_in_desktop(path: Path) -> None:
+    """Open a file or folder in the program that the desktop has for it, without waiting."""
+    threading.Thread(target=_open, args=(path,), daemon=True).start()
+
+
+def _open(path: Path) -> None:
+    program = "open" if sys.platform == "darwin" else "xdg-open"
+    try:
+        if sys.platform == "win32":
+            os.startfile(path)
+        else:
+            subprocess.run([program, str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+    except OSError as error:
+        logger.warning("%s can't be opened: %s: %s", path, program, error.strerror)
