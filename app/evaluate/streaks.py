@@ -12,6 +12,7 @@ import msgspec
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
 from gsrain_engine.evaluation.camera_noise import FIT_TRIALS, CameraNoise, fitted_sensor
 from gsrain_engine.evaluation.photograph import Window
+from gsrain_engine.evaluation.rain_pairs import PAIRS, RainyPlace, unlabeled_pairs
 from gsrain_engine.evaluation.real_rain import (
     FrameStatistics,
     RealRainComparison,
@@ -20,7 +21,7 @@ from gsrain_engine.evaluation.real_rain import (
     evenly_chosen,
     load_conditions,
 )
-from gsrain_engine.evaluation.real_rain_report import PAIRS, markdown, unlabeled_pairs
+from gsrain_engine.evaluation.real_rain_report import markdown
 from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.images import write_png
@@ -86,6 +87,7 @@ def streaks(
         return
     knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "sensor", "aperture_mm", "seed")}
     rows: list[RealRainComparison] = []
+    places: list[RainyPlace] = []
     with progress_bar("Measuring", len(sequences)) as advance:
         for sequence in sequences:
             day = known.of(sequence.intensity_mm_h)
@@ -94,7 +96,8 @@ def streaks(
             numbers = evenly_chosen(sequence, frames, day.middle_frame)
             shutters = exposures or [shutter]
             place = part or above_horizon(sequence)
-            rows.append(compare_with_real_rain(sequence, ours, shutters, numbers, place, photographs=pairs is not None))
+            rows.append(compare_with_real_rain(sequence, ours, shutters, numbers, place))
+            places.append(RainyPlace(sequence, ours, shutters[0], place, day.middle_frame))
             advance()
     _print(rows, Console(file=table_stream(json), width=_COLUMNS))
     edges = {"length_edges_px": list(LENGTH_EDGES_PX), "angle_edges_deg": list(ANGLE_EDGES_DEG)}
@@ -103,7 +106,7 @@ def streaks(
     if report is not None:
         write_text(report, markdown(rows))
     if pairs is not None and key is not None:
-        _write_pairs(rows, pairs, key)
+        _write_pairs(places, pairs, key)
 
 
 def _plain(row: RealRainComparison) -> dict[str, Any]:
@@ -112,11 +115,11 @@ def _plain(row: RealRainComparison) -> dict[str, Any]:
     return {name: getattr(row, name) for name in names} | measured
 
 
-def _write_pairs(rows: list[RealRainComparison], folder: Path, key: Path) -> None:
+def _write_pairs(places: list[RainyPlace], folder: Path, key: Path) -> None:
     """Write pairs as PNG, and which side is real to another file."""
     folder.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
-    for number, pair in enumerate(unlabeled_pairs(rows, PAIRS), start=1):
+    for number, pair in enumerate(unlabeled_pairs(places, PAIRS), start=1):
         name = f"pair_{number:02}.png"
         write_png(folder / name, pair.picture)
         found.append({"picture": name, "real": pair.real_side, "sequence": pair.sequence, "frame": pair.frame})

@@ -44,15 +44,15 @@ def rain_shares(
 def rain_over(
     background: Float32[np.ndarray, "h w *c"],
     share: Float32[np.ndarray, "h w"],
-    drop_levels: float | Float64[np.ndarray, "3"],
+    drop_levels: float | Float64[np.ndarray, "3"] | Float32[np.ndarray, "h w 3"],
     rain: RainSettings,
     sensor: Sensor | None,
 ) -> Float32[np.ndarray, "h w *c"]:
     """Return by how many gray levels rain changes a photographed background (gray levels), luma or color.
 
-    `drop_levels` is a drop's display level (0-255). With W the rain's share of a pixel, B the background and S the
-    drop's light: enc((1 - W) dec(B) + W S) - B, with the tone curve of the sensor; or a mix of display values, as set
-    in the rain.
+    `drop_levels` is a drop's display level (0-255), the same or one for each pixel. With W the rain's share of a pixel,
+    B the background and S the drop's light: enc((1 - W) dec(B) + W S) - B, with the tone curve of the sensor; or a mix
+    of display values, as set in the rain.
     """
     curve = "srgb" if sensor is None else sensor.tone_curve
     levels, drop = np.linspace(0, 1, 1 << 12), np.atleast_1d(np.asarray(drop_levels, np.float64)) / 255

@@ -1,6 +1,6 @@
 """Real rain in frames of a static camera, and simulated rain in front of the same background, with the same noise."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -15,9 +15,11 @@ from ..presets import load_config
 from ..rain.settings import HEAVIEST_MM_H, RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_response import display_noise, light_of_display, tone_curve
+from ..scene.camera import Camera
 from ..scene.sensor import load_sensor
+from .drop_light import light_before
 from .photograph import Photograph, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
-from .rain_free import below_black, rain_free_frames
+from .rain_free import below_black
 from .streaks import (
     BANDS,
     MedianResiduals,
@@ -130,7 +132,7 @@ def simulated_frames(
     rises = [rain_over(*each, drop_levels, rain, sensor) for each in zip(lit, shares, strict=True)]
     black, below = color <= 0, below_black(colors)
     backgrounds = [np.where(black, below, each) for each in lit]
-    plain = _plain_noise(real, rainfall, native_height)
+    plain = plain_noise(real, rainfall, native_height)
 
     def frames() -> list[Photograph]:
         random, noise, factor = noise_of(rain), plain * gain, chroma[..., None]
@@ -147,37 +149,12 @@ def simulated_frames(
     return frames()
 
 
-def _plain_noise(real: MedianResiduals, rainfall: RainSimulation, native_height: int) -> Float32[np.ndarray, "h w"]:
+def plain_noise(real: MedianResiduals, rainfall: RainSimulation, native_height: int) -> Float32[np.ndarray, "h w"]:
     """Deviation of the sensor's noise at the levels of real frames; that of the frames if it has no full well."""
     sensor = rainfall.picture_sensor
     if sensor is None or sensor.full_well_e is None:
         return real.sigma
     return display_noise(sensor, native_height)[real.median]
-
-
-def rainy_photographs(
-    real: MedianResiduals,
-    colors: Sequence[UInt8[np.ndarray, "h w 3"]],
-    shares: Sequence[Float32[np.ndarray, "h w"]],
-    rainfall: RainSimulation,
-    drop_levels: Float64[np.ndarray, "3"],
-    native_height: int,
-) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """Render rain over real frames whose streaks are replaced, with the noise and the motion of the camera (RGB).
-
-    The background of each frame is another one a third of the sequence later, so that remains of real streaks, too
-    faint to be replaced, are elsewhere than in the real frame of that number. See `rain_free_frames`.
-    """
-    rain, sensor = rainfall.rain, rainfall.picture_sensor
-    clear = rain_free_frames(colors, real, slow_light(real.values))
-    below, later = below_black(clear), max(len(clear) // 3, 1)
-    noise = _plain_noise(real, rainfall, native_height)
-    made: list[UInt8[np.ndarray, "h w 3"]] = []
-    for number, share in enumerate(shares):
-        behind = clear[(number + later) % len(clear)].astype(np.float32)
-        rise = rain_over(behind, share, drop_levels, rain, sensor)
-        made.append(photographed(np.where(behind <= 0, below, behind), rise, noise, sensor).color)
-    return made
 
 
 def _fine_deviation(values: Float32[np.ndarray, "t h w"]) -> Float32[np.ndarray, "h w"]:
@@ -197,11 +174,11 @@ def _chroma_deviation(colors: Sequence[UInt8[np.ndarray, "h w 3"]]) -> Float32[n
 # Comparison
 
 _SKY_PERCENTILE = 90
+_FRAMES_OF_LIGHT = 9
 DROP_SHARE = 0.88
 """Light of a drop as a share of that of the sky in the picture: a drop refracts light from up to 82 degrees around the
 line of sight, half of it from within 26 degrees, and reflects some. Integrated over the drop with Fresnel's
 transmittance, 8 degrees above the horizon, under the CIE's overcast sky over wet ground with 0.25 of its light."""
-
 _MAX_SPACING_S = 0.2
 
 
@@ -270,8 +247,6 @@ class RealRainComparison:
     real: MeasuredFrames
     ours: tuple[MeasuredFrames, ...]
     """One for each exposure."""
-    photographs: tuple[UInt8[np.ndarray, "h w 3"], ...] = ()
-    """Rain at the first exposure over real frames, see `rainy_photographs`; empty if they were not asked for."""
 
 
 def above_horizon(sequence: RainSequence) -> Window:
@@ -292,14 +267,12 @@ def evenly_chosen(sequence: RainSequence, count: int, middle: int | None = None)
 
 
 def compare_with_real_rain(
-    sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window,
-    photographs: bool = False,
+    sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
 ) -> RealRainComparison:  # fmt: skip
     """Measure frames of a sequence, and simulated rain at each exposure in front of their temporal median.
 
     The simulation uses the sequence's camera, times, background, slow changes of light and noise, without haze, since
-    the distance of the background is unknown. Pixels that move in the real frames are excluded from both. `photographs`
-    adds our rain over real frames. Raises
+    the distance of the background is unknown. Pixels that move in the real frames are excluded from both. Raises
     ValueError for a window outside the image, and as `median_residuals` does.
     """
     x, y, width, height = window
@@ -314,21 +287,15 @@ def compare_with_real_rain(
     colors = [np.ascontiguousarray(sequence.picture(k)[part]) for k in numbers]
     real = median_residuals(frames)
     horizon = above_horizon(sequence)[3]
-    sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
+    sky = sky_levels(picture[:horizon] for picture in pictures)
     drop = light_of_drops(_color_of_light(colors, frames, sky), rain.sensor)
     times = [sequence.times_s[k] for k in numbers]
     light = slow_light(real.values)
     ours: list[MeasuredFrames] = []
-    pictures: list[UInt8[np.ndarray, "h w 3"]] = []
     for exposure in exposures_s:
-        falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze="none"))
-        lens = falling.lens(camera)  # of the whole image: the window has the same lens
-        fixed = {"aperture_mm": 1e3 * lens.aperture_m, "focus_distance_m": lens.focus_m}
-        falling = falling.changed(msgspec.structs.replace(falling.rain, **fixed), 0.0)
+        falling = rain_before(camera, rain, exposure)
         shares = list(rain_shares(cropped_camera(camera, window), falling, times))
         made = simulated_frames(real, colors, shares, falling, drop, camera.height)
-        if photographs and not pictures:
-            pictures = rainy_photographs(real, colors, shares, falling, drop, camera.height)
         rendered = np.stack([each.luma for each in made])
         found = replace(median_residuals(rendered), still=real.still)
         ours.append(MeasuredFrames.of(rendered, found, sky, exposure, light, [each.color for each in made]))
@@ -341,14 +308,40 @@ def compare_with_real_rain(
         sky_levels=sky,
         real=MeasuredFrames.of(frames, real, sky, None, colors=colors),
         ours=tuple(ours),
-        photographs=tuple(pictures),
     )
 
 
 def light_of_drops(sky: Float64[np.ndarray, "3"], sensor: str | None) -> Float64[np.ndarray, "3"]:
-    """Display color of a drop under an overcast sky, from that of the sky in the picture: DROP_SHARE of its light."""
+    """Display color of a drop in an open place, from that of the sky in the picture: DROP_SHARE of its light."""
     curve = "srgb" if sensor is None else load_sensor(sensor).tone_curve
     return 255 * tone_curve(DROP_SHARE * light_of_display(sky / 255, curve), curve)
+
+
+def rain_before(camera: Camera, rain: RainSettings, exposure_s: float | None) -> RainSimulation:
+    """Start rain at an exposure, without haze, whose lens is that of a whole image: its windows have the same one."""
+    falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure_s, haze="none"))
+    lens = falling.lens(camera)
+    fixed = {"aperture_mm": 1e3 * lens.aperture_m, "focus_distance_m": lens.focus_m}
+    return falling.changed(msgspec.structs.replace(falling.rain, **fixed), 0.0)
+
+
+def sky_levels(grays: Iterable[UInt8[np.ndarray, "h w"]]) -> float:
+    """Gray level at which the brightest tenth above the horizon begins, the median of frames."""
+    return float(np.median([np.percentile(gray, _SKY_PERCENTILE) for gray in grays]))
+
+
+def drop_levels(
+    sequence: RainSequence, numbers: Sequence[int], rain: RainSettings, window: Window
+) -> Float32[np.ndarray, "h w 3"]:
+    """Display color (gray levels) of drops before each pixel of a window: see `light_before`."""
+    some = numbers[:: max(len(numbers) // _FRAMES_OF_LIGHT, 1)]
+    pictures, horizon = [sequence.picture(k) for k in some], above_horizon(sequence)[3]
+    grays = np.stack([sequence.gray_image(k)[:horizon] for k in some])
+    sky = _color_of_light([each[:horizon] for each in pictures], grays, sky_levels(grays))
+    median = np.median(pictures, axis=0).astype(np.float32)
+    curve = "srgb" if rain.sensor is None else load_sensor(rain.sensor).tone_curve
+    x, y, width, height = window
+    return light_before(median, sky, sequence.camera, curve)[y : y + height, x : x + width]
 
 
 def _color_of_light(

@@ -1,10 +1,10 @@
-"""Report of real and simulated rain as one table in Markdown, with intervals, and unlabeled pairs of pictures."""
+"""Report of real and simulated rain as one table in Markdown, with intervals."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
+from jaxtyping import Float64, Int64
 
 from .real_rain import MeasuredFrames, RealRainComparison
 from .streaks import DARK_BAND, streaks_within
@@ -187,60 +187,3 @@ def _number(value: float) -> str:
 
 def _interval(each: Estimate) -> str:
     return "-" if np.isnan(each.value) else f"{_number(each.low)} to {_number(each.high)}"
-
-
-# Pairs
-
-PAIRS = 40
-PAIR_CROP = (590, 400)
-_GAP_PX = 12
-_MIN_STILL = 0.9
-_DARK_LEVELS, _MIN_DARK = 96, 0.4
-_TRIES = 300
-
-
-class Pair(NamedTuple):
-    """Two crops of the same place, real and ours, in random order."""
-
-    picture: UInt8[np.ndarray, "h w 3"]
-    sequence: str
-    frame: int
-    real_side: str
-    """left or right."""
-
-
-def unlabeled_pairs(rows: Sequence[RealRainComparison], count: int, seed: int = 0) -> Iterator[Pair]:
-    """Choose crops before dark and still backgrounds from sequences with rain in turn, and pair real with ours.
-
-    Ours are the photographs of the comparisons: noise, motion and compression are those of the camera in both.
-    """
-    random = np.random.default_rng(seed)
-    rainy = [row for row in rows if row.labelled_mm_h > 0]
-    for number in range(count):
-        row = rainy[number % len(rainy)]
-        x, y = _dark_corner(row, random)
-        part = (slice(y, y + PAIR_CROP[1]), slice(x, x + PAIR_CROP[0]))
-        frame = int(random.integers(len(row.numbers)))
-        real, ours = row.real.colors[frame][part], row.photographs[frame][part]
-        real_first = bool(random.integers(2))
-        left, right = (real, ours) if real_first else (ours, real)
-        gap = np.full((left.shape[0], _GAP_PX, 3), 255, np.uint8)
-        picture = np.concatenate([left, gap, right], axis=1)
-        yield Pair(picture, row.sequence, row.numbers[frame], "left" if real_first else "right")
-
-
-def _dark_corner(row: RealRainComparison, random: np.random.Generator) -> tuple[int, int]:
-    """Upper left corner of a crop with many dark and hardly any moving pixels; the best of some tries."""
-    height, width = row.real.found.still.shape
-    tries: list[tuple[float, int, int]] = []
-    for _ in range(_TRIES):
-        x, y = (
-            int(random.integers(max(side - crop, 0) + 1)) for side, crop in zip((width, height), PAIR_CROP, strict=True)
-        )
-        part = (slice(y, y + PAIR_CROP[1]), slice(x, x + PAIR_CROP[0]))
-        still, dark = row.real.found.still[part].mean(), (row.real.found.median[part] < _DARK_LEVELS).mean()
-        if still >= _MIN_STILL and dark >= _MIN_DARK:
-            return x, y
-        tries.append((float(still + dark), x, y))
-    _, x, y = max(tries)
-    return x, y

@@ -5,7 +5,7 @@ compared with its noise, and significant pixels form connected components. Momen
 give the angle, and the length, width and rise of the box with the same moments.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 
@@ -17,7 +17,7 @@ from ..scene.geometry import srgb_to_linear
 
 LINE_PX = 15  # length of the lines of the streak detector
 FALL_BY_DIAMETER_S = 0.3e-3  # D/V of the drops that make visible streaks
-_DIRECTIONS = 12
+LINE_DIRECTIONS = 12  # of the detector, from the vertical on
 _ACROSS_SIGMA_PX = 1.0
 _EDGE_Z, _PEAK_Z = 4.0, 7.0
 """Thresholds on the line response in standard deviations of its noise: for a component's pixels, and for its peak."""
@@ -125,12 +125,14 @@ def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: f
 
 
 def line_responses(
-    normalized: Float32[np.ndarray, "h w"], still: Bool[np.ndarray, "h w"] | None = None
+    normalized: Float32[np.ndarray, "h w"],
+    still: Bool[np.ndarray, "h w"] | None = None,
+    directions: Sequence[int] = tuple(range(LINE_DIRECTIONS)),
 ) -> Float32[np.ndarray, "h w"]:
-    """Return the largest mean along a short line over all directions, in deviations of those at the still pixels."""
-    z = np.full(normalized.shape, -np.inf, np.float32)
-    for kernel in line_kernels():
-        np.maximum(z, cv2.filter2D(normalized, -1, kernel), out=z)
+    """Return the largest mean along a short line over directions, in deviations of those at the still pixels."""
+    z, kernels = np.full(normalized.shape, -np.inf, np.float32), line_kernels()
+    for direction in directions:
+        np.maximum(z, cv2.filter2D(normalized, -1, kernels[direction]), out=z)
     quiet = z if still is None else z[still]
     middle = float(np.median(quiet))
     return (z - middle) / max(MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
@@ -141,7 +143,7 @@ def line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
     reach = LINE_PX // 2
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     kernels: list[Float32[np.ndarray, "k k"]] = []
-    for angle in np.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
+    for angle in np.pi / LINE_DIRECTIONS * np.arange(LINE_DIRECTIONS):
         along, across = x * np.sin(angle) + y * np.cos(angle), x * np.cos(angle) - y * np.sin(angle)
         kernel = np.exp(-((across / _ACROSS_SIGMA_PX) ** 2) / 2) * (np.abs(along) <= reach)
         kernels.append((kernel / kernel.sum()).astype(np.float32))

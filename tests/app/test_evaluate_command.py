@@ -89,7 +89,7 @@ def test_options_change_the_rendered_rain(real, reported):
 
 
 def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.evaluation.real_rain_report.PAIR_CROP", (100, 80))
+    monkeypatch.setattr("gsrain_engine.evaluation.rain_pairs.PAIR_CROP", (100, 80))
     monkeypatch.setattr("app.evaluate.streaks.PAIRS", 6)
     conditions = tmp_path / "days.yaml"
     conditions.write_text("sequences: [{intensity_mm_h: 6.0, shutter_s: 0.012, wind_speed_m_s: 0, middle_frame: 4}]")
