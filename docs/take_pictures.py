@@ -46,6 +46,7 @@ class Photographer:
     def __init__(self, folder: Path) -> None:
         self.editor = Editor(load_scene("street"))
         self.editor.playback.clock.playing = False
+        self.editor.preferences.value = msgspec.structs.replace(self.editor.preferences.value, hint=False)
         self.window = MainWindow(lambda: self.editor)
         self._folder = folder
 
