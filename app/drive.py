@@ -37,11 +37,10 @@ from gsrain_engine.simulation.agents.registry import (
     open_agent,
 )
 from gsrain_engine.simulation.ground import recorded_route
-from gsrain_engine.simulation.interop.mcap import CameraImage
 from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
 from gsrain_engine.simulation.obstacles import drivable_of
 from gsrain_engine.simulation.playback import RolloutPlayback
-from gsrain_engine.simulation.rollout import BACKGROUND, Rollout
+from gsrain_engine.simulation.rollout import BACKGROUND, CameraImage, Rollout
 from gsrain_engine.simulation.rollout_io import write_rollout, write_rollout_parquet
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario

@@ -22,7 +22,7 @@ def publish(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
-    output: Annotated[Path, option("Web page to write (.html).", "--output", "-o")],
+    output: Annotated[Path, setting(ExportSettings, "output", "Here a web page (.html).")],
     rain: RainOptions | None = None,
     camera: Annotated[Path | None, option("Camera file (JSON), for a page without a path.")] = None,
     camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, or 3DGS's cameras.json.")] = None,

@@ -324,6 +324,8 @@ class MainWindow:
         imgui.progress_bar(-imgui.get_time(), ImVec2(280, 0), "loading")
 
     def _end(self) -> None:
+        if self.workspace is not None:
+            self.workspace.folded.unfold()  # layouts are saved with all docks
         self.close()
         if self._pictures is not None:
             self._pictures.release()

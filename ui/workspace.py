@@ -87,7 +87,8 @@ class Workspace:
         front, self._drawn = tuple(sorted(self._drawn)), set()
         is_stable, self._front = front == self._front, front
         titles = {each.window_name: each.title for each in all_panels()}
-        hidden = tuple(sorted(titles[each.label] for each in panel_windows() if not each.is_visible))
+        gone = [each for each in panel_windows() if not each.is_visible and each.label not in self.folded.hidden]
+        hidden = tuple(sorted(titles[each.label] for each in gone))
         preferences = self.editor.preferences
         before = preferences.value.front_panels, preferences.value.hidden_panels
         if is_stable and front and (front, hidden) != before:
@@ -156,7 +157,6 @@ class Workspace:
 
     def close(self) -> None:
         """Wait for the picture that is being drawn, and stop its thread. Further calls do nothing."""
-        self.folded.unfold()  # layouts are saved with all docks
         self.pictures.close()
 
     def _take_picture(self) -> None:

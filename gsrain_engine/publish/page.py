@@ -19,7 +19,7 @@ from markupsafe import Markup
 
 from ..rain.settings import RainSettings
 from ..render.cpu.projection import NEAR_M
-from ..render.draw import RenderView
+from ..render.draw import RenderView, rain_camera
 from ..render.opengl.shaders import ShaderSource
 from ..render.renderer import Renderer
 from ..render.sequence import FrameSequence
@@ -36,7 +36,14 @@ LONGEST_S = 600.0
 
 _STEP_S = 1 / 30  # between the cameras of the path
 _COLUMNS = {"SPLAT_COLUMNS": 2048, "STREAK_COLUMNS": 512}  # of the data textures
-_SHADERS = "page_quad.vert", "page_project.frag", "page_splat.vert", "page_splat.frag", "page_picture.frag"
+_SHADERS = (
+    "page_quad.vert",
+    "page_project.frag",
+    "page_splat.vert",
+    "page_splat.frag",
+    "page_sky.frag",
+    "page_picture.frag",
+)
 _KEYS = (
     ("Drag, wheel", "look around, move ahead"),
     ("W A S D, Q E", "move; with Shift faster"),
@@ -60,6 +67,8 @@ class PageContents:
     rain: RainStates
     views: Sequence[RenderView]
     """Cameras of the path, `_STEP_S` apart."""
+    floors_m: Sequence[float | None]
+    """Heights of the ground below them, where they are known."""
     start_s: float = 0.0
     """Time of the scene and of the rain at the start of the path."""
     split: float | None = 0.5
@@ -95,8 +104,9 @@ def write_page(
     exposure_s = sequence.rainfall.exposure_s(views[0].camera)
     cameras = [view.camera for view in views]
     states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, cameras, exposure_s)
+    floors = [rain_camera(scene, sequence.rainfall, view).floor_m for view in views]
     contents = PageContents(
-        scene.name, path_name, content, states, views, time_s, missing=left_out_of_page(scene, time_s)
+        scene.name, path_name, content, states, views, floors, time_s, missing=left_out_of_page(scene, time_s)
     )
     with whole_file(output) as written:
         written.write_text(page_html(contents), encoding="utf-8")
@@ -152,6 +162,7 @@ def _settings(contents: PageContents) -> dict[str, Any]:
         "split": contents.split,
         "pathStep": _STEP_S,
         "path": [_row(view) for view in contents.views],
+        "floors": contents.floors_m,
     }
 
 

@@ -288,7 +288,7 @@ class Rain {
     return rows.subarray(0, STREAK_FLOATS * count);
   }
 
-  // Numbers and table of the medium for a camera, as `RainMedium`.
+  // Numbers, table and floor of the medium for a camera, as `RainMedium`.
   medium(camera) {
     const cell = {size: [0, 1, 2].map(k => this.settings.region.maximum[k] - this.settings.region.minimum[k])};
     const shutter = this._shutter(camera), {diameters, density} = this.state, {region, hazeGain} = this.settings;
@@ -313,7 +313,9 @@ class Rain {
     const turn = [[x, y, 0], [-y, x, 0], [0, 0, 1]], middle = [0, 1, 2].map(k => (region.maximum[k] + region.minimum[k]) / 2);
     const rotation = turn.flatMap(row => camera.axes.map(axis => row[0] * axis[0] + row[1] * axis[1] + row[2] * axis[2]));
     const box = [...rotation, ...middle.map(each => -each), ...cell.size.map(each => each / 2)];
-    return {numbers: Float32Array.from([this.state.extinction, step, ...box, ...box, 0]), drawn};
+    const over = camera.floor === null || camera.floor === undefined ? 1e9 : camera.position[2] - camera.floor;
+    const floor = Float32Array.from([...camera.axes.map(axis => axis[2]), over > 0.05 && over < 1e9 ? over : 1e9]);
+    return {numbers: Float32Array.from([this.state.extinction, step, ...box, ...box, 0]), drawn, floor};
   }
 }
 
@@ -400,8 +402,8 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
     const falls = rain.state.density > 0, streaks = falls ? rain.streaks(time, camera) : new Float32Array(0);
     if (data.poses) order.move(data.poses, data.rotation, data.origin);
     const ids = order.of(camera, streaks, near).slice(), copy = streaks.slice();
-    const {numbers, drawn} = rain.medium(camera);
-    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, camera, state, poses: data.poses}, [ids.buffer, copy.buffer]);
+    const {numbers, drawn, floor} = rain.medium(camera);
+    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, floor, camera, state, poses: data.poses}, [ids.buffer, copy.buffer]);
   };
 } else if (typeof module !== "undefined") {
   module.exports = {Rain, DepthOrder, CLASSES, STREAK_FLOATS};

@@ -118,10 +118,10 @@ function rotationOf([w, x, y, z]) {
 
 function pathCamera(time) {
   const {path, pathStep} = settings, at = Math.min(time / pathStep, path.length - 1), k = Math.min(Math.floor(at), path.length - 2);
-  if (k < 0) return {position: path[0].slice(0, 3), axes: transposed(rotationOf(path[0].slice(3, 7))), fov: path[0][7], velocity: path[0].slice(8)};
+  if (k < 0) return {position: path[0].slice(0, 3), axes: transposed(rotationOf(path[0].slice(3, 7))), fov: path[0][7], velocity: path[0].slice(8), floor: settings.floors[0]};
   const [a, b, share] = [path[k], path[k + 1], at - k];
   const mixed = a.map((each, i) => each + share * (b[i] - each)), turn = mixed.slice(3, 7), norm = Math.hypot(...turn);
-  return {position: mixed.slice(0, 3), axes: transposed(rotationOf(turn.map(each => each / norm))), fov: mixed[7], velocity: mixed.slice(8)};
+  return {position: mixed.slice(0, 3), axes: transposed(rotationOf(turn.map(each => each / norm))), fov: mixed[7], velocity: mixed.slice(8), floor: settings.floors[k]};
 }
 
 function withSize(camera, width, height) {
@@ -205,6 +205,7 @@ async function open() {
   programs = {
     scene: new Program(text("page_quad.vert"), text("page_project.frag")),
     streaks: new Program(text("page_quad.vert"), text("page_project.frag streaks")),
+    sky: new Program(text("page_quad.vert"), text("page_sky.frag")),
     splats: new Program(text("page_splat.vert"), text("page_splat.frag")),
     picture: new Program(text("page_quad.vert"), text("page_picture.frag")),
   };
@@ -265,7 +266,7 @@ const linear = color => color.map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) /
 function drawPart(camera, drawn, rain, left, right) {
   const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count, drawn.ids.length), view = projection(camera);
   const falls = rain.density > 0, hazy = rain.extinction > 0;
-  const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, airlight: linear(rain.airlight)};
+  const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, medium_floor: drawn.floor, airlight: linear(rain.airlight)};
   if (settings.actors) uploadPoses(drawn.poses, view.camera_in_object);
   gl.disable(gl.BLEND);
   gl.disable(gl.SCISSOR_TEST);
@@ -287,8 +288,12 @@ function drawPart(camera, drawn, rain, left, right) {
   gl.enable(gl.SCISSOR_TEST);
   const from = Math.round(left * camera.width), to = Math.round(right * camera.width);
   gl.scissor(from, 0, to - from, camera.height);
-  gl.clearBufferfv(gl.COLOR, 0, hazy ? [...rain.airlight, 1] : [0, 0, 0, 0]);
-  gl.clearBufferfv(gl.COLOR, 1, [0, hazy ? 1 : 0, 0, 0]);
+  gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+  gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
+  if (hazy) {
+    programs.sky.use({...view, ...medium});
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
   gl.enable(gl.BLEND);
   gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   programs.splats.use({shapes: scene.shapes, rests: scene.rests, order: scene.order, image_size: view.image_size, falls,
@@ -341,7 +346,7 @@ function viewOf({mm, t, split, camera, size}) {
   if (size !== undefined) view.size = String(size).split("x").map(Number);
   if (camera !== undefined) {
     const numbers = String(camera).split(",").map(Number);
-    view.free = {position: numbers.slice(0, 3), axes: transposed(rotationOf(numbers.slice(3, 7))), fov: numbers[7], velocity: [0, 0, 0]};
+    view.free = {position: numbers.slice(0, 3), axes: transposed(rotationOf(numbers.slice(3, 7))), fov: numbers[7], velocity: [0, 0, 0], floor: settings.floors[0]};
   }
   return view;
 }

@@ -1,9 +1,12 @@
 """Roll-out of a closed-loop drive, step by step, as plain values."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
+from jaxtyping import UInt8
 
+from ..scene.camera import Camera
 from .geometry import PlanarBox
 from .vehicle import Vehicle, VehicleState
 
@@ -113,3 +116,15 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return tuple(
             PlanarBox(each.x_m, each.y_m, each.yaw_rad, *self.users[each.id].size_lwh_m[:2]) for each in step.road_users
         )
+
+
+class CameraImage(NamedTuple):
+    """Image of a rig camera at one step, for recordings of a roll-out."""
+
+    step: int
+    name: str
+    """Camera name, used as frame and topic."""
+    image: UInt8[np.ndarray, "h w 3"]
+    """RGB, display-referred."""
+    camera: Camera
+    """World frame."""

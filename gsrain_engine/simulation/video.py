@@ -26,11 +26,10 @@ from ..water.glass import CameraMotion
 from .agents.base import SensorRequirements
 from .geometry import PlanarBox, arc_lengths, points_along
 from .ground import road_surface_of
-from .interop.mcap import CameraImage
 from .metrics.collisions import LONGEST_S, gaps_m, times_to_collision_s
 from .obstacles import occupied_space_of
 from .playback import RolloutPlayback
-from .rollout import RolloutStep
+from .rollout import CameraImage, RolloutStep
 from .sensors import needed_cameras
 from .vehicle import vehicle_box
 

@@ -46,7 +46,7 @@ render scene -o a.mp4 --from 2 --to 1                | --to must be above --time
 render scene -o a.mp4 --to 2 --duration 1            | --duration and --to
 render scene -o a.mp4 --codec vp9                    | .webm
 publish room.ply -o page.png                         | --output page.png
-publish room.ply -o page.html --duration 601         | --duration must be within
+publish room.ply -o page.html --duration 601         | --duration 601
 publish room.ply -o page.html --speed 3              | --speed 3
 publish room.ply -o page.html --rain 5 --haze gaussians | haze gaussians
 info room.ply extra                                  | extra

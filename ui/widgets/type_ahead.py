@@ -40,8 +40,9 @@ _typed = _Typed()
 
 
 def is_menu_open() -> bool:
-    """Return whether a menu, a list or another popup is open."""
-    return imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+    """Return whether a menu, a list or another popup is open, and no dialog, which has keys of its own."""
+    is_open = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+    return is_open and imgui.internal.get_top_most_popup_modal() is None
 
 
 def install_type_ahead() -> None:

@@ -44,7 +44,7 @@ class SignalHead(NamedTuple):
 
     @property
     def aspects(self) -> tuple[Aspect, ...]:
-        """What its lenses show, from above."""
+        """Lights that its lenses show, from above."""
         return ("red", "amber", "green") if self.lamps == 3 else ("red", "green")
 
     @property

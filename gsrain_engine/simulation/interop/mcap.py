@@ -3,31 +3,22 @@
 import base64
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import msgspec
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ..geometry import Route
 from ..metrics.collisions import gaps_m, times_to_collision_s
-from ..rollout import Rollout, RolloutStep, UserModel, UserRecord
+from ..rollout import CameraImage, Rollout, RolloutStep, UserModel, UserRecord
 from ..vehicle import Vehicle
 
 _CHUNK_BYTES = 1 << 20
-
-
-class CameraImage(NamedTuple):
-    """Image of a rig camera at one step."""
-
-    step: int
-    name: str  # camera name, used as frame and topic
-    image: UInt8[np.ndarray, "h w 3"]  # RGB, display-referred
-    camera: Camera  # world frame
 
 
 def write_rollout_mcap(

@@ -15,8 +15,7 @@ from ...scene.gaussians import SH_C0
 from ...scene.scene import Scene
 from ..geometry import Route
 from ..metrics.collisions import gaps_m, times_to_collision_s
-from ..rollout import Rollout, RolloutStep
-from .mcap import CameraImage
+from ..rollout import CameraImage, Rollout, RolloutStep
 
 MOST_POINTS = 150_000
 """Points that stand for a scene: its Gaussians with the most visible area."""

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.geometry import Route
-from gsrain_engine.simulation.interop.mcap import CameraImage, write_rollout_mcap
+from gsrain_engine.simulation.interop.mcap import write_rollout_mcap
+from gsrain_engine.simulation.rollout import CameraImage
 from small_rollout import approach, ego, rollout, step, user
 
 reader = pytest.importorskip("mcap.reader")

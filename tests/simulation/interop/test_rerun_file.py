@@ -8,8 +8,8 @@ import pytest
 from app.main import run
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.geometry import Route
-from gsrain_engine.simulation.interop.mcap import CameraImage
 from gsrain_engine.simulation.interop.rerun_file import MOST_POINTS, scene_points, write_rollout_rerun
+from gsrain_engine.simulation.rollout import CameraImage
 from small_rollout import approach
 from small_scene import small_scene
 
