@@ -170,7 +170,7 @@ class ViewportState:
     def frame_scene(self) -> None:
         """Move back until the selected Gaussians are visible, else the active layer or actor, else the dense scene.
 
-        Once that is framed, frame the next of these: from the selection to the scene.
+        Once that is framed, frame the next of these, and after the scene the first again.
         """
         scene, key, time_s = self.document.scene, self.options.member, self.playback.clock.time_s
         cores = [core_bounds(selected)] if (selected := selected_items(scene, time_s)) else []
@@ -182,7 +182,7 @@ class ViewportState:
         framed = [self._framing(core) for core in cores]
         near = [np.allclose(each.position, present, atol=1e-6 * (1 + each.distance_m)) for each in framed]
         last = max((number for number, is_near in enumerate(near) if is_near), default=-1)
-        self.navigation = framed[min(last + 1, len(framed) - 1)]
+        self.navigation = framed[(last + 1) % len(framed)]
 
     def _framing(self, core: SceneCore) -> OrbitCamera:
         """The camera with a core framed."""

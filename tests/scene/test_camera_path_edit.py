@@ -15,6 +15,8 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized, quaternions_from_matrices
 from small_scene import AHEAD, small_scene
 
+# The type checker of the tests picks an element of a tuple by `random`.
+pytestmark = pytest.mark.filterwarnings("ignore::hypothesis.errors.HypothesisDeprecationWarning")
 UP = np.array([0.0, 0, 1])
 moments = st.floats(0, 20, allow_nan=False)
 
