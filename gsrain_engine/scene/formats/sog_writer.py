@@ -136,9 +136,19 @@ def nearest_codes(values: Float32[np.ndarray, "n c"], codebook: Float32[np.ndarr
 def find_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
     """Vectors that stand for rows, and the index of the one for each row.
 
-    k is a power of 2 between half of the rows and all, 1024 to 65536, or all if there are fewer. Rows are divided into
-    256 coarse cells and each of these on its own, so that the time grows with n sqrt(k), not n k (Lloyd 1982).
+    Equal rows, such as those of Gaussians without harmonics, count once. k is a power of 2 between half of the rows and
+    all, 1024 to 65536, or all if there are fewer. Rows are divided into 256 coarse cells and each of these on its own,
+    so that the time grows with n sqrt(k), not n k (Lloyd 1982).
     """
+    whole = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
+    _, first_of, number_of = np.unique(whole, return_index=True, return_inverse=True)
+    palette, labels = _palette_of_distinct(rows[first_of])
+    return palette, labels[number_of]
+
+
+def _palette_of_distinct(
+    rows: Float32[np.ndarray, "n d"],
+) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
     n = len(rows)
     size = min(n, _LARGEST_PALETTE, max(_SMALLEST_PALETTE, 1 << (n.bit_length() - 1)))
     if size == n:
