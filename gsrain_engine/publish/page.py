@@ -115,7 +115,7 @@ def write_page(
 
 def left_out_of_page(scene: Scene, time_s: float) -> list[str]:
     """Phrases for what a page lacks of a scene and its rain."""
-    kept = "wet colors", "camera key", "the rain", "actor"
+    kept = "wet colors", "camera key", "the rain", "actor", "layer", "rig camera", "drive", "map of water"
     lost = [each for each in lost_when_flattened(scene, time_s) if not any(word in each for word in kept)]
     lamps = ["the light of lamps on rain"] if scene.lamps else []
     return [*lost, *lamps, "the mirror of wet ground", "splashes", "spray", "water on glass"]
