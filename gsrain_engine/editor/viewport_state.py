@@ -83,6 +83,7 @@ class ViewportState:
         self.picture_view: RenderView | None = None
         """View of the picture on the screen, in the size of the viewport; it may be a moment behind the camera."""
         self.obstacles = ObstacleFinder()
+        self._given_m = np.full(3, np.nan)  # position of a recorded camera, from which nothing stops an orbit
         self._path = PathFollower()
         self._core: tuple[Hashable, SceneCore] | None = None
         self._last_view: RenderView | None = None
@@ -161,6 +162,7 @@ class ViewportState:
         self.following.follow("")
         self.navigation.stop()
         self.navigation.look_like(camera)
+        self._given_m = self.navigation.position.copy()
 
     def follow_actor(self, key: str) -> None:
         """Follow an actor, or stop if it is followed already."""
@@ -202,6 +204,8 @@ class ViewportState:
         """Turn around the pivot; near a wall the camera stops in front of it."""
         before = replace(self.navigation)
         self.navigation.orbit(right_rad, up_rad)
+        if np.array_equal(before.position, self._given_m):
+            return
         obstacles = self.obstacles.of(self.document.scene, self.core.radius_m)
         if obstacles is not None and obstacles.stops(before.position, self.navigation.position):
             self.navigation = before
