@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.publish.page import LONGEST_S, left_out_of_page, write_page
+from gsrain_engine.publish.page import LONGEST_S, write_page
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
@@ -57,20 +57,15 @@ def publish(
     is_own = camera is None and camera_path is None and opened.path is not None
     sequence = export_sequences(film, opened, RainSimulation.start(settings), viewpoint, in_scene_time=is_own)[""]
     lock_outputs(output)
+    path_name = "Path" if camera_path is None else camera_path.stem
     with open_renderer("cpu") as renderer:
-        contents = run_with_progress(
-            write_page(renderer, opened, settings, sequence, _path_name(opened.name, camera_path), output, duration)
-        )
+        contents = run_with_progress(write_page(renderer, opened, settings, sequence, path_name, output, duration))
     page_bytes, sog_bytes = output.stat().st_size, len(contents.scene.sog)
     rates = [state["intensity"] for state in contents.rain.states]
     length = f"{sequence.length_s or 0.0:.3g} s of path" if len(contents.views) > 1 else "one place"
     print(f"{output}: {page_bytes / 1e6:.1f} MB, {length}, {len(rates)} intensities")
-    print(f"not on the page: {', '.join(left_out_of_page(opened, time))}")
+    print(f"not on the page: {', '.join(contents.missing)}")
     write_numbers(
         json,
         {"bytes": page_bytes, "sog_bytes": sog_bytes, "cameras": len(contents.views), "intensities_mm_h": rates},
     )
-
-
-def _path_name(scene: str, camera_path: Path | None) -> str:
-    return scene if camera_path is None else camera_path.stem

@@ -15,7 +15,7 @@ from gsrain_engine.editor.viewport_state import ViewportState
 
 from .commands.keys import chord_name, chords_of
 from .commands.table import COMMANDS
-from .shell import bring_to_front, panel_windows
+from .folding import bring_to_front, panel_windows
 from .tools import TOOLS
 from .widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
 from .widgets.type_ahead import is_menu_open

@@ -32,18 +32,18 @@ class FoldedPanels:
             self.unfold()
             self._folded = folded
             self._known = set()
-        visible = [each for each in _windows() if each.is_visible and each.dock_space_name in folded]
+        visible = [each for each in panel_windows() if each.is_visible and each.dock_space_name in folded]
         for each in visible:
             each.is_visible = each.focus_window_at_next_frame = False
             if each.label in self._known:  # a menu or a button asks for it
                 self.open = each.label
         shown = {*self.hidden, *(each.label for each in visible)}
-        self.hidden = [each.label for each in _windows() if each.label in shown]
-        self._known = {each.label for each in _windows()}
+        self.hidden = [each.label for each in panel_windows() if each.label in shown]
+        self._known = {each.label for each in panel_windows()}
 
     def unfold(self) -> None:
         """Put all folded panels back into their docks."""
-        for each in _windows():
+        for each in panel_windows():
             each.is_visible = each.is_visible or each.label in self.hidden
         self._folded, self.hidden, self.open = (), [], ""
 
@@ -72,7 +72,7 @@ class FoldedPanels:
                 imgui.pop_style_color()
         imgui.end_child()
         imgui.pop_style_var()
-        panel = next((each for each in _windows() if each.label == self.open), None)
+        panel = next((each for each in panel_windows() if each.label == self.open), None)
         if panel is not None:
             self._draw_open(panel, corner, height)
 
@@ -94,15 +94,23 @@ class FoldedPanels:
             self.open = ""
 
 
+# Windows of panels
+
+
 def show_panel(label: str) -> None:
     """Bring a panel to the front, wherever it is."""
-    for each in _windows():
+    for each in panel_windows():
         if each.label == label:
-            each.is_visible = each.focus_window_at_next_frame = True
+            bring_to_front(each)
 
 
-def _windows() -> list[hello_imgui.DockableWindow]:
-    """Return the windows of panels, which the viewport is not."""
+def bring_to_front(window: hello_imgui.DockableWindow) -> None:
+    """Show a panel in front of those docked at the same place."""
+    window.is_visible = window.focus_window_at_next_frame = True
+
+
+def panel_windows() -> list[hello_imgui.DockableWindow]:
+    """Return all windows except the viewport, which is always open."""
     windows = hello_imgui.get_runner_params().docking_params.dockable_windows
     return [each for each in windows if each.include_in_view_menu]
 

@@ -10,6 +10,7 @@ from gsrain_engine.editor.files import Files
 
 from .commands.keys import chord, chords_of
 from .commands.table import COMMAND_GROUPS, COMMANDS, Command
+from .folding import bring_to_front, panel_windows
 from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
 from .widgets.fields import WARNING
@@ -93,20 +94,6 @@ def _panels() -> None:
             for window in panel_windows():
                 window.is_visible = True
         imgui.end_menu()
-
-
-# Panel windows
-
-
-def panel_windows() -> list[hello_imgui.DockableWindow]:
-    """Return all windows except the viewport, which is always open."""
-    windows = hello_imgui.get_runner_params().docking_params.dockable_windows
-    return [each for each in windows if each.include_in_view_menu]
-
-
-def bring_to_front(window: hello_imgui.DockableWindow) -> None:
-    """Show a panel in front of those docked at the same place."""
-    window.is_visible = window.focus_window_at_next_frame = True
 
 
 # Status bar: scene, selection, rain, current or last activity, and help on the tool

@@ -15,10 +15,10 @@ from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
-from .folding import FoldedPanels, show_panel
+from .folding import FoldedPanels, panel_windows, show_panel
 from .panels.registry import all_panels
 from .parts import bind_parts
-from .shell import act_on_keys, draw_menus, panel_windows, status_bar
+from .shell import act_on_keys, draw_menus, status_bar
 from .tools import TOOLS
 from .viewport.panel import viewport_panel
 from .widgets.file_dialogs import draw_file_dialogs, is_file_dialog_open

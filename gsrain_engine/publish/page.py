@@ -27,7 +27,7 @@ from ..scene.files import whole_file
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from ..scene.transforms import lost_when_flattened, world_to_file
+from ..scene.transforms import world_to_file
 from .page_scene import POSE_STEP_S, PageScene, page_scene
 from .rain_states import RainStates, check_rain, rain_states
 
@@ -71,10 +71,8 @@ class PageContents:
     """Heights of the ground below them, where they are known."""
     start_s: float = 0.0
     """Time of the scene and of the rain at the start of the path."""
-    split: float | None = 0.5
-    """Place of the divider between dry and rainy at first, as a share of the width; None shows rain alone."""
     missing: Sequence[str] = ()
-    """Phrases for what the page lacks of the scene."""
+    """Phrases for what the page lacks of the rain."""
 
 
 def write_page(
@@ -106,19 +104,17 @@ def write_page(
     states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, cameras, exposure_s)
     floors = [rain_camera(scene, sequence.rainfall, view).floor_m for view in views]
     contents = PageContents(
-        scene.name, path_name, content, states, views, floors, time_s, missing=left_out_of_page(scene, time_s)
+        scene.name, path_name, content, states, views, floors, time_s, missing=left_out_of_page(scene)
     )
     with whole_file(output) as written:
         written.write_text(page_html(contents), encoding="utf-8")
     return contents
 
 
-def left_out_of_page(scene: Scene, time_s: float) -> list[str]:
-    """Phrases for what a page lacks of a scene and its rain."""
-    kept = "wet colors", "camera key", "the rain", "actor", "layer", "rig camera", "drive", "map of water"
-    lost = [each for each in lost_when_flattened(scene, time_s) if not any(word in each for word in kept)]
+def left_out_of_page(scene: Scene) -> list[str]:
+    """Phrases for what a page lacks of the rain in a scene."""
     lamps = ["the light of lamps on rain"] if scene.lamps else []
-    return [*lost, *lamps, "the mirror of wet ground", "splashes", "spray", "water on glass"]
+    return [*lamps, "the mirror of wet ground", "splashes", "spray", "water on glass"]
 
 
 def page_html(contents: PageContents) -> str:
@@ -159,7 +155,6 @@ def _settings(contents: PageContents) -> dict[str, Any]:
         "rain": contents.rain.settings,
         "states": contents.rain.states,
         "chosen": contents.rain.chosen,
-        "split": contents.split,
         "pathStep": _STEP_S,
         "path": [_row(view) for view in contents.views],
         "floors": contents.floors_m,

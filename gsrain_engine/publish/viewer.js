@@ -145,7 +145,7 @@ function posesAt(time) {
 // State of the page
 
 const duration = settings.pathStep * (settings.path.length - 1);
-const state = {time: 0, step: settings.chosen, split: settings.split, playing: false, free: null, size: null};
+const state = {time: 0, step: settings.chosen, split: 0.5, playing: false, free: null, size: null};
 const keys = new Set();
 let worker = null, waiting = new Map(), requests = 0, scene = {}, programs = null, screen = null, half = null;
 
@@ -216,7 +216,7 @@ async function open() {
 
 const rowsFor = (count, columns) => Math.max(1, Math.ceil(count / columns));
 
-function makeRoom(streaks, total) {  // data textures: splats of the scene, then of streaks; streaks; the order
+function makeRoom(streaks) {  // data textures: splats of the scene, then of streaks; streaks; the order
   const rows = rowsFor(scene.count, COLUMNS);
   if (!scene.room || streaks > scene.room) {
     const room = scene.room = Math.max(65536, 2 * streaks), more = rowsFor(room, COLUMNS);
@@ -264,7 +264,7 @@ const linear = color => color.map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) /
 
 // Draws one state of the rain into the columns of the canvas from `left` to `right` (shares of the width).
 function drawPart(camera, drawn, rain, left, right) {
-  const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count, drawn.ids.length), view = projection(camera);
+  const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count), view = projection(camera);
   const falls = rain.density > 0, hazy = rain.extinction > 0;
   const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, medium_floor: drawn.floor, airlight: linear(rain.airlight)};
   if (settings.actors) uploadPoses(drawn.poses, view.camera_in_object);
@@ -462,10 +462,10 @@ async function run() {
         answer(camera, state.time, state.step).then(found => { latest = {...found, wanted}; pending = false; });
       }
     }
-    const look = latest && JSON.stringify([latest.wanted, camera, state.split]);
-    if (latest && look !== drawn) {
+    const picture = latest && JSON.stringify([latest.wanted, camera, state.split]);
+    if (latest && picture !== drawn) {
       draw(camera, latest, state.split ?? 0);
-      drawn = look;
+      drawn = picture;
       element("notice").textContent = "";
     }
     if (state.playing) show();

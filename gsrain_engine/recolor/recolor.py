@@ -382,14 +382,11 @@ def _problem(
 
 # Wet colors from transferred views
 
-QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, exposure=False, robust=False)
-"""For transfers with consistent views; degree 1 suffices for a wet road."""
-
 _TRANSFERRED_DONE = 0.7  # share of the total time, measured on the built-in street with the wet look
 
 
 def rainy_scene(
-    scene: Scene, views: Sequence[ClearView], transfer: Transfer, settings: RecolorSettings = QUICK
+    scene: Scene, views: Sequence[ClearView], transfer: Transfer, settings: RecolorSettings
 ) -> Generator[Progress, None, Scene]:
     """Give a scene wet colors; its geometry and clear colors are unchanged.
 

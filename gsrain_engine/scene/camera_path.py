@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import scipy  # loads its submodules on first use: most scenes are opened without a camera path
 from jaxtyping import Float64
 
 from .camera import DEFAULT_EXPOSURE_S, Camera
-from .easing import KeyEasing, eased_share
+from .easing import Eased, Easing, KeyEasing, apply_easing, apply_key_easings
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
 
 _KEYS_OF_A_CIRCLE = 12  # keyframes of a circle; the spline deviates from it by 0.02 % of its radius
@@ -75,20 +75,6 @@ class PathCurves:
             turns,
             splines.PchipInterpolator(times_s, fields_of_view),
         )
-
-
-# Easing
-
-Easing = Literal["none", "in and out", "at each key"]
-"""none: even; in and out: starts and ends gently; at each key: stops at every keyframe."""
-
-
-class Eased(NamedTuple):
-    """Path times after easing, and their rates."""
-
-    times_s: Float64[np.ndarray, " t"]
-    rates: Float64[np.ndarray, " t"]
-    """Path seconds per second of the clock."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +201,7 @@ class CameraPath:
         else:
             within = np.clip(times_s, knots[0], knots[-1])
         eased = apply_easing(self.easing, knots, within)
-        return eased if not any(self.key_easings) else _apply_key_easings(self.key_easings, knots, within, eased)
+        return eased if not any(self.key_easings) else apply_key_easings(self.key_easings, knots, within, eased)
 
     @cached_property
     def _knots_s(self) -> Float64[np.ndarray, " k"]:
@@ -264,43 +250,3 @@ _KEYS_AROUND_A_LOOP = 24
 """Extra keyframes before and after a loop: the influence of a spline's ends falls by a factor of 2 or more per
 keyframe.
 """
-
-
-def apply_easing(easing: Easing, knots_s: Float64[np.ndarray, " k"], times_s: Float64[np.ndarray, " t"]) -> Eased:
-    """Path times for clock times between the first knot and the last.
-
-    Every knot keeps its time, the order of times is preserved, and the rate is continuous. With u the fraction of an
-    interval between two knots, progress is u^2 (3 - 2u) if the camera rests at both, u^2 (2 - u) if only at the first,
-    and the mirror image of that if only at the last.
-    """
-    if easing == "none" or len(knots_s) < 2:
-        return Eased(times_s, np.ones_like(times_s))
-    k = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, 0, len(knots_s) - 2)
-    length = knots_s[k + 1] - knots_s[k]
-    u = (times_s - knots_s[k]) / length
-    sets_off = (k == 0) | (easing == "at each key")
-    arrives = (k == len(knots_s) - 2) | (easing == "at each key")
-    cases = [sets_off & arrives, sets_off, arrives]
-    shares = np.select(cases, [u * u * (3 - 2 * u), u * u * (2 - u), u + u * u - u**3], u)
-    rates = np.select(cases, [6 * u * (1 - u), u * (4 - 3 * u), 1 + 2 * u - 3 * u * u], 1.0)
-    return Eased(knots_s[k] + length * shares, rates)
-
-
-def _apply_key_easings(
-    easings: Sequence[KeyEasing | None],
-    knots_s: Float64[np.ndarray, " k"],
-    times_s: Float64[np.ndarray, " t"],
-    eased: Eased,
-) -> Eased:
-    """Replace path times and rates where the keyframe before has an easing of its own."""
-    if len(knots_s) < 2:
-        return eased
-    k = np.clip(np.searchsorted(knots_s, times_s, side="right") - 1, 0, len(knots_s) - 2)
-    path_times, rates = eased.times_s.copy(), eased.rates.copy()
-    for key, easing in enumerate(easings[: len(knots_s) - 1]):
-        here = (k == key) if easing is not None else ()
-        if easing is not None and np.any(here):
-            length = knots_s[key + 1] - knots_s[key]
-            share = eased_share(easing, (times_s[here] - knots_s[key]) / length)
-            path_times[here], rates[here] = knots_s[key] + length * share.shares, share.rates
-    return Eased(path_times, rates)

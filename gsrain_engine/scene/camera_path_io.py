@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from .camera import Camera
-from .camera_path import CameraPath, Easing, Interpolation
+from .camera_path import CameraPath, Interpolation
 from .camera_path_edit import WALKING_M_S, keyframe_camera, with_constant_speed
-from .easing import KEY_EASINGS
+from .easing import KEY_EASINGS, Easing
 from .files import SceneFormatError, read_json, whole_file
 from .geometry import normalized, quaternions_from_matrices
 

@@ -112,11 +112,11 @@ def test_pictures_are_those_of_the_desktop(written, page, intensity):
 
 @needs_browser
 def test_the_divider_shows_the_dry_scene_on_its_left(page):
-    def shown(split):
+    def picture_at(split):
         picture = page.run(f"gsrain.image({{mm: 8.5, t: 1, split: {split}, size: '{SIZE[0]}x{SIZE[1]}'}})")
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.split(",")[1]))).convert("RGB"), int)
 
-    dry, rainy, both = shown(1), shown(0), shown(0.5)
+    dry, rainy, both = picture_at(1), picture_at(0), picture_at(0.5)
     half = SIZE[0] // 2
     assert np.array_equal(both[:, :half], dry[:, :half])
     assert np.array_equal(both[:, half:], rainy[:, half:])

@@ -7,6 +7,7 @@ import pytest
 
 from gsrain_engine.appearance.base import ClearView, RainyView, Transfer
 from gsrain_engine.appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
+from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import rainy_scene
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
@@ -15,6 +16,8 @@ from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import ColorGrading, Scene
 from rasterized import rasterize
 from training.small_street import small_street
+
+QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, exposure=False, robust=False)
 
 
 class Overcast:
@@ -33,7 +36,7 @@ def views_of(scene: Scene, count: int = 4) -> Sequence[ClearView]:
 
 
 def overcast_scene(scene: Scene, views: Sequence[ClearView] | None = None) -> Scene:
-    return run_to_end(rainy_scene(scene, views_of(scene) if views is None else views, Overcast()))
+    return run_to_end(rainy_scene(scene, views_of(scene) if views is None else views, Overcast(), QUICK))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.camera_path import CameraPath, apply_easing, circle_path, orbit_path
+from gsrain_engine.scene.camera_path import CameraPath, circle_path, orbit_path
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S
 from gsrain_engine.scene.camera_path_io import (
     frame_times,
@@ -22,6 +22,7 @@ from gsrain_engine.scene.camera_path_io import (
     write_nerfstudio_path,
     write_training_cameras,
 )
+from gsrain_engine.scene.easing import apply_easing
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.rig import rig_camera_path
 from gsrain_engine.scene.scene import PoseTrack, RigCamera, Scene

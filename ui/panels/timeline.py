@@ -10,8 +10,9 @@ from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_tracks import TRACKS, RainTracks
 from gsrain_engine.editor.timeline import Playback, TimelineRow, ego_speed_km_h, speed_of, track_rows
-from gsrain_engine.scene.camera_path import CameraPath, Easing, Interpolation
+from gsrain_engine.scene.camera_path import CameraPath, Interpolation
 from gsrain_engine.scene.camera_path_edit import ViewAngles, focal_length_mm, fov_of_focal_length
+from gsrain_engine.scene.easing import Easing
 
 from ..commands.table import help_of
 from ..widgets import draw as hues
@@ -29,7 +30,7 @@ from ..widgets.fields import (
 )
 from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
 from ..widgets.text import label
-from .timeline_tracks import draw_key, easing_items, track_menu, track_row
+from .timeline_tracks import KEY_RADIUS, draw_key, easing_items, key_handle, track_menu, track_row
 
 _FA = icons_fontawesome_6
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
@@ -441,7 +442,6 @@ def _end_row(corner: ImVec2, titles_px: float, width: float, height: float) -> N
 
 # Camera keyframes
 
-_RADIUS = 6.5
 _DRAG_PX = 3.0
 _APART_PX = 3.0
 """Minimum distance: imported paths have thousands of keyframes, so closer ones are hidden until zoomed in."""
@@ -451,20 +451,17 @@ def _keyframes(
     playback: Playback, camera_path: CameraPathEditor, path: CameraPath, corner: ImVec2, width: float, height: float
 ) -> None:
     """Draw the keyframes into their row: click goes to one, drag moves it in time, Ctrl+drag copies it."""
-    last_x, active = -_RADIUS - _APART_PX, camera_path.active_key
+    last_x, active = -KEY_RADIUS - _APART_PX, camera_path.active_key
     for key, moment in enumerate(path.times_s.tolist()):
         x = playback.timeline.ruler.x(moment)
-        if key == active or last_x + _APART_PX <= x <= width + _RADIUS:
+        if key == active or last_x + _APART_PX <= x <= width + KEY_RADIUS:
             last_x = x
             _keyframe(playback, camera_path, key, moment, ImVec2(corner.x + x, corner.y + height / 2))
     _drag(playback, camera_path)
 
 
 def _keyframe(playback: Playback, camera_path: CameraPathEditor, key: int, moment: float, at: ImVec2) -> None:
-    imgui.set_cursor_screen_pos(ImVec2(at.x - _RADIUS, at.y - _RADIUS))
-    imgui.set_next_item_allow_overlap()
-    imgui.invisible_button(f"key {key}", ImVec2(2 * _RADIUS, 2 * _RADIUS))
-    hovered = imgui.is_item_hovered()
+    hovered = key_handle(f"key {key}", at)
     if imgui.is_item_activated():
         camera_path.begin_drag(key, copies=imgui.get_io().key_ctrl)
     if hovered and imgui.is_mouse_clicked(_RIGHT):
@@ -475,7 +472,7 @@ def _keyframe(playback: Playback, camera_path: CameraPathEditor, key: int, momen
             f"Keyframe {key + 1} at {moment:.2f} s. Click: look through it. Drag: move in time. Ctrl+drag: copy. "
             "Delete: remove. Right click: menu."
         )
-    radius = _RADIUS + (1.5 if hovered else 0)
+    radius = KEY_RADIUS + (1.5 if hovered else 0)
     draw_key(at, radius, camera_path.easing_of(key), is_chosen=camera_path.active_key == key)
 
 

@@ -16,7 +16,7 @@ from ..widgets.fields import menu_item
 from ..widgets.numbers import slide
 
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
-_RADIUS, _APART_PX, _DRAG_PX = 6.5, 3.0, 3.0
+KEY_RADIUS, _APART_PX, _DRAG_PX = 6.5, 3.0, 3.0
 _MENU = "rain key menu"
 EASING_HELP: dict[KeyEasing, str] = {
     "linear": "Evenly to the next keyframe.",
@@ -44,10 +44,10 @@ def track_row(
         at = ImVec2(corner.x + 8, corner.y + 0.12 * height)
         imgui.get_window_draw_list().add_text(at, color(hues.DIM), "Double click: insert a keyframe here.")
     _curve(document, track, ruler, corner, width, height)
-    last_x, active = -_RADIUS - _APART_PX, tracks.active
+    last_x, active = -KEY_RADIUS - _APART_PX, tracks.active
     for number, time_s in enumerate(times.tolist()):
         key, x = TrackKey(track.field, number), ruler.x(time_s)
-        if key == active or last_x + _APART_PX <= x <= width + _RADIUS:
+        if key == active or last_x + _APART_PX <= x <= width + KEY_RADIUS:
             last_x = x
             is_over = _key(tracks, key, time_s, track, ImVec2(corner.x + x, corner.y + height / 2)) and is_over
     _drag(tracks, track, ruler)
@@ -118,10 +118,7 @@ def _curve(document: Document, track: Track, ruler: Ruler, corner: ImVec2, width
 
 def _key(tracks: RainTracks, key: TrackKey, time_s: float, track: Track, at: ImVec2) -> bool:
     """Draw a keyframe and handle its clicks; returns True if the mouse is not over it."""
-    imgui.set_cursor_screen_pos(ImVec2(at.x - _RADIUS, at.y - _RADIUS))
-    imgui.set_next_item_allow_overlap()
-    imgui.invisible_button(f"{track.title} key {key.number}", ImVec2(2 * _RADIUS, 2 * _RADIUS))
-    hovered = imgui.is_item_hovered()
+    hovered = key_handle(f"{track.title} key {key.number}", at)
     if imgui.is_item_activated():
         tracks.begin_drag(key, copies=imgui.get_io().key_ctrl)
     if hovered and imgui.is_mouse_clicked(_RIGHT):
@@ -132,8 +129,16 @@ def _key(tracks: RainTracks, key: TrackKey, time_s: float, track: Track, at: ImV
             f"{value_text(track, tracks.value(key))} at {time_s:.2f} s. Drag: move in time. Ctrl+drag: copy.\n"
             "Right click: value, easing and more. Ctrl+C, Ctrl+V, Delete."
         )
-    draw_key(at, _RADIUS - 1.5 + (1.5 if hovered else 0), tracks.easing(key), is_chosen=tracks.active == key)
+    draw_key(at, KEY_RADIUS - 1.5 + (1.5 if hovered else 0), tracks.easing(key), is_chosen=tracks.active == key)
     return not hovered
+
+
+def key_handle(name: str, at: ImVec2) -> bool:
+    """Place an invisible button at a keyframe; returns True if the mouse is over it."""
+    imgui.set_cursor_screen_pos(ImVec2(at.x - KEY_RADIUS, at.y - KEY_RADIUS))
+    imgui.set_next_item_allow_overlap()
+    imgui.invisible_button(name, ImVec2(2 * KEY_RADIUS, 2 * KEY_RADIUS))
+    return imgui.is_item_hovered()
 
 
 def draw_key(at: ImVec2, radius: float, easing: KeyEasing | None, *, is_chosen: bool) -> None:

@@ -6,8 +6,9 @@ from dataclasses import replace
 from itertools import count
 from typing import Any, TypedDict, Unpack
 
-from ...scene.camera_path import CameraPath, Easing, Interpolation
+from ...scene.camera_path import CameraPath, Interpolation
 from ...scene.camera_path_edit import EditedKeyframe
+from ...scene.easing import Easing
 from ...scene.flags import BitMask
 from ...scene.scene import Actor, ColorGrading, Layer, Scene
 

@@ -12,8 +12,8 @@ from jaxtyping import Float32, Float64
 from msgspec import Meta
 
 from ..camera import DEFAULT_EXPOSURE_S
-from ..camera_path import CameraPath, Easing, Interpolation
-from ..easing import KeyEasing
+from ..camera_path import CameraPath, Interpolation
+from ..easing import Easing, KeyEasing
 from ..flags import UNMARKED, BitMask, SelectionFlags
 from ..gaussians import Gaussians
 from ..geometry import normalized
