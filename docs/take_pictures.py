@@ -97,6 +97,8 @@ class Photographer:
 
     def take(self, name: str, window: str | None = None, width: int | None = None, *, trimmed: bool = False) -> None:
         """Picture a window of the program, or all of it, for the guide; at most so wide, without empty rows below."""
+        for job in self.editor.jobs.notices:
+            job.is_noticed = True
         self.frames()
         self.rest()
         taken = self._folder / f"{name}.png"
@@ -268,8 +270,8 @@ def picture_drive(camera: Photographer) -> None:
     """Two drives towards a car that stands: one that keeps its speed, and one that brakes, in rain, which plays."""
     editor, drives = camera.editor, camera.editor.rollouts
     for agent, intensity in (("constant-velocity", 0.0), ("oracle-idm", 8.5)):
-        drives.settings.settings = msgspec.structs.replace(
-            drives.settings.settings, agent=agent, rain="one intensity", intensity_mm_h=intensity
+        drives.setup.settings = msgspec.structs.replace(
+            drives.setup.settings, agent=agent, rain="one intensity", intensity_mm_h=intensity
         )
         drives.start()
         while editor.jobs.running or drives.is_working:

@@ -82,7 +82,7 @@ def _draw_problem(status: StatusBus, problem: str, wide: float) -> None:
 
 
 def _result(job: Job[Any]) -> str:
-    return visible_name(f"{icons.ICON_FA_CHECK}  {job.title}: {job.progress.message}")
+    return f"{icons.ICON_FA_CHECK}  {visible_name(f'{job.title}: {job.progress.message}')}"
 
 
 def _draw_ended(jobs: JobRunner, job: Job[Any], wide: float) -> None:
