@@ -7,10 +7,14 @@ const COLUMNS = settings.splatColumns, STREAK_COLUMNS = settings.streakColumns, 
 const element = name => document.getElementById(name), canvas = element("view");
 const gl = canvas.getContext("webgl2", {alpha: false, antialias: false, powerPreference: "high-performance", preserveDrawingBuffer: true});
 
-function bytesOf(name) {
-  const text = atob(element(name).textContent);
-  element(name).remove();
-  return Uint8Array.from(text, letter => letter.charCodeAt(0));
+// Bytes of a text that has five characters for each four (`base85` in page.py).
+function bytesOf(text) {
+  const values = new Uint8Array(128), rows = Math.ceil(text.length / 5), bytes = new Uint8Array(4 * rows), view = new DataView(bytes.buffer);
+  [..."0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%&()*+-;,=>?@^_`{|}~"].forEach((letter, k) => { values[letter.charCodeAt(0)] = k; });
+  const padded = text.padEnd(5 * rows, "~"), digit = at => values[padded.charCodeAt(at)];
+  for (let k = 0, at = 0; k < rows; ++k, at += 5)
+    view.setUint32(4 * k, (((digit(at) * 85 + digit(at + 1)) * 85 + digit(at + 2)) * 85 + digit(at + 3)) * 85 + digit(at + 4));
+  return bytes.subarray(0, Math.floor(text.length * 4 / 5));
 }
 
 // Files of a zip archive, stored or deflated.
@@ -43,6 +47,8 @@ function texture(internal, width, height, format, type, pixels = null) {
   return Object.assign(made, {width, height});
 }
 
+const emptyTexture = () => texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+
 async function imageTexture(bytes) {  // the bytes of a lossless image, as they are
   const bitmap = await createImageBitmap(
     new Blob([bytes], {type: "image/webp"}), {premultiplyAlpha: "none", colorSpaceConversion: "none"});
@@ -62,6 +68,14 @@ function pixelsOf(image) {
   gl.readPixels(0, 0, image.width, image.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
   gl.deleteFramebuffer(framebuffer);
   return pixels;
+}
+
+// Soaked base colors of differences from the dry ones (`wet_files` in page_scene.py).
+function addSteps(differences, base, steps) {
+  const sums = pixelsOf(differences), dry = pixelsOf(base);
+  for (let k = 0; k < sums.length; ++k) if ((k & 3) < 3) sums[k] += steps[dry[k]];
+  gl.bindTexture(gl.TEXTURE_2D, differences);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, differences.width, differences.height, gl.RGBA, gl.UNSIGNED_BYTE, sums);
 }
 
 class Program {
@@ -161,25 +175,27 @@ async function open() {
   if (!gl) throw new Error("this browser has no WebGL 2");
   if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("this graphics card draws no floating-point images");
   half = !gl.getExtension("EXT_float_blend");
-  const files = await unzipped(bytesOf("scene")), meta = JSON.parse(new TextDecoder().decode(files["meta.json"]));
-  const wetFiles = settings.hasWet ? await unzipped(bytesOf("wet")) : files;
-  const wet = JSON.parse(new TextDecoder().decode(wetFiles["meta.json"]));
-  const image = (from, part, k) => part ? imageTexture(from[part.files[k]]) : texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  const all = await unzipped(bytesOf(element("data").textContent)), read = file => JSON.parse(new TextDecoder().decode(file));
+  element("data").remove();
+  const files = await unzipped(all["scene.sog"]), meta = read(files["meta.json"]);
+  const wetFile = name => all[`wet/${name}`], wet = settings.hasWet ? read(wetFile("meta.json")) : {};
+  const image = (file, part, k) => part ? imageTexture(file(part.files[k])) : emptyTexture(), scenes = name => files[name];
   const books = [meta.scales, meta.sh0, meta.shN, wet.sh0, wet.shN].map(part => part ? part.codebook : new Array(256).fill(0));
   const textures = {
-    means_low: await image(files, meta.means, 0), means_high: await image(files, meta.means, 1),
-    scales: await image(files, meta.scales, 0), quaternions: await image(files, meta.quats, 0), base: await image(files, meta.sh0, 0),
-    centroids: await image(files, meta.shN, 0), labels: await image(files, meta.shN, 1),
-    wet_base: await image(wetFiles, wet.sh0, 0), wet_centroids: await image(wetFiles, wet.shN, 0),
-    wet_labels: await image(wetFiles, wet.shN, 1),
+    means_low: await image(scenes, meta.means, 0), means_high: await image(scenes, meta.means, 1),
+    scales: await image(scenes, meta.scales, 0), quaternions: await image(scenes, meta.quats, 0), base: await image(scenes, meta.sh0, 0),
+    centroids: await image(scenes, meta.shN, 0), labels: await image(scenes, meta.shN, 1),
+    wet_base: await image(wetFile, wet.sh0, 0), wet_centroids: await image(wetFile, wet.shN, 0),
+    wet_labels: await image(wetFile, wet.shN, 1),
     codebooks: texture(gl.R32F, 256, 5, gl.RED, gl.FLOAT, Float32Array.from(books.flat())),
   };
+  if (settings.hasWet) addSteps(textures.wet_base, textures.base, wet.sh0.dry_steps);
   if (settings.actors) {
-    textures.actors = await imageTexture(bytesOf("actors"));
+    textures.actors = await imageTexture(all["actors.webp"]);
     textures.poses = texture(gl.RGBA32F, 4, settings.actors + 1);
-    const poses = new Float32Array(bytesOf("poses").buffer);
+    const poses = new Float32Array(all.poses.buffer);
     scene.poses = {all: poses, steps: poses.length / settings.actors / 12};
-  } else textures.actors = textures.poses = texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  } else textures.actors = textures.poses = emptyTexture();
   const harmonics = part => part ? [1, 4, 9, 16][part.bands] : 1;
   const count = meta.count, {mins, maxs} = meta.means;
   Object.assign(scene, {count, textures, means_minimum: mins, means_maximum: maxs, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)});
@@ -193,14 +209,12 @@ async function open() {
     for (let k = 0; k < 3; ++k)
       fixed[3 * i + k] = rotation[k][0] * place[0] + rotation[k][1] * place[1] + rotation[k][2] * place[2] + origin[k];
   }
-  const diameters = new Float32Array(bytesOf("diameters").buffer), classes = diameters.length / settings.states.length;
-  const states = settings.states.map((each, k) => ({...each, diameters: diameters.subarray(k * classes, (k + 1) * classes)}));
   worker = new Worker(URL.createObjectURL(new Blob([element("rain-script").textContent], {type: "text/javascript"})));
   worker.onmessage = ({data}) => { waiting.get(data.id)(data); waiting.delete(data.id); };
   const actors = settings.actors ? pixelsOf(textures.actors) : null;
   const members = actors && Uint16Array.from({length: count}, (_, i) => actors[4 * i] + 256 * actors[4 * i + 1]);
-  if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(bytesOf("roofs").buffer);
-  worker.postMessage({fixed, members, states, settings: settings.rain});
+  if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(all.roofs.buffer);
+  worker.postMessage({fixed, members, states: settings.states, settings: settings.rain});
   const text = name => element(name).textContent;
   programs = {
     scene: new Program(text("page_quad.vert"), text("page_project.frag")),

@@ -12,8 +12,8 @@ from PIL import Image
 
 from browser import CHROMIUM, browser
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.publish.page import write_page
-from gsrain_engine.publish.page_scene import page_scene
+from gsrain_engine.publish.page import base85, write_page
+from gsrain_engine.publish.page_scene import WET_STEPS, page_scene, wet_files
 from gsrain_engine.publish.rain_states import rain_states
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
@@ -22,7 +22,8 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.sog import read_sog
-from gsrain_engine.scene.gaussians import sh_from_color
+from gsrain_engine.scene.formats.sog_writer import coded
+from gsrain_engine.scene.gaussians import SH_C0, sh_from_color
 from gsrain_engine.scene.geometry import quaternions_from_matrices
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 from small_scene import patch, small_scene
@@ -93,7 +94,8 @@ def test_drops_are_those_of_the_desktop(written, page, intensity):
         drops = sequence.rainfall.frame(time_s, rain_camera(sequence.scene, sequence.rainfall, shot)).drops
         assert len(drops.numbers) > 200
         ours = np.array([found[number] for number in drops.numbers.tolist()])  # each is found
-        assert np.abs(ours - drops.positions_m).max() < 1e-3
+        assert np.abs(ours[:, :3] - drops.positions_m).max() < 1e-3
+        np.testing.assert_allclose(ours[:, 3], drops.diameters_mm, rtol=1e-9)
         assert len(found) < 1.2 * len(drops.numbers)  # the page is told nothing of drops out of view
 
 
@@ -139,6 +141,26 @@ def test_a_page_loads_nothing_and_is_little_more_than_its_scene(written):
     assert " src=" not in text and "url(" not in text
     assert "import" not in text.split('<script type="text/plain"')[0]
     assert file.stat().st_size < 1.4 * len(contents.scene.sog) + 3e6
+
+
+def test_base85_is_text_that_can_not_end_a_script():
+    data = bytes(range(256)) * 3 + b"end"
+    text = base85(data)
+    assert "<" not in text and len(text) == np.ceil(len(data) * 5 / 4)
+    assert base64.b85decode(text.replace(",", "<")) == data
+
+
+def test_wet_colors_keep_their_values():
+    """Colors beyond display black and white, and those far from the dry ones, have the same error as all others."""
+    rng = np.random.default_rng(3)
+    dry, wet = rng.uniform(-0.2, 1.2, (500, 1, 3)), rng.uniform(-0.9, 1.9, (500, 1, 3))
+    dry_sh, wet_sh = (sh_from_color(each[:, 0].astype(np.float32)) for each in (dry, wet))
+    files = wet_files(dry_sh, wet_sh)
+    meta = json.loads(files["meta.json"])["sh0"]
+    differences = np.asarray(Image.open(io.BytesIO(files["sh0.webp"])).convert("RGB")).reshape(-1, 3)[:500]
+    steps = (differences + np.array(meta["dry_steps"])[coded(dry_sh[:, 0])[1]]) % 256
+    found = SH_C0 * np.array(meta["codebook"])[steps] + 0.5
+    assert np.abs(found - wet[:, 0]).max() < 0.501 / WET_STEPS
 
 
 def test_actors_keep_their_numbers_and_poses(tmp_path):
