@@ -47,14 +47,16 @@ _SHADERS = (
     "page_picture.frag",
 )
 _KEYS = (
-    ("Drag, wheel", "look around, move ahead"),
+    ("Drag, wheel", "look around, move ahead; on a touch screen, two fingers"),
     ("W A S D, Q E", "move; with Shift faster"),
     ("Space, Home", "play or pause; back to the path"),
+    ("+ and -", "more or less rain"),
     ("C", "compare dry and rainy"),
+    ("F, L", "full screen; copy a link to this view"),
 )
 
 _ABOUT = (
-    "A captured scene in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of each "
+    "A scene of Gaussians in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of each "
     "rainfall intensity, and the same drops as in the program. Drag the divider to compare, the slider for more rain."
 )
 
@@ -128,12 +130,10 @@ def page_html(contents: PageContents) -> str:
     texts = {name: ShaderSource(name, _COLUMNS).text for name in _SHADERS}
     texts["page_project.frag streaks"] = ShaderSource("page_project.frag", {**_COLUMNS, "STREAKS": 1}).text
     texts["rain-script"] = (Path(__file__).parent / "rain.js").read_text(encoding="utf-8")
-    packed = base85(_archive(contents))
-    data = [(name, Markup(text)) for name, text in texts.items()] + [("data", Markup(packed))]
     return environment.get_template("page.html").render(
         title=contents.title, path_name=contents.path_name, about=_ABOUT, keys=_KEYS,
         missing=", ".join(contents.missing), version=metadata.version("gsrain"), settings=_script(_settings(contents)),
-        data=data,
+        texts=[(name, Markup(text)) for name, text in texts.items()], data=Markup(base85(_archive(contents))),
     )  # fmt: skip
 
 

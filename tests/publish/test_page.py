@@ -131,15 +131,50 @@ def test_title_slider_and_keys(page):
     assert "wet road" in page.run("document.title")
     assert page.run("document.getElementById('intensity-name').textContent").endswith("8.5 mm/h, heavy")
     assert page.run("document.getElementById('divider').hidden") is True
-    page.run("dispatchEvent(new KeyboardEvent('keydown', {code: 'KeyC'}))")
+    for key in ("c", "+", "-", "-", " "):
+        page.run(f"dispatchEvent(new KeyboardEvent('keydown', {{key: '{key}'}}))")
     assert page.run("document.getElementById('divider').hidden") is False
+    assert page.run("document.getElementById('intensity-name').textContent") == "5 mm/h, moderate"
+    assert page.run("document.getElementById('play').getAttribute('aria-pressed')") == "true"
+    assert page.run("document.getElementById('notice').hidden") is True
+
+
+@needs_browser
+def test_an_address_is_a_view(page):
+    view = "#mm=50&split=0.25&t=1.00&camera=1,2.5,1.6,0.5,-0.5,0.5,-0.5,55"
+    changed = "new Promise(done => addEventListener('hashchange', () => done(0), {once: true}))"
+    page.run(f"location.hash = '{view}', {changed}")
+    assert page.run("gsrain.view()") == view
+    page.run("dispatchEvent(new KeyboardEvent('keydown', {key: 'Home'}))")
+    assert page.run("gsrain.view()") == view.split("&camera")[0]
+
+
+@needs_browser
+def test_fingers_turn_shift_and_pinch(page):
+    def camera_after(*moves):
+        page.run("gsrain.image({mm: 0, t: 1, camera: '0,0,1.6,0.5,-0.5,0.5,-0.5,55'}).then(() => 0)")
+        for kind, finger, x, y in moves:
+            event = f"new PointerEvent('{kind}', {{pointerId: {finger}, clientX: {x}, clientY: {y}}})"
+            page.run(f"document.getElementById('view').dispatchEvent({event})")
+        return np.array(page.run("gsrain.view()").split("camera=")[1].split(","), float)
+
+    page.run("document.getElementById('view').setPointerCapture = () => 0")  # there are no such pointers
+    down = ("pointerdown", 1, 100, 100), ("pointerdown", 2, 200, 100)
+    turned = camera_after(down[0], ("pointermove", 1, 140, 100), ("pointerup", 1, 140, 100))
+    assert np.array_equal(turned[:3], [0, 0, 1.6])
+    assert not np.allclose(turned[3:7], [0.5, -0.5, 0.5, -0.5], atol=0.01)
+    up = ("pointerup", 1, 0, 0), ("pointerup", 2, 0, 0)
+    parted = camera_after(*down, ("pointermove", 1, 90, 100), ("pointermove", 2, 210, 100), *up)
+    # Camera x forward: 20 px of spread are 0.4 m, and the middle of both fingers has not moved.
+    np.testing.assert_allclose(parted[:3], [0.4, 0, 1.6], atol=1e-6)
+    np.testing.assert_allclose(parted[3:7], [0.5, -0.5, 0.5, -0.5], atol=1e-6)
 
 
 def test_a_page_loads_nothing_and_is_little_more_than_its_scene(written):
     file, contents, _ = written
     text = file.read_text()
     assert " src=" not in text and "url(" not in text
-    assert "import" not in text.split('<script type="text/plain"')[0]
+    assert "@import" not in text.split('<script type="text/plain"')[0]
     assert file.stat().st_size < 1.4 * len(contents.scene.sog) + 3e6
 
 
