@@ -56,8 +56,8 @@ _KEYS = (
 )
 
 _ABOUT = (
-    "A scene of Gaussians in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of each "
-    "rainfall intensity, and the same drops as in the program. Drag the divider to compare, the slider for more rain."
+    "A scene of Gaussians in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of "
+    "each rainfall intensity, and the drops of the program. Drag the divider to compare, the slider for more rain."
 )
 
 
