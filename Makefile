@@ -34,7 +34,9 @@ kernels: setup
 	$(RUN)/python -c "from gsrain_engine.editor.drawing.textures import compile_kernels; compile_kernels()"
 
 # Programs of others that read what we write; without node or network their tests are skipped.
-npm:
+npm: tests/npm/node_modules/.package-lock.json
+
+tests/npm/node_modules/.package-lock.json: tests/npm/package-lock.json
 	-command -v npm > /dev/null && npm ci --prefix tests/npm --ignore-scripts --no-audit --no-fund --silent
 
 # So are modules, with the types that tests check; what is wrong with one, its tests tell.

@@ -47,7 +47,7 @@ _SHADERS = (
     "page_picture.frag",
 )
 _KEYS = (
-    ("Drag, wheel", "look around, move ahead; on a touch screen, two fingers"),
+    ("Drag, wheel", "look around, move ahead; with two fingers, too"),
     ("W A S D, Q E", "move; with Shift faster"),
     ("Space, Home", "play or pause; back to the path"),
     ("+ and -", "more or less rain"),
