@@ -271,10 +271,27 @@ class Viewer:
         self._trouble = self._trouble or trouble
 
 
-def show(scene: Scene, rain: RainSettings | None = None, *, camera: Camera | None = None, **options: Any) -> None:
-    """Show a scene in a window, and wait until a person closes it; see `Viewer` for the arguments.
+def show(
+    scene: Scene,
+    rain: RainSettings | None = None,
+    *,
+    camera: Camera | None = None,
+    server: bool = False,
+    **options: Any,
+) -> None:
+    """Show a scene in a window, and wait until a person closes it, or presses Ctrl-C; see `Viewer` for the arguments.
+
+    With `server=True` the window is a page for browsers, for machines without a display; see `BrowserViewer`.
 
     Raises `ViewerError` where the window can't be opened or ends with an error.
     """
+    if server:
+        from .browser import BrowserViewer
+
+        with BrowserViewer(scene, rain, camera=camera, **options) as page:
+            print(f"{page.url}: open it in a browser on this machine; Ctrl-C ends")
+            with suppress(KeyboardInterrupt):
+                page.wait()
+        return
     with Viewer(scene, rain, camera=camera, **options) as viewer:
         viewer.wait()

@@ -28,12 +28,13 @@ class Page:
         self._unread = b""
         self._session: str | None = None
 
-    def open(self, file: Path, width: int = 960, height: int = 640) -> None:
+    def open(self, page: Path | str, width: int = 960, height: int = 640) -> None:
+        """Open a file or an address, and wait until it is loaded."""
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self._call("Page.enable")
         self.size(width, height)
-        self._call("Page.navigate", url=file.as_uri())
+        self._call("Page.navigate", url=page.as_uri() if isinstance(page, Path) else page)
         self.run("new Promise(done => document.readyState === 'complete' ? done() : addEventListener('load', done))")
 
     def run(self, script: str) -> Any:
@@ -45,6 +46,11 @@ class Page:
 
     def size(self, width: int, height: int) -> None:
         self._call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag with the left button from one place to another, in pixels."""
+        for kind, (x, y) in (("Pressed", start), ("Moved", end), ("Released", end)):
+            self._call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, button="left", buttons=1, clickCount=1)
 
     def screenshot(self) -> str:
         """PNG of the page in base64."""

@@ -1,0 +1,402 @@
+"""The window in a browser, for machines without a display: pictures of this machine's renderer, shown by viser."""
+
+import atexit
+import math
+import socket
+import threading
+import time
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
+from importlib import import_module
+from io import StringIO
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.editor.drawing.remote_view import OutdatedPictureError, RemotePictures, RemoteViewer
+from gsrain_engine.editor.viewport.camera import default_path, find_scene_core, home_camera
+from gsrain_engine.editor.viewport.options import SETTLED_S, QualityLevel
+from gsrain_engine.rain.properties import rain_class
+from gsrain_engine.rain.settings import RainSettings as RainSettings
+from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.files import sentence_of
+from gsrain_engine.scene.geometry import matrices_from_quaternions
+from gsrain_engine.scene.scene import Scene
+
+from .browser_panel import RainPanel
+from .viewer import ViewerError
+
+HOST = "127.0.0.1"
+"""Address of the page. Viser asks for no password, so that other machines are not let in."""
+DEFAULT_PORT = 8080
+_MAX_PX = 1920  # longer side of a picture; larger canvases show it enlarged
+_JPEG_QUALITY = 85  # of pictures while something changes; pictures at rest are PNG, so that no streak is lost
+_SHORTEST_S = 10.0  # of the time that plays and repeats
+_PIVOT_M, _FARTHEST_PIVOT_M = 10.0, 30.0
+_FARTHEST_M = 1e6  # of a browser's camera from the origin
+
+
+@dataclass(eq=False)
+class _Browser:
+    """One connected browser."""
+
+    client: Any
+    viewer: RemoteViewer
+    readings: Any
+    ride: Any
+    served_s: float = -math.inf
+
+
+class BrowserViewer:
+    """A window in the browser: `v = gr.BrowserViewer(scene, rain)` serves a page at `v.url`; a notebook shows it.
+
+    Each browser has a camera of its own; rain, time and scene are the same for all. Setting `scene` or `rain` changes
+    what they show; reading `rain` returns what a person has set there. A picture at rest has the same pixels as
+    `gr.render` with the browser's camera; while something changes, pictures are smaller.
+
+    The page is for this machine alone. From another: `ssh -L 8080:localhost:8080 THIS_MACHINE`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        rain: RainSettings | None = None,
+        *,
+        camera: Camera | None = None,
+        backend: Backend = "auto",
+        port: int = DEFAULT_PORT,
+        browsers: int = 16,
+    ) -> None:
+        """Start to serve.
+
+        Args:
+            scene: The scene to show.
+            rain: The rain; None is none.
+            camera: Where each browser looks from at first; None is the scene's home camera.
+            backend: What draws.
+            port: Port of the page; 0 is any free one.
+            browsers: Largest number of browsers at a time.
+
+        Raises:
+            ImportError: Without viser, with how to install it.
+            OSError: When the port is taken.
+            ViewerError: When the back end can't be opened.
+        """
+        try:
+            viser: Any = import_module("viser")
+        except ModuleNotFoundError:
+            raise ImportError("pages for browsers need viser: pip install 'gsrain[viser]'") from None
+        self._changed = threading.Condition()
+        self._scene, self._rain, self._backend = scene, rain or RainSettings(), backend
+        self._path = default_path(scene, *DEFAULT_SIZE_PX)
+        self._home = camera or home_camera(scene, *DEFAULT_SIZE_PX)
+        self._length_s = max(self._path.duration_s, _SHORTEST_S)
+        self._time_s = 0.0
+        self._playing_since: float | None = None
+        self._browsers: dict[int, _Browser] = {}
+        self._limit, self._trouble = browsers, ""
+        self._pictures, self._is_ending = 0, False
+        self._ended, opened = threading.Event(), threading.Event()
+        _check_free(port)
+        self._thread = threading.Thread(target=self._work, args=(opened,), name="browser pictures", daemon=True)
+        self._thread.start()
+        opened.wait()
+        if self._trouble:
+            raise ViewerError(self._trouble)
+        self._server: Any = viser.ViserServer(host=HOST, port=port, label="GSRAIN", verbose=False)
+        self._set_up()
+        atexit.register(self.close)
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://localhost:{self._server.get_port()}"
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was set last."""
+        return self._scene
+
+    @scene.setter
+    def scene(self, scene: Scene) -> None:
+        self._check_open()
+        path = default_path(scene, *DEFAULT_SIZE_PX)
+        with self._changed:
+            self._scene, self._path, self._length_s = scene, path, max(path.duration_s, _SHORTEST_S)
+            self._time.max = self._length_s
+            self._changed.notify()
+
+    @property
+    def rain(self) -> RainSettings:
+        """The rain that browsers show."""
+        return self._rain
+
+    @rain.setter
+    def rain(self, rain: RainSettings) -> None:
+        self._check_open()
+        self._panel.display(rain)
+        self._set_rain(rain)
+
+    @property
+    def browsers(self) -> int:
+        """Number of browsers that show the page now."""
+        return len(self._browsers)
+
+    @property
+    def pictures(self) -> int:
+        """Number of pictures that were sent."""
+        return self._pictures
+
+    @property
+    def is_open(self) -> bool:
+        """True while the page is served."""
+        return not self._ended.is_set()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the window is closed, at most `timeout` seconds; returns whether it is. Ctrl-C interrupts it.
+
+        Raises `ViewerError` where drawing has failed.
+        """
+        is_closed = self._ended.wait(timeout)
+        if self._trouble:
+            raise ViewerError(self._trouble)
+        return is_closed
+
+    def close(self) -> None:
+        """Stop serving; calling it again does nothing."""
+        with self._changed:
+            self._is_ending = True
+            self._changed.notify()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+        if not self._ended.is_set():
+            with redirect_stdout(StringIO()):  # viser prints that it has stopped
+                self._server.stop()
+            self._ended.set()
+        atexit.unregister(self.close)
+
+    def __enter__(self) -> "BrowserViewer":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = f"at {self.url}" if self.is_open else "closed"
+        return f"<gsrain.BrowserViewer of {self._scene.name!r}, {state}>"
+
+    def _repr_html_(self) -> str:
+        if not self.is_open:
+            return repr(self).replace("<", "&lt;")
+        return f'<iframe src="{self.url}" width="100%" height="640" style="border: 0"></iframe>'
+
+    def _check_open(self) -> None:
+        if self._trouble:
+            raise ViewerError(self._trouble)
+        if not self.is_open:
+            raise ViewerError("the window in the browser is closed: open another gr.BrowserViewer")
+
+    # The page
+
+    def _set_up(self) -> None:
+        server, gui, eye = self._server, self._server.gui, self._home.position
+        gui.configure_theme(
+            dark_mode=True, control_layout="collapsible", control_width="medium", show_logo=False,
+            show_share_button=False,
+        )  # fmt: skip
+        server.scene.set_up_direction("+z")
+        ahead = self._home.world_to_camera[2, :3]
+        far_m = float(ahead @ (find_scene_core(self._scene).middle - eye))
+        server.initial_camera.position = tuple(eye)
+        server.initial_camera.look_at = tuple(eye + ahead * min(max(far_m, 1.0), _FARTHEST_PIVOT_M))
+        server.initial_camera.fov = math.radians(self._home.vertical_fov_deg)
+        play = gui.add_checkbox("Play", False, order=3, hint="Let time pass: rain falls, and road users move.")
+        self._time = gui.add_slider(
+            "Time (s)", 0.0, self._length_s, 0.01, 0.0, order=4, hint="Moment of scene and rain."
+        )
+        play.on_update(lambda event: self._play(play.value))
+        self._time.on_update(lambda event: event.client is not None and self._go_to(self._time.value))
+        with gui.add_folder("Rain", order=5):
+            self._panel = RainPanel(gui, self._rain, self._set_rain)
+        server.on_client_connect(self._connect)
+        server.on_client_disconnect(self._disconnect)
+
+    def _connect(self, client: Any) -> None:
+        with self._changed:
+            is_full = len(self._browsers) >= self._limit
+            if not is_full:
+                readings = client.gui.add_markdown("", order=1)
+                ride = client.gui.add_checkbox(
+                    "Ride along the path", False, order=2, hint="Look through the camera that moves along the path."
+                )
+                browser = _Browser(client, RemoteViewer(RenderView(self._home)), readings, ride)
+                self._browsers[client.client_id] = browser
+                self._changed.notify()
+        if is_full:
+            client.add_notification(
+                "Too many browsers", f"{self._limit} show this page already: close one, and load it again.",
+                color="red", auto_close_seconds=None,
+            )  # fmt: skip
+            return
+        client.camera.on_update(lambda _: self._wake())
+        ride.on_update(lambda _: self._ridden(browser))
+
+    def _disconnect(self, client: Any) -> None:
+        with self._changed:
+            self._browsers.pop(client.client_id, None)
+
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify()
+
+    def _set_rain(self, rain: RainSettings) -> None:
+        with self._changed:
+            self._rain = rain
+            self._changed.notify()
+
+    def _play(self, is_on: bool) -> None:
+        with self._changed:
+            self._time_s = self._now_s()
+            self._playing_since = time.monotonic() if is_on else None
+            self._changed.notify()
+
+    def _go_to(self, time_s: float) -> None:
+        with self._changed:
+            self._time_s = time_s
+            self._playing_since = None if self._playing_since is None else time.monotonic()
+            self._changed.notify()
+
+    def _now_s(self) -> float:
+        """Present time of scene and rain; it begins again at the end of the path."""
+        if self._playing_since is None:
+            return self._time_s
+        return (self._time_s + time.monotonic() - self._playing_since) % self._length_s
+
+    def _ridden(self, browser: _Browser) -> None:
+        """Leave the path where the ride has ended."""
+        if not browser.ride.value:
+            camera, own = browser.viewer.view.camera, browser.client.camera
+            with browser.client.atomic():
+                own.position = camera.position
+                own.look_at = camera.position + camera.world_to_camera[2, :3] * _PIVOT_M
+        self._wake()
+
+    # Pictures, on a thread of their own, which owns the renderer
+
+    def _work(self, opened: threading.Event) -> None:
+        try:
+            with open_renderer(self._backend) as renderer:
+                pictures = RemotePictures(renderer, self._scene, self._rain, self._home)
+                opened.set()
+                while (due := self._next()) is not None:
+                    self._draw(pictures, *due, renderer.name)
+        except Exception as error:
+            self._trouble = (
+                f"the window in the browser has ended: {type(error).__name__}: {' '.join(str(error).split())}"
+            )
+            if opened.is_set():
+                self._server.stop()
+            self._ended.set()
+            opened.set()
+
+    def _next(self) -> "tuple[_Browser, QualityLevel, Scene, RainSettings] | None":
+        """Wait for the next picture that is due, of the browser that has waited longest; None at the end."""
+        with self._changed:
+            while not self._is_ending:
+                now_s, version = time.monotonic(), (id(self._scene), self._rain)
+                for browser in sorted(self._browsers.values(), key=lambda each: each.served_s):
+                    browser.viewer.view = self._view_of(browser)
+                    quality = browser.viewer.due(version, now_s)
+                    if quality is not None:
+                        browser.served_s = now_s
+                        return browser, quality, self._scene, self._rain
+                settles = any(each.viewer.budget.is_settling for each in self._browsers.values())
+                self._changed.wait(SETTLED_S if settles else None)
+        return None
+
+    def _view_of(self, browser: _Browser) -> RenderView:
+        """What a browser looks at now: from its own camera, or along the path."""
+        own, time_s = browser.client.camera, self._now_s()
+        width, height = _picture_size(own.image_width, own.image_height)
+        if browser.ride.value:
+            is_still = not self._path.is_timed and self._playing_since is None
+            velocity = None if is_still else self._path.velocity(time_s)
+            return RenderView(self._path.camera(time_s, width, height), time_s, velocity)
+        camera = _camera_of(own, width, height, self._home.exposure_s)
+        return RenderView(browser.viewer.view.camera if camera is None else camera, time_s)
+
+    def _draw(
+        self, pictures: RemotePictures, browser: _Browser, quality: QualityLevel, scene: Scene, rain: RainSettings,
+        backend: str,
+    ) -> None:  # fmt: skip
+        def checkpoint() -> None:
+            """Give up an exact picture, which takes long, if its browser looks elsewhere, has gone, or all ends."""
+            version = self._scene, self._rain, self._browsers.get(browser.client.client_id)
+            is_same = version[0] is scene and version[1] == rain and version[2] is browser
+            was = replace(browser.viewer)
+            was.view = self._view_of(browser)
+            if self._is_ending or not is_same or was.fingerprint != browser.viewer.fingerprint:
+                raise OutdatedPictureError
+
+        started = time.perf_counter()
+        try:
+            pictures.change(scene, rain)
+            picture = pictures.picture(
+                browser.viewer, quality, browser.client.client_id,
+                checkpoint if quality.is_exact else lambda: None,
+            )  # fmt: skip
+        except OutdatedPictureError:
+            return
+        except (ValueError, OSError, MemoryError) as error:
+            browser.client.add_notification("No picture", sentence_of(error), color="red")
+            browser.viewer.finished(quality, 0.0)
+            return
+        frame_ms = 1000 * (time.perf_counter() - started)
+        browser.viewer.finished(quality, frame_ms)
+        self._send(browser, picture, quality, f"{frame_ms:.0f} ms by {backend}")
+
+    def _send(self, browser: _Browser, picture: UInt8[np.ndarray, "h w 3"], quality: QualityLevel, took: str) -> None:
+        height, width = picture.shape[:2]
+        mm_h, detail = self._rain.intensity_mm_h, f", {quality}" if str(quality) else ""
+        rain = f"{mm_h:g} mm/h, {rain_class(mm_h)}" if mm_h > 0 else "no rain"
+        with browser.client.atomic():
+            if quality.is_exact:
+                browser.client.scene.set_background_image(picture, format="png")
+            else:
+                browser.client.scene.set_background_image(picture, format="jpeg", jpeg_quality=_JPEG_QUALITY)
+            browser.readings.content = f"{rain}  \n{width} x {height}, {took}{detail}"
+        self._pictures += 1
+
+
+def _picture_size(width: int, height: int) -> tuple[int, int]:
+    """Size of a canvas in pixels, reduced to at most `_MAX_PX`."""
+    scale = min(1.0, _MAX_PX / max(width, height, 1))
+    return max(1, round(scale * width)), max(1, round(scale * height))
+
+
+def _camera_of(own: Any, width: int, height: int, exposure_s: float) -> Camera | None:
+    """Camera of a browser, with OpenCV axes as ours; None where its numbers are none of a camera."""
+    wxyz, position = np.asarray(own.wxyz, np.float64), np.asarray(own.position, np.float64)
+    is_sound = np.isfinite([*wxyz, *position]).all() and np.linalg.norm(wxyz) > 0.5 and 0.01 < own.fov < 3.1
+    if not is_sound or np.abs(position).max() > _FARTHEST_M:
+        return None
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = matrices_from_quaternions(wxyz / np.linalg.norm(wxyz)).T
+    world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ position
+    return replace(Camera.from_fov(width, height, math.degrees(own.fov), world_to_camera), exposure_s=exposure_s)
+
+
+def _check_free(port: int) -> None:
+    """Raise `OSError` if a port is taken: viser would take another one."""
+    if not 0 <= port <= 65535:
+        raise ValueError(f"port {port}: must be within 0..65535")
+    with socket.socket() as attempt:
+        attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            attempt.bind((HOST, port))
+        except OSError as error:
+            raise OSError(f"port {port} can't be opened: {error.strerror}; choose another one, or 0") from None
