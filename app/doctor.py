@@ -36,6 +36,7 @@ _PACKAGES = {
     "gymnasium": ("the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
     "mcap": ("roll-outs for Foxglove", "drive"),
     "rerun-sdk": ("drives as Rerun recordings", "rerun"),
+    "viser": ("gsrain serve --protocol browser, gr.BrowserViewer", "viser"),
     "scenariogeneration": ("writing OpenSCENARIO and OpenDRIVE", "drive"),
     "protobuf": ("Waymo Perception v1 (TFRecord files)", "waymo"),
 }

@@ -1,4 +1,5 @@
 # The names of `import gsrain as gr`: type checkers read this list, and so does the package when it runs.
+from .browser import BrowserViewer as BrowserViewer
 from .driving import Agent as Agent
 from .driving import DriveMetrics as DriveMetrics
 from .driving import Rollout as Rollout

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.drawing.remote_view import OutdatedPictureError, RemotePictures, RemoteViewer
-from gsrain_engine.editor.viewport.camera import default_path, find_scene_core, home_camera
+from gsrain_engine.editor.viewport.camera import default_path, find_scene_core, front_camera, home_camera
 from gsrain_engine.editor.viewport.options import SETTLED_S, QualityLevel
 from gsrain_engine.rain.properties import rain_class
 from gsrain_engine.rain.settings import RainSettings as RainSettings
@@ -36,7 +36,7 @@ DEFAULT_PORT = 8080
 _MAX_PX = 1920  # longer side of a picture; larger canvases show it enlarged
 _JPEG_QUALITY = 85  # of pictures while something changes; pictures at rest are PNG, so that no streak is lost
 _SHORTEST_S = 10.0  # of the time that plays and repeats
-_PIVOT_M, _FARTHEST_PIVOT_M = 10.0, 30.0
+_PIVOT_M = 3.0  # distance ahead of the point that a drag turns around, in streets
 _FARTHEST_M = 1e6  # of a browser's camera from the origin
 
 
@@ -107,7 +107,8 @@ class BrowserViewer:
         opened.wait()
         if self._trouble:
             raise ViewerError(self._trouble)
-        self._server: Any = viser.ViserServer(host=HOST, port=port, label="GSRAIN", verbose=False)
+        with redirect_stdout(StringIO()):  # viser prints a table
+            self._server: Any = viser.ViserServer(host=HOST, port=port, label="GSRAIN", verbose=False)
         self._set_up()
         atexit.register(self.close)
 
@@ -161,7 +162,10 @@ class BrowserViewer:
 
         Raises `ViewerError` where drawing has failed.
         """
-        is_closed = self._ended.wait(timeout)
+        until = math.inf if timeout is None else time.monotonic() + timeout
+        while not (is_closed := self._ended.wait(max(0.0, min(1.0, until - time.monotonic())))):
+            if time.monotonic() >= until:  # in steps, as Ctrl-C does not end a longer one on Windows
+                break
         if self._trouble:
             raise ViewerError(self._trouble)
         return is_closed
@@ -204,15 +208,16 @@ class BrowserViewer:
 
     def _set_up(self) -> None:
         server, gui, eye = self._server, self._server.gui, self._home.position
-        gui.configure_theme(
-            dark_mode=True, control_layout="collapsible", control_width="medium", show_logo=False,
-            show_share_button=False,
-        )  # fmt: skip
+        # Sharing would send the page through a server of viser's makers.
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
         server.scene.set_up_direction("+z")
         ahead = self._home.world_to_camera[2, :3]
-        far_m = float(ahead @ (find_scene_core(self._scene).middle - eye))
+        pivot_m = _PIVOT_M
+        if front_camera(self._scene) is None:  # an object to orbit, not a street to look around in
+            pivot_m = max(float(ahead @ (find_scene_core(self._scene).middle - eye)), 0.1)
         server.initial_camera.position = tuple(eye)
-        server.initial_camera.look_at = tuple(eye + ahead * min(max(far_m, 1.0), _FARTHEST_PIVOT_M))
+        server.initial_camera.look_at = tuple(eye + ahead * pivot_m)
         server.initial_camera.fov = math.radians(self._home.vertical_fov_deg)
         play = gui.add_checkbox("Play", False, order=3, hint="Let time pass: rain falls, and road users move.")
         self._time = gui.add_slider(

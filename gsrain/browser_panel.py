@@ -7,10 +7,10 @@ from typing import Any
 
 import msgspec
 
-from gsrain_engine.fields import Field, fields_of
+from gsrain_engine.fields import Field, field_of, fields_of
 from gsrain_engine.presets import shipped_config_names
+from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H, RegionBox, load_preset
 from gsrain_engine.rain.settings import RainSettings as RainSettings
-from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
 from gsrain_engine.scene.lamp_choice import LAMP_WORDS
@@ -47,6 +47,23 @@ class RainPanel:
                 for each in members:
                     value = getattr(rain, each.name)
                     self._inputs[each.name] = _Input(gui, each, value, self._changed)
+                    if each.name == "intensity_mm_h":
+                        self._add_beyond(gui, rain)
+
+    def _add_beyond(self, gui: Any, rain: RainSettings) -> None:
+        """Add the checkbox that extends the slider of the intensity, as the desktop's."""
+        slider, is_beyond = self._inputs["intensity_mm_h"].first, rain.intensity_mm_h > CALIBRATED_UP_TO_MM_H
+        hint = f"Above {CALIBRATED_UP_TO_MM_H:g} mm/h the calibration is extrapolated."
+        beyond = gui.add_checkbox(f"Up to {HEAVIEST_MM_H:g}", is_beyond, hint=hint)
+        slider.max = HEAVIEST_MM_H if is_beyond else CALIBRATED_UP_TO_MM_H
+
+        @beyond.on_update
+        def _(event: Any) -> None:
+            if event.client is not None:
+                slider.max = HEAVIEST_MM_H if beyond.value else CALIBRATED_UP_TO_MM_H
+                if self._rain.intensity_mm_h > slider.max:
+                    slider.value = slider.max
+                    self._changed(field_of(RainSettings, "intensity_mm_h"), slider.max, event.client)
 
     def display(self, rain: RainSettings) -> None:
         """Set all controls to other settings, without a call of `on_change`."""
@@ -89,6 +106,11 @@ class _Input:
         for each in self._handles:
             each.on_update(self._updated)
 
+    @property
+    def first(self) -> Any:
+        """The first control, after that which switches it."""
+        return self._handles[0]
+
     def display(self, value: Any) -> None:
         """Set the controls; viser calls back without a client, which `_updated` ignores."""
         if self._switch is not None:
@@ -96,7 +118,7 @@ class _Input:
         self._show_handles()
         if value is not None:
             for each, part in zip(self._handles, _parts(self._info, value), strict=True):
-                if isinstance(part, int | float) and hasattr(each, "marks"):  # a slider, whose scale leaves out much
+                if isinstance(part, int | float) and hasattr(each, "max"):  # a slider's scale leaves out rare values
                     each.max = max(each.max, part)
                 each.value = part
 
@@ -122,23 +144,28 @@ def _handles_of(gui: Any, info: Field, value: Any, *, is_visible: bool) -> _Hand
     if info.kind is bool:
         return [gui.add_checkbox(info.title, value, **common)]
     if info.choices or info.kind is str:
-        return [gui.add_dropdown(info.label, _choices(info, value), initial_value=value, **common)]
+        return [gui.add_dropdown(_label(info), _choices(info, value), initial_value=value, **common)]
     if info.kind is RegionBox:
         words = [f"{info.title}, {word} (m)" for word in ("from", "to")]
         corners = zip(words, _parts(info, value), strict=True)
         return [gui.add_vector3(word, corner, step=0.1, **common) for word, corner in corners]
     if info.name == "drop_color":
-        return [gui.add_rgb(info.label, *_parts(info, value), **common)]
+        return [gui.add_rgb(_label(info), *_parts(info, value), **common)]
     if isinstance(value, tuple):
         low, high = ((bound,) * 2 for bound in info.bounds)
-        return [gui.add_vector2(info.label, value, min=low, max=high, step=0.1, **common)]
+        return [gui.add_vector2(_label(info), value, min=low, max=high, step=0.1, **common)]
     if info.kind is int and info.high > 1e6:
-        return [gui.add_number(info.label, value, min=info.low, max=info.high, step=1, **common)]
+        return [gui.add_number(_label(info), value, min=info.low, max=info.high, step=1, **common)]
     if info.is_logarithmic or info.name == "exposure_s":
-        return [gui.add_number(info.label, value, min=info.low, max=info.high, **common)]
+        return [gui.add_number(_label(info), value, min=info.low, max=info.high, **common)]
     high = max(info.slider_high, value)
     step = 1 if info.kind is int else 10.0 ** math.floor(math.log10((high - info.low) / _STEPS))
-    return [gui.add_slider(info.label, info.low, high, step, value, **common)]
+    return [gui.add_slider(_label(info), info.low, high, step, value, **common)]
+
+
+def _label(info: Field) -> str:
+    """Title with its unit, which browsers would break at its slash."""
+    return info.label.replace("/", "\u2060/\u2060")
 
 
 def _choices(info: Field, value: Any) -> tuple[str, ...]:

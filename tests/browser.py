@@ -50,7 +50,9 @@ class Page:
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drag with the left button from one place to another, in pixels."""
         for kind, (x, y) in (("Pressed", start), ("Moved", end), ("Released", end)):
-            self._call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, button="left", buttons=1, clickCount=1)
+            self._call(
+                "Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, button="left", buttons=1, clickCount=1
+            )
 
     def screenshot(self) -> str:
         """PNG of the page in base64."""
