@@ -11,18 +11,18 @@ TOPICS = {
     "Rain": "rain",
     "Images and videos": "rendering",
     "Driving": "driving",
-    "The window": "viewer",
+    "The window": "viewer browser",
 }
-"""Headings of the page, and the module of `gsrain` whose names are listed below each."""
+"""Headings of the page, and the modules of `gsrain` whose names are listed below each."""
 
 
 def tables() -> str:
     """Return a heading and a table for each topic of the API."""
     names = _exported(ast.parse(STUB.read_text(encoding="utf-8")), STUB)
     parts = ["\n"]
-    for topic, module in TOPICS.items():
-        file = ROOT / "gsrain" / f"{module}.py"
-        rows = [_row(name, place) for name, place in names.items() if place == file]
+    for topic, modules in TOPICS.items():
+        files = [ROOT / "gsrain" / f"{module}.py" for module in modules.split()]
+        rows = [_row(name, place) for file in files for name, place in names.items() if place == file]
         parts.append(f"### {topic}\n\n| name | what it is |\n|---|---|\n" + "".join(rows) + "\n")
     return "".join(parts)
 

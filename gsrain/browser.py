@@ -5,7 +5,7 @@ import math
 import socket
 import threading
 import time
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from io import StringIO
@@ -28,7 +28,7 @@ from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
 
 from .browser_panel import RainPanel
-from .viewer import ViewerError
+from .viewer import Viewer, ViewerError
 
 HOST = "127.0.0.1"
 """Address of the page. Viser asks for no password, so that other machines are not let in."""
@@ -91,7 +91,8 @@ class BrowserViewer:
         except ModuleNotFoundError:
             raise ImportError("pages for browsers need viser: pip install 'gsrain[viser]'") from None
         self._changed = threading.Condition()
-        self._scene, self._rain, self._backend = scene, rain or RainSettings(), backend
+        self._scene, self._rain = scene, rain or RainSettings()
+        self._backend: Backend = backend
         self._path = default_path(scene, *DEFAULT_SIZE_PX)
         self._home = camera or home_camera(scene, *DEFAULT_SIZE_PX)
         self._length_s = max(self._path.duration_s, _SHORTEST_S)
@@ -223,8 +224,16 @@ class BrowserViewer:
         self._time = gui.add_slider(
             "Time (s)", 0.0, self._length_s, 0.01, 0.0, order=4, hint="Moment of scene and rain."
         )
-        play.on_update(lambda event: self._play(play.value))
-        self._time.on_update(lambda event: event.client is not None and self._go_to(self._time.value))
+
+        def play_or_pause(event: Any) -> None:
+            self._play(event.target.value)
+
+        def go(event: Any) -> None:
+            if event.client is not None:
+                self._go_to(event.target.value)
+
+        play.on_update(play_or_pause)
+        self._time.on_update(go)
         with gui.add_folder("Rain", order=5):
             self._panel = RainPanel(gui, self._rain, self._set_rain)
         server.on_client_connect(self._connect)
@@ -232,31 +241,34 @@ class BrowserViewer:
 
     def _connect(self, client: Any) -> None:
         with self._changed:
-            is_full = len(self._browsers) >= self._limit
-            if not is_full:
-                readings = client.gui.add_markdown("", order=1)
-                ride = client.gui.add_checkbox(
-                    "Ride along the path", False, order=2, hint="Look through the camera that moves along the path."
-                )
-                browser = _Browser(client, RemoteViewer(RenderView(self._home)), readings, ride)
-                self._browsers[client.client_id] = browser
+            if len(self._browsers) >= self._limit:
+                client.add_notification(
+                    "Too many browsers", f"{self._limit} show this page already: close one, and load it again.",
+                    color="red", auto_close_seconds=None,
+                )  # fmt: skip
+                return
+            readings = client.gui.add_markdown("", order=1)
+            hint = "Look through the camera that moves along the path."
+            ride = client.gui.add_checkbox("Ride along the path", False, order=2, hint=hint)
+            browser = _Browser(client, RemoteViewer(RenderView(self._home)), readings, ride)
+            self._browsers[client.client_id] = browser
+            self._changed.notify()
+
+        def wake(_: Any) -> None:
+            with self._changed:
                 self._changed.notify()
-        if is_full:
-            client.add_notification(
-                "Too many browsers", f"{self._limit} show this page already: close one, and load it again.",
-                color="red", auto_close_seconds=None,
-            )  # fmt: skip
-            return
-        client.camera.on_update(lambda _: self._wake())
-        ride.on_update(lambda _: self._ridden(browser))
+
+        def ridden(_: Any) -> None:
+            if not ride.value:
+                self._leave_path(browser)
+            wake(_)
+
+        client.camera.on_update(wake)
+        ride.on_update(ridden)
 
     def _disconnect(self, client: Any) -> None:
         with self._changed:
             self._browsers.pop(client.client_id, None)
-
-    def _wake(self) -> None:
-        with self._changed:
-            self._changed.notify()
 
     def _set_rain(self, rain: RainSettings) -> None:
         with self._changed:
@@ -281,14 +293,12 @@ class BrowserViewer:
             return self._time_s
         return (self._time_s + time.monotonic() - self._playing_since) % self._length_s
 
-    def _ridden(self, browser: _Browser) -> None:
-        """Leave the path where the ride has ended."""
-        if not browser.ride.value:
-            camera, own = browser.viewer.view.camera, browser.client.camera
-            with browser.client.atomic():
-                own.position = camera.position
-                own.look_at = camera.position + camera.world_to_camera[2, :3] * _PIVOT_M
-        self._wake()
+    def _leave_path(self, browser: _Browser) -> None:
+        """Put a browser's own camera where its ride has ended."""
+        camera, own = browser.viewer.view.camera, browser.client.camera
+        with browser.client.atomic():
+            own.position = camera.position
+            own.look_at = camera.position + camera.world_to_camera[2, :3] * _PIVOT_M
 
     # Pictures, on a thread of their own, which owns the renderer
 
@@ -375,6 +385,30 @@ class BrowserViewer:
                 browser.client.scene.set_background_image(picture, format="jpeg", jpeg_quality=_JPEG_QUALITY)
             browser.readings.content = f"{rain}  \n{width} x {height}, {took}{detail}"
         self._pictures += 1
+
+
+def show(
+    scene: Scene,
+    rain: RainSettings | None = None,
+    *,
+    camera: Camera | None = None,
+    server: bool = False,
+    **options: Any,
+) -> None:
+    """Show a scene in a window, and wait until a person closes it, or presses Ctrl-C; see `Viewer` for the arguments.
+
+    With `server=True` the window is a page for browsers, for machines without a display; see `BrowserViewer`.
+
+    Raises `ViewerError` where the window can't be opened or ends with an error.
+    """
+    if server:
+        with BrowserViewer(scene, rain, camera=camera, **options) as page:
+            print(f"{page.url}: open it in a browser on this machine; Ctrl-C ends")
+            with suppress(KeyboardInterrupt):
+                page.wait()
+        return
+    with Viewer(scene, rain, camera=camera, **options) as viewer:
+        viewer.wait()
 
 
 def _picture_size(width: int, height: int) -> tuple[int, int]:
