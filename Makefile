@@ -73,6 +73,7 @@ pictures: setup
 	xvfb-run --auto-servernum --server-args="-screen 0 1440x1500x24" $(RUN)/python -m docs.take_pictures
 	$(RUN)/python -m docs.render_pictures
 	$(RUN)/python -m docs.notebook_pictures
+	$(RUN)/python -m docs.browser_picture
 
 # The site needs no network: open out/docs/index.html, or for its search: python3 -m http.server -d out/docs.
 docs: $(VENV)/.installed-docs

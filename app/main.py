@@ -90,7 +90,10 @@ def view(
 
         load_scene(scene)  # its error suggests similar names
     if not has_display():
-        raise OSError("no display: the window can't open here; gsrain render writes pictures and videos without one")
+        raise OSError(
+            "no display: the window can't open here; gsrain render writes pictures and videos without one, and gsrain "
+            "serve --protocol browser shows a scene in a browser"
+        )
     from ui.window import begin_editor, run_window  # load the GUI libraries only for the window
 
     def begin() -> "Editor":

@@ -63,7 +63,7 @@ class ViewerWindow:
         threading.Thread(target=self._listen, name="requests", daemon=True).start()
         try:
             if not has_display():
-                raise OSError("no display: the viewer window can't open here; gr.render needs none")
+                raise OSError("no display: the viewer window can't open here; gr.render and gr.BrowserViewer need none")
             from ui.window import run_window  # loads the GUI libraries only with a display
 
             run_window(self._begin, backend, self._on_frame, restarts=False)

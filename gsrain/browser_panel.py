@@ -144,28 +144,23 @@ def _handles_of(gui: Any, info: Field, value: Any, *, is_visible: bool) -> _Hand
     if info.kind is bool:
         return [gui.add_checkbox(info.title, value, **common)]
     if info.choices or info.kind is str:
-        return [gui.add_dropdown(_label(info), _choices(info, value), initial_value=value, **common)]
+        return [gui.add_dropdown(info.label, _choices(info, value), initial_value=value, **common)]
     if info.kind is RegionBox:
         words = [f"{info.title}, {word} (m)" for word in ("from", "to")]
         corners = zip(words, _parts(info, value), strict=True)
         return [gui.add_vector3(word, corner, step=0.1, **common) for word, corner in corners]
     if info.name == "drop_color":
-        return [gui.add_rgb(_label(info), *_parts(info, value), **common)]
+        return [gui.add_rgb(info.label, *_parts(info, value), **common)]
     if isinstance(value, tuple):
         low, high = ((bound,) * 2 for bound in info.bounds)
-        return [gui.add_vector2(_label(info), value, min=low, max=high, step=0.1, **common)]
+        return [gui.add_vector2(info.label, value, min=low, max=high, step=0.1, **common)]
     if info.kind is int and info.high > 1e6:
-        return [gui.add_number(_label(info), value, min=info.low, max=info.high, step=1, **common)]
+        return [gui.add_number(info.label, value, min=info.low, max=info.high, step=1, **common)]
     if info.is_logarithmic or info.name == "exposure_s":
-        return [gui.add_number(_label(info), value, min=info.low, max=info.high, **common)]
+        return [gui.add_number(info.label, value, min=info.low, max=info.high, **common)]
     high = max(info.slider_high, value)
     step = 1 if info.kind is int else 10.0 ** math.floor(math.log10((high - info.low) / _STEPS))
-    return [gui.add_slider(_label(info), info.low, high, step, value, **common)]
-
-
-def _label(info: Field) -> str:
-    """Title with its unit, which browsers would break at its slash."""
-    return info.label.replace("/", "\u2060/\u2060")
+    return [gui.add_slider(info.label, info.low, high, step, value, **common)]
 
 
 def _choices(info: Field, value: Any) -> tuple[str, ...]:

@@ -90,7 +90,7 @@ def test_each_browser_has_its_view_in_the_rain_that_one_of_them_sets():
     with gr.BrowserViewer(scene, gr.Rain(3), backend="cpu", port=0, browsers=2) as page:
         ours, other = Browser(page.url, first), Browser(page.url, second)
         assert ours.shows(expected(gr.Rain(3), first)) and other.shows(expected(gr.Rain(3), second))
-        ours.set("Intensity (mm\u2060/\u2060h)", 12.0)
+        ours.set("Intensity (mm/h)", 12.0)
         heavy = expected(gr.Rain(12), first)
         assert np.abs(heavy - expected(gr.Rain(3), first)).max() > 4
         assert ours.shows(heavy) and other.shows(expected(gr.Rain(12), second))
@@ -166,7 +166,7 @@ def test_the_panel_has_the_settings_of_the_rain_and_refuses_what_is_none():
         controls["Seed"].update(7, person)
         assert changes.pop() == msgspec.structs.replace(gr.Rain.preset(name), seed=7), name
     panel.display(gr.Rain(50))
-    assert controls["Intensity (mm\u2060/\u2060h)"].max == 50
+    assert controls["Intensity (mm/h)"].max == 50
     controls["Visibility"].update(True, person)
     assert changes.pop().visibility_m == 500 and controls["Visibility (m)"].visible
     controls["Visibility"].update(False, person)
