@@ -232,13 +232,19 @@ def _package(name: str) -> Finding:
         return Finding(name, False, f"not installed; for {purpose}: {how_to_add(extra)}")
 
 
+_UVX_CACHE = "archive-v0"
+"""Folder of uv's cache in which uvx makes environments."""
+
+
 def how_to_add(name: str, *, is_extra: bool = True) -> str:
-    """Return the command that adds an extra, or a package, to the environment of this program (pip, pipx or uv)."""
+    """Return the command that adds an extra, or a package, to the environment of this program (pip, pipx, uv, uvx)."""
     requirement, environment = f"'gsrain[{name}]'" if is_extra else name, Path(sys.prefix)
     if is_frozen():
         return f"needs GSRAIN installed by pip, with {requirement}"
     if (environment / "pipx_metadata.json").is_file():
         return f"pipx runpip {environment.name} install {requirement}"
+    if _UVX_CACHE in environment.parts:  # made for one run, without pip
+        return f"uvx --from {requirement} gsrain" if is_extra else f"uvx --with {requirement} gsrain"
     python = shlex.quote(sys.executable)
     if (environment / "uv-receipt.toml").is_file():
         return f"uv pip install --python {python} {requirement}"

@@ -126,7 +126,7 @@ def test_modules_that_only_posix_has_are_imported_where_they_are_used():
 def test_commands_run_without_what_only_posix_has_and_without_the_libraries_of_the_window(tmp_path):
     program = """
 import os, select, signal, subprocess, sys, types
-import av, cv2, moderngl, multiprocessing.spawn, numba, PIL.Image, platformdirs, psutil, rich.progress, scipy.interpolate
+import av, cv2, moderngl, multiprocessing.spawn, numba, PIL.Image, platformdirs, psutil, rich.progress
 
 class Absent:
     def find_spec(name, path=None, target=None):
