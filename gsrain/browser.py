@@ -5,13 +5,14 @@ import math
 import socket
 import threading
 import time
-from contextlib import redirect_stdout, suppress
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
-from io import StringIO
 from typing import Any
 
 import numpy as np
+import rich
 from jaxtyping import UInt8
 
 from gsrain_engine.backends import Backend, open_renderer
@@ -108,7 +109,7 @@ class BrowserViewer:
         opened.wait()
         if self._trouble:
             raise ViewerError(self._trouble)
-        with redirect_stdout(StringIO()):  # viser prints a table
+        with _silence():  # viser prints a table
             self._server: Any = viser.ViserServer(host=HOST, port=port, label="GSRAIN", verbose=False)
         self._set_up()
         atexit.register(self.close)
@@ -179,7 +180,7 @@ class BrowserViewer:
         if self._thread is not threading.current_thread():
             self._thread.join()
         if not self._ended.is_set():
-            with redirect_stdout(StringIO()):  # viser prints that it has stopped
+            with _silence():
                 self._server.stop()
             self._ended.set()
         atexit.unregister(self.close)
@@ -409,6 +410,17 @@ def show(
         return
     with Viewer(scene, rain, camera=camera, **options) as viewer:
         viewer.wait()
+
+
+@contextmanager
+def _silence() -> Generator[None]:
+    """Let rich, by which viser reports its start and end to terminals and notebooks, print nothing."""
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
 
 
 def _picture_size(width: int, height: int) -> tuple[int, int]:

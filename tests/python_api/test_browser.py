@@ -80,7 +80,7 @@ def views(scene):
     return camera, gr.Camera.from_fov(80, 48, 40.0, turned)
 
 
-def test_each_browser_has_its_view_in_the_rain_that_one_of_them_sets():
+def test_each_browser_has_its_view_in_the_rain_that_one_of_them_sets(capsys):
     scene, before = small_scene(), set(threading.enumerate())
     first, second = views(scene)
 
@@ -103,7 +103,7 @@ def test_each_browser_has_its_view_in_the_rain_that_one_of_them_sets():
         assert "2 show this page already" in Browser(page.url, first).notice()
         with pytest.raises(OSError, match=r"port \d+ can't be opened: .*; choose another one, or 0"):
             gr.BrowserViewer(scene, port=int(page.url.rpartition(":")[2]))
-    assert not page.is_open and page.browsers == 0
+    assert not page.is_open and page.browsers == 0 and capsys.readouterr() == ("", "")
     left = set(threading.enumerate()) - before
     assert not [each.name for each in left if not each.name.startswith("ThreadPoolExecutor")]  # viser's, which are idle
     with pytest.raises(gr.ViewerError, match="is closed"):
