@@ -1,4 +1,4 @@
-"""The Python API from its source: tables of docs/python.md (`python -m docs.tables` writes them), a page of the site."""
+"""The Python API from its source: tables of docs/python.md (`python -m docs.tables`), and a page of the site."""
 
 import ast
 import re

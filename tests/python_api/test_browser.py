@@ -13,9 +13,12 @@ import pytest
 from PIL import Image
 
 import gsrain as gr
+from extension_package import titled_blocks
 from gsrain.browser_panel import RainPanel
 from gsrain_engine.presets import shipped_config_names
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.geometry import quaternions_from_matrices
+from repository import REPOSITORY
 from small_scene import small_scene
 
 viser = pytest.importorskip("viser")
@@ -181,3 +184,11 @@ def test_the_panel_has_the_settings_of_the_rain_and_refuses_what_is_none():
     assert changes == []
     controls["Preset"].update("paper", person)
     assert changes.pop() == gr.Rain.preset("paper")
+
+
+def test_the_program_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    write_scene(small_scene(), tmp_path / "street")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(titled_blocks(REPOSITORY / "docs" / "python.md")["browser.py"], "browser.py", "exec"), {})
+    address, rate = capsys.readouterr().out.splitlines()
+    assert address.startswith("http://localhost:") and rate == "12.0"
