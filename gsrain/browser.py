@@ -377,14 +377,18 @@ class BrowserViewer:
 
     def _send(self, browser: _Browser, picture: UInt8[np.ndarray, "h w 3"], quality: QualityLevel, took: str) -> None:
         height, width = picture.shape[:2]
-        mm_h, detail = self._rain.intensity_mm_h, f", {quality}" if str(quality) else ""
+        if browser.client.client_id not in self._browsers:
+            return
+        mm_h = self._rain.intensity_mm_h
         rain = f"{mm_h:g} mm/h, {rain_class(mm_h)}" if mm_h > 0 else "no rain"
         with browser.client.atomic():
             if quality.is_exact:
                 browser.client.scene.set_background_image(picture, format="png")
             else:
                 browser.client.scene.set_background_image(picture, format="jpeg", jpeg_quality=_JPEG_QUALITY)
-            browser.readings.content = f"{rain}  \n{width} x {height}, {took}{detail}"
+            browser.readings.content = f"{rain}  \n{width} x {height}, {took}  \n{str(quality) or 'full quality'}"
+        if self._playing_since is not None:
+            self._time.value = round(browser.viewer.view.time_s, 2)
         self._pictures += 1
 
 
