@@ -12,7 +12,6 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import rich
 from jaxtyping import UInt8
 
 from gsrain_engine.backends import Backend, open_renderer
@@ -335,7 +334,7 @@ class BrowserViewer:
         return None
 
     def _view_of(self, browser: _Browser) -> RenderView:
-        """What a browser looks at now: from its own camera, or along the path."""
+        """Present view of a browser: from its own camera, or along the path."""
         own, time_s = browser.client.camera, self._now_s()
         width, height = _picture_size(own.image_width, own.image_height)
         if browser.ride.value:
@@ -419,7 +418,7 @@ def show(
 @contextmanager
 def _silence() -> Generator[None]:
     """Let rich, by which viser reports its start and end to terminals and notebooks, print nothing."""
-    console = rich.get_console()
+    console: Any = import_module("rich").get_console()
     before, console.quiet = console.quiet, True
     try:
         yield

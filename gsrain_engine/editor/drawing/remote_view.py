@@ -30,7 +30,7 @@ class OutdatedPictureError(Exception):
 
 @dataclass(slots=True)
 class RemoteViewer:
-    """What one viewer looks at, and the quality of its next picture. Uses no clock of its own."""
+    """View of one viewer, and the quality of its next picture. Uses no clock of its own."""
 
     view: RenderView
     """Camera in the size of the screen, time and motion."""
@@ -96,7 +96,7 @@ class RemotePictures:
         name: Hashable = "",
         checkpoint: Callable[[], None] = lambda: None,
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """Draw what a viewer looks at, over black, in the size that the quality says.
+        """Draw the view of a viewer, over black, in the size that the quality says.
 
         At full quality it is the frame of `FrameSequence`. `name` identifies the viewer. `checkpoint` is called between
         stages of the drawing on the processor; what it raises ends it.

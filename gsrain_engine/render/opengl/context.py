@@ -35,7 +35,7 @@ def open_context(source: ContextSource = "auto") -> moderngl.Context:
 
 
 def _remedy(source: ContextSource) -> str:
-    """How to get OpenGL 4.3 on this system."""
+    """Return the way to OpenGL 4.3 on this system."""
     if sys.platform == "darwin":
         return "macOS has 4.1 at most; --backend cpu needs none"
     if sys.platform == "win32":
