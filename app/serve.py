@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+from importlib.util import find_spec
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -111,6 +112,8 @@ def _check_for_browsers(scenes: tuple[str, ...], host: str, port: int | None, to
                          f"from another: {forward}")  # fmt: skip
     if token is not None:
         raise ValueError("--token: pages for browsers have none; only this machine gets them")
+    if find_spec("viser") is None:
+        raise ValueError("--protocol browser needs viser: pip install 'gsrain[viser]'")
 
 
 def _serve_browsers(
