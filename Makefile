@@ -79,6 +79,7 @@ pictures: setup
 	xvfb-run --auto-servernum --server-args="-screen 0 1440x1500x24" $(RUN)/python -m docs.take_pictures
 	$(RUN)/python -m docs.render_pictures
 	$(RUN)/python -m docs.notebook_pictures
+	$(RUN)/python -m docs.browser_picture
 
 # The site needs no network: open out/docs/index.html, or for its search: python3 -m http.server -d out/docs.
 docs: $(VENV)/.installed-docs
@@ -132,7 +133,7 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 # Training needs torch; its own index has a build for processors that is ten times smaller than the registry's.
 $(VENV)/.installed-jobs: $(VENV)/.installed
 	$(INSTALL) --retries 0 --timeout 10 --extra-index-url https://download.pytorch.org/whl/cpu torch
-	$(INSTALL) -e ".[dev,diffusion,drive,evaluate,oracles,waymo]"
+	$(INSTALL) -e ".[dev,diffusion,drive,evaluate,oracles,viser,waymo]"
 	@touch $@
 
 system:
