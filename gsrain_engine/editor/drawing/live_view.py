@@ -24,6 +24,7 @@ from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.renderer import Color, Renderer, RenderMode
 from ...render.sky_color import SkyColor, sample_sky
+from ...render.still_scene import StillScene
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
@@ -84,6 +85,7 @@ class LiveView:
         self._panes = (_PaneImage(context), _PaneImage(context))
         self._glass = LiveGlass(context)
         self._pane_count = 1
+        self._has_built = False
         self._sky = SkyColorSampler()
         self._pending: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
@@ -127,7 +129,8 @@ class LiveView:
         self._prepare(frame)
         self._pane_count = len(frame.panes)
         for pane in self._panes[: -self._pane_count]:
-            pane.state = pane.scene = None
+            if pane.scene is not None:
+                pane.state, pane.scene, pane.still = None, None, StillScene()
         self._release_closed_scene(frame)
         result = DrawResult(frame, is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
         result.is_preparing = self._compiles and not self.is_settled
@@ -142,7 +145,7 @@ class LiveView:
             self._cpu.compile()  # after the first image, which compiling would delay
         if has_drawn:
             self._finish()
-            result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started))
+            result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started) - self._shared_ms(frame, panes))
         if frame.screenshot is not None:
             self._save_screenshot(frame.screenshot, frame.divider, result)
             result.has_screenshot = True
@@ -201,6 +204,8 @@ class LiveView:
             self._thinned = frame.scene
             self._upload.give_up()
             self._opengl.arrays.release_everything()
+            for pane in self._panes:
+                pane.still, pane.reuse = StillScene(), MirrorReuse(_MIRROR_EVERY)
             if self._cpu is not None:
                 self._cpu.renderer.release_scenes()
         self._is_empty = is_empty
@@ -225,7 +230,8 @@ class LiveView:
     def _draw_pane(self, frame: RenderInput, side: SplitPane, pane: "_PaneImage", sky: SkyLight) -> bool:
         """Draw a pane unless it is up to date; return whether it was drawn."""
         scene = self._drawable(side.scene, pane, whole=frame.screenshot is not None)
-        state = (_fingerprint(frame, scene, side.rainfall, sky), frame.quality.gaussians, self._on_cpu)
+        quality = frame.quality
+        state = (_fingerprint(frame, scene, side.rainfall, sky), quality.gaussians, quality.has_backdrop, self._on_cpu)
         if state == pane.state or not self._can_draw:
             return False
         # Without a scene, rain has nothing to fall on; while its kernels compile, it would wait for them.
@@ -238,7 +244,8 @@ class LiveView:
         with self._interruptible():
             draw_view(
                 self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
-                selection=selection, reuse=None if frame.quality.is_exact else pane.reuse,
+                selection=selection, reuse=None if quality.is_exact else pane.reuse,
+                still=pane.still if quality.has_backdrop else None,
             )  # fmt: skip
         picture = self._picture(glass, name, frame.background)
         pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev)
@@ -278,6 +285,12 @@ class LiveView:
         if is_large and any(each.tree is not None for each in scene.members):
             return LodCut(PIXEL / math.sqrt(share), subset)
         return subset
+
+    def _shared_ms(self, frame: RenderInput, panes: "tuple[_PaneImage, ...]") -> float:
+        """Time that the last picture took for backdrops, unless they change with each picture."""
+        built_ms = sum(pane.still.built_ms for pane in panes) if frame.quality.has_backdrop else 0.0
+        before, self._has_built = self._has_built, built_ms > 0
+        return 0.0 if before else built_ms
 
     def _measured(self, frame: RenderInput, milliseconds: float) -> DrawnImage:
         statistics, camera = self._renderer.statistics, frame.view.camera
@@ -346,6 +359,7 @@ class _PaneImage:
         self.state: Hashable = None
         self.scene: Scene | None = None
         self.reuse = MirrorReuse(_MIRROR_EVERY)
+        self.still = StillScene()
 
 
 def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: SkyLight) -> Hashable:

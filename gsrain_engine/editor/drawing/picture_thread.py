@@ -108,10 +108,12 @@ class PictureThread:
     def reconsider(self, view: RenderView, panes: Sequence[SplitPane], mode: RenderMode) -> None:
         """Give up the picture that is being drawn if the present one has another view, scene, rain or mode.
 
-        Only a picture of full quality is, which takes long, and never two in a row, so that pictures go on.
+        Only one of full quality or with a backdrop is, which takes long, and never two in a row: pictures go on.
         """
         frame = self._frame
-        if frame is None or not (self._may_abandon and frame.quality.is_exact and frame.screenshot is None):
+        if frame is None or not (self._may_abandon and frame.screenshot is None):
+            return
+        if not (frame.quality.is_exact or frame.quality.has_backdrop):
             return
         poses = frame.canvas_view.camera.world_to_camera, view.camera.world_to_camera
         contents = [[(id(each.scene), id(each.rainfall)) for each in some] for some in (frame.panes, panes)]
