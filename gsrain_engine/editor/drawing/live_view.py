@@ -43,7 +43,8 @@ _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: softw
 _LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, they are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image
-_ASIDE = 1 / 4  # share of the Gaussians in small images next to the viewport, during playback
+_ASIDE = 1 / 8  # share of the Gaussians in small images next to the viewport, during playback
+_ASIDE_TIME = 1 / 5  # share of the time that these images take, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
 
@@ -500,10 +501,15 @@ def _visible_state(scene: Scene) -> Hashable:
 
 
 class MosaicImages:
-    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the OpenGL context of the view."""
+    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the OpenGL context of the view.
 
-    def __init__(self, context: moderngl.Context) -> None:
-        self._context = context
+    During playback they take a fifth of the time at most: after each image, `clock` has to advance by four times as
+    long as it took.
+    """
+
+    def __init__(self, context: moderngl.Context, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._context, self._clock = context, clock
+        self._pauses_until = -math.inf
         self._screens: dict[str, Screen] = {}
         self._states: dict[str, Hashable] = {}
         self._pictures: dict[str, Texture] = {}
@@ -521,6 +527,9 @@ class MosaicImages:
         stale = [name for name in self._turn if self._states.get(name) != images.state_of(cameras[name])]
         if not stale:
             return MosaicResult(dict(self._pictures), is_behind=False)
+        started = self._clock()
+        if images.is_playing and started < self._pauses_until:
+            return MosaicResult(dict(self._pictures), is_behind=True)
         name = stale[0]
         screen = self._screens.setdefault(name, Screen(self._context))
         texture = view.draw_aside(images, cameras[name], screen)
@@ -528,4 +537,6 @@ class MosaicImages:
             self._pictures[name] = Texture(texture.glo, texture.width, texture.height)
             self._states[name] = images.state_of(cameras[name])
         self._turn = [each for each in self._turn if each != name] + [name]
+        ended = self._clock()
+        self._pauses_until = ended + (1 / _ASIDE_TIME - 1) * (ended - started)
         return MosaicResult(dict(self._pictures), is_behind=len(stale) > 1 or texture is None)
