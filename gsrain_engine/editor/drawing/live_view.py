@@ -4,7 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -29,6 +29,7 @@ from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
 from ...scene.scene import Actor, Layer, RigCamera, Scene
+from ...threads import half_of_cores
 from ...water.refraction import GlassView
 from ..viewport.options import Texture
 from ..viewport.picking import mean_color_in_rectangle
@@ -178,7 +179,8 @@ class LiveView:
         thinning = self.thinning(share, images.scene)
         name, view, turn = f"rig/{camera.name}", images.view_of(camera), camera.camera_to_ego[:3, :3]
         glass = self._glass.before(self._renderer, images.scene, images.rainfall, images.sky, view, name, turn)
-        draw_view(self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning)
+        with half_of_cores() if images.is_playing else nullcontext():
+            draw_view(self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning)
         return screen.show(self._picture(glass, name, images.background), images.background, 2.0**images.gain_ev)
 
     def _substitutes_cpu(self, scene: Scene) -> bool:
@@ -242,7 +244,7 @@ class LiveView:
         glass, name = None, f"pane/{self._panes.index(pane)}"
         if rainfall is not None and has_glass(rainfall, frame.mode):
             glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
-        with self._interruptible():
+        with self._interruptible(), nullcontext() if quality.is_exact else half_of_cores():
             draw_view(
                 self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
                 selection=selection, reuse=None if quality.is_exact else pane.reuse,
