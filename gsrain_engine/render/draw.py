@@ -27,7 +27,17 @@ from .camera_response import PictureOptics
 from .cpu.renderer import CpuRenderer
 from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
-from .mirror import MirrorReuse, draw_mirror, has_mirror, mirror_view, reflecting_items, ring_waves, standing_water
+from .mirror import (
+    FAST_SHARE,
+    SHARE,
+    MirrorReuse,
+    draw_mirror,
+    has_mirror,
+    mirror_view,
+    reflecting_items,
+    ring_waves,
+    standing_water,
+)
 from .renderer import PendingImage, Renderer, RenderMode
 from .still_scene import StillScene
 
@@ -120,7 +130,7 @@ def draw_view(
         water = wetness, flooded_share(depth.film_mm), sky.drops
         reflect = partial(
             draw_mirror, renderer, scene, partial(subset_items, items, thinning), rain, level, *water, lit_lamps,
-            standing, waves,
+            standing, waves, SHARE if still is None else FAST_SHARE,
         )  # fmt: skip
         if still is not None:
             mirror = still.mirror(scene, level, before, (*water, standing), reflect, waves)

@@ -21,7 +21,7 @@ from .cpu.backdrop import Backdrop
 from .cpu.renderer import CpuRenderer
 
 _STEP_S = 0.1  # by which poses are compared
-_MIRROR_EVERY = 8  # pictures that share a mirror image although something in it has changed
+_MIRROR_EVERY = 12  # pictures that share a mirror image although something in it has changed
 
 
 class StillScene:

@@ -45,7 +45,7 @@ _LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, th
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image
 _ASIDE = 1 / 8  # share of the Gaussians in small images next to the viewport, during playback
-_ASIDE_TIME = 1 / 5  # share of the time that these images take, during playback
+_ASIDE_TIME = 1 / 10  # share of the time that these images take, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
 
@@ -171,8 +171,10 @@ class LiveView:
         """Last textures, one per pane."""
         return tuple(pane.texture for pane in self._panes[-self._pane_count :])
 
-    def draw_aside(self, images: MosaicInput, camera: RigCamera, screen: Screen) -> moderngl.Texture | None:
-        """Draw a small image next to the viewport after `draw`, with fewer Gaussians in playback, or None."""
+    def draw_aside(
+        self, images: MosaicInput, camera: RigCamera, screen: Screen, reuse: MirrorReuse
+    ) -> moderngl.Texture | None:
+        """Draw a small image next to the viewport after `draw`, or None; in playback with fewer Gaussians, mirrors."""
         if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
         share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
@@ -180,7 +182,10 @@ class LiveView:
         name, view, turn = f"rig/{camera.name}", images.view_of(camera), camera.camera_to_ego[:3, :3]
         glass = self._glass.before(self._renderer, images.scene, images.rainfall, images.sky, view, name, turn)
         with half_of_cores() if images.is_playing else nullcontext():
-            draw_view(self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning)
+            draw_view(
+                self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning,
+                reuse=reuse if images.is_playing else None,
+            )  # fmt: skip
         return screen.show(self._picture(glass, name, images.background), images.background, 2.0**images.gain_ev)
 
     def _substitutes_cpu(self, scene: Scene) -> bool:
@@ -505,7 +510,7 @@ def _visible_state(scene: Scene) -> Hashable:
 class MosaicImages:
     """Images of the rig's cameras; updates one per frame, oldest first. Lives in the OpenGL context of the view.
 
-    During playback they take a fifth of the time at most: after each image, `clock` has to advance by four times as
+    During playback they take a tenth of the time at most: after each image, `clock` has to advance by nine times as
     long as it took.
     """
 
@@ -513,6 +518,7 @@ class MosaicImages:
         self._context, self._clock = context, clock
         self._pauses_until = -math.inf
         self._screens: dict[str, Screen] = {}
+        self._mirrors: dict[str, MirrorReuse] = {}
         self._states: dict[str, Hashable] = {}
         self._pictures: dict[str, Texture] = {}
         self._turn: list[str] = []
@@ -523,7 +529,7 @@ class MosaicImages:
         cameras = {each.name: each for each in images.cameras}
         self._turn = [name for name in self._turn if name in cameras]
         self._turn += [name for name in cameras if name not in self._turn]
-        for each in (self._screens, self._states, self._pictures):
+        for each in (self._screens, self._mirrors, self._states, self._pictures):
             for name in each.keys() - cameras.keys():
                 del each[name]
         stale = [name for name in self._turn if self._states.get(name) != images.state_of(cameras[name])]
@@ -534,7 +540,8 @@ class MosaicImages:
             return MosaicResult(dict(self._pictures), is_behind=True)
         name = stale[0]
         screen = self._screens.setdefault(name, Screen(self._context))
-        texture = view.draw_aside(images, cameras[name], screen)
+        reuse = self._mirrors.setdefault(name, MirrorReuse(_MIRROR_EVERY))
+        texture = view.draw_aside(images, cameras[name], screen, reuse)
         if texture is not None:
             self._pictures[name] = Texture(texture.glo, texture.width, texture.height)
             self._states[name] = images.state_of(cameras[name])

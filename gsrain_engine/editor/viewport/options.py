@@ -89,13 +89,14 @@ LEVELS = (
     QualityLevel(1 / 8, 2 / 3), QualityLevel(1 / 8, 1 / 2), QualityLevel(1 / 8, 1 / 3),
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
-BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2, 1 / 3))
-"""Fewer pixels; the first picture of a size is as slow as an exact one."""
+BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2))
+"""Fewer pixels; the first picture of a size is as slow as an exact one. Most of the others' time is the rain's own."""
 
 SETTLED_S = 0.15  # time without changes after which full quality returns
 _TOLERANCE = 1.15
 _PROMISING = 0.55  # share of the target frame time below which a finer level is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
+_PATIENCE = 1.5  # factor on the target while only rain and road users move: no answer to the mouse waits for them
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
 
 
@@ -109,7 +110,7 @@ class _Ladder:
     """Levels that missed the target, with the number of frames until they may be tried once more."""
 
     def measured(self, detail: QualityLevel, excess: float) -> None:
-        """Record the drawing time of a frame, as a share of the target."""
+        """Record the drawing time of a frame, relative to the target."""
         level = self.levels.index(detail)
         self.too_slow = {each: left - 1 for each, left in self.too_slow.items() if left > 1}
         if excess > _TOLERANCE:
@@ -155,5 +156,8 @@ class AdaptiveQuality:
 
     def measured(self, detail: QualityLevel, frame_ms: float) -> None:
         """Record the drawing time of a frame."""
-        ladder = self._of_backdrops if detail.has_backdrop else self._of_all
-        ladder.measured(detail, frame_ms / self.target_ms)
+        excess = frame_ms / self.target_ms
+        if detail.has_backdrop:
+            self._of_backdrops.measured(detail, excess / _PATIENCE)
+        else:
+            self._of_all.measured(detail, excess)
