@@ -133,7 +133,7 @@ def draw_view(
             standing, waves, SHARE if still is None else FAST_SHARE,
         )  # fmt: skip
         if still is not None:
-            mirror = still.mirror(scene, level, before, (*water, standing), reflect, waves)
+            mirror = still.mirror(level, before, (*water, standing), reflect, waves)
         else:
             mirror = reflect() if reuse is None else reuse.mirror(scene, level, reflect)
     if rain is not None and rainfall is not None:

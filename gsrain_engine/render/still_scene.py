@@ -9,6 +9,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
@@ -20,14 +21,15 @@ from ..water.rings import RingWaves
 from .cpu.backdrop import Backdrop
 from .cpu.renderer import CpuRenderer
 
-_STEP_S = 0.1  # by which poses are compared
+_STEP_S = 0.1  # after which the pose of an actor is compared
+_MOVED_M = 0.01  # by which a pose has to change to count as motion; also in entries of its rotation
 _MIRROR_EVERY = 12  # pictures that share a mirror image although something in it has changed
 
 
 class StillScene:
     """Backdrop and mirror image of one view, kept as long as nothing changes that they show.
 
-    What has moved once counts as moving until the view changes.
+    What has moved once counts as moving until the view or the scene changes.
     """
 
     def __init__(self) -> None:
@@ -37,6 +39,7 @@ class StillScene:
         self._backdrop: Backdrop | None = None
         self._view: Hashable = None
         self._movers = set[IdentityKey]()
+        self._poses: dict[IdentityKey, Float64[np.ndarray, "4 4"]] = {}
         self._mirror: Mirror | None = None
         self._mirror_key: Hashable = None
         self._mirror_state: Hashable = None
@@ -47,13 +50,18 @@ class StillScene:
     ) -> tuple[list[DrawItem], list[DrawItem]]:
         """Items that stand still, and those that move, at the begin of a picture."""
         self.built_ms = 0.0
-        if (view := _view_of(camera)) != self._view:
+        if (view := (IdentityKey(scene), *_view_of(camera))) != self._view:
             self._view = view
             self._movers.clear()
+            self._poses.clear()
         for actor in scene.actors:
             now, later = (actor.pose_at(at) for at in (time_s, time_s + _STEP_S))
-            if now is None or later is None or not np.array_equal(now, later):
+            if now is None or later is None or np.abs(later - now).max() > _MOVED_M * _STEP_S:
                 self._movers.add(IdentityKey(actor.gaussians))
+        for item in items:
+            own = IdentityKey(item.gaussians)
+            if np.abs(item.to_world - self._poses.setdefault(own, item.to_world)).max() > _MOVED_M:
+                self._movers.add(own)
         moves = [IdentityKey(item.gaussians) in self._movers for item in items]
         pairs = list(zip(items, moves, strict=True))
         return [item for item, moving in pairs if not moving], [item for item, moving in pairs if moving]
@@ -72,7 +80,8 @@ class StillScene:
 
         `fixed_parts` returns the parts of those; it is called only if the backdrop is outdated.
         """
-        key = tuple(_state_of(item) for item in fixed), self._view, _air_of(rain), mirror is None
+        states = tuple((IdentityKey(item.gaussians), item.wetness, item.selected is None) for item in fixed)
+        key = states, self._view, _air_of(rain), mirror is None
         if self._backdrop is None or key != self._key:
             started = time.perf_counter()
             self._backdrop, self._key = renderer.draw_backdrop(fixed_parts(), camera, rain), key
@@ -81,7 +90,6 @@ class StillScene:
 
     def mirror(
         self,
-        scene: Scene,
         view: LeveledView,
         moving: Sequence[DrawItem],
         state: Hashable,
@@ -92,8 +100,8 @@ class StillScene:
 
         `state` is everything else that it depends on.
         """
-        key = scene.geometry_key, self._view, rows_of_ground(view.camera), waves is None
-        changing = state, tuple(_state_of(item) for item in moving)
+        key = self._view, rows_of_ground(view.camera), waves is None
+        changing = state, tuple((IdentityKey(item.gaussians), item.to_world.tobytes()) for item in moving)
         is_old = self._mirror_left <= 0 and changing != self._mirror_state
         if self._mirror is None or key != self._mirror_key or is_old:
             started = time.perf_counter()
@@ -107,15 +115,9 @@ class StillScene:
         return replace(self._mirror, rings=rings._replace(on_films=waves.on_films, on_standing=waves.on_standing))
 
 
-def _view_of(camera: Camera) -> Hashable:
+def _view_of(camera: Camera) -> tuple[Hashable, ...]:
     c = camera
     return c.world_to_camera.tobytes(), c.width, c.height, c.fx, c.fy, c.cx, c.cy
-
-
-def _state_of(item: DrawItem) -> Hashable:
-    colors = None if item.colors is None else item.colors.tobytes()
-    identities = (item.gaussians, item.wet_sh, item.left_out, item.selected)
-    return *(IdentityKey(each) for each in identities), item.to_world.tobytes(), item.opacity, item.wetness, colors
 
 
 def _air_of(rain: RainFrame | None) -> Hashable:
