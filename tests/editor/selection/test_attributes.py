@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.selection import attributes
 from gsrain_engine.editor.selection.attributes import (
     ATTRIBUTES,
     BINS,
@@ -70,8 +71,8 @@ def test_histogram_counts_what_is_shown_and_what_is_selected(name):
 
 
 def test_a_histogram_is_made_anew_only_where_something_that_it_depends_on_has_changed(monkeypatch):
-    made, make = [], AttributeHistogram._make
-    monkeypatch.setattr(AttributeHistogram, "_make", lambda *each: (made.append(each[-1]), make(*each))[1])
+    made = []
+    monkeypatch.setattr(attributes, "attribute_inputs", lambda *each: (made.append(name), attribute_inputs(*each))[1])
     times = np.arange(3.0)
     track = PoseTrack(times, np.stack([times, 0 * times, times], axis=1), np.tile([1.0, 0, 0, 0], (3, 1)), times < 9)
     scene = replace(cloud(), actors=(Actor("car", "car", (4.0, 2.0, 1.5), cloud().layers[0].gaussians, track),))
