@@ -11,15 +11,15 @@ import numba
 _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
-WORKER_NICENESS = 4
+WORKER_NICENESS = 6
 """Priority of workers below the window, as `os.nice` counts: each step is a quarter less of a contested core.
 
-A worker beside a window that plays on all cores gets 3 parts of them in 10, so that both go on: with 10, the usual
+A worker beside a window that plays on all cores gets 2 parts of them in 10, so that both go on: with 10, the usual
 niceness of background work, it would be 1 part in 10, and minutes without progress (docs/performance.md).
 """
 
 PICTURE_NICENESS = 1
-"""Priority of the thread that draws the viewport: between those of the interface and a job, which gets a third then."""
+"""Priority of the thread that draws the viewport: between those of the interface and a job, which gets a quarter then."""
 
 
 def lower_thread_priority() -> None:
