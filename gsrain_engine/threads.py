@@ -19,7 +19,7 @@ niceness of background work, it would be 1 part in 10, and minutes without progr
 """
 
 PICTURE_NICENESS = 1
-"""Priority of the thread that draws the viewport: between those of the interface and a job, which gets a quarter then."""
+"""Priority of the thread that draws the viewport: between those of the interface and a job; that gets a quarter."""
 
 
 def lower_thread_priority() -> None:

@@ -242,6 +242,8 @@ class LiveView:
         state = (_fingerprint(frame, scene, side.rainfall, sky), quality.gaussians, quality.has_backdrop, self._on_cpu)
         if state == pane.state or not self._can_draw:
             return False
+        if pane.scene is not scene:
+            pane.still = StillScene()  # the last one would hold the last scene
         # Without a scene, rain has nothing to fall on; while its kernels compile, it would wait for them.
         rainfall = side.rainfall if scene.members and (self._on_cpu or not self._compiles) else None
         selection = frame.selection and frame.screenshot is None
