@@ -97,6 +97,7 @@ def test_what_stands_still_is_drawn_once(renderer):
     assert renderer.backdrops == [3]  # road, wall, sky
     assert renderer.over == [1] * 5  # the board
     assert still.built_ms == 0
+    assert renderer.statistics.gaussians == scene.gaussian_count
     draw(renderer, scene, rainfall, view(1.5, x=0.2), still)
     assert still.built_ms > 0
     draw(renderer, scene, rain(seed=7), view(1.6, x=0.2), still)

@@ -52,6 +52,8 @@ class Backdrop:
     """Visible shares of films and standing water."""
     sky: Float32[np.ndarray, "r c 4"]
     """Layer of the medium behind the scene; without pixels if there is none."""
+    gaussians: int
+    """Number of Gaussians that were considered."""
 
 
 def draw_backdrop(
@@ -76,7 +78,7 @@ def draw_backdrop(
     depth = expected(weighted, rgba[..., 3], _MIN_ALPHA)
     depth[depth <= 0] = np.inf
     sky = np.empty((0, 0, 4), np.float32) if medium is None else sky_layer(medium, camera)
-    return Backdrop(rgba, depth, film.visible, sky)
+    return Backdrop(rgba, depth, film.visible, sky, sum(part.drawn_count for part in parts))
 
 
 def composite_over(

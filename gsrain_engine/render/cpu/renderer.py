@@ -131,7 +131,8 @@ class CpuRenderer:
     ) -> None:
         """Draw what moves, and rain that adds its light in linear light, over the backdrop of the rest."""
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
-        self.statistics = RenderStatistics(sum(part.drawn_count for part in moving), stages_ms=stages)
+        count = backdrop.gaussians + sum(part.drawn_count for part in moving)
+        self.statistics = RenderStatistics(count, stages_ms=stages)
         self.checkpoint()
         with timed(stages, "project"):
             falling = list[DrawItem]()
