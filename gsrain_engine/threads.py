@@ -6,18 +6,20 @@ import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 
+import numba
+
 _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
-WORKER_NICENESS = 4
+WORKER_NICENESS = 6
 """Priority of workers below the window, as `os.nice` counts: each step is a quarter less of a contested core.
 
-A worker beside a window that plays on all cores gets 3 parts of them in 10, so that both go on: with 10, the usual
+A worker beside a window that plays on all cores gets 2 parts of them in 10, so that both go on: with 10, the usual
 niceness of background work, it would be 1 part in 10, and minutes without progress (docs/performance.md).
 """
 
 PICTURE_NICENESS = 1
-"""Priority of the thread that draws the viewport: between those of the interface and a job, which gets a third then."""
+"""Priority of the thread that draws the viewport: between those of the interface and a job; that gets a quarter."""
 
 
 def lower_thread_priority() -> None:
@@ -30,6 +32,20 @@ def lower_thread_priority() -> None:
 def usable_cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def half_of_cores() -> Generator[None]:
+    """Kernels that the block calls use half of the cores, for the interface and jobs need the others.
+
+    With more threads than free cores each kernel waits for the thread that is served last.
+    """
+    before = numba.get_num_threads()
+    numba.set_num_threads(max(min(usable_cores() // 2, before), 1))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 @contextmanager

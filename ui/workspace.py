@@ -42,7 +42,7 @@ class Workspace:
     ) -> None:
         """`context` is that of the window; the viewport is drawn in that of `pictures`."""
         self.editor, self.context = editor, context
-        self.pictures = PictureThread(pictures, backend)
+        self.pictures = PictureThread(pictures, backend, hello_imgui.request_refresh)
         self._is_software = is_software(context)
         self.max_fps = _SOFTWARE_FPS if self._is_software else 0.0
         """Maximum frame rate of the interface; 0 is that of the display."""

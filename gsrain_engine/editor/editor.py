@@ -1,5 +1,6 @@
 """The editor without a window: its parts, opening and closing, and the frames that a live view draws of it."""
 
+from collections.abc import Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import platformdirs
 from ..malloc_tuning import MemoryTrimmer
 from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
 from ..rain.settings import RainSettings, load_preset
-from ..scene.gaussians import forget_scenes
+from ..scene.gaussians import IdentityKey, forget_scenes
 from ..scene.scene import Scene
 from .autosave import restore_view
 from .camera_path import CameraPathEditor
@@ -206,6 +207,20 @@ class Editor:
         return any(pane.scene.actors or (falls and pane.rainfall.can_rain) for pane in self.split_panes)
 
     @property
+    def _still_content(self) -> Hashable:
+        """Identity of what stands still while rain falls; None if pictures can't be drawn over a backdrop of it.
+
+        Only the processor draws over one, and only rain without lamps that is the same at any time.
+        """
+        panes, options, time_s = self.split_panes, self.viewport.options, self.playback.clock.time_s
+        can = self.viewport.backend == "cpu" and options.look == "splats" and not options.follow_path
+        for pane in panes:
+            rainfall = pane.rainfall
+            can = can and rainfall.rain.rain_light == "linear" and not rainfall.weather.keys
+            can = can and not rainfall.lamps_of(pane.scene, time_s)
+        return tuple((IdentityKey(each.scene), IdentityKey(each.rainfall)) for each in panes) if can else None
+
+    @property
     def has_time(self) -> bool:
         """True if anything happens in time: in the picture, on the ego vehicle's or the user's path, or in the rain."""
         scene, keyframes = self.document.scene, self.document.keyframes.keys
@@ -214,9 +229,9 @@ class Editor:
     def render_input(self, width: int, height: int) -> RenderInput:
         """The next frame for a viewport of a size in pixels."""
         viewport, live_rain, options = self.viewport, self.live_rain, self.viewport.options
-        view, quality = viewport.scaled_shot(
-            width, height, is_animated=self.playback.clock.playing and self.is_animated
-        )
+        is_animated = self.playback.clock.playing and self.is_animated
+        content = self._still_content if is_animated else None
+        view, quality = viewport.scaled_shot(width, height, is_animated=is_animated, content=content)
         pick, rain = viewport.sky_pick, live_rain.simulation
         return RenderInput(
             panes=self.split_panes,

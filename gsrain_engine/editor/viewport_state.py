@@ -87,6 +87,7 @@ class ViewportState:
         self._path = PathFollower()
         self._core: tuple[Hashable, SceneCore] | None = None
         self._last_view: RenderView | None = None
+        self._last_content: Hashable = None
         self._observed_at = 0.0
         document.followers.append(self._follow)
 
@@ -134,19 +135,22 @@ class ViewportState:
         is_fitting = view is not None and (view.camera.width, view.camera.height) == (width, height)
         return view if view is not None and is_fitting else self.shot(width, height)
 
-    def scaled_shot(self, width: int, height: int, *, is_animated: bool) -> tuple[RenderView, QualityLevel]:
+    def scaled_shot(
+        self, width: int, height: int, *, is_animated: bool, content: Hashable = None
+    ) -> tuple[RenderView, QualityLevel]:
         """View of the next frame, in the resolution of its quality: reduced if needed while something moves.
 
-        `is_animated` is true if the picture changes although the camera rests.
+        `is_animated` is true if the picture changes although the camera rests. `content` is what stands still then;
+        None if the picture can't be drawn over a backdrop.
         """
-        detail = self._observe(self.shot(width, height), is_animated)
+        detail = self._observe(self.shot(width, height), is_animated, content)
         if self.screenshot is not None:
             detail = FULL_QUALITY
         scale = detail.scale / self.options.shrink
         drawn_height = max(1, round(height * scale))
         return self.shot(max(1, round(width * scale)), drawn_height, height / drawn_height), detail
 
-    def _observe(self, now: RenderView, is_animated: bool) -> QualityLevel:
+    def _observe(self, now: RenderView, is_animated: bool, content: Hashable) -> QualityLevel:
         before, at = self._last_view, time.perf_counter()
         self.is_moving = before is not None and (
             now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
@@ -154,7 +158,10 @@ class ViewportState:
         )
         resized = before is not None and now.camera.height != before.camera.height
         self._last_view, real_s, self._observed_at = now, at - self._observed_at, at
-        return self.budget.observe(moving=is_animated or (self.is_moving and not resized), real_s=real_s)
+        stands = content is not None and content == self._last_content and not (self.is_moving or resized)
+        self._last_content = content
+        moving = is_animated or (self.is_moving and not resized)
+        return self.budget.observe(moving=moving, real_s=real_s, stands=stands)
 
     def look_from(self, camera: Camera) -> None:
         """Take the pose of a camera (without roll) and its field of view; follow nothing any more."""

@@ -24,10 +24,22 @@ from ..water.leveled_ground import leveled_view
 from ..water.splashes import Splashes
 from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
+from .cpu.renderer import CpuRenderer
 from .export_settings import Lod
 from .lamp_reflections import lamp_reflections
-from .mirror import MirrorReuse, draw_mirror, has_mirror, mirror_view, reflecting_items, ring_waves, standing_water
+from .mirror import (
+    FAST_SHARE,
+    SHARE,
+    MirrorReuse,
+    draw_mirror,
+    has_mirror,
+    mirror_view,
+    reflecting_items,
+    ring_waves,
+    standing_water,
+)
 from .renderer import PendingImage, Renderer, RenderMode
+from .still_scene import StillScene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,13 +87,15 @@ def draw_view(
     selection: bool = False,
     falls: bool = True,
     reuse: MirrorReuse | None = None,
+    still: StillScene | None = None,
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
     `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
-    leaves out some of each part's Gaussians; `selection` tints selected ones; `reuse` draws fewer mirrors. Spray counts
-    in depth: where `has_spray`, draw the scene's own depth without rain.
+    leaves out some of each part's Gaussians; `selection` tints selected ones; `reuse` draws fewer mirrors, and `still`
+    what stands still only once, by a renderer that can. Spray counts in depth: where `has_spray`, draw the scene's own
+    depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
@@ -97,8 +111,13 @@ def draw_view(
         standing = standing_water(rainfall.frozen_at(shot.time_s).rain, depth, wetness)
         level = mirror_view(scene, shot.camera)
         has_water = has_mirror(scene, level, wetness, standing)
-    lit = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
-    parts = list(subset_items(lit, thinning, shot.camera))
+    items = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
+    if not (isinstance(renderer, CpuRenderer) and look == "splats" and not lamps) or (rain and not rain.is_linear):
+        still = None
+    behind, before = list[DrawItem](), items
+    if still is not None:
+        behind, before = still.split(scene, items, shot.camera, shot.time_s)
+    parts = list(subset_items(before, thinning, shot.camera))
     if lamps and scene.ground_m is not None and look == "splats":
         fixed = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount == "scene"])
         moving = scene.lamps_at(shot.time_s, [lamp for lamp in lamps if lamp.mount != "scene"])
@@ -107,18 +126,30 @@ def draw_view(
     mirror = None
     if rainfall is not None and level is not None and has_water:
         parts = reflecting_items(parts, scene)
+        waves = ring_waves(scene, rainfall, level, shot.time_s, shot.focal_px) if falls else None
+        water = wetness, flooded_share(depth.film_mm), sky.drops
         reflect = partial(
-            draw_mirror, renderer, scene, partial(subset_items, lit, thinning), rain, level, wetness,
-            flooded_share(depth.film_mm), sky.drops, lit_lamps, standing,
-            ring_waves(scene, rainfall, level, shot.time_s, shot.focal_px) if falls else None,
+            draw_mirror, renderer, scene, partial(subset_items, items, thinning), rain, level, *water, lit_lamps,
+            standing, waves, SHARE if still is None else FAST_SHARE,
         )  # fmt: skip
-        mirror = reflect() if reuse is None else reuse.mirror(scene, level, reflect)
+        if still is not None:
+            mirror = still.mirror(level, before, (*water, standing), reflect, waves)
+        else:
+            mirror = reflect() if reuse is None else reuse.mirror(scene, level, reflect)
     if rain is not None and rainfall is not None:
         if has_splashes(scene, rainfall, wetness):
             rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
         spray = spray_of(scene, rainfall, shot.time_s)
         parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
-    renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
+    if still is not None and isinstance(renderer, CpuRenderer):
+
+        def behind_parts() -> Sequence[DrawItem]:
+            chosen = subset_items(behind, thinning, shot.camera)
+            return chosen if mirror is None else reflecting_items(chosen, scene)
+
+        still.draw(renderer, behind, behind_parts, parts, shot.camera, rain, mirror)
+    else:
+        renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 
 def has_splashes(scene: Scene, rainfall: RainSimulation, wetness: float) -> bool:

@@ -26,7 +26,9 @@ from ..water.rings import RingWaves
 from .renderer import Color, Renderer
 
 _MIN_HEIGHT_M = 0.05  # of a camera over the ground
-_SHARE = 0.35  # of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution
+SHARE, FAST_SHARE = 0.35, 0.12
+"""Shares of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution: of pictures
+that are exact, and of fast ones."""
 _FEW = 20_000  # Gaussians of a member that is reflected whole
 
 
@@ -104,11 +106,13 @@ def draw_mirror(
     lamps: LitLamps | None,
     standing: tuple[float, float] | None = None,
     waves: RingWaves | None = None,
+    share: float = SHARE,
 ) -> Mirror:
     """Draw the mirror image of a `mirror_view` by the renderer, over the color of the sky, and blur it.
 
-    `items_for` returns the scene for the mirrored camera. Drops of the rain are left out, and its medium is that of the
-    whole way from the reflected object over the ground to the eye.
+    `items_for` returns the scene for the mirrored camera, and `share` of the Gaussians of its large members are drawn.
+    Drops of the rain are left out, and its medium is that of the whole way from the reflected object over the ground to
+    the eye.
     """
     assert scene.water is not None
     below = mirrored_camera(view.camera, view.ground_m)
@@ -121,7 +125,9 @@ def draw_mirror(
         medium = rain.medium
     # Wet colors of what reflects, too, though it is left out: the same arrays as for the picture itself.
     items = [
-        leveled_item(_without_ground(item, _member_of(item, scene)), view, scene.water, is_fixed=_is_fixed(item, scene))
+        leveled_item(
+            _without_ground(item, _member_of(item, scene), share), view, scene.water, is_fixed=_is_fixed(item, scene)
+        )
         for item in reflecting_items(items_for(below), scene)
     ]
     renderer.draw(items, below, rain if medium is not None else None, with_depth=True)
@@ -154,11 +160,11 @@ class MirrorReuse:
         return self._mirror
 
 
-def _without_ground(item: DrawItem, found: GroundMembership) -> DrawItem:
-    """Leave out an item's Gaussians that lie on the ground or under it, and some others of a large one in full."""
+def _without_ground(item: DrawItem, found: GroundMembership, share: float) -> DrawItem:
+    """Leave out an item's Gaussians on the ground or under it, and all but a share of a large one that is in full."""
     if item.members is not None:
         return item._replace(members=item.members[~found.is_low[item.members]])
-    share = _SHARE if item.limit is None and len(item.gaussians) >= _FEW else 1.0
+    share = share if item.limit is None and len(item.gaussians) >= _FEW else 1.0
     left_out, growth = _left_out(item.gaussians, IdentityKey(found.is_low), share)
     if item.left_out is not None:
         left_out = item.left_out if left_out is None else item.left_out | left_out

@@ -241,7 +241,7 @@ def matte_wet_sh(
     return _matte(IdentityKey(wet_sh), IdentityKey(film), downward.tobytes(), of_capture)
 
 
-@scene_cache(maxsize=16)
+@scene_cache(maxsize=64)
 def _matte(wet: IdentityKey, film: IdentityKey, downward: bytes, of_capture: bool) -> Float32[np.ndarray, "n k 3"]:
     sh: np.ndarray = wet.of  # pyright: ignore[reportAssignmentType]
     shares: np.ndarray = film.of  # pyright: ignore[reportAssignmentType]

@@ -122,7 +122,7 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
     return LodTree(gaussians, leaves, nodes, radii, errors)
 
 
-@scene_cache(maxsize=16)
+@scene_cache(maxsize=64)
 def _merged_harmonics(tree: LodTree, key: IdentityKey) -> Float32[np.ndarray, "m k 3"]:
     sh: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
     merged = np.empty((len(tree.nodes), *sh.shape[1:]), np.float32)

@@ -171,6 +171,27 @@ def drive(budget, cost, frames):
     return details
 
 
+def test_rain_over_what_stands_still_needs_fewer_pixels_but_no_fewer_gaussians():
+    budget = AdaptiveQuality()
+
+    def played(cost_ms, frames, **state):
+        for _ in range(frames):
+            detail = budget.observe(moving=True, real_s=0.05, **state)
+            budget.measured(detail, cost_ms * (detail.scale if detail.has_backdrop else detail.gaussians))
+        return detail
+
+    assert played(20.0, 4, stands=True).is_exact  # fast enough as it is
+    assert not played(400.0, 4, stands=False).has_backdrop  # the camera moves
+    assert budget.observe(moving=True, real_s=0.05, stands=True).gaussians < 1  # or did just now
+    over = played(120.0, 30, stands=True)
+    assert over.has_backdrop and not over.is_exact
+    assert (over.gaussians, over.scale) == (1.0, 0.5)
+    assert "still scene, 50% resolution" in str(over)
+    assert played(10.0, 80, stands=True).scale == 1.0
+    assert not budget.observe(moving=True, real_s=0.05, stands=False).has_backdrop
+    assert budget.observe(moving=False, real_s=1.0).is_exact
+
+
 @given(st.floats(0, 2000), st.floats(0, 300), st.floats(10, 100))
 def test_holds_the_target_where_any_level_can(by_gaussians, by_pixels, target):
     budget = AdaptiveQuality(target_ms=target)

@@ -1,15 +1,18 @@
 """Pictures drawn on a thread: as those drawn at once, while the editor goes on; errors; and what changes in time."""
 
+import itertools
 import re
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.editor.drawing.live_view import LiveView
+from gsrain_engine.editor import viewport_state
+from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages
 from gsrain_engine.editor.drawing.picture_thread import PictureThread
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport.options import LEVELS
@@ -153,6 +156,15 @@ def test_a_picture_of_full_quality_is_given_up_for_a_newer_view_but_never_two_in
     pictures.close()
 
 
+def test_the_window_wakes_when_a_picture_is_drawn(editor, pictures):
+    pictures.close()
+    drawn = threading.Event()
+    thread = PictureThread(OwnContext(), "opengl", drawn.set)
+    begin(editor, thread)
+    assert drawn.wait(60) and thread.take() is not None
+    thread.close()
+
+
 def test_overlays_follow_the_picture_on_the_screen(editor, view):
     draw_frame(editor, view)
     before = editor.viewport.shot(*SIZE).camera.world_to_camera
@@ -176,6 +188,56 @@ def test_playing_rain_holds_the_frame_time_and_a_paused_picture_is_exact(editor)
     clock.playing = False
     budget.observe(moving=False, real_s=1.0)
     assert quality().is_exact
+
+
+def test_steady_rain_before_a_still_camera_is_drawn_over_a_backdrop_by_the_processor(editor, monkeypatch):
+    seconds = itertools.count()
+    monkeypatch.setattr(viewport_state, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
+
+    def quality():
+        return [editor.render_input(*SIZE).quality for _ in range(2)][-1]
+
+    clock, viewport = editor.playback.clock, editor.viewport
+    rain(editor)
+    clock.playing = True
+    viewport.budget.measured(LEVELS[0], 10 * viewport.budget.target_ms)
+    assert not quality().has_backdrop  # of an unknown back end
+    viewport.backend = "cpu"
+    assert quality().has_backdrop
+    viewport.navigation.orbit(0.2, 0.0)
+    assert not editor.render_input(*SIZE).quality.has_backdrop
+    assert quality().has_backdrop
+    editor.document.edit("Darker", replace_scene, darkened(editor.document.scene))
+    assert not editor.render_input(*SIZE).quality.has_backdrop
+    for look in ("depth", "splats"):
+        viewport.options.look = look
+        assert quality().has_backdrop == (look == "splats")
+    for changes in ({"rain_light": "display"}, {"rain_light": "linear"}):
+        editor.document.change_rain("Light", **changes)
+        assert quality().has_backdrop == (changes["rain_light"] == "linear")
+
+
+def test_images_of_a_rig_take_a_tenth_of_the_time_while_time_plays(editor, context, view, monkeypatch):
+    now, drawn = [0.0], []
+
+    def draw_aside(*_):
+        now[0] += 0.5
+        drawn.append(now[0])
+        return context.texture((4, 4), 4)
+
+    monkeypatch.setattr(view, "draw_aside", draw_aside)
+    images = MosaicImages(context, lambda: now[0])
+
+    def passed(seconds, *, playing):
+        now[0] += seconds
+        editor.playback.clock.time_s, editor.playback.clock.playing = now[0], playing
+        editor.rollouts.mosaic.want(64)
+        return images.draw(editor.mosaic_input(), view)
+
+    assert not passed(0.0, playing=True).is_behind
+    assert passed(4.4, playing=True).is_behind and drawn == [0.5]
+    assert not passed(0.2, playing=True).is_behind and len(drawn) == 2
+    assert not passed(0.1, playing=False).is_behind and len(drawn) == 3  # at rest each is drawn at once
 
 
 def test_no_time_passes_where_nothing_happens(editor):

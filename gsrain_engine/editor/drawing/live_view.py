@@ -4,7 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -24,10 +24,12 @@ from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.renderer import Color, Renderer, RenderMode
 from ...render.sky_color import SkyColor, sample_sky
+from ...render.still_scene import StillScene
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
 from ...scene.scene import Actor, Layer, RigCamera, Scene
+from ...threads import half_of_cores
 from ...water.refraction import GlassView
 from ..viewport.options import Texture
 from ..viewport.picking import mean_color_in_rectangle
@@ -42,7 +44,8 @@ _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: softw
 _LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, they are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image
-_ASIDE = 1 / 4  # share of the Gaussians in small images next to the viewport, during playback
+_ASIDE = 1 / 8  # share of the Gaussians in small images next to the viewport, during playback
+_ASIDE_TIME = 1 / 10  # share of the time that these images take, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
 
@@ -84,6 +87,7 @@ class LiveView:
         self._panes = (_PaneImage(context), _PaneImage(context))
         self._glass = LiveGlass(context)
         self._pane_count = 1
+        self._has_built = False
         self._sky = SkyColorSampler()
         self._pending: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
@@ -127,7 +131,8 @@ class LiveView:
         self._prepare(frame)
         self._pane_count = len(frame.panes)
         for pane in self._panes[: -self._pane_count]:
-            pane.state = pane.scene = None
+            if pane.scene is not None:
+                pane.state, pane.scene, pane.still = None, None, StillScene()
         self._release_closed_scene(frame)
         result = DrawResult(frame, is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
         result.is_preparing = self._compiles and not self.is_settled
@@ -142,7 +147,7 @@ class LiveView:
             self._cpu.compile()  # after the first image, which compiling would delay
         if has_drawn:
             self._finish()
-            result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started))
+            result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started) - self._shared_ms(frame, panes))
         if frame.screenshot is not None:
             self._save_screenshot(frame.screenshot, frame.divider, result)
             result.has_screenshot = True
@@ -166,15 +171,21 @@ class LiveView:
         """Last textures, one per pane."""
         return tuple(pane.texture for pane in self._panes[-self._pane_count :])
 
-    def draw_aside(self, images: MosaicInput, camera: RigCamera, screen: Screen) -> moderngl.Texture | None:
-        """Draw a small image next to the viewport after `draw`, with fewer Gaussians in playback, or None."""
+    def draw_aside(
+        self, images: MosaicInput, camera: RigCamera, screen: Screen, reuse: MirrorReuse
+    ) -> moderngl.Texture | None:
+        """Draw a small image next to the viewport after `draw`, or None; in playback with fewer Gaussians, mirrors."""
         if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
         share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
         thinning = self.thinning(share, images.scene)
         name, view, turn = f"rig/{camera.name}", images.view_of(camera), camera.camera_to_ego[:3, :3]
         glass = self._glass.before(self._renderer, images.scene, images.rainfall, images.sky, view, name, turn)
-        draw_view(self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning)
+        with half_of_cores() if images.is_playing else nullcontext():
+            draw_view(
+                self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning,
+                reuse=reuse if images.is_playing else None,
+            )  # fmt: skip
         return screen.show(self._picture(glass, name, images.background), images.background, 2.0**images.gain_ev)
 
     def _substitutes_cpu(self, scene: Scene) -> bool:
@@ -201,6 +212,8 @@ class LiveView:
             self._thinned = frame.scene
             self._upload.give_up()
             self._opengl.arrays.release_everything()
+            for pane in self._panes:
+                pane.still, pane.reuse = StillScene(), MirrorReuse(_MIRROR_EVERY)
             if self._cpu is not None:
                 self._cpu.renderer.release_scenes()
         self._is_empty = is_empty
@@ -225,9 +238,12 @@ class LiveView:
     def _draw_pane(self, frame: RenderInput, side: SplitPane, pane: "_PaneImage", sky: SkyLight) -> bool:
         """Draw a pane unless it is up to date; return whether it was drawn."""
         scene = self._drawable(side.scene, pane, whole=frame.screenshot is not None)
-        state = (_fingerprint(frame, scene, side.rainfall, sky), frame.quality.gaussians, self._on_cpu)
+        quality = frame.quality
+        state = (_fingerprint(frame, scene, side.rainfall, sky), quality.gaussians, quality.has_backdrop, self._on_cpu)
         if state == pane.state or not self._can_draw:
             return False
+        if pane.scene is not scene:
+            pane.still = StillScene()  # the last one would hold the last scene
         # Without a scene, rain has nothing to fall on; while its kernels compile, it would wait for them.
         rainfall = side.rainfall if scene.members and (self._on_cpu or not self._compiles) else None
         selection = frame.selection and frame.screenshot is None
@@ -235,10 +251,11 @@ class LiveView:
         glass, name = None, f"pane/{self._panes.index(pane)}"
         if rainfall is not None and has_glass(rainfall, frame.mode):
             glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
-        with self._interruptible():
+        with self._interruptible(), nullcontext() if quality.is_exact else half_of_cores():
             draw_view(
                 self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
-                selection=selection, reuse=None if frame.quality.is_exact else pane.reuse,
+                selection=selection, reuse=None if quality.is_exact else pane.reuse,
+                still=pane.still if quality.has_backdrop else None,
             )  # fmt: skip
         picture = self._picture(glass, name, frame.background)
         pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev)
@@ -278,6 +295,12 @@ class LiveView:
         if is_large and any(each.tree is not None for each in scene.members):
             return LodCut(PIXEL / math.sqrt(share), subset)
         return subset
+
+    def _shared_ms(self, frame: RenderInput, panes: "tuple[_PaneImage, ...]") -> float:
+        """Time that the last picture took for backdrops, unless they change with each picture."""
+        built_ms = sum(pane.still.built_ms for pane in panes) if frame.quality.has_backdrop else 0.0
+        before, self._has_built = self._has_built, built_ms > 0
+        return 0.0 if before else built_ms
 
     def _measured(self, frame: RenderInput, milliseconds: float) -> DrawnImage:
         statistics, camera = self._renderer.statistics, frame.view.camera
@@ -346,6 +369,7 @@ class _PaneImage:
         self.state: Hashable = None
         self.scene: Scene | None = None
         self.reuse = MirrorReuse(_MIRROR_EVERY)
+        self.still = StillScene()
 
 
 def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: SkyLight) -> Hashable:
@@ -486,11 +510,17 @@ def _visible_state(scene: Scene) -> Hashable:
 
 
 class MosaicImages:
-    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the OpenGL context of the view."""
+    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the OpenGL context of the view.
 
-    def __init__(self, context: moderngl.Context) -> None:
-        self._context = context
+    During playback they take a tenth of the time at most: after each image, `clock` has to advance by nine times as
+    long as it took.
+    """
+
+    def __init__(self, context: moderngl.Context, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._context, self._clock = context, clock
+        self._pauses_until = -math.inf
         self._screens: dict[str, Screen] = {}
+        self._mirrors: dict[str, MirrorReuse] = {}
         self._states: dict[str, Hashable] = {}
         self._pictures: dict[str, Texture] = {}
         self._turn: list[str] = []
@@ -501,17 +531,23 @@ class MosaicImages:
         cameras = {each.name: each for each in images.cameras}
         self._turn = [name for name in self._turn if name in cameras]
         self._turn += [name for name in cameras if name not in self._turn]
-        for each in (self._screens, self._states, self._pictures):
+        for each in (self._screens, self._mirrors, self._states, self._pictures):
             for name in each.keys() - cameras.keys():
                 del each[name]
         stale = [name for name in self._turn if self._states.get(name) != images.state_of(cameras[name])]
         if not stale:
             return MosaicResult(dict(self._pictures), is_behind=False)
+        started = self._clock()
+        if images.is_playing and started < self._pauses_until:
+            return MosaicResult(dict(self._pictures), is_behind=True)
         name = stale[0]
         screen = self._screens.setdefault(name, Screen(self._context))
-        texture = view.draw_aside(images, cameras[name], screen)
+        reuse = self._mirrors.setdefault(name, MirrorReuse(_MIRROR_EVERY))
+        texture = view.draw_aside(images, cameras[name], screen, reuse)
         if texture is not None:
             self._pictures[name] = Texture(texture.glo, texture.width, texture.height)
             self._states[name] = images.state_of(cameras[name])
         self._turn = [each for each in self._turn if each != name] + [name]
+        ended = self._clock()
+        self._pauses_until = ended + (1 / _ASIDE_TIME - 1) * (ended - started)
         return MosaicResult(dict(self._pictures), is_behind=len(stale) > 1 or texture is None)

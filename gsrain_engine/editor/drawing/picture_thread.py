@@ -1,7 +1,7 @@
 """The viewport's pictures, drawn on a thread of their own, so that the interface never waits for one."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -50,8 +50,11 @@ class PictureThread:
     Each image has two textures, which take turns: those of the last picture stay as they are while the next is drawn.
     """
 
-    def __init__(self, context: PictureContext, backend: WindowBackend) -> None:
-        self._context = context
+    def __init__(
+        self, context: PictureContext, backend: WindowBackend, on_drawn: Callable[[], object] = lambda: None
+    ) -> None:
+        """`on_drawn` is called on any thread whenever `take` has an answer."""
+        self._context, self._on_drawn = context, on_drawn
         self._backend: WindowBackend = backend
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pictures", initializer=lower_thread_priority)
         self._opening: Future[tuple[LiveView, MosaicImages]] = self._thread.submit(self._open)
@@ -104,14 +107,17 @@ class PictureThread:
         self._frame = frame
         self._is_abandoned.clear()
         self._drawing = self._thread.submit(self._draw, frame, mosaic)
+        self._drawing.add_done_callback(lambda _: self._on_drawn())
 
     def reconsider(self, view: RenderView, panes: Sequence[SplitPane], mode: RenderMode) -> None:
         """Give up the picture that is being drawn if the present one has another view, scene, rain or mode.
 
-        Only a picture of full quality is, which takes long, and never two in a row, so that pictures go on.
+        Only one of full quality or with a backdrop is, which takes long, and never two in a row: pictures go on.
         """
         frame = self._frame
-        if frame is None or not (self._may_abandon and frame.quality.is_exact and frame.screenshot is None):
+        if frame is None or not (self._may_abandon and frame.screenshot is None):
+            return
+        if not (frame.quality.is_exact or frame.quality.has_backdrop):
             return
         poses = frame.canvas_view.camera.world_to_camera, view.camera.world_to_camera
         contents = [[(id(each.scene), id(each.rainfall)) for each in some] for some in (frame.panes, panes)]

@@ -22,6 +22,7 @@ from ...render.cpu.renderer import CpuRenderer
 from ...render.draw import RenderView, draw_view
 from ...render.opengl.shaders import load_program
 from ...render.renderer import RenderMode
+from ...render.still_scene import StillScene
 from ...scene.camera import Camera, look_at
 from ...scene.gaussians import Gaussians
 from ...scene.ground_water import GroundWater
@@ -254,6 +255,7 @@ def _draw_water(renderer: CpuRenderer) -> None:
             rainfall = RainSimulation.start(rain)
             glass = CameraOptics().glass_view(renderer, scene, rainfall, OVERCAST, shot)
             draw_view(renderer, scene, rainfall, OVERCAST, shot)
+            draw_view(renderer, scene, rainfall, OVERCAST, shot, still=StillScene())
             if glass is not None:
                 glass.picture(renderer.read_uint8())
 

@@ -39,6 +39,8 @@ class Attribute:
     logarithmic: bool = False
     by_camera: bool = False
     """True if it depends on the camera."""
+    by_pose: bool = False
+    """True if it depends on the place of a member in the world."""
     bounds: tuple[float, float] = (-math.inf, math.inf)
     """Limits of possible values."""
 
@@ -127,10 +129,12 @@ ATTRIBUTES: Mapping[str, Attribute] = {
     "size": Attribute("m", "Standard deviation along a Gaussian's longest axis.", _size, logarithmic=True),
     "elongation": Attribute("", "Longest axis over the second longest; needles are far to the right.", _elongation,
                             logarithmic=True),
-    "height": Attribute("m", "Above the ground where it is known, else above 0 of the world.", _height),
+    "height": Attribute("m", "Above the ground where it is known, else above 0 of the world.", _height,
+                        by_pose=True),
     "depth": Attribute("m", "Along the view axis of the camera; below 0 behind it.",
-                       lambda read: camera_depths(read.part, read.camera), by_camera=True),
-    "distance": Attribute("m", "From the camera.", _distance, logarithmic=True, by_camera=True),
+                       lambda read: camera_depths(read.part, read.camera), by_camera=True, by_pose=True),
+    "distance": Attribute("m", "From the camera.", _distance, logarithmic=True, by_camera=True,
+                          by_pose=True),
     "red": Attribute("", "Of the base color as it is displayed, 0..1.", lambda read: base_colors(read.part)[:, 0]),
     "green": Attribute("", "Of the base color as it is displayed, 0..1.", lambda read: base_colors(read.part)[:, 1]),
     "blue": Attribute("", "Of the base color as it is displayed, 0..1.", lambda read: base_colors(read.part)[:, 2]),
@@ -179,7 +183,10 @@ class AttributeHistogram:
 
     def of(self, scene: Scene, shot: RenderView, name: str) -> Histogram:
         """Return the histogram of an attribute over selectable Gaussians, for the camera of `shot`."""
-        key = (scene, name, shot.time_s if scene.actors else 0.0, *_view(shot, name))
+        poses = (each.pose_at(shot.time_s) for each in scene.actors)
+        depends_on_pose = ATTRIBUTES[name].by_pose
+        places = tuple(pose is not None and (not depends_on_pose or pose.tobytes()) for pose in poses)
+        key = (scene, name, places, *_view(shot, name))
         if self._histogram is None or key != self._inputs:
             self._histogram, self._inputs = self._make(scene, shot, name), key
         return self._histogram

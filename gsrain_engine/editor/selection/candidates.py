@@ -82,7 +82,9 @@ def selected_count(scene: Scene) -> int:
 
 
 def selectable_count(scene: Scene) -> int:
-    return sum(visible_gaussians(member).size for member in editable(scene))
+    """Number of Gaussians of editable members that are neither hidden nor deleted."""
+    left_out = ((len(member.gaussians), member.marks.left_out) for member in editable(scene))
+    return sum(count - (0 if mask is None else mask.size) for count, mask in left_out)
 
 
 def base_colors(part: DrawItem) -> Float32[np.ndarray, "n 3"]:

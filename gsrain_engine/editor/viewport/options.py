@@ -68,6 +68,8 @@ class QualityLevel(NamedTuple):
     """Share of each part's Gaussians, the most important ones."""
     scale: float
     """Ratio of the rendered to the displayed side length."""
+    has_backdrop: bool = False
+    """True if what stands still is drawn once, for many pictures."""
 
     @property
     def is_exact(self) -> bool:
@@ -76,7 +78,9 @@ class QualityLevel(NamedTuple):
     def __str__(self) -> str:
         """Describe the level; empty for full quality."""
         subset = f"1/{round(1 / self.gaussians)} of the Gaussians" if self.gaussians < 1 else ""
-        return ", ".join(filter(None, [subset, f"{self.scale:.0%} resolution" if self.scale < 1 else ""]))
+        resolution = f"{self.scale:.0%} resolution" if self.scale < 1 else ""
+        backdrop = "rain over a still scene" if self.has_backdrop else ""
+        return ", ".join(filter(None, [subset, backdrop, resolution]))
 
 
 FULL_QUALITY = QualityLevel(1.0, 1.0)
@@ -85,11 +89,36 @@ LEVELS = (
     QualityLevel(1 / 8, 2 / 3), QualityLevel(1 / 8, 1 / 2), QualityLevel(1 / 8, 1 / 3),
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
+BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2))
+"""Fewer pixels; the first picture of a size is as slow as an exact one. Most of the others' time is the rain's own."""
 
 SETTLED_S = 0.15  # time without changes after which full quality returns
 _TOLERANCE = 1.15
 _PROMISING = 0.55  # share of the target frame time below which a finer level is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
+_PATIENCE = 1.5  # factor on the target while only rain and road users move: no answer to the mouse waits for them
+_FIRST_BACKDROP = 2  # level of backdrops to begin with
+
+
+@dataclass(slots=True)
+class _Ladder:
+    """Levels of falling quality, and the present one."""
+
+    levels: tuple[QualityLevel, ...]
+    present: int = 0
+    too_slow: dict[int, int] = field(default_factory=dict[int, int])
+    """Levels that missed the target, with the number of frames until they may be tried once more."""
+
+    def measured(self, detail: QualityLevel, excess: float) -> None:
+        """Record the drawing time of a frame, relative to the target."""
+        level = self.levels.index(detail)
+        self.too_slow = {each: left - 1 for each, left in self.too_slow.items() if left > 1}
+        if excess > _TOLERANCE:
+            self.too_slow[level] = _FORGET_AFTER
+            # One level halves the work at best; never choose the same level twice in a row.
+            self.present = min(max(self.present, level + max(1, round(math.log2(excess)))), len(self.levels) - 1)
+        elif excess < _PROMISING and level == self.present > 0 and level - 1 not in self.too_slow:
+            self.present = level - 1
 
 
 @dataclass(slots=True)
@@ -98,33 +127,37 @@ class AdaptiveQuality:
 
     target_ms: float = 33.0
     enabled: bool = True
-    _level: int = 0
+    _of_all: _Ladder = field(default_factory=lambda: _Ladder(LEVELS))
+    _of_backdrops: _Ladder = field(default_factory=lambda: _Ladder(BACKDROP_LEVELS, _FIRST_BACKDROP))
     _rested_s: float = math.inf
-    _too_slow: dict[int, int] = field(default_factory=dict[int, int])
-    """Levels that missed the target, with the number of frames until they may be tried once more."""
+    _stood_s: float = math.inf
 
     @property
     def detail(self) -> QualityLevel:
-        return LEVELS[self._level] if self.enabled and self._rested_s < SETTLED_S else FULL_QUALITY
+        if not self.enabled or self._rested_s >= SETTLED_S:
+            return FULL_QUALITY
+        detail = self._of_all.levels[self._of_all.present]
+        stands = self._stood_s >= SETTLED_S and not detail.is_exact
+        return self._of_backdrops.levels[self._of_backdrops.present] if stands else detail
 
     @property
     def is_settling(self) -> bool:
         """True if the full-quality image is still due although nothing moves."""
         return 0 < self._rested_s < SETTLED_S and not self.detail.is_exact
 
-    def observe(self, *, moving: bool, real_s: float) -> QualityLevel:
-        """Record whether the picture changes since the last one, `real_s` ago; return the quality to draw."""
+    def observe(self, *, moving: bool, real_s: float, stands: bool = False) -> QualityLevel:
+        """Record whether the picture changes since the last one, `real_s` ago; return the quality to draw.
+
+        `stands` is true if only rain and road users change it, and they can be drawn over a backdrop.
+        """
         self._rested_s = 0.0 if moving else self._rested_s + real_s
+        self._stood_s = self._stood_s + real_s if stands else 0.0
         return self.detail
 
     def measured(self, detail: QualityLevel, frame_ms: float) -> None:
         """Record the drawing time of a frame."""
-        level = LEVELS.index(detail)
-        self._too_slow = {each: left - 1 for each, left in self._too_slow.items() if left > 1}
         excess = frame_ms / self.target_ms
-        if excess > _TOLERANCE:
-            self._too_slow[level] = _FORGET_AFTER
-            # One level halves the work at best; never choose the same level twice in a row.
-            self._level = min(max(self._level, level + max(1, round(math.log2(excess)))), len(LEVELS) - 1)
-        elif excess < _PROMISING and level == self._level > 0 and level - 1 not in self._too_slow:
-            self._level = level - 1
+        if detail.has_backdrop:
+            self._of_backdrops.measured(detail, excess / _PATIENCE)
+        else:
+            self._of_all.measured(detail, excess)

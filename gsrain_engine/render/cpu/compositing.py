@@ -53,6 +53,17 @@ class Film(NamedTuple):
         return cls(of_splats, np.empty((tiles.height, tiles.width, 2), np.float32))
 
 
+def film_of_splats(splats: Splats, parts: Sequence[DrawItem]) -> Float32[np.ndarray, "m 2"]:
+    """Shares of films and standing water on each splat; none on rain."""
+    film = np.zeros((len(splats), 2), np.float32)
+    ends = np.cumsum([0, *(len(part.gaussians) for part in parts)])
+    for part, first, last in zip(parts, ends[:-1], ends[1:], strict=True):
+        if part.film is not None:
+            rows = slice(*np.searchsorted(splats.indices, (first, last)))
+            film[rows] = part.film[splats.indices[rows] - first]
+    return film
+
+
 def composite_wet(
     shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], tiles: TileLists, film: Film
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"]]:
@@ -106,13 +117,13 @@ def _composite(tiles, shapes, channels, images):
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_rain(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES, 0, _open, _visit_in_rain, _store_rain, images)
+    walk_tiles(tiles, shapes, channels, RAIN_LINES, 0, open_to_rain, _visit_in_rain, store_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_lit_rain(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES + 3, 0, _open, _visit_in_lit_rain, _store_lit_rain, images)
+    walk_tiles(tiles, shapes, channels, RAIN_LINES + 3, 0, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
@@ -263,7 +274,7 @@ def _share_veil(line, v, dx, dy, falloff, lanes, nothing):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _open(state, x0, y0, images):
+def open_to_rain(state, x0, y0, images):
     state[:, OPEN : OPEN + TILE] = 1
 
 
@@ -295,7 +306,7 @@ def _store_wet(state, x0, y0, images):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _store_rain(state, x0, y0, images):
+def store_rain(state, x0, y0, images):
     clear_alpha, light_linear, sky = images[3], images[4], images[5]
     height, width = clear_alpha.shape
     for v in range(min(TILE, height - y0)):
@@ -324,7 +335,7 @@ def _store_lit_rain(state, x0, y0, images):
         for v in range(min(TILE, height - y0)):
             for channel in range(3):
                 lamp_light[y0 + v, x0 + u, channel] = state[u, LAMP_LIGHT + channel * TILE + v]
-    _store_rain(state, x0, y0, images)
+    store_rain(state, x0, y0, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)

@@ -29,6 +29,7 @@ from ..renderer import (
     RenderStatistics,
     timed,
 )
+from .backdrop import Backdrop, composite_over, draw_backdrop
 from .block_cache import BlockCaches
 from .compositing import (
     Film,
@@ -38,6 +39,7 @@ from .compositing import (
     composite_wet,
     dim_by_medium,
     expected,
+    film_of_splats,
     sky_layer,
 )
 from .fast_math import FAST
@@ -92,7 +94,7 @@ class CpuRenderer:
         self.checkpoint()
         with timed(stages, "draw"):
             sky = sky_layer(medium, camera) if medium is not None else None
-            film = None if mirror is None else Film.on(_film(splats, parts), tiles)
+            film = None if mirror is None else Film.on(film_of_splats(splats, parts), tiles)
             if rain is not None and lit is not None:
                 self._frame = _draw_lit(splats, tiles, rain, lit, sky, film, with_depth=with_depth)
             elif rain is not None and falling and rain.is_linear:
@@ -110,6 +112,47 @@ class CpuRenderer:
                     rgba += (1 - rgba[..., 3:]) * sky
             if mirror is not None and film is not None:
                 add_light(self._frame.rgba, mirror.reflected(film.visible))
+        self.statistics.splats_drawn = len(order)
+
+    def draw_backdrop(self, parts: Sequence[DrawItem], camera: Camera, rain: RainFrame | None) -> Backdrop:
+        """Draw what stands still of a scene, for any number of pictures by `draw_over`."""
+        self.checkpoint()
+        backdrop = draw_backdrop(parts, camera, None if rain is None else rain.medium, self.checkpoint, self._caches)
+        self._caches.release_unused()
+        return backdrop
+
+    def draw_over(
+        self,
+        backdrop: Backdrop,
+        moving: Sequence[DrawItem],
+        camera: Camera,
+        rain: RainFrame | None,
+        mirror: Mirror | None = None,
+    ) -> None:
+        """Draw what moves, and rain that adds its light in linear light, over the backdrop of the rest."""
+        stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
+        count = backdrop.gaussians + sum(part.drawn_count for part in moving)
+        self.statistics = RenderStatistics(count, stages_ms=stages)
+        self.checkpoint()
+        with timed(stages, "project"):
+            falling = list[DrawItem]()
+            if rain is not None:
+                falling = [DrawItem(each, np.eye(4)) for each in (rain.streaks, rain.drawn_haze) if len(each)]
+                self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
+            flags = [*[None] * len(moving), *(np.ones(len(each.gaussians), np.bool_) for each in falling)]
+            splats = project([*moving, *falling], camera, flags, caches=self._caches)
+            if moving and rain is not None and rain.medium is not None:
+                dim_by_medium(splats, camera, rain.medium, is_linear=True)
+        with timed(stages, "sort"):
+            order = splats.nearest_first()
+            tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
+        self.checkpoint()
+        with timed(stages, "draw"):
+            light = np.zeros(3, np.float32) if rain is None else rain.light_linear
+            rgba, visible = composite_over(splats, tiles, light, backdrop)
+            if mirror is not None:
+                add_light(rgba, mirror.reflected(visible))
+            self._frame = Frame(rgba)
         self.statistics.splats_drawn = len(order)
 
     def release_scenes(self) -> None:
@@ -174,17 +217,6 @@ def _draw_lit(
         return Frame(rgba)
     _, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     return Frame(rgba, expected(weighted, weight, MIN_WEIGHT))
-
-
-def _film(splats: Splats, parts: Sequence[DrawItem]) -> Float32[np.ndarray, "m 2"]:
-    """Shares of films and standing water on each splat; none on rain."""
-    film = np.zeros((len(splats), 2), np.float32)
-    ends = np.cumsum([0, *(len(part.gaussians) for part in parts)])
-    for part, first, last in zip(parts, ends[:-1], ends[1:], strict=True):
-        if part.film is not None:
-            rows = slice(*np.searchsorted(splats.indices, (first, last)))
-            film[rows] = part.film[splats.indices[rows] - first]
-    return film
 
 
 def _draw_behind_veil(

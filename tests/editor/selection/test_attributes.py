@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.selection import attributes
 from gsrain_engine.editor.selection.attributes import (
     ATTRIBUTES,
     BINS,
@@ -12,6 +15,7 @@ from gsrain_engine.editor.selection.attributes import (
 )
 from gsrain_engine.editor.selection.candidates import all_selected
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
+from gsrain_engine.scene.scene import Actor, PoseTrack
 
 from .selection_scenes import cloud, pixels_of, shot_at, world_means
 
@@ -64,3 +68,16 @@ def test_histogram_counts_what_is_shown_and_what_is_selected(name):
         scene, 0.0, shot.camera, name, *histogram.opened(histogram.edges[0], histogram.edges[-1])
     )
     assert everything[KEY].size == 300
+
+
+def test_a_histogram_is_made_anew_only_where_something_that_it_depends_on_has_changed(monkeypatch):
+    made = []
+    monkeypatch.setattr(attributes, "attribute_inputs", lambda *each: (made.append(name), attribute_inputs(*each))[1])
+    times = np.arange(3.0)
+    track = PoseTrack(times, np.stack([times, 0 * times, times], axis=1), np.tile([1.0, 0, 0, 0], (3, 1)), times < 9)
+    scene = replace(cloud(), actors=(Actor("car", "car", (4.0, 2.0, 1.5), cloud().layers[0].gaussians, track),))
+    histogram = AttributeHistogram()
+    for name in ("opacity", "height"):
+        for time_s in (0.0, 0.5, 1.0):
+            histogram.of(scene, replace(shot_at(), time_s=time_s), name)
+    assert made == ["opacity", "height", "height", "height"]  # the actor climbs

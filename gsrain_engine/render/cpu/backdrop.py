@@ -1,0 +1,180 @@
+"""Backdrop: what stands still before a still camera, drawn once, and what moves in front of it, in each picture.
+
+What moves, drops above all, is composited as usual, but meets the backdrop as one surface in each pixel, at its
+expected depth. Where the scene's edges are soft or thin this is an approximation, for pictures that must be fast rather
+than exact: the cost of a picture no longer depends on the size of the scene.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32
+
+from ...kernels import NOGIL
+from ...rain.medium import RainMedium
+from ...scene.camera import Camera
+from ...scene.scene import DrawItem
+from .block_cache import BlockCaches
+from .compositing import (
+    FILM,
+    OPEN,
+    RAIN_LINES,
+    RAIN_SHARE,
+    SCENE_SHARE,
+    Film,
+    composite_wet,
+    dim_by_medium,
+    expected,
+    film_of_splats,
+    open_to_rain,
+    sky_layer,
+    store_rain,
+)
+from .fast_math import FAST
+from .projection import MIN_SCENE_CUT, Splats, project
+from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, walk_pixels, walk_tiles
+
+_MIN_ALPHA = np.float32(1e-3)  # below which a pixel of the backdrop has no depth: nothing is behind it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Backdrop:
+    """Picture of a still scene without rain, in its medium."""
+
+    rgba: Float32[np.ndarray, "h w 4"]
+    """Premultiplied display color and alpha, without the sky's layer."""
+    depth: Float32[np.ndarray, "h w"]
+    """Expected depth along the view axis in meters; infinite where the scene is empty."""
+    film: Float32[np.ndarray, "h w 2"]
+    """Visible shares of films and standing water."""
+    sky: Float32[np.ndarray, "r c 4"]
+    """Layer of the medium behind the scene; without pixels if there is none."""
+    gaussians: int
+    """Number of Gaussians that were considered."""
+
+
+def draw_backdrop(
+    parts: Sequence[DrawItem],
+    camera: Camera,
+    medium: RainMedium | None,
+    checkpoint: Callable[[], None] = lambda: None,
+    caches: BlockCaches | None = None,
+) -> Backdrop:
+    """Draw the parts of a scene that stand still, with `film` where they hold water.
+
+    `checkpoint` is called between the stages; `caches` are those of `project`.
+    """
+    splats = project(parts, camera, caches=caches)
+    if medium is not None:
+        dim_by_medium(splats, camera, medium, is_linear=True)
+    checkpoint()
+    tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
+    checkpoint()
+    film = Film.on(film_of_splats(splats, parts), tiles)
+    rgba, weighted = composite_wet(splats.shapes, splats.colors, tiles, film)
+    depth = expected(weighted, rgba[..., 3], _MIN_ALPHA)
+    depth[depth <= 0] = np.inf
+    sky = np.empty((0, 0, 4), np.float32) if medium is None else sky_layer(medium, camera)
+    return Backdrop(rgba, depth, film.visible, sky, sum(part.drawn_count for part in parts))
+
+
+def composite_over(
+    splats: Splats, tiles: TileLists, light_linear: Float32[np.ndarray, "3"], backdrop: Backdrop
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w 2"]]:
+    """Composite splats of moving parts and of rain, in their own medium, with a backdrop.
+
+    A splat behind the backdrop keeps the share that the backdrop leaves open. Returns the premultiplied picture, rain's
+    light being added in linear light as in `composite_in_rain`, and the visible shares of water.
+    """
+    height, width = tiles.height, tiles.width
+    rgba, visible = np.empty((height, width, 4), np.float32), np.empty((height, width, 2), np.float32)
+    fourth, alpha = (np.empty((height, width), np.float32) for _ in range(2))
+    images = rgba, fourth, visible, alpha, light_linear, backdrop.sky
+    _composite_over(tiles, splats.shapes, splats.colors, (*images, backdrop.rgba, backdrop.depth, backdrop.film))
+    return rgba, visible
+
+
+# Lines of a tile's column as in rain, and two more: depth and alpha of the backdrop.
+_DEPTH, _ALPHA = RAIN_LINES * TILE, (RAIN_LINES + 1) * TILE
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _composite_over(tiles, shapes, channels, images):
+    walk_tiles(tiles, shapes, channels, RAIN_LINES + 2, 0, _enter, _visit_over, _store_over, images)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _enter(state, x0, y0, images):
+    rgba, depth = images[6], images[7]
+    height, width = depth.shape
+    open_to_rain(state, x0, y0, images)
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
+            state[u, _DEPTH + v] = depth[y0 + v, x0 + u]
+            state[u, _ALPHA + v] = rgba[y0 + v, x0 + u, 3]
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _visit_over(shapes, channels, j, x, y, state, lanes, k, images):
+    if shapes[j, 6] < MIN_SCENE_CUT:
+        _blend_rain(shapes[j], channels[j, 3], x, y, state)
+    else:
+        _blend_moving(shapes[j], channels[j], x, y, state)
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_rain(shape, depth, x, y, state):
+    walk_pixels(shape, x, y, state, (), _share_rain, (depth,))
+
+
+@numba.njit(error_model="numpy", fastmath=FAST)
+@no_type_check
+def _blend_moving(shape, channels, x, y, state):
+    walk_pixels(shape, x, y, state, (), _share_moving, (channels[0], channels[1], channels[2], channels[3]))
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _share_rain(line, v, dx, dy, falloff, lanes, data):
+    one, none = np.float32(1), np.float32(0)
+    left = line[v] * (one - (line[v + _ALPHA] if data[0] > line[v + _DEPTH] else none))
+    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    line[v + OPEN] -= share
+    line[v + RAIN_SHARE] += share * left
+    line[v + SCENE_SHARE] += share * (one - left)
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _share_moving(line, v, dx, dy, falloff, lanes, channels):
+    one, none = np.float32(1), np.float32(0)
+    left = one - (line[v + _ALPHA] if channels[3] > line[v + _DEPTH] else none)
+    weight = absorb(line, v, left * alpha_at(line, dx, dy, falloff))
+    line[v + TILE] += weight * channels[0]
+    line[v + 2 * TILE] += weight * channels[1]
+    line[v + 3 * TILE] += weight * channels[2]
+    line[v + 5 * TILE] += weight
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def _store_over(state, x0, y0, images):
+    back, film = images[6], images[8]
+    height, width = film.shape[:2]
+    for v in range(min(TILE, height - y0)):
+        for u in range(min(TILE, width - x0)):
+            left = state[u, v]
+            state[u, TILE + v] += left * back[y0 + v, x0 + u, 0]
+            state[u, 2 * TILE + v] += left * back[y0 + v, x0 + u, 1]
+            state[u, 3 * TILE + v] += left * back[y0 + v, x0 + u, 2]
+            state[u, 5 * TILE + v] += left * back[y0 + v, x0 + u, 3]
+            state[u, FILM + v] = left * film[y0 + v, x0 + u, 0]
+            state[u, FILM + TILE + v] = left * film[y0 + v, x0 + u, 1]
+    store_rain(state, x0, y0, images)
