@@ -19,7 +19,7 @@ PAIR_CROP = (590, 400)
 _GAP_PX = 12
 _FRAMES = 40
 """Frames in a row: streaks are replaced by pixels of the nearest ones."""
-_MIN_STILL = 0.9
+_MIN_STILL = 0.5
 _DARK_LEVELS, _MIN_DARK = 96, 0.4
 _TRIES = 300
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
