@@ -6,13 +6,15 @@ from jaxtyping import Float32, Float64
 
 from ..render.camera_response import light_of_display, tone_curve
 from ..scene.camera import Camera
+from ..scene.geometry import LUMINANCE
 from ..scene.water_surface import reflectance
 from ..water.refraction import WATER_INDEX
 
 _RINGS, _RAYS = 24, 32
 _GRID = (32, 16)  # directions across and down the picture: the light changes slowly over it
 _MINIFIED = 16
-_HIGHLIGHTS = 0.5
+_CROWNS_DEG = 30.0
+_HIGHLIGHTS = 1.5
 """Compression of highlights by the camera, c: a sky of gray 229 has 1.3 times the light that the tone curve says."""
 
 
@@ -66,7 +68,8 @@ def light_before(
 def _scene_light(levels: np.ndarray, curve: str) -> np.ndarray:
     """Linear light L of gray levels by the inverse of the tone curve, and highlights with L (1 + c L^2)."""
     light = light_of_display(levels.astype(np.float64) / 255, curve)
-    return light * (1 + _HIGHLIGHTS * light**2)
+    luminance = (light @ LUMINANCE)[..., None]
+    return light * (1 + _HIGHLIGHTS * luminance**2)
 
 
 def _environment(
@@ -87,4 +90,5 @@ def _environment(
     row = np.clip(y / camera.height * height, 0, height - 1).astype(np.int64)
     low = np.sin(np.arctan2(camera.cy / 2, camera.fy))
     overcast = _scene_light(sky, curve) * ((1 + 2 * np.clip(upward, 0, 1)) / (1 + 2 * low))[..., None]
-    return np.where((y < 0)[..., None], overcast, small[row, column])
+    open_sky = upward > np.sin(np.radians(_CROWNS_DEG))
+    return np.where((open_sky & (y < 0))[..., None], overcast, small[row, column])
