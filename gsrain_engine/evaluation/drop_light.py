@@ -13,7 +13,7 @@ from ..water.refraction import WATER_INDEX
 _RINGS, _RAYS = 24, 32
 _GRID = (32, 16)  # directions across and down the picture: the light changes slowly over it
 _MINIFIED = 16
-_CROWNS_DEG = 30.0
+_CROWNS_DEG = 34.0
 _HIGHLIGHTS = 1.5
 """Compression of highlights by the camera, c: a sky of gray 229 has 1.3 times the light that the tone curve says."""
 

@@ -17,6 +17,7 @@ _MARGIN = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
 _NEIGHBORS = 6  # frames: three before, three after
 _FLOW_BLUR_PX = 1.0  # noise would be taken for motion
 _COHERENT_PX = 4.0  # size of what comes from one frame
+_ALIKE = 1.3  # times the median of the neighbors' squared differences
 _NOISE_PX, _MIN_SIGMA = 7, 0.5
 
 
@@ -53,7 +54,7 @@ def rain_free_frames(
     camera. `light` are slow changes of light between the frames. Where rain is not `visible`, the frame stays.
     """
     lumas = [cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in colors]
-    behind = [_behind(colors, lumas, light, number) for number in chosen]
+    behind = [_behind(colors, lumas, light, found.still, number) for number in chosen]
     residuals = np.stack([
         _smaller(lumas[number] - median, found.values[number] - light[number])
         for number, (median, _) in zip(chosen, behind, strict=True)
@@ -72,6 +73,7 @@ def _behind(
     colors: Sequence[UInt8[np.ndarray, "h w 3"]],
     lumas: Sequence[UInt8[np.ndarray, "h w"]],
     light: Float32[np.ndarray, "t h w"],
+    still: Bool[np.ndarray, "h w"],
     number: int,
 ) -> tuple[Float32[np.ndarray, "h w"], UInt8[np.ndarray, "h w 3"]]:
     """Luma behind the rain of a frame, and a picture of pixels of its neighbors that agree with it."""
@@ -84,14 +86,16 @@ def _behind(
     aligned: list[Float32[np.ndarray, "h w"]] = []
     for k, other in zip(near, others, strict=True):
         motion = flow.calc(first, other, np.zeros((height, width, 2), np.float32))
+        motion[still] = 0  # on even surfaces it follows the noise
         row = np.clip(np.rint(y + motion[..., 1]), 0, height - 1).astype(np.intp)
         column = np.clip(np.rint(x + motion[..., 0]), 0, width - 1).astype(np.intp)
         change = light[number] - light[k][row, column]
         aligned.append(lumas[k][row, column] + change)
         moved.append(np.clip(np.rint(colors[k][row, column] + change[..., None]), 0, 255).astype(np.uint8))
     median = np.median(aligned, axis=0).astype(np.float32)
-    unlike = [cv2.GaussianBlur((each - median) ** 2, (0, 0), _COHERENT_PX) for each in aligned]
-    best = np.argmin(unlike, axis=0)
+    unlike = np.stack([cv2.GaussianBlur((each - median) ** 2, (0, 0), _COHERENT_PX) for each in aligned])
+    # The nearest one in time that is no worse than usual: always taking the best would take the least noise.
+    best = np.argmax(unlike <= _ALIKE * np.median(unlike, axis=0), axis=0)
     return median, np.take_along_axis(np.stack(moved), best[None, ..., None], axis=0)[0]
 
 
