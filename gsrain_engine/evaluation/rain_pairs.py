@@ -23,7 +23,7 @@ _FRAMES = 40
 _MIN_STILL = 0.4
 _DARK_LEVELS, _MIN_DARK = 96, 0.4
 _DRIP_PX = (4.0, 24.0)  # across and along a column of dripping water
-_DRIP_FACTOR, _MAX_DRIPS = 5.0, 0.02
+_DRIP_FACTOR, _MAX_DRIPS = 5.0, 0.004
 """Where the third moment of changes is so many times that of other dark places, water drips; share of a crop."""
 _VEIL_PX = 63
 _TRIES = 300
