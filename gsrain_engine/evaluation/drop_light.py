@@ -13,9 +13,9 @@ from ..water.refraction import WATER_INDEX
 _RINGS, _RAYS = 24, 32
 _GRID = (32, 16)  # directions across and down the picture: the light changes slowly over it
 _MINIFIED = 16
-_CROWNS_DEG = 34.0
+_CROWNS_DEG = 34.0  # ours: trees and walls that are cut off by the picture's upper edge reach up to that elevation
 _HIGHLIGHTS = 1.5
-"""Compression of highlights by the camera, c: a sky of gray 229 has 1.3 times the light that the tone curve says."""
+"""Compression of highlights by the camera, c: a sky of gray 221 has 1.9 times the light that the tone curve says."""
 
 
 def drop_rays() -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
@@ -41,9 +41,9 @@ def light_before(
 ) -> Float32[np.ndarray, "h w 3"]:
     """Return the display color (gray levels) of a drop before each pixel of a level camera's picture without rain.
 
-    The light of each ray, see `drop_rays`, is that of the picture. To its sides and below it the picture's edge goes
-    on; above it is an overcast sky (Moon and Spencer 1942), (1 + 2 sin e) / 3 of its zenith at an elevation e, which
-    has the display color `sky` halfway up to the picture's upper edge.
+    The light of each ray, see `drop_rays`, is that of the picture. To its sides, below it and up to an elevation of
+    `_CROWNS_DEG` the picture's edge goes on; above is an overcast sky (Moon and Spencer 1942), (1 + 2 sin e) / 3 of its
+    zenith at an elevation e, which has the display color `sky` halfway up to the picture's upper edge.
     """
     linear = _scene_light(picture, curve).astype(np.float32)
     small = cv2.resize(linear, None, fx=1 / _MINIFIED, fy=1 / _MINIFIED, interpolation=cv2.INTER_AREA)
@@ -66,7 +66,7 @@ def light_before(
 
 
 def _scene_light(levels: np.ndarray, curve: str) -> np.ndarray:
-    """Linear light L of gray levels by the inverse of the tone curve, and highlights with L (1 + c L^2)."""
+    """Linear light L of gray levels by the inverse of the tone curve, highlights with L (1 + c Y^2), Y the luminance."""
     light = light_of_display(levels.astype(np.float64) / 255, curve)
     luminance = (light @ LUMINANCE)[..., None]
     return light * (1 + _HIGHLIGHTS * luminance**2)

@@ -55,8 +55,8 @@ def unlabeled_pairs(places: Sequence[RainyPlace], count: int, seed: int = 0) -> 
 
     Ours is rain over a real frame whose streaks are replaced (see `rain_free_frames`), with the noise, the motion and
     the compression of the camera; both halves are compressed once more. No crop shows water that drips from ledges or
-    leaves at the same place in many frames: it is no rain. A frame is either shown or gets our rain, and as long as there are enough of them in
-    one pair only: no streak is in two pictures.
+    leaves at the same place in many frames: it is no rain. A frame is either shown or gets our rain, and as long as
+    there are enough of them in one pair only: no streak is in two pictures.
     """
     rainy = [place for place in places if place.sequence.intensity_mm_h > 0]
     shares = [(count - k + len(rainy) - 1) // len(rainy) for k in range(len(rainy))]
@@ -156,7 +156,7 @@ def _dark_corner(
     former: Sequence[tuple[int, int]],
     random: np.random.Generator,
 ) -> tuple[int, int]:
-    """Upper left corner of a crop with many dark, enough still and no dripping pixels, the farthest from former ones."""
+    """Upper left corner of a crop with many dark, enough still, no dripping pixels, the farthest from former ones."""
     height, width = found.still.shape
     dark = np.where(found.median < _DARK_LEVELS, np.float32(1), np.float32(0))
     sums = [cv2.integral(each) for each in (found.still.astype(np.float32), dark, dripping.astype(np.float32))]
