@@ -66,7 +66,7 @@ def light_before(
 
 
 def _scene_light(levels: np.ndarray, curve: str) -> np.ndarray:
-    """Linear light L of gray levels by the inverse of the tone curve, highlights with L (1 + c Y^2), Y the luminance."""
+    """Linear light L of gray levels by the inverse tone curve, highlights with L (1 + c Y^2), Y the luminance."""
     light = light_of_display(levels.astype(np.float64) / 255, curve)
     luminance = (light @ LUMINANCE)[..., None]
     return light * (1 + _HIGHLIGHTS * luminance**2)

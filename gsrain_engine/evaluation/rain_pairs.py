@@ -23,8 +23,9 @@ _FRAMES = 40
 _MIN_STILL = 0.4
 _DARK_LEVELS, _MIN_DARK = 96, 0.4
 _DRIP_PX = (4.0, 24.0)  # across and along a column of dripping water
-_DRIP_FACTOR, _MAX_DRIPS = 5.0, 0.004
-"""Where the third moment of changes is so many times that of other dark places, water drips; share of a crop."""
+_DRIP_FACTOR, _DRIP_DARKER, _MAX_DRIPS = 5.0, 0.2, 0.004
+"""Where the third moment of changes is so many times that of other dark places, and that of darker changes at most such
+a share of it, water drips; share of a crop."""
 _VEIL_PX = 63
 _TRIES = 300
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -137,13 +138,17 @@ def _stored(picture: UInt8[np.ndarray, "h w 3"], place: RainyPlace) -> UInt8[np.
 
 
 def _dripping(found: MedianResiduals) -> Bool[np.ndarray, "h w"]:
-    """Mark upright columns of still pixels where bright changes are far more than before other dark pixels."""
-    changes = np.mean(found.values**3, axis=0, dtype=np.float32)
+    """Mark upright columns of still pixels that get bright, and not dark as by leaves, more than other dark pixels."""
     still = found.still.astype(np.float32)
     weights = np.maximum(_along_columns(still), np.float32(1e-6))
-    around = _along_columns(changes * still) / weights
+    brighter, darker = (
+        _along_columns(still * np.mean(np.maximum(sign * found.values, 0) ** 3, axis=0)) / weights for sign in (1, -1)
+    )
     dark = found.still & (found.median < _DARK_LEVELS)
-    return dark & (around > _DRIP_FACTOR * np.median(around[dark])) if dark.any() else dark
+    if not dark.any():
+        return dark
+    often = brighter - darker > _DRIP_FACTOR * np.median((brighter - darker)[dark])
+    return dark & often & (darker < _DRIP_DARKER * brighter)
 
 
 def _along_columns(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
