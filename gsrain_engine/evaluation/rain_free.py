@@ -80,7 +80,7 @@ def _behind(
     near = sorted((k for k in range(len(colors)) if k != number), key=lambda k: abs(k - number))[:_NEIGHBORS]
     height, width = lumas[number].shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
-    flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     first, *others = (cv2.GaussianBlur(lumas[k], (0, 0), _FLOW_BLUR_PX) for k in (number, *near))
     moved: list[UInt8[np.ndarray, "h w 3"]] = []
     aligned: list[Float32[np.ndarray, "h w"]] = []
