@@ -18,7 +18,7 @@ from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
 from .console import print, run_with_progress
-from .options import JsonFile, flag, has_display, option
+from .options import JsonFile, flag, option, window_problem
 from .outputs import check_writable, write_numbers
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
@@ -36,6 +36,7 @@ _PACKAGES = {
     "gymnasium": ("the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
     "mcap": ("roll-outs for Foxglove", "drive"),
     "rerun-sdk": ("drives as Rerun recordings", "rerun"),
+    "viser": ("gsrain serve --protocol browser, gr.BrowserViewer", "viser"),
     "scenariogeneration": ("writing OpenSCENARIO and OpenDRIVE", "drive"),
     "protobuf": ("Waymo Perception v1 (TFRecord files)", "waymo"),
 }
@@ -64,7 +65,9 @@ def doctor(
     if pair is not None and not self_test:
         raise ValueError("--pair is for --self-test")
     video, threads = _video(), _threads()
-    needed = [find_opengl(), _fastest(), threads] if is_frozen() else [find_opengl(), _fastest(), video, threads]
+    opengl, fastest = find_opengl(), _fastest()
+    needed = [fastest, threads] if is_frozen() else [fastest, video, threads]
+    needed = [opengl, *needed] if sys.platform == "linux" else needed  # elsewhere the processor draws without it
     tested = find_depth_order()
     weights = (
         find_lpips, find_inception, find_base_model, find_text_encoder, find_transfer_weights, find_clip_model,
@@ -72,6 +75,7 @@ def doctor(
     )  # fmt: skip
     optional = [each() for each in (_osmesa, _display, _cuda, find_gsplat, *weights, find_zsh)]
     optional = [*([video] if is_frozen() else []), *optional, *map(_package, _PACKAGES)]
+    optional = optional if sys.platform == "linux" else [opengl, *optional]
     added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
     marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
     for missing, findings in marks.items():
@@ -194,7 +198,9 @@ def _video() -> Finding:
     return _tried("video", encoders, "(left out of frozen programs)" if is_frozen() else "pip install av")
 
 
-@finding("compiled kernels", "On Debian: apt-get install libgomp1")
+@finding(
+    "compiled kernels", "brew install libomp" if sys.platform == "darwin" else "On Debian: apt-get install libgomp1"
+)
 def _threads() -> str:
     import numba
 
@@ -213,8 +219,9 @@ def _threads() -> str:
 
 
 def _display() -> Finding:
-    missing = "no DISPLAY: rendering to files works, the window does not"
-    return Finding("display", has_display(), "the window can open" if has_display() else missing)
+    problem = window_problem()
+    missing = f"{problem}: rendering to files and gsrain serve work, the window does not"
+    return Finding("display", not problem, missing if problem else "the window can open")
 
 
 def _package(name: str) -> Finding:
@@ -225,13 +232,19 @@ def _package(name: str) -> Finding:
         return Finding(name, False, f"not installed; for {purpose}: {how_to_add(extra)}")
 
 
+_UVX_CACHE = "archive-v0"
+"""Folder of uv's cache in which uvx makes environments."""
+
+
 def how_to_add(name: str, *, is_extra: bool = True) -> str:
-    """Return the command that adds an extra, or a package, to the environment of this program (pip, pipx or uv)."""
+    """Return the command that adds an extra, or a package, to the environment of this program (pip, pipx, uv, uvx)."""
     requirement, environment = f"'gsrain[{name}]'" if is_extra else name, Path(sys.prefix)
     if is_frozen():
         return f"needs GSRAIN installed by pip, with {requirement}"
     if (environment / "pipx_metadata.json").is_file():
         return f"pipx runpip {environment.name} install {requirement}"
+    if _UVX_CACHE in environment.parts:  # made for one run, without pip
+        return f"uvx --from {requirement} gsrain" if is_extra else f"uvx --with {requirement} gsrain"
     python = shlex.quote(sys.executable)
     if (environment / "uv-receipt.toml").is_file():
         return f"uv pip install --python {python} {requirement}"

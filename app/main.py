@@ -22,7 +22,7 @@ from gsrain_engine.scene.files import sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
 from .console import Console, console_log, use_any_encoding
-from .options import JsonFileOrScreen, Preset, Wet, flag, has_display, option, parse_whole_numbers, reject_non_finite
+from .options import JsonFileOrScreen, Preset, Wet, flag, option, parse_whole_numbers, reject_non_finite, window_problem
 from .outputs import check_writable, release_outputs, table_stream, write_numbers
 
 if TYPE_CHECKING:
@@ -89,8 +89,11 @@ def view(
         from gsrain_engine.scene.open import load_scene
 
         load_scene(scene)  # its error suggests similar names
-    if not has_display():
-        raise OSError("no display: the window can't open here; gsrain render writes pictures and videos without one")
+    if problem := window_problem():
+        raise OSError(
+            f"{problem}: the window can't open here; gsrain render writes pictures and videos without one, and gsrain "
+            "serve --protocol browser shows a scene in a browser"
+        )
     from ui.window import begin_editor, run_window  # load the GUI libraries only for the window
 
     def begin() -> "Editor":

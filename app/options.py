@@ -283,9 +283,12 @@ def let_names_lead_outside(allowed: bool) -> None:
         allow_outside(allowed)
 
 
-def has_display() -> bool:
-    """Return True if a window can open; systems other than Linux always have a display."""
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+def window_problem() -> str:
+    """Reason why no window can open here, in a few words; empty if one can."""
+    if sys.platform == "darwin":
+        return "macOS has OpenGL 4.1 at most, and the window needs 4.3"
+    has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return "" if has_screen else "no display"
 
 
 # Permission to run Python code that a file names, remembered by content hash

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -439,6 +440,8 @@ def street(
     """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""
     check_within("--moments", moments, 0, 1000)
     check_within("--width", width, 16, 4096)
+    if moments and find_spec("pyrender") is None:
+        raise ValueError(f"--moments {moments}: images need pyrender and EGL, which Linux has; --moments 0 needs none")
     check_scene_folder(directory / "scene")
     check_writable(json, folders=[directory, directory / "images"])
     scene = load_street()

@@ -1,10 +1,12 @@
-"""`gsrain serve`: scenes in rain for simulators, as a gRPC service."""
+"""`gsrain serve`: scenes in rain for simulators, as a gRPC service, and for browsers, as a page."""
 
 import ipaddress
 import logging
 import os
 import signal
+import sys
 import threading
+from importlib.util import find_spec
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -15,6 +17,7 @@ from gsrain_engine.rain.keyframes import NO_KEYFRAMES
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.formats.nurec import scene_id
 from gsrain_engine.scene.open import load_sorted_scene
+from gsrain_engine.scene.scene import Scene
 
 from .console import counted, print
 from .options import BACKEND, JsonFile, Wet, check_within, option
@@ -22,20 +25,28 @@ from .outputs import check_writable, write_numbers
 from .render import RainOptions, rainy_light, rendered_weather
 from .scene import Orientation
 
-TOKEN = "GSRAIN_TOKEN"
+TOKEN, LOOPBACK, ALPASIM_PORT = "GSRAIN_TOKEN", "127.0.0.1", 50051
 
 
 def serve(
     *scenes: Annotated[str, Parameter(help="Scene files or folders; default: the built-in street.")],
     protocol: Annotated[
-        Literal["alpasim"], option("alpasim: the sensor simulator of NVIDIA's AlpaSim (SensorsimService).")
+        Literal["alpasim", "browser"],
+        option(
+            "alpasim: the sensor simulator of NVIDIA's AlpaSim (SensorsimService). browser: a page with a live view "
+            "and the settings of the rain, for machines without a display; needs viser."
+        ),
     ] = "alpasim",
-    host: Annotated[str, option("Address to listen at; one that other machines reach needs --token.")] = "127.0.0.1",
-    port: Annotated[int, option("Port to listen at; 0 is any free one.")] = 50051,
+    host: Annotated[
+        str, option("Address to listen at; one that other machines reach needs --token, and has no page for browsers.")
+    ] = LOOPBACK,
+    port: Annotated[
+        int | None, option("Port to listen at; 0 is any free one. Default: 50051, and 8080 for browsers.")
+    ] = None,
     token: Annotated[
         str | None, option(f"Calls need the metadata authorization: Bearer TOKEN; default: the variable {TOKEN}.")
     ] = None,
-    sessions: Annotated[int, option("Largest number of calls that wait or run at a time.")] = 16,
+    sessions: Annotated[int, option("Largest number of calls that wait or run, or of browsers, at a time.")] = 16,
     rain: RainOptions | None = None,
     wet: Wet = None,
     orientation: Orientation | None = None,
@@ -44,11 +55,16 @@ def serve(
 ) -> int:
     """Serve scenes in rain to a simulator, until Ctrl-C: pictures through its cameras, lidar, cameras and drives.
 
-    Requests name a scene by its name, or * if there is one. A picture depends on its request alone.
+    Requests name a scene by its name, or * if there is one. A picture depends on its request alone. Browsers show one
+    scene, each from a camera of its own.
     """
     check_writable(json)
     check_within("--port", port, 0, 65535)
     check_within("--sessions", sessions, 1, 1000)
+    if protocol == "browser":
+        _check_for_browsers(scenes, host, port, token)
+        opened = (orientation or Orientation()).of(load_sorted_scene(*(scenes or ("street",))))
+        return _serve_browsers(opened, rain or RainOptions(), wet, backend, port, sessions, json)
     token = token or os.environ.get(TOKEN) or None
     if token is None and not _is_loopback(host):
         raise ValueError(f"--host {host}: other machines reach it, so --token (or the variable {TOKEN}) is needed")
@@ -72,19 +88,62 @@ def serve(
             simulator.add(name, scene, rainfall)
         return simulator
 
+    port = ALPASIM_PORT if port is None else port
     address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
     server = SensorsimServer(open_simulator, address, sessions=sessions, token=token)
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, frame: ended.set())
+    ended = _asked_to_end()
     logging.getLogger("gsrain").setLevel(logging.INFO)
     print(f"{', '.join(names)}: served at {host}:{server.port} ({protocol}); Ctrl-C ends")
-    ended.wait()
+    while not ended.wait(1.0):  # without a timeout, Ctrl-C would not end it on Windows
+        pass
     print("stopping: running calls have 10 s to end")
     server.stop()
     print(f"{counted(server.answered, 'call')} answered, {server.refused:,} refused")
     write_numbers(json, {"scenes": names, "answered": server.answered, "refused": server.refused})
     return 0
+
+
+def _check_for_browsers(scenes: tuple[str, ...], host: str, port: int | None, token: str | None) -> None:
+    if len(scenes) > 1:
+        raise ValueError(f"--protocol browser shows one scene, not {len(scenes)}")
+    if host not in (LOOPBACK, "localhost"):
+        forward = f"ssh -L {port or 8080}:localhost:{port or 8080} THIS_MACHINE"
+        raise ValueError(f"--host {host}: pages for browsers have no token, so that only this machine gets them; "
+                         f"from another: {forward}")  # fmt: skip
+    if token is not None:
+        raise ValueError("--token: pages for browsers have none; only this machine gets them")
+    if find_spec("viser") is None:
+        raise ValueError("--protocol browser needs viser: pip install 'gsrain[viser]'")
+
+
+def _serve_browsers(
+    scene: Scene, options: RainOptions, wet: Any, backend: Backend, port: int | None, browsers: int, json: JsonFile
+) -> int:
+    from gsrain.browser import DEFAULT_PORT, BrowserViewer
+
+    if rendered_weather(options, scene) is not None:
+        print(f"{scene.name}: its rain keyframes are left out, as browsers set the rain", file=sys.stderr)
+    settings = options.for_scene(scene)
+    lit, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
+    ended = _asked_to_end()
+    with BrowserViewer(
+        lit, settings, backend=backend, port=DEFAULT_PORT if port is None else port, browsers=browsers
+    ) as page:
+        print(f"{scene.name}: open {page.url} in a browser on this machine; Ctrl-C ends")
+        while not ended.wait(1.0) and not page.wait(0):
+            pass
+        pictures = page.pictures
+    print(f"{counted(pictures, 'picture')} sent")
+    write_numbers(json, {"scenes": [scene.name], "pictures": pictures})
+    return 0
+
+
+def _asked_to_end() -> threading.Event:
+    """Event of Ctrl-C and SIGTERM."""
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, frame: ended.set())
+    return ended
 
 
 def _is_loopback(host: str) -> bool:

@@ -24,7 +24,7 @@ from gsrain.viewer_messages import (
 )
 from gsrain_engine.scene.files import sentence_of
 
-from .options import has_display
+from .options import window_problem
 
 if TYPE_CHECKING:
     from gsrain_engine.editor.editor import Editor
@@ -62,8 +62,8 @@ class ViewerWindow:
         """Run the window until it is closed; returns the exit code after reporting any error to the program."""
         threading.Thread(target=self._listen, name="requests", daemon=True).start()
         try:
-            if not has_display():
-                raise OSError("no display: the viewer window can't open here; gr.render needs none")
+            if problem := window_problem():
+                raise OSError(f"{problem}: the viewer window can't open here; gr.render and gr.BrowserViewer need none")
             from ui.window import run_window  # loads the GUI libraries only with a display
 
             run_window(self._begin, backend, self._on_frame, restarts=False)

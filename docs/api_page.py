@@ -1,4 +1,4 @@
-"""Tables of docs/python.md, which `python -m docs.tables` writes: signatures, and what their docstrings say."""
+"""The Python API from its source: tables of docs/python.md (`python -m docs.tables`), and a page of the site."""
 
 import ast
 import re
@@ -11,20 +11,134 @@ TOPICS = {
     "Rain": "rain",
     "Images and videos": "rendering",
     "Driving": "driving",
-    "The window": "viewer",
+    "The window": "viewer browser",
 }
-"""Headings of the page, and the module of `gsrain` whose names are listed below each."""
+"""Headings of the page, and the modules of `gsrain` whose names are listed below each."""
 
 
 def tables() -> str:
     """Return a heading and a table for each topic of the API."""
     names = _exported(ast.parse(STUB.read_text(encoding="utf-8")), STUB)
     parts = ["\n"]
-    for topic, module in TOPICS.items():
-        file = ROOT / "gsrain" / f"{module}.py"
-        rows = [_row(name, place) for name, place in names.items() if place == file]
+    for topic, modules in TOPICS.items():
+        files = [ROOT / "gsrain" / f"{module}.py" for module in modules.split()]
+        rows = [_row(name, place) for file in files for name, place in names.items() if place == file]
         parts.append(f"### {topic}\n\n| name | what it is |\n|---|---|\n" + "".join(rows) + "\n")
     return "".join(parts)
+
+
+PICTURES = {
+    "Rain": ("rain_8.5.jpg", "The street in 8.5 mm/h"),
+    "Images and videos": ("notebook_views.jpg", "A clear and a rainy image"),
+    "Driving": ("drive_film.jpg", "A drive, frame by frame"),
+    "The window": ("browser.jpg", "`gr.BrowserViewer`"),
+}
+"""Picture below a heading of the site's page, and what it shows."""
+_LINE = 90
+_SECTION = re.compile(r"^(Args|Returns|Raises):\n((?:(?: {4}.*)?\n?)*)", re.MULTILINE)
+_ENTRY = re.compile(r"^ {4}(\w+): ", re.MULTILINE)
+_INTRODUCTION = (
+    "What `import gsrain as gr` has, from the source when this site was built; [From Python](python.md) shows it in "
+    "use. Lengths are in meters, times in seconds, rain rates in mm/h."
+)
+
+
+def page() -> str:
+    """Return the site's reference: each name with its signature, its docstring, and the members of classes."""
+    names = _exported(ast.parse(STUB.read_text(encoding="utf-8")), STUB)
+    parts = ["# Python API", _INTRODUCTION]
+    for topic, modules in TOPICS.items():
+        parts.append(f"## {topic}")
+        if topic in PICTURES:
+            file, shows = PICTURES[topic]
+            parts.append(f"![{shows}](images/{file})")
+        files = [ROOT / "gsrain" / f"{module}.py" for module in modules.split()]
+        for file in files:
+            parts += [_entry(name, place) for name, place in names.items() if place == file]
+    return "\n\n".join(parts) + "\n"
+
+
+def _entry(name: str, file: Path) -> str:
+    signature, says = _described(name, file)
+    node = _definition(name, file)
+    if isinstance(node, ast.FunctionDef):
+        signature = f"{name}({ast.unparse(node.args)}) -> {ast.unparse(node.returns) if node.returns else 'None'}"
+    if isinstance(node, ast.ClassDef):
+        begin = next((each for each in _functions(node) if each.name in ("__init__", "__new__")), None)
+        if begin is not None:
+            says += "\n\n" + (ast.get_docstring(begin) or "").partition("\n\n")[2]
+            signature = f"{name}({ast.unparse(begin.args).partition(', ')[2]})"
+        elif any("dataclass" in ast.unparse(each) for each in node.decorator_list):
+            given = [each for each in node.body if isinstance(each, ast.AnnAssign) and "init=" not in ast.unparse(each)]
+            signature = f"{name}({', '.join(map(ast.unparse, given))})"
+    parts = [f"### {name}", f"```python\ngr.{_wrapped(signature)}\n```", _as_markdown(says)]
+    if isinstance(node, ast.ClassDef) and (rows := _members(node)):
+        parts.append("| member | what it is |\n|---|---|\n" + "\n".join(rows))
+    return "\n\n".join(parts)
+
+
+def _wrapped(signature: str) -> str:
+    """Return a signature, one argument a line where it is long."""
+    if len(signature) <= _LINE:
+        return signature
+    depth, lines, begun = 0, [""], signature.index("(") + 1
+    for at, sign in enumerate(signature[begun:], begun):
+        depth += (sign in "([{") - (sign in ")]}")
+        if depth < 0:
+            return "\n    ".join([signature[:begun], *(f"{each.strip()}," for each in lines)]) + f"\n{signature[at:]}"
+        if sign == "," and depth == 0:
+            lines.append("")
+        else:
+            lines[-1] += sign
+    return signature
+
+
+def _definition(name: str, file: Path) -> ast.stmt | None:
+    """Return the class or function of a name, wherever it is imported from."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
+            return node
+    for node in tree.body:
+        for each in node.names if isinstance(node, ast.ImportFrom) else []:
+            if (each.asname or each.name) == name and (place := _exported(tree, file).get(name)) is not None:
+                return _definition(each.name, place)
+    return None
+
+
+def _functions(node: ast.ClassDef) -> list[ast.FunctionDef]:
+    return [each for each in node.body if isinstance(each, ast.FunctionDef)]
+
+
+def _members(node: ast.ClassDef) -> list[str]:
+    """Rows of the documented fields, properties and methods of a class."""
+    rows: dict[str, str] = {}
+    for each, following in zip(node.body, [*node.body[1:], None], strict=True):
+        if isinstance(each, ast.AnnAssign) and isinstance(following, ast.Expr):
+            says = following.value.value if isinstance(following.value, ast.Constant) else ""
+            rows[ast.unparse(each.target)] = str(says)
+    for each in _functions(node):
+        decorators = {ast.unparse(decorator).rpartition(".")[2] for decorator in each.decorator_list}
+        if not each.name.startswith("_") and "setter" not in decorators:
+            given = _parameters(each.args).removeprefix("self, ").removeprefix("cls, ").removeprefix("self")
+            call = "" if decorators & {"property", "cached_property"} else f"({given.removeprefix('cls')})"
+            rows[f"{each.name}{call}"] = ast.get_docstring(each) or ""
+    lines = {name: " ".join(says.partition("\n\n")[0].split()).replace("|", "\\|") for name, says in rows.items()}
+    return [f"| `{name.replace('|', chr(92) + '|')}` | {says} |" for name, says in lines.items() if says]
+
+
+def _as_markdown(says: str) -> str:
+    """Return a docstring with lists in place of its sections."""
+
+    def listed(section: re.Match[str]) -> str:
+        title = {"Args": "Arguments", "Returns": "Returns", "Raises": "Raises"}[section[1]]
+        entries = _ENTRY.split(section[2])
+        if len(entries) == 1:
+            return f"{title}: {' '.join(section[2].split())}\n\n"
+        pairs = zip(entries[1::2], entries[2::2], strict=True)
+        return f"{title}:\n\n" + "".join(f"* `{name}`: {' '.join(text.split())}\n" for name, text in pairs) + "\n"
+
+    return _SECTION.sub(listed, says.strip()).strip()
 
 
 def _row(name: str, file: Path) -> str:

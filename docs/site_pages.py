@@ -33,6 +33,7 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, "commands.md", content=commands_page()))
     files.append(File.generated(config, "settings.md", content=settings_page()))
+    files.append(File.generated(config, "api.md", content=api_page()))
     return files
 
 
@@ -92,6 +93,14 @@ def window_table() -> str:
         name = f"{each.menu} > {each.name}" if each.menu else each.name
         rows.append(" | ".join(["", name.replace("|", "\\|"), each.key_names, shell, python, ""]).strip())
     return "## In the window\n\nThe commands of menus, keys and palette, and what does the same.\n\n" + "\n".join(rows)
+
+
+def api_page() -> str:
+    """Write the reference of the Python API, from its source."""
+    _import_from_checkout()
+    from docs.api_page import page
+
+    return page()
 
 
 def settings_page() -> str:

@@ -1,4 +1,6 @@
 # The names of `import gsrain as gr`: type checkers read this list, and so does the package when it runs.
+from .browser import BrowserViewer as BrowserViewer
+from .browser import show as show
 from .driving import Agent as Agent
 from .driving import DriveMetrics as DriveMetrics
 from .driving import Rollout as Rollout
@@ -37,4 +39,3 @@ from .scenes import sh_from_color as sh_from_color
 from .scenes import wet as wet
 from .viewer import Viewer as Viewer
 from .viewer import ViewerError as ViewerError
-from .viewer import show as show

@@ -13,7 +13,7 @@ from concurrent.futures import TimeoutError as NoReplyError
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, BinaryIO, Literal, cast
+from typing import BinaryIO, Literal, cast
 
 from gsrain_engine.editor.jobs.folder import temporary_folder, write_copy
 from gsrain_engine.rain.settings import RainSettings as RainSettings
@@ -269,12 +269,3 @@ class Viewer:
 
     def _note(self, trouble: str) -> None:
         self._trouble = self._trouble or trouble
-
-
-def show(scene: Scene, rain: RainSettings | None = None, *, camera: Camera | None = None, **options: Any) -> None:
-    """Show a scene in a window, and wait until a person closes it; see `Viewer` for the arguments.
-
-    Raises `ViewerError` where the window can't be opened or ends with an error.
-    """
-    with Viewer(scene, rain, camera=camera, **options) as viewer:
-        viewer.wait()

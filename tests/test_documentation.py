@@ -9,6 +9,7 @@ import pytest
 import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
+import gsrain as gr
 from app.main import app, benchmarks, evaluations, renamed_options
 from docs import tables
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
@@ -52,7 +53,7 @@ def test_every_page_is_in_the_menu_of_the_site(site_pages):
     in_docs = {str(page.relative_to("docs")) for page in PAGES if page.parts[0] == "docs"}
     listed = list(_in_nav(SITE["nav"]))
     assert len(listed) == len(set(listed))
-    assert set(listed) == in_docs | set(site_pages.ELSEWHERE.values()) | {"commands.md", "settings.md"}
+    assert set(listed) == in_docs | set(site_pages.ELSEWHERE.values()) | {"api.md", "commands.md", "settings.md"}
     assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
 
 
@@ -102,6 +103,17 @@ def test_the_reference_names_every_command(site_pages):
     expected = {f"gsrain {name}" for name in names if "--" not in name and not name.endswith(" -h")}
     assert expected <= headings | {each.strip("`") for each in headings}
     assert "--intensities" in text and "[required]" in text and "**Parameters**" not in text
+
+
+def test_the_reference_has_every_name_with_its_arguments_and_pictures(site_pages):
+    text = site_pages.api_page()
+    assert sorted(re.findall(r"^### (\w+)$", text, re.MULTILINE)) == sorted(gr.__all__)
+    assert (
+        "* `exposure`: Shutter time in s; None takes that of a `sensor`" in text and "`ValueError`: For a size" in text
+    )
+    assert "| `save(path)` | Save as .png, .jpg" in text and "Args:" not in text and "|  |" not in text
+    pictures = re.findall(r"\]\((images/\S+)\)", text)
+    assert len(pictures) == 4 and all((REPOSITORY / "docs" / each).is_file() for each in pictures)
 
 
 @pytest.mark.parametrize("name", sorted({each.words[0] if each.words else "" for each in LISTED}))

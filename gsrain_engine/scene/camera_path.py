@@ -117,6 +117,10 @@ class CameraPath:
         if keys == 0 or np.any(np.diff(self.times_s) < _SHORTEST_S):
             raise ValueError("a camera path needs at least one keyframe, with rising times")
 
+    def __repr__(self) -> str:
+        times = f"{self.start_s:g} to {self.end_s:g} s"
+        return f"<gsrain.CameraPath of {len(self.times_s)} keyframes, {times}>"
+
     @classmethod
     def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
         """Path through cameras at increasing times in seconds; takes the exposure of the first camera.

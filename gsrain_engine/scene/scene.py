@@ -469,6 +469,10 @@ class Scene:
     unit_is_assumed: bool = False
     """True if neither a file nor the user has set the length of a unit, so that it is assumed to be a meter."""
 
+    def __repr__(self) -> str:
+        counts = f"{len(self.layers)} layers, {len(self.actors)} actors, {self.gaussian_count:,} Gaussians"
+        return f"<gsrain.Scene {self.name!r}: {counts}>"
+
     @property
     def scene_to_world(self) -> Float64[np.ndarray, "4 4"]:
         """Similarity from scene units and axes to the world (meters, z up)."""

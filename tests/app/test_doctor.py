@@ -3,6 +3,7 @@
 import sys
 from importlib.metadata import PackageNotFoundError
 from importlib.util import find_spec
+from pathlib import Path
 from types import SimpleNamespace
 
 import numba
@@ -37,14 +38,15 @@ def test_what_is_found_and_what_is_missing(reported):
         (None, "'/a b/python' -m pip install 'gsrain[drive]'"),
         ("pipx_metadata.json", "pipx runpip gsrain install 'gsrain[drive]'"),
         ("uv-receipt.toml", "uv pip install --python '/a b/python' 'gsrain[drive]'"),
+        ("archive-v0/x/pyvenv.cfg", "uvx --from 'gsrain[drive]' gsrain"),
     ],
 )
 def test_extras_are_added_to_the_environment_of_the_program(mark, line, tmp_path, monkeypatch):
     """A bare `pip` is another environment's: it finds no gsrain, and on Debian it refuses to install anything."""
-    environment = tmp_path / "gsrain"
-    environment.mkdir()
+    environment = (tmp_path / "gsrain" / (mark or "")).parent if "/" in (mark or "") else tmp_path / "gsrain"
+    environment.mkdir(parents=True)
     if mark is not None:
-        (environment / mark).touch()
+        (environment / Path(mark).name).touch()
     monkeypatch.setattr(sys, "prefix", str(environment))
     monkeypatch.setattr(sys, "executable", "/a b/python")
     assert doctor.how_to_add("drive") == line

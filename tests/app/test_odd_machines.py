@@ -1,6 +1,7 @@
 """Machines that lack a working directory, libraries, a display, a locale or a reader; and what a start loads."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from app.main import BAD_INPUT, NOBODY_READS, run
+from gsrain_engine.scene.formats.scene_files import write_scene
+from small_scene import small_scene
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems take other names")
@@ -110,3 +113,48 @@ def test_a_start_does_not_load_what_it_may_never_need(modules, slow):
     code = f"import sys, {modules}; print(*(name for name in {slow!r} if name in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300)
     assert done.stdout.strip() == ""
+
+
+POSIX_ONLY = re.compile(r"^(import|from) (fcntl|grp|posix|pty|pwd|resource|syslog|termios|tty)\b", re.MULTILINE)
+
+
+def test_modules_that_only_posix_has_are_imported_where_they_are_used():
+    files = [each for name in ("app", "ui", "gsrain", "gsrain_engine") for each in (REPOSITORY / name).rglob("*.py")]
+    assert [each.name for each in files if POSIX_ONLY.search(each.read_text("utf-8"))] == []
+
+
+def test_commands_run_without_what_only_posix_has_and_without_the_libraries_of_the_window(tmp_path):
+    program = """
+import os, select, signal, subprocess, sys, types
+import av, cv2, moderngl, multiprocessing.spawn, numba, PIL.Image, platformdirs, psutil, rich.progress
+
+class Absent:
+    def find_spec(name, path=None, target=None):
+        if name in absent:
+            raise ModuleNotFoundError(name)
+
+absent = {"fcntl", "resource", "pwd", "grp", "termios", "imgui_bundle", "glfw", "pyrender"}
+sys.meta_path.insert(0, Absent)
+for name in absent & set(sys.modules):
+    del sys.modules[name]
+sys.modules["msvcrt"] = types.SimpleNamespace(LK_LOCK=1, LK_NBLCK=2, locking=lambda handle, mode, count: None)
+for module, names in {
+    os: "fork getuid geteuid killpg mkfifo nice sched_getaffinity setsid uname O_DIRECTORY O_NOFOLLOW O_NONBLOCK",
+    signal: "SIGCONT SIGHUP SIGKILL SIGPIPE SIGSTOP SIGUSR1 alarm",
+    select: "poll",
+}.items():
+    for name in names.split():
+        delattr(module, name)
+from app.main import run
+print([run(line.split()) for line in sys.argv[1:]])
+"""
+    write_scene(small_scene(), tmp_path / "small")
+    lines = (
+        "info small",
+        "convert small a.spz",
+        "render small --rain 8.5 --size 48x32 --backend cpu -o a.mp4 --duration 0.1",
+    )
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    command = [sys.executable, "-c", program, *lines]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment)
+    assert done.stdout.splitlines()[-1:] == ["[0, 0, 0]"], done.stderr

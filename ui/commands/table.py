@@ -527,7 +527,10 @@ SHELL_COMMANDS = {
     "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
     "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
     "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),
-    "serve": ("app.serve:serve", "Serve scenes in rain to a simulator (AlpaSim) as a gRPC service."),
+    "serve": (
+        "app.serve:serve",
+        "Serve scenes in rain: to a simulator (AlpaSim) as a gRPC service, or to browsers as a page with a live view.",
+    ),
     "schema": ("app.schema:schema", "Print the JSON schema of a kind of settings file, for editors of YAML."),
     "doctor": ("app.doctor:doctor", "List which features of GSRAIN work on this machine, and how to get the others."),
 }

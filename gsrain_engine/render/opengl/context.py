@@ -1,8 +1,9 @@
-"""OpenGL contexts without a window (EGL or OSMesa), and detection of lost contexts."""
+"""OpenGL contexts without a window (EGL or OSMesa; WGL on Windows), and detection of lost contexts."""
 
 import ctypes
 import ctypes.util
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,13 +31,17 @@ def open_context(source: ContextSource = "auto") -> moderngl.Context:
             return context
         except Exception as error:  # drivers raise all kinds of errors; the message lists them
             tried.append(f"{name}: {error}")
+    raise NoOpenGLError(f"no OpenGL 4.3 without a window ({'; '.join(tried)}). {_remedy(source)}")
+
+
+def _remedy(source: ContextSource) -> str:
+    """Return the way to OpenGL 4.3 on this system."""
+    if sys.platform == "darwin":
+        return "macOS has 4.1 at most; --backend cpu needs none"
+    if sys.platform == "win32":
+        return "The driver of the graphics card brings it; --backend cpu needs none"
     packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
-    if remedy := nvidia_remedy():
-        packages += f"; {remedy}"
-    raise NoOpenGLError(
-        "no OpenGL 4.3 without a window (" + "; ".join(tried) + "). On Debian: "
-        f"apt-get install --no-install-recommends {packages}"
-    )
+    return "; ".join(filter(None, [f"On Debian: apt-get install --no-install-recommends {packages}", nvidia_remedy()]))
 
 
 def nvidia_remedy() -> str:
@@ -58,7 +63,8 @@ def _open_egl() -> moderngl.Context:
         loader = EglContext()
         context = _context_of(loader)
     except (OSError, AttributeError):  # no such library or function
-        options: Any = {"backend": "egl"}  # moderngl's stub types keyword arguments of a loader as a dictionary
+        # On Windows, one of a hidden window. moderngl's stub types keyword arguments of a loader as a dictionary.
+        options: Any = {} if sys.platform == "win32" else {"backend": "egl"}
         return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **options)
     monitor_context(context, loader.load_opengl_function)
     return context
