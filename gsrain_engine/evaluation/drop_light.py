@@ -6,14 +6,16 @@ from jaxtyping import Float32, Float64
 
 from ..render.camera_response import light_of_display, tone_curve
 from ..scene.camera import Camera
+from ..scene.geometry import LUMINANCE
 from ..scene.water_surface import reflectance
 from ..water.refraction import WATER_INDEX
 
 _RINGS, _RAYS = 24, 32
 _GRID = (32, 16)  # directions across and down the picture: the light changes slowly over it
 _MINIFIED = 16
-_HIGHLIGHTS = 0.5
-"""Compression of highlights by the camera, c: a sky of gray 229 has 1.3 times the light that the tone curve says."""
+_CROWNS_DEG = 34.0  # ours: trees and walls that are cut off by the picture's upper edge reach up to that elevation
+_HIGHLIGHTS = 1.5
+"""Compression of highlights by the camera, c: a sky of gray 221 has 1.9 times the light that the tone curve says."""
 
 
 def drop_rays() -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
@@ -39,9 +41,9 @@ def light_before(
 ) -> Float32[np.ndarray, "h w 3"]:
     """Return the display color (gray levels) of a drop before each pixel of a level camera's picture without rain.
 
-    The light of each ray, see `drop_rays`, is that of the picture. To its sides and below it the picture's edge goes
-    on; above it is an overcast sky (Moon and Spencer 1942), (1 + 2 sin e) / 3 of its zenith at an elevation e, which
-    has the display color `sky` halfway up to the picture's upper edge.
+    The light of each ray, see `drop_rays`, is that of the picture. To its sides, below it and up to an elevation of
+    `_CROWNS_DEG` the picture's edge goes on; above is an overcast sky (Moon and Spencer 1942), (1 + 2 sin e) / 3 of its
+    zenith at an elevation e, which has the display color `sky` halfway up to the picture's upper edge.
     """
     linear = _scene_light(picture, curve).astype(np.float32)
     small = cv2.resize(linear, None, fx=1 / _MINIFIED, fy=1 / _MINIFIED, interpolation=cv2.INTER_AREA)
@@ -64,9 +66,10 @@ def light_before(
 
 
 def _scene_light(levels: np.ndarray, curve: str) -> np.ndarray:
-    """Linear light L of gray levels by the inverse of the tone curve, and highlights with L (1 + c L^2)."""
+    """Linear light L of gray levels by the inverse tone curve, highlights with L (1 + c Y^2), Y the luminance."""
     light = light_of_display(levels.astype(np.float64) / 255, curve)
-    return light * (1 + _HIGHLIGHTS * light**2)
+    luminance = (light @ LUMINANCE)[..., None]
+    return light * (1 + _HIGHLIGHTS * luminance**2)
 
 
 def _environment(
@@ -87,4 +90,5 @@ def _environment(
     row = np.clip(y / camera.height * height, 0, height - 1).astype(np.int64)
     low = np.sin(np.arctan2(camera.cy / 2, camera.fy))
     overcast = _scene_light(sky, curve) * ((1 + 2 * np.clip(upward, 0, 1)) / (1 + 2 * low))[..., None]
-    return np.where((y < 0)[..., None], overcast, small[row, column])
+    open_sky = upward > np.sin(np.radians(_CROWNS_DEG))
+    return np.where((open_sky & (y < 0))[..., None], overcast, small[row, column])

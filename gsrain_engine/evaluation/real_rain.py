@@ -55,6 +55,13 @@ class SequenceConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         ge=0, le=20, title="Gusts", extra={"unit": "m/s"}, description="As of the rain.")] = 0.4
     turbulence_m_s: Annotated[float, Meta(
         ge=0, le=5, title="Turbulence", extra={"unit": "m/s"}, description="As of the rain.")] = 0.6
+    rate_mm_h: Annotated[float | None, Meta(
+        title="Rate", extra={"unit": "mm/h", "none": "the labeled intensity", "ge": 0.0, "le": 500.0},
+        description="Estimated rate in front of the camera during these seconds.")] = None
+    calibration: Annotated[str, Meta(
+        title="Calibration", description="Drop numbers and sizes, as of the rain.")] = "published"
+    max_copies: Annotated[int, Meta(
+        ge=1, le=16, title="Gaussians a streak", description="As of the rain.")] = 4
     middle_frame: Annotated[int | None, Meta(
         title="Middle frame", extra={"none": "middle of the sequence", "ge": 0},
         description="Number of the frame around which frames are chosen.")] = None
@@ -63,13 +70,17 @@ class SequenceConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     def __post_init__(self) -> None:
         if self.shutter_s is not None and not 1e-5 <= self.shutter_s <= 1:
             raise ValueError(f"shutter_s must be within 0.00001..1 s, got {self.shutter_s}")
+        if self.rate_mm_h is not None and not 0 <= self.rate_mm_h <= 500:
+            raise ValueError(f"rate_mm_h must be within 0..500, got {self.rate_mm_h}")
         if self.middle_frame is not None and self.middle_frame < 0:
             raise ValueError(f"middle_frame must be 0 or more, got {self.middle_frame}")
 
     def rain(self, sensor: str) -> RainSettings:
-        """Rain of that intensity in that air, in front of a sensor."""
+        """Rain of that rate in that air, in front of a sensor."""
+        rate = self.intensity_mm_h if self.rate_mm_h is None else self.rate_mm_h
         return RainSettings(
-            intensity_mm_h=min(self.intensity_mm_h, HEAVIEST_MM_H), wind_speed_m_s=self.wind_speed_m_s,
+            intensity_mm_h=min(rate, HEAVIEST_MM_H), calibration=self.calibration, max_copies=self.max_copies,
+            wind_speed_m_s=self.wind_speed_m_s,
             wind_from_deg=self.wind_from_deg, gust_m_s=self.gust_m_s, turbulence_m_s=self.turbulence_m_s,
             sensor=sensor,
         )  # fmt: skip
