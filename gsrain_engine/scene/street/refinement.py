@@ -165,7 +165,7 @@ _CLEAR, _CLEAR_COLOR = (
     2.1,
     1.6,
 )  # minimum deviations from a center to an outline and a color edge, but for the cell at it
-_CUT_LEAF_SPREAD = 0.415  # of a part of a leaf
+_CUT_LEAF_SPREAD, _CUT_LEAF_SHIFT = 0.46, 0.14  # of a part of a leaf, towards its middle
 _ROUND = 0.5  # spreads below this, without edges at both ends, are those of thin poles
 
 _Axes = tuple[Float32[np.ndarray, "n i"], Float32[np.ndarray, "n j"]]
@@ -183,8 +183,9 @@ def _footprints(
     for k, axis in enumerate(axes):
         spread = np.repeat(quads.spread[:, k : k + 1], counts[:, k].max(), axis=1)
         shift = np.zeros_like(spread)
-        spread[leaf & (counts.max(axis=1) > 1)] = _CUT_LEAF_SPREAD
-        thin = (quads.spread[:, k] < _ROUND) & (ends[:, k] == _NO_EDGE).all(axis=1)
+        cut = np.flatnonzero(leaf & (counts[:, k] > 1))
+        spread[cut], shift[cut, 0], shift[cut, counts[cut, k] - 1] = _CUT_LEAF_SPREAD, _CUT_LEAF_SHIFT, -_CUT_LEAF_SHIFT
+        thin = (quads.spread[:, k] < _ROUND) & ((ends[:, k] == _NO_EDGE).all(axis=1))
         chosen = np.flatnonzero(~(leaf | fixed | thin))
         key = np.column_stack([counts[:, k], ends[:, k], axis @ NEAREST_FIRST > 0, hidden, level])[chosen]
         kinds, kind_of = np.unique(key, axis=0, return_inverse=True)
