@@ -207,7 +207,7 @@ def _footprints(
 def _placed(
     lines: Float64[np.ndarray, " m"], near: int, far: int, inside: float, hidden: bool
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Standard deviations and offsets, in cell widths, of cells between lines from the near end, 0, to the far one, 1."""
+    """Standard deviations and offsets, in cell widths, of cells between lines from the near end (0) to the far one."""
     widths, last = np.diff(lines), len(lines) - 2
     spread, shift = np.empty(len(widths)), np.empty(len(widths))
     for k, (start, stop, width) in enumerate(zip(lines, lines[1:], widths, strict=False)):
@@ -232,7 +232,7 @@ _NO_EDGE, _COLOR_EDGE, _OUTLINE = 0, 1, 2
 
 
 def _edges(quads: Quads, facing: Bool[np.ndarray, "n 3"]) -> Int64[np.ndarray, "n 4"]:
-    """Kinds of sides (corners 0-1, 1-2, 2-3, 3-0): there the color changes, the surface ends or turns away, or neither."""
+    """Kinds of sides (corners 0-1, 1-2, 2-3, 3-0): there the color changes, or the surface ends or turns away."""
     points = _hashed(np.round(quads.corners.astype(np.float64) / _SAME_M).astype(np.int64))
     following = np.roll(points, -1, axis=1)
     sides = (np.minimum(points, following) * np.uint64(3) + np.maximum(points, following)).reshape(-1)
