@@ -158,13 +158,8 @@ _LEVEL_SPREAD = 0.64  # standard deviation inside level ground, where nothing is
 _SPREAD = 0.6  # and inside other surfaces, which end and bend
 _LAST_SPREAD, _LAST_REACH = 0.55, 1.5  # of a cell at an edge on its far side, and deviations from center to that edge
 _FIRST_SPREAD = 0.34  # of a cell at an outline on its near side, in its middle
-_HIDDEN_SPREAD = (
-    0.25  # of a cell at an outline that the camera does not see: it would stand out behind the visible ones
-)
-_CLEAR, _CLEAR_COLOR = (
-    2.1,
-    1.6,
-)  # minimum deviations from a center to an outline and a color edge, but for the cell at it
+_HIDDEN_SPREAD = 0.25  # of a cell at an outline that the camera does not see, so that it does not stand out behind it
+_CLEAR, _CLEAR_COLOR = 2.1, 1.6  # minimum deviations from other centers to an outline, and to a color edge before them
 _CUT_LEAF_SPREAD, _CUT_LEAF_SHIFT = 0.46, 0.14  # of a part of a leaf, towards its middle
 _ROUND = 0.5  # spreads below this, without edges at both ends, are those of thin poles
 
@@ -185,7 +180,7 @@ def _footprints(
         shift = np.zeros_like(spread)
         cut = np.flatnonzero(leaf & (counts[:, k] > 1))
         spread[cut], shift[cut, 0], shift[cut, counts[cut, k] - 1] = _CUT_LEAF_SPREAD, _CUT_LEAF_SHIFT, -_CUT_LEAF_SHIFT
-        thin = (quads.spread[:, k] < _ROUND) & ((ends[:, k] == _NO_EDGE).all(axis=1))
+        thin = (quads.spread[:, k] < _ROUND) & (ends[:, k] == _NO_EDGE).all(axis=1)
         chosen = np.flatnonzero(~(leaf | fixed | thin))
         key = np.column_stack([counts[:, k], ends[:, k], axis @ NEAREST_FIRST > 0, hidden, level])[chosen]
         kinds, kind_of = np.unique(key, axis=0, return_inverse=True)
