@@ -16,6 +16,10 @@ INNER_SPREAD = 0.63
 EDGE_SPREAD = 0.37
 """The same across the edge of a surface, or for an isolated one: keeps outlines in place."""
 
+NEAREST_FIRST = np.array([1.0, 1e-3, -1e-3])
+"""Direction from Gaussians that cover to those that are covered, for a camera that looks along the street. Its small
+parts decide for surfaces across the street: Gaussians are moved by as little, so that they do."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quads:
@@ -41,6 +45,8 @@ class Quads:
     """Standard deviation in cell widths along u and v."""
     emission: Float32[np.ndarray, "n 3"]
     """Light of lamps and lit rooms by night, linear; 1 is a camera's white."""
+    shift: Float32[np.ndarray, "n 2"]
+    """Offset of the Gaussian from the middle of the cell, in cell widths along u and v."""
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -74,6 +80,7 @@ class Quads:
             *(np.full(n, value, np.float32) for value in (sky_access, sun_access, gloss, opacity)),
             spread=np.full((n, 2), spread, np.float32),
             emission=np.full((n, 3), emission, np.float32),
+            shift=np.zeros((n, 2), np.float32),
         )
 
     def take(self, chosen: Any) -> "Quads":
@@ -130,7 +137,7 @@ class Quads:
 
 _OUTLINE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # corners of a quad along u and v
 _FIELDS = ("corners", "normals", "albedo", "labels", "sky_access", "sun_access", "gloss", "opacity", "spread",
-           "emission")  # fmt: skip
+           "emission", "shift")  # fmt: skip
 
 
 def geometric_normals(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, "n 3"]:

@@ -2,26 +2,28 @@
 
 The front camera of the ego on its way decides: a cell at an edge has about the size of a pixel where it is closest, and
 its neighbors grow away from the edge. Surfaces of one color need few large cells.
+
+Of two neighbors the one whose center is nearer covers the other: for a camera that looks along the street, the one with
+the smaller x. So a cell's visible end is where its own Gaussian is half transparent, on its far side, and the next one
+begins beneath it. Gaussians placed for that leave no gaps, and colors stay where they belong.
 """
 
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int64, UInt64
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt64
 
 from .layout import Label, StreetParameters
 from .lighting import Illumination
-from .mesh import EDGE_SPREAD, INNER_SPREAD, Quads, geometric_normals
+from .mesh import NEAREST_FIRST, Quads, geometric_normals
 
 GROWTH = 2.0
 """Ratio of a cell's width to that of its neighbor nearer to the edge."""
 
-_CLEAR_DEVIATIONS = 2.4  # minimum distance from a Gaussian's center to the next edge but one, in standard deviations
 _MAX_CELLS = 9
 _HIDDEN = 4.0  # factor on the cells of surfaces that the front camera does not see: other cameras do
-_LEAF = 3.0  # the same for leaves, which are many
-_LEAF_SMOOTH = 1.12  # gaussians of leaves are this much wider than elsewhere: gaps would let the sky through
+_LEAF = 1.5  # the same for leaves, which are many
 _CONTRAST = 0.05  # minimum difference of display color at an edge
 _SAME_M = 1e-3  # corners nearer than this are one
 
@@ -67,58 +69,51 @@ def refined(quads: Quads, line: CameraLine, edge_px: float) -> Quads:
     if not len(quads):
         return quads
     lengths, facing = _view(quads, line)
-    hard = _hard_edges(quads, facing) & (quads.opacity > 0.9)[:, None]
-    leaf = _is_leaf(quads)
-    steps = edge_px * np.where(leaf, _LEAF, np.where(facing.any(axis=1), 1.0, _HIDDEN))
-    # Rows: number of cells along u and v, hard ends along u and v (2 the first, 1 the last, 3 both).
-    ends = np.stack([2 * hard[:, 3] + hard[:, 1], 2 * hard[:, 0] + hard[:, 2]], axis=1)
+    sides = np.where((quads.opacity > 0.9)[:, None], _edges(quads, facing), _NO_EDGE)
+    ends = np.stack([sides[:, [3, 1]], sides[:, [0, 2]]], axis=1)  # first and last, along u and v
+    steps = edge_px * np.where(_is_leaf(quads), _LEAF, np.where(facing.any(axis=1), 1.0, _HIDDEN))
     counts = np.stack([_cell_count(lengths[:, k] / steps, ends[:, k]) for k in (0, 1)], axis=1)
     number = counts[:, 0] * counts[:, 1]
     first = np.cumsum(number) - number
-    corners, spread = np.empty((int(number.sum()), 4, 3), np.float32), np.empty((int(number.sum()), 2), np.float32)
-    kinds, kind_of = np.unique(np.concatenate([counts, ends], axis=1), axis=0, return_inverse=True)
+    corners = np.empty((int(number.sum()), 4, 3), np.float32)
+    kinds, kind_of = np.unique(np.concatenate([counts, ends.reshape(-1, 4)], axis=1), axis=0, return_inverse=True)
     order = np.argsort(kind_of.reshape(-1), kind="stable")
     for kind, own in zip(kinds, np.split(order, np.cumsum(np.bincount(kind_of.reshape(-1)))[:-1]), strict=True):
-        i, j, at_u, at_v = (int(each) for each in kind)
+        i, j, *at = (int(each) for each in kind)
         rows = (first[own, None] + np.arange(i * j)).reshape(-1)
-        u, v = _graded(i, at_u), _graded(j, at_v)
-        corners[rows] = _cells(quads.corners[own], u, v)
-        each = np.empty((len(own), i, j, 2), np.float32)
-        each[...] = quads.spread[own, None, None]
-        if i * j > 1:  # otherwise the quad knows better: single ones have their own spread
-            each[..., 0] = _spreads(u, at_u)[:, None] if at_u else each[..., 0]
-            each[..., 1] = _spreads(v, at_v) if at_v else each[..., 1]
-        spread[rows] = each.reshape(-1, 2)
-    cells = quads.take(np.repeat(np.arange(len(quads)), number))
-    spread[_is_leaf(cells)] *= _LEAF_SMOOTH
-    return replace(cells, corners=corners, spread=spread)
+        corners[rows] = _cells(quads.corners[own], _graded(i, at[0], at[1]), _graded(j, at[2], at[3]))
+    parent = np.repeat(np.arange(len(quads)), number)
+    place = np.arange(len(parent)) - first[parent]
+    rows_of = place // counts[parent, 1], place % counts[parent, 1]  # along u and v
+    spread, shift = _footprints(quads, counts, ends, facing)
+    along = [(spread[k][parent, rows_of[k]], shift[k][parent, rows_of[k]]) for k in (0, 1)]
+    return replace(
+        quads.take(parent), corners=corners,
+        spread=np.stack([each for each, _ in along], axis=1), shift=np.stack([each for _, each in along], axis=1),
+    )  # fmt: skip
 
 
 def _is_leaf(quads: Quads) -> Bool[np.ndarray, " n"]:
     return (quads.labels == Label.VEGETATION) & (quads.opacity < 0.99)
 
 
-def _cell_count(length: Float64[np.ndarray, " n"], ends: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    """Number of cells along sides of a length in cells at the edge: 1 + G + G^2 + ... from each hard end."""
-    both = ends == 3
+def _cell_count(length: Float64[np.ndarray, " n"], ends: Int64[np.ndarray, "n 2"]) -> Int64[np.ndarray, " n"]:
+    """Number of cells along sides of a length in cells at the edge: 1 + G + G^2 + ... from each end at an edge."""
+    both = (ends > _NO_EDGE).all(axis=1)
     steps = np.log1p(np.where(both, 0.5, 1.0) * length * (GROWTH - 1)) / np.log(GROWTH)
     count = np.clip(np.round(np.where(both, 2, 1) * steps), 1, _MAX_CELLS).astype(np.int64)
-    return np.where(ends > 0, count, 1)
+    return np.where((ends > _NO_EDGE).any(axis=1), count, 1)
 
 
-def _graded(count: int, ends: int) -> Float64[np.ndarray, " m"]:
-    """Lines from 0 to 1 around cells that grow from the hard ends."""
+def _graded(count: int, first: int, last: int) -> Float64[np.ndarray, " m"]:
+    """Lines from 0 to 1 around cells that grow from the ends at edges."""
     k = np.arange(count)
-    from_end = {0: k, 1: k[::-1], 2: k, 3: np.minimum(k, k[::-1])}[ends]
-    widths = GROWTH**from_end
+    if first and last:
+        k = np.minimum(k, k[::-1])
+    elif last:
+        k = k[::-1]
+    widths = GROWTH**k
     return np.concatenate([[0.0], np.cumsum(widths) / widths.sum()])
-
-
-def _spreads(lines: Float64[np.ndarray, " m"], ends: int) -> Float64[np.ndarray, " n"]:
-    """Standard deviations in cell widths: small enough that none reaches across the hard ends."""
-    middle, widths = 0.5 * (lines[1:] + lines[:-1]), np.diff(lines)
-    away = {1: 1 - middle, 2: middle, 3: np.minimum(middle, 1 - middle)}[ends]
-    return np.clip(away / (_CLEAR_DEVIATIONS * widths), EDGE_SPREAD, INNER_SPREAD)
 
 
 def _cells(
@@ -155,25 +150,98 @@ def _view(quads: Quads, line: CameraLine) -> tuple[Float64[np.ndarray, "n 2"], B
     return lengths, facing & (farthest >= closest)[:, None]
 
 
+# Footprints
+# In cell widths; found for the far ends in `NEAREST_FIRST`, by the error of pictures from the front camera.
+
+_HALF = np.sqrt(2 * np.log(2))  # deviations from a Gaussian's center to where it is half transparent
+_LEVEL_SPREAD = 0.64  # standard deviation inside level ground, where nothing is behind gaps
+_SPREAD = 0.6  # and inside other surfaces, which end and bend
+_LAST_SPREAD, _LAST_REACH = 0.55, 1.5  # of a cell at an edge on its far side, and deviations from center to that edge
+_FIRST_SPREAD = 0.34  # of a cell at an outline on its near side, in its middle
+_HIDDEN_SPREAD = 0.25  # of a cell at an outline that the camera does not see, so that it does not stand out behind it
+_CLEAR, _CLEAR_COLOR = 2.1, 1.6  # minimum deviations from other centers to an outline, and to a color edge before them
+_CUT_LEAF_SPREAD, _CUT_LEAF_SHIFT = 0.46, 0.14  # of a part of a leaf, towards its middle
+_ROUND = 0.5  # spreads below this, without edges at both ends, are those of thin poles
+
+_Axes = tuple[Float32[np.ndarray, "n i"], Float32[np.ndarray, "n j"]]
+
+
+def _footprints(
+    quads: Quads, counts: Int64[np.ndarray, "n 2"], ends: Int64[np.ndarray, "n 2 2"], facing: Bool[np.ndarray, "n 3"]
+) -> tuple[_Axes, _Axes]:
+    """Standard deviations and offsets of the Gaussians of cells, in cell widths, along u and v; columns are cells."""
+    leaf, fixed = _is_leaf(quads), quads.opacity <= 0.9
+    hidden, level = ~facing.any(axis=1), np.abs(quads.normals[:, 2]) > 0.9
+    c = quads.corners.astype(np.float64)
+    axes = c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3], c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for k, axis in enumerate(axes):
+        spread = np.repeat(quads.spread[:, k : k + 1], counts[:, k].max(), axis=1)
+        shift = np.zeros_like(spread)
+        cut = np.flatnonzero(leaf & (counts[:, k] > 1))
+        spread[cut], shift[cut, 0], shift[cut, counts[cut, k] - 1] = _CUT_LEAF_SPREAD, _CUT_LEAF_SHIFT, -_CUT_LEAF_SHIFT
+        thin = (quads.spread[:, k] < _ROUND) & (ends[:, k] == _NO_EDGE).all(axis=1)
+        chosen = np.flatnonzero(~(leaf | fixed | thin))
+        key = np.column_stack([counts[:, k], ends[:, k], axis @ NEAREST_FIRST > 0, hidden, level])[chosen]
+        kinds, kind_of = np.unique(key, axis=0, return_inverse=True)
+        for number, kind in enumerate(kinds):
+            count, first, last, ascending, is_hidden, is_level = (int(each) for each in kind)
+            lines, inside = _graded(count, first, last), _LEVEL_SPREAD if is_level else _SPREAD
+            if ascending:
+                own, offset = _placed(lines, first, last, inside, bool(is_hidden))
+            else:
+                own, offset = _placed(1 - lines[::-1], last, first, inside, bool(is_hidden))
+                own, offset = own[::-1], -offset[::-1]
+            rows = chosen[kind_of.reshape(-1) == number]
+            spread[rows, :count], shift[rows, :count] = own, offset
+        found.append((spread, shift))
+    (spread_u, shift_u), (spread_v, shift_v) = found
+    return (spread_u, spread_v), (shift_u, shift_v)
+
+
+def _placed(
+    lines: Float64[np.ndarray, " m"], near: int, far: int, inside: float, hidden: bool
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Standard deviations and offsets, in cell widths, of cells between lines from the near end (0) to the far one."""
+    widths, last = np.diff(lines), len(lines) - 2
+    spread, shift = np.empty(len(widths)), np.empty(len(widths))
+    for k, (start, stop, width) in enumerate(zip(lines, lines[1:], widths, strict=False)):
+        at_far, at_near = far and k == last, near and k == 0
+        reach, own = (_LAST_REACH, _LAST_SPREAD * width) if at_far else (_HALF, inside * width)
+        if far and not at_far:
+            own = min(own, (1 - stop) / (_CLEAR - reach))
+        if near and not at_near:
+            own = min(own, stop / (reach + (_CLEAR if near == _OUTLINE else _CLEAR_COLOR)))
+        middle = stop - reach * own
+        if at_near and near == _OUTLINE:
+            own, middle = _FIRST_SPREAD * width, 0.5 * (start + stop)
+        if hidden and ((at_near and near == _OUTLINE) or (at_far and far == _OUTLINE)):
+            own, middle = _HIDDEN_SPREAD * width, 0.5 * (start + stop)
+        spread[k], shift[k] = own / width, (middle - 0.5 * (start + stop)) / width
+    return spread, shift
+
+
 # Edges
 
+_NO_EDGE, _COLOR_EDGE, _OUTLINE = 0, 1, 2
 
-def _hard_edges(quads: Quads, facing: Bool[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n 4"]:
-    """Sides (corners 0-1, 1-2, 2-3, 3-0) where the color changes, or an outline is: the surface ends, or turns away."""
+
+def _edges(quads: Quads, facing: Bool[np.ndarray, "n 3"]) -> Int64[np.ndarray, "n 4"]:
+    """Kinds of sides (corners 0-1, 1-2, 2-3, 3-0): there the color changes, or the surface ends or turns away."""
     points = _hashed(np.round(quads.corners.astype(np.float64) / _SAME_M).astype(np.int64))
     following = np.roll(points, -1, axis=1)
     sides = (np.minimum(points, following) * np.uint64(3) + np.maximum(points, following)).reshape(-1)
     order = np.argsort(sides, kind="stable")
     same = np.flatnonzero(sides[order[1:]] == sides[order[:-1]])
     a, b = order[same], order[same + 1]
-    colors, one, other = _tones(quads), a // 4, b // 4
-    differs = np.max(np.abs(colors[one] - colors[other]), axis=1) > _CONTRAST
-    differs |= (facing[one] != facing[other]).any(axis=1)
-    hard = np.ones(len(sides), np.bool_)
-    hard[a] = hard[b] = False
-    hard[a] |= differs
-    hard[b] |= differs
-    return hard.reshape(-1, 4) & (points != following)
+    tones, one, other = _tones(quads), a // 4, b // 4
+    differs = np.max(np.abs(tones[one] - tones[other]), axis=1) > _CONTRAST
+    kind = np.where((facing[one] != facing[other]).any(axis=1), _OUTLINE, np.where(differs, _COLOR_EDGE, _NO_EDGE))
+    kinds = np.full(len(sides), _OUTLINE)
+    kinds[a] = kinds[b] = _NO_EDGE
+    np.maximum.at(kinds, a, kind)
+    np.maximum.at(kinds, b, kind)
+    return np.where(points != following, kinds.reshape(-1, 4), _NO_EDGE)
 
 
 def _hashed(points: Int64[np.ndarray, "n 4 3"]) -> UInt64[np.ndarray, "n 4"]:

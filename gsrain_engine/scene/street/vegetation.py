@@ -214,6 +214,7 @@ def _bin(x: float, y: float) -> Quads:
 RADIUS_M = 900.0
 SKY_SPREAD = 0.8
 """Wider than elsewhere, to blend neighboring cells of sky."""
+_SKY_SHIFT = 0.4  # upwards, in cells: higher ones are nearer along the view and cover lower ones
 
 
 def build_sky(layout: StreetLayout) -> Quads:
@@ -226,7 +227,8 @@ def build_sky(layout: StreetLayout) -> Quads:
     points = (RADIUS_M + longer_by_m(layout)) * np.stack(np.broadcast_arrays(x, y, np.sin(elevation)), axis=2)
     dome = patch(points[::-1], 1.0, Label.SKY, closed=True)
     middle = (0.5 * (p.start_x_m + p.end_x_m), 0.0, 0.0)
-    return Quads.of(dome.corners, 1.0, Label.SKY, normals=dome.normals, opacity=0.995, spread=SKY_SPREAD).placed(middle)
+    sky = Quads.of(dome.corners, 1.0, Label.SKY, normals=dome.normals, opacity=0.995, spread=SKY_SPREAD)
+    return replace(sky, shift=np.full_like(sky.shift, [0, _SKY_SHIFT])).placed(middle)
 
 
 def sky_display(
