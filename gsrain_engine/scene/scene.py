@@ -74,6 +74,8 @@ class DrawItem(NamedTuple):
     """Tree of the Gaussians for a cut; renderers ignore it."""
     film: Float32[np.ndarray, "n 2"] | None = None
     """Shares of a film and of standing water that mirror the scene, by Gaussian; None without water."""
+    to_world_ends: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]] | None = None
+    """Similarities at the first and the last row of a rolling shutter; None if it does not move meanwhile."""
 
     @property
     def is_wet(self) -> bool:
@@ -535,28 +537,48 @@ class Scene:
         return any(each.wet_sh is not None for each in self.layers if each.visible)
 
     def parts(
-        self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0, overcast: float | None = None
+        self,
+        time_s: float = 0.0,
+        *,
+        selection: bool = False,
+        wetness: float = 0.0,
+        overcast: float | None = None,
+        readout_s: float = 0.0,
     ) -> list[DrawItem]:
         """Visible items at a time: layers first, then actors.
 
         `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them, and
-        `overcast` those of sky layers (None: `wetness`, too).
+        `overcast` those of sky layers (None: `wetness`, too). During a readout around that time, actors move.
         """
         sky = wetness if overcast is None else overcast
         parts = [
-            self.part(each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness)
+            self.part(
+                each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness, readout_s=readout_s
+            )
             for each in self.members
             if each.visible
         ]
         return [part for part in parts if part is not None]
 
     def part(
-        self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
+        self,
+        member: Layer | Actor,
+        time_s: float = 0.0,
+        *,
+        selection: bool = False,
+        wetness: float = 0.0,
+        readout_s: float = 0.0,
     ) -> DrawItem | None:
         """Item of a member at a time; None while it is absent. See `parts`."""
         pose = member.pose_at(time_s)
         if pose is None:
             return None
+        ends: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]] | None = None
+        if readout_s > 0 and isinstance(member, Actor):
+            first, last = (member.pose_at(time_s + side * readout_s / 2) for side in (-1, 1))
+            ends = self.scene_to_world @ (pose if first is None else first), self.scene_to_world @ (
+                pose if last is None else last
+            )
         return DrawItem(
             member.gaussians,
             self.scene_to_world @ pose,
@@ -567,6 +589,7 @@ class Scene:
             wet_sh=member.wet_sh,
             wetness=0.0 if member.wet_sh is None else 1.0 if wetness > _AS_WET_AS_SOAKED else wetness,
             tree=member.tree if member.tree is not None and member.tree.fits(member.gaussians) else None,
+            to_world_ends=ends,
         )
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:

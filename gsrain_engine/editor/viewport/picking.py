@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from ...rain.simulation import mean_linear_color
-from ...render.cpu.projection import Splats, project
+from ...render.cpu.projection import project
+from ...render.cpu.splats import Splats
 from ...render.draw import RenderView
 from ...render.renderer import Color, Renderer
 from ...scene.camera import Camera

@@ -10,7 +10,7 @@ from ...rain.frame import RainFrame
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
-from ..cpu.projection import NEAR_M
+from ..cpu.splats import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
 from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GaussianBuffers, GpuArrays, ProjectedSplatBuffer

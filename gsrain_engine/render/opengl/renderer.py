@@ -15,7 +15,7 @@ from ...rain.lamp_light import LampLight
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
-from ...water.mirror import Mirror
+from ...water.mirror import LensMirror, Mirror
 from ..cpu.compositing import expected
 from ..mirror import film_items
 from ..renderer import (
@@ -153,7 +153,7 @@ class SplatRenderer:
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
-        mirror: Mirror | None = None,
+        mirror: Mirror | LensMirror | None = None,
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
 
