@@ -15,8 +15,8 @@ from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, IdentityKey, scene_cache
-from ..scene.lens_faces import wide_face
 from ..scene.ground_water import ground_heights
+from ..scene.lens_faces import wide_face
 from ..scene.lod_order import lod_growth, lod_sample
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene

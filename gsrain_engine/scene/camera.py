@@ -78,11 +78,11 @@ class Camera:
         places, is_imaged = bent_places(points_m, self.lens)
         return np.where(is_imaged[:, None], places * [self.fx, self.fy] + [self.cx, self.cy], np.nan)
 
-    def ray(self, x: float, y: float) -> Float64[np.ndarray, "3"] | None:
-        """Unit direction of a pixel in the camera's frame; None where none comes to it."""
-        place = np.array([[(x - self.cx) / self.fx, (y - self.cy) / self.fy]])
-        rays, is_imaged = rays_of_places(place, self.lens, (self.fx, self.fy))
-        return rays[0] if is_imaged[0] else None
+    def directions(self, pixels: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+        """Unit directions of pixels in the camera's frame; NaN where no ray comes to them."""
+        places = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
+        rays, is_imaged = rays_of_places(places, self.lens, (self.fx, self.fy))
+        return np.where(is_imaged[:, None], rays, np.nan)
 
     @property
     def rays(self) -> PixelRays:
@@ -93,8 +93,8 @@ class Camera:
     def vertical_fov_deg(self) -> float:
         """Angle from the top edge to the bottom edge."""
         if self.lens is not None:
-            ends = [self.ray(self.cx, y) for y in (0.0, float(self.height))]
-            return float(np.degrees(sum(np.pi / 2 if each is None else np.arccos(each[2]) for each in ends)))
+            ends = self.directions(np.array([[self.cx, 0.0], [self.cx, self.height]]))
+            return float(np.degrees(np.arccos(np.nan_to_num(ends[:, 2])).sum()))
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
 
     def resized(self, width: int, height: int) -> "Camera":

@@ -15,6 +15,7 @@ from ..rain.simulation import RainSimulation
 from ..rain.streaks import camera_slopes, sh_of, streak_gaussians
 from ..scene.gaussians import Gaussians
 from ..scene.ground_water import WetGround
+from ..scene.rolling_shutter import GLOBAL_SHUTTER
 from .films import WaterFilms
 from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
 
@@ -187,6 +188,9 @@ class Splashes:
         wide = 1e-3 * made.diameters_mm * shutter.focal_px > SMALLEST_PX * self._distances(made.positions_m)
         wide &= made.positions_m[:, 2] > np.repeat(self.heights.at(found.places_m), _DROPLETS)
         wide &= made.is_aloft
+        if shutter.camera.rolling is not None:  # moves all splashes when they are drawn
+            camera = replace(shutter.camera, rolling=None)
+            shutter = replace(shutter, camera=camera, readout=GLOBAL_SHUTTER)
         return streak_gaussians(
             made.positions_m[wide], made.diameters_mm[wide], made.velocities_m_s[wide], shutter, rain, self.frame.color
         )

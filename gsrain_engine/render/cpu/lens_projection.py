@@ -1,8 +1,9 @@
 """Projection of Gaussians through lenses and rolling shutters by the unscented transform (3DGUT, Wu et al. 2025).
 
-The mean and the ends of the axes of a Gaussian, seven sigma points, are projected each by the lens and from the pose of
+The mean and points on the axes of a Gaussian, seven sigma points, are projected each by the lens and from the pose of
 its own row; mean and covariance of their pixels are those of the splat (Julier and Uhlmann 1997; alpha 1, beta 2, kappa
-0). Where a sigma point is outside of the lens's field, points near the mean take their place: a local affine map.
+0). That holds for Gaussians that are small from where the camera is. A larger one is shrunk before, and its splat
+enlarged by as much, which goes over into the affine map of 3DGS: ground that reaches below the camera has no mean there.
 """
 
 from typing import NamedTuple, no_type_check
@@ -32,7 +33,9 @@ from .splats import (
 )
 
 _SPREAD = float(np.sqrt(3.0))  # distance of sigma points from the mean, in standard deviations
+_WIDEST = 0.25  # distance of sigma points over that of the camera, to which Gaussians are shrunk
 _LOCAL = 0.01  # the same where the lens does not image all of them
+_MARGIN = 0.15  # of the picture, around it, beyond which shapes are those at its end, as in gsplat
 _ROW_STEPS = 5
 _MAX_PART = 1.0  # of the readout, beyond the picture's first and last row
 
@@ -48,6 +51,8 @@ class LensView(NamedTuple):
     """True if depth is the distance from the camera, false if it is that along the axis."""
     largest_angle: float
     """Of the view from the axis."""
+    edges: tuple[float, float, float, float]
+    """Lowest and highest x/z, lowest and highest y/z at which shapes are evaluated; by angle there are none."""
 
 
 def lens_view(camera: Camera) -> LensView:
@@ -57,7 +62,12 @@ def lens_view(camera: Camera) -> LensView:
     scan = np.zeros(3)
     if c.rolling is not None:
         scan[:] = readout_of(c, c.rolling.readout_s, c.rolling.direction)[1:]
-    return LensView(intrinsics, lens_numbers(c.lens), scan, c.lens is not None, view_bounds(c).angle_rad)
+    bounds, lens, edges = view_bounds(c), lens_numbers(c.lens), (-np.inf, np.inf, -np.inf, np.inf)
+    if bounds.slopes is not None and lens[0] < 2:
+        left, right, top, bottom = bounds.slopes.tolist()
+        wide, high = _MARGIN * (right - left), _MARGIN * (bottom - top)
+        edges = left - wide, right + wide, top - high, bottom + high
+    return LensView(intrinsics, lens, scan, c.lens is not None, bounds.angle_rad, edges)
 
 
 class RollingPose(NamedTuple):
@@ -129,17 +139,17 @@ def _flag_in_cone(means, scales, opacities, left_out, faintest, m, scale, angle,
 @no_type_check
 def project_through_lens(
     members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,
-    antialiased, matrices, eyes, moves, intrinsics, lens, scan, by_distance, shapes, colors, points,
+    antialiased, matrices, eyes, moves, intrinsics, lens, scan, by_distance, edges, shapes, colors, points,
 ):  # fmt: skip
     """Fill shapes, colors and points (in the camera's frame) of one part; depth 0 marks those not to be drawn."""
     for chunk in numba.prange((len(members) + CHUNK - 1) // CHUNK):
-        basis, pose, eye = np.empty(16, np.float32), matrices[0].copy(), eyes[0].copy()
+        basis, eye = np.empty(16, np.float32), eyes[0].copy()
         for n in range(chunk * CHUNK, min(len(members), (chunk + 1) * CHUNK)):
             i = members[n]
             is_rain = len(rain) > 0 and rain[i]
             depth = _shape(
                 means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, antialiased,
-                matrices, moves, pose, intrinsics, lens, scan, by_distance, shapes[n], points[n],
+                matrices, moves, intrinsics, lens, scan, by_distance, edges, shapes[n], points[n],
             )  # fmt: skip
             if moves and depth > 0:
                 u, v = (shapes[n, 0] - intrinsics[2]) / intrinsics[0], (shapes[n, 1] - intrinsics[3]) / intrinsics[1]
@@ -160,14 +170,16 @@ def project_through_lens(
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _pixel(x, y, z, matrices, moves, intrinsics, lens, scan):
+def _pixel(x, y, z, aside, matrices, moves, intrinsics, lens, scan):
     """Pixel of a point of an object and the point in the camera's frame, at the time of its row; and if it is imaged.
+
+    It is moved `aside` in the camera's frame.
 
     The part of the readout is a fixed point: a row's time tells where the point is, and that its row.
     """
     m = matrices[0]
-    px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-    py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+    px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3] + aside[0]
+    py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3] + aside[1]
     pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
     a, b, is_imaged = bent_place(px, py, pz, lens)
     if moves:
@@ -191,48 +203,58 @@ def _pixel(x, y, z, matrices, moves, intrinsics, lens, scan):
 @numba.njit(error_model="numpy")
 @no_type_check
 def _shape(
-    mean, scale, q, opacity, is_rain, as_point, antialiased, matrices, moves, pose, intrinsics, lens, scan, by_distance,
+    mean, scale, q, opacity, is_rain, as_point, antialiased, matrices, moves, intrinsics, lens, scan, by_distance, edges,
     shape, point,
 ):  # fmt: skip
     """Write one splat's shape and its point; return its depth in meters, or 0 if it is not to be drawn."""
     width, height = intrinsics[4], intrinsics[5]
     x, y, z = np.float64(mean[0]), np.float64(mean[1]), np.float64(mean[2])
-    u, v, px, py, pz, is_imaged = _pixel(x, y, z, matrices, moves, intrinsics, lens, scan)
-    depth = np.sqrt(px * px + py * py + pz * pz) if by_distance else pz
+    u, v, px, py, pz, is_imaged = _pixel(x, y, z, (0.0, 0.0), matrices, moves, intrinsics, lens, scan)
+    distance = np.sqrt(px * px + py * py + pz * pz)
+    depth = distance if by_distance else pz
     if not (is_imaged and NEAR_M < depth < 3e38):  # also rejects NaN
         return 0.0
+    aside, at_u, at_v = (0.0, 0.0), u, v
+    if lens[0] < 2:
+        across, down = min(max(px / pz, edges[0]), edges[1]), min(max(py / pz, edges[2]), edges[3])
+        if across != px / pz or down != py / pz:
+            aside = (across * pz - px, down * pz - py)
+            at_u, at_v, _, _, _, is_imaged = _pixel(x, y, z, aside, matrices, moves, intrinsics, lens, scan)
+            if not is_imaged:
+                return 0.0
+    m = matrices[0]
+    unit = np.sqrt(m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0])
+    longest = unit * max(np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])) * _SPREAD
+    share = min(1.0, _WIDEST * distance / max(longest, 1e-30))
     axes = rotation_columns(np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))
-    mean_u = mean_v = xx = xy = yy = 0.0
     for attempt in range(2):
-        spread = _SPREAD if attempt == 0 else _LOCAL
         mean_u = mean_v = xx = xy = yy = 0.0
         all_imaged = True
         for k in range(3):
             axis = axes[0] if k == 0 else (axes[1] if k == 1 else axes[2])
-            step = spread * np.float64(scale[k])
+            step = share * _SPREAD * np.float64(scale[k])
             for side in range(2):
                 along = step if side == 0 else -step
-                at_u, at_v, _, _, _, seen = _pixel(
-                    x + along * axis[0], y + along * axis[1], z + along * axis[2], matrices, moves, intrinsics, lens,
-                    scan,
+                to_u, to_v, _, _, _, seen = _pixel(
+                    x + along * axis[0], y + along * axis[1], z + along * axis[2], aside, matrices, moves, intrinsics,
+                    lens, scan,
                 )  # fmt: skip
                 all_imaged = all_imaged and seen
-                du, dv = at_u - u, at_v - v
+                du, dv = to_u - at_u, to_v - at_v
                 mean_u, mean_v = mean_u + du, mean_v + dv
                 xx, xy, yy = xx + du * du, xy + du * dv, yy + dv * dv
-        by_square = 0.5 / (spread * spread)
-        xx, xy, yy = by_square * xx, by_square * xy, by_square * yy
         if all_imaged and np.isfinite(xx + yy):
-            if attempt == 0:
-                # Weights are 0 for the mean and 1/6 for the others; of the covariance, 2 for the mean. With the
-                # offsets d from the mean's pixel: sum d d^T / 6 - m m^T + 2 m m^T, m the mean of the offsets.
-                mean_u, mean_v = mean_u / 6, mean_v / 6
-                xx, xy, yy = xx + mean_u * mean_u, xy + mean_u * mean_v, yy + mean_v * mean_v
-            else:
-                mean_u = mean_v = 0.0
             break
         if attempt == 1:
             return 0.0
+        share *= _LOCAL / _WIDEST
+    # Weights are 0 for the mean and 1/6 for the others; of the covariance, 2 for the mean. With the offsets d from the
+    # mean's pixel, and m their mean, it is: sum d d^T / 6 - m m^T + 2 m m^T.
+    mean_u, mean_v = mean_u / 6, mean_v / 6
+    by_square = 1 / (share * share)
+    xx = by_square * (xx / 6 + mean_u * mean_u)
+    xy = by_square * (xy / 6 + mean_u * mean_v)
+    yy = by_square * (yy / 6 + mean_v * mean_v)
     u, v = u + mean_u, v + mean_v
     if not write_shape(u, v, xx, xy, yy, opacity, is_rain, as_point, antialiased, width, height, shape):
         return 0.0

@@ -101,7 +101,7 @@ def project(
             )  # fmt: skip
         else:
             project_through_lens(
-                *values, *rolling[number][:3], view.intrinsics, view.lens, view.scan, view.by_distance,
+                *values, *rolling[number][:3], view.intrinsics, view.lens, view.scan, view.by_distance, view.edges,
                 shapes[first:last], colors[first:last], points[first:last],
             )  # fmt: skip
         indices[first:last] = own + counted
