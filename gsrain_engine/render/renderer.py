@@ -100,6 +100,11 @@ class Renderer(Protocol):
     def name(self) -> str: ...
 
     @property
+    def draws_lenses(self) -> bool:
+        """True if cameras may have lenses and rolling shutters."""
+        ...
+
+    @property
     def statistics(self) -> RenderStatistics: ...
 
     def draw(

@@ -24,9 +24,11 @@ LENS_NUMBERS = 20
 _COUNTS = {"opencv": (4, 5, 8, 12, 14), "fisheye": (4,), "ftheta": tuple(range(1, 16))}
 _MAX_COEFFICIENT = 1e9
 _WIDEST_TANGENT = 100.0
-_STEPS = 4096  # of the tables by which polynomials are inverted and their limits found
-_NEWTON_STEPS = 12
-_LARGEST_ERROR_PX = 0.01
+_STEPS = 4096  # of the tables by which limits are found
+_NEWTON_STEPS, _BRACKET_STEPS = 12, 60
+_LARGEST_ERROR_PX, _CLOSE_PX = 0.01, 1e-7
+_STEP = 1e-6  # of a derivative
+_CHUNK = 1024
 _CACHED = 16  # cameras whose rays are held, enough for a rig
 
 
@@ -133,27 +135,39 @@ def _rising(values: Float64[np.ndarray, " n"]) -> int:
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def bent_place(x, y, z, lens):
-    """Place in the picture, over the focal length, of a point in the camera's frame, and whether the lens images it."""
+def polynomial_of(angle, lens):
+    """Length of the place of an angle from the axis."""
+    length = lens[18]
+    for k in range(17, 3, -1):
+        length = lens[k] + angle * length
+    return length * angle
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def straight_place(x, y, z, lens):
+    """Place without shear, see `bent_place`."""
     if lens[0] == 0:
         return x / z, y / z, z > 0
     if lens[0] == 1:
         a, b = x / z, y / z
         r2 = a * a + b * b
-        is_imaged = z > 0 and r2 <= lens[1] * lens[1]
         above = 1 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
         radial = above / (1 + r2 * (lens[9] + r2 * (lens[10] + r2 * lens[11])))
         p = a * radial + 2 * lens[6] * a * b + lens[7] * (r2 + 2 * a * a) + r2 * (lens[12] + r2 * lens[13])
         q = b * radial + lens[6] * (r2 + 2 * b * b) + 2 * lens[7] * a * b + r2 * (lens[14] + r2 * lens[15])
-    else:
-        r = np.sqrt(x * x + y * y)
-        angle = np.arctan2(r, z)
-        is_imaged = angle <= lens[1]
-        length = lens[18]
-        for k in range(17, 3, -1):
-            length = lens[k] + angle * length
-        length = length * angle / r if r > 1e-9 * abs(z) else lens[4] / abs(z)
-        p, q = x * length, y * length
+        return p, q, z > 0 and r2 <= lens[1] * lens[1]
+    r = np.sqrt(x * x + y * y)
+    angle = np.arctan2(r, z)
+    scale = polynomial_of(angle, lens) / r if r > 1e-9 * abs(z) else lens[4] / abs(z)
+    return x * scale, y * scale, angle <= lens[1]
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def bent_place(x, y, z, lens):
+    """Place in the picture, over the focal length, of a point in the camera's frame, and whether the lens images it."""
+    p, q, is_imaged = straight_place(x, y, z, lens)
     return p + lens[2] * q, q + lens[3] * p, is_imaged
 
 
@@ -215,66 +229,76 @@ def rays_of_places(
     if lens is None:
         ahead = np.concatenate([places, np.ones((*places.shape[:-1], 1))], axis=-1)
         return ahead / np.linalg.norm(ahead, axis=-1, keepdims=True), np.ones(places.shape[:-1], np.bool_)
-    numbers = lens_numbers(lens)
-    across, down = lens.shear
-    straight = places @ (np.array([[1.0, -down], [-across, 1.0]]) / (1 - across * down))
-    if lens.model == "opencv":
-        return _rays_by_tangent(straight, lens, numbers, focal_px)
-    lengths = np.linalg.norm(straight, axis=-1)
-    angles, is_imaged = _angles(np.array([0.0, *_polynomial(lens)]), lengths, float(numbers[1]))
-    around = np.divide(straight, lengths[..., None], out=np.zeros_like(straight), where=lengths[..., None] > 0)
-    angles = np.where(is_imaged, angles, 0.0)
-    return np.concatenate([around * np.sin(angles)[..., None], np.cos(angles)[..., None]], axis=-1), is_imaged
+    rays, is_imaged = np.empty((places[..., 0].size, 3)), np.empty(places[..., 0].size, np.bool_)
+    flat = np.ascontiguousarray(places, np.float64).reshape(-1, 2)
+    _unbend_places(flat, lens_numbers(lens), float(focal_px[0]), float(focal_px[1]), rays, is_imaged)
+    return rays.reshape(*places.shape[:-1], 3), is_imaged.reshape(places.shape[:-1])
 
 
-def _angles(
-    polynomial: Float64[np.ndarray, " c"], lengths: Float64[np.ndarray, "*n"], largest: float
-) -> tuple[Float64[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
-    """Angles at which a rising polynomial has some values, up to the largest angle."""
-    table = np.linspace(0.0, largest, _STEPS)
-    values = np.polynomial.polynomial.polyval(table, polynomial)
-    found = np.interp(lengths, values, table)
-    slope = np.polynomial.polynomial.polyder(polynomial)
-    for _ in range(3):  # Newton's method, from a table that is already exact to 1e-6
-        value, rise = (np.polynomial.polynomial.polyval(found, each) for each in (polynomial, slope))
-        found = np.clip(found - (value - lengths) / np.where(rise > 1e-12, rise, np.inf), 0.0, largest)
-    return found, lengths <= values[-1]
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _unbend_places(places, lens, fx, fy, rays, is_imaged):
+    for chunk in numba.prange((len(places) + _CHUNK - 1) // _CHUNK):
+        for i in range(chunk * _CHUNK, min(len(places), (chunk + 1) * _CHUNK)):
+            shear = 1 / (1 - lens[2] * lens[3])
+            p = shear * (places[i, 0] - lens[2] * places[i, 1])
+            q = shear * (places[i, 1] - lens[3] * places[i, 0])
+            if lens[0] == 1:
+                x, y, z, found = _by_tangent(p, q, lens, fx, fy)
+            else:
+                x, y, z, found = _by_angle(p, q, lens, max(fx, fy))
+            is_imaged[i] = found
+            rays[i, 0], rays[i, 1], rays[i, 2] = (x, y, z) if found else (0.0, 0.0, 1.0)
 
 
-def _rays_by_tangent(
-    places: Float64[np.ndarray, "*n 2"], lens: Lens, numbers: Float64[np.ndarray, "20"], focal_px: tuple[float, float]
-) -> tuple[Float64[np.ndarray, "*n 3"], Bool[np.ndarray, "*n"]]:
-    """Rays of OpenCV's distortion by Newton's method."""
-    upright = msgspec.structs.replace(lens, shear=(0.0, 0.0))
+@numba.njit(error_model="numpy")
+@no_type_check
+def _by_tangent(p, q, lens, fx, fy):
+    """Ray of a place by OpenCV's distortion, by Newton's method, and whether there is one."""
+    a, b, area = p, q, 1.0
+    error_a = error_b = np.inf
+    for _ in range(_NEWTON_STEPS + 1):
+        at_a, at_b, _ = straight_place(a, b, 1.0, lens)
+        error_a, error_b = at_a - p, at_b - q
+        to_a, to_b, _ = straight_place(a + _STEP, b, 1.0, lens)
+        by_aa, by_ab = (to_a - at_a) / _STEP, (to_b - at_b) / _STEP
+        to_a, to_b, _ = straight_place(a, b + _STEP, 1.0, lens)
+        by_ba, by_bb = (to_a - at_a) / _STEP, (to_b - at_b) / _STEP
+        area = by_aa * by_bb - by_ab * by_ba
+        if max(abs(error_a) * fx, abs(error_b) * fy) < _CLOSE_PX or area == 0:
+            break
+        a, b = a - (by_bb * error_a - by_ba * error_b) / area, b - (by_aa * error_b - by_ab * error_a) / area
+    # Beyond the lens's range the polynomial falls: a mirrored image, which no lens has.
+    found = max(abs(error_a) * fx, abs(error_b) * fy) < _LARGEST_ERROR_PX and area > 0
+    length = np.sqrt(a * a + b * b + 1)
+    return a / length, b / length, 1 / length, found and a * a + b * b <= lens[1] * lens[1]
 
-    def distorted(tangents: Float64[np.ndarray, "m 2"]) -> Float64[np.ndarray, "m 2"]:
-        points = np.concatenate([tangents, np.ones((len(tangents), 1))], axis=1)
-        return bent_places(points, upright)[0]
 
-    target = places.reshape(-1, 2)
-    tangents, area, step = target.copy(), np.ones(len(target)), 1e-6
-    with np.errstate(all="ignore"):  # places that no ray comes to diverge
-        for _ in range(_NEWTON_STEPS):
-            error = distorted(tangents) - target
-            by_x = (distorted(tangents + [step, 0]) - target - error) / step
-            by_y = (distorted(tangents + [0, step]) - target - error) / step
-            area = by_x[:, 0] * by_y[:, 1] - by_x[:, 1] * by_y[:, 0]
-            moved_x = by_y[:, 1] * error[:, 0] - by_y[:, 0] * error[:, 1]
-            moved_y = by_x[:, 0] * error[:, 1] - by_x[:, 1] * error[:, 0]
-            tangents = tangents - np.stack([moved_x, moved_y], axis=-1) / area[:, None]
-        error = np.abs(distorted(tangents) - target) * focal_px
-        # Beyond the lens's range the polynomial falls: a mirrored image, which no lens has.
-        is_imaged = (error.max(axis=1) < _LARGEST_ERROR_PX) & (area > 0) & np.isfinite(tangents).all(axis=1)
-        is_imaged &= (tangents**2).sum(axis=1) <= numbers[1] ** 2
-    tangents = np.where(is_imaged[:, None], tangents, 0.0)
-    ahead = np.concatenate([tangents, np.ones((len(tangents), 1))], axis=1)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    return ahead.reshape(*places.shape[:-1], 3), is_imaged.reshape(places.shape[:-1])
+@numba.njit(error_model="numpy")
+@no_type_check
+def _by_angle(p, q, lens, focal):
+    """Ray of a place by a polynomial of the angle, which rises up to its limit, and whether there is one."""
+    length = np.sqrt(p * p + q * q)
+    low, high, angle = 0.0, lens[1], min(length / lens[4], lens[1])
+    if polynomial_of(high, lens) < length:
+        return 0.0, 0.0, 1.0, False
+    for _ in range(_BRACKET_STEPS):  # Newton's method, or the middle of the bracket where that leaves it
+        error = polynomial_of(angle, lens) - length
+        if abs(error) * focal < _CLOSE_PX:
+            break
+        low, high = (low, angle) if error > 0 else (angle, high)
+        slope = (polynomial_of(angle + _STEP, lens) - polynomial_of(angle, lens)) / _STEP
+        angle = angle - error / slope
+        if not low <= angle <= high:
+            angle = 0.5 * (low + high)
+    scale = np.sin(angle) / length if length > 0 else 0.0
+    return scale * p, scale * q, np.cos(angle), True
 
 
 # Field of view
 
 _WIDEST_COSINE = float(np.cos(np.radians(80.0)))
+_GRID = 64  # cells of a view across and down, at whose corners its bounds are taken
 
 
 class ViewBounds(NamedTuple):
@@ -294,11 +318,18 @@ def view_bounds(camera: "Camera") -> ViewBounds:
 
 @lru_cache(maxsize=_CACHED)
 def _view_bounds(size: _Intrinsics, lens: Lens | None, rolling: RollingShutter | None) -> ViewBounds:
-    rays, is_imaged = _pixel_rays(size, lens, rolling)
-    imaged = rays[is_imaged].astype(np.float64)
+    width, height, fx, fy, cx, cy = size
+    columns, rows = (np.linspace(0, side, min(side, _GRID) + 1) for side in (width, height))
+    u, v = np.meshgrid((columns - cx) / fx, (rows - cy) / fy)
+    rays, is_imaged = rays_of_places(np.stack([u, v], axis=-1), lens, (fx, fy))
+    if rolling is not None and any(rolling.turn_rad):
+        rays = rolling.turned_rays(rays)
+    imaged = rays[is_imaged]
     if not len(imaged):
         return ViewBounds(np.zeros(4), 0.0)
-    pixel = 2 / min(size[2:4])
+    pixel = 2 / min(fx, fy)
+    if not is_imaged.all():  # the view ends between the grid's points
+        pixel += 1.5 * max(width / fx, height / fy) / min(width, height, _GRID)
     angle = float(np.arccos(np.clip(imaged[:, 2].min(), -1, 1))) + pixel
     if np.cos(angle) < _WIDEST_COSINE:
         return ViewBounds(None, min(angle, np.pi))

@@ -55,8 +55,8 @@ class RollingShutter:
     def __post_init__(self) -> None:
         if self.direction not in ("down", "up", "right", "left"):
             raise ValueError(f"direction of a readout must be down, up, right or left, not {self.direction!r}")
-        if not 0 <= self.readout_s <= 1:
-            raise ValueError(f"readout_s must be 0 to 1 s, not {self.readout_s}")
+        if not 0 <= self.readout_s <= 10:
+            raise ValueError(f"readout_s must be 0 to 10 s, not {self.readout_s:g}")
         if not all(abs(value) < 1e6 for value in self.shift_m) or not np.linalg.norm(self.turn_rad) < np.pi:
             raise ValueError("shift_m and turn_rad of a readout must be three finite numbers, turns less than pi")
 

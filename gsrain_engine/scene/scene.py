@@ -17,7 +17,9 @@ from .gaussians import Gaussians, IdentityKey
 from .geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices
 from .ground_water import GroundWater
 from .lamps import Lamp, LitLamps, lit_lamps
+from .lens import Lens
 from .lod_tree import LodTree
+from .rolling_shutter import ReadoutDirection, RollingShutter
 
 _ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
 _SAMPLES = 1_000_000
@@ -272,11 +274,27 @@ class RigCamera:
     cy: float
     camera_to_ego: Float64[np.ndarray, "4 4"]
     exposure_s: float
+    lens: Lens | None = None
+    """None is a pinhole."""
+    readout_s: float = 0.0
+    """Time from the first row of a picture to the last, of scene and rain; 0 is a global shutter."""
+    readout_direction: ReadoutDirection = "down"
 
-    def camera(self, ego_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
+    def camera(self, ego_to_world: Float64[np.ndarray, "4 4"], rolling: RollingShutter | None = None) -> Camera:
         """Camera in the world for a pose of the ego vehicle."""
-        world_to_camera = np.linalg.inv(ego_to_world @ self.camera_to_ego)
-        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_to_camera, self.exposure_s)
+        return Camera(
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy,
+            np.linalg.inv(ego_to_world @ self.camera_to_ego), self.exposure_s, self.lens, rolling,
+        )  # fmt: skip
+
+    def rolling(
+        self, first_row: Float64[np.ndarray, "4 4"] | None, last_row: Float64[np.ndarray, "4 4"] | None
+    ) -> RollingShutter | None:
+        """Rolling shutter between poses of the ego vehicle; None for a global shutter, or where there is none."""
+        if self.readout_s == 0 or first_row is None or last_row is None:
+            return None
+        ends = first_row @ self.camera_to_ego, last_row @ self.camera_to_ego
+        return RollingShutter.between(*ends, self.readout_s, self.readout_direction)[1]
 
 
 # Pose tracks
@@ -552,9 +570,7 @@ class Scene:
         """
         sky = wetness if overcast is None else overcast
         parts = [
-            self.part(
-                each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness, readout_s=readout_s
-            )
+            self.part(each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness, readout_s=readout_s)
             for each in self.members
             if each.visible
         ]
@@ -576,8 +592,9 @@ class Scene:
         ends: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]] | None = None
         if readout_s > 0 and isinstance(member, Actor):
             first, last = (member.pose_at(time_s + side * readout_s / 2) for side in (-1, 1))
-            ends = self.scene_to_world @ (pose if first is None else first), self.scene_to_world @ (
-                pose if last is None else last
+            ends = (
+                self.scene_to_world @ (pose if first is None else first),
+                self.scene_to_world @ (pose if last is None else last),
             )
         return DrawItem(
             member.gaussians,

@@ -50,6 +50,7 @@ class CpuRenderer:
     """Renders scene and rain into one image without OpenGL; byte-identical at any number of threads."""
 
     name = "cpu"
+    draws_lenses = True
 
     def __init__(self) -> None:
         tune_malloc()
