@@ -9,7 +9,7 @@ uniform vec2 image_size;          // px
 uniform float near;               // m
 
 #ifdef LENS
-#include "common_lens.glsl"
+bool lens_shape(inout vec3 p, mat3 axes, out vec2 center, out vec3 covariance, out float depth);  // of common_lens.glsl
 #endif
 
 const float DILATION = 0.3;       // px^2, added to the 2D covariance: the pixel's own footprint

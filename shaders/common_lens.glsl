@@ -2,7 +2,7 @@
 // the unscented transform (3DGUT, Wu et al. 2025). gsrain_engine/render/cpu/lens_projection.py is the readable form, and
 // gsrain_engine/scene/lens.py has the meaning of the numbers.
 
-uniform float lens[20];
+uniform float lens[19];
 uniform vec3 scan;                // part of the readout of a place over the focal length (x, y, 1)
 uniform vec4 edges;               // lowest and highest x/z, lowest and highest y/z at which shapes are evaluated
 uniform bool by_distance;         // depth is the distance from the camera, not along the axis

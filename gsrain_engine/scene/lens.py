@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 LensModel = Literal["opencv", "fisheye", "ftheta"]
 
-LENS_NUMBERS = 20
+LENS_NUMBERS = 19
 _COUNTS = {"opencv": (4, 5, 8, 12, 14), "fisheye": (4,), "ftheta": tuple(range(1, 16))}
 _MAX_COEFFICIENT = 1e9
 _WIDEST_TANGENT = 100.0
@@ -69,7 +69,7 @@ class Lens(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @lru_cache(maxsize=64)
-def lens_numbers(lens: Lens | None) -> Float64[np.ndarray, "20"]:
+def lens_numbers(lens: Lens | None) -> Float64[np.ndarray, "19"]:
     """Numbers of a lens for kernels and shaders.
 
     Model (0 pinhole, 1 by the tangent, 2 by the angle); largest tangent or angle; shear; then the coefficients: 12 of

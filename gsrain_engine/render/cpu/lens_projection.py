@@ -3,7 +3,7 @@
 The mean and points on the axes of a Gaussian, seven sigma points, are projected each by the lens and from the pose of
 its own row; mean and covariance of their pixels are those of the splat (Julier and Uhlmann 1997; alpha 1, beta 2, kappa
 0). That holds for Gaussians that are small from where the camera is. A larger one is shrunk before, and its splat
-enlarged by as much, which goes over into the affine map of 3DGS: ground that reaches below the camera has no mean there.
+enlarged by as much, which goes over into the affine map of 3DGS: ground that reaches below the camera has no mean.
 """
 
 from typing import NamedTuple, no_type_check
@@ -44,7 +44,7 @@ class LensView(NamedTuple):
     """A camera with a lens or a rolling shutter, for kernels."""
 
     intrinsics: tuple[float, float, float, float, float, float]
-    lens: Float64[np.ndarray, "20"]
+    lens: Float64[np.ndarray, "19"]
     scan: Float64[np.ndarray, "3"]
     """Part of the readout of a place over the focal length (x, y, 1)."""
     by_distance: bool
@@ -203,8 +203,8 @@ def _pixel(x, y, z, aside, matrices, moves, intrinsics, lens, scan):
 @numba.njit(error_model="numpy")
 @no_type_check
 def _shape(
-    mean, scale, q, opacity, is_rain, as_point, antialiased, matrices, moves, intrinsics, lens, scan, by_distance, edges,
-    shape, point,
+    mean, scale, q, opacity, is_rain, as_point, antialiased, matrices, moves, intrinsics, lens, scan, by_distance,
+    edges, shape, point,
 ):  # fmt: skip
     """Write one splat's shape and its point; return its depth in meters, or 0 if it is not to be drawn."""
     width, height = intrinsics[4], intrinsics[5]

@@ -318,7 +318,9 @@ class SplatRenderer:
         switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium, lit=lit)
         lights = {} if rain_light is None else {"rain_light": tuple(rain_light)}
         if medium is not None:
-            lights |= sky_uniforms(medium) | {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy)}
+            lights |= sky_uniforms(medium)
+            if camera.is_pinhole:
+                lights["intrinsics"] = camera.fx, camera.fy, camera.cx, camera.cy
         if not camera.is_pinhole:
             switches = {**switches, "LENS": 1}
             self._bound_rays(camera.rays).use(_RAYS_UNIT)
