@@ -280,6 +280,11 @@ class RigCamera:
     """Time from the first row of a picture to the last, of scene and rain; 0 is a global shutter."""
     readout_direction: ReadoutDirection = "down"
 
+    @property
+    def is_bent(self) -> bool:
+        """True with a lens or a rolling shutter."""
+        return self.lens is not None or self.readout_s > 0
+
     def camera(self, ego_to_world: Float64[np.ndarray, "4 4"], rolling: RollingShutter | None = None) -> Camera:
         """Camera in the world for a pose of the ego vehicle."""
         return Camera(

@@ -23,8 +23,11 @@ from ..lens import Lens
 from ..rolling_shutter import ReadoutDirection
 from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
-SCENE_VERSION = 6
-"""Incremented when a field is added. The default of each field is its meaning in older files, which stay readable."""
+SCENE_VERSION = 7
+"""Incremented when a field is added. The default of each field is its meaning in older files, which stay readable.
+
+Version 7 adds lenses and rolling shutters of rig cameras; a scene without any is written as version 6.
+"""
 
 Row = tuple[float, float, float, float]
 Matrix = tuple[Row, Row, Row, Row]
@@ -195,7 +198,7 @@ def record_of(
     """Plain values of a scene with the files of its layers, then actors, and of their wet colors."""
     names, wet_names = iter(files), iter(wet_files or [None] * len(files))
     return SceneRecord(
-        version=SCENE_VERSION,
+        version=SCENE_VERSION if any(each.is_bent for rig in scene.rigs.values() for each in rig) else 6,
         **_fields(scene, _SCENE),
         layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
         actors=[_actor_record(actor, next(names), next(wet_names)) for actor in scene.actors],
