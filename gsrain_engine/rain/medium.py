@@ -131,22 +131,30 @@ def streak_depths(
 def optical_depth(x, y, z, numbers, drawn):
     """Optical depth of the medium up to a point in the camera's frame (meters)."""
     length = np.sqrt(x * x + y * y + z * z)
-    return _depth_up_to(x, y, z, length, z / length, numbers, drawn)
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def _depth_up_to(x, y, z, length, slope, numbers, drawn):
-    """Optical depth up to a point; `slope` is that of the ray in the measure by which streaks end."""
     enters, leaves = np.float32(0), length
     if numbers[32] > 0:
         enters, leaves = _within(x, y, z, length, numbers, 17)
     depth = numbers[0] * (leaves - enters)
     first, last = _within(x, y, z, length, numbers, 2)
     first, last = max(first, enters), min(last, leaves)
+    slope = z / length
     # Without a branch, so that LLVM vectorizes.
     taken = _drawn_up_to(last * slope, numbers[1], drawn) - _drawn_up_to(first * slope, numbers[1], drawn)
-    return max(depth - (taken / slope if last > first and slope > 0 else np.float32(0)), np.float32(0))
+    return max(depth - (taken / slope if last > first and z > 0 else np.float32(0)), np.float32(0))
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _optical_depth_by_distance(x, y, z, numbers, drawn):
+    """Optical depth up to a point where streaks reach up to a distance, as `optical_depth`."""
+    length = np.sqrt(x * x + y * y + z * z)
+    enters, leaves = np.float32(0), length
+    if numbers[32] > 0:
+        enters, leaves = _within(x, y, z, length, numbers, 17)
+    first, last = _within(x, y, z, length, numbers, 2)
+    first, last = max(first, enters), min(last, leaves)
+    taken = _drawn_up_to(last, numbers[1], drawn) - _drawn_up_to(first, numbers[1], drawn)
+    return max(numbers[0] * (leaves - enters) - (taken if last > first else np.float32(0)), np.float32(0))
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -183,9 +191,7 @@ def _transmittances(points, numbers, drawn, kept):
 @no_type_check
 def _transmittances_by_distance(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        length = np.sqrt(x * x + y * y + z * z)
-        kept[i] = np.exp(-_depth_up_to(x, y, z, length, np.float32(1), numbers, drawn))
+        kept[i] = np.exp(-_optical_depth_by_distance(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
