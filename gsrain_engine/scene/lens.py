@@ -5,7 +5,7 @@ a pixel is focal length times place plus principal point, with the center of the
 """
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal, NamedTuple, no_type_check
+from typing import Literal, NamedTuple, Protocol, no_type_check
 
 import msgspec
 import numba
@@ -13,10 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
 from ..kernels import NOGIL
-from .rolling_shutter import RollingShutter
-
-if TYPE_CHECKING:
-    from .camera import Camera
+from .rolling_shutter import CameraIntrinsics, RollingShutter
 
 LensModel = Literal["opencv", "fisheye", "ftheta"]
 
@@ -202,7 +199,16 @@ class PixelRays(NamedTuple):
 _Intrinsics = tuple[int, int, float, float, float, float]
 
 
-def pixel_rays(camera: "Camera") -> PixelRays:
+class LensCamera(CameraIntrinsics, Protocol):
+    """Intrinsics, lens and rolling shutter of a camera."""
+
+    @property
+    def lens(self) -> Lens | None: ...
+    @property
+    def rolling(self) -> RollingShutter | None: ...
+
+
+def pixel_rays(camera: LensCamera) -> PixelRays:
     """Rays of a camera through the centers of its pixels; held for the last cameras.
 
     With a rolling shutter in the frame of the camera in the middle of the readout, each turned as its row.
@@ -310,7 +316,7 @@ class ViewBounds(NamedTuple):
     """Largest angle of a ray from the axis."""
 
 
-def view_bounds(camera: "Camera") -> ViewBounds:
+def view_bounds(camera: LensCamera) -> ViewBounds:
     """Bounds of the view of a camera with a lens or a rolling shutter, a pixel wider on all sides."""
     c = camera
     return _view_bounds((c.width, c.height, c.fx, c.fy, c.cx, c.cy), c.lens, c.rolling)

@@ -1,16 +1,30 @@
 """Rolling shutter of a camera: each row, or column, of a picture is exposed at a time and from a pose of its own."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, no_type_check
+from typing import Literal, NamedTuple, Protocol, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float64
 
-if TYPE_CHECKING:
-    from .camera import Camera
-
 ReadoutDirection = Literal["down", "up", "right", "left"]
+
+
+class CameraIntrinsics(Protocol):
+    """Size, focal lengths and principal point of a camera in px."""
+
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def fx(self) -> float: ...
+    @property
+    def fy(self) -> float: ...
+    @property
+    def cx(self) -> float: ...
+    @property
+    def cy(self) -> float: ...
 
 
 class Readout(NamedTuple):
@@ -29,7 +43,7 @@ class Readout(NamedTuple):
 GLOBAL_SHUTTER = Readout()
 
 
-def readout_of(camera: "Camera", time_s: float, direction: ReadoutDirection) -> Readout:
+def readout_of(camera: CameraIntrinsics, time_s: float, direction: ReadoutDirection) -> Readout:
     """Rolling shutter in coordinates of a camera; the middle of the picture is exposed at the frame's time."""
     sign = -1.0 if direction in ("up", "left") else 1.0
     if direction in ("down", "up"):
