@@ -5,7 +5,7 @@ a pixel is focal length times place plus principal point, with the center of the
 """
 
 from functools import lru_cache
-from typing import Literal, NamedTuple, Protocol, no_type_check
+from typing import Literal, NamedTuple, Protocol, no_type_check, runtime_checkable
 
 import msgspec
 import numba
@@ -199,6 +199,7 @@ class PixelRays(NamedTuple):
 _Intrinsics = tuple[int, int, float, float, float, float]
 
 
+@runtime_checkable
 class LensCamera(CameraIntrinsics, Protocol):
     """Intrinsics, lens and rolling shutter of a camera."""
 

@@ -1,7 +1,7 @@
 """Rolling shutter of a camera: each row, or column, of a picture is exposed at a time and from a pose of its own."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, no_type_check
+from typing import Literal, NamedTuple, Protocol, no_type_check, runtime_checkable
 
 import numba
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Float64
 ReadoutDirection = Literal["down", "up", "right", "left"]
 
 
+@runtime_checkable
 class CameraIntrinsics(Protocol):
     """Size, focal lengths and principal point of a camera in px."""
 

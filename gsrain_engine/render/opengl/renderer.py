@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import moderngl
 import numpy as np
@@ -316,7 +316,7 @@ class SplatRenderer:
         size = camera.width, camera.height
         target = self._target("splats", FramebufferLayout(size, False, with_depth, lit is not None))
         switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium, lit=lit)
-        lights = {} if rain_light is None else {"rain_light": tuple(rain_light)}
+        lights: dict[str, Any] = {} if rain_light is None else {"rain_light": tuple(rain_light)}
         if medium is not None:
             lights |= sky_uniforms(medium)
             if camera.is_pinhole:
