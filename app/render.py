@@ -79,7 +79,10 @@ def render(
     *,
     recording: RecordingOptions,
     rain: RainOptions | None = None,
-    camera: Annotated[Path | None, option("Camera file (JSON) in the scene's own units and axes.")] = None,
+    camera: Annotated[
+        Path | None,
+        option("Camera file (JSON), with its lens and rolling shutter if any, in the scene's own units and axes."),
+    ] = None,
     camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, or 3DGS's cameras.json.")] = None,
     rain_keyframes: Annotated[
         Path | None, option("Rain keyframes (YAML or JSON) in place of the scene's: intensity, wind, wetness, lamps.")
@@ -135,6 +138,10 @@ def render(
             write_numbers(json, _write_sheet(renderer, sequences, settings, intensities, Path(export.output)))
         return 0
     numbers = _frame_numbers(export, sequences, duration, frame)
+    shots = {name: sequence.shot(numbers[0]) for name, sequence in sequences.items()}
+    bent = next((name for name, shot in shots.items() if shot.camera.lens is not None), None)
+    if labels is not None and bent is not None:
+        raise ValueError(f"--labels {labels}: labels are those of pinholes, and camera {bent or camera} has a lens")
     outputs = export_outputs(export, list(sequences))
     _check_outputs(outputs, export, list(sequences), labels, json)
     lock_outputs(*outputs)

@@ -15,7 +15,7 @@ from gsrain_engine.render.autodiff.blend import BlendedImage, blend, blend_backw
 from gsrain_engine.render.autodiff.differentiable import render_gaussians
 from gsrain_engine.render.autodiff.project import TrainedGaussians, project_backward, project_trained, sh_backward
 from gsrain_engine.render.cpu.compositing import color_operator_transpose
-from gsrain_engine.render.cpu.projection import nearest_first
+from gsrain_engine.render.cpu.splats import nearest_first
 from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.open import random_scene

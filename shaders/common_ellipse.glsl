@@ -8,14 +8,30 @@ uniform vec4 intrinsics;          // fx fy cx cy (px)
 uniform vec2 image_size;          // px
 uniform float near;               // m
 
+#ifdef LENS
+bool lens_shape(inout vec3 p, mat3 axes, out vec2 center, out vec3 covariance, out float depth);  // of common_lens.glsl
+#endif
+
 const float DILATION = 0.3;       // px^2, added to the 2D covariance: the pixel's own footprint
 const float ANTIALIASED = 0.1;    // px^2, the same for antialiased Gaussians
 
 // Splat of a Gaussian at p (m) with axes * axes^T as its covariance (m^2), both in the camera's frame, but for its
-// color. False if none of it is drawn.
+// color. False if none of it is drawn. With LENS, p becomes the place at the time of its row.
 bool project(
-    vec3 p, mat3 axes, float opacity, bool is_rain, bool as_point, bool antialiased, out Splat splat
+#ifdef LENS
+    inout vec3 p,
+#else
+    vec3 p,
+#endif
+    mat3 axes, float opacity, bool is_rain, bool as_point, bool antialiased, out Splat splat
 ) {
+#ifdef LENS
+    vec2 center;
+    vec3 covariance;
+    float depth;
+    if (!lens_shape(p, axes, center, covariance, depth)) return false;
+    float a = covariance.x, b = covariance.y, d = covariance.z;
+#else
     if (!(p.z > near && p.z < 1e30)) return false;  // also drops NaN
 
     // Local affine approximation of the projection, held back at 1.3 times the field of view.
@@ -25,6 +41,9 @@ bool project(
     vec3 ux = vec3(f.x / p.z, 0.0, -f.x * slope.x / p.z) * axes;
     vec3 uy = vec3(0.0, f.y / p.z, -f.y * slope.y / p.z) * axes;
     float a = dot(ux, ux), b = dot(ux, uy), d = dot(uy, uy);
+    float depth = p.z;
+    vec2 center = f * p.xy / p.z + c;
+#endif
     float before = max(a * d - b * b, 0.0);
     float footprint = antialiased ? ANTIALIASED : DILATION;
     a += footprint;
@@ -35,7 +54,6 @@ bool project(
     if (is_rain || (antialiased && !as_point)) opacity *= sqrt(before / determinant);  // keeps the integral of alpha (Yu et al. 2024)
     if (!(opacity > cut) || !(determinant > 0.0) || isinf(determinant)) return false;
 
-    vec2 center = f * p.xy / p.z + c;
     vec2 reach = sqrt(2.0 * log(opacity / cut) * vec2(a, d));  // exact: alpha is the cut at the edge
     if (any(lessThan(center + reach, vec2(0))) || any(greaterThan(center - reach, image_size))) return false;
 
@@ -44,7 +62,7 @@ bool project(
     splat.center = center;
     splat.first_axis = sqrt(large) * axis;
     splat.second = sqrt(max(determinant / large, 1e-6)) * (is_rain ? -1.0 : 1.0);
-    splat.depth = p.z;
+    splat.depth = depth;
     splat.appearance = uvec2(0u, packHalf2x16(vec2(0.0, opacity)));
     return true;
 }

@@ -5,6 +5,9 @@ uniform float medium_numbers[33];
 uniform float medium_drawn[64];   // optical depth that streaks take, by depth along the view axis
 uniform vec3 airlight;            // in linear light
 uniform vec4 medium_floor;        // upward direction in the camera's frame, height of the camera over the floor (m)
+#ifdef LENS
+uniform bool medium_by_distance;  // streaks reach up to a distance, not to a depth along the view axis
+#endif
 
 // Distances at which the ray to a point enters and leaves a box, between 0 and its length.
 vec2 medium_within(vec3 p, float length_m, int at) {
@@ -33,8 +36,12 @@ float medium_depth(vec3 p) {
     float depth = medium_numbers[0] * (all.y - all.x);
     vec2 part = medium_within(p, length_m, 2);
     part = vec2(max(part.x, all.x), min(part.y, all.y));
-    if (part.y > part.x && p.z > 0.0) {
-        float slope = p.z / length_m;
+#ifdef LENS
+    float slope = medium_by_distance ? 1.0 : p.z / length_m;
+#else
+    float slope = p.z / length_m;
+#endif
+    if (part.y > part.x && slope > 0.0) {
         depth -= (medium_drawn_up_to(part.y * slope) - medium_drawn_up_to(part.x * slope)) / slope;
     }
     return max(depth, 0.0);
@@ -44,10 +51,14 @@ float medium_transmittance(vec3 p) {
     return exp(-medium_depth(p));
 }
 
+// Airlight behind the scene along a unit direction, premultiplied.
+vec4 medium_sky_along(vec3 ray) {
+    float length_m = min(medium_floor.w / max(-dot(medium_floor.xyz, ray), 1e-9), 1e9);
+    return (1.0 - medium_transmittance(length_m * ray)) * vec4(linear_to_srgb(airlight), 1.0);
+}
+
 // Airlight behind the scene at a point of the image (px), premultiplied; `intrinsics` are fx fy cx cy (px).
 vec4 medium_sky(vec2 point, vec4 intrinsics) {
     vec3 ray = vec3((point - intrinsics.zw) / intrinsics.xy, 1.0);
-    ray /= length(ray);
-    float length_m = min(medium_floor.w / max(-dot(medium_floor.xyz, ray), 1e-9), 1e9);
-    return (1.0 - medium_transmittance(length_m * ray)) * vec4(linear_to_srgb(airlight), 1.0);
+    return medium_sky_along(ray / length(ray));
 }

@@ -2,6 +2,9 @@
 
 #define SPLAT_ACCESS writeonly
 #include "common_ellipse.glsl"
+#ifdef LENS
+#include "common_lens.glsl"
+#endif
 #include "common_splat_blocks.glsl"
 
 layout(std430, binding = 4) writeonly buffer Keys { uint sparse_keys[]; };    // of visible splats, packed block by block

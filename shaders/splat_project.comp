@@ -39,6 +39,9 @@ uniform uint count;
 uniform int coefficients;         // spherical harmonics a color: 1, 4, 9, 16
 uniform mat4 object_to_camera;    // may hold a uniform scale
 uniform vec3 camera_in_object;    // centre of projection in the Gaussians' own frame
+#ifdef LENS
+uniform vec3 camera_changes[2];   // of it by the part s of the readout: + s first + s^2 second
+#endif
 uniform mat3 camera_to_world;
 uniform vec3 layer_color;
 uniform bool is_rain;
@@ -116,8 +119,8 @@ vec3 color_of(uint i, vec3 direction, bool wet) {
 }
 #endif
 
-vec3 display_color(uint i, vec3 mean) {
-    vec3 direction = normalize(mean - camera_in_object), color = color_of(i, direction, false);
+vec3 display_color(uint i, vec3 mean, vec3 eye) {
+    vec3 direction = normalize(mean - eye), color = color_of(i, direction, false);
 #ifdef WET
     if (wetness > 0.0) color = (1.0 - wetness) * color + wetness * color_of(i, direction, true);
 #endif
@@ -149,7 +152,10 @@ void main() {
     if (drawn) {
         vec4 mean_opacity = means_opacities[i];
         vec3 p = (object_to_camera * vec4(mean_opacity.xyz, 1.0)).xyz;
-        if (p.z > near) {
+#ifndef LENS
+        if (p.z > near)
+#endif
+        {
             mat3 axes = mat3(object_to_camera) * rotation_matrix(quaternions[i]);
             vec3 s = growth * vec3(scales[3u * i], scales[3u * i + 1u], scales[3u * i + 2u]);
             float opacity = min(mean_opacity.w * layer_opacity, 1.0);
@@ -160,7 +166,15 @@ void main() {
                 if (look == LOOK_NORMALS) color = normal_color(axes, s, p);
                 else if (look == LOOK_OPACITY) color = heat_color(opacity);
                 else if (look == LOOK_LAYERS) color = layer_color;
-                else color = display_color(i, mean_opacity.xyz);
+                else {
+                    vec3 eye = camera_in_object;
+#ifdef LENS
+                    vec3 place = vec3((splat.center - intrinsics.zw) / intrinsics.xy, 1.0);
+                    float part = moves ? clamp(dot(scan, place), -1.0, 1.0) : 0.0;
+                    eye += part * (camera_changes[0] + part * camera_changes[1]);
+#endif
+                    color = display_color(i, mean_opacity.xyz, eye);
+                }
                 visible = !(any(isnan(color)) || any(isinf(color)));
                 color = max(color, 0.0);  // after the check: some drivers' max turns NaN into 0
 #ifdef MEDIUM

@@ -34,6 +34,9 @@ uniform vec3 rain_light;   // a drop's color in linear light
 #include "common_medium.glsl"
 uniform vec4 intrinsics;   // fx fy cx cy (px)
 #endif
+#ifdef LENS
+uniform sampler2D rays;    // unit directions of the pixels in the camera's frame; alpha 0 where none comes
+#endif
 
 const float MIN_TRANSMITTANCE = 1e-4;
 const float TO_OFFSET = sqrt(0.5 / log(2.0));  // offsets are scaled so that alpha falls by 2^-(offset^2)
@@ -135,11 +138,23 @@ void main() {
 #ifdef OVERDRAW
     scene = vec4(fragments);
 #endif
+#ifdef LENS
+    vec4 ray = texelFetch(rays, ivec2(pixel), 0);
+#endif
 #ifdef MEDIUM
+#ifdef LENS
+    scene += (1.0 - scene.a) * medium_sky_along(ray.xyz);
+#else
     scene += (1.0 - scene.a) * medium_sky(middle, intrinsics);
+#endif
 #endif
 #ifdef LINEAR_RAIN
     scene = with_rain(scene, shares.x, shares.y + open_rain * scene.a, rain_light);
+#endif
+#ifdef LENS
+    scene *= ray.a;
+    weighted_depth *= ray.a;
+    lamp_light *= ray.a;
 #endif
     imageStore(picture, ivec2(pixel), scene);
 #ifdef WITH_DEPTH

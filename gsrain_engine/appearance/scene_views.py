@@ -252,7 +252,7 @@ def views_along_drive(scene: Scene, count: int, sensors: Sequence[str] = ()) -> 
     for i, time_s in enumerate(_evenly_driven(scene.ego.times, scene.ego.positions, count)):
         mounted = front if i % 2 == 0 else others[i // 2 % len(others)]
         if (ego_to_world := scene.ego_to_world(time_s)) is not None:
-            camera = mounted.camera(ego_to_world)
+            camera = mounted.camera(ego_to_world).pinhole  # depth, normals and warps are those of pinholes
             placed.append(PlacedCamera(f"{mounted.name}_{i:03d}", camera, time_s, mounted.name))
     return placed
 

@@ -8,13 +8,14 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePath, PurePosixPath
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Shaped, UInt8
 
 from ..safe_io.text_files import printable_line
 from ..scene.camera import Camera
+from ..scene.lens import Lens
 from ..scene.scene import PoseTrack
 
 EGO_HEIGHT_M = 1.5
@@ -32,19 +33,6 @@ class CaptureError(ValueError):
 
 Source = Shaped[np.ndarray, "..."] | Callable[[], Shaped[np.ndarray, "..."]]
 """Array of pixels, or a function that reads it, so that a long drive fits into memory."""
-
-
-@dataclass(frozen=True, slots=True)
-class Lens:
-    """Lens distortion in OpenCV's terms: "opencv" (k1 k2 p1 p2 k3 ...) or "fisheye" (k1 k2 k3 k4)."""
-
-    model: Literal["opencv", "fisheye"]
-    coefficients: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        allowed = (4,) if self.model == "fisheye" else (4, 5, 8, 12, 14)
-        if len(self.coefficients) not in allowed:
-            raise ValueError(f"a lens of model {self.model!r} has {allowed} coefficients, not {len(self.coefficients)}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,8 @@ from PIL import Image
 
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ..scene.files import SceneFormatError
-from .capture import Capture, CaptureError, CaptureFrame, Lens, abbreviated_names, check_inside, omissions
+from ..scene.lens import Lens
+from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names, check_inside, omissions
 from .io.arrays import read_floats, read_json_object, read_json_rows
 from .io.images import CONVERT, image_size, images_in, read_color, read_labels, read_mask, unread_images_in
 from .layout_hints import nearest_layout

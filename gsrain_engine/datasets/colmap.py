@@ -14,11 +14,11 @@ from jaxtyping import Float64, UInt8
 
 from ..safe_io.limits import open_file
 from ..scene.camera import Camera
+from ..scene.lens import Lens
 from .capture import (
     Capture,
     CaptureError,
     CaptureFrame,
-    Lens,
     abbreviated_names,
     check_inside,
     omissions,

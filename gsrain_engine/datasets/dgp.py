@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from ..scene.camera import Camera
-from .capture import Capture, CaptureError, CaptureFrame, Lens, check_inside
+from ..scene.lens import Lens
+from .capture import Capture, CaptureError, CaptureFrame, check_inside
 from .driving_log import DrivingLog, LidarScan
 from .geometry import BoxSample, Pose, invert_pose, named_pose, opencv_camera
 from .io.arrays import WRONG_VALUES, read_json_object, read_npz, what_is_wrong

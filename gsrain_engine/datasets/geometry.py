@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float, Float32, Float64
 from ..scene.camera import Camera
 from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
+from ..scene.lens import Lens, largest_tangent
 from ..scene.scene import PoseTrack
-from .capture import CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox
+from .capture import CaptureError, CaptureFrame, LidarSweep, TrackedBox
 
 Pose = Float64[np.ndarray, "4 4"]
 """Rigid transform of points as columns."""
@@ -99,9 +100,6 @@ def named_pose(values: Mapping[str, Any]) -> Pose:
 
 # Projection
 
-_STEPS = 4096
-_WIDEST_TANGENT = 100.0
-
 
 def project_points(
     points: Float[np.ndarray, "p 3"], camera: Camera, lens: Lens | None = None
@@ -135,32 +133,6 @@ def intrinsics(camera: Camera, first_center: float = 0.5) -> Float64[np.ndarray,
     """Return K for pixels with the first center at `first_center`: 0.5 in GSRAIN, 0 in OpenCV."""
     shift = first_center - 0.5
     return np.array([[camera.fx, 0, camera.cx + shift], [0, camera.fy, camera.cy + shift], [0, 0, 1.0]])
-
-
-def largest_tangent(lens: Lens | None) -> float:
-    """Tangent of the largest angle from the axis for which the lens polynomial is valid.
-
-    Beyond, the polynomial folds back, and points far outside would be projected into the image again.
-    """
-    if lens is None:
-        return np.inf
-    if lens.model == "fisheye":
-        angles = np.linspace(0, np.arctan(_WIDEST_TANGENT), _STEPS)
-        k1, k2, k3, k4 = lens.coefficients
-        a2 = angles**2
-        bent = angles * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
-        return float(np.tan(angles[_rising(bent)]))
-    k1, k2, _, _, k3, k4, k5, k6 = (*lens.coefficients, *[0.0] * 8)[:8]
-    radii = np.geomspace(1e-3, _WIDEST_TANGENT, _STEPS)
-    r2 = radii**2
-    above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    return float(radii[_rising(np.where(below > 0, radii * above / np.where(below > 0, below, 1), -1.0))])
-
-
-def _rising(values: Float64[np.ndarray, " n"]) -> int:
-    """Index of the last value before the first decrease."""
-    falls = np.flatnonzero(np.diff(values) <= 0)
-    return int(falls[0]) if len(falls) else len(values) - 1
 
 
 # OpenCV calibrations: the first pixel's center is (0, 0), not (0.5, 0.5)

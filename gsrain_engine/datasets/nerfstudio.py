@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from ..scene.camera import Camera
-from .capture import Capture, CaptureError, CaptureFrame, Lens, check_inside, omissions, sensor_names, view_names
+from ..scene.lens import Lens
+from .capture import Capture, CaptureError, CaptureFrame, check_inside, omissions, sensor_names, view_names
 from .geometry import Pose, camera_of_image, checked_camera, estimate_up_direction, invert_pose, rigid_from_numbers
 from .io.arrays import read_floats, read_json_object, what_is_wrong
 from .io.images import SUFFIXES, image_size, read_color, read_mask, read_stored

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ..scene.camera import Camera, look_at
-from .capture import Capture, CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox, omissions
+from ..scene.lens import Lens
+from .capture import Capture, CaptureError, CaptureFrame, LidarSweep, TrackedBox, omissions
 from .geometry import BoxSample, Pose, opencv_camera, rigid_pose, tracked_boxes, transform_points
 from .io.arrays import read_bytes, read_text
 from .io.images import image_size

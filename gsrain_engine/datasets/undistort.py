@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, Shaped, UInt8
 
 from ..scene.camera import Camera
-from .capture import CaptureFrame, Lens
-from .geometry import intrinsics, largest_tangent, scaled_camera
+from ..scene.lens import Lens, largest_tangent
+from .capture import CaptureFrame
+from .geometry import intrinsics, scaled_camera
 
 _CACHED_LENSES = 8  # number of cached lens maps of 8 bytes a pixel each, enough for a rig's cameras
 _AT_CENTERS = ("depth", "normals", "labels", "sky")

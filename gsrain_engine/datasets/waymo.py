@@ -16,7 +16,8 @@ from jaxtyping import Float32, Float64, UInt8
 from numba import njit
 
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
-from .capture import Capture, CaptureError, CaptureFrame, Lens, abbreviated_names
+from ..scene.lens import Lens
+from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names
 from .driving_log import DrivingLog, LidarScan
 from .geometry import OPENCV_FROM_VEHICLE_AXES, BoxSample, Pose, heading_pose, invert_pose, rigid_from_numbers
 from .io.arrays import WRONG_VALUES, what_is_wrong

@@ -20,7 +20,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ..rain.settings import RainSettings
-from ..render.cpu.projection import NEAR_M
+from ..render.cpu.splats import NEAR_M
 from ..render.draw import RenderView, rain_camera
 from ..render.opengl.shaders import ShaderSource
 from ..render.renderer import Renderer

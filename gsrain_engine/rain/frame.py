@@ -11,6 +11,7 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import srgb_to_linear
 from ..scene.lamps import LitLamps
+from ..scene.lens import ViewBounds, view_bounds
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, air_velocities, mark_drops, place_drops
 from .haze import make_haze
 from .lamp_light import LampLight, light_of_drops, make_lamp_light
@@ -151,15 +152,32 @@ class RainFrame:
         turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
         found = np.empty((CLASSES, turns), np.bool_)
         culling, where = self.culling, self.where
+        camera = self.view.camera
+        bounds = None if camera.is_pinhole else view_bounds(camera)
+        everywhere = not in_view or (bounds is not None and bounds.slopes is None)
         geometry = np.concatenate([np.ravel(each) for each in (self.period_m, *culling[:5])])
         mark_drops(
             np.uint32(self.rain.seed), np.uint32(count), where.wraps, where.fractions, geometry,
-            culling.class_margin_m, culling.class_far_m, not in_view, found, *where.air,
+            culling.class_margin_m, culling.class_far_m, everywhere, found, *where.air,
         )  # fmt: skip
         class_index, turn = np.divmod(np.flatnonzero(found), turns)
         numbers = np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
         falling = self.falling(place_drops(numbers, self.rain.seed, where))
+        if bounds is not None and in_view:
+            falling = self._within_view(falling, bounds)
         return falling if self.roofs is None else falling.only(~self.roofs.shelter(falling.positions_m))
+
+    def _within_view(self, falling: FallingDrops, bounds: ViewBounds) -> FallingDrops:
+        """Drops up to the distance at which their class ends, in the cone of a lens's view."""
+        camera = self.view.camera
+        points = (falling.positions_m - camera.position) @ camera.world_to_camera[:3, :3].T
+        distances = np.linalg.norm(points, axis=1)
+        margins = self.culling.class_margin_m[falling.class_index]
+        outside = np.hypot(points[:, 0], points[:, 1]) * np.cos(bounds.angle_rad)
+        outside -= points[:, 2] * np.sin(bounds.angle_rad)
+        seen = (outside <= margins) | (distances <= margins) | (bounds.angle_rad >= np.pi)
+        ends = distances if camera.lens is not None else points[:, 2]
+        return falling.only(seen & (ends <= self.culling.class_far_m[falling.class_index]))
 
     def falling(self, drops: Drops) -> FallingDrops:
         """Positions, sizes and velocities of drops in the world."""

@@ -16,6 +16,8 @@ from jaxtyping import Float32, Float64
 from ..kernels import NOGIL
 from ..scene.camera import Camera
 from ..scene.lamps import LitLamps
+from ..scene.lens import PixelRays
+from ..scene.lens_faces import wide_face
 from .medium import RainMedium, optical_depth
 from .phase import ANGLES, phase_sums
 
@@ -79,8 +81,11 @@ def make_lamp_light(
 ) -> LampLight:
     """Light of lamps in a medium with a phase function; without a medium they light single drops only.
 
-    Only the brightest lamps at the camera count, see `LitLamps.brightest`.
+    Only the brightest lamps at the camera count, see `LitLamps.brightest`. Through a lens, the table is that of a wide
+    pinhole picture, in which the pixels of the lens are looked up.
     """
+    if camera.lens is not None:
+        camera = wide_face(camera).of(camera)
     lamps = lamps.brightest(camera.position)
     numbers = np.zeros(33, np.float32) if medium is None else medium.numbers
     numbers[1] = numbers[1] or 1.0
@@ -477,14 +482,24 @@ def share_of_depth(depth_m: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*
 
 
 def light_in_picture(
-    lit: LampLight, depth_share: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
+    lit: LampLight,
+    depth_share: Float32[np.ndarray, "h w"],
+    weight: Float32[np.ndarray, "h w"],
+    rays: PixelRays | None = None,
 ) -> Float32[np.ndarray, "h w 3"]:
     """Linear light that the medium scatters into each pixel, before a scene at depths along the axis.
 
     `weight` is the scene's share of a pixel, `depth_share` the sum of each splat's times its `share_of_depth`, in which
-    the table is linear, so that what shows through gaps does not move the mean; the rest is the sky.
+    the table is linear, so that what shows through gaps does not move the mean; the rest is the sky. With `rays`, those
+    of a lens, depths are distances.
     """
     image = np.empty((*weight.shape, 3), np.float32)
+    if rays is not None:
+        _light_along_rays(
+            depth_share, weight, rays.directions, image, lit.table, np.float32(lit.cell_px), lit.intrinsics, lit.lamps,
+            lit.numbers, lit.drawn, lit.sums,
+        )  # fmt: skip
+        return image
     _light_in_picture(
         depth_share, weight, image, lit.table, np.float32(lit.cell_px), lit.intrinsics, lit.lamps, lit.numbers,
         lit.drawn, lit.sums,
@@ -538,6 +553,37 @@ def _light_in_picture(
                     image[row, column, channel] = share * light[channel]
             if share < one:
                 scattered_light(x, y, far, light, table, cell_px, intrinsics, near[:found], numbers, drawn, sums)
+                for channel in range(3):
+                    image[row, column, channel] += (one - share) * light[channel]
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _light_along_rays(
+    depth_share, weight, rays, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
+):  # fmt: skip
+    """Write the light of the pixels of a lens, each looked up at its ray's place in the table's pinhole picture."""
+    height, width = weight.shape
+    one, far, flat = np.float32(1), np.float32(FAR_M), np.float32(0.1)
+    right = (np.float32(table.shape[1] - 1)) * cell_px
+    bottom = (np.float32(table.shape[0] - 1)) * cell_px
+    for row in numba.prange(height):
+        light = np.empty(3, np.float32)
+        for column in range(width):
+            z = max(rays[row, column, 2], flat)  # flatter rays have the light at the edge
+            x = min(max(intrinsics[0] * rays[row, column, 0] / z + intrinsics[2], np.float32(0)), right)
+            y = min(max(intrinsics[1] * rays[row, column, 1] / z + intrinsics[3], np.float32(0)), bottom)
+            share = max(weight[row, column], np.float32(0))
+            share = one if share > np.float32(OPAQUE) else share
+            image[row, column] = 0
+            if share > np.float32(NO_WEIGHT):
+                mean = min(depth_share[row, column] / weight[row, column], np.float32(1 - 1e-6))
+                distance = min(np.float32(SLICE_SCALE_M) * mean / (one - mean), far)
+                scattered_light(x, y, distance, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
+                for channel in range(3):
+                    image[row, column, channel] = share * light[channel]
+            if share < one:
+                scattered_light(x, y, far, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
                 for channel in range(3):
                     image[row, column, channel] += (one - share) * light[channel]
 

@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32, Float64
 
 from ..kernels import NOGIL
 from ..scene.camera import Camera
+from ..scene.lens import PixelRays
 from .settings import RainSettings
 
 NEAREST_STREAK_M = 0.2  # nearer drops are not drawn
@@ -35,6 +36,8 @@ class RainMedium:
     airlight_linear: Float32[np.ndarray, "3"]
     floor: Float32[np.ndarray, "4"]
     """Upward direction in the camera's frame, and the camera's height in m over the floor; `_FAR_M` without one."""
+    by_distance: bool = False
+    """True if streaks reach up to a distance, as through a lens; false if up to a depth along the view axis."""
 
     @property
     def extinction_per_m(self) -> float:
@@ -43,8 +46,16 @@ class RainMedium:
     def transmittance(self, points_m: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
         """Share of light that arrives from points in the camera's frame (meters)."""
         kept = np.empty(len(points_m), np.float32)
-        _transmittances(np.ascontiguousarray(points_m, np.float32), self.numbers, self.drawn, kept)
+        find = _transmittances_by_distance if self.by_distance else _transmittances
+        find(np.ascontiguousarray(points_m, np.float32), self.numbers, self.drawn, kept)
         return kept
+
+    def sky_transmittance_along(self, rays: PixelRays) -> Float32[np.ndarray, "h w"]:
+        """Share of light from behind the scene that arrives along the ray of each pixel, as `sky_transmittance`."""
+        directions = rays.directions
+        fall = np.maximum(-(directions @ self.floor[:3]), np.float32(1 / _FAR_M))
+        away = np.minimum(self.floor[3] / fall, np.float32(_FAR_M))
+        return self.transmittance((directions * away[..., None]).reshape(-1, 3)).reshape(away.shape)
 
     def sky_transmittance(
         self, width: int, height: int, intrinsics: tuple[float, float, float, float]
@@ -90,7 +101,8 @@ def make_medium(
     over_m = np.inf if floor_m is None else float(camera.position[2]) - floor_m
     numbers.append(float(rain.haze_region is not None))
     floor = np.array([*camera.world_to_camera[:3, 2], over_m if _LOWEST_M < over_m < _FAR_M else _FAR_M], np.float32)
-    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear, floor)
+    by_distance = camera.lens is not None
+    return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear, floor, by_distance)
 
 
 def streak_depths(
@@ -131,6 +143,20 @@ def optical_depth(x, y, z, numbers, drawn):
     return max(depth - (taken / slope if last > first and z > 0 else np.float32(0)), np.float32(0))
 
 
+@numba.njit(error_model="numpy")
+@no_type_check
+def _optical_depth_by_distance(x, y, z, numbers, drawn):
+    """Optical depth up to a point where streaks reach up to a distance, as `optical_depth`."""
+    length = np.sqrt(x * x + y * y + z * z)
+    enters, leaves = np.float32(0), length
+    if numbers[32] > 0:
+        enters, leaves = _within(x, y, z, length, numbers, 17)
+    first, last = _within(x, y, z, length, numbers, 2)
+    first, last = max(first, enters), min(last, leaves)
+    taken = _drawn_up_to(last, numbers[1], drawn) - _drawn_up_to(first, numbers[1], drawn)
+    return max(numbers[0] * (leaves - enters) - (taken if last > first else np.float32(0)), np.float32(0))
+
+
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _within(x, y, z, length, numbers, at):
@@ -159,6 +185,13 @@ def _drawn_up_to(depth_m, step_m, drawn):
 def _transmittances(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):
         kept[i] = np.exp(-optical_depth(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _transmittances_by_distance(points, numbers, drawn, kept):
+    for i in numba.prange(len(points)):
+        kept[i] = np.exp(-_optical_depth_by_distance(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")

@@ -11,6 +11,7 @@ from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.lamp_choice import OWN_LAMPS, LampChoice, lamp_choice
 from ..scene.lamps import Lamp, LitLamps
+from ..scene.rolling_shutter import Readout, readout_of
 from ..scene.scene import Scene
 from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
 from .air import Wind, follows
@@ -175,6 +176,13 @@ class RainSimulation:
         own = self.sensor.lens(camera) if aperture_mm is None else ThinLens(1e-3 * aperture_mm)
         return own if focus_m is None else own._replace(focus_m=focus_m)
 
+    def readout(self, camera: Camera) -> Readout:
+        """Rolling shutter of a camera for drops: its own, else the sensor's."""
+        rolling = camera.rolling
+        if rolling is None:
+            return self.sensor.readout(camera)
+        return readout_of(camera, rolling.readout_s, rolling.direction)
+
     @property
     def picture_sensor(self) -> Sensor | None:
         """Sensor that acts on the picture; None without one, or if the rain does not name it."""
@@ -207,7 +215,7 @@ class RainSimulation:
         focal_px = view.focal_px or float(np.sqrt(camera.fx * camera.fy))
         shutter = ShutterModel(
             camera, view.velocity_m_s, now.exposure_s(camera) * view.exposure_share, focal_px, now.lens(camera),
-            self.sensor.readout(camera),
+            self.readout(camera),
         )  # fmt: skip
         reach = float(np.hypot(period[0], period[1])) / 2
         return RainFrame(

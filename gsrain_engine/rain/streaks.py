@@ -10,7 +10,9 @@ from jaxtyping import Float32, Float64
 from ..kernels import NOGIL
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
-from ..scene.sensor import GLOBAL_SHUTTER, PINHOLE, Readout, ThinLens
+from ..scene.lens import bent_place, lens_numbers, view_bounds
+from ..scene.rolling_shutter import GLOBAL_SHUTTER, Readout, turned_back
+from ..scene.sensor import PINHOLE, ThinLens
 from .settings import RainSettings
 
 AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07  # tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)
@@ -35,7 +37,10 @@ class ShutterModel:
 
 
 def camera_slopes(camera: Camera) -> Float64[np.ndarray, "4"]:
-    """Edges of a camera's view: lowest and highest x/z, lowest and highest y/z."""
+    """Edges of a camera's view: lowest and highest x/z, lowest and highest y/z; all 0 if a lens has no such edges."""
+    if not camera.is_pinhole:
+        slopes = view_bounds(camera).slopes
+        return np.zeros(4) if slopes is None else slopes
     c = camera
     return np.array([-c.cx / c.fx, (c.width - c.cx) / c.fx, -c.cy / c.fy, (c.height - c.cy) / c.fy])
 
@@ -65,7 +70,8 @@ def streak_gaussians(
     sixteenth of its squared diameter to the variances, as a disc has.
 
     A rolling shutter exposes a drop in the middle of its streak at a time of its own: the drop is moved along its
-    velocity by that time, and its streak gets as much longer as drops that move with the readout get rarer.
+    velocity by that time, and its streak gets as much longer as drops that move with the readout get rarer. Through a
+    lens, depths are distances, and rows are those of the lens.
     """
     camera, max_copies = shutter.camera, rain.max_copies
     rows = np.empty((len(positions_m) * max_copies, 11), np.float32)
@@ -77,10 +83,21 @@ def streak_gaussians(
         shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain,
         *shutter.lens, *shutter.readout,
     ])  # fmt: skip
-    _fill(
-        positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3), moving,
-        np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, max_copies, rows, is_drawn,
-    )  # fmt: skip
+    own_velocity, pose = shutter.velocity_m_s if moving else np.zeros(3), np.ascontiguousarray(camera.world_to_camera)
+    if camera.is_pinhole:
+        _fill(
+            positions_m, diameters_mm, velocities_m_s, own_velocity, moving, pose, camera.position, edges, numbers,
+            max_copies, rows, is_drawn,
+        )  # fmt: skip
+    else:
+        turn, shift = np.zeros(3), pose[:3, :3] @ own_velocity * shutter.readout.time_s
+        if camera.rolling is not None:
+            turn, shift = np.array(camera.rolling.turn_rad), np.array(camera.rolling.shift_m)
+        _fill_through_lens(
+            positions_m, diameters_mm, velocities_m_s, own_velocity, moving, pose, camera.position, shift, turn,
+            lens_numbers(camera.lens), camera.lens is not None, view_bounds(camera).angle_rad, numbers, max_copies,
+            rows, is_drawn,
+        )  # fmt: skip
     rows = rows[np.flatnonzero(is_drawn)]
     means, scales, quaternions = (np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10)))
     return Gaussians(means, scales, quaternions, rows[:, 10].copy(), sh_of(color, len(rows)))
@@ -91,18 +108,48 @@ def sh_of(color: Float64[np.ndarray, "3"], count: int) -> Float32[np.ndarray, "{
     return np.broadcast_to(sh_from_color(color.astype(np.float32)[None]), (count, 1, 3)).copy()
 
 
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _streak(diameter_mm, speed, across, depth, moving, stretch, numbers, max_copies):
+    """Opacity of each copy, length, number of copies, and standard deviations across and along the streak."""
+    exposure, focal, phi, haze_opacity, gain, aperture, focus = numbers[:7]
+    diameter = 1e-3 * diameter_mm
+    alpha = min(1.0, diameter / max((across if moving else speed) * exposure, 1e-12))
+    limit = focal * diameter
+    alpha *= min(1.0, limit / max(depth, 1e-9))
+    if depth > phi * limit:
+        alpha = haze_opacity
+    alpha = min(1.0, gain * alpha)
+    # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; off
+    # the axis, where alpha is large, the sum is too high: a smaller width preserves the integral.
+    opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
+
+    length = speed * exposure * stretch
+    ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
+    copies = int(min(max(np.rint(length / (ratio * diameter)), 1), max_copies))
+    narrowing = alpha / max(np.sqrt(2 * np.pi) * opacity, 1e-30)
+    across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal) * narrowing
+    along_sigma = max(length / copies, across_sigma)
+    if aperture > 0:
+        blur = aperture * abs(1 - depth / focus) / 4
+        sine = across / max(speed, 1e-9)
+        apparent_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
+        opacity *= across_sigma / np.hypot(across_sigma, blur) * apparent_sigma / np.hypot(apparent_sigma, blur)
+        across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
+    return opacity, length, copies, across_sigma, along_sigma
+
+
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _fill(
     positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, max_copies, rows,
     is_drawn,
 ):  # fmt: skip
-    exposure, focal, phi, haze_opacity, gain, aperture, focus, readout, scan_right, scan_down, scan_offset = numbers
+    readout, scan_right, scan_down, scan_offset = numbers[7:]
     chunk_size = 256
     for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
         for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
             diameter_mm = diameters[m]
-            diameter = 1e-3 * diameter_mm
             vx = velocities[m, 0] - camera_velocity[0]
             vy = velocities[m, 1] - camera_velocity[1]
             vz = velocities[m, 2] - camera_velocity[2]
@@ -125,29 +172,9 @@ def _fill(
             speed = np.sqrt(vx * vx + vy * vy + vz * vz)
             along_sight = (vx * dx + vy * dy + vz * dz) / distance
             across = np.sqrt(max(speed * speed - along_sight * along_sight, 0.0))
-
-            alpha = min(1.0, diameter / max((across if moving else speed) * exposure, 1e-12))
-            limit = focal * diameter
-            alpha *= min(1.0, limit / max(depth, 1e-9))
-            if depth > phi * limit:
-                alpha = haze_opacity
-            alpha = min(1.0, gain * alpha)
-            # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; off
-            # the axis, where alpha is large, the sum is too high: a smaller width preserves the integral.
-            opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
-
-            length = speed * exposure * stretch
-            ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
-            copies = int(min(max(np.rint(length / (ratio * diameter)), 1), max_copies))
-            narrowing = alpha / max(np.sqrt(2 * np.pi) * opacity, 1e-30)
-            across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal) * narrowing
-            along_sigma = max(length / copies, across_sigma)
-            if aperture > 0:
-                blur = aperture * abs(1 - depth / focus) / 4
-                sine = across / max(speed, 1e-9)
-                apparent_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
-                opacity *= across_sigma / np.hypot(across_sigma, blur) * apparent_sigma / np.hypot(apparent_sigma, blur)
-                across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
+            opacity, length, copies, across_sigma, along_sigma = _streak(
+                diameter_mm, speed, across, depth, moving, stretch, numbers, max_copies
+            )
             reach = _REACH * along_sigma
             # Half-way quaternion from +z; the sign of a streak's axis is free, so never turn by over 90 degrees.
             scale = 1 / max(speed, 1e-9)
@@ -173,3 +200,90 @@ def _fill(
                 row[3], row[4], row[5] = across_sigma, across_sigma, along_sigma
                 row[6], row[7], row[8], row[9] = qw / norm, qx / norm, qy / norm, 0.0
                 row[10] = opacity
+
+
+# Lenses and rolling shutters
+
+_ROW_STEPS = 6
+_DERIVATIVE_STEP = 1e-3  # of the readout
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _row_part(x, y, z, vx, vy, vz, part, turn, lens, scan):
+    """Place of a drop in the frame of the camera at a part of the readout, and the part of the row where it is then."""
+    x, y, z = turned_back(x + part * vx, y + part * vy, z + part * vz, part, turn)
+    a, b, is_imaged = bent_place(x, y, z, lens)
+    return x, y, z, scan[0] * a + scan[1] * b + scan[2], is_imaged
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _fill_through_lens(
+    positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, shift, turn, lens, by_distance,
+    angle, numbers, max_copies, rows, is_drawn,
+):  # fmt: skip
+    """Write streaks as the camera has them at the times of their rows, in the world of its pose in the middle."""
+    readout, scan = numbers[7], numbers[8:11]
+    r = world_to_camera
+    chunk_size = 256
+    for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
+        for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
+            px, py, pz = positions[m, 0] - eye[0], positions[m, 1] - eye[1], positions[m, 2] - eye[2]
+            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz
+            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz
+            z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz
+            vx, vy, vz = velocities[m, 0], velocities[m, 1], velocities[m, 2]
+            # Over the whole readout, relative to the camera.
+            dx = readout * (r[0, 0] * vx + r[0, 1] * vy + r[0, 2] * vz) - shift[0]
+            dy = readout * (r[1, 0] * vx + r[1, 1] * vy + r[1, 2] * vz) - shift[1]
+            dz = readout * (r[2, 0] * vx + r[2, 1] * vy + r[2, 2] * vz) - shift[2]
+            part, stretch = 0.0, 1.0
+            qx, qy, qz, row, is_imaged = _row_part(x, y, z, dx, dy, dz, 0.0, turn, lens, scan)
+            if readout > 0 and is_imaged:
+                for _ in range(_ROW_STEPS):  # Newton's method for the row in which the drop is when that is exposed
+                    near = part + _DERIVATIVE_STEP
+                    _, _, _, beyond, has_slope = _row_part(x, y, z, dx, dy, dz, near, turn, lens, scan)
+                    slope = (beyond - row) / _DERIVATIVE_STEP if has_slope else 0.0
+                    stretch = 1 / max(1 - slope, 1 / MAX_STRETCH)
+                    part = min(max(part + stretch * (row - part), -1.0), 1.0)
+                    qx, qy, qz, row, is_imaged = _row_part(x, y, z, dx, dy, dz, part, turn, lens, scan)
+                    if not is_imaged:
+                        break
+            vx, vy, vz = vx - camera_velocity[0], vy - camera_velocity[1], vz - camera_velocity[2]
+            ux = r[0, 0] * vx + r[0, 1] * vy + r[0, 2] * vz
+            uy = r[1, 0] * vx + r[1, 1] * vy + r[1, 2] * vz
+            uz = r[2, 0] * vx + r[2, 1] * vy + r[2, 2] * vz
+            ux, uy, uz = turned_back(ux, uy, uz, part, turn)
+            distance = max(np.sqrt(qx * qx + qy * qy + qz * qz), 1e-9)
+            speed = np.sqrt(ux * ux + uy * uy + uz * uz)
+            along_sight = (ux * qx + uy * qy + uz * qz) / distance
+            across = np.sqrt(max(speed * speed - along_sight * along_sight, 0.0))
+            depth = distance if by_distance else qz
+            opacity, length, copies, across_sigma, along_sigma = _streak(
+                diameters[m], speed, across, depth, moving, stretch, numbers, max_copies
+            )
+            reach = _REACH * along_sigma
+            scale = 1 / max(speed, 1e-9)
+            # Back to the world, in which the renderer has them.
+            ax = scale * (r[0, 0] * ux + r[1, 0] * uy + r[2, 0] * uz)
+            ay = scale * (r[0, 1] * ux + r[1, 1] * uy + r[2, 1] * uz)
+            az = scale * (r[0, 2] * ux + r[1, 2] * uy + r[2, 2] * uz)
+            sign = -1.0 if az < 0 else 1.0
+            qw, q1, q2 = 1 + sign * az, -sign * ay, sign * ax
+            norm = np.sqrt(qw * qw + q1 * q1 + q2 * q2)
+            for copy in range(copies):
+                offset = (copy - (copies - 1) / 2) * (length / copies) * scale
+                wx, wy, wz = qx + offset * ux, qy + offset * uy, qz + offset * uz
+                outside = np.sqrt(wx * wx + wy * wy) * np.cos(angle) - wz * np.sin(angle)
+                if angle < np.pi and outside > reach and wx * wx + wy * wy + wz * wz > reach * reach:
+                    continue
+                n = m * max_copies + copy
+                is_drawn[n] = True
+                row_of = rows[n]
+                row_of[0] = r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz + eye[0]
+                row_of[1] = r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz + eye[1]
+                row_of[2] = r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz + eye[2]
+                row_of[3], row_of[4], row_of[5] = across_sigma, across_sigma, along_sigma
+                row_of[6], row_of[7], row_of[8], row_of[9] = qw / norm, q1 / norm, q2 / norm, 0.0
+                row_of[10] = opacity

@@ -76,6 +76,8 @@ class CameraOptics:
         pane = pane_in_front(rainfall, shot, camera_to_vehicle)
         if pane is None:
             return None
+        if shot.camera.lens is not None:
+            raise ValueError("glass: water on glass is drawn for pinhole cameras; choose none for a camera with a lens")
         glass = self._glass(pane, scene, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
         wide = wide_camera(shot.camera)
         if len(glass.drops):

@@ -16,11 +16,13 @@ from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, IdentityKey, scene_cache
 from ..scene.ground_water import ground_heights
+from ..scene.lens_faces import wide_face
 from ..scene.lod_order import lod_growth, lod_sample
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterDepth, WaterFilms
 from ..water.leveled_ground import leveled_view
+from ..water.mirror import LensMirror
 from ..water.splashes import Splashes
 from ..water.spray import spray_gaussians, spray_of
 from .camera_response import PictureOptics
@@ -49,7 +51,7 @@ class RenderView:
     camera: Camera
     time_s: float = 0.0
     velocity_m_s: Float64[np.ndarray, "3"] | None = None
-    """Velocity of the camera; None if it is at rest."""
+    """Velocity of the camera; None is that of its rolling shutter, or at rest."""
     focal_px: float | None = None
     """Focal length of the output image if a smaller one is drawn; None uses the camera's."""
     exposure_share: float = 1.0
@@ -105,14 +107,17 @@ def draw_view(
         soaked = rainfall.soaked_share_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
+    face = None if shot.camera.lens is None else wide_face(shot.camera)
     level, has_water, standing, depth = None, False, (0.0, 0.0), WaterDepth(0.0, 0.0)
     if rainfall is not None and rainfall.rain.mirror and look == "splats":
         depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
         standing = standing_water(rainfall.frozen_at(shot.time_s).rain, depth, wetness)
-        level = mirror_view(scene, shot.camera)
+        level = mirror_view(scene, shot.camera.pinhole if face is None else face.of(shot.camera))
         has_water = has_mirror(scene, level, wetness, standing)
-    items = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast)
-    if not (isinstance(renderer, CpuRenderer) and look == "splats" and not lamps) or (rain and not rain.is_linear):
+    readout_s = 0.0 if shot.camera.rolling is None else shot.camera.rolling.readout_s
+    items = scene.parts(shot.time_s, selection=selection, wetness=soaked, overcast=overcast, readout_s=readout_s)
+    is_plain = look == "splats" and not lamps and shot.camera.lens is None and shot.camera.rolling is None
+    if not (isinstance(renderer, CpuRenderer) and is_plain) or (rain and not rain.is_linear):
         still = None
     behind, before = list[DrawItem](), items
     if still is not None:
@@ -135,13 +140,14 @@ def draw_view(
         if still is not None:
             mirror = still.mirror(level, before, (*water, standing), reflect, waves)
         else:
-            mirror = reflect() if reuse is None else reuse.mirror(scene, level, reflect)
+            plane = reflect() if reuse is None else reuse.mirror(scene, level, reflect)
+            mirror = plane if face is None else LensMirror(plane, face)
     if rain is not None and rainfall is not None:
         if has_splashes(scene, rainfall, wetness):
             rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
         spray = spray_of(scene, rainfall, shot.time_s)
         parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
-    if still is not None and isinstance(renderer, CpuRenderer):
+    if still is not None and isinstance(renderer, CpuRenderer) and not isinstance(mirror, LensMirror):
 
         def behind_parts() -> Sequence[DrawItem]:
             chosen = subset_items(behind, thinning, shot.camera)
@@ -183,11 +189,15 @@ def request_picture(renderer: Renderer, optics: PictureOptics | None) -> Pending
 
 def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
     """Camera and surroundings of the rain for a view."""
-    mounted = _ego_anchor(scene, rainfall, shot)
+    mounted, camera, velocity = _ego_anchor(scene, rainfall, shot), shot.camera, shot.velocity_m_s
+    if velocity is None:
+        velocity = np.zeros(3)
+        if camera.rolling is not None:
+            velocity = camera.world_to_camera[:3, :3].T @ camera.rolling.velocity_m_s
     return RainCamera(
         shot.camera,
         rain_anchor(scene, rainfall, shot) if mounted is None else mounted,
-        shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3),
+        velocity,
         shot.focal_px,
         shelter_map_of(scene) if rainfall.rain.roofs else None,
         shot.exposure_share,
@@ -263,7 +273,7 @@ class LodCut:
     def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
         """Items for the Gaussians of a part's cut, and for its nodes."""
         tree = part.tree
-        if tree is None or part.left_out or part.selected is not None:
+        if tree is None or not camera.is_pinhole or part.left_out or part.selected is not None:
             return [part] if self.others is None else self.others.items(part, camera)
         found = cut_lod_tree(tree, camera, part.to_world, self.pixel)
         wet_sh = merged_harmonics(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..scene.camera import Camera
-from .cpu.projection import DILATION_PX2, NEAR_M
+from .cpu.splats import DILATION_PX2, NEAR_M
 
 torch: Any = import_module("torch")
 Tensor = Any

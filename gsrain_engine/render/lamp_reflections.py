@@ -16,6 +16,7 @@ from ..scene.camera import Camera
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.geometry import linear_to_srgb, quaternions_from_matrices
 from ..scene.lamps import LitLamps
+from ..scene.lens import view_bounds
 from ..scene.scene import DrawItem
 from ..scene.street.mesh import layered_noise, smooth_noise
 from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
@@ -48,7 +49,8 @@ def lamp_reflections(
     forward = camera.world_to_camera[2, :3]
     if not len(lamps.positions_m) or height < 0.1 or np.hypot(forward[0], forward[1]) < 0.3:
         return None
-    half = min(np.arctan(0.5 * np.hypot(camera.width, camera.height) / camera.fx) + 0.05, np.pi)
+    half = np.arctan(0.5 * np.hypot(camera.width, camera.height) / camera.fx)
+    half = min((half if camera.is_pinhole else view_bounds(camera).angle_rad) + 0.05, np.pi)
     edges = np.arctan2(forward[1], forward[0]) + np.linspace(-half, half, _COLUMNS + 1)
     azimuths = 0.5 * (edges[1:] + edges[:-1])
     distances = _NEAR * height * np.exp(_STEP * np.arange(int(np.log(_FAR_M / (_NEAR * height)) / _STEP)))

@@ -17,7 +17,7 @@ from jaxtyping import Float32, UInt8
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
-from ..water.mirror import Mirror
+from ..water.mirror import LensMirror, Mirror
 from .camera_response import PictureOptics
 
 RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"]
@@ -62,7 +62,10 @@ class Frame:
     rgba: Float32[np.ndarray, "h w 4"]
     """Premultiplied display color (sRGB-encoded) and alpha, top row first."""
     depth: Float32[np.ndarray, "h w"] | None = None
-    """Expected depth of the scene along the view axis in meters, without rain; 0 where empty."""
+    """Expected depth of the scene along the view axis in meters, without rain; 0 where empty.
+
+    Through a lens it is the distance from the camera.
+    """
     optics: PictureOptics | None = None
     """Glass and sensor of the 8-bit image; floats are without them."""
 
@@ -97,6 +100,11 @@ class Renderer(Protocol):
     def name(self) -> str: ...
 
     @property
+    def draws_lenses(self) -> bool:
+        """True if cameras may have lenses and rolling shutters."""
+        ...
+
+    @property
     def statistics(self) -> RenderStatistics: ...
 
     def draw(
@@ -107,7 +115,7 @@ class Renderer(Protocol):
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
-        mirror: Mirror | None = None,
+        mirror: Mirror | LensMirror | None = None,
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; `read` returns the image.
 

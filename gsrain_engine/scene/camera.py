@@ -1,13 +1,16 @@
-"""Pinhole camera with OpenCV axes (x right, y down, z forward), and its JSON file."""
+"""Camera with OpenCV axes (x right, y down, z forward), and its JSON file."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from jaxtyping import Float, Float64
 
 from .files import SceneFormatError, read_json
+from .lens import Lens, PixelRays, bent_places, pixel_rays, rays_of_places
+from .rolling_shutter import RollingShutter
 
 DEFAULT_EXPOSURE_S = 0.004
 """Daylight shutter of driving cameras: 2.6-3.9 ms in a Waymo sample frame, rounded up."""
@@ -27,6 +30,10 @@ class Camera:
     cy: float
     world_to_camera: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     exposure_s: float = DEFAULT_EXPOSURE_S
+    lens: Lens | None = None
+    """None is a pinhole."""
+    rolling: RollingShutter | None = None
+    """Motion during the readout, in the middle of which the camera has its pose; None is a global shutter."""
 
     @classmethod
     def from_fov(
@@ -50,8 +57,44 @@ class Camera:
         return self.camera_to_world[:3, 3]
 
     @property
+    def is_pinhole(self) -> bool:
+        """True without a lens and without a rolling shutter."""
+        return self.lens is None and self.rolling is None
+
+    @property
+    def pinhole(self) -> "Camera":
+        """The camera without its lens and its rolling shutter."""
+        return self if self.is_pinhole else replace(self, lens=None, rolling=None)
+
+    def at_readout(self, part: float) -> "Camera":
+        """Camera with a global shutter at a part of the readout, -1/2 (first row) to 1/2 (last row)."""
+        if self.rolling is None:
+            return self
+        pose = self.rolling.from_middle(part) @ self.world_to_camera
+        return replace(self, world_to_camera=pose, rolling=None)
+
+    def pixels(self, points_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+        """Pixels of points in the camera's frame; NaN for those that the lens does not image."""
+        places, is_imaged = bent_places(points_m, self.lens)
+        return np.where(is_imaged[:, None], places * [self.fx, self.fy] + [self.cx, self.cy], np.nan)
+
+    def directions(self, pixels: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+        """Unit directions of pixels in the camera's frame; NaN where no ray comes to them."""
+        places = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
+        rays, is_imaged = rays_of_places(places, self.lens, (self.fx, self.fy))
+        return np.where(is_imaged[:, None], rays, np.nan)
+
+    @property
+    def rays(self) -> PixelRays:
+        """Rays of all pixels, see `pixel_rays`."""
+        return pixel_rays(self)
+
+    @property
     def vertical_fov_deg(self) -> float:
         """Angle from the top edge to the bottom edge."""
+        if self.lens is not None:
+            ends = self.directions(np.array([[self.cx, 0.0], [self.cx, self.height]]))
+            return float(np.degrees(np.arccos(np.nan_to_num(ends[:, 2])).sum()))
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
 
     def resized(self, width: int, height: int) -> "Camera":
@@ -74,11 +117,17 @@ class Camera:
         matrix = np.eye(4)
         matrix[:3, :3] = self.world_to_camera[:3, :3] @ turn.T
         matrix[:3, 3] = scale * self.world_to_camera[:3, 3] - matrix[:3, :3] @ similarity[:3, 3]
-        return replace(self, world_to_camera=matrix)
+        rolling = self.rolling
+        if rolling is not None:
+            x, y, z = (float(scale) * np.array(rolling.shift_m)).tolist()
+            rolling = replace(rolling, shift_m=(x, y, z))
+        return replace(self, world_to_camera=matrix, rolling=rolling)
 
     def to_json(self) -> dict[str, Any]:
         values = {name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-        return {**values, "world_to_camera": self.world_to_camera.tolist()}
+        values["world_to_camera"] = self.world_to_camera.tolist()
+        others = {"lens": self.lens, "rolling_shutter": self.rolling}
+        return values | {name: msgspec.to_builtins(each) for name, each in others.items() if each is not None}
 
     @classmethod
     def from_json(cls, values: dict[str, Any], source: Path | str = "camera") -> "Camera":
@@ -89,7 +138,9 @@ class Camera:
                 raise SceneFormatError(source, f"world_to_camera has shape {matrix.shape}, expected 4x4")
             fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
             exposure_s = float(values.get("exposure_s", DEFAULT_EXPOSURE_S))
-            camera = cls(int(values["width"]), int(values["height"]), fx, fy, cx, cy, matrix, exposure_s)
+            lens = _convert(values, "lens", Lens, source)
+            rolling = _convert(values, "rolling_shutter", RollingShutter, source)
+            camera = cls(int(values["width"]), int(values["height"]), fx, fy, cx, cy, matrix, exposure_s, lens, rolling)
         except KeyError as error:
             raise SceneFormatError(source, f"camera has no field {error.args[0]!r}") from None
         except SceneFormatError:
@@ -114,6 +165,21 @@ class Camera:
             raise SceneFormatError(source, "fx, fy must be above 0 and fx, fy, cx, cy finite")
         if not 0 < self.exposure_s <= 10:
             raise SceneFormatError(source, f"exposure_s {self.exposure_s} must be above 0 and at most 10 s")
+        if self.lens is not None:
+            try:
+                self.lens.check_drawable()
+            except ValueError as error:
+                raise SceneFormatError(source, str(error)) from None
+
+
+def _convert(values: dict[str, Any], name: str, kind: type[Any], source: Path | str) -> Any:
+    """Value of an optional field of a camera file."""
+    if values.get(name) is None:
+        return None
+    try:
+        return msgspec.convert(values[name], kind)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise SceneFormatError(source, f"{name} can't be read: {error}") from None
 
 
 def look_at(
@@ -139,7 +205,7 @@ def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float64[np.n
 
 
 def read_camera(path: Path | str) -> Camera:
-    """Read a camera file (JSON: width, height, fx, fy, cx, cy, world_to_camera)."""
+    """Read a camera file (JSON: width, height, fx, fy, cx, cy, world_to_camera; lens, rolling_shutter)."""
     values = read_json(path)
     if not isinstance(values, dict):
         raise SceneFormatError(path, "a camera file holds one JSON object")

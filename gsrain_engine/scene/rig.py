@@ -27,7 +27,8 @@ def rig_camera(scene: Scene, rig: str, name: str, time_s: float) -> Camera:
     ego_to_world = scene.ego_to_world(time_s)
     if ego_to_world is None:
         raise ValueError(f"scene {scene.name!r} has no ego vehicle at {time_s} s")
-    return mounted.camera(ego_to_world)
+    ends = (scene.ego_to_world(time_s + side * mounted.readout_s / 2) for side in (-1, 1))
+    return mounted.camera(ego_to_world, mounted.rolling(*ends))
 
 
 # Camera path of the ego vehicle

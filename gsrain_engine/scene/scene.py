@@ -17,7 +17,9 @@ from .gaussians import Gaussians, IdentityKey
 from .geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices
 from .ground_water import GroundWater
 from .lamps import Lamp, LitLamps, lit_lamps
+from .lens import Lens
 from .lod_tree import LodTree
+from .rolling_shutter import ReadoutDirection, RollingShutter
 
 _ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
 _SAMPLES = 1_000_000
@@ -74,6 +76,8 @@ class DrawItem(NamedTuple):
     """Tree of the Gaussians for a cut; renderers ignore it."""
     film: Float32[np.ndarray, "n 2"] | None = None
     """Shares of a film and of standing water that mirror the scene, by Gaussian; None without water."""
+    to_world_ends: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]] | None = None
+    """Similarities at the first and the last row of a rolling shutter; None if it does not move meanwhile."""
 
     @property
     def is_wet(self) -> bool:
@@ -270,11 +274,32 @@ class RigCamera:
     cy: float
     camera_to_ego: Float64[np.ndarray, "4 4"]
     exposure_s: float
+    lens: Lens | None = None
+    """None is a pinhole."""
+    readout_s: float = 0.0
+    """Time from the first row of a picture to the last, of scene and rain; 0 is a global shutter."""
+    readout_direction: ReadoutDirection = "down"
 
-    def camera(self, ego_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
+    @property
+    def is_bent(self) -> bool:
+        """True with a lens or a rolling shutter."""
+        return self.lens is not None or self.readout_s > 0
+
+    def camera(self, ego_to_world: Float64[np.ndarray, "4 4"], rolling: RollingShutter | None = None) -> Camera:
         """Camera in the world for a pose of the ego vehicle."""
-        world_to_camera = np.linalg.inv(ego_to_world @ self.camera_to_ego)
-        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_to_camera, self.exposure_s)
+        return Camera(
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy,
+            np.linalg.inv(ego_to_world @ self.camera_to_ego), self.exposure_s, self.lens, rolling,
+        )  # fmt: skip
+
+    def rolling(
+        self, first_row: Float64[np.ndarray, "4 4"] | None, last_row: Float64[np.ndarray, "4 4"] | None
+    ) -> RollingShutter | None:
+        """Rolling shutter between poses of the ego vehicle; None for a global shutter, or where there is none."""
+        if self.readout_s == 0 or first_row is None or last_row is None:
+            return None
+        ends = first_row @ self.camera_to_ego, last_row @ self.camera_to_ego
+        return RollingShutter.between(*ends, self.readout_s, self.readout_direction)[1]
 
 
 # Pose tracks
@@ -539,28 +564,47 @@ class Scene:
         return any(each.wet_sh is not None for each in self.layers if each.visible)
 
     def parts(
-        self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0, overcast: float | None = None
+        self,
+        time_s: float = 0.0,
+        *,
+        selection: bool = False,
+        wetness: float = 0.0,
+        overcast: float | None = None,
+        readout_s: float = 0.0,
     ) -> list[DrawItem]:
         """Visible items at a time: layers first, then actors.
 
         `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them, and
-        `overcast` those of sky layers (None: `wetness`, too).
+        `overcast` those of sky layers (None: `wetness`, too). During a readout around that time, actors move.
         """
         sky = wetness if overcast is None else overcast
         parts = [
-            self.part(each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness)
+            self.part(each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness, readout_s=readout_s)
             for each in self.members
             if each.visible
         ]
         return [part for part in parts if part is not None]
 
     def part(
-        self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
+        self,
+        member: Layer | Actor,
+        time_s: float = 0.0,
+        *,
+        selection: bool = False,
+        wetness: float = 0.0,
+        readout_s: float = 0.0,
     ) -> DrawItem | None:
         """Item of a member at a time; None while it is absent. See `parts`."""
         pose = member.pose_at(time_s)
         if pose is None:
             return None
+        ends: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]] | None = None
+        if readout_s > 0 and isinstance(member, Actor):
+            first, last = (member.pose_at(time_s + side * readout_s / 2) for side in (-1, 1))
+            ends = (
+                self.scene_to_world @ (pose if first is None else first),
+                self.scene_to_world @ (pose if last is None else last),
+            )
         return DrawItem(
             member.gaussians,
             self.scene_to_world @ pose,
@@ -571,6 +615,7 @@ class Scene:
             wet_sh=member.wet_sh,
             wetness=0.0 if member.wet_sh is None else 1.0 if wetness > _AS_WET_AS_SOAKED else wetness,
             tree=member.tree if member.tree is not None and member.tree.fits(member.gaussians) else None,
+            to_world_ends=ends,
         )
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:

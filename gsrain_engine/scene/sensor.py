@@ -10,6 +10,7 @@ from msgspec import Meta
 
 from ..presets import load_config, shipped_config_names
 from .camera import Camera
+from .rolling_shutter import Readout, readout_of
 
 DEFAULT_SENSOR = "automotive"
 
@@ -30,17 +31,7 @@ class ThinLens(NamedTuple):
         return self.aperture_m * np.abs(1 - depth_m / self.focus_m)
 
 
-class Readout(NamedTuple):
-    """Rolling shutter: a point is exposed around t + time_s (right x/z + down y/z + offset), in camera coordinates."""
-
-    time_s: float = 0.0
-    """From the first row to the last; 0 is a global shutter."""
-    right: float = 0.0
-    down: float = 0.0
-    offset: float = 0.0
-
-
-PINHOLE, GLOBAL_SHUTTER = ThinLens(), Readout()
+PINHOLE = ThinLens()
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -137,13 +128,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def readout(self, camera: Camera) -> Readout:
         """Rolling shutter in coordinates of a camera; the middle of the picture is exposed at the frame's time."""
-        is_vertical = self.readout_direction in ("down", "up")
-        sign = -1.0 if self.readout_direction in ("up", "left") else 1.0
-        if is_vertical:
-            return Readout(
-                self.readout_s, 0.0, sign * camera.fy / camera.height, sign * (camera.cy / camera.height - 0.5)
-            )
-        return Readout(self.readout_s, sign * camera.fx / camera.width, 0.0, sign * (camera.cx / camera.width - 0.5))
+        return readout_of(camera, self.readout_s, self.readout_direction)
 
 
 _OPTIONAL = (

@@ -62,6 +62,7 @@ def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
     hidden = sum(each.marks.hidden.size for each in shown if each.marks.hidden is not None)
     keys = len(scene.weather.get("keys", ())) if scene.weather is not None else 0
     cameras = sum(len(rig) for rig in scene.rigs.values())
+    bent = sum(each.is_bent for rig in scene.rigs.values() for each in rig)
     path_keys = len(scene.path.times_s) if scene.path is not None else 0
     found = {
         f"the division into {len(layers)} layers": len(layers) > 1,
@@ -75,6 +76,7 @@ def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
         "the rain": scene.rain is not None,
         f"{_counted(keys, 'key')} of the rain over time": keys > 0,
         _counted(cameras, "rig camera"): cameras > 0,
+        _counted(bent, "lens or rolling shutter", "lenses or rolling shutters"): bent > 0,
         "the drive of the ego vehicle": scene.ego is not None,
         _counted(len(scene.lamps), "lamp"): bool(scene.lamps),
         "the map of water": scene.water is not None,

@@ -18,6 +18,7 @@ from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import SkyColor, sky_color
 from ..scene.camera import Camera
 from ..scene.objects import coco_class
+from ..scene.rolling_shutter import rotation_of
 from ..scene.scene import Actor, RigCamera, Scene
 from ..water.glass import CameraMotion, PastMotion
 from .agents.base import CameraView, SensorRequirements, front_camera
@@ -53,7 +54,7 @@ class RigRenderer:
         drawn: dict[str, Callable[[], CameraView]] = {}
         self._drive.append(_RigMotion(time_s, rig_to_world, velocity_m_s, yaw_rate_rad_s))
         for mounted in self._cameras:
-            camera = mounted.camera(rig_to_world)
+            camera = self._drive[-1].camera(mounted)
             if self._sky is None:  # computed once, so that all cameras and frames agree
                 self._sky = sky_color(self._renderer, scene, camera, thinning=self._cut)
             velocity = self._drive[-1].of(mounted).velocity_m_s
@@ -107,6 +108,18 @@ class _RigMotion(NamedTuple):
     rig_to_world: Float64[np.ndarray, "4 4"]
     velocity_m_s: Float64[np.ndarray, "3"]
     yaw_rate_rad_s: float
+
+    def camera(self, mounted: RigCamera) -> Camera:
+        """Camera in the world, which moves on during its readout."""
+        half_s = mounted.readout_s / 2
+        return mounted.camera(self.rig_to_world, mounted.rolling(self._pose(-half_s), self._pose(half_s)))
+
+    def _pose(self, later_s: float) -> Float64[np.ndarray, "4 4"]:
+        """Pose of the rig a time later or earlier, at constant velocity and yaw rate."""
+        pose = self.rig_to_world.copy()
+        turn = rotation_of(np.array([0.0, 0.0, later_s * self.yaw_rate_rad_s]))
+        pose[:3, :3], pose[:3, 3] = turn @ pose[:3, :3], pose[:3, 3] + later_s * self.velocity_m_s
+        return pose
 
     def of(self, mounted: RigCamera, later_s: float = 0.0) -> CameraMotion:
         """Orientation and velocity of a camera of the rig, and its place a time later or earlier."""

@@ -71,7 +71,7 @@ class RolloutVideo:
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
         self._optics = CameraOptics()
-        start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0))
+        start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0)).pinhole
         self._sky = sky_color(renderer, start, camera, thinning=self._cut)
         self._optics.meter(renderer, start, self._rainfall, RenderView(camera, played.scene_time_s(0.0)))
 
@@ -92,7 +92,7 @@ class RolloutVideo:
             yield self._front_image(*waiting)
 
     def _front_image(self, step: RolloutStep, image: PendingImage) -> CameraImage:
-        camera = self._mounted.camera(self._played.rig_to_world(step.time_s))
+        camera = self._mounted.camera(self._played.rig_to_world(step.time_s)).pinhole
         return CameraImage(step.step, self._mounted.name, image(), camera)
 
     def pictures(self, times_s: Iterable[float]) -> Iterator[RgbImage]:
@@ -118,7 +118,7 @@ class RolloutVideo:
     def _camera_image(self, time_s: float) -> PendingImage:
         """Draw the camera image, and start to read it back."""
         played, rig = self._played, self._played.rig_to_world(time_s)
-        camera, state = self._mounted.camera(rig), played.state(time_s)
+        camera, state = self._mounted.camera(rig).pinhole, played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
         color = self._sky.at(self._rainfall.overcast_at(scene_s))
@@ -133,7 +133,7 @@ class RolloutVideo:
     def _camera_panel(self, time_s: float, pixels: RgbImage) -> RgbImage:
         """Draw the plan and the agent's latest detections on the camera image."""
         played, step, state = self._played, self._played.step(time_s), self._played.state(time_s)
-        camera = self._mounted.camera(played.rig_to_world(time_s))
+        camera = self._mounted.camera(played.rig_to_world(time_s)).pinhole
         picture = draw_boxes(pixels, (), _noted(step), _SURE)
         if step.plan:
             points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
@@ -147,7 +147,7 @@ class RolloutVideo:
         time_s = max(scene_time_s - self._played.scene_time_s(0.0), 0.0)
         rig = self._played.rig_to_world(time_s)
         speed_m_s = self._played.state(time_s).speed_m_s
-        camera, velocity_m_s = self._mounted.camera(rig), speed_m_s * rig[:3, 0]
+        camera, velocity_m_s = self._mounted.camera(rig).pinhole, speed_m_s * rig[:3, 0]
         before_s = min(scene_time_s - self._played.scene_time_s(0.0), 0.0)
         place_m = camera.position + before_s * velocity_m_s
         return CameraMotion(camera.camera_to_world[:3, :3], velocity_m_s, place_m)

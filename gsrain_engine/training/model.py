@@ -129,8 +129,8 @@ RIG = "capture"
 _MIN_VISIBLE_ALPHA = 1 / 255  # smallest alpha that renderers draw
 
 
-def scene_of(model: SplatModel, capture: Capture) -> Scene:
-    """Return the current scene in the capture's units and axes."""
+def scene_of(model: SplatModel, capture: Capture, *, keep_lenses: bool = False) -> Scene:
+    """Return the current scene in the capture's units and axes; cameras of its rig are pinholes, unless as captured."""
     layers = [Layer("background", _visible(model.background.to_gaussians()))]
     if model.sky is not None:
         layers.append(Layer("sky", model.sky.to_gaussians(), kind="sky"))
@@ -141,7 +141,7 @@ def scene_of(model: SplatModel, capture: Capture) -> Scene:
         tuple(actors),
         up=capture.up,
         ground_m=_ground_m(capture),
-        rigs=_rigs(capture),
+        rigs=_rigs(capture, keep_lenses=keep_lenses),
         ego=capture.ego,
         path=recorded_path(capture.views) if capture.ego is None else None,
         unit_is_assumed=not capture.is_metric,
@@ -178,7 +178,7 @@ def _ground_m(capture: Capture) -> float | None:
     return float(np.median(heights)) - EGO_HEIGHT_M
 
 
-def _rigs(capture: Capture) -> dict[str, tuple[RigCamera, ...]]:
+def _rigs(capture: Capture, *, keep_lenses: bool) -> dict[str, tuple[RigCamera, ...]]:
     """One rig with every sensor of the capture, mounted as in its first view with a known vehicle pose."""
     if capture.ego is None:
         return {}
@@ -189,6 +189,6 @@ def _rigs(capture: Capture) -> dict[str, tuple[RigCamera, ...]]:
             camera = view.camera
             mounted[view.sensor] = RigCamera(
                 view.sensor or "camera", camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-                np.linalg.inv(pose) @ camera.camera_to_world, camera.exposure_s,
+                np.linalg.inv(pose) @ camera.camera_to_world, camera.exposure_s, view.lens if keep_lenses else None,
             )  # fmt: skip
     return {RIG: tuple(mounted.values())} if mounted else {}

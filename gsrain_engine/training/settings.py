@@ -45,6 +45,9 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     width_px: Annotated[int, Meta(
         ge=16, le=16384, title="Width", extra={"unit": "px", "commands": "reconstruct"},
         description="Pictures wider than this are made smaller, lens distortion removed.")] = 480
+    keep_lenses: Annotated[bool, Meta(
+        title="Keep lenses", extra={"commands": "reconstruct"},
+        description="Cameras of the scene's rig keep the lenses of the capture; they are pinholes otherwise.")] = False
     gaussians: Annotated[int, Meta(
         ge=100, le=100_000_000, title="Gaussians", extra={"commands": "reconstruct"},
         description="Most there may be in the static scene.")] = 120_000

@@ -151,7 +151,8 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
     result = yield from learning.measure()
     yield Progress(0.99, "Writing the scene")
     task.output.parent.mkdir(parents=True, exist_ok=True)
-    write_scene(scene_of(started.training.model, capture), task.output)
+    scene = scene_of(started.training.model, capture, keep_lenses=task.settings.keep_lenses)
+    write_scene(scene, task.output)
     if task.report is not None:
         write_training_report(task.report, result)
     task.checkpoint.unlink(missing_ok=True)
@@ -245,7 +246,8 @@ class _Reconstruction:
         """Write the snapshot scene if requested, and evaluate some held-out views."""
         self._read_losses()
         if self._task.snapshot is not None:
-            write_scene(scene_of(self._training.model, self._capture), self._task.snapshot)
+            keep_lenses = self._settings.keep_lenses
+            write_scene(scene_of(self._training.model, self._capture, keep_lenses=keep_lenses), self._task.snapshot)
         if not self._held:
             return self._run.progress(steps, f"After {steps:,} steps: loss {self._curves.recent_loss():.4f}")
         self._note(steps, [self._training.measure(view) for view in self._held[:_QUICK_VIEWS]])

@@ -17,6 +17,7 @@ from ..kernels import NOGIL
 from ..scene.camera import Camera
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE
 from ..scene.lamps import LitLamps
+from ..scene.lens_faces import LensFace
 from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
 from .rings import RingField, RingWaves, ring_slope
 
@@ -125,6 +126,25 @@ class Mirror:
         else:
             _weigh_rings(shares, self.light, self.first_row, across, along, *self.rings, image)
         return image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LensMirror:
+    """Light that water reflects into a camera with a lens: that of a wide pinhole picture, sampled."""
+
+    mirror: Mirror
+    """Of the face's camera."""
+    face: LensFace
+
+    def reflected(self, film: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w 3"]:
+        """Linear light that the visible shares of films and standing water reflect; it is proportional to both."""
+        camera, light = self.face.camera, np.zeros((*film.shape[:2], 3), np.float32)
+        for water in range(2):
+            full = np.zeros((camera.height, camera.width, 2), np.float32)
+            full[..., water] = 1
+            light += film[..., water, None] * self.face.sampled(self.mirror.reflected(full))
+        light[~self.face.covered] = 0
+        return light
 
 
 class MirrorRings(NamedTuple):

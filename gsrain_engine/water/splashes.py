@@ -12,9 +12,10 @@ from jaxtyping import Float64, Int64
 from ..rain.frame import RainFrame
 from ..rain.pcg_hash import pcg4d
 from ..rain.simulation import RainSimulation
-from ..rain.streaks import sh_of, streak_gaussians
+from ..rain.streaks import camera_slopes, sh_of, streak_gaussians
 from ..scene.gaussians import Gaussians
 from ..scene.ground_water import WetGround
+from ..scene.rolling_shutter import GLOBAL_SHUTTER
 from .films import WaterFilms
 from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
 
@@ -110,11 +111,11 @@ class Splashes:
         middles = np.column_stack([(cells + 0.5) * CELL_M, np.full(len(cells), self.heights.ground_m)])
         x, y, z = ((middles - eye) @ camera.world_to_camera[:3, :3].T).T
         margin = CELL_M
-        left, right = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
-        top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
+        left, right, top, bottom = camera_slopes(camera).tolist()
         wide, high = margin * np.hypot(1, max(-left, right)), margin * np.hypot(1, max(-top, bottom))
         seen = (z > -margin) & (x > left * z - wide) & (x < right * z + wide)
         seen &= (y > top * z - high) & (y < bottom * z + high)
+        seen |= not camera.is_pinhole and left == right  # a lens without such edges
         seen &= np.hypot(*(middles - eye)[:, :2].T) < reach_m + margin
         return cells[seen]
 
@@ -187,6 +188,9 @@ class Splashes:
         wide = 1e-3 * made.diameters_mm * shutter.focal_px > SMALLEST_PX * self._distances(made.positions_m)
         wide &= made.positions_m[:, 2] > np.repeat(self.heights.at(found.places_m), _DROPLETS)
         wide &= made.is_aloft
+        if shutter.camera.rolling is not None:  # moves all splashes when they are drawn
+            camera = replace(shutter.camera, rolling=None)
+            shutter = replace(shutter, camera=camera, readout=GLOBAL_SHUTTER)
         return streak_gaussians(
             made.positions_m[wide], made.diameters_mm[wide], made.velocities_m_s[wide], shutter, rain, self.frame.color
         )

@@ -19,10 +19,11 @@ from gsrain_engine.appearance.scene_views import (
     scene_view,
     scene_views,
 )
-from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame, Lens
+from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.lens import Lens
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street.layout import Label
 from rasterized import rasterize

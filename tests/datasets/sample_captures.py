@@ -9,8 +9,9 @@ import numpy as np
 from PIL import Image
 
 from colmap_files import write_pictures
-from gsrain_engine.datasets.capture import CaptureFrame, Lens
+from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.lens import Lens
 from mini_drive import FOCAL, HEIGHT, WIDTH
 
 

@@ -12,11 +12,12 @@ import pytest
 from PIL import Image
 
 from colmap_files import POINTS, write_binary, write_pictures, write_text
-from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, Lens, readable_images
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, readable_images
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.lens import Lens
 
 from .sample_captures import EYES, INTRINSICS, TARGET, UP, points_ply, views, write_bdd100k, write_nerfstudio
 

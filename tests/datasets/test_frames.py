@@ -11,14 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, LidarSweep, TrackedBox
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.datasets.geometry import intrinsics, largest_tangent, project_points
+from gsrain_engine.datasets.geometry import intrinsics, project_points
 from gsrain_engine.datasets.image_override import flat_name, with_images
 from gsrain_engine.datasets.io.images import image_size, read_color, read_labels, read_mask
 from gsrain_engine.datasets.summary import chosen_views, contact_sheet, overlay
 from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.lens import Lens, largest_tangent
 from gsrain_engine.scene.scene import PoseTrack
 
 # Files of pictures

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsrain_engine.datasets import driving_log
-from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError, CaptureFrame, Lens, LidarSweep
+from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError, CaptureFrame, LidarSweep
 from gsrain_engine.datasets.driving_log import DrivingLog, LidarScan
 from gsrain_engine.datasets.geometry import (
     BoxSample,
@@ -24,6 +24,7 @@ from gsrain_engine.datasets.geometry import (
     translation_pose,
 )
 from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.lens import Lens
 
 # Tracks of boxes
 

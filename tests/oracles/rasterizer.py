@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
-from gsrain_engine.render.cpu.projection import TINT, TINT_SHARE
+from gsrain_engine.render.cpu.splats import TINT, TINT_SHARE
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.geometry import linear_to_srgb, matrices_from_quaternions, srgb_to_linear
 from gsrain_engine.scene.scene import DrawItem

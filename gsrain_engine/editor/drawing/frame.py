@@ -132,11 +132,12 @@ class MosaicInput:
     quality: QualityLevel
 
     def view_of(self, camera: RigCamera) -> RenderView:
-        """View of a camera at the ego vehicle's pose, which it has at this time."""
+        """View of a camera at the ego vehicle's pose, which it has at this time; without its lens, for any renderer."""
         before, pose, after = (self.scene.ego_to_world(self.time_s + step) for step in (-_STEP_S, 0.0, _STEP_S))
         assert pose is not None
         velocity = None if before is None or after is None else (after[:3, 3] - before[:3, 3]) / (2 * _STEP_S)
-        return RenderView(camera_of_width(camera, self.width_px).camera(pose), self.time_s, velocity, camera.fx)
+        pinhole = camera_of_width(camera, self.width_px).camera(pose).pinhole
+        return RenderView(pinhole, self.time_s, velocity, camera.fx)
 
     def state_of(self, camera: RigCamera) -> Hashable:
         """Everything that the image of a camera depends on."""

@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float32, Float64
 
 from ...kernels import NOGIL
 from ...render.cpu.compositing import color_operator, color_operator_transpose
-from ...render.cpu.projection import NEAR_M, project
+from ...render.cpu.projection import project
+from ...render.cpu.splats import NEAR_M
 from ...render.draw import RenderView
 from ...scene.camera import Camera
 from ...scene.flags import BitMask

@@ -52,7 +52,7 @@ class ChaseCamera:
         self.velocity_m_s = vehicle.speed_m_s * pose[:3, 0]
         if self.mode == "front camera":
             if vehicle.front_camera is not None:
-                navigation.look_like(vehicle.front_camera.camera(pose))
+                navigation.look_like(vehicle.front_camera.camera(pose).pinhole)
         elif self._pose is None:
             _stand_behind(vehicle, navigation)
         elif not np.array_equal(self._pose, pose):

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from ...rain.simulation import mean_linear_color
-from ...render.cpu.projection import Splats, project
+from ...render.cpu.projection import project
+from ...render.cpu.splats import Splats
 from ...render.draw import RenderView
 from ...render.renderer import Color, Renderer
 from ...scene.camera import Camera
@@ -50,7 +51,7 @@ def pick(
     members = [each for each in scene.members if each.visible and (among is None or among(each))]
     owned = [(each.key, part) for each in members if (part := scene.part(each, shot.time_s)) is not None]
     parts, camera = [part for _, part in owned], shot.camera
-    pixel = replace(camera, width=1, height=1, cx=camera.cx - x + 0.5, cy=camera.cy - y + 0.5)
+    pixel = replace(camera, width=1, height=1, cx=camera.cx - x + 0.5, cy=camera.cy - y + 0.5, rolling=None)
     splats = project(parts, pixel)
     rows, weights = _weights(parts, splats)
     if not len(rows) or weights.sum() < _MIN_ALPHA:
@@ -80,7 +81,7 @@ def _weights(parts: list[DrawItem], splats: Splats) -> tuple[Int64[np.ndarray, "
 def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
     """Point of maximum density of a Gaussian along a pixel's line of sight; for a flat one, the intersection."""
     to_object, gaussians = np.linalg.inv(part.to_world), part.gaussians
-    sight = camera.world_to_camera[:3, :3].T @ [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0]
+    sight = camera.world_to_camera[:3, :3].T @ _sight(camera, x, y)
     eye = to_object[:3, :3] @ camera.position + to_object[:3, 3]
     scales = gaussians.scales[index].astype(np.float64)
     scales = np.maximum(scales, max(1e-3 * scales.max(), 1e-9))
@@ -89,6 +90,13 @@ def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: floa
     start, along = to_sphere @ (eye - gaussians.means[index]), to_sphere @ (to_object[:3, :3] @ sight)
     depth = max(float(-(start @ along) / (along @ along)), 0.0)
     return camera.position + depth * sight
+
+
+def _sight(camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
+    """Direction of a pixel in the camera's frame."""
+    if camera.lens is None:
+        return np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
+    return np.nan_to_num(camera.directions(np.array([[x, y]]))[0])
 
 
 NEAR_M = 0.05

@@ -14,7 +14,7 @@ from jaxtyping import Float, Float64
 
 from ...scene.camera import Camera
 from ..cpu.compositing import color_operator_transpose
-from ..cpu.projection import nearest_first
+from ..cpu.splats import nearest_first
 from ..cpu.tiles import bin_into_tiles
 from ..gsplat_input import uploaded, view_arguments
 from .blend import BlendedImage, blend, blend_backward

@@ -8,7 +8,8 @@ from jaxtyping import Float, Float64
 
 from ...scene.camera import Camera
 from ..cpu import projection
-from ..cpu.projection import CHUNK, DILATION_PX2, LOG_SCENE_CUT, NEAR_M, dot, in_camera, jacobian, rotation_columns
+from ..cpu.projection import dot, in_camera, jacobian
+from ..cpu.splats import CHUNK, DILATION_PX2, LOG_SCENE_CUT, NEAR_M, rotation_columns
 
 
 class TrainedGaussians(NamedTuple):

@@ -34,7 +34,8 @@ from .compositing import (
     store_rain,
 )
 from .fast_math import FAST
-from .projection import MIN_SCENE_CUT, Splats, project
+from .projection import project
+from .splats import MIN_SCENE_CUT, Splats
 from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, walk_pixels, walk_tiles
 
 _MIN_ALPHA = np.float32(1e-3)  # below which a pixel of the backdrop has no depth: nothing is behind it

@@ -14,7 +14,8 @@ from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
 from .fast_math import FAST, exponential, power
-from .projection import MIN_SCENE_CUT, Splats, project
+from .projection import project
+from .splats import MIN_SCENE_CUT, Splats
 from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, nothing, walk_pixels, walk_tiles
 
 
@@ -420,6 +421,11 @@ def dim_by_medium(splats: Splats, camera: Camera, medium: RainMedium, *, is_line
     A splat keeps its share t of light, and takes in 1 - t of the airlight. Rain keeps its color.
     """
     light = medium.airlight_linear if is_linear else linear_to_srgb(medium.airlight_linear).astype(np.float32)
+    if splats.points is not None:
+        is_scene = (splats.shapes[:, 6] >= MIN_SCENE_CUT) & (splats.colors[:, 3] > 0)
+        shares = np.where(is_scene, medium.transmittance(splats.points), np.float32(1))
+        _mix_airlights(splats.colors, shares, light, is_linear)
+        return
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     _dim_by_medium(splats.shapes, splats.colors, intrinsics, medium.numbers, medium.drawn, light, is_linear)
 
@@ -445,6 +451,21 @@ def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear)
             _mix_airlight(lines[0], lines[3], light[channel], is_linear)
             for i in range(count):
                 colors[start + i, channel] = lines[0, i]
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _mix_airlights(colors, shares, light, is_linear):
+    """Change colors in place by the share of light that arrives from each, of which there may be any number."""
+    for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
+        start = block * _BLOCK
+        count = min(_BLOCK, len(colors) - start)
+        line, there = np.zeros(_BLOCK, np.float32), np.ones(_BLOCK, np.float32)
+        there[:count] = shares[start : start + count]
+        for channel in range(3):
+            line[:count] = colors[start : start + count, channel]
+            _mix_airlight(line, there, light[channel], is_linear)
+            colors[start : start + count, channel] = line[:count]
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -506,6 +527,8 @@ def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"
     color = np.append(linear_to_srgb(medium.airlight_linear), 1).astype(np.float32)
     if medium.is_endless:
         return color[None, None]
+    if not camera.is_pinhole:
+        return (1 - medium.sky_transmittance_along(camera.rays))[..., None] * color
     intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
     return (1 - medium.sky_transmittance(camera.width, camera.height, intrinsics))[..., None] * color
 

@@ -1,70 +1,35 @@
 """Projection of Gaussians to splats: shape, color and depth in one image."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt32
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from ...kernels import NOGIL
 from ...scene.camera import Camera
-from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
-from .fast_math import sh_basis
-
-NEAR_M = 0.2  # Gaussians with nearer centers are skipped, as in the reference rasterizer
-DILATION_PX2 = 0.3  # added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)
-ANTIALIASED_PX2 = 0.1  # the same for antialiased Gaussians: about the variance of a pixel's area (Yu et al. 2024)
-
-
-SCENE_ALPHA_CUT = 1 / 255  # alpha below which fragments of the scene are skipped, as in the reference rasterizer
-
-RAIN_ALPHA_CUT = 1 / 65536
-"""Alpha below which fragments of rain are skipped: streaks of alpha 0.01 would hardly survive a cut at 1/255."""
-
-LOG_SCENE_CUT, LOG_RAIN_CUT = float(np.log(SCENE_ALPHA_CUT)), float(np.log(RAIN_ALPHA_CUT))
-"""Values of log_cut in `Splats.shapes`, by which rain is distinguished from the scene."""
-
-MIN_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)  # threshold between the logarithms of rain (below) and scene (above)
-
-TINT, TINT_SHARE = (1.0, 0.82, 0.15), 0.5
-"""Display color of the selection, a warm yellow that is rare in streets, and its share; as in common_tint.glsl."""
+from .lens_projection import RollingPose, lens_candidates, lens_view, project_through_lens, rolling_pose
+from .splats import (
+    CHUNK,
+    DILATION_PX2,
+    LOG_RAIN_CUT,
+    NEAR_M,
+    RAIN_ALPHA_CUT,
+    TINT,
+    TINT_SHARE,
+    Splats,
+    color_of,
+    eye_in_object,
+    has_bit,
+    mask_words,
+    rotation_columns,
+    write_shape,
+)
 
 FEW = 8192  # number of Gaussians below which a single thread is faster than starting others
-CHUNK = 512  # Gaussians that one thread processes at a time
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Splats:
-    """Gaussians that may be visible to one camera, in their own order.
-
-    A row of `shapes` holds x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, reach_x. With the pixel center
-    (u, v) and dx = u - x,
-        ln alpha = log_opacity + sharpness_x * dx^2 + sharpness_y * (v - y - shear * dx)^2, cut below log_cut,
-    where shear = cov_xy / cov_xx, sharpness_x = -1 / (2 cov_xx), sharpness_y = -cov_xx / (2 det), |dx| <= reach_x: the
-    2D Gaussian column by column. Both terms are negative, so that long needles suffer no cancellation. Columns suit
-    rain: a falling streak touches few of them.
-    """
-
-    shapes: Float32[np.ndarray, "m 8"]
-    colors: Float32[np.ndarray, "m 4"]
-    """Display color, never negative, and depth along the view axis in meters. All 0 for the few that turn out to be
-    invisible; they are not drawn.
-    """
-    indices: Int64[np.ndarray, " m"]
-    """Index of the Gaussian, counted through all parts in order; those beyond a part's limit count too.
-
-    Rising from part to part, and inside a part, unless its `members` are in another order.
-    """
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-    def nearest_first(self) -> Int32[np.ndarray, " drawn"]:
-        return nearest_first(self.colors[:, 3])
 
 
 def project(
@@ -74,6 +39,7 @@ def project(
     *,
     as_points: bool = False,
     caches: BlockCaches | None = None,
+    held: Sequence[int] = (),
 ) -> Splats:
     """Project Gaussians.
 
@@ -88,15 +54,26 @@ def project(
             opacity * sqrt(det / dilated det) (Yu et al. 2024), and is cut at `RAIN_ALPHA_CUT`.
         as_points: Make each an opaque dot with a standard deviation of one pixel instead.
         caches: Holds those members of parts in memory whose Gaussians are mapped from a file.
+        held: Numbers of the parts that a rolling shutter does not move: they are where their rows have them.
+
+    A camera with a lens or a rolling shutter projects them by the unscented transform, see lens_projection.py.
     """
     intrinsics = intrinsics_of(camera)
-    poses = [np.ascontiguousarray(camera.world_to_camera @ part.to_world, np.float64) for part in parts]
-    found = [_candidates(part, pose, intrinsics, as_points) for part, pose in zip(parts, poses, strict=True)]
+    view = None if camera.is_pinhole else lens_view(camera)
+    poses: list[Float64[np.ndarray, "4 4"]] = []
+    rolling: list[RollingPose] = []
+    if view is None:
+        poses = [np.ascontiguousarray(camera.world_to_camera @ part.to_world, np.float64) for part in parts]
+        found = [_candidates(part, pose, intrinsics, as_points) for part, pose in zip(parts, poses, strict=True)]
+    else:
+        rolling = [rolling_pose(part, camera, is_held=number in held) for number, part in enumerate(parts)]
+        found = [lens_candidates(*each, view, as_points=as_points) for each in zip(parts, rolling, strict=True)]
     count = sum(len(each) for each in found)
+    points = None if view is None else np.empty((count, 3), np.float32)
     shapes, colors = np.empty((count, 8), np.float32), np.empty((count, 4), np.float32)
     indices = np.empty(count, np.int64)
     first = counted = 0
-    for number, (part, pose, own) in enumerate(zip(parts, poses, found, strict=True)):
+    for number, (part, own) in enumerate(zip(parts, found, strict=True)):
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
         end = part.drawn_count if part.members is None else len(g)
@@ -111,32 +88,31 @@ def project(
             soaked = np.require(wet_sh, np.float32, ("C", "W"))
             sh, wet = (soaked, wet) if part.wetness == 1 else (sh, soaked)
         change = np.zeros((0, 4)) if part.colors is None else part.colors
-        fill = _project_range if len(own) < FEW else _project_chunks
-        fill(
-            0, len(own), rows, g.means, scales, g.quaternions, g.opacities, sh, wet, np.float32(part.wetness),
+        values = (
+            rows, g.means, scales, g.quaternions, g.opacities, sh, wet, np.float32(part.wetness),
             np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity),
-            np.ascontiguousarray(change, np.float32), _words(part.selected), as_points, part.gaussians.antialiased,
-            pose, eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
+            np.ascontiguousarray(change, np.float32), mask_words(part.selected), as_points, part.gaussians.antialiased,
         )  # fmt: skip
+        if view is None or points is None:
+            fill = _project_range if len(own) < FEW else _project_chunks
+            fill(
+                0, len(own), *values, poses[number], eye_in_object(camera, part), intrinsics, shapes[first:last],
+                colors[first:last],
+            )  # fmt: skip
+        else:
+            project_through_lens(
+                *values, *rolling[number][:3], view.intrinsics, view.lens, view.scan, view.by_distance, view.edges,
+                shapes[first:last], colors[first:last], points[first:last],
+            )  # fmt: skip
         indices[first:last] = own + counted
         first, counted = last, counted + len(part.gaussians)
-    return Splats(shapes, colors, indices)
+    return Splats(shapes, colors, indices, points)
 
 
 def intrinsics_of(camera: Camera) -> tuple[float, float, float, float, float, float]:
     """Focal lengths, principal point and size in px; unpacking an array would cost more than the whole projection."""
     c = camera
     return float(c.fx), float(c.fy), float(c.cx), float(c.cy), float(c.width), float(c.height)
-
-
-def _words(mask: BitMask | None) -> UInt32[np.ndarray, " w"]:
-    """Bits of a mask, empty without a mask; writable, since read-only arrays would need separate kernels."""
-    return np.zeros(0, np.uint32) if mask is None else np.require(mask.words, np.uint32, ("C", "W"))
-
-
-def eye_in_object(camera: Camera, part: DrawItem) -> Float64[np.ndarray, "3"]:
-    """Center of projection in the part's own frame, in which its spherical harmonics are defined."""
-    return np.linalg.solve(part.to_world[:3, :3], camera.position - part.to_world[:3, 3])
 
 
 def view_directions(
@@ -166,8 +142,8 @@ def _candidates(
     faintest = -np.inf if as_points or n == 0 else RAIN_ALPHA_CUT / part.opacity
     find = _flag_range if n < FEW else _flag_chunks
     find(
-        0, n, g.means[:n], g.scales[:n], g.opacities[:n], _words(part.left_out), faintest, object_to_camera, largest,
-        intrinsics, flags,
+        0, n, g.means[:n], g.scales[:n], g.opacities[:n], mask_words(part.left_out), faintest, object_to_camera,
+        largest, intrinsics, flags,
     )  # fmt: skip
     return np.flatnonzero(flags)
 
@@ -201,13 +177,7 @@ def _flag_range(first, last, means, scales, opacities, left_out, faintest, m, sc
         flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > faintest
     if len(left_out) > 0:  # separate, so that the loop above stays branch-free
         for i in range(first, last):
-            flags[i] = flags[i] and not _has(left_out, i)
-
-
-@numba.njit(inline="always", error_model="numpy")
-@no_type_check
-def _has(words, i):
-    return (words[i >> 5] >> np.uint32(i & 31)) & np.uint32(1) == np.uint32(1)
+            flags[i] = flags[i] and not has_bit(left_out, i)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
@@ -239,13 +209,13 @@ def _project_range(
             means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, antialiased,
             object_to_camera, intrinsics, shapes[n],
         )  # fmt: skip
-        if not (depth > 0 and _color(means[i], sh[i], wet_sh, i, wetness, eye, change, basis, colors[n])):
+        if not (depth > 0 and color_of(means[i], sh[i], wet_sh, i, wetness, eye, change, basis, colors[n])):
             for k in range(8):
                 shapes[n, k] = 0
             for k in range(3):
                 colors[n, k] = 0
             depth = 0.0
-        elif len(selected) > 0 and _has(selected, i):
+        elif len(selected) > 0 and has_bit(selected, i):
             for k in range(3):
                 colors[n, k] += np.float32(TINT_SHARE) * (np.float32(TINT[k]) - colors[n, k])
         colors[n, 3] = depth
@@ -270,37 +240,9 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, antialiased, m, intrinsic
     u1, v1 = b * dot(row_u, second), b * dot(row_v, second)
     u2, v2 = c * dot(row_u, third), c * dot(row_v, third)
     xx, xy, yy = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
-    before = max(xx * yy - xy * xy, 0.0)
-    footprint = ANTIALIASED_PX2 if antialiased else DILATION_PX2
-    xx += footprint
-    yy += footprint
-    if as_point:
-        xx, xy, yy, opacity = 1.0, 0.0, 1.0, np.float32(1)
-    determinant = xx * yy - xy * xy
-    if not (0 < determinant < np.inf):
-        return 0.0
-    alpha = min(np.float64(opacity), 1.0)
-    log_cut = LOG_SCENE_CUT
-    if is_rain or (antialiased and not as_point):
-        alpha *= np.sqrt(before / determinant)
-    if is_rain:
-        log_cut = LOG_RAIN_CUT
-    log_alpha = np.log(alpha)
-    if not (log_alpha > log_cut):
-        return 0.0
-    extent = np.sqrt(2 * (log_alpha - log_cut))  # exact: alpha is the cut at the edge
     u, v = fx * px * near + cx, fy * py * near + cy
-    reach_x, reach_y = extent * np.sqrt(xx), extent * np.sqrt(yy)
-    if not (u + reach_x > 0 and u - reach_x < width and v + reach_y > 0 and v - reach_y < height):
-        return 0.0
-    by_xx = 1 / xx
-    shape[0], shape[1] = u, v
-    shape[2] = xy * by_xx
-    shape[3] = -0.5 * by_xx
-    shape[4] = -0.5 * xx / determinant
-    shape[5], shape[6] = log_alpha, log_cut
-    shape[7] = reach_x
-    return pz
+    is_drawn = write_shape(u, v, xx, xy, yy, opacity, is_rain, as_point, antialiased, width, height, shape)
+    return pz if is_drawn else 0.0
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -335,63 +277,5 @@ def jacobian(px, py, pz, m, intrinsics):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def rotation_columns(w, x, y, z):
-    """Columns of the rotation of a unit quaternion."""
-    first = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-    second = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
-    third = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-    return first, second, third
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def _color(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
-    """Write the display color, max(0, change of (sum of harmonics + 0.5)); return whether it is finite.
-
-    If there are wet harmonics, their row i is blended in before the change.
-    """
-    x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
-    by_length = 1 / np.sqrt(x * x + y * y + z * z)
-    coefficients = sh.shape[0]
-    sh_basis(np.float32(x * by_length), np.float32(y * by_length), np.float32(z * by_length), coefficients, basis)
-    red = green = blue = np.float32(0.5)
-    for k in range(coefficients):
-        red += basis[k] * sh[k, 0]
-        green += basis[k] * sh[k, 1]
-        blue += basis[k] * sh[k, 2]
-    if len(wet_sh) > 0:
-        r = g = b = np.float32(0.5)
-        for k in range(coefficients):
-            r += basis[k] * wet_sh[i, k, 0]
-            g += basis[k] * wet_sh[i, k, 1]
-            b += basis[k] * wet_sh[i, k, 2]
-        dry = np.float32(1) - wetness
-        red, green, blue = dry * red + wetness * r, dry * green + wetness * g, dry * blue + wetness * b
-    if len(change) > 0:
-        r, g, b = red, green, blue
-        red = change[0, 0] * r + change[0, 1] * g + change[0, 2] * b + change[0, 3]
-        green = change[1, 0] * r + change[1, 1] * g + change[1, 2] * b + change[1, 3]
-        blue = change[2, 0] * r + change[2, 1] * g + change[2, 2] * b + change[2, 3]
-    color[0], color[1], color[2] = max(red, np.float32(0)), max(green, np.float32(0)), max(blue, np.float32(0))
-    return np.isfinite(red) and np.isfinite(green) and np.isfinite(blue)
-
-
-def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"]:
-    """Rows with a depth above 0, sorted by it as float32; equal depths keep their index.
-
-    One 64-bit number each, depth above row: all are distinct, so any fast sort is stable. The bits of a positive
-    float32 sort like the number itself.
-    """
-    depths = np.ascontiguousarray(depths, np.float32)
-    rows = np.flatnonzero(depths)
-    keys = depths[rows].view(np.uint32).astype(np.uint64)
-    keys <<= np.uint64(32)
-    keys |= rows.astype(np.uint64)
-    keys.sort()
-    return keys.astype(np.uint32).view(np.int32)  # the lower halves

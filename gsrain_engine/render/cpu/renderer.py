@@ -15,7 +15,7 @@ from ...rain.frame import RainFrame
 from ...rain.lamp_light import LampLight, light_in_picture, share_of_depth
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
-from ...water.mirror import Mirror
+from ...water.mirror import LensMirror, Mirror
 from ..images import layer_color, turbo_colors
 from ..renderer import (
     FARTHEST_M,
@@ -43,7 +43,8 @@ from .compositing import (
     sky_layer,
 )
 from .fast_math import FAST
-from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
+from .projection import in_camera, project
+from .splats import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, rotation_columns
 from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
 
 
@@ -51,6 +52,7 @@ class CpuRenderer:
     """Renders scene and rain into one image without OpenGL; byte-identical at any number of threads."""
 
     name = "cpu"
+    draws_lenses = True
 
     def __init__(self) -> None:
         tune_malloc()
@@ -68,7 +70,7 @@ class CpuRenderer:
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
-        mirror: Mirror | None = None,
+        mirror: Mirror | LensMirror | None = None,
     ) -> None:
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
@@ -81,7 +83,10 @@ class CpuRenderer:
                 falling = [DrawItem(each, np.eye(4)) for each in (rain.lit_streaks, rain.drawn_haze) if len(each)]
                 self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
-            splats = project([*parts, *falling], camera, flags, as_points=look == "points", caches=self._caches)
+            held = range(len(parts), len(parts) + (rain is not None and len(rain.lit_streaks) > 0)) if falling else ()
+            splats = project(
+                [*parts, *falling], camera, flags, as_points=look == "points", caches=self._caches, held=held
+            )
             self._caches.release_unused()
             splats = _color_by_mode(look, splats, parts, camera)
             medium = rain.medium if rain is not None and look == "splats" else None
@@ -96,7 +101,7 @@ class CpuRenderer:
             sky = sky_layer(medium, camera) if medium is not None else None
             film = None if mirror is None else Film.on(film_of_splats(splats, parts), tiles)
             if rain is not None and lit is not None:
-                self._frame = _draw_lit(splats, tiles, rain, lit, sky, film, with_depth=with_depth)
+                self._frame = _draw_lit(splats, tiles, camera, rain, lit, sky, film, with_depth=with_depth)
             elif rain is not None and falling and rain.is_linear:
                 rgba, weighted, weight = composite_in_rain(
                     splats.shapes, splats.colors, rain.light_linear, tiles, sky, film=film
@@ -112,6 +117,8 @@ class CpuRenderer:
                     rgba += (1 - rgba[..., 3:]) * sky
             if mirror is not None and film is not None:
                 add_light(self._frame.rgba, mirror.reflected(film.visible))
+            if camera.lens is not None:
+                self._frame = _within_lens(self._frame, camera)
         self.statistics.splats_drawn = len(order)
 
     def draw_backdrop(self, parts: Sequence[DrawItem], camera: Camera, rain: RainFrame | None) -> Backdrop:
@@ -198,6 +205,7 @@ def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, film: Film | 
 def _draw_lit(
     splats: Splats,
     tiles: TileLists,
+    camera: Camera,
     rain: RainFrame,
     lit: LampLight,
     sky: Float32[np.ndarray, "r c 4"] | None,
@@ -211,12 +219,22 @@ def _draw_lit(
     channels[:, 3] = share_of_depth(channels[:, 3])
     rgba, shares, weight = composite_in_rain(splats.shapes, channels, rain.light_linear, tiles, sky, light, film)
     if sky is not None:
-        light += light_in_picture(lit, shares, weight)
+        light += light_in_picture(lit, shares, weight, None if camera.lens is None else camera.rays)
     add_light(rgba, light)
     if not with_depth:
         return Frame(rgba)
     _, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     return Frame(rgba, expected(weighted, weight, MIN_WEIGHT))
+
+
+def _within_lens(frame: Frame, camera: Camera) -> Frame:
+    """Leave pixels empty that no ray comes to."""
+    is_imaged = camera.rays.is_imaged
+    if is_imaged.all():
+        return frame
+    frame.rgba[~is_imaged] = 0
+    depth = None if frame.depth is None else np.where(is_imaged, frame.depth, np.float32(0))
+    return replace(frame, depth=depth)
 
 
 def _draw_behind_veil(

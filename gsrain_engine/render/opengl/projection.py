@@ -10,7 +10,8 @@ from ...rain.frame import RainFrame
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
-from ..cpu.projection import NEAR_M
+from ..cpu.lens_projection import lens_view, rolling_pose
+from ..cpu.splats import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
 from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GaussianBuffers, GpuArrays, ProjectedSplatBuffer
@@ -59,9 +60,12 @@ class ProjectionPass:
             (_rising(part) if part.opacity > 0 and part.drawn_count else part._replace(limit=0, members=None), False)
             for part in parts
         ]
-        field = rain if rain is not None and rain.draws_drops else None
+        view = None if camera.is_pinhole else lens_view(camera)
+        field = rain if rain is not None and rain.draws_drops and view is None else None
         if rain is not None:
             rows.append((DrawItem(rain.drawn_haze, np.eye(4)), True))
+            if view is not None:  # drops are found on the processor, each at the time of its row
+                rows.append((DrawItem(rain.lit_streaks, np.eye(4)), True))
         fixed = sum(_slots(each.gaussians) for part, _ in rows for each in _drawn_in_chunks(part))
         slots = FrameSlots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
         store.reserve(slots.all)
@@ -71,7 +75,8 @@ class ProjectionPass:
         wet = {"WET": 1} if is_wet else {}
         medium = rain.medium if rain is not None else None
         dims = {"MEDIUM": 1} if medium is not None else {}
-        switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims}
+        bent = {} if view is None else {"LENS": 1}
+        switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims, **bent}
         frame: dict[str, Any] = {
             "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy), "image_size": (camera.width, camera.height),
             "near": NEAR_M, "camera_to_world": tuple(camera.camera_to_world[:3, :3].T.ravel()),
@@ -79,11 +84,21 @@ class ProjectionPass:
         }  # fmt: skip
         if rain is not None and medium is not None:
             frame |= {"is_linear": rain.is_linear, **medium_uniforms(medium)}
+            if view is not None:
+                frame["medium_by_distance"] = medium.by_distance
+        if view is not None:
+            frame |= {
+                "lens": view.lens.tolist(), "scan": tuple(view.scan.tolist()), "by_distance": view.by_distance,
+                "edges": tuple(np.clip(view.edges, -1e30, 1e30).tolist()),
+            }  # fmt: skip
         store.bind()
         first = 0
+        streaks = len(rows) - 1 if view is not None and rain is not None else None
         for number, (part, is_rain) in enumerate(rows):
             shader = self._projector(switches if part.members is None else {**switches, "MEMBERS": 1})
             shader.set(layer_color=layer_color(number), is_rain=is_rain, **frame)
+            if view is not None:
+                shader.set(**_changes(part, camera, is_held=number == streaks))
             if is_wet:
                 shader.set(wetness=part.wetness if part.is_wet else 0.0)
             gaussians, wet_sh = part.gaussians, part.wet_sh if part.is_wet else None
@@ -141,6 +156,16 @@ class ProjectionPass:
             shader.run(-(-drawn.gaussians // SLOTS_BY_BLOCK))
             first += _slots(drawn.gaussians)
         return first
+
+
+def _changes(part: DrawItem, camera: Camera, *, is_held: bool) -> dict[str, Any]:
+    """Uniforms of a part's motion during the readout, of points in the camera's frame."""
+    pose = rolling_pose(part, camera, is_held=is_held)
+    first, second = pose.matrices[1:] @ np.linalg.inv(pose.matrices[0])
+    return {
+        "moves": pose.moves, "first_change": tuple(first.T.ravel()), "second_change": tuple(second.T.ravel()),
+        "camera_changes": [tuple(each) for each in pose.eyes[1:].tolist()],
+    }  # fmt: skip
 
 
 class _DrawnInChunk(NamedTuple):

@@ -8,7 +8,7 @@ from ...rain.drop_field import FIRST_OF_CLASS
 from ...rain.frame import RainFrame
 from ...rain.properties import CLASSES
 from ...rain.shelter_map import ShelterMap
-from ..cpu.projection import NEAR_M
+from ..cpu.splats import NEAR_M
 from .buffers import SLOTS_BY_BLOCK, WORK_BYTES, GrowableBuffer, ProjectedSplatBuffer
 from .lamps import LampTextures
 from .shaders import ComputeShader, ShaderVariants

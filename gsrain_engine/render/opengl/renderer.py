@@ -4,18 +4,19 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import moderngl
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...rain.frame import RainFrame
-from ...rain.lamp_light import LampLight
+from ...rain.lamp_light import LampLight, light_in_picture
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
+from ...scene.lens import PixelRays
 from ...scene.scene import DrawItem
-from ...water.mirror import Mirror
+from ...water.mirror import LensMirror, Mirror
 from ..cpu.compositing import expected
 from ..mirror import film_items
 from ..renderer import (
@@ -39,6 +40,8 @@ from .tiles import TileRasterizer
 _QUADS_BY_INSTANCE = 128
 """Splats per instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
 
+
+_RAYS_UNIT = 7  # texture unit of a lens's rays; those of pictures and lamps are below
 
 Rasterizer = Literal["tiles", "quads"]
 """Compute shaders that blend tiles front to back, or the rasterizer that blends quads back to front.
@@ -131,13 +134,19 @@ class SplatRenderer:
         self._requests: list[_ByteRequest] = []
         """Requests of the last image, until the next one is drawn."""
         self._image: moderngl.Texture | None = None
-        self._light: moderngl.Texture | None = None
+        self._lights: dict[str, moderngl.Texture] = {}
+        self._rays: tuple[PixelRays, moderngl.Texture] | None = None
         self.statistics = RenderStatistics()
         """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
         self._drawn: RenderStatistics | None = None
         self._makes_drops = False
         self._redraw: Callable[[], None] = lambda: None
         """Draws the last image once more, if pairs had no room."""
+
+    @property
+    def draws_lenses(self) -> bool:
+        """True if cameras may have lenses and rolling shutters: tiles do, quads do not."""
+        return self._tiles is not None
 
     @property
     def picture(self) -> moderngl.Texture:
@@ -153,12 +162,15 @@ class SplatRenderer:
         *,
         with_depth: bool = False,
         look: RenderMode = "splats",
-        mirror: Mirror | None = None,
+        mirror: Mirror | LensMirror | None = None,
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
 
-        `camera` is in the world (meters). Depth is the scene's own, without rain.
+        `camera` is in the world (meters). Depth is the scene's own, without rain. Raises `ValueError` for a lens or a
+        rolling shutter without tiles.
         """
+        if not (camera.is_pinhole or self.draws_lenses):
+            raise ValueError("opengl-quads draws pinhole cameras with a global shutter; choose cpu or opengl-tiles")
         with self._active:
             light = None
             if mirror is not None:
@@ -187,7 +199,9 @@ class SplatRenderer:
         )
         falling = rain if rain is not None and not rain.is_clear and look == "splats" else None
         self._drawn.haze_drawn = len(falling.haze) if falling is not None else 0
-        self._makes_drops = falling is not None and falling.draws_drops
+        self._makes_drops = falling is not None and falling.draws_drops and camera.is_pinhole
+        if falling is not None and not camera.is_pinhole:
+            self._drawn.drops_drawn = len(falling.drops.numbers)
         before = self.context.detect_framebuffer()
         self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
         with self._timers.stage("project"):
@@ -302,14 +316,24 @@ class SplatRenderer:
         size = camera.width, camera.height
         target = self._target("splats", FramebufferLayout(size, False, with_depth, lit is not None))
         switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium, lit=lit)
-        lights = {} if rain_light is None else {"rain_light": tuple(rain_light)}
+        lights: dict[str, Any] = {} if rain_light is None else {"rain_light": tuple(rain_light)}
         if medium is not None:
-            lights |= sky_uniforms(medium) | {"intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy)}
+            lights |= sky_uniforms(medium)
+            if camera.is_pinhole:
+                lights["intrinsics"] = camera.fx, camera.fy, camera.cx, camera.cy
+        if not camera.is_pinhole:
+            switches = {**switches, "LENS": 1}
+            self._bound_rays(camera.rays).use(_RAYS_UNIT)
+            lights["rays"] = _RAYS_UNIT
+            if medium is not None:
+                lights["medium_by_distance"] = medium.by_distance
         self._tiles.draw(
             self._store, order, capacity, (target.color, target.depth, target.lamps), switches, lights, self._timers
         )  # fmt: skip
         with self._timers.stage("draw"):
-            self._image = self._mirrored(self._lit(self._resolve(look, None), lit), mirrored)
+            picture = self._resolve(look, None)
+            lit_picture = self._lit(picture, lit) if camera.lens is None else self._lit_along(picture, lit, camera)
+            self._image = self._mirrored(lit_picture, mirrored)
 
     def _blend_quads(
         self,
@@ -391,26 +415,53 @@ class SplatRenderer:
         vertices.render(moderngl.TRIANGLES, vertices=3)
         return target.color
 
-    def _uploaded(self, light: Float32[np.ndarray, "h w 3"]) -> moderngl.Texture:
-        """Texture of linear light, which is used until the next one."""
-        height, width = light.shape[:2]
-        if self._light is None or self._light.size != (width, height):
-            if self._light is not None:
-                self._light.release()
-            self._light = self.context.texture((width, height), 3, dtype="f4")
-            check_gpu_memory(self.context, light.nbytes)
-        self._light.write(np.ascontiguousarray(light).data)
-        return self._light
+    def _lit_along(self, picture: moderngl.Texture, lit: LampLight | None, camera: Camera) -> moderngl.Texture:
+        """Add the light of lamps to a picture through a lens; computed on the processor."""
+        splats = self._targets["splats"]
+        if lit is None or splats.lamps is None or splats.depth is None:
+            return picture
+        light = self._fetch(splats.lamps)[..., :3].copy()
+        if lit.table.size:
+            sums = self._fetch(splats.depth)
+            light += light_in_picture(lit, sums[..., 2].copy(), sums[..., 1].copy(), camera.rays)
+        light[~camera.rays.is_imaged] = 0
+        return self._mirrored(picture, self._uploaded(light, "lamps"), "lit")
 
-    def _mirrored(self, picture: moderngl.Texture, light: moderngl.Texture | None) -> moderngl.Texture:
-        """Add linear light that wet ground reflects to a picture."""
+    def _bound_rays(self, rays: PixelRays) -> moderngl.Texture:
+        """Texture of the rays of a camera with a lens, held for the next picture."""
+        if self._rays is None or self._rays[0] is not rays:
+            if self._rays is not None:
+                self._rays[1].release()
+            height, width = rays.is_imaged.shape
+            texels = np.dstack([rays.directions, rays.is_imaged.astype(np.float32)])
+            texture = self.context.texture((width, height), 4, texels.tobytes(), dtype="f4")
+            texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            self._rays = rays, texture
+        return self._rays[1]
+
+    def _uploaded(self, light: Float32[np.ndarray, "h w 3"], name: str = "mirror") -> moderngl.Texture:
+        """Texture of linear light, which is used until the next one of that name."""
+        height, width = light.shape[:2]
+        held = self._lights.get(name)
+        if held is None or held.size != (width, height):
+            if held is not None:
+                held.release()
+            self._lights[name] = held = self.context.texture((width, height), 3, dtype="f4")
+            check_gpu_memory(self.context, light.nbytes)
+        held.write(np.ascontiguousarray(light).data)
+        return held
+
+    def _mirrored(
+        self, picture: moderngl.Texture, light: moderngl.Texture | None, name: str = "mirrored"
+    ) -> moderngl.Texture:
+        """Add linear light, such as that which wet ground reflects, to a picture."""
         if light is None:
             return picture
         program, vertices = self._program("screen.vert", "add_light.frag", {})
-        for unit, (name, texture) in enumerate({"picture": picture, "light": light}.items()):
+        for unit, (sampler, texture) in enumerate({"picture": picture, "light": light}.items()):
             texture.use(unit)
-            program[name] = unit
-        target = self._target("mirrored", FramebufferLayout(picture.size))
+            program[sampler] = unit
+        target = self._target(name, FramebufferLayout(picture.size))
         target.framebuffer.use()
         vertices.render(moderngl.TRIANGLES, vertices=3)
         return target.color

@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt32
 
-from ..cpu.projection import NEAR_M
+from ..cpu.splats import NEAR_M
 from .buffers import COUNT_OFFSET, TOTAL_OFFSET, WORK_BYTES, GrowableBuffer
 from .context import is_software
 from .shaders import load_compute_shader

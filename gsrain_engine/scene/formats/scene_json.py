@@ -19,10 +19,15 @@ from ..gaussians import Gaussians
 from ..geometry import normalized
 from ..ground_water import GroundWater
 from ..lamps import Lamp
+from ..lens import Lens
+from ..rolling_shutter import ReadoutDirection
 from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
-SCENE_VERSION = 6
-"""Incremented when a field is added. The default of each field is its meaning in older files, which stay readable."""
+SCENE_VERSION = 7
+"""Incremented when a field is added. The default of each field is its meaning in older files, which stay readable.
+
+Version 7 adds lenses and rolling shutters of rig cameras; a scene without any is written as version 6.
+"""
 
 Row = tuple[float, float, float, float]
 Matrix = tuple[Row, Row, Row, Row]
@@ -102,6 +107,9 @@ class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     cy: float
     camera_to_ego: Matrix
     exposure_s: Positive = DEFAULT_EXPOSURE_S
+    lens: Lens | msgspec.UnsetType = msgspec.UNSET
+    readout_s: Annotated[float, Meta(ge=0, le=10)] | msgspec.UnsetType = msgspec.UNSET
+    readout_direction: ReadoutDirection | msgspec.UnsetType = msgspec.UNSET
 
 
 # Camera paths
@@ -190,7 +198,7 @@ def record_of(
     """Plain values of a scene with the files of its layers, then actors, and of their wet colors."""
     names, wet_names = iter(files), iter(wet_files or [None] * len(files))
     return SceneRecord(
-        version=SCENE_VERSION,
+        version=SCENE_VERSION if any(each.is_bent for rig in scene.rigs.values() for each in rig) else 6,
         **_fields(scene, _SCENE),
         layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
         actors=[_actor_record(actor, next(names), next(wet_names)) for actor in scene.actors],
@@ -299,14 +307,23 @@ def _is_pose(matrix: Float64[np.ndarray, "4 4"]) -> bool:
 
 
 def _camera_record(camera: RigCamera) -> CameraRecord:
-    return CameraRecord(camera_to_ego=_rows(camera.camera_to_ego), **_fields(camera, _CAMERA))
+    record = CameraRecord(camera_to_ego=_rows(camera.camera_to_ego), **_fields(camera, _CAMERA))
+    if camera.lens is not None:
+        record = msgspec.structs.replace(record, lens=camera.lens)
+    if camera.readout_s > 0:
+        record = msgspec.structs.replace(record, **_fields(camera, ("readout_s", "readout_direction")))
+    return record
 
 
 def _camera(record: CameraRecord, rig: str) -> RigCamera:
     matrix = np.array(record.camera_to_ego, np.float64)
     if not _is_pose(matrix):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
-    return RigCamera(camera_to_ego=matrix, **_fields(record, _CAMERA))
+    optional = _fields(record, ("lens", "readout_s", "readout_direction"))
+    given = {name: value for name, value in optional.items() if value is not msgspec.UNSET}
+    if isinstance(record.lens, Lens):
+        record.lens.check_drawable()
+    return RigCamera(camera_to_ego=matrix, **_fields(record, _CAMERA), **given)
 
 
 def flags_record(marks: SelectionFlags) -> FlagsRecord:

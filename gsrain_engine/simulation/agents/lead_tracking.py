@@ -231,4 +231,7 @@ def _sighting(
 
 
 def _ray(camera: Camera, u: float, v: float) -> np.ndarray:
+    if camera.lens is not None:
+        x, y, z = np.nan_to_num(camera.directions(np.array([[u, v]]))[0], nan=0.5).tolist()
+        return np.array([x, y, z]) / max(z, 1e-3)
     return np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])

@@ -1,59 +1,31 @@
-"""Lenses of AlpaSim's cameras: rays of pixels by OpenCV's pinhole and fisheye models and NVIDIA's f-theta.
+"""Cameras of AlpaSim's messages: OpenCV's pinhole and fisheye models and NVIDIA's f-theta, and back.
 
-A picture through a lens is sampled from pinhole pictures: one that covers all rays of a lens of up to 124 degrees, else
-those faces of a cube that rays hit. Coordinates of pixels are continuous: the center of the first one is (0.5, 0.5).
+Coordinates of pixels are continuous: the center of the first one is (0.5, 0.5).
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Float64
 
 from ...scene.camera import Camera
+from ...scene.lens import Lens
+from ...scene.scene import RigCamera
 
 MAX_SIDE_PX = 4096
 MAX_PIXELS = 2**23
-_WIDEST_DEG = 62.0  # half angle up to which one pinhole picture covers a lens
-_LARGEST_FACE_PX = 4096
-_MARGIN_PX = 2
-_NEWTON_STEPS = 12
-_LARGEST_ERROR_PX = 0.01
-_STEPS = 4096  # of the table by which a polynomial is inverted
 _COEFFICIENTS = {"radial_coeffs": 6, "tangential_coeffs": 2, "thin_prism_coeffs": 4}
+_SAMPLES = 400
+_LARGEST_ERROR_PX = 0.02
 
 
 class LensError(ValueError):
-    """A camera of which no picture can be made; `is_known` if the message says what is not supported."""
+    """A camera of which no picture can be made."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LensFace:
-    """A pinhole picture from which pixels of a lens are sampled."""
-
-    camera: Camera
-    """At the origin, with the axes of the lens' camera but for `turn`."""
-    turn: Float64[np.ndarray, "3 3"]
-    """Axes of the face in those of the lens."""
-    columns: Float32[np.ndarray, "h w"]
-    rows: Float32[np.ndarray, "h w"]
-    """Coordinates in the face's picture, as OpenCV counts them: 0 is the center of the first pixel."""
-    covered: Bool[np.ndarray, "h w"]
-    """Pixels of the lens that are sampled from this face."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorLens:
-    """A camera of a size, and the pinhole pictures that it is made of; without faces it is a pinhole itself."""
-
-    camera: Camera
-    faces: tuple[LensFace, ...] = ()
-
-
-def lens_of(spec: Any, width: int, height: int) -> SensorLens:
-    """Lens of a message `CameraSpec`, in a size in pixels; its own is scaled.
+def camera_of(spec: Any, width: int, height: int) -> Camera:
+    """Camera of a message `CameraSpec` at the origin, in a size in pixels; its own is scaled.
 
     Raises `LensError` for values out of range, and for models that are not supported.
     """
@@ -65,39 +37,25 @@ def lens_of(spec: Any, width: int, height: int) -> SensorLens:
     kind = spec.WhichOneof("camera_param")
     if kind is None:
         raise LensError("camera_intrinsics.camera_param: one of its models must be set")
-    parameters = getattr(spec, kind)
     across = width / (spec.resolution_w or width)
     down = height / (spec.resolution_h or height)
     if not (2**-8 <= across <= 2**8 and 2**-8 <= down <= 2**8):
         raise LensError(f"resolution {width} x {height} is too far from the camera's own")
-    if kind == "opencv_pinhole_param" and not any(np.any(getattr(parameters, name)) for name in _COEFFICIENTS):
-        return SensorLens(_pinhole(parameters, width, height, across, down))
-    pixels = np.stack(np.meshgrid((np.arange(width) + 0.5) / across, (np.arange(height) + 0.5) / down), axis=-1)
-    rays = {"opencv_pinhole_param": _pinhole_rays, "opencv_fisheye_param": _fisheye_rays, "ftheta_param": _ftheta_rays}
-    directions, is_seen = rays[kind](parameters, pixels)
-    if not is_seen.any():
+    read = {"opencv_pinhole_param": _pinhole, "opencv_fisheye_param": _fisheye, "ftheta_param": _ftheta}
+    lens, fx, fy, cx, cy = read[kind](getattr(spec, kind))
+    camera = Camera(width, height, fx * across, fy * down, cx * across, cy * down, lens=lens)
+    if lens is None:
+        return camera
+    try:
+        lens.check_drawable()
+    except ValueError as error:
+        raise LensError(f"camera_intrinsics: {error}") from None
+    if not camera.rays.is_imaged.any():
         raise LensError("camera_intrinsics: no pixel sees anything")
-    camera = Camera(width, height, float(width), float(width), width / 2, height / 2)
-    return SensorLens(camera, _faces(directions, is_seen))
+    return camera
 
 
-def assemble(lens: SensorLens, pictures: list[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "h w 3"]:
-    """Picture through a lens from those of its faces, in their order; pixels that see nothing are black."""
-    if not lens.faces:
-        return pictures[0]
-    found = np.zeros((lens.camera.height, lens.camera.width, 3), np.uint8)
-    for face, picture in zip(lens.faces, pictures, strict=True):
-        sampled = cv2.remap(picture, face.columns, face.rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        found[face.covered] = np.asarray(sampled, np.uint8)[face.covered]
-    return found
-
-
-# Rays
-
-
-_Pixels = Float64[np.ndarray, "h w 2"]
-_Rays = tuple[Float64[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]
-"""Unit directions (x right, y down, z forward), and which pixels see anything."""
+_Intrinsics = tuple[Lens | None, float, float, float, float]
 
 
 def _finite(name: str, values: Any) -> list[float]:
@@ -115,72 +73,35 @@ def _focal(parameters: Any) -> tuple[float, float, float, float]:
     return fx, fy, cx, cy
 
 
-def _pinhole(parameters: Any, width: int, height: int, across: float, down: float) -> Camera:
-    fx, fy, cx, cy = _focal(parameters)
-    return Camera(width, height, fx * across, fy * down, cx * across, cy * down)
-
-
-def _pinhole_rays(parameters: Any, pixels: _Pixels) -> _Rays:
-    fx, fy, cx, cy = _focal(parameters)
+def _pinhole(parameters: Any) -> _Intrinsics:
+    focal = _focal(parameters)
     groups: list[list[float]] = []
-    for name, most in _COEFFICIENTS.items():
+    for name, count in _COEFFICIENTS.items():
         values = _finite(name, getattr(parameters, name))
-        if len(values) > most:
-            raise LensError(f"camera_intrinsics.{name}: at most {most} numbers, not {len(values)}")
-        groups.append(values + [0.0] * (most - len(values)))
-    coefficients = tuple(np.array(group, np.float64) for group in groups)
-    wanted = (pixels - [cx, cy]) / [fx, fy]
-    points, area, step = wanted.copy(), np.ones(wanted.shape[:2]), 1e-6
-    with np.errstate(all="ignore"):  # pixels that no ray comes to diverge
-        for _ in range(_NEWTON_STEPS):
-            error = _distorted(points, *coefficients) - wanted
-            by_x = (_distorted(points + [step, 0], *coefficients) - wanted - error) / step
-            by_y = (_distorted(points + [0, step], *coefficients) - wanted - error) / step
-            area = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
-            moved_x = by_y[..., 1] * error[..., 0] - by_y[..., 0] * error[..., 1]
-            moved_y = by_x[..., 0] * error[..., 1] - by_x[..., 1] * error[..., 0]
-            points = points - np.stack([moved_x, moved_y], axis=-1) / area[..., None]
-        error = np.abs(_distorted(points, *coefficients) - wanted) * [fx, fy]
-        # Beyond the lens's range the polynomial falls: a mirrored image, which no lens has.
-        is_seen = (error.max(axis=-1) < _LARGEST_ERROR_PX) & (area > 0) & np.isfinite(points).all(axis=-1)
-    points = np.where(is_seen[..., None], points, 0.0)
-    directions = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
-    return directions / np.linalg.norm(directions, axis=-1, keepdims=True), is_seen
+        if len(values) > count:
+            raise LensError(f"camera_intrinsics.{name}: at most {count} numbers, not {len(values)}")
+        groups.append(values + [0.0] * (count - len(values)))
+    radial, tangential, prism = groups
+    if not any((*radial, *tangential, *prism)):
+        return None, *focal
+    return Lens("opencv", (*radial[:2], *tangential, *radial[2:], *prism)), *focal
 
 
-def _distorted(
-    points: _Pixels, k: Float64[np.ndarray, "6"], p: Float64[np.ndarray, "2"], s: Float64[np.ndarray, "4"]
-) -> _Pixels:
-    """OpenCV's distortion (calib3d): rational radial, tangential, thin prism."""
-    x, y = points[..., 0], points[..., 1]
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))) / (1 + r2 * (k[3] + r2 * (k[4] + r2 * k[5])))
-    bent_x = x * radial + 2 * p[0] * x * y + p[1] * (r2 + 2 * x * x) + s[0] * r2 + s[1] * r2 * r2
-    bent_y = y * radial + p[0] * (r2 + 2 * y * y) + 2 * p[1] * x * y + s[2] * r2 + s[3] * r2 * r2
-    return np.stack([bent_x, bent_y], axis=-1)
-
-
-def _fisheye_rays(parameters: Any, pixels: _Pixels) -> _Rays:
-    fx, fy, cx, cy = _focal(parameters)
-    k = _finite("radial_coeffs", parameters.radial_coeffs)
+def _fisheye(parameters: Any) -> _Intrinsics:
+    focal, k = _focal(parameters), _finite("radial_coeffs", parameters.radial_coeffs)
     if len(k) > 4:
         raise LensError(f"camera_intrinsics.radial_coeffs: at most 4 numbers, not {len(k)}")
-    points = (pixels - [cx, cy]) / [fx, fy]
-    forward = np.zeros(2 * len(k) + 2)
-    forward[1] = 1.0
-    forward[3::2] = k
-    return _by_angle(points, *_inverted(forward, np.linalg.norm(points, axis=-1), _max_angle(parameters)))
+    return Lens("fisheye", tuple(k + [0.0] * (4 - len(k))), _max_angle(parameters)), *focal
 
 
-def _ftheta_rays(parameters: Any, pixels: _Pixels) -> _Rays:
+def _ftheta(parameters: Any) -> _Intrinsics:
+    """Lens of f-theta: its first coefficient is 1, since the focal length is that on the axis."""
     cx, cy = _finite("principal_point", [parameters.principal_point_x, parameters.principal_point_y])
     linear = parameters.linear_cde
     c, d, e = _finite("linear_cde", [linear.linear_c, linear.linear_d, linear.linear_e])
-    matrix = np.array([[c, d], [e, 1.0]]) if parameters.HasField("linear_cde") else np.eye(2)
-    if abs(np.linalg.det(matrix)) < 1e-6:
-        raise LensError("camera_intrinsics.linear_cde: its matrix must be invertible")
-    points = (pixels - [cx, cy]) @ np.linalg.inv(matrix).T
-    radii = np.linalg.norm(points, axis=-1)
+    c, d, e = (c, d, e) if parameters.HasField("linear_cde") else (1.0, 0.0, 0.0)
+    if abs(c - d * e) < 1e-6 or c <= 0:
+        raise LensError("camera_intrinsics.linear_cde: its matrix must be invertible, and linear_c above 0")
     backward = _finite("pixeldist_to_angle_poly", parameters.pixeldist_to_angle_poly)
     forward = _finite("angle_to_pixeldist_poly", parameters.angle_to_pixeldist_poly)
     if max(len(backward), len(forward)) > 16 or not (backward or forward):
@@ -189,96 +110,62 @@ def _ftheta_rays(parameters: Any, pixels: _Pixels) -> _Rays:
         )
     angle = _max_angle(parameters)
     if backward and (parameters.reference_poly != 2 or not forward):
-        angles = np.polynomial.polynomial.polyval(radii, backward)
-        is_seen = np.isfinite(angles) & (angles >= 0) & (angles <= angle)
-        return _by_angle(points, np.where(is_seen, angles, 0.0), is_seen)
-    return _by_angle(points, *_inverted(np.array(forward), radii, angle))
+        forward, angle = _inverted(backward, angle)
+    if any(abs(value) > 1e-3 for value in forward[:1]):
+        raise LensError("camera_intrinsics.angle_to_pixeldist_poly: must be 0 at the angle 0")
+    slope = forward[1] if len(forward) > 1 else 0.0
+    if not slope > 0:
+        raise LensError("camera_intrinsics: the polynomial of the angle must rise from 0 on")
+    lens = Lens("ftheta", tuple(value / slope for value in forward[1:]), angle, (d / c, e))
+    return lens, c * slope, slope, cx, cy
 
 
 def _max_angle(parameters: Any) -> float:
-    angle = parameters.max_angle
-    return float(angle) if 0 < angle < math.pi else 0.99 * math.pi
+    angle = float(parameters.max_angle)
+    return angle if 0 < angle < math.pi else 0.99 * math.pi
 
 
-def _inverted(
-    polynomial: Float64[np.ndarray, " c"], radii: Float64[np.ndarray, "h w"], largest: float
-) -> tuple[Float64[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Angles at which a polynomial of the angle has the value of the radii, up to where it stops to rise."""
-    angles = np.linspace(0.0, largest, _STEPS)
-    values = np.polynomial.polynomial.polyval(angles, polynomial)
-    falls = np.flatnonzero(~(np.diff(values) > 0))
-    end = falls[0] + 1 if len(falls) else _STEPS
-    if end < 2:
-        raise LensError("camera_intrinsics: the polynomial of the angle must rise from 0 on")
-    found = np.interp(radii, values[:end], angles[:end])
-    slope = np.polynomial.polynomial.polyder(polynomial)
-    for _ in range(3):  # Newton's method, from a table that is already exact to 1e-6
-        value, rise = (np.polynomial.polynomial.polyval(found, each) for each in (polynomial, slope))
-        found = np.clip(found - (value - radii) / np.where(rise > 1e-12, rise, np.inf), 0.0, angles[end - 1])
-    return found, radii <= values[end - 1]
+def _inverted(backward: list[float], largest: float) -> tuple[list[float], float]:
+    """Polynomial of the angle that inverts one of the distance in pixels, to 0.02 px, and its largest angle."""
+    evaluate = np.polynomial.polynomial.polyval
+    reach = np.geomspace(1e-2, 2.0 * MAX_SIDE_PX, 2000)
+    angles = evaluate(reach, backward)
+    ends = np.flatnonzero(~((np.diff(angles) > 0) & (angles[1:] <= largest) & np.isfinite(angles[1:])))
+    end = int(ends[0]) if len(ends) else len(reach) - 1
+    if end < 1 or not 0 <= angles[0] < 0.1:
+        raise LensError("camera_intrinsics: no pixel sees anything")
+    distances = np.linspace(0.0, reach[end], _SAMPLES)
+    angles = evaluate(distances, backward)
+    scale = float(angles[-1])
+    for degree in range(3, 16):
+        powers: Float64[np.ndarray, "n d"] = (angles[:, None] / scale) ** np.arange(1, degree + 1)
+        found, *_ = np.linalg.lstsq(powers, distances, rcond=None)
+        if np.abs(powers @ found - distances).max() < _LARGEST_ERROR_PX:
+            return [0.0, *(found / scale ** np.arange(1, degree + 1)).tolist()], min(scale, largest)
+    raise LensError("camera_intrinsics.pixeldist_to_angle_poly: no polynomial of up to 15 powers inverts it")
 
 
-def _by_angle(
-    points: Float64[np.ndarray, "h w 2"], angles: Float64[np.ndarray, "h w"], is_seen: Bool[np.ndarray, "h w"]
-) -> _Rays:
-    """Rays at an angle from the axis, in the direction of points around it."""
-    lengths = np.linalg.norm(points, axis=-1, keepdims=True)
-    around = np.divide(points, lengths, out=np.zeros_like(points), where=lengths > 0)
-    return np.concatenate([around * np.sin(angles)[..., None], np.cos(angles)[..., None]], axis=-1), is_seen
-
-
-# Faces
-
-_CUBE = {
-    "front": np.eye(3),
-    "right": np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], np.float64),
-    "left": np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], np.float64),
-    "down": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float64),
-    "up": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float64),
-    "back": np.array([[-1, 0, 0], [0, 1, 0], [0, 0, -1]], np.float64),
-}
-"""Axes of each face (columns: right, down, forward) in those of the lens."""
-
-
-def _faces(directions: Float64[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]) -> tuple[LensFace, ...]:
-    focal = _pixels_per_radian(directions, is_seen)
-    if directions[is_seen][:, 2].min() > math.cos(math.radians(_WIDEST_DEG)):
-        return (_face(directions, is_seen, np.eye(3), focal),)
-    forwards = np.stack([turn[:, 2] for turn in _CUBE.values()])
-    nearest = (directions @ forwards.T).argmax(axis=-1)
-    found: list[LensFace] = []
-    for index, turn in enumerate(_CUBE.values()):
-        covered = is_seen & (nearest == index)
-        if covered.any():
-            found.append(_face(directions, covered, turn, focal))
-    return tuple(found)
-
-
-def _pixels_per_radian(directions: Float64[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]) -> float:
-    """Largest density of pixels across and down, in the middle half of all that see anything."""
-    densities: list[float] = [1.0]
-    for axis in (0, 1):
-        if directions.shape[axis] > 1:
-            steps = np.linalg.norm(np.diff(directions, axis=axis), axis=-1)
-            both = np.logical_and(*(np.take(is_seen, range(k, is_seen.shape[axis] - 1 + k), axis) for k in (0, 1)))
-            if both.any():
-                densities.append(1 / max(float(np.quantile(steps[both], 0.25)), 1e-6))
-    return max(densities)
-
-
-def _face(
-    directions: Float64[np.ndarray, "h w 3"],
-    covered: Bool[np.ndarray, "h w"],
-    turn: Float64[np.ndarray, "3 3"],
-    focal: float,
-) -> LensFace:
-    """Pinhole picture of the rays of some pixels, cut to them."""
-    local = directions @ turn
-    points = local[..., :2] / np.where(covered, local[..., 2], 1.0)[..., None]
-    low, high = points[covered].min(axis=0), points[covered].max(axis=0)
-    focal = min(focal, (_LARGEST_FACE_PX - 2 * _MARGIN_PX) / max(float((high - low).max()), 1e-6))
-    start = np.floor(low * focal) - _MARGIN_PX
-    width, height = (np.ceil(high * focal) + _MARGIN_PX - start).astype(int).tolist()
-    camera = Camera(width, height, focal, focal, -float(start[0]), -float(start[1]))
-    columns, rows = np.moveaxis((points * focal - start - 0.5).astype(np.float32), -1, 0)
-    return LensFace(camera, turn, np.ascontiguousarray(columns), np.ascontiguousarray(rows), covered)
+def write_lens(spec: Any, camera: RigCamera) -> None:
+    """Write the lens of a camera into a message `CameraSpec`."""
+    lens = camera.lens
+    if lens is not None and lens.model == "ftheta":
+        row = spec.ftheta_param
+        row.angle_to_pixeldist_poly.extend([0.0, *(camera.fy * value for value in lens.coefficients)])
+        row.reference_poly = 2
+        row.linear_cde.linear_c = camera.fx / camera.fy
+        row.linear_cde.linear_d = lens.shear[0] * camera.fx / camera.fy
+        row.linear_cde.linear_e = lens.shear[1]
+    else:
+        row = spec.opencv_fisheye_param if lens is not None and lens.model == "fisheye" else spec.opencv_pinhole_param
+        row.focal_length_x, row.focal_length_y = camera.fx, camera.fy
+    row.principal_point_x, row.principal_point_y = camera.cx, camera.cy
+    if lens is None or lens.model == "opencv":
+        k = (*(() if lens is None else lens.coefficients), *[0.0] * 12)[:12]
+        row.radial_coeffs.extend((*k[:2], *k[4:8]))
+        row.tangential_coeffs.extend(k[2:4])
+        row.thin_prism_coeffs.extend(k[8:12])
+        return
+    if lens.model == "fisheye":
+        row.radial_coeffs.extend(lens.coefficients)
+    if lens.max_angle_rad is not None:
+        row.max_angle = lens.max_angle_rad

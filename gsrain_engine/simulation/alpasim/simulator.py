@@ -27,10 +27,12 @@ from ...render.sky_color import SkyColor, sky_color
 from ...scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ...scene.formats.nurec import logical_cameras, sensor_height_m, start_s, timestamps_us
 from ...scene.geometry import matrices_from_quaternions, quaternions_from_matrices
+from ...scene.lens_faces import LensFace, assemble, lens_faces
+from ...scene.rolling_shutter import ReadoutDirection, RollingShutter
 from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
 from ...water.glass import CameraMotion
 from ...water.spray import spray_of
-from .lenses import LensError, LensFace, SensorLens, assemble, lens_of
+from .lenses import LensError, camera_of, write_lens
 from .messages import enum_name, message
 
 Pose = Float64[np.ndarray, "4 4"]
@@ -145,41 +147,55 @@ class Simulator:
         width = request.resolution_w or spec.resolution_w
         height = request.resolution_h or spec.resolution_h
         try:
-            lens = _lens(spec.SerializeToString(deterministic=True), width, height)
+            camera = _camera(spec.SerializeToString(deterministic=True), width, height)
         except LensError as error:
             raise RequestError("UNIMPLEMENTED" if "support" in str(error) else "INVALID_ARGUMENT", str(error)) from None
         moment = _moment(request, served)
-        return _encoded(self._drawn(served, request, lens, moment, is_active), kind, request.image_quality)
+        return _encoded(self._drawn(served, request, camera, moment, is_active), kind, request.image_quality)
 
     def _drawn(
-        self, served: ServedScene, request: Any, lens: SensorLens, moment: _Moment, is_active: Callable[[], bool]
+        self, served: ServedScene, request: Any, camera: Camera, moment: _Moment, is_active: Callable[[], bool]
     ) -> UInt8[np.ndarray, "h w 3"]:
         spec = request.camera_intrinsics
         mounted = served.cameras.get(spec.logical_id)
         scene = _moved_scene(served, request, moment, mounted)
+        direction = _ROLLING.get(enum_name("ShutterType", spec.shutter_type))
+        if served.rainfall.rain.glass == "none" and self.renderer.draws_lenses:
+            time_s, pose = moment.at(0.5)
+            rolling = None if direction is None else _rolling(moment, direction)
+            if not is_active():
+                raise RequestError("CANCELLED", "the client is gone")
+            camera = replace(camera, rolling=rolling)
+            return self._view(served, scene, camera, pose, np.eye(3), time_s, moment, mounted)
+        return self._assembled(served, scene, camera, direction, moment, mounted, is_active)
+
+    def _assembled(
+        self, served: ServedScene, scene: Scene, camera: Camera, direction: ReadoutDirection | None, moment: _Moment,
+        mounted: RigCamera | None, is_active: Callable[[], bool],
+    ) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
+        """Picture put together from pinhole pictures, and from bands of a rolling shutter: with glass, or by quads."""
         has_glass = served.rainfall.rain.glass != "none"
-        if has_glass and len(lens.faces) > 1:
+        faces = () if camera.lens is None else lens_faces(camera)
+        if has_glass and len(faces) > 1:
             raise RequestError("UNIMPLEMENTED", "camera_intrinsics: water on glass is drawn up to 124 degrees only")
-        shutter = enum_name("ShutterType", spec.shutter_type)
-        axis, is_backward = _ROLLING.get(shutter, (0, False))
-        count = _bands(lens, moment) if shutter in _ROLLING and not has_glass else 1
-        size = (lens.camera.height, lens.camera.width)[axis]
+        axis, is_backward = int(direction in ("right", "left")), direction in ("up", "left")
+        count = _bands(camera, faces, moment) if direction is not None and not has_glass else 1
+        size = (camera.height, camera.width)[axis]
         ends = np.linspace(0, size, min(count, size) + 1).astype(int).tolist()
-        picture = np.zeros((lens.camera.height, lens.camera.width, 3), np.uint8)
+        picture = np.zeros((camera.height, camera.width, 3), np.uint8)
         for first, last in pairwise(ends):
             middle = (first + last) / 2 / size
             time_s, pose = moment.at(1 - middle if is_backward else middle)
-            band = lens if len(ends) == 2 else _band(lens, axis, first, last)
-            if band is None:
+            part = (slice(first, last), slice(None)) if axis == 0 else (slice(None), slice(first, last))
+            band, cut = (camera, faces) if len(ends) == 2 else _band(camera, faces, axis, first, last)
+            if faces and not cut:
                 continue
             views: list[UInt8[np.ndarray, "a b 3"]] = []
-            for camera, turn in _cameras(band):
+            for each, turn in [(face.camera, face.turn) for face in cut] or [(band, np.eye(3))]:
                 if not is_active():
                     raise RequestError("CANCELLED", "the client is gone")
-                views.append(self._view(served, scene, camera, pose, turn, time_s, moment, mounted))
-            drawn = assemble(band, views)
-            part = (slice(first, last), slice(None)) if axis == 0 else (slice(None), slice(first, last))
-            picture[part] = drawn if not lens.faces and len(ends) > 2 else drawn[part]
+                views.append(self._view(served, scene, each, pose, turn, time_s, moment, mounted))
+            picture[part] = assemble(cut, views)[part] if cut else views[0]
         return picture
 
     def _view(
@@ -242,13 +258,9 @@ class Simulator:
             row = answer.available_cameras.add(logical_id=name)
             spec = row.intrinsics
             spec.logical_id, spec.resolution_w, spec.resolution_h = name, camera.width, camera.height
-            spec.shutter_type = 5  # GLOBAL
-            lens = spec.opencv_pinhole_param
-            lens.focal_length_x, lens.focal_length_y = camera.fx, camera.fy
-            lens.principal_point_x, lens.principal_point_y = camera.cx, camera.cy
-            lens.radial_coeffs.extend([0.0] * 6)
-            lens.tangential_coeffs.extend([0.0] * 2)
-            lens.thin_prism_coeffs.extend([0.0] * 4)
+            shutters = {direction: number for number, direction in enumerate(_ROLLING.values(), 1)}
+            spec.shutter_type = shutters[camera.readout_direction] if camera.readout_s > 0 else 5  # GLOBAL
+            write_lens(spec, camera)
             _write_pose(row.rig_to_camera, up @ camera.camera_to_ego)  # camera to rig, whatever its name says
         return answer
 
@@ -271,47 +283,45 @@ class Simulator:
 _FORWARD = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
 """Axes of a camera that looks along x of a frame with z up."""
 
-_ROLLING: dict[str, tuple[int, bool]] = {
-    "ROLLING_TOP_TO_BOTTOM": (0, False),
-    "ROLLING_BOTTOM_TO_TOP": (0, True),
-    "ROLLING_LEFT_TO_RIGHT": (1, False),
-    "ROLLING_RIGHT_TO_LEFT": (1, True),
-}
-"""Axis of the picture along which it is read, and whether from its end."""
+_ROLLING: dict[str, ReadoutDirection] = {
+    "ROLLING_TOP_TO_BOTTOM": "down", "ROLLING_LEFT_TO_RIGHT": "right",
+    "ROLLING_BOTTOM_TO_TOP": "up", "ROLLING_RIGHT_TO_LEFT": "left",
+}  # fmt: skip
+
+
+def _rolling(moment: _Moment, direction: ReadoutDirection) -> RollingShutter:
+    try:
+        return RollingShutter.between(moment.start, moment.end, moment.end_s - moment.start_s, direction)[1]
+    except ValueError as error:
+        raise RequestError("INVALID_ARGUMENT", f"frame_start_us, frame_end_us, sensor_pose: {error}") from None
 
 
 @lru_cache(maxsize=8)
-def _lens(spec: bytes, width: int, height: int) -> SensorLens:
-    return lens_of(message("CameraSpec").FromString(spec), width, height)
+def _camera(spec: bytes, width: int, height: int) -> Camera:
+    return camera_of(message("CameraSpec").FromString(spec), width, height)
 
 
-def _cameras(lens: SensorLens) -> list[tuple[Camera, Float64[np.ndarray, "3 3"]]]:
-    return [(face.camera, face.turn) for face in lens.faces] if lens.faces else [(lens.camera, np.eye(3))]
-
-
-def _bands(lens: SensorLens, moment: _Moment) -> int:
+def _bands(camera: Camera, faces: tuple[LensFace, ...], moment: _Moment) -> int:
     """Number of bands of a rolling shutter: enough that near points move little from one to the next."""
-    focal_px = max(camera.fx for camera, _ in _cameras(lens))
+    focal_px = max([face.camera.fx for face in faces] or [camera.fx])
     turned = moment.start[:3, :3].T @ moment.end[:3, :3]
     angle = float(np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1)))
     shift_m = float(np.linalg.norm(moment.end[:3, 3] - moment.start[:3, 3]))
     return int(np.clip(np.ceil(focal_px * (angle + shift_m / _NEAR_M) / _BAND_SHIFT_PX), 1, _LARGEST_BANDS))
 
 
-def _band(lens: SensorLens, axis: int, first: int, last: int) -> SensorLens | None:
-    """Part of a lens: of a pinhole the rows or columns alone, else the faces cut to what these are sampled from.
-
-    None if these see nothing.
-    """
-    camera = lens.camera
-    if not lens.faces:
+def _band(
+    camera: Camera, faces: tuple[LensFace, ...], axis: int, first: int, last: int
+) -> tuple[Camera, tuple[LensFace, ...]]:
+    """Part of a camera: of a pinhole the rows or columns alone, else the faces cut to what these are sampled from."""
+    if not faces:
         if axis == 0:
-            return SensorLens(replace(camera, height=last - first, cy=camera.cy - first))
-        return SensorLens(replace(camera, width=last - first, cx=camera.cx - first))
+            return replace(camera, height=last - first, cy=camera.cy - first), ()
+        return replace(camera, width=last - first, cx=camera.cx - first), ()
     inside = np.zeros((camera.height, camera.width), np.bool_)
     inside[(slice(first, last), slice(None)) if axis == 0 else (slice(None), slice(first, last))] = True
-    faces: list[LensFace] = []
-    for face in lens.faces:
+    found: list[LensFace] = []
+    for face in faces:
         covered = face.covered & inside
         if covered.any():
             columns, rows = face.columns[covered], face.rows[covered]
@@ -319,8 +329,8 @@ def _band(lens: SensorLens, axis: int, first: int, last: int) -> SensorLens | No
             width = min(int(np.ceil(columns.max())) + 2, face.camera.width) - left
             height = min(int(np.ceil(rows.max())) + 2, face.camera.height) - top
             cut = replace(face.camera, width=width, height=height, cx=face.camera.cx - left, cy=face.camera.cy - top)
-            faces.append(LensFace(cut, face.turn, face.columns - left, face.rows - top, covered))
-    return SensorLens(camera, tuple(faces)) if faces else None
+            found.append(LensFace(cut, face.turn, face.columns - left, face.rows - top, covered))
+    return camera, tuple(found)
 
 
 # Poses

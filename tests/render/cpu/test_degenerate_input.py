@@ -6,8 +6,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from given_rain import given_rain
-from gsrain_engine.render.cpu.projection import NEAR_M, project
+from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.cpu.splats import NEAR_M
 from gsrain_engine.render.renderer import Frame, RenderMode
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import DrawItem

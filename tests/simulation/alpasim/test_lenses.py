@@ -1,10 +1,13 @@
-"""Lenses of AlpaSim's cameras against OpenCV's own functions, and their pictures against pinhole ones."""
+"""Cameras of AlpaSim's messages against OpenCV's own functions and f-theta's formula, and back."""
 
 import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.simulation.alpasim.lenses import LensError, SensorLens, assemble, lens_of
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.lens_faces import assemble, lens_faces
+from gsrain_engine.scene.scene import RigCamera
+from gsrain_engine.simulation.alpasim.lenses import LensError, camera_of, write_lens
 from gsrain_engine.simulation.alpasim.messages import message
 
 WIDTH, HEIGHT = 160, 120
@@ -35,21 +38,15 @@ def fisheye():
     return camera("opencv_fisheye_param", radial_coeffs=KANNALA, max_angle=1.4, **focal)
 
 
-def rays(lens: SensorLens) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (x, y) that see something, and their directions, from the faces that pictures are sampled from."""
-    pixels, directions = [], []
-    for face in lens.faces:
-        rows, columns = np.nonzero(face.covered)
-        u, v = face.columns[rows, columns] + 0.5, face.rows[rows, columns] + 0.5
-        ray = np.stack([(u - face.camera.cx) / face.camera.fx, (v - face.camera.cy) / face.camera.fy, np.ones(len(u))])
-        pixels.append(np.stack([columns + 0.5, rows + 0.5], axis=1))
-        directions.append((face.turn @ ray).T)
-    return np.concatenate(pixels), np.concatenate(directions)
+def rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (x, y) that a ray comes to, and their directions."""
+    rows, columns = np.nonzero(camera.rays.is_imaged)
+    return np.stack([columns + 0.5, rows + 0.5], axis=1), camera.rays.directions[rows, columns].astype(np.float64)
 
 
 def test_pinhole_distortion_is_opencvs() -> None:
     spec = opencv("opencv_pinhole_param", radial_coeffs=RADIAL, tangential_coeffs=TANGENTIAL, thin_prism_coeffs=PRISM)
-    pixels, directions = rays(lens_of(spec, WIDTH, HEIGHT))
+    pixels, directions = rays(camera_of(spec, WIDTH, HEIGHT))
     coefficients = np.array([*RADIAL[:2], *TANGENTIAL, *RADIAL[2:], *PRISM])
     found, _ = cv2.projectPoints(directions[:, None], np.zeros(3), np.zeros(3), MATRIX, coefficients)
     assert len(pixels) > 0.9 * WIDTH * HEIGHT
@@ -57,9 +54,7 @@ def test_pinhole_distortion_is_opencvs() -> None:
 
 
 def test_fisheye_is_opencvs() -> None:
-    lens = lens_of(fisheye(), WIDTH, HEIGHT)
-    pixels, directions = rays(lens)
-    assert len(lens.faces) > 1
+    pixels, directions = rays(camera_of(fisheye(), WIDTH, HEIGHT))
     ahead = directions[:, 2] > 0.2
     found, _ = cv2.fisheye.projectPoints(directions[ahead, None], np.zeros(3), np.zeros(3), WIDE, np.array(KANNALA))
     np.testing.assert_allclose(found[:, 0], pixels[ahead], atol=0.02)
@@ -84,7 +79,7 @@ def test_f_theta_by_either_polynomial(fields: dict) -> None:
     spec = camera("ftheta_param", max_angle=1.2, **fields)
     spec.ftheta_param.linear_cde.linear_c, spec.ftheta_param.linear_cde.linear_d = 1.01, 0.003
     spec.ftheta_param.linear_cde.linear_e = -0.002
-    pixels, directions = rays(lens_of(spec, WIDTH, HEIGHT))
+    pixels, directions = rays(camera_of(spec, WIDTH, HEIGHT))
     angle = np.arctan2(np.linalg.norm(directions[:, :2], axis=1), directions[:, 2])
     assert 1.0 < angle.max() < 1.2 + 1e-6
     length = np.polynomial.polynomial.polyval(angle, FORWARD)
@@ -95,26 +90,44 @@ def test_f_theta_by_either_polynomial(fields: dict) -> None:
 
 def test_a_picture_through_a_lens_is_sampled_where_its_rays_go() -> None:
     """Of a picture whose colors are directions, each pixel gets the color of its own."""
-    lens = lens_of(fisheye(), WIDTH, HEIGHT)
-    faces = []
-    for face in lens.faces:
+    camera, pictures = camera_of(fisheye(), WIDTH, HEIGHT), []
+    faces = lens_faces(camera)
+    assert len(faces) > 1
+    for face in faces:
         u, v = np.meshgrid(np.arange(face.camera.width) + 0.5, np.arange(face.camera.height) + 0.5)
         ray = np.stack([(u - face.camera.cx) / face.camera.fx, (v - face.camera.cy) / face.camera.fy, np.ones_like(u)])
         ray = np.einsum("ij,jhw->hwi", face.turn, ray / np.linalg.norm(ray, axis=0))
-        faces.append(np.rint(127.5 + 127.5 * ray).astype(np.uint8))
-    picture = assemble(lens, faces)
-    pixels, directions = rays(lens)
+        pictures.append(np.rint(127.5 + 127.5 * ray).astype(np.uint8))
+    picture = assemble(faces, pictures)
+    pixels, directions = rays(camera)
     columns, rows = (pixels - 0.5).astype(int).T
     expected = 127.5 + 127.5 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     np.testing.assert_allclose(picture[rows, columns], expected, atol=1.6)
-    assert not picture[~np.any([face.covered for face in lens.faces], axis=0)].any()
+    assert not picture[~camera.rays.is_imaged].any()
 
 
 def test_a_size_scales_the_lens() -> None:
     spec = opencv("opencv_pinhole_param")
-    lens = lens_of(spec, 2 * WIDTH, HEIGHT)
-    assert not lens.faces
-    assert (lens.camera.fx, lens.camera.fy, lens.camera.cx) == (180, 92, 156)
+    doubled = camera_of(spec, 2 * WIDTH, HEIGHT)
+    assert doubled.lens is None
+    assert (doubled.fx, doubled.fy, doubled.cx) == (180, 92, 156)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        opencv("opencv_pinhole_param", radial_coeffs=RADIAL, tangential_coeffs=TANGENTIAL, thin_prism_coeffs=PRISM),
+        fisheye(),
+        camera("ftheta_param", angle_to_pixeldist_poly=[0.0, 80.0, 0.0, -4.0], reference_poly=2, max_angle=1.2),
+    ],
+)
+def test_a_camera_comes_back_from_the_message_that_is_written_for_it(spec) -> None:
+    first, again = camera_of(spec, WIDTH, HEIGHT), message("CameraSpec")(resolution_w=WIDTH, resolution_h=HEIGHT)
+    numbers = first.fx, first.fy, first.cx, first.cy
+    write_lens(again, RigCamera("front", WIDTH, HEIGHT, *numbers, np.eye(4), 0.004, first.lens))
+    second = camera_of(again, WIDTH, HEIGHT)
+    np.testing.assert_allclose(second.rays.directions, first.rays.directions, atol=1e-6)
+    assert (second.rays.is_imaged == first.rays.is_imaged).all()
 
 
 @pytest.mark.parametrize(
@@ -132,6 +145,6 @@ def test_a_size_scales_the_lens() -> None:
 )  # fmt: skip
 def test_impossible_lenses_are_refused(spec, words: str) -> None:
     with pytest.raises(LensError, match=words):
-        lens_of(spec, WIDTH, HEIGHT)
+        camera_of(spec, WIDTH, HEIGHT)
     with pytest.raises(LensError, match="4096 px"):
-        lens_of(spec, 4097, HEIGHT)
+        camera_of(spec, 4097, HEIGHT)
