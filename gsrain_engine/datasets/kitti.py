@@ -26,7 +26,7 @@ from .geometry import (
     rigid_pose,
     translation_pose,
 )
-from .io.arrays import read_float32_rows, read_text
+from .io.arrays import RowFile, read_float32_rows, read_text
 from .io.images import image_size, images_in, read_color
 
 Calibration = dict[str, Float64[np.ndarray, " _"]]
@@ -129,7 +129,7 @@ def _scans(
         with log.omitting(f"{sensor}/{file.name}"):
             number = _number_of(file, times, poses)
             points, light = read_float32_rows(file, 4)  # m, x forward, y left, z up; reflectance 0..1
-            yield LidarScan.placed(times[number], poses[number], to_vehicle, points, light)
+            yield LidarScan.placed(times[number], poses[number], to_vehicle, points, light, RowFile(file, 4))
 
 
 # KITTI odometry

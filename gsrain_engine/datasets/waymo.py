@@ -151,7 +151,7 @@ class _RecordSegment:
                         ranges = _unpacked(image.range_image_compressed)
                         clouds.append(self.lasers[laser.name].points(ranges, poses, pose))
             if clouds:
-                yield _scan(time, pose, clouds, self.lasers)
+                yield _scan(time, pose, clouds, self.lasers, record.start)
 
 
 def _text(words: str | bytes) -> str:
@@ -334,7 +334,7 @@ class _TableSegment:
                             if image is not None:
                                 clouds.append(lasers[row[_LASER]].points(image, poses, self.poses[time]))
                 if clouds:
-                    yield _scan(time * _US, self.poses[time], clouds, lasers)
+                    yield _scan(time * _US, self.poses[time], clouds, lasers, time)
         self._report()
 
 
@@ -467,10 +467,10 @@ class WaymoLaser:
         return points, np.ascontiguousarray(light, np.float32)
 
 
-def _scan(time_s: float, pose: Pose, clouds: list[_Cloud], lasers: Mapping[int, WaymoLaser]) -> LidarScan:
+def _scan(time_s: float, pose: Pose, clouds: list[_Cloud], lasers: Mapping[int, WaymoLaser], key: int) -> LidarScan:
     top = lasers.get(1) or next(iter(lasers.values()))
     points, intensities = (np.concatenate(each) for each in zip(*clouds, strict=True))
-    return LidarScan(time_s, pose, points, top.to_vehicle[:3, 3], intensities)
+    return LidarScan(time_s, pose, points, top.to_vehicle[:3, 3], intensities, key)
 
 
 def _unpacked(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
