@@ -63,9 +63,15 @@ def colors_of(image: ImageMessage) -> UInt8[np.ndarray, "h w 3"]:
     return np.stack([pixels[..., 0 if order == "L" else order.index(each)] for each in "RGB"], axis=-1)
 
 
-def with_colors(image: ImageMessage, change: Callable[[Colors], Colors]) -> bytes:
-    """Encode the message with changed colors, in the encoding and size that it has; raises ValueError."""
-    colors = change(colors_of(image))
+def with_colors(image: ImageMessage, change: Callable[[Colors], Colors]) -> bytes | None:
+    """Encode the message with changed colors, in the encoding and size that it has; raises ValueError.
+
+    None if `change` returns the array that it was given.
+    """
+    before = colors_of(image)
+    colors = change(before)
+    if colors is before:
+        return None
     if image.is_compressed:
         return image.with_pixels(_compressed(image, colors))
     pixels = np.ascontiguousarray(_encoded(image, colors, _rows(image)))
