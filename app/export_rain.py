@@ -168,7 +168,7 @@ def _export_recording(
     if scene is None and not has_distances(capture):
         _refuse_fog(settings)
     lock_outputs(target)
-    turns = lidar.of(capture, settings) if recording.has_lidar else None
+    turns = lidar.of(capture, settings) if recording.has_lidar and not RainSimulation.start(settings).is_dry else None
     with open_renderer("cpu") as renderer:
         if scene is None:
             pictures = PhotoRain(renderer, capture, settings)

@@ -78,17 +78,18 @@ def _cloud_in_rain(cloud: CloudMessage, sweep: LidarSweep, lidar: LidarRain) -> 
     origin = cloud.to_frame[:3, 3]
     rainy = lidar.rainy(points[echoes], light, sweep.source.sensor_to_world, origin, sweep.time_s)
     own = transform_points(invert_pose(cloud.to_frame), rainy.points_m)
-    found = cloud.rows[echoes[rainy.rows]].copy()
+    found = cloud.rows_at(echoes[rainy.rows])
     for axis, column in zip("xyz", own.T, strict=True):
         found[axis] = column
     if name is not None and light is not None:
         found[name] = like_recorded(rainy.intensities, light)
     if cloud.height == 1:
         return cloud.with_rows(found)
-    whole = cloud.rows.copy()
+    whole = cloud.rows_at(np.arange(len(cloud.rows)))
     for axis in "xyz":
         if whole.dtype[axis].kind != "f":
             raise ValueError(f"{cloud.topic.name}: an organized cloud of whole numbers can't be without a point")
         whole[axis][echoes] = np.nan
-    whole[echoes[rainy.rows]] = found
+    for name in found.dtype.names or ():
+        whole[name][echoes[rainy.rows]] = found[name]
     return cloud.with_rows(whole)

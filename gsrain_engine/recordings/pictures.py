@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -28,6 +28,7 @@ from .lens_views import LensView, sampled, taken_tangents
 Colors = UInt8[np.ndarray, "h w 3"]
 
 
+@runtime_checkable
 class RainyPictures(Protocol):
     """Source of the rainy pictures of a recording."""
 

@@ -17,6 +17,7 @@ pytest.importorskip("mcap")
 STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 TYPES = STORE.types
 K = np.array([FOCAL, 0, WIDTH / 2 - 0.5, 0, FOCAL, HEIGHT / 2 - 0.5, 0, 0, 1])
+IMAGES, CLOUDS = "/front/image_raw/compressed", "/lidar/points"
 CLOUD_FIELDS = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 16, 7), ("ring", 20, 4)]
 CLOUD = np.dtype({"names": [name for name, _, _ in CLOUD_FIELDS], "formats": ["<f4"] * 4 + ["<u2"],
                   "offsets": [offset for _, offset, _ in CLOUD_FIELDS], "itemsize": 32})  # fmt: skip
@@ -113,8 +114,8 @@ def drive_messages(drive: MiniDrive, poses: str = "tf") -> list[tuple[str, str, 
         note = ros("std_msgs/msg/String", data=f"moment {k}")
         found += [
             ("/front/camera_info", "sensor_msgs/msg/CameraInfo", time, camera_info(time)),
-            ("/front/image_raw/compressed", "sensor_msgs/msg/CompressedImage", time, compressed_image(drive.jpeg(k), time)),
-            ("/lidar/points", "sensor_msgs/msg/PointCloud2", time, cloud(cloud_rows(drive.lidar_points(k)), time)),
+            (IMAGES, "sensor_msgs/msg/CompressedImage", time, compressed_image(drive.jpeg(k), time)),
+            (CLOUDS, "sensor_msgs/msg/PointCloud2", time, cloud(cloud_rows(drive.lidar_points(k)), time)),
             ("/labels", "std_msgs/msg/String", time, note),
         ]  # fmt: skip
     return found
@@ -138,22 +139,32 @@ def write_bag(folder: Path, messages: list[tuple[str, str, float, Any]], storage
 # Foxglove
 
 
-def write_foxglove(path: Path, drive: MiniDrive) -> Path:
-    """Write the drive as JSON messages of Foxglove's schemas, with metadata and an attachment."""
+def write_foxglove(path: Path, drive: MiniDrive, encoding: str = "json") -> Path:
+    """Write the drive as messages of Foxglove's schemas (json, protobuf), with metadata and an attachment."""
     from mcap.writer import Writer
 
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="", library="test")
         channels: dict[str, int] = {}
+        kinds_of: dict[str, Any] = {}
 
         def add(topic: str, kind: str, seconds: float, value: dict[str, Any]) -> None:
+            names = ("sec", "nsec") if encoding == "json" else ("seconds", "nanos")
+            parts = (int(seconds), round(seconds % 1 * 1e9))
+            value = {"timestamp": dict(zip(names, parts, strict=True)), **value}
+            if encoding == "json" and "data" in value:
+                value["data"] = base64.b64encode(value["data"]).decode()
             if topic not in channels:
-                schema = writer.register_schema(f"foxglove.{kind}", "jsonschema", b'{"type": "object"}')
-                channels[topic] = writer.register_channel(topic, "json", schema, {"note": topic})
-            stamp = {"timestamp": {"sec": int(seconds), "nsec": round(seconds % 1 * 1e9)}}
+                schema = "jsonschema", b'{"type": "object"}'
+                if encoding == "protobuf":
+                    definition, kinds_of[topic] = protobuf_schema(kind, value)
+                    schema = "protobuf", definition
+                number = writer.register_schema(f"foxglove.{kind}", *schema)
+                channels[topic] = writer.register_channel(topic, encoding, number, {"note": topic})
             time = round(seconds * 1e9)
-            writer.add_message(channels[topic], time, json.dumps(stamp | value).encode(), time + 5, sequence=len(channels))
+            data = json.dumps(value).encode() if encoding == "json" else kinds_of[topic](**value).SerializeToString()
+            writer.add_message(channels[topic], time, data, time + 5, sequence=len(channels))
 
         for k in range(drive.samples):
             time = drive.time(k)
@@ -166,14 +177,13 @@ def write_foxglove(path: Path, drive: MiniDrive) -> Path:
             known = {"D": [], "K": K.tolist(), "R": np.eye(3).ravel().tolist(), "P": p.tolist()}
             size = {"width": WIDTH, "height": HEIGHT, "distortion_model": "plumb_bob"}
             add("/front/info", "CameraCalibration", time, {"frame_id": "front", **size, **known})
-            content = {"frame_id": "front", "format": "jpeg", "data": base64.b64encode(drive.jpeg(k)).decode()}
+            content = {"frame_id": "front", "format": "jpeg", "data": drive.jpeg(k)}
             add("/front/image", "CompressedImage", time, content)
             rows = cloud_rows(drive.lidar_points(k))
             kinds = {7: 7, 4: 3}
             fields = [{"name": name, "offset": offset, "type": kinds[kind]} for name, offset, kind in CLOUD_FIELDS]
-            data = base64.b64encode(rows.tobytes()).decode()
             points = {"frame_id": "lidar", "pose": _posed(np.eye(4), "position", "orientation"), "point_stride": 32}
-            add("/points", "PointCloud", time, {**points, "fields": fields, "data": data})
+            add("/points", "PointCloud", time, {**points, "fields": fields, "data": rows.tobytes()})
         writer.add_metadata("about", {"place": "nowhere"})
         writer.add_attachment(1, 2, "note.txt", "text/plain", b"attached")
         writer.finish()
@@ -181,4 +191,29 @@ def write_foxglove(path: Path, drive: MiniDrive) -> Path:
 
 
 def _posed(pose: np.ndarray, place: str, turn: str) -> dict[str, Any]:
-    return {place: dict(zip("xyz", pose[:3, 3].tolist(), strict=True)), turn: dict(zip("wxyz", quaternion(pose), strict=True))}
+    xyz, wxyz = zip("xyz", pose[:3, 3].tolist(), strict=True), zip("wxyz", quaternion(pose), strict=True)
+    return {place: dict(xyz), turn: dict(wxyz)}
+
+
+def protobuf_schema(kind: str, sample: dict[str, Any]) -> tuple[bytes, Any]:
+    """FileDescriptorSet of a message like a sample (numbers are doubles, but for counts), and the class of messages."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    file = descriptor_pb2.FileDescriptorProto(name=f"{kind}.proto", package="foxglove", syntax="proto3")
+
+    def describe(message: Any, values: dict[str, Any]) -> None:
+        for number, (name, value) in enumerate(values.items(), 1):
+            repeated = isinstance(value, list)
+            one = (value or [0.0])[0] if repeated else value
+            field = message.field.add(name=name, number=number, label=3 if repeated else 1)
+            if isinstance(one, dict):
+                describe(message.nested_type.add(name=f"{name.title()}_"), one)
+                field.type, field.type_name = 11, f"{name.title()}_"
+            else:
+                field.type = {float: 1, int: 5, str: 9, bytes: 12}[type(one)]
+
+    describe(file.message_type.add(name=kind), sample)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    definition = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+    return definition, message_factory.GetMessageClass(pool.FindMessageTypeByName(f"foxglove.{kind}"))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import zstandard
 
@@ -62,6 +62,7 @@ class BagMessage(NamedTuple):
     data: bytes
 
 
+@runtime_checkable
 class Container(Protocol):
     """One file of messages. Every method raises `CaptureError`, which names the file."""
 

@@ -4,6 +4,7 @@ Facts: the .msg files of github.com/ros2/common_interfaces and geometry2, and gi
 """
 
 import base64
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -13,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 
 from ..capture import CaptureError
 from ..geometry import Pose, rigid_from_quaternion
@@ -134,6 +135,14 @@ def _stored_bytes(content: bytes, topic: Topic) -> Any:
     return np.frombuffer(content, np.uint8) if topic.encoding == "cdr" else content
 
 
+def _changed(value: Any, **fields: Any) -> Any:
+    """Copy an object of `decoded` with other fields."""
+    changed = copy.deepcopy(value) if hasattr(value, "SerializeToString") else copy.copy(value)
+    for name, each in fields.items():
+        setattr(changed, name, each)
+    return changed
+
+
 def _stamp(value: Any) -> Stamp:
     """Stamp of a message of ROS (header) or of Foxglove."""
     if hasattr(value, "header"):
@@ -177,10 +186,8 @@ class ImageMessage:
 
     def with_pixels(self, content: bytes, step: int = 0) -> bytes:
         """Encode the message with other pixels or another compressed picture of the same size."""
-        self.value.data = _stored_bytes(content, self.topic)
-        if not self.is_compressed:
-            self.value.step = step
-        return encoded(self.value, self.topic)
+        fields = {} if self.is_compressed else {"step": step}
+        return encoded(_changed(self.value, data=_stored_bytes(content, self.topic), **fields), self.topic)
 
 
 def read_image(message: BagMessage) -> ImageMessage:
@@ -281,14 +288,19 @@ class CloudMessage:
         names = self.rows.dtype.names or ()
         return next((name for name in _INTENSITIES if name in names), None)
 
+    def rows_at(self, places: Int64[np.ndarray, " m"]) -> np.ndarray:
+        """Copy some rows, with the bytes between their fields."""
+        content = self.rows.view(np.uint8).reshape(len(self.rows), -1)
+        return np.ascontiguousarray(content[places]).view(self.rows.dtype).reshape(-1)
+
     def with_rows(self, rows: np.ndarray) -> bytes:
         """Encode the message with other rows; an organized cloud keeps its number of them."""
-        self.value.data = _stored_bytes(rows.tobytes(), self.topic)
+        fields: dict[str, Any] = {"data": _stored_bytes(rows.tobytes(), self.topic)}
         if hasattr(self.value, "row_step"):
             count = len(rows) // self.height
-            self.value.width, self.value.row_step = count, count * rows.dtype.itemsize
-            self.value.is_dense = bool(self.value.is_dense) and self.height == 1
-        return encoded(self.value, self.topic)
+            is_dense = bool(self.value.is_dense) and self.height == 1
+            fields |= {"width": count, "row_step": count * rows.dtype.itemsize, "is_dense": is_dense}
+        return encoded(_changed(self.value, **fields), self.topic)
 
 
 def read_cloud(message: BagMessage) -> CloudMessage:

@@ -95,10 +95,11 @@ def _encoded(
     if image.encoding in _YUV422:
         return np.asarray(cv2.cvtColor(colors, _YUV422[image.encoding][1]), np.uint8)
     if (pattern := _bayer_pattern(image)) is not None:
-        mosaic = np.empty(before.shape, np.uint8)
+        # Colors at the border are interpolated: only their change is written.
+        mosaic, change = before.copy(), colors.astype(np.int16) - colors_of(image)
         for place, channel in enumerate(pattern):
-            rows, columns = slice(place // 2, None, 2), slice(place % 2, None, 2)
-            mosaic[rows, columns, 0] = colors[rows, columns, "RGB".index(channel)]
+            at = (slice(place // 2, None, 2), slice(place % 2, None, 2))
+            mosaic[(*at, 0)] = np.clip(before[(*at, 0)] + change[(*at, "RGB".index(channel))], 0, 255)
         return mosaic
     order = _CHANNELS[image.encoding]
     if order == "L":
