@@ -12,7 +12,7 @@ from .playback import RolloutPlayback
 
 
 def rollout_lidar_turns(played: RolloutPlayback, sensor: LidarSensor) -> Iterator[LidarTurnInRain]:
-    """Yield the turn of a level lidar on the ego's roof at each step, in the scenario's rain and the spray of vehicles."""
+    """Yield the turn of a level lidar on the ego's roof at each step, in the scenario's rain and vehicles' spray."""
     rainfall = RainSimulation.start(played.scenario.rain)
     for step in played.rollout.steps:
         scene, rig = played.scene(step.time_s), played.rig_to_world(step.time_s)

@@ -32,7 +32,7 @@ from gsrain_engine.datasets.io.records import records_in
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.waymo import parsed, unpacked_ranges
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
-from gsrain_engine.rain.settings import RainSettings, RegionBox
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.recordings.lidar import LidarRain
 from gsrain_engine.recordings.rainy_recording import open_recording
 from mini_drive import MiniDrive
@@ -53,8 +53,7 @@ class Negatives:
 
 def rainy_copy(source: Path, target: Path, intensity_mm_h: float = 60.0) -> LidarRain | None:
     recording = open_recording(source)
-    near = RegionBox(minimum_m=(-4, -4, -2), maximum_m=(6, 4, 3))
-    rain = RainSettings(intensity_mm_h=intensity_mm_h, streak_region=near)
+    rain = RainSettings(intensity_mm_h=intensity_mm_h)
     lidar = LidarRain(recording.capture, rain, SENSORS["64"], full=None, estimates_range=True)
     for _ in recording.write(target, Negatives(), lidar):
         pass
