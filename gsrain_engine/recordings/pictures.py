@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
+import cv2
 import msgspec
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -78,7 +79,7 @@ class PhotoRain:
         encode: Callable[..., np.ndarray] = linear_to_srgb if falling.is_linear else np.asarray
         behind = decode(photo.astype(np.float64) / 255)
         if distances is not None and air.medium is not None:
-            kept = distances.transmittance(air.medium, view)[..., None]
+            kept = _refined(distances.transmittance(air.medium, view), photo)[..., None]
             behind = kept * behind + (1 - kept) * decode(air.airlight)
         mixed = encode((1 - share) * behind + share * decode(falling.color))
         return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
@@ -101,6 +102,20 @@ _DEPTH_WIDTH = 480
 
 _SWEEPS = 3  # nearest in time, for the distances of an image
 _MIN_MEASURED = 1e-3  # minimum share of measured pixels
+
+
+_GUIDED_SHARE, _GUIDED_EPS = 1 / 12, 3e-3  # radius over the width; variance of colors (0..1) that counts as an edge
+
+
+def _refined(transmittance: Float32[np.ndarray, "h w"], photo: Colors) -> Float32[np.ndarray, "h w"]:
+    """Let a transmittance follow the edges of its photograph, in place of those of distances between lidar points.
+
+    The guided filter (He, Sun and Tang 2013), as haze is estimated from photographs.
+    """
+    radius = max(round(_GUIDED_SHARE * photo.shape[1]), 1)
+    guide = photo.astype(np.float32) / 255
+    smooth = cv2.ximgproc.guidedFilter(guide, transmittance, radius, _GUIDED_EPS)
+    return np.clip(np.asarray(smooth, np.float32), transmittance.min(), transmittance.max())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
