@@ -42,7 +42,7 @@ def test_a_wall_fades_by_the_extinction_of_its_distance(depth_m):
     beta = RainSimulation.start(rain).state.extinction_per_m
     kept = np.exp(-beta * depth_m)  # in the middle, where the ray is the axis
     air, dark = srgb_to_linear(np.array([SKY, WALL]) / 255)
-    expected = 255 * float(linear_to_srgb(kept * dark + (1 - kept) * air))
+    expected = 255 * linear_to_srgb(np.array([kept * dark + (1 - kept) * air]))[0]
     assert rainy[50, 45].tolist() == pytest.approx([expected] * 3, abs=2)
     assert rainy[2, 45].tolist() == pytest.approx([SKY] * 3, abs=2)  # the sky is the airlight
 
