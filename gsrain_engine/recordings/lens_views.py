@@ -18,7 +18,7 @@ _CACHED_LENSES = 8  # enough for a rig's cameras; 8 bytes a pixel each
 _LensKey = tuple[int, int, float, float, float, float]
 
 
-def taken_tangents(view: CaptureFrame) -> Float32[np.ndarray, "h w 2"]:
+def lens_tangents(view: CaptureFrame) -> Float32[np.ndarray, "h w 2"]:
     """Tangents x / z and y / z of the ray that each pixel of a view has taken through its lens."""
     camera = view.camera
     return _tangents((camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy), view.lens)
@@ -52,7 +52,7 @@ class LensView:
         """Cover a view; `camera` is its own, in any world."""
         if view.lens is None:
             return cls(view, camera)
-        rays = taken_tangents(view)
+        rays = lens_tangents(view)
         (left, top), (right, bottom) = rays.min(axis=(0, 1)), rays.max(axis=(0, 1))
         return cls(
             view,
@@ -65,7 +65,7 @@ class LensView:
             ),
         )
 
-    def as_taken(self, pixels: Shaped[np.ndarray, "h w ..."]) -> Shaped[np.ndarray, "h2 w2 ..."]:
+    def through_lens(self, pixels: Shaped[np.ndarray, "h w ..."]) -> Shaped[np.ndarray, "h2 w2 ..."]:
         """Sample a picture of the pinhole camera as the view's lens takes it."""
         return pixels if self.view.lens is None else sampled(pixels, self.camera, self.view)
 
@@ -74,7 +74,7 @@ def sampled(
     pixels: Shaped[np.ndarray, "h w ..."], camera: Camera, view: CaptureFrame
 ) -> Shaped[np.ndarray, "h2 w2 ..."]:
     """Sample an image of a pinhole camera at the rays of a view, which has the same pose."""
-    rays = taken_tangents(view)
+    rays = lens_tangents(view)
     columns = rays[..., 0] * np.float32(camera.fx) + np.float32(camera.cx - 0.5)
     rows = rays[..., 1] * np.float32(camera.fy) + np.float32(camera.cy - 0.5)
     pixels = np.ascontiguousarray(pixels)

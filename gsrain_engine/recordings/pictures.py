@@ -24,7 +24,7 @@ from ..render.sky_color import sky_color
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
-from .lens_views import LensView, sampled, taken_tangents
+from .lens_views import LensView, lens_tangents, sampled
 
 Colors = UInt8[np.ndarray, "h w 3"]
 
@@ -74,7 +74,7 @@ class PhotoRain:
         rainfall = self._streaks if has_medium and self._medium.rain.haze == "medium" else self._gaussians
         falling = rainfall.frame(shot.time_s, rain_camera(self._world, rainfall, shot), self._sky)
         self._renderer.draw([], shot.camera, falling)
-        share = wide.as_taken(self._renderer.read().rgba[..., 3])[..., None].astype(np.float64)
+        share = wide.through_lens(self._renderer.read().rgba[..., 3])[..., None].astype(np.float64)
         decode: Callable[..., np.ndarray] = srgb_to_linear if falling.is_linear else np.asarray
         encode: Callable[..., np.ndarray] = linear_to_srgb if falling.is_linear else np.asarray
         behind = decode(photo.astype(np.float64) / 255)
@@ -128,7 +128,7 @@ class _Distances:
     def transmittance(self, medium: RainMedium, view: CaptureFrame) -> Float32[np.ndarray, "h w"]:
         """Share of light that each pixel of a view keeps in the medium."""
         camera, depth = self.camera, self.depth_m
-        rays = taken_tangents(CaptureFrame("", camera, np.zeros(0)))
+        rays = lens_tangents(CaptureFrame("", camera, np.zeros(0)))
         points = np.concatenate([rays, np.ones((*depth.shape, 1), np.float32)], axis=-1) * depth[..., None]
         near = medium.transmittance(np.maximum(points.reshape(-1, 3), -1e9)).reshape(depth.shape)
         behind = medium.sky_transmittance(camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
@@ -190,4 +190,4 @@ class ScenePictures:
         wide = LensView.of(view, shot.camera)
         sky = self._sky.at(self._rainfall.overcast_at(view.time_s))
         draw_view(self._renderer, self._scene, self._rainfall, sky, replace(shot, camera=wide.camera))
-        return wide.as_taken(self._renderer.read_uint8())
+        return wide.through_lens(self._renderer.read_uint8())

@@ -42,7 +42,7 @@ class Recording:
     has_lidar: bool = False
     """True if its lidar can be written in rain."""
     untouched: tuple[str, ...] = ()
-    """What the copy leaves as it was, although a sensor recorded it."""
+    """Recorded by a sensor, and left as it was."""
 
 
 def open_recording(source: Path, *, key_frames_only: bool = False) -> Recording:

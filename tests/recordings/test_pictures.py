@@ -70,7 +70,7 @@ def test_rain_goes_where_the_lens_sends_its_rays(lens):
     assert (wide.camera.fx, wide.camera.fy) == (view.camera.fx, view.camera.fy)
     # A picture that holds its own tangents comes back as those of the pixels that OpenCV's model projects to.
     x = (np.arange(wide.camera.width) + 0.5 - wide.camera.cx) / wide.camera.fx
-    taken = wide.as_taken(np.broadcast_to(x.astype(np.float32), (wide.camera.height, wide.camera.width)))
+    taken = wide.through_lens(np.broadcast_to(x.astype(np.float32), (wide.camera.height, wide.camera.width)))
     rays = np.array([[0.3, -0.1, 1.0], [-0.45, 0.2, 1.0], [0.05, 0.33, 1.0]])
     project = cv2.fisheye.projectPoints if lens.model == "fisheye" else cv2.projectPoints
     points, _ = project(rays[:, None], np.zeros(3), np.zeros(3), intrinsics(view.camera), np.array(lens.coefficients))
