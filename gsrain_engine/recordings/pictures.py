@@ -97,7 +97,7 @@ class PhotoRain:
         return _Distances(small.camera, completed_depths(capture, [small], measured, skies)[0])
 
 
-_DEPTH_WIDTH = 480
+_DEPTH_WIDTH = 320
 """Width in pixels of distances: the medium changes slowly over an image."""
 
 _SWEEPS = 3  # nearest in time, for the distances of an image
