@@ -11,10 +11,12 @@ from gsrain_engine.datasets.geometry import intrinsics
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recordings.lens_views import LensView
-from gsrain_engine.recordings.pictures import PhotoRain, has_distances, measured_sky
+from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures, has_distances, measured_sky
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from small_capture import small_capture
+from training.small_street import small_street
 
 LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
 SKY, WALL = 200, 60
@@ -77,3 +79,16 @@ def test_rain_goes_where_the_lens_sends_its_rays(lens):
     for (column, row), ray in zip(points.reshape(-1, 2), rays, strict=True):
         found = cv2.getRectSubPix(taken, (1, 1), (float(column - 0.5), float(row - 0.5)))[0, 0]
         assert found == pytest.approx(ray[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("lens", [None, BENT])
+def test_a_scene_of_the_recording_gives_the_pictures(lens):
+    capture = small_capture(2)
+    view = replace(capture[1], lens=lens)
+    dry, rainy = (
+        ScenePictures(CpuRenderer(), small_street(degree=0), capture, RainSettings(intensity_mm_h=rain))
+        for rain in (0.0, 50.0)
+    )
+    assert rainy.rainy(view, view.image).shape == view.image.shape
+    if lens is None:
+        assert np.abs(dry.rainy(view, view.image).astype(int) - view.image).mean() < 4
