@@ -359,7 +359,7 @@ class DriveFiles:
         self, scenario: str, agents: Sequence[str], rains_mm_h: Sequence[float], seed: int, *, films: bool
     ) -> list[Path]:
         """Return all files that runs of these agents in these rains will write."""
-        suffixes = [".jsonl", *(f".{kind}" for kind in sorted(self.exports))]
+        suffixes = [".jsonl", *(f".{kind}" for kind in sorted(self.exports - {"ros2"}))]  # a bag is a folder
         suffixes += [".xodr"] * ("xosc" in self.exports) + [".mp4"] * films
         runs = [
             self.of(scenario, agent, rain, seed, suffix)
