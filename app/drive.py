@@ -1,13 +1,13 @@
 """`gsrain drive [SCENARIO.yaml]`: closed-loop simulation of scene, rain and agent, and its output files."""
 
 import traceback
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from cyclopts import Parameter
@@ -66,8 +66,11 @@ from .options import (
 from .outputs import check_writable, lock_outputs, provenance_lines, run_provenance, write_numbers, write_text
 from .render import rainy_light
 
-EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
+EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "ros2": "rosbags", "xosc": "scenariogeneration"}
 """Other formats of a run, and the package that writes each."""
+
+_EXTRAS = {"ros2": "recordings"}
+"""Extras of those packages that are not of the extra `drive`."""
 
 # Agents
 
@@ -176,7 +179,7 @@ def drive(
     video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
     fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
     export: Annotated[
-        str, option("Also write runs as parquet, mcap (Foxglove), xosc (OpenSCENARIO), with commas.")
+        str, option("Also write runs as parquet, mcap (Foxglove), ros2 (bag), xosc (OpenSCENARIO), with commas.")
     ] = "",
     rerun: Annotated[
         Path | None, option("Also write a Rerun recording (.rrd): scene, boxes, plan, plots, camera. One run only.")
@@ -225,7 +228,8 @@ def drive(
             raise ValueError(f"--agent: two agents are called {doubled!r}, and so would be their files")
         check_writable(json, *files.planned(test.name, names, rains_mm_h, rains[0].seed, films=films))
         lod, renderer = (drawing or DrawingOptions()).changes().get("lod"), None
-        if films or (rerun is not None and opened.rigs) or any(agent.needs.cameras for agent in agents):
+        records = (rerun is not None or "ros2" in files.exports) and bool(opened.rigs)
+        if films or records or any(agent.needs.cameras for agent in agents):
             opened = opened if lod_cut(opened, lod) is None else with_lod_trees(opened)
             renderer = stack.enter_context(open_renderer(backend))
         runs: list[ScoredRun] = []
@@ -243,7 +247,7 @@ def drive(
         if not runs:
             raise ValueError(problem)
         facts = run_provenance({})  # the runs name their scene
-        written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts), lod)
+        written = write_drives(files, runs, opened, renderer, provenance_lines(facts), lod, films=films)
         if rerun is not None:
             _write_rerun(rerun, runs[0], opened, renderer if opened.rigs else None, lod)
     print_lines(results_table(compare_drives(runs)).text)
@@ -318,6 +322,7 @@ def _rains(
 
 # Output files
 
+_Item = TypeVar("_Item")
 _WORD_BYTES = 90  # maximum length of a scenario's and of an agent's name within a file name
 
 
@@ -336,7 +341,9 @@ class DriveFiles:
             raise ValueError(f"--export {unknown[0]}: there is only {', '.join(EXPORTS)}")
         for name in sorted(self.exports):
             if find_spec(EXPORTS[name]) is None:
-                raise ValueError(f"--export {name} needs {EXPORTS[name]}: pip install 'gsrain[drive]'")
+                raise ValueError(
+                    f"--export {name} needs {EXPORTS[name]}: pip install 'gsrain[{_EXTRAS.get(name, 'drive')}]'"
+                )
         check_within("--fps", self.fps, 1, 60)
 
     def of(self, scenario: str, agent: str, intensity_mm_h: float, seed: int, suffix: str) -> Path:
@@ -352,7 +359,7 @@ class DriveFiles:
         self, scenario: str, agents: Sequence[str], rains_mm_h: Sequence[float], seed: int, *, films: bool
     ) -> list[Path]:
         """Return all files that runs of these agents in these rains will write."""
-        suffixes = [".jsonl", *(f".{kind}" for kind in sorted(self.exports))]
+        suffixes = [".jsonl", *(f".{kind}" for kind in sorted(self.exports - {"ros2"}))]  # a bag is a folder
         suffixes += [".xodr"] * ("xosc" in self.exports) + [".mp4"] * films
         runs = [
             self.of(scenario, agent, rain, seed, suffix)
@@ -369,17 +376,20 @@ def write_drives(
     renderer: Renderer | None,
     settings: Mapping[str, object],
     lod: Lod | None = None,
+    *,
+    films: bool,
 ) -> list[str]:
-    """Write all outputs of runs in one scene, with videos if there is a renderer. Returns the files' names.
+    """Write all outputs of runs in one scene, with videos if it `films`. Returns the files' names.
 
-    `settings` are listed in the report in addition to those in the runs.
+    The renderer is for videos and for the images in bags of ROS 2. `settings` are listed in the report in addition to
+    those in the runs.
     """
     # Matplotlib loads slowly: import it only after the first drive.
     from gsrain_engine.simulation.metrics.figures import kinematics_figure, write_figure
     from gsrain_engine.simulation.metrics.report import drive_report_page
 
     files.folder.mkdir(parents=True, exist_ok=True)
-    written = [path for run in runs for path in _write_run(files, run, scene, renderer, lod)]
+    written = [path for run in runs for path in _write_run(files, run, scene, renderer, lod, films)]
     compared = compare_drives(runs)
     write_text(files.folder / "table.md", results_table(compared).markdown)
     write_metrics_csv(files.folder / "table.csv", [run.metrics for run in runs])
@@ -391,7 +401,7 @@ def write_drives(
 
 
 def _write_run(
-    files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None
+    files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None, films: bool
 ) -> list[Path]:
     rollout, metrics = run.rollout, run.metrics
     assert rollout is not None
@@ -402,11 +412,14 @@ def _write_run(
     write_rollout(file(".jsonl"), rollout)
     written = [file(".jsonl")]
     for kind in sorted(files.exports):
-        _export(kind, file(f".{kind}"), rollout, scene)
+        if kind == "ros2":
+            _write_bag(file(".ros2"), rollout, scene, renderer, lod)
+        else:
+            _export(kind, file(f".{kind}"), rollout, scene)
         written.append(file(f".{kind}"))
     if "xosc" in files.exports:  # the road file that it refers to
         written.append(file(".xodr"))
-    if renderer is not None:
+    if renderer is not None and films:
         video = RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod)
         with progress_bar("Filming", len(video.times(files.fps)), draws=True) as advance:
             for _ in render_rollout_video(file(".mp4"), video, files.fps):
@@ -420,7 +433,7 @@ def _write_rerun(path: Path, run: ScoredRun, scene: Scene, renderer: Renderer | 
 
     rollout = run.rollout
     assert rollout is not None
-    images = () if renderer is None else RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod).front_images()
+    images = () if renderer is None else RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod).camera_images()
     with progress_bar("Recording", len(rollout.steps) if renderer else 1, draws=True) as advance:
 
         def counted() -> Generator[CameraImage]:
@@ -429,6 +442,27 @@ def _write_rerun(path: Path, run: ScoredRun, scene: Scene, renderer: Renderer | 
                 advance()
 
         write_rollout_rerun(path, rollout, scene, recorded_route(scene), counted())
+
+
+def _write_bag(path: Path, rollout: Rollout, scene: Scene, renderer: Renderer | None, lod: Lod | None) -> None:
+    from gsrain_engine.evaluation.lidar.sensor import SENSORS
+    from gsrain_engine.simulation.interop.ros2_bag import write_rollout_bag
+    from gsrain_engine.simulation.lidar_turns import rollout_lidar_turns
+
+    played = RolloutPlayback(rollout, scene)
+    cameras = () if renderer is None else played.rig.cameras
+    count = len(rollout.steps) * (1 + len(cameras))
+    with progress_bar("Recording", count, draws=True) as advance:
+
+        def counted(items: Iterable[_Item]) -> Generator[_Item]:
+            for item in items:
+                yield item
+                advance()
+
+        images = chain.from_iterable(
+            RolloutVideo(played, renderer, lod, each).camera_images() for each in cameras if renderer is not None
+        )
+        write_rollout_bag(path, rollout, counted(images), counted(rollout_lidar_turns(played, SENSORS["64"])))
 
 
 def _export(kind: str, path: Path, rollout: Rollout, scene: Scene) -> None:

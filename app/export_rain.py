@@ -1,13 +1,19 @@
 """`gsrain export-rain`: rain for other programs, as Gaussians or as a rainy copy of a recording."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from gsrain_engine.appearance.rainy_recording import write_rainy_recording
+from cyclopts import Parameter
+
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.recordings.lidar import LidarRain
+from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures, has_distances
+from gsrain_engine.recordings.rainy_recording import Recording, open_recording
 from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
@@ -18,24 +24,57 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.transforms import flatten_scene, transform_gaussians, with_wetness_baked, world_to_file
 
 from .console import counted, print, run_with_progress
-from .options import JsonFile, check_within, flag, option, parse_size, setting
+from .evaluate.lidar import read_sensor
+from .options import JsonFile, Wet, check_within, flag, option, parse_size, setting
 from .outputs import check_writable, lock_outputs, write_numbers
-from .render import RainOptions, viewpoint_of
+from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation, names_scene
 
 
+@Parameter(name="*")  # fields are options of the command, without a prefix
+@dataclass(frozen=True, kw_only=True)
+class RecordingLidar:
+    """Options about the lidar of a recording."""
+
+    lidar_sensor: Annotated[
+        str, option(f"Lidar of a recording: {', '.join(SENSORS)} (beams, or nm), or a YAML file.")
+    ] = "64"
+    full_intensity: Annotated[
+        float | None, option("Lidar's intensity of white; default: 1, or 100 if values exceed 1.")
+    ] = None
+
+    def of(self, capture: Capture, rain: RainSettings) -> LidarRain:
+        """Return the rain on a capture's lidar."""
+        check_within("--full-intensity", self.full_intensity, 0, 1e6, is_open=True)
+        return LidarRain(
+            capture, rain, read_sensor(self.lidar_sensor, {}), full=self.full_intensity, estimates_range=True
+        )
+
+
 def export_rain(
-    source: Annotated[str, option('Scene, "street", or a recording (nuScenes, KITTI, or a folder of images).')],
+    source: Annotated[
+        str, option('Scene, "street", or a recording (nuScenes, KITTI, Waymo, MCAP, ROS 2 bag, folder of images).')
+    ],
     /,
     *,
     output: Annotated[
         Path,
-        setting(ExportSettings, "output", "Here a file (.ply .spz ...) for a scene, a new folder for a recording."),
+        setting(
+            ExportSettings,
+            "output",
+            "Here a file (.ply .spz ...) for a scene; for a recording a new folder, or a file if it is one (.mcap).",
+        ),
     ],
     rain: RainOptions | None = None,
     time: Annotated[float, setting(ExportSettings, "first_s", "Scenes only.")] = 0.0,
     camera: Annotated[Path | None, option("Scene: camera file (JSON); default: the scene's own path or drive.")] = None,
     size: Annotated[str, setting(ExportSettings, "size_px", "The streaks are made for it.")] = "960x640",
+    scene: Annotated[
+        str | None, option("Recording: scene made of it by gsrain reconstruct; images are of the scene.")
+    ] = None,
+    wet: Wet = None,
+    lidar: RecordingLidar | None = None,
+    key_frames_only: Annotated[bool, flag("nuScenes: only the annotated samples get rain.")] = False,
     with_scene: Annotated[bool, flag("Scene: write the scene's Gaussians, too, in one file.")] = False,
     orientation: Orientation | None = None,
     json: JsonFile = None,
@@ -43,8 +82,11 @@ def export_rain(
     """Write rain for other programs.
 
     Of a scene: the rain's Gaussians at a moment, in meters with -y upwards, as `gsrain convert` writes scenes. They are
-    made for one camera: what it does not see is left out. Of a recording: a copy in its own format whose images are
-    rainy; lidar, calibration and boxes stay as they are. In both, haze is of the paper's Gaussians.
+    made for one camera: what it does not see is left out, and haze is of the paper's Gaussians. Of a recording: a copy
+    in its own format whose images and lidar are in rain; names, times, calibration, labels and all else stay as they
+    are.
+    Images have streaks in front of the photograph, and haze by the distances that lidar or points tell (without any:
+    the paper's Gaussians); surfaces stay dry. With --scene they are rendered, wet, through a scene of the recording.
     """
     if names_scene(source):
         check_writable(output, json)
@@ -53,8 +95,11 @@ def export_rain(
         opened = (orientation or Orientation()).of(load_sorted_scene(source))
         numbers = _export_gaussians(opened, rain or RainOptions(), output, time, camera, parse_size(size), with_scene)
     else:
-        check_writable(json, folders=[output])
-        numbers = _export_recording(Path(source), rain or RainOptions(), output)
+        check_writable(
+            json, *([output] if Path(source).is_file() else []), folders=[] if Path(source).is_file() else [output]
+        )
+        turns = lidar or RecordingLidar()
+        numbers = _export_recording(Path(source), rain or RainOptions(), output, scene, wet, turns, key_frames_only)
     write_numbers(json, numbers)
 
 
@@ -97,23 +142,65 @@ def _export_gaussians(
 def _without_fog(rain: RainOptions, scene: Scene) -> RainSettings:
     """Return the rain; raises ValueError for fog, which neither Gaussians nor photographs without distances have."""
     settings = rain.for_scene(scene)
-    if settings.visibility_m is not None:
-        raise ValueError(f"--visibility {settings.visibility_m:g}: fog needs distances; gsrain render draws it")
+    _refuse_fog(settings)
     return settings
 
 
-def _export_recording(source: Path, rain: RainOptions, output: Path) -> dict[str, Any]:
-    capture = open_capture(source)
-    folder = source if source.is_dir() else source.parent  # NUSCENES/scene-0061 names a scene, not a folder
-    if output.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f"--output {output}: lies in the recording itself")
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise ValueError(f"--output {output}: there is something already; expected the name of a new folder")
-    lock_outputs(output)
-    settings = _without_fog(rain, Scene(capture.name))
+def _refuse_fog(settings: RainSettings) -> None:
+    if settings.visibility_m is not None:
+        raise ValueError(f"--visibility {settings.visibility_m:g}: fog needs distances; gsrain render draws it")
+
+
+def _export_recording(
+    source: Path,
+    rain: RainOptions,
+    output: Path,
+    scene: str | None,
+    wet: bool | None,
+    lidar: RecordingLidar,
+    key_frames_only: bool,
+) -> dict[str, Any]:
+    recording = open_recording(source, key_frames_only=key_frames_only)
+    capture = recording.capture
+    target = _copy_path(recording, source, output)
+    world = Scene(capture.name) if scene is None else load_sorted_scene(scene)
+    settings = rain.for_scene(world)
+    if scene is None and not has_distances(capture):
+        _refuse_fog(settings)
+    lock_outputs(target)
+    turns = lidar.of(capture, settings) if recording.has_lidar and not RainSimulation.start(settings).is_dry else None
     with open_renderer("cpu") as renderer:
-        run_with_progress(write_rainy_recording(renderer, capture, folder, settings, output))
-    for problem in capture.problems:
+        if scene is None:
+            pictures = PhotoRain(renderer, capture, settings)
+        else:
+            world, settings = rainy_light(world, settings, wet, settings.intensity_mm_h)
+            pictures = ScenePictures(renderer, world, capture, settings)
+        run_with_progress(recording.write(target, pictures, turns))
+    for problem in (*capture.problems, *(f"left as it was: {each}" for each in recording.untouched)):
         print(problem)
-    print(f"{output}: {counted(len(capture), 'rainy image')}, {settings.intensity_mm_h:g} mm/h; all else as it was")
-    return {"images": len(capture), "intensity_mm_h": settings.intensity_mm_h, "cameras": list(capture.sensors)}
+    numbers: dict[str, Any] = {"images": pictures.written, "intensity_mm_h": settings.intensity_mm_h}
+    how = "of the scene"
+    if isinstance(pictures, PhotoRain):
+        numbers["images_with_distances"] = pictures.with_distances
+        how = f"{pictures.with_distances} of them with distances for the haze"
+    print(f"{target}: {counted(pictures.written, 'rainy image')} ({how}), {settings.intensity_mm_h:g} mm/h")
+    if turns is not None:
+        lost = turns.recorded - (turns.written - turns.false)
+        numbers |= {"lidar_turns": turns.turns, "lidar_points": turns.recorded, "lidar_lost": lost}
+        numbers["lidar_false"] = turns.false
+        what = f"{lost:,} of {turns.recorded:,} points lost, {turns.false:,} of drops"
+        print(f"{counted(turns.turns, 'lidar turn')}: {what}")
+    print("all else as it was")
+    return numbers | {"cameras": list(capture.sensors)}
+
+
+def _copy_path(recording: Recording, source: Path, output: Path) -> Path:
+    """Path of the copy; raises ValueError if something is there already, or if it lies in the recording."""
+    if recording.is_file and output.suffix.lower() != source.suffix.lower():
+        raise ValueError(f"--output {output}: expected the name of a {source.suffix} file, as {source.name} is one")
+    if not recording.is_file and output.resolve().is_relative_to(recording.folder.resolve()):
+        raise ValueError(f"--output {output}: lies in the recording itself")
+    if output.exists() and (recording.is_file or not output.is_dir() or any(output.iterdir())):
+        kind = "file" if recording.is_file else "folder"
+        raise ValueError(f"--output {output}: there is something already; expected the name of a new {kind}")
+    return output

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from PIL import Image
 
-from gsrain_engine.appearance.rainy_recording import photo_view
+from gsrain_engine.appearance.rainy_photo import photo_view
 from gsrain_engine.appearance.scene_views import (
     PlacedCamera,
     ViewChoice,

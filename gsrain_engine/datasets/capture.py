@@ -2,13 +2,13 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePath, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Shaped, UInt8
@@ -112,6 +112,15 @@ class CaptureFrame:
         return array
 
 
+class LidarSource(NamedTuple):
+    """Stored form of a sweep, for copies of its recording."""
+
+    key: Hashable
+    """File of the sweep, or its position in the recording."""
+    sensor_to_world: Float64[np.ndarray, "4 4"]
+    """Stored points to the capture's world, a rigid transform."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarSweep:
     """Lidar points in the capture's world."""
@@ -122,6 +131,7 @@ class LidarSweep:
     """Position of the sensor."""
     intensities: Float32[np.ndarray, " p"] | None = None
     """Intensities in the dataset's own unit."""
+    source: LidarSource | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

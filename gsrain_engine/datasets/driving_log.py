@@ -1,7 +1,7 @@
 """Driving log in a dataset's own frames, and its conversion to a capture."""
 
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -12,7 +12,7 @@ from jaxtyping import Float, Float32, Float64
 
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import PoseTrack
-from .capture import EGO_HEIGHT_M, Capture, CaptureError, CaptureFrame, LidarSweep
+from .capture import EGO_HEIGHT_M, Capture, CaptureError, CaptureFrame, LidarSource, LidarSweep
 from .geometry import BoxSample, Pose, road_height, tracked_boxes, transform_points, translation_pose
 from .io.arrays import what_is_wrong
 
@@ -33,6 +33,10 @@ class LidarScan:
     points_m: Float[np.ndarray, "p 3"]
     origin_m: Float64[np.ndarray, "3"]
     intensities: Float32[np.ndarray, " p"] | None = None
+    key: Hashable | None = None
+    """File or position in the recording; None if it can't be written anew."""
+    stored_to_vehicle: Pose | None = None
+    """Stored points to the frame of the vehicle; None if they are in it."""
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.time_s):
@@ -48,10 +52,12 @@ class LidarScan:
         lidar_to_vehicle: Pose,
         points_m: Float[np.ndarray, "p 3"],
         intensities: Float32[np.ndarray, " p"] | None,
+        key: Hashable | None = None,
     ) -> "LidarScan":
         """Scan of points in the lidar's own frame."""
         points = transform_points(lidar_to_vehicle, points_m)
-        return cls(time_s, vehicle_to_world, points, lidar_to_vehicle[:3, 3], intensities)
+        origin = lidar_to_vehicle[:3, 3]
+        return cls(time_s, vehicle_to_world, points, origin, intensities, key, lidar_to_vehicle)
 
 
 @dataclass(slots=True, eq=False)
@@ -132,7 +138,9 @@ def _sweeps(scans: Iterable[LidarScan], stride: int, shift: Pose, start_s: float
         points = transform_points(to_world, scan.points_m[::stride].astype(np.float64)).astype(np.float32)
         origin = transform_points(to_world, scan.origin_m[None])[0]
         intensities = None if scan.intensities is None else np.ascontiguousarray(scan.intensities[::stride])
-        yield LidarSweep(_since(start_s, scan.time_s), points, origin, intensities)
+        stored = to_world if scan.stored_to_vehicle is None else to_world @ scan.stored_to_vehicle
+        source = None if scan.key is None else LidarSource(scan.key, stored)
+        yield LidarSweep(_since(start_s, scan.time_s), points, origin, intensities, source)
 
 
 def _moved(track: PoseTrack, shift: Pose, start_s: float) -> PoseTrack:

@@ -26,7 +26,7 @@ from .geometry import (
     rigid_pose,
     translation_pose,
 )
-from .io.arrays import read_float32_rows, read_text
+from .io.arrays import RowFile, read_float32_rows, read_text
 from .io.images import image_size, images_in, read_color
 
 Calibration = dict[str, Float64[np.ndarray, " _"]]
@@ -129,7 +129,7 @@ def _scans(
         with log.omitting(f"{sensor}/{file.name}"):
             number = _number_of(file, times, poses)
             points, light = read_float32_rows(file, 4)  # m, x forward, y left, z up; reflectance 0..1
-            yield LidarScan.placed(times[number], poses[number], to_vehicle, points, light)
+            yield LidarScan.placed(times[number], poses[number], to_vehicle, points, light, RowFile(file, 4))
 
 
 # KITTI odometry
@@ -241,10 +241,17 @@ def read_kitti_raw(path: Path) -> Capture:
     return _read_drive(path, problems)
 
 
-def calibration_of_day(drive: Path) -> list[Path]:
-    """Calibration files of a raw drive, which lie in the folder of its day; none for any other folder."""
-    files = [drive.parent / name for name in _CALIBRATIONS]
-    return [each for each in files if each.is_file()] if _is_drive(drive) else []
+def kitti_surroundings(drive: Path) -> tuple[Path, Mapping[Path, Path]]:
+    """Place of a drive in a folder that is complete, and of its files outside: calibration (raw), poses (odometry).
+
+    Both places are relative to that folder; "." and no files for any other folder.
+    """
+    if _is_drive(drive):
+        files = [each for name in _CALIBRATIONS if (each := drive.parent / name).is_file()]
+        return (Path(drive.name), {each: Path(each.name) for each in files}) if files else (Path(), {})
+    if _is_sequence(drive) and (poses := _pose_file(drive)).parent != drive and poses.is_file():
+        return Path("sequences", drive.name), {poses: Path("poses", poses.name)}
+    return Path(), {}
 
 
 def _is_drive(path: Path) -> bool:

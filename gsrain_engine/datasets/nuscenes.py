@@ -27,7 +27,7 @@ from .geometry import (
     rigid_from_numbers,
     rigid_from_quaternion,
 )
-from .io.arrays import WRONG_VALUES, read_float32_rows, what_is_wrong
+from .io.arrays import WRONG_VALUES, RowFile, read_float32_rows, what_is_wrong
 from .io.images import image_size, images_in, read_color
 from .io.safe_pickle import read_pickle
 
@@ -242,8 +242,10 @@ class _SceneReader:
         for each in lidars:
             with self.log.omitting(each.filename):
                 to_vehicle = self.calibrated[each.calibrated_sensor_token].pose()
-                points, light = read_float32_rows(self.root / each.filename, _LIDAR_COLUMNS)
-                yield LidarScan.placed(each.timestamp * _US, self._vehicle(each), to_vehicle, points, light)
+                file = self.root / each.filename
+                points, light = read_float32_rows(file, _LIDAR_COLUMNS)
+                key = RowFile(file, _LIDAR_COLUMNS)
+                yield LidarScan.placed(each.timestamp * _US, self._vehicle(each), to_vehicle, points, light, key)
 
 
 # MMDetection3D's info files (.pkl), of versions 1.x ("data_list") and before ("infos")
@@ -349,7 +351,8 @@ def _scans(folder: Path, infos: list[_Info], log: DrivingLog) -> Iterator[LidarS
             with log.omitting(info.lidar_file):
                 file = _find(folder, info.lidar_file, "LIDAR_TOP")
                 points, light = read_float32_rows(file, info.lidar_columns)
-                yield LidarScan.placed(info.time_s, info.vehicle_to_world, info.lidar_to_vehicle, points, light)
+                pose, key = info.vehicle_to_world, RowFile(file, info.lidar_columns)
+                yield LidarScan.placed(info.time_s, pose, info.lidar_to_vehicle, points, light, key)
 
 
 def _find(folder: Path, named: str, sensor: str) -> Path:

@@ -9,6 +9,8 @@ from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
 from ..safe_io.limits import kind_of_file
 from ..scene.files import visible_siblings
 from ..scene.formats.registry import format_of
+from .bags.containers import recognizes_bag
+from .bags.reader import read_bag
 from .bdd100k import read_bdd100k, recognizes_bdd100k
 from .capture import Capture, CaptureError, OutsideError, abbreviated_names, outside_allowed
 from .capture_folder import read_capture_folder, read_image_folder, recognizes_capture_folder, recognizes_image_folder
@@ -49,6 +51,7 @@ FORMATS: tuple[CaptureFormat, ...] = (
     CaptureFormat("Waymo Perception v2", recognizes_waymo_tables, read_waymo_tables, names_inside=True),
     CaptureFormat("KITTI raw", recognizes_kitti_raw, read_kitti_raw),
     CaptureFormat("KITTI odometry", recognizes_kitti_odometry, read_kitti_odometry),
+    CaptureFormat("ROS 2 bag (MCAP, SQLite)", recognizes_bag, read_bag),
     CaptureFormat("nerfstudio", recognizes_nerfstudio, read_nerfstudio),
     CaptureFormat("COLMAP", recognizes_colmap, read_colmap),
     CaptureFormat("RainSense", recognizes_rainsense, read_rainsense),

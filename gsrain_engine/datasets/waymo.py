@@ -24,7 +24,7 @@ from .io.arrays import WRONG_VALUES, what_is_wrong
 from .io.images import opened_image
 from .io.records import ParquetFile, TFRecord, records_in
 
-_CAMERAS = {
+WAYMO_CAMERAS = {
     1: "FRONT",
     2: "FRONT_LEFT",
     3: "FRONT_RIGHT",
@@ -52,13 +52,18 @@ def recognizes_waymo_records(path: Path) -> bool:
 
 def read_waymo_records(path: Path) -> Capture:
     """Read one segment, or the first file of a folder. Raises `CaptureError` if no frame is readable."""
-    files = [path] if path.is_file() else _record_files(path)
+    files = waymo_record_files(path)
     if not files:
         raise CaptureError(f"{path}: no .tfrecord in it")
     segment = _RecordSegment(DrivingLog(files[0].stem, road_m=0.0))
     if files[1:]:
         segment.log.problems.append(f"{files[0].name} is read; open one of the other {len(files) - 1} by its name")
     return segment.capture(files[0])
+
+
+def waymo_record_files(path: Path) -> list[Path]:
+    """Files of records in a folder, of which the first is read; or the file itself."""
+    return [path] if path.is_file() else _record_files(path)
 
 
 def _record_files(folder: Path) -> list[Path]:
@@ -106,15 +111,12 @@ class _RecordSegment:
                     if each.name not in self.lasers:
                         named = _LASERS.get(each.name, str(each.name))
                         with self.log.omitting(f"the calibration of lidar {named} in frame {number}"):
-                            ends = (each.beam_inclination_min, each.beam_inclination_max)
-                            beams = np.array(each.beam_inclinations, np.float64)
-                            to_vehicle = rigid_from_numbers(each.extrinsic.transform)
-                            self.lasers[each.name] = WaymoLaser(to_vehicle, beams, ends)
+                            self.lasers[each.name] = WaymoLaser.of_record(each)
 
     def _add_views(self, record: TFRecord, frame: Any, number: int) -> None:
         calibrations = {each.name: each for each in frame.context.camera_calibrations}
         for image in sorted(frame.images, key=lambda image: image.name):
-            sensor = _CAMERAS.get(image.name, f"CAMERA_{image.name}")
+            sensor = WAYMO_CAMERAS.get(image.name, f"CAMERA_{image.name}")
             with self.log.omitting(f"{sensor} of frame {number}"):
                 if image.name not in calibrations:
                     raise ValueError("its calibration is missing")
@@ -148,11 +150,11 @@ class _RecordSegment:
                         if laser.name not in self.lasers:
                             raise ValueError("its calibration is missing")
                         if image.range_image_pose_compressed:
-                            poses = _unpacked(image.range_image_pose_compressed)
-                        ranges = _unpacked(image.range_image_compressed)
+                            poses = unpacked_ranges(image.range_image_pose_compressed)
+                        ranges = unpacked_ranges(image.range_image_compressed)
                         clouds.append(self.lasers[laser.name].points(ranges, poses, pose))
             if clouds:
-                yield _scan(time, pose, clouds, self.lasers)
+                yield _scan(time, pose, clouds, self.lasers, record.start)
 
 
 def _text(words: str | bytes) -> str:
@@ -164,14 +166,15 @@ def _record_jpeg(record: TFRecord, camera: int) -> bytes:
     images = parsed("FramePictures", record.read()).images
     found = next((image.image for image in images if image.name == camera), None)
     if found is None:
-        raise CaptureError(f"{record.file}: the picture of {_CAMERAS.get(camera, camera)} is gone")
+        raise CaptureError(f"{record.file}: the picture of {WAYMO_CAMERAS.get(camera, camera)} is gone")
     return found
 
 
 # Second release: a folder of Parquet files for each component, a file for each segment of a drive
 # Facts: the column names of waymo_open_dataset/v2/perception. Their fields are those of the first release.
 
-_TIME, _CAMERA, _LASER = "key.frame_timestamp_micros", "key.camera_name", "key.laser_name"
+WAYMO_TIME, WAYMO_CAMERA, WAYMO_LASER = "key.frame_timestamp_micros", "key.camera_name", "key.laser_name"
+RETURNS = ("[LiDARComponent].range_image_return1", "[LiDARComponent].range_image_return2")
 _PIXEL_POSE = "[LiDARPoseComponent].range_image_return1"
 
 
@@ -187,8 +190,13 @@ def recognizes_waymo_tables(path: Path) -> bool:
 
 def read_waymo_tables(path: Path) -> Capture:
     """Read one segment: that of a file, the named one (WAYMO/SEGMENT), or the first. Raises `CaptureError`."""
+    return open_waymo_tables(path).capture()
+
+
+def open_waymo_tables(path: Path) -> "WaymoTables":
+    """Open the segment that `read_waymo_tables` reads. Raises `CaptureError`."""
     if path.is_file():
-        return _TableSegment(path.parent.parent, path.stem, []).capture()
+        return WaymoTables(path.parent.parent, path.stem, [])
     if _roots(path):
         root = _roots(path)[0]
         segments = [file.stem for file in sorted((root / "camera_image").glob("*.parquet"))]
@@ -197,10 +205,10 @@ def read_waymo_tables(path: Path) -> Capture:
         problems: list[str] = []
         if segments[1:]:
             problems.append(f"{segments[0]} is read; open one of the other {len(segments) - 1} as {path / segments[1]}")
-        return _TableSegment(root, segments[0], problems).capture()
+        return WaymoTables(root, segments[0], problems)
     for root in _roots(path.parent):
         if _has_segment(root, path.name):
-            return _TableSegment(root, path.name, []).capture()
+            return WaymoTables(root, path.name, [])
     raise CaptureError(f"{path}: no Parquet files of Waymo Perception in it")
 
 
@@ -214,12 +222,14 @@ def _has_segment(root: Path, segment: str) -> bool:
     return (root / "camera_image" / f"{segment}.parquet").is_file()
 
 
-class _TableSegment:
+class WaymoTables:
+    """Tables of one segment; `capture` may be called once."""
+
     def __init__(self, root: Path, segment: str, problems: list[str]) -> None:
         self.root, self.segment = root, segment
         self.log = DrivingLog(segment, road_m=0.0, problems=problems)
         self._omitted: dict[str, list[str]] = defaultdict(list)
-        self.poses = vehicle_poses(self._table("vehicle_pose"), self.log)
+        self.poses = vehicle_poses(self.table("vehicle_pose"), self.log)
 
     def capture(self) -> Capture:
         self._add_views()
@@ -228,14 +238,15 @@ class _TableSegment:
             self._add_boxes()
         self.log.stamps = self.log.stamps or [(time * _US, pose) for time, pose in self.poses.items()]
         lasers: dict[int, WaymoLaser] = {}
-        if self._table("lidar").path.is_file():
+        if self.table("lidar").path.is_file():
             with self.log.omitting("lidar", CaptureError):
-                lasers = self._lasers()
+                lasers = self.lasers()
         if lasers:
             self.log.scans, self.log.scan_count = self._scans(lasers), len(self.poses)
         return self.log.capture()
 
-    def _table(self, component: str) -> ParquetFile:
+    def table(self, component: str) -> ParquetFile:
+        """Table of a component, such as camera_image."""
         return ParquetFile(self.root / component / f"{self.segment}.parquet")
 
     @contextmanager
@@ -253,14 +264,17 @@ class _TableSegment:
 
     def _add_views(self) -> None:
         cameras = self._cameras()
-        table, column = self._table("camera_image"), "[CameraImageComponent]."
-        cells = {(row[_TIME], row[_CAMERA]): (group, k) for group, k, row in table.row_groups([_TIME, _CAMERA])}
+        table, column = self.table("camera_image"), "[CameraImageComponent]."
+        cells = {
+            (row[WAYMO_TIME], row[WAYMO_CAMERA]): (group, k)
+            for group, k, row in table.row_groups([WAYMO_TIME, WAYMO_CAMERA])
+        }
         image, pose_column, time_column = (f"{column}{name}" for name in ("image", "pose.transform", "pose_timestamp"))
         shutter = f"{column}rolling_shutter_params.shutter"
         numbers = {time: number for number, time in enumerate(sorted({time for time, _ in cells}))}
-        for row in table.rows([_TIME, _CAMERA, image, pose_column, time_column], [shutter]):
-            key = (row[_TIME], row[_CAMERA])
-            name = f"{numbers[key[0]]:04d}_{_CAMERAS.get(key[1], f'CAMERA_{key[1]}')}"
+        for row in table.rows([WAYMO_TIME, WAYMO_CAMERA, image, pose_column, time_column], [shutter]):
+            key = (row[WAYMO_TIME], row[WAYMO_CAMERA])
+            name = f"{numbers[key[0]]:04d}_{WAYMO_CAMERAS.get(key[1], f'CAMERA_{key[1]}')}"
             with self._omitting(name):
                 if key[1] not in cameras:
                     raise ValueError("its calibration is missing")
@@ -278,9 +292,9 @@ class _TableSegment:
         lens = [f"{column}intrinsic.{name}" for name in ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")]
         rest = [f"{column}{name}" for name in ("extrinsic.transform", "width", "height")]
         cameras: dict[int, WaymoCamera] = {}
-        for row in self._table("camera_calibration").rows([_CAMERA, *lens, *rest]):
-            number = int(row[_CAMERA])
-            name = _CAMERAS.get(number, f"CAMERA_{number}")
+        for row in self.table("camera_calibration").rows([WAYMO_CAMERA, *lens, *rest]):
+            number = int(row[WAYMO_CAMERA])
+            name = WAYMO_CAMERAS.get(number, f"CAMERA_{number}")
             with self._omitting(name):
                 numbers = tuple(float(row[each]) for each in lens)
                 to_vehicle = rigid_from_numbers(row[rest[0]])
@@ -292,50 +306,55 @@ class _TableSegment:
         column, key = "[LiDARBoxComponent].", "key.laser_object_id"
         center, size = ([f"{column}box.{part}.{axis}" for axis in "xyz"] for part in ("center", "size"))
         heading, kind = f"{column}box.heading", f"{column}type"
-        for row in self._table("lidar_box").rows([_TIME, key, *center, *size, heading, kind]):
+        for row in self.table("lidar_box").rows([WAYMO_TIME, key, *center, *size, heading, kind]):
             with self._omitting(f"box {row[key]}"):
-                if row[_TIME] not in self.poses:
+                if row[WAYMO_TIME] not in self.poses:
                     raise ValueError("the vehicle's pose of its frame is missing")
                 pose = heading_pose([float(row[axis]) for axis in center], float(row[heading]))
-                to_world, (length, width, height) = self.poses[row[_TIME]] @ pose, (float(row[axis]) for axis in size)
-                name, time = _CLASSES.get(row[kind], "unknown"), row[_TIME] * _US
+                to_world, (length, width, height) = (
+                    self.poses[row[WAYMO_TIME]] @ pose,
+                    (float(row[axis]) for axis in size),
+                )
+                name, time = _CLASSES.get(row[kind], "unknown"), row[WAYMO_TIME] * _US
                 self.log.boxes.append(BoxSample(str(row[key]), name, time, (length, width, height), to_world))
         self._report()
 
-    def _lasers(self) -> dict[int, "WaymoLaser"]:
+    def lasers(self) -> dict[int, "WaymoLaser"]:
         """Calibrations by lidar number. Raises `CaptureError`."""
         column = "[LiDARCalibrationComponent]."
         names = [f"{column}{name}" for name in ("extrinsic.transform", "beam_inclination.min", "beam_inclination.max")]
         values = f"{column}beam_inclination.values"
         lasers: dict[int, WaymoLaser] = {}
-        for row in self._table("lidar_calibration").rows([_LASER, *names], [values]):
-            with self.log.omitting(f"lidar {_LASERS.get(row[_LASER])}", WRONG_VALUES):
+        for row in self.table("lidar_calibration").rows([WAYMO_LASER, *names], [values]):
+            with self.log.omitting(f"lidar {_LASERS.get(row[WAYMO_LASER])}", WRONG_VALUES):
                 beams = np.array(() if row[values] is None else row[values], np.float64)
                 to_vehicle, low, high = (row[name] for name in names)
-                lasers[int(row[_LASER])] = WaymoLaser(rigid_from_numbers(to_vehicle), beams, (float(low), float(high)))
+                lasers[int(row[WAYMO_LASER])] = WaymoLaser(
+                    rigid_from_numbers(to_vehicle), beams, (float(low), float(high))
+                )
         return lasers
 
     def _scans(self, lasers: dict[int, "WaymoLaser"]) -> Iterator[LidarScan]:
         """One scan of all lidars for each frame, in file order."""
-        pixel_poses = _PixelPoses(self._table("lidar_pose"))
-        first, second = ("[LiDARComponent].range_image_return1", "[LiDARComponent].range_image_return2")
-        rows = self._table("lidar").rows(
-            [_TIME, _LASER, f"{first}.values", f"{first}.shape"], [f"{second}.values", f"{second}.shape"]
+        pixel_poses = PixelPoses(self.table("lidar_pose"))
+        first, second = RETURNS
+        rows = self.table("lidar").rows(
+            [WAYMO_TIME, WAYMO_LASER, f"{first}.values", f"{first}.shape"], [f"{second}.values", f"{second}.shape"]
         )
         with self.log.omitting("the rest of the lidar", CaptureError):
-            for time, of_frame in groupby(rows, lambda row: row[_TIME]):
+            for time, of_frame in groupby(rows, lambda row: row[WAYMO_TIME]):
                 clouds: list[_Cloud] = []
                 for row in of_frame:
-                    with self._omitting(f"lidar {_LASERS.get(row[_LASER])} at {time}"):
-                        if time not in self.poses or row[_LASER] not in lasers:
+                    with self._omitting(f"lidar {_LASERS.get(row[WAYMO_LASER])} at {time}"):
+                        if time not in self.poses or row[WAYMO_LASER] not in lasers:
                             raise ValueError("the vehicle's pose of its frame or its calibration is missing")
-                        poses = pixel_poses.of(time, row[_LASER])
+                        poses = pixel_poses.of(time, row[WAYMO_LASER])
                         for name in (first, second):
-                            image = _row_image(row, name)
+                            image = ranges_of_row(row, name)
                             if image is not None:
-                                clouds.append(lasers[row[_LASER]].points(image, poses, self.poses[time]))
+                                clouds.append(lasers[row[WAYMO_LASER]].points(image, poses, self.poses[time]))
                 if clouds:
-                    yield _scan(time * _US, self.poses[time], clouds, lasers)
+                    yield _scan(time * _US, self.poses[time], clouds, lasers, time)
         self._report()
 
 
@@ -343,17 +362,17 @@ def vehicle_poses(table: ParquetFile, log: DrivingLog) -> dict[int, Pose]:
     """Vehicle to world of each frame by its time stamp (microseconds), from a vehicle_pose file."""
     column = "[VehiclePoseComponent].world_from_vehicle.transform"
     poses: dict[int, Pose] = {}
-    for row in table.rows([_TIME, column]):
-        with log.omitting(f"the pose of frame {row[_TIME]}", WRONG_VALUES):
-            poses[int(row[_TIME])] = rigid_from_numbers(row[column])
+    for row in table.rows([WAYMO_TIME, column]):
+        with log.omitting(f"the pose of frame {row[WAYMO_TIME]}", WRONG_VALUES):
+            poses[int(row[WAYMO_TIME])] = rigid_from_numbers(row[column])
     return poses
 
 
-class _PixelPoses:
+class PixelPoses:
     """Rows of lidar_pose, read in parallel with those of lidar."""
 
     def __init__(self, table: ParquetFile) -> None:
-        columns = [_TIME, _LASER, f"{_PIXEL_POSE}.values", f"{_PIXEL_POSE}.shape"]
+        columns = [WAYMO_TIME, WAYMO_LASER, f"{_PIXEL_POSE}.values", f"{_PIXEL_POSE}.shape"]
         self._rows = table.rows(columns) if table.path.is_file() else iter(())
         self._waiting: dict[tuple[int, int], Float32[np.ndarray, "h w c"] | None] = {}
         self._lasers: set[int] = set()
@@ -362,15 +381,16 @@ class _PixelPoses:
         """Poses of a lidar's pixels; None for lidars without any, which are all but the one on the roof."""
         if (time, laser) not in self._waiting and (laser == 1 or laser in self._lasers):
             for row in self._rows:
-                key = (row[_TIME], row[_LASER])
+                key = (row[WAYMO_TIME], row[WAYMO_LASER])
                 self._lasers.add(key[1])
-                self._waiting[key] = _row_image(row, _PIXEL_POSE)
+                self._waiting[key] = ranges_of_row(row, _PIXEL_POSE)
                 if key == (time, laser):
                     break
         return self._waiting.pop((time, laser), None)
 
 
-def _row_image(row: dict[str, Any], name: str) -> Float32[np.ndarray, "h w c"] | None:
+def ranges_of_row(row: dict[str, Any], name: str) -> Float32[np.ndarray, "h w c"] | None:
+    """Range image in the columns NAME.values and NAME.shape of a row; None without one."""
     values, shape = row[f"{name}.values"], row[f"{name}.shape"]
     if values is None or not len(values):
         return None
@@ -440,6 +460,13 @@ class WaymoLaser:
     ends_rad: tuple[float, float] = (0.0, 0.0)
     """Lowest and highest edge of evenly spaced rows."""
 
+    @classmethod
+    def of_record(cls, calibration: Any) -> "WaymoLaser":
+        """Lidar of a LaserCalibration; raises ValueError for a pose that is none."""
+        ends = (calibration.beam_inclination_min, calibration.beam_inclination_max)
+        beams = np.array(calibration.beam_inclinations, np.float64)
+        return cls(rigid_from_numbers(calibration.extrinsic.transform), beams, ends)
+
     def points(
         self,
         ranges: Float32[np.ndarray, "h w c"],
@@ -468,13 +495,13 @@ class WaymoLaser:
         return points, np.ascontiguousarray(light, np.float32)
 
 
-def _scan(time_s: float, pose: Pose, clouds: list[_Cloud], lasers: Mapping[int, WaymoLaser]) -> LidarScan:
+def _scan(time_s: float, pose: Pose, clouds: list[_Cloud], lasers: Mapping[int, WaymoLaser], key: int) -> LidarScan:
     top = lasers.get(1) or next(iter(lasers.values()))
     points, intensities = (np.concatenate(each) for each in zip(*clouds, strict=True))
-    return LidarScan(time_s, pose, points, top.to_vehicle[:3, 3], intensities)
+    return LidarScan(time_s, pose, points, top.to_vehicle[:3, 3], intensities, key)
 
 
-def _unpacked(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
+def unpacked_ranges(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
     """Parse a serialized MatrixFloat compressed by zlib; ValueError if sizes disagree."""
     unpacker = zlib.decompressobj()
     content = unpacker.decompress(compressed, _MAX_NUMBERS * 4 + 64)

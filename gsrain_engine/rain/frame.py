@@ -144,8 +144,11 @@ class RainFrame:
         """Color of a drop in linear light."""
         return srgb_to_linear(self.color).astype(np.float32)
 
-    def visible_drops(self, *, in_view: bool = True) -> FallingDrops:
-        """Find the drops in the open that may be visible to the camera; without `in_view` all in the streak region."""
+    def visible_drops(self, *, in_view: bool = True, smallest_class: int = 0) -> FallingDrops:
+        """Find the drops in the open that may be visible to the camera; without `in_view` all in the streak region.
+
+        Drops of classes below `smallest_class` are left out.
+        """
         count = self.count if self.rain.streaks or not in_view else 0
         if count == 0:
             return self.falling(place_drops(np.zeros(0, np.int64), self.rain.seed, self.where))
@@ -160,6 +163,7 @@ class RainFrame:
             np.uint32(self.rain.seed), np.uint32(count), where.wraps, where.fractions, geometry,
             culling.class_margin_m, culling.class_far_m, everywhere, found, *where.air,
         )  # fmt: skip
+        found[:smallest_class] = False
         class_index, turn = np.divmod(np.flatnonzero(found), turns)
         numbers = np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
         falling = self.falling(place_drops(numbers, self.rain.seed, where))

@@ -149,6 +149,11 @@ class RainSimulation:
         return self.is_as_lit or (not self.has_own_wetness and not self.can_rain)
 
     @property
+    def is_dry(self) -> bool:
+        """True if there is neither rain nor fog nor anything wet at any time."""
+        return not self.can_rain and (self.is_as_lit or not self.has_own_wetness)
+
+    @property
     def has_own_wetness(self) -> bool:
         """True if the wetness is set, or has keyframes, and does not follow from the intensity."""
         return self.rain.wetness is not None or self.weather.is_keyed("wetness")

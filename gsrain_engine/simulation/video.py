@@ -22,6 +22,7 @@ from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
 from ..scene.camera import Camera
 from ..scene.progress import Progress
+from ..scene.scene import RigCamera
 from ..water.glass import CameraMotion
 from .agents.base import SensorRequirements
 from .geometry import PlanarBox, arc_lengths, points_along
@@ -57,14 +58,17 @@ _SURE = 0.3  # minimum confidence of detections that are drawn
 class RolloutVideo:
     """Video frames of a roll-out, all of one size. The same roll-out gives the same bytes."""
 
-    def __init__(self, played: RolloutPlayback, renderer: Renderer, lod: Lod | None = None) -> None:
-        """Use the rig camera that faces forward most, and the level of detail of an export.
+    def __init__(
+        self, played: RolloutPlayback, renderer: Renderer, lod: Lod | None = None, mounted: RigCamera | None = None
+    ) -> None:
+        """Use a rig camera, by default the one that faces forward most, and the level of detail of an export.
 
         Raises ValueError if the scene has no rig.
         """
         if not played.rig.cameras:
             raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
-        (self._mounted,) = needed_cameras(played.rig.cameras, SensorRequirements(cameras=("front",)))
+        (front,) = needed_cameras(played.rig.cameras, SensorRequirements(cameras=("front",)))
+        self._mounted = mounted or front
         self._played, self._renderer, self._cut = played, renderer, lod_cut(played.base, lod)
         self._gaps_m, self._times_s = gaps_m(played.rollout), times_to_collision_s(played.rollout)
         self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
@@ -80,18 +84,18 @@ class RolloutVideo:
         times = np.arange(0.0, self._played.end_s, 1 / fps).tolist()
         return [*times, *[self._played.end_s] * (1 + round(fps))]
 
-    def front_images(self) -> Iterator[CameraImage]:
+    def camera_images(self) -> Iterator[CameraImage]:
         """Images of the camera at each step, without plan and readouts; drawn while the one before is used."""
         waiting: tuple[RolloutStep, PendingImage] | None = None
         for step in self._played.rollout.steps:
             ahead = step, self._camera_image(step.time_s)
             if waiting is not None:
-                yield self._front_image(*waiting)
+                yield self._camera_at(*waiting)
             waiting = ahead
         if waiting is not None:
-            yield self._front_image(*waiting)
+            yield self._camera_at(*waiting)
 
-    def _front_image(self, step: RolloutStep, image: PendingImage) -> CameraImage:
+    def _camera_at(self, step: RolloutStep, image: PendingImage) -> CameraImage:
         camera = self._mounted.camera(self._played.rig_to_world(step.time_s)).pinhole
         return CameraImage(step.step, self._mounted.name, image(), camera)
 

@@ -1,6 +1,7 @@
 """Rows of the table: captures of every kind, with the pixels that their views read later."""
 
 import json
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -133,6 +134,18 @@ _PLY = ("*.ply", damaged_header(b"end_header\n"))
 _NPZ = ("*.npz", inside_zip(lambda _: damaged_bytes))
 
 _INFOS = "nuScenes (MMDetection3D)"
+_BAG = "ROS 2 bag (MCAP, SQLite)"
+
+
+def _bag(storage: str, folder: Path) -> None:
+    from tests.datasets.sample_bags import drive_messages, write_bag
+
+    shutil.move(write_bag(folder / "bag", drive_messages(_SMALL), storage), folder / "moved")
+    for file in (folder / "moved").iterdir():
+        shutil.move(file, folder / file.name)
+    (folder / "moved").rmdir()
+
+
 _XML, _RECORD = ("*.xml", damaged_text), ("*.tfrecord", inside_records(framed))
 
 CAPTURE_READERS = (
@@ -154,6 +167,8 @@ CAPTURE_READERS = (
         lambda folder: write_segment(folder, segment_tables(_SMALL)),
         ("*.parquet", damaged_bytes),
     ),
+    _row("bag-mcap", _BAG, partial(_bag, "mcap"), ("*.mcap", damaged_bytes), ("*.yaml", damaged_text)),
+    _row("bag-sqlite", _BAG, partial(_bag, "sqlite3"), ("*.db3", damaged_bytes)),
     _row("rainsense", "RainSense", write_rainsense, _TEXT, ("*.csv", damaged_text)),
     _row("bdd100k", "BDD-100K", write_bdd100k, _JSON),
     _row("pictures", "image folder", write_odd_pictures),

@@ -4,7 +4,7 @@ import json
 import os
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
@@ -29,6 +29,13 @@ def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
         raise CaptureError(f"{file}: not a readable .npy file ({error})") from None
     with np.errstate(over="ignore", invalid="ignore"):  # values too large for 32 bits become infinite
         return np.array(numbers.reshape(shape, order="F" if is_fortran else "C"), np.float32, order="C")
+
+
+class RowFile(NamedTuple):
+    """File of rows of float32 numbers: x, y, z, intensity, and others."""
+
+    file: Path
+    columns: int
 
 
 def read_float32_rows(file: Path, columns: int) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 from msgspec import structs
 
-from ...appearance.rainy_recording import rain_on_photo
+from ...appearance.rainy_photo import rain_on_photo
 from ...appearance.scene_views import PlacedCamera
 from ...datasets.capture import Capture
 from ...datasets.undistort import undistort_frame

@@ -15,6 +15,7 @@ from ...rain.settings import RegionBox
 from .sensor import Beams, LidarSensor
 
 _STEP_M = 0.01
+_BETWEEN = 0.9  # lower bound of what is needed between two steps over what is needed on them
 
 
 class RainReturns(NamedTuple):
@@ -70,6 +71,13 @@ class DropReturnModel:
         ranges = np.arange(0, min(self.sensor.range_m, self.sensor.farthest_m) + _STEP_M, _STEP_M)
         detected = np.flatnonzero(self.first_detected(ranges) < CLASSES)
         return float(ranges[detected[-1]]) + _STEP_M if len(detected) else 0.0
+
+    @cached_property
+    def smallest_detected(self) -> int:
+        """Class below which drops are detected at no range."""
+        needed = self.sensor.detectable(self.grid_m) * self.sensor.beam_width_m(self.grid_m) ** 2
+        # Between the ranges of the grid a drop may be detected that is not on it.
+        return int(np.searchsorted(self._strengths_mm2, _BETWEEN * 1e6 * needed.min(initial=np.inf)))
 
     @cached_property
     def grid_m(self) -> Float64[np.ndarray, " k"]:
@@ -143,7 +151,7 @@ def drop_field_returns(
     field: RainFrame, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropReturnModel
 ) -> RainReturns:
     """Find the field's detected drops nearer than `listened_m`, each in every beam whose width contains its center."""
-    drops = field.visible_drops(in_view=False)
+    drops = field.visible_drops(in_view=False, smallest_class=signals.smallest_detected)
     away = drops.positions_m - beams.origin_m
     ranges = np.linalg.norm(away, axis=1)
     detected = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))

@@ -498,16 +498,27 @@ def capture_turns(
     if not capture.is_metric or abs(capture.up[2] - 1) > 1e-6:
         raise ValueError(f"{capture.name}: its world is not in meters with z up, where rain falls")
     for number in evenly_spaced(len(capture.sweeps), count):
-        sweep = capture.sweeps[number]
-        scale = full_intensity(sweep) if full is None else full
-        range_m = estimate_sensor_range(sweep, scale) if estimates_range else None
-        own = sensor
-        if range_m is not None:
-            own = msgspec.structs.replace(sensor, range_m=min(max(range_m, 1.0), 1000.0))
-        pose = None if capture.ego is None else capture.ego.pose(sweep.time_s)
-        forward, origin = (np.array([1.0, 0.0, 0.0]), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
-        frame = leveled_frame(forward, origin)
-        yield LidarTurn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
+        turn = sweep_turn(capture.sweeps[number], sensor, capture.ego, full=full, estimates_range=estimates_range)
+        yield replace(turn, name=f"sweep{number:04d}")
+
+
+def sweep_turn(
+    sweep: LidarSweep,
+    sensor: LidarSensor,
+    ego: PoseTrack | None,
+    *,
+    full: float | None = None,
+    estimates_range: bool = True,
+) -> LidarTurn:
+    """Turn of a recorded sweep, with the rain's regions around the vehicle, or around the sensor without one."""
+    scale = full_intensity(sweep) if full is None else full
+    range_m = estimate_sensor_range(sweep, scale) if estimates_range else None
+    own = sensor
+    if range_m is not None:
+        own = msgspec.structs.replace(sensor, range_m=min(max(range_m, 1.0), 1000.0))
+    pose = None if ego is None else ego.pose(sweep.time_s)
+    forward, origin = (np.array([1.0, 0.0, 0.0]), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
+    return LidarTurn("sweep", sweep_beams(sweep, own, ego, scale), leveled_frame(forward, origin), own)
 
 
 def scene_turns(

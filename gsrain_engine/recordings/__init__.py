@@ -1,0 +1,1 @@
+"""Rainy copies of recordings in their own format: pictures and lidar in rain, everything else as it was."""

@@ -1,0 +1,94 @@
+"""Photographs in rain: haze by known distances, streaks through a lens, the light of their sky."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gsrain_engine.datasets.capture import Capture, CaptureFrame, Lens
+from gsrain_engine.datasets.geometry import intrinsics
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.recordings.lens_views import LensView
+from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures, has_distances, measured_sky
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from small_capture import small_capture
+from training.small_street import small_street
+
+LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
+SKY, WALL = 200, 60
+BENT = Lens("opencv", (-0.25, 0.06, 0.001, -0.002, 0.0))
+
+
+def wall(depth_m, lens=None):
+    """A capture of one picture: the sky over a dark wall that faces the camera."""
+    photo = np.full((60, 90, 3), WALL, np.uint8)
+    photo[:20] = SKY
+    depth = np.where(np.arange(60)[:, None] < 20, 0, np.full((60, 90), depth_m)).astype(np.float32)
+    view = CaptureFrame(
+        "view", Camera(90, 60, 80.0, 80.0, 45.0, 30.0, LEVEL), photo, lens=lens, depth_source=depth,
+        sky_source=depth == 0,
+    )  # fmt: skip
+    return Capture("wall", (view,))
+
+
+@pytest.mark.parametrize("depth_m", [30.0, 300.0])
+def test_a_wall_fades_by_the_extinction_of_its_distance(depth_m):
+    capture, rain = wall(depth_m), RainSettings(intensity_mm_h=50, streaks=False)
+    pictures = PhotoRain(CpuRenderer(), capture, rain)
+    rainy = pictures.rainy(capture[0], capture[0].image)
+    assert has_distances(capture) and (pictures.written, pictures.with_distances) == (1, 1)
+    beta = RainSimulation.start(rain).state.extinction_per_m
+    kept = np.exp(-beta * depth_m)  # in the middle, where the ray is the axis
+    air, dark = srgb_to_linear(np.array([SKY, WALL]) / 255)
+    expected = 255 * linear_to_srgb(np.array([kept * dark + (1 - kept) * air]))[0]
+    assert rainy[50, 45].tolist() == pytest.approx([expected] * 3, abs=2)
+    assert rainy[2, 45].tolist() == pytest.approx([SKY] * 3, abs=2)  # the sky is the airlight
+
+
+def test_without_distances_or_rain():
+    capture = wall(30.0)
+    far = replace(capture, views=(replace(capture[0], depth_source=None),))
+    assert not has_distances(far)
+    photo = capture[0].image
+    pictures = PhotoRain(CpuRenderer(), far, RainSettings(intensity_mm_h=0))
+    assert pictures.rainy(far[0], photo) is photo
+
+
+def test_the_light_of_drops_is_that_of_the_sky_in_the_pictures():
+    np.testing.assert_allclose(measured_sky(wall(30.0)).drops, SKY / 255, atol=0.01)
+    night = wall(30.0)
+    night = replace(night, views=(replace(night[0], image_source=(night[0].image * 0.05).astype(np.uint8)),))
+    assert max(measured_sky(night).drops) < 0.06
+
+
+@pytest.mark.parametrize("lens", [BENT, Lens("fisheye", (0.05, -0.01, 0.002, 0.0))])
+def test_rain_goes_where_the_lens_sends_its_rays(lens):
+    view = wall(30.0, lens)[0]
+    wide = LensView.of(view, view.camera)
+    assert (wide.camera.fx, wide.camera.fy) == (view.camera.fx, view.camera.fy)
+    # A picture that holds its own tangents comes back as those of the pixels that OpenCV's model projects to.
+    x = (np.arange(wide.camera.width) + 0.5 - wide.camera.cx) / wide.camera.fx
+    taken = wide.through_lens(np.broadcast_to(x.astype(np.float32), (wide.camera.height, wide.camera.width)))
+    rays = np.array([[0.3, -0.1, 1.0], [-0.45, 0.2, 1.0], [0.05, 0.33, 1.0]])
+    project = cv2.fisheye.projectPoints if lens.model == "fisheye" else cv2.projectPoints
+    points, _ = project(rays[:, None], np.zeros(3), np.zeros(3), intrinsics(view.camera), np.array(lens.coefficients))
+    for (column, row), ray in zip(points.reshape(-1, 2), rays, strict=True):
+        found = cv2.getRectSubPix(taken, (1, 1), (float(column - 0.5), float(row - 0.5)))[0, 0]
+        assert found == pytest.approx(ray[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("lens", [None, BENT])
+def test_a_scene_of_the_recording_gives_the_pictures(lens):
+    capture = small_capture(2)
+    view = replace(capture[1], lens=lens)
+    dry, rainy = (
+        ScenePictures(CpuRenderer(), small_street(degree=0), capture, RainSettings(intensity_mm_h=rain))
+        for rain in (0.0, 50.0)
+    )
+    assert rainy.rainy(view, view.image).shape == view.image.shape
+    if lens is None:
+        assert np.abs(dry.rainy(view, view.image).astype(int) - view.image).mean() < 4

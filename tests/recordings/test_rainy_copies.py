@@ -1,0 +1,252 @@
+"""Rainy copies of bags, Waymo, nuScenes and KITTI: other pixels and points, everything else byte for byte."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.sample_bags import (
+    CLOUD,
+    CLOUDS,
+    IMAGES,
+    STORE,
+    cloud,
+    cloud_rows,
+    drive_messages,
+    raw_image,
+    rosbag2,
+    write_bag,
+    write_foxglove,
+)
+from datasets.sample_drives import (
+    segment_tables,
+    write_frames,
+    write_kitti,
+    write_nuscenes,
+    write_segment,
+    write_sequence,
+)
+from gsrain_engine.datasets.io.records import records_in
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.waymo import parsed, unpacked_ranges
+from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.recordings.lidar import LidarRain
+from gsrain_engine.recordings.rainy_recording import open_recording
+from mini_drive import MiniDrive
+
+DRIVE = MiniDrive()
+
+
+@dataclass
+class Negatives:
+    """Pictures that show at once whether they were replaced."""
+
+    written: int = 0
+
+    def rainy(self, view, photo):
+        self.written += 1
+        return 255 - photo
+
+
+def rainy_copy(source: Path, target: Path, intensity_mm_h: float = 60.0) -> LidarRain | None:
+    recording = open_recording(source)
+    rain = RainSettings(intensity_mm_h=intensity_mm_h)
+    lidar = LidarRain(recording.capture, rain, SENSORS["64"], full=None, estimates_range=True)
+    for _ in recording.write(target, Negatives(), lidar):
+        pass
+    return lidar
+
+
+def assert_pictures_are_negatives(source: Path, target: Path) -> None:
+    clear, rainy = open_capture(source), open_capture(target)
+    assert [view.name for view in rainy] == [view.name for view in clear]
+    for own, other in zip(rainy, clear, strict=True):
+        # The road's height is found from the lidar.
+        np.testing.assert_allclose(own.camera.world_to_camera, other.camera.world_to_camera, atol=0.02)
+        assert own.time_s == other.time_s and own.lens == other.lens
+        assert np.abs(255 - own.image.astype(int) - other.image).mean() < 3
+
+
+def assert_lidar_is_in_rain(source: Path, target: Path) -> None:
+    clear, rainy = open_capture(source), open_capture(target)
+    for own, other in zip(rainy.sweeps, clear.sweeps, strict=True):
+        assert own.time_s == other.time_s
+        assert 0 < len(own.points_m) < len(other.points_m)
+        nearest = np.linalg.norm(own.points_m[:, None] - other.points_m[None], axis=2).min(axis=1)
+        assert np.median(nearest) < 0.2
+
+
+def messages_of(folder: Path):
+    with rosbag2.Reader(folder) as reader:
+        return [(each.topic, each.msgtype, time, data) for each, time, data in reader.messages()]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3", "sqlite3-zstd"])
+def test_rosbags_reads_a_bag_whose_other_messages_are_the_same(storage, tmp_path):
+    source, target = write_bag(tmp_path / "bag", drive_messages(DRIVE), storage), tmp_path / "rainy"
+    before = {file: file.read_bytes() for file in source.iterdir()}
+    rainy_copy(source, target)
+    assert before == {file: file.read_bytes() for file in source.iterdir()}
+    assert sorted(each.name for each in target.iterdir()) == sorted(each.name for each in source.iterdir())
+    assert (target / "metadata.yaml").read_bytes() == (source / "metadata.yaml").read_bytes()
+    for clear, rainy in zip(messages_of(source), messages_of(target), strict=True):
+        assert clear[:3] == rainy[:3]
+        assert (clear[3] != rainy[3]) == (clear[0] in (IMAGES, CLOUDS))
+        if clear[0] == CLOUDS:
+            check_cloud(STORE.deserialize_cdr(rainy[3], rainy[1]), STORE.deserialize_cdr(clear[3], clear[1]))
+    assert_pictures_are_negatives(source, target)
+    assert_lidar_is_in_rain(source, target)
+
+
+def check_cloud(rainy, clear):
+    rows, before = (np.frombuffer(each.data.tobytes(), CLOUD) for each in (rainy, clear))
+    assert (rainy.width, rainy.row_step, rainy.is_dense) == (len(rows), 32 * len(rows), clear.is_dense)
+    assert len(rows) < len(before) and rainy.header == clear.header
+    away = np.stack([rows[axis] for axis in "xyz"], 1)[:, None] - np.stack([before[axis] for axis in "xyz"], 1)[None]
+    rings = before["ring"][np.linalg.norm(away, axis=2).argmin(axis=1)]
+    assert (rows["ring"] == rings).mean() > 0.9  # noise moves few points past a neighbor
+    assert rows["intensity"].max() <= 9 and (rows["intensity"] == np.rint(rows["intensity"])).all()
+
+
+def test_organized_clouds_keep_their_size_and_raw_images_their_encoding(tmp_path):
+    rows, time = cloud_rows(DRIVE.lidar_points(0))[:480], DRIVE.time(0)
+    rows["x"][7] = np.nan
+    pixels = np.full((48, 64, 3), (10, 60, 200), np.uint8)
+    messages = [each for each in drive_messages(DRIVE) if each[0] not in (IMAGES, CLOUDS)]
+    messages += [
+        (CLOUDS, "sensor_msgs/msg/PointCloud2", time, cloud(rows, time, height=16)),
+        ("/front/image_raw", "sensor_msgs/msg/Image", time, raw_image(pixels, "bgr8", time, padding=8)),
+    ]
+    rainy_copy(write_bag(tmp_path / "bag", messages), tmp_path / "rainy")
+    found = {topic: STORE.deserialize_cdr(data, kind) for topic, kind, _, data in messages_of(tmp_path / "rainy")}
+    image, points = found["/front/image_raw"], found[CLOUDS]
+    assert (image.encoding, image.step, image.data[:3].tolist()) == ("bgr8", 3 * 64, [245, 195, 55])
+    assert (points.height, points.width, points.is_dense) == (16, 30, False)
+    rainy = np.frombuffer(points.data.tobytes(), CLOUD)
+    np.testing.assert_array_equal(rainy["ring"], rows["ring"])
+    lost = np.isnan(rainy["x"])
+    assert lost[7] and 1 < lost.sum() < 480
+
+
+def test_mcap_s_own_reader_finds_all_that_an_mcap_file_had(tmp_path):
+    from mcap.reader import make_reader
+
+    source, target = write_foxglove(tmp_path / "drive.mcap", DRIVE), tmp_path / "rainy.mcap"
+    rainy_copy(source, target)
+    contents = []
+    for file in (source, target):
+        with file.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            header, summary = reader.get_header(), reader.get_summary()
+            messages = [
+                (
+                    s.name,
+                    s.data,
+                    c.topic,
+                    c.message_encoding,
+                    c.metadata,
+                    m.log_time,
+                    m.publish_time,
+                    m.sequence,
+                    m.data,
+                )
+                for s, c, m in reader.iter_messages()
+            ]
+            more = [(each.name, each.data, each.create_time) for each in reader.iter_attachments()]
+            more += [(each.name, each.metadata) for each in reader.iter_metadata()]
+            contents.append((header, more, messages, summary.statistics.message_count))
+    (header, more, clear, count), found = contents
+    assert (header, more, count) == (found[0], found[1], found[3]) and more
+    for own, other in zip(found[2], clear, strict=True):
+        assert own[:-1] == other[:-1]
+        changed = own[2] in ("/front/image", "/points")
+        assert (own[-1] != other[-1]) == changed
+        if changed:  # the other fields stay
+            values = json.loads(own[-1]), json.loads(other[-1])
+            assert [name for name in values[1] if values[0][name] != values[1][name]] == ["data"]
+    assert_pictures_are_negatives(source, target)
+    assert_lidar_is_in_rain(source, target)
+
+
+def test_frames_of_waymo_keep_labels_and_fields_that_are_not_read(tmp_path):
+    extra = b"\xfa\x07\x05hello"  # field 127, of a later version
+
+    def later(_, frame):
+        frame.MergeFromString(extra)
+
+    source, target = tmp_path / "segment.tfrecord", tmp_path / "rainy.tfrecord"
+    write_frames(source, DRIVE, change=later)
+    rainy_copy(source, target)
+    for (_, clear), (_, rainy) in zip(records_in(source), records_in(target), strict=True):
+        assert extra in rainy and clear != rainy
+        before, after = parsed("Frame", clear), parsed("Frame", rainy)
+        first, second = (unpacked_ranges(each.lasers[0].ri_return1.range_image_compressed) for each in (before, after))
+        lost, there = second[..., 0] == -1, first[..., 0] > 0
+        assert 0 < (lost & there).sum() < there.sum() and (second[lost & there] == -1).all()
+        assert (second[~there] == first[~there]).all()
+        np.testing.assert_array_equal(second[..., 2:][~lost], first[..., 2:][~lost])
+        for each in (before, after):
+            del each.images[:], each.lasers[:]
+        assert before == after
+    assert_pictures_are_negatives(source, target)
+    assert_lidar_is_in_rain(source, target)
+
+
+def test_tables_of_waymo_have_other_images_and_ranges_alone(tmp_path):
+    from pyarrow import parquet
+
+    source, target = tmp_path / "waymo", tmp_path / "rainy"
+    write_segment(source, segment_tables(DRIVE))
+    rainy_copy(source, target)
+    changed = {
+        "camera_image": ["[CameraImageComponent].image"],
+        "lidar": ["[LiDARComponent].range_image_return1.values"],
+    }
+    for file in source.rglob("*.parquet"):
+        copy = target / file.relative_to(source)
+        if file.parent.name not in changed:
+            assert copy.read_bytes() == file.read_bytes()
+            continue
+        clear, rainy = parquet.read_table(file), parquet.read_table(copy)
+        assert rainy.schema == clear.schema
+        others = [name for name in clear.column_names if not clear[name].equals(rainy[name])]
+        assert others == changed[file.parent.name]
+    assert_pictures_are_negatives(source, target)
+    assert_lidar_is_in_rain(source, target)
+
+
+def whole_nuscenes(folder: Path) -> tuple[Path, Path]:
+    write_nuscenes(folder)
+    return folder, folder
+
+
+def raw_kitti(folder: Path) -> tuple[Path, Path]:
+    return write_kitti(folder), folder
+
+
+def odometry(folder: Path) -> tuple[Path, Path]:
+    return write_sequence(folder), folder
+
+
+@pytest.mark.parametrize("write", [whole_nuscenes, raw_kitti, odometry])
+def test_folders_have_other_pictures_and_lidar_alone(write, tmp_path):
+    source, whole = write(tmp_path / "drive")
+    target = tmp_path / "rainy"
+    before = {file: file.read_bytes() for file in whole.rglob("*") if file.is_file()}
+    rainy_copy(source, target)
+    assert before == {file: file.read_bytes() for file in whole.rglob("*") if file.is_file()}
+    for file, content in before.items():
+        same = (target / file.relative_to(whole)).read_bytes() == content
+        assert same == (file.suffix not in (".jpg", ".bin")), file
+    assert_pictures_are_negatives(source, target)
+    assert_lidar_is_in_rain(source, target)
+
+
+def test_without_rain_the_points_stay(tmp_path):
+    source, target = write_bag(tmp_path / "bag", drive_messages(DRIVE)), tmp_path / "dry"
+    rainy_copy(source, target, intensity_mm_h=0.0)
+    for clear, dry in zip(messages_of(source), messages_of(target), strict=True):
+        assert clear[:3] == dry[:3] and (clear[3] == dry[3]) == (clear[0] != IMAGES)

@@ -1,0 +1,81 @@
+"""Roll-outs as bags of ROS 2: read by rosbags, and as a capture by our own reader."""
+
+import numpy as np
+import pytest
+
+from gsrain_engine.datasets.capture import LidarSweep
+from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.evaluation.lidar.scan import RainyScan
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.simulation.interop.ros2_bag import LidarTurnInRain, write_rollout_bag
+from gsrain_engine.simulation.rollout import CameraImage
+from small_rollout import approach
+
+rosbags = pytest.importorskip("rosbags.highlevel")
+
+
+def pictures(run):
+    for step in run.steps:
+        to_camera = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.4], [1, 0, 0, -step.ego.x_m - 1.5], [0, 0, 0, 1]])
+        image = np.full((40, 60, 3), 10 * step.step, np.uint8)
+        yield CameraImage(step.step, "FRONT", image, Camera(60, 40, 50.0, 50.0, 30.0, 20.0, to_camera))
+
+
+def turns(run):
+    for step in run.steps:
+        pose = np.eye(4)
+        pose[:3, 3] = (step.ego.x_m, 0.0, 1.9)
+        x, y = np.meshgrid(np.linspace(-9, 9, 25), np.linspace(-3, 3, 17))
+        points = np.stack([x.ravel() + step.ego.x_m, y.ravel(), 0 * x.ravel()], axis=1).astype(np.float32)
+        count = len(points)
+        sweep = LidarSweep(step.time_s, points, pose[:3, 3])
+        scan = RainyScan(sweep, np.arange(count), np.zeros(count, bool), np.ones(count, np.int8), np.full(count, 100.0))
+        yield LidarTurnInRain(step.step, scan, pose)
+
+
+def messages(folder):
+    found = {}
+    with rosbags.AnyReader([folder]) as reader:
+        for connection, time, data in reader.messages():
+            found.setdefault(connection.topic, []).append((time, reader.deserialize(data, connection.msgtype)))
+    return found
+
+
+def test_rosbags_reads_poses_images_lidar_and_labels(tmp_path):
+    run = approach(moments=6, lead_x=60.0)
+    write_rollout_bag(tmp_path / "run.ros2", run, pictures(run), turns(run))
+    found = messages(tmp_path / "run.ros2")
+    assert set(found) == {"/tf", "/tf_static", "/odom", "/labels", "/labels/markers", "/lidar/points",
+                          "/camera/FRONT/image/compressed", "/camera/FRONT/camera_info"}  # fmt: skip
+    assert [time for time, _ in found["/odom"]] == [250_000_000 * k for k in range(6)]
+    odometry = found["/odom"][4][1]
+    assert odometry.pose.pose.position.x == 10.0 and odometry.twist.twist.linear.x == 10.0
+    (label,) = found["/labels"][0][1].detections
+    assert (label.id, label.results[0].hypothesis.class_id, label.bbox.center.position.x) == ("lead", "car", 60.0)
+    assert (label.bbox.size.x, label.bbox.center.position.z) == (4.0, 0.75)
+    assert [each.action for each in found["/labels/markers"][0][1].markers] == [3, 0]
+    points = np.frombuffer(found["/lidar/points"][2][1].data.tobytes(), np.float32).reshape(-1, 4)
+    np.testing.assert_allclose(points[0], [-9, -3, -1.9, 20.0], atol=1e-5)  # of the sensor, and 20 dB
+
+
+def test_a_bag_opens_as_a_capture_and_has_the_same_bytes_again(tmp_path):
+    run = approach(moments=4, lead_x=60.0)
+    for name in ("a", "b", "a"):  # the second time over the first
+        write_rollout_bag(tmp_path / name / "run.ros2", run, pictures(run), turns(run))
+    first, second = ({each.name: each.read_bytes() for each in (tmp_path / n / "run.ros2").iterdir()} for n in "ab")
+    assert first == second
+    capture = open_capture(tmp_path / "a" / "run.ros2")
+    assert not capture.problems and capture.sensors == ("camera_FRONT",) and len(capture) == len(capture.sweeps) == 4
+    np.testing.assert_allclose(capture.ego.positions[:, 0], [0, 2.5, 5, 7.5], atol=1e-6)
+    np.testing.assert_allclose(capture[2].camera.position - capture[0].camera.position, [5, 0, 0], atol=1e-6)
+    np.testing.assert_allclose([capture[0].camera.cx, capture[0].camera.cy], [30, 20])
+    assert abs(int(capture[3].image.mean()) - 30) < 2
+    assert abs(np.median(capture.sweeps[0].points_m[:, 2]) + 1.5) < 1e-3  # the road, below the ego
+
+
+def test_a_picture_without_a_step_is_refused_and_nothing_is_left(tmp_path):
+    run = approach(moments=3, lead_x=60.0)
+    lost = next(pictures(run))._replace(step=99)
+    with pytest.raises(ValueError, match="picture of step 99: expected one of 0..2"):
+        write_rollout_bag(tmp_path / "run.ros2", run, [lost])
+    assert not (tmp_path / "run.ros2").exists()
