@@ -490,6 +490,8 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Find a command...", _set("viewport.options.dialog", "commands"), "Help", "Ctrl+P or Ctrl+Shift+P",
                 "Type part of a name; Enter runs it."),
         Command("Keyboard and mouse", _set("viewport.options.dialog", "keys"), "Help", "F1", "All keys on one page."),
+        Command("What's new", _set("viewport.options.dialog", "news"), "Help", "",
+                "The changes of this version in a few lines."),
         Command("About GSRAIN", _set("viewport.options.dialog", "about"), "Help", "",
                 "Version, renderer and references."),
     ),
