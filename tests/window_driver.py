@@ -124,7 +124,7 @@ class Driver:
                 self.tap(f"//**/###fold {panel.window_name}")
             return f"//###open panel/{panel.window_name}/"
         window = self.ctx.window_info(f"//{panel.id or title}").window
-        if not window.dock_tab_is_visible:
+        if window.hidden:
             self.ctx.item_click(window.tab_id)
             self.actions += 1
         else:
