@@ -182,9 +182,11 @@ def _chosen_answer(question: Question) -> Answer | None:
                 imgui.set_nav_cursor_visible(question.enter_answers)
         keys = {0: " (Enter)" if question.enter_answers else "", len(question.answers) - 1: " (Escape)"}.get(n, "")
         imgui.set_item_tooltip(f"{answer.help or answer.label}{keys}")
-    if imgui.is_key_pressed(imgui.Key.escape):
+    if imgui.is_window_appearing():  # Enter and Escape have closed a dialog in this frame, and answer nothing yet
+        return clicked
+    if imgui.is_key_pressed(imgui.Key.escape, repeat=False):
         return question.answers[-1]
-    is_entered = imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter)
+    is_entered = any(imgui.is_key_pressed(each, repeat=False) for each in (imgui.Key.enter, imgui.Key.keypad_enter))
     return question.answers[0] if clicked is None and is_entered and question.enter_answers else clicked
 
 

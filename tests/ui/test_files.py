@@ -136,7 +136,8 @@ def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_
         editor = driver.editor
         driver.until(lambda: editor.status.question is not None)
         driver.frames(3)
-        driver.ctx.item_click("//Recover unsaved changes/Recover")
+        with driver.journey(1):
+            driver.tap("//Recover unsaved changes/Recover")
         driver.until(lambda: editor.files.has_changes and editor.busy is None)
         assert editor.document.scene.layers[0].marks.deleted.size == 100
         values = json.loads((home / "scene.json").read_text())

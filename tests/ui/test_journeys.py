@@ -253,12 +253,11 @@ def clear_and_rainy_compared(driver):
     assert options.split == "clear | rainy" and options.divider < 0.49
 
 
-@journey(5)
+@journey(4, folded=5)
 def a_flight_of_ten_seconds(driver):
     editor = driver.editor
     key(driver, KEY.k)
-    driver.press(chord(CTRL, KEY.g))
-    driver.enter("10")
+    driver.type_in(f"{driver.panel('Timeline')}**/##time", 10.0)
     driver.stroke(driver.at(0.5, 0.6), driver.at(0.6, 0.6), driver.at(0.65, 0.55))
     driver.press(KEY.k)
     assert editor.document.scene.path.times_s.tolist() == [0, 10]
@@ -269,6 +268,13 @@ def a_flight_of_ten_seconds(driver):
 def the_light_theme(driver):
     driver.choose(f"{driver.panel('Display')}##theme", "light")
     assert driver.editor.preferences.value.theme == "light"
+
+
+@journey(2)
+def a_time_gone_to(driver):
+    key(driver, CTRL, KEY.g)
+    driver.enter("2.5")
+    assert driver.editor.playback.clock.time_s == 2.5
 
 
 @journey(2)

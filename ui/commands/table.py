@@ -381,7 +381,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
                 "Ctrl+Left", "Go to the start of the playback range."),
         Command("Go to the end of time", lambda playback: playback.clock.seek(playback.span_s[1]), "Timeline",
                 "Ctrl+Right", "Go to the end of the playback range."),
-        Command("Go to time...", _set("playback.timeline.asks_for_time", True), "Timeline", "Ctrl+G",
+        Command("Go to time...", "ui.panels.timeline:ask_for_time", "Timeline", "Ctrl+G",
                 "Type a time in seconds."),
         Command("Step one frame back", lambda playback: playback.clock.step(-1, playback.timeline.fps), "Timeline",
                 "Left", "Stop, and go one frame back."),
