@@ -152,16 +152,15 @@ class Driver:
 
     def choose(self, item, choice):
         """Open a list, and click on one of its rows."""
-        self.ctx.combo_click(f"{item}/{choice}")
-        self.actions += 2
-        self.frames(3)
+        self.tap(item)
+        self.tap(f"//{self.ctx.window_info('//$FOCUSED').window.name}/**/{choice}")
 
     def menu(self, place):
         """Click through a menu, as "Rain/Heavy 12 mm/h"."""
         self.ctx.set_ref("//##MainMenuBar")
         self.ctx.menu_click(place)
         self.ctx.set_ref("")
-        self.actions += place.count("/") + 1
+        self.actions += place.replace("\\/", "").count("/") + 1
         self.frames(3)
 
     def type_in(self, item, value):

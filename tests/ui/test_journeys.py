@@ -3,8 +3,10 @@
 An action is a click, a double click, a drag, a key with those held meanwhile, or a typed value with Enter.
 """
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from dataclasses import replace as with_fields
 
 import numpy as np
 import pytest
@@ -25,7 +27,6 @@ SCREENS = {
     "2560x1440": ((2560, 1440), 1.0), "2560x1440 at DPI 2": ((1280, 720), 2.0),
 }  # fmt: skip
 """Size of the window in units of the interface, and pixels per unit."""
-FOLDED = 800
 
 
 @dataclass(frozen=True)
@@ -184,8 +185,8 @@ def rain_measured_by_a_disdrometer(driver):
 def a_brushed_part_deleted_and_undone(driver):
     document = driver.editor.document
     before = document.scene.gaussian_count
-    key(driver, KEY.b)
-    driver.stroke(*(driver.at(x, 0.75) for x in (0.4, 0.5, 0.6)))
+    key(driver, KEY.n)
+    driver.stroke(*(driver.at(x, 0.45) for x in (0.4, 0.5, 0.6)))
     chosen = selected_count(document.scene)
     driver.press(KEY.delete)
     assert before - document.scene.gaussian_count == chosen > 3
@@ -196,17 +197,19 @@ def a_brushed_part_deleted_and_undone(driver):
 @journey(3)
 def a_part_moved_to_a_layer_of_its_own(driver):
     scene = driver.editor.document.scene
-    key(driver, KEY.g)
+    key(driver, KEY.b)
     driver.stroke(driver.at(0.3, 0.6), driver.at(0.7, 0.9))
     driver.press(chord(CTRL, KEY.j))
     now = driver.editor.document.scene
     assert len(now.layers) == len(scene.layers) + 1 and now.gaussian_count == scene.gaussian_count
 
 
-@journey(3, folded=4)
+@journey(3, folded=5)
 def a_layer_moved(driver):
-    document = driver.editor.document
+    document, folded = driver.editor.document, driver.window.workspace.folded
     driver.tap(f"{driver.panel('Layers')}members/###layers wall")
+    if folded.open:  # over the picture
+        driver.tap("//**/###fold Layers")
     key(driver, KEY.t)
     start = driver.on_screen(np.array([40, 0, 4.5]))
     up = driver.on_screen(np.array([40, 0, 7.5])) - start
@@ -306,18 +309,30 @@ def begin(driver):
     driver.frames(3)
 
 
-@pytest.fixture(scope="module", params=SCREENS)
-def played(request, tmp_path_factory):
-    """Errors of the journeys by name, played one after the other in one window."""
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Folder with a scene folder, a file of Gaussians and a disdrometer file."""
     folder = tmp_path_factory.mktemp("journeys")
     write_scene(small_scene("crossing"), folder / "crossing")
     write_scene(small_scene(), folder / "flat.ply")
-    write_spectra(folder / "rain.nc", measured_rain(271.0, 9.705, 0.074, minutes=20, seed=1))
+    light = measured_rain(271.0, 9.705, 0.074, minutes=6, seed=1, area_m2=0.02)
+    heavy = measured_rain(1190.0, 7.132, 0.114, minutes=6, seed=2, area_m2=0.02, start="2024-05-01T12:00")
+    per_record = ("times", "seconds", "counts", "reported_mm_h")
+    both = {name: np.concatenate([getattr(each, name) for each in (light, heavy)]) for name in per_record}
+    write_spectra(folder / "rain.nc", with_fields(light, **both))
+    return folder
+
+
+@pytest.fixture(scope="module", params=SCREENS)
+def played(request, files, tmp_path_factory):
+    """Errors of the journeys by name, played one after the other in one window."""
+    folder = tmp_path_factory.mktemp("screen")
+    shutil.copytree(files, folder, dirs_exist_ok=True)
     driver, errors = Driver(folder), dict[str, Exception]()
     driver.size_px, driver.dpi_scale = SCREENS[request.param]
 
     def script():
-        is_folded = driver.size_px[0] <= FOLDED
+        is_folded = bool(driver.window.workspace.folded.hidden)
         for each in JOURNEYS:
             try:
                 begin(driver)
@@ -325,15 +340,18 @@ def played(request, tmp_path_factory):
                     each.play(driver)
             except Exception as error:  # each is raised in the test of its journey
                 errors[each.name] = error
-            if driver.ctx.is_error():  # the engine plays no more
-                errors.setdefault(each.name, AssertionError("an item was not there: see the log of the test engine"))
+            if driver.ctx.is_error():  # an item was not there: see the engine's log, which plays no more
+                for after in JOURNEYS[JOURNEYS.index(each) :]:
+                    errors.setdefault(after.name, AssertionError(f"the test engine gave up in {each.name!r}"))
                 return
 
     try:
         driver.run(script)
-    except (AssertionError, RuntimeError):  # of the engine, which names no journey
+    except (AssertionError, RuntimeError) as log:  # of the engine, which names no journey
         if not errors:
             raise
+        for error in errors.values():
+            error.add_note(str(log)[-2000:])
     return errors
 
 

@@ -140,9 +140,10 @@ def _transport(editor: Editor) -> None:
 def _time(playback: Playback, end: float) -> None:
     if playback.timeline.asks_for_time:
         imgui.set_keyboard_focus_here()
-        playback.timeline.asks_for_time = False
     imgui.set_next_item_width(5.5 * imgui.get_font_size())
     typed = _typed_number("##time", playback.clock.time_s)
+    if imgui.is_item_active():  # a panel that has just opened takes the focus a frame later
+        playback.timeline.asks_for_time = False
     imgui.set_item_tooltip("Time of the scene in seconds: traffic, rain and camera path depend on it.")
     if typed is not None:
         playback.clock.seek(typed)
