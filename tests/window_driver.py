@@ -117,7 +117,7 @@ class Driver:
         assert self.actions - before == actions
 
     def panel(self, title):
-        """Bring a panel to the front, by its tab or its name in the strip of a small window; returns where its items are."""
+        """Bring a panel to the front, by its tab or its name in a small window's strip; returns where its items are."""
         panel, folded = next(each for each in all_panels() if each.title == title), self.window.workspace.folded
         if panel.window_name in folded.hidden:
             if folded.open != panel.window_name:

@@ -1,4 +1,4 @@
-"""First steps: from a file of Gaussians to rain in four actions, a hint that ends for good, and news after an update."""
+"""First steps: from a file of Gaussians to rain in four actions, a hint that ends, and news after an update."""
 
 from dataclasses import replace as with_fields
 from importlib.metadata import version
@@ -81,7 +81,9 @@ def test_the_hint_of_three_steps_ends_for_good(driver, tmp_path):
 
 
 def test_the_news_are_the_short_group_of_the_newest_changes():
-    changes = "# Changes\n\n## 1.2\n\nIn short\n* Rain at\n  `night`.\n* *Record* is faster.\n\nFiles\n* More.\n\n## 1.1\n"
+    changes = (
+        "# Changes\n\n## 1.2\n\nIn short\n* Rain at\n  `night`.\n* *Record* is faster.\n\nFiles\n* More.\n\n## 1.1\n"
+    )
     assert news_in(changes) == ("1.2", ("Rain at night.", "Record is faster."))
     assert news_in("# Changes\n\n## 1.2\n\nFiles\n* More.\n\n## 1.1\n\nIn short\n* Old.\n").lines == ()
     assert len(read_news().lines) > 3

@@ -226,14 +226,16 @@ def a_layer_hidden(driver):
 
 @journey(5)
 def a_known_length_sets_the_scale(driver):
-    editor = driver.editor
+    editor, here = driver.editor, driver.editor.viewport.navigation.position.copy()
     key(driver, KEY.m)
     for y in (-1.0, 1.0):
         driver.click_at(driver.on_screen([12.0, y, 0.0]))
     first, second = driver.tool("Measure").points_m
     driver.type_in("//View/**/##true length", 8.0)
     driver.tap("//View/**/Set scale")
-    assert editor.document.scene.metres_per_unit == pytest.approx(8 / np.linalg.norm(second - first))
+    scale = editor.document.scene.metres_per_unit
+    assert scale == pytest.approx(8 / np.linalg.norm(second - first))
+    assert editor.viewport.navigation.position == pytest.approx(scale * here)  # the view stays
 
 
 @journey(2)
