@@ -124,11 +124,8 @@ class Driver:
                 self.tap(f"//**/###fold {panel.window_name}")
             return f"//###open panel/{panel.window_name}/"
         window = self.ctx.window_info(f"//{panel.id or title}").window
-        if window.hidden:
-            self.ctx.item_click(window.tab_id)
-            self.actions += 1
-        else:
-            self.ctx.window_focus(f"//{panel.id or title}")
+        self.actions += window.hidden  # a click on its tab
+        self.ctx.window_focus(f"//{panel.id or title}")
         self.frames()
         return f"//{panel.id or title}/"
 
